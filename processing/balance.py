@@ -1,0 +1,263 @@
+"""How well the pendulum is balanced: numbers with a direction, once every slow period.
+
+A balanced pendulum draws a line in (X, Y). What is left across the line, its angle, its turning, its
+width and where it rests say what is wrong.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from processing.errors import DataError
+from processing.swing.modes import TwoModes, separate_modes
+
+Floats = NDArray[np.float64]
+
+_WINDOW_PERIODS = 2.0
+_HISTORY = 8
+_FEWEST_IN_HISTORY = 4
+_OVERLAP_CORRELATION = 0.5
+"""Neighbouring windows share half of their samples."""
+
+_FEWEST_SAMPLES, _MOST_SAMPLES = 20, 1200
+_FIRST_LOOK_S = 0.5
+_LONGEST_LOOK_S = 60.0
+_LOOK_GROWTH = 1.5
+_RESTING = 4.0
+"""Chi-square per sample below which the pendulum rests."""
+_FIRST_SIZE = 4096
+
+
+@dataclass(frozen=True, slots=True)
+class Balance:
+    """State of the balance, from two slow periods about `time_ns`. Angles and tilts in rad.
+
+    `amplitude_rad` is the slow mode's along Y, `transverse_rad` the fast mode's in X and
+    `transverse_ratio` the second over the first. `line_angle_rad` is the direction of the line from Y
+    towards X, `rotation_rad_per_s` its turning, `width_ratio` half the width of the slow mode's ellipse
+    over half its length, signed: positive where the spot runs from +Y towards +X. `rest_` is the rest
+    position, `drift_` its drift. `period_ratio` is T_V/T_U. `u_` are standard uncertainties, widened
+    where the samples scatter by more than their own. Where no fast mode is seen, `transverse_rad` is
+    0 with the amplitude of the strongest line as uncertainty. NaN where the samples do not determine a
+    number (`period_ratio` without a fast mode, rates of change before the fourth period).
+    """
+
+    time_ns: int
+    period_s: float
+    u_period_s: float
+    amplitude_rad: float
+    u_amplitude_rad: float
+    transverse_rad: float
+    u_transverse_rad: float
+    transverse_ratio: float
+    u_transverse_ratio: float
+    line_angle_rad: float
+    u_line_angle_rad: float
+    rotation_rad_per_s: float
+    u_rotation_rad_per_s: float
+    width_ratio: float
+    u_width_ratio: float
+    rest_x_rad: float
+    u_rest_x_rad: float
+    rest_y_rad: float
+    u_rest_y_rad: float
+    drift_x_rad_per_s: float
+    u_drift_x_rad_per_s: float
+    drift_y_rad_per_s: float
+    u_drift_y_rad_per_s: float
+    period_ratio: float
+    u_period_ratio: float
+
+
+class BalanceEstimator:
+    """Streaming estimate; what comes out does not depend on how the samples are cut into blocks.
+
+    Both modes are fitted by least squares to two slow periods at a time. The first estimate comes
+    when two slow periods have been seen, then one every period.
+    """
+
+    def __init__(self) -> None:
+        self._times = np.empty(_FIRST_SIZE, dtype=np.int64)
+        self._columns = np.empty((4, _FIRST_SIZE))
+        self._head = 0
+        self._tail = 0
+        self._period_s = math.nan
+        self._fast_period_s = math.nan
+        self._next_ns: int | None = None
+        self._look_s = _FIRST_LOOK_S
+        self._history: list[tuple[float, ...]] = []
+
+    def update(
+        self,
+        times_ns: ArrayLike,
+        x_rad: ArrayLike,
+        y_rad: ArrayLike,
+        u_x_rad: ArrayLike,
+        u_y_rad: ArrayLike,
+    ) -> list[Balance]:
+        """Add samples (NaN where the spot was lost); the balances completed by them.
+
+        Raises DataError where the lengths differ.
+        """
+        times = np.asarray(times_ns, dtype=np.int64)
+        columns = [np.asarray(column, dtype=np.float64) for column in (x_rad, y_rad, u_x_rad, u_y_rad)]
+        if any(column.shape != times.shape for column in columns):
+            raise DataError("times, deflections and uncertainties must be of one length")
+        self._append(times, columns)
+        found: list[Balance] = []
+        while self._tail > self._head:
+            if self._next_ns is None:
+                self._next_ns = int(self._times[self._head]) + round(self._look_s * 1e9)
+            if self._times[self._tail - 1] < self._next_ns:
+                break
+            balance = self._estimate(self._next_ns)
+            if balance is not None:
+                found.append(balance)
+        return found
+
+    def _append(self, times: NDArray[np.int64], columns: list[Floats]) -> None:
+        n = len(times)
+        if self._tail + n > len(self._times):
+            kept = self._tail - self._head
+            size = len(self._times)
+            while kept + n > size // 2:
+                size *= 2
+            moved_times, moved = np.empty(size, dtype=np.int64), np.empty((4, size))
+            moved_times[:kept] = self._times[self._head : self._tail]
+            moved[:, :kept] = self._columns[:, self._head : self._tail]
+            self._times, self._columns = moved_times, moved
+            self._head, self._tail = 0, kept
+        end = self._tail + n
+        self._times[self._tail : end] = times
+        for row, column in zip(self._columns, columns, strict=True):
+            row[self._tail : end] = column
+        self._tail = end
+
+    def _position(self, time_ns: int) -> int:
+        return self._head + int(np.searchsorted(self._times[self._head : self._tail], time_ns))
+
+    def _estimate(self, until_ns: int) -> Balance | None:
+        """One estimate from the samples before `until_ns`, and when the next one is due."""
+        known = not math.isnan(self._period_s)
+        span_s = _WINDOW_PERIODS * self._period_s if known else self._look_s
+        first, last = self._position(until_ns - round(span_s * 1e9)), self._position(until_ns)
+        # enough to see the balance by, whatever the frame rate
+        stride = 1 + (last - first) // _MOST_SAMPLES
+        x, y, u_x, u_y = self._columns[:, first:last:stride]
+        modes = None
+        if np.count_nonzero(np.isfinite(x) & np.isfinite(y)) >= _FEWEST_SAMPLES:
+            modes = separate_modes(
+                self._times[first:last:stride], x, y, u_x, u_y, self._period_s, self._fast_period_s
+            )
+        if modes is None or modes.slow.period_s * _WINDOW_PERIODS > span_s * 1.05:
+            self._look_again(until_ns)
+            return None
+        self._period_s = modes.slow.period_s
+        self._fast_period_s = modes.fast.period_s if modes.fast is not None else math.nan
+        self._next_ns = until_ns + round(self._period_s * 1e9)
+        self._head = self._position(until_ns - round(1.5 * span_s * 1e9))
+        return self._balance(modes)
+
+    def _look_again(self, until_ns: int) -> None:
+        """No oscillation yet (or no more): look at a longer stretch, up to a minute, then at later ones."""
+        if math.isnan(self._period_s) and self._resting(until_ns - round(0.7e9 * self._look_s)):
+            # what lies before a release would only hide the swing that follows
+            self._head = self._position(until_ns - round(0.7e9 * self._look_s))
+            self._next_ns = int(self._times[self._head]) + round(self._look_s * 1e9)
+            return
+        if self._look_s < _LONGEST_LOOK_S and math.isnan(self._period_s):
+            self._look_s *= _LOOK_GROWTH
+            self._next_ns = int(self._times[self._head]) + round(self._look_s * 1e9)
+            return
+        self._head = self._position(until_ns)
+        self._period_s = self._fast_period_s = math.nan
+        self._look_s = _FIRST_LOOK_S
+        self._history.clear()
+        self._next_ns = None
+
+    def _resting(self, until_ns: int) -> bool:
+        """Whether nothing but noise has been seen up to a time."""
+        last = self._position(until_ns)
+        x, y, u_x, u_y = self._columns[:, self._head : last]
+        good = np.isfinite(x) & np.isfinite(y)
+        if np.count_nonzero(good) < 3:
+            return last > self._head
+        chi2 = 0.0
+        for value, u in ((x[good], u_x[good]), (y[good], u_y[good])):
+            weight = u**-2.0
+            chi2 += float(weight @ (value - np.average(value, weights=weight)) ** 2)
+        return bool(chi2 < _RESTING * 2 * np.count_nonzero(good))
+
+    def _balance(self, modes: TwoModes) -> Balance:
+        slow, fast = modes.slow, modes.fast
+        angle, u_angle = slow.direction_rad, slow.u_direction_rad
+        if self._history:
+            # the direction of a line has no sense of its own: near X it may have gone round
+            last = self._history[-1][1]
+            angle = last + math.remainder(angle - last, math.pi)
+        self._history = [
+            *self._history[1 - _HISTORY :],
+            (
+                modes.time_ns * 1e-9,
+                angle,
+                u_angle,
+                modes.rest_x,
+                modes.u_rest_x,
+                modes.rest_y,
+                modes.u_rest_y,
+            ),
+        ]
+        (turning, u_turning), (drift_x, u_drift_x), (drift_y, u_drift_y) = (self._rate(k) for k in (1, 3, 5))
+        transverse, u_transverse = 0.0, modes.fast_limit
+        period_ratio, u_period_ratio = math.nan, math.nan
+        if fast is not None:
+            transverse, u_transverse = fast.x_amplitude, fast.u_x_amplitude
+            period_ratio = slow.period_s / fast.period_s
+            u_period_ratio = period_ratio * math.hypot(
+                slow.u_period_s / slow.period_s, fast.u_period_s / fast.period_s
+            )
+        along = slow.y_amplitude
+        return Balance(
+            time_ns=modes.time_ns,
+            period_s=slow.period_s,
+            u_period_s=slow.u_period_s,
+            amplitude_rad=along,
+            u_amplitude_rad=slow.u_y_amplitude,
+            transverse_rad=transverse,
+            u_transverse_rad=u_transverse,
+            transverse_ratio=transverse / along,
+            u_transverse_ratio=math.hypot(u_transverse, transverse * slow.u_y_amplitude / along) / along,
+            line_angle_rad=slow.direction_rad,
+            u_line_angle_rad=u_angle,
+            rotation_rad_per_s=turning,
+            u_rotation_rad_per_s=u_turning,
+            width_ratio=slow.width / slow.amplitude,
+            u_width_ratio=slow.u_width / slow.amplitude,
+            rest_x_rad=modes.rest_x,
+            u_rest_x_rad=modes.u_rest_x,
+            rest_y_rad=modes.rest_y,
+            u_rest_y_rad=modes.u_rest_y,
+            drift_x_rad_per_s=drift_x,
+            u_drift_x_rad_per_s=u_drift_x,
+            drift_y_rad_per_s=drift_y,
+            u_drift_y_rad_per_s=u_drift_y,
+            period_ratio=period_ratio,
+            u_period_ratio=u_period_ratio,
+        )
+
+    def _rate(self, column: int) -> tuple[float, float]:
+        """Slope of a column over the history, and its uncertainty."""
+        table = np.array(self._history)
+        if len(table) < _FEWEST_IN_HISTORY:
+            return math.nan, math.nan
+        weight = table[:, column + 1] ** -2.0
+        time = table[:, 0] - np.average(table[:, 0], weights=weight)
+        value = table[:, column] - np.average(table[:, column], weights=weight)
+        spread = float(weight @ time**2)
+        slope = float(weight @ (time * value)) / spread
+        misfit = float(weight @ (value - slope * time) ** 2) / (len(table) - 2)
+        lever = time * np.sqrt(weight)
+        shared = 2.0 * _OVERLAP_CORRELATION * float(lever[1:] @ lever[:-1])
+        return slope, math.sqrt(max(misfit, 1.0) * (spread + shared)) / spread

@@ -1,0 +1,184 @@
+"""From the balance's numbers to advice: what is wrong, which weight to turn, which way and how far.
+
+What a turn of each weight does is learned from what was seen before and after; a nominal
+effect (mass, thread and axis of the weight) is only where learning starts.
+"""
+
+import math
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from processing.angle import ARCSEC_RAD
+from processing.balance import Balance
+
+Floats = NDArray[np.float64]
+_U_TURN = 0.02
+
+
+class BalanceLimits(NamedTuple):
+    """Within these the rig is balanced. Angles in arcsec and degrees, ratios plain, height in m."""
+
+    rest_arcsec: float = 10.0
+    height_m: float = 20e-6
+    line_angle_deg: float = 0.5
+    transverse_ratio: float = 0.01
+    width_ratio: float = 0.01
+    spin_deg_per_min: float = 0.2
+
+
+class Fault(NamedTuple):
+    """One number that tells how balanced the rig is, its limit, and what its sign means."""
+
+    name: str
+    value: float
+    u_value: float
+    unit: str
+    limit: float
+    meaning: str
+
+    @property
+    def ok(self) -> bool:
+        """Within the limit; a number that was not determined counts as such."""
+        return not abs(self.value) > self.limit
+
+
+class Turn(NamedTuple):
+    """What to do next: this weight, so many turns (positive: clockwise); `why` in words."""
+
+    weight: str
+    turns: float
+    why: str
+
+
+def mass_centre_height_m(
+    period0_s: float, inertia_kg_m2: float, mass_kg: float, ball_radius_m: float, gravity_m_per_s2: float
+) -> float:
+    """How much too high the mass centre lies above the contact spot, from I = m g l T0^2 / (4 pi^2).
+
+    l is the arm from the ball's centre down to the mass centre, the ball's radius where it lies on
+    the contact spot (Eq. 4). Negative: too low.
+    """
+    arm_m = 4.0 * math.pi**2 * inertia_kg_m2 / (mass_kg * gravity_m_per_s2 * period0_s**2)
+    return ball_radius_m - arm_m
+
+
+def find_faults(balance: Balance, height: tuple[float, float], limits: BalanceLimits) -> list[Fault]:
+    """Every fault that the motion shows, with a direction. `height` in m, with its uncertainty."""
+    arcsec, degree = ARCSEC_RAD, math.pi / 180.0
+    b = balance
+    per_min = 60.0 / degree
+    return [
+        Fault(
+            "rest position X", b.rest_x_rad / arcsec, b.u_rest_x_rad / arcsec, "arcsec",
+            limits.rest_arcsec, "mass centre too far towards " + ("+X" if b.rest_x_rad > 0 else "-X"),
+        ),
+        Fault(
+            "rest position Y", b.rest_y_rad / arcsec, b.u_rest_y_rad / arcsec, "arcsec",
+            limits.rest_arcsec, "mass centre too far towards " + ("+Y" if b.rest_y_rad > 0 else "-Y"),
+        ),
+        Fault(
+            "mass centre", height[0] * 1e6, height[1] * 1e6, "um", limits.height_m * 1e6,
+            "too high: the period is long" if height[0] > 0 else "too low: the period is short",
+        ),
+        Fault(
+            "angle of the line", b.line_angle_rad / degree, b.u_line_angle_rad / degree, "deg",
+            limits.line_angle_deg, "turn the camera, or the mirror, "
+            + ("back from X towards Y" if b.line_angle_rad > 0 else "from Y towards X"),
+        ),
+        Fault(
+            "transverse motion", b.transverse_ratio, b.u_transverse_ratio, "", limits.transverse_ratio,
+            "the start pushes sideways: release along Y",
+        ),
+        Fault(
+            "leakage (width)", b.width_ratio, b.u_width_ratio, "", limits.width_ratio,
+            "the slow mode leaks into X: the axes of inertia lie askew to the contact",
+        ),
+        Fault(
+            "spin", b.rotation_rad_per_s * per_min, b.u_rotation_rad_per_s * per_min, "deg/min",
+            limits.spin_deg_per_min, "turns about the vertical: let it settle before the release",
+        ),
+    ]  # fmt: skip
+
+
+class WeightResponses:
+    """What a turn of each weight does to (rest X in arcsec, rest Y in arcsec, height in m), and how surely.
+
+    Each effect is a normal distribution that every before/after pair narrows (linear regression
+    with a prior). `nominal` gives its start by weight, effects with their standard uncertainties; None:
+    nothing is known, a test turn is advised first.
+    """
+
+    def __init__(self, nominal: Mapping[str, tuple[Floats, Floats] | None], limits: BalanceLimits) -> None:
+        self._scale = np.array([limits.rest_arcsec, limits.rest_arcsec, limits.height_m])
+        self._mean: dict[str, Floats] = {}
+        self._variance: dict[str, Floats] = {}
+        self.pairs = dict.fromkeys(nominal, 0)
+        for name, known in nominal.items():
+            effect, u_effect = known if known is not None else (np.zeros(3), 1e3 * self._scale)
+            self._mean[name] = np.asarray(effect, dtype=np.float64) / self._scale
+            self._variance[name] = (np.asarray(u_effect, dtype=np.float64) / self._scale) ** 2
+
+    def learn(self, weight: str, turns: float, before: Floats, after: Floats, u_state: Floats) -> None:
+        """Take in one pair: states before and after `turns` of one weight (NaN: that number is not known)."""
+        if turns == 0.0:
+            return
+        step = (after - before) / self._scale
+        size = max(float(np.linalg.norm(np.nan_to_num(step))) / abs(turns), 1e-12)
+        # a turn is set by hand: what it did is uncertain in proportion
+        noise = 2.0 * (u_state / self._scale) ** 2 + (size * _U_TURN) ** 2 + (0.01 * size * turns) ** 2
+        mean, variance = self._mean[weight], self._variance[weight]
+        seen = np.isfinite(step)
+        gain = np.where(seen, variance * turns / (turns**2 * variance + noise), 0.0)
+        self._mean[weight] = mean + gain * np.where(seen, step - turns * mean, 0.0)
+        self._variance[weight] = np.maximum(variance * (1.0 - gain * turns), 1e-30)
+        self.pairs[weight] += 1
+
+    def effect(self, weight: str) -> tuple[Floats, Floats]:
+        """Effect of one turn of a weight and its standard uncertainties, in (arcsec, arcsec, m)."""
+        return self._mean[weight] * self._scale, np.sqrt(self._variance[weight]) * self._scale
+
+    def advise(self, state: Floats, test_turns: float = 1.0) -> Turn | None:
+        """The next turn of one weight, None when the state lies within the limits.
+
+        The turns of all weights together that would bring the state to zero are found by least
+        squares. A weight that has been turned least comes first, since every later turn gains by what
+        it teaches; among equals the one whose turn may do most that is not foreseen. A turn that
+        would do less than half a limit is spared; where one turn alone suffices, it is that one.
+        """
+        wanted = np.nan_to_num(state / self._scale)
+        if np.all(np.abs(wanted) <= 1.0):
+            return None
+        known = [name for name in self._mean if np.linalg.norm(self._mean[name]) > 0]
+        unknown = [name for name in self._mean if name not in known]
+        for name in known:
+            effect, variance = self._mean[name], self._variance[name]
+            alone = -float(effect @ wanted) / float(effect @ effect)
+            left = np.abs(wanted + alone * effect) + 2.0 * abs(alone) * np.sqrt(variance)
+            if np.all(left <= 0.9):
+                return Turn(name, float(round(alone, 2)), _words(name, self.pairs))
+        turns = np.zeros(0)
+        if known:
+            effects = np.column_stack([self._mean[name] for name in known])
+            turns, *_ = np.linalg.lstsq(effects, -wanted, rcond=1e-3)
+            left = wanted + effects @ turns
+            gains = [abs(t) * float(np.linalg.norm(self._mean[n])) for t, n in zip(turns, known, strict=True)]
+            doubts = [
+                abs(t) * math.sqrt(float(np.sum(self._variance[n])))
+                for t, n in zip(turns, known, strict=True)
+            ]
+            if not unknown or np.all(np.abs(left) <= 1.0):
+                needed = [k for k, gain in enumerate(gains) if gain > 0.5]
+                best = min(
+                    needed or [int(np.argmax(gains))], key=lambda k: (self.pairs[known[k]], -doubts[k])
+                )
+                return Turn(known[best], float(round(turns[best], 2)), _words(known[best], self.pairs))
+        name = unknown[0]
+        return Turn(name, test_turns, "a test turn: nothing is known of this weight yet")
+
+
+def _words(weight: str, pairs: Mapping[str, int]) -> str:
+    count = pairs[weight]
+    return f"learned from {count} turn{'s' if count > 1 else ''}" if count else "from its mass and thread"

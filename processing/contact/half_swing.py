@@ -1,0 +1,95 @@
+"""The exact map from one turning point to the next, with its derivatives.
+
+Eq. 4 with Eqs. 1 and 3 and a linear drag, divided by m g R, conserves energy but for the work of
+friction. Between a turning point at A and the zero crossing the kinetic term is
+
+    phi'^2 / (2 w0^2) = (A^2/2) sin^2(theta) g(theta),      phi = A cos(theta)
+
+with g close to 1. Seen from a turning point, leaving it (friction takes energy) and arriving at
+it (friction has still to take energy) differ by one sign. So a half-cycle is two quarters, each a
+function of one amplitude alone: the energies at the zero crossing must agree, which gives the
+next amplitude, and the times add up.
+
+The map itself (`half_swing_kernel`) is dimensionless: angles in units of a reference amplitude,
+times in units of T0.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from processing.contact.half_swing_kernel import half_swing_map
+from processing.contact.parameters import ContactParameters, PendulumOnBall
+from processing.contact.quarter_nodes import quarter_nodes
+from processing.errors import DataError
+
+
+class ScaledContact(NamedTuple):
+    """The map's own parameters, with ``x = phi / reference``.
+
+    ``b = b reference^(p-1)``, ``c = c / reference``, ``kappa = 2 gamma a^2/(m g) reference^n``,
+    ``drag = drag_s w0``, ``rho = R reference / a``.
+    """
+
+    b: float
+    p: float
+    c: float
+    n: float
+    kappa: float
+    drag: float
+    rho: float
+
+
+def stiffness_ratio(gamma_pa: float, pendulum: PendulumOnBall) -> float:
+    """Adhesion's moment over m g R, rad^-n: ``kappa = 2 gamma a^2 / (m g)``."""
+    return 2 * gamma_pa * pendulum.contact_radius_m**2 / (pendulum.mass_kg * pendulum.gravity_m_per_s2)
+
+
+def relative_curvature(pendulum: PendulumOnBall | None) -> float:
+    """R/a of Eq. 3, rad^-1; without a calibration zero, since angles are then not known in rad."""
+    return 0.0 if pendulum is None else pendulum.ball_radius_m / pendulum.contact_radius_m
+
+
+def scaled_contact(
+    parameters: ContactParameters, pendulum: PendulumOnBall, reference_rad: float
+) -> ScaledContact:
+    """Parameters in units of a reference amplitude."""
+    return ScaledContact(
+        b=parameters.b * reference_rad ** (parameters.p - 1),
+        p=parameters.p,
+        c=parameters.c / reference_rad,
+        n=parameters.n,
+        kappa=stiffness_ratio(parameters.gamma_pa, pendulum) * reference_rad**parameters.n,
+        drag=parameters.drag_s * 2 * np.pi / parameters.period0_s,
+        rho=pendulum.ball_radius_m * reference_rad / pendulum.contact_radius_m,
+    )
+
+
+def turning_points_of(
+    parameters: ContactParameters,
+    pendulum: PendulumOnBall,
+    initial_amplitude_rad: float,
+    half_cycles: int,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Amplitudes (rad) and times (s) of the first turning points of a free decay.
+
+    Parameters
+    ----------
+    initial_amplitude_rad
+        The first turning point, at time 0; positive.
+    half_cycles
+        How many half-cycles follow it; the arrays have one element more.
+
+    Returns
+    -------
+    amplitude_rad, time_s
+        Shape ``(half_cycles + 1,)``. NaN from the turning point at which the pendulum sticks
+        (friction holds it) onwards.
+    """
+    if not initial_amplitude_rad > 0:
+        raise DataError(f"initial amplitude {initial_amplitude_rad} rad: it must be positive")
+    scaled = np.array([*scaled_contact(parameters, pendulum, initial_amplitude_rad), 1.0], dtype=np.float64)
+    index = np.arange(half_cycles + 1, dtype=np.int64)
+    amplitude, time, _, _, _ = half_swing_map(scaled, index, *quarter_nodes())
+    return amplitude * initial_amplitude_rad, time * parameters.period0_s

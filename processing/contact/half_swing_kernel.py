@@ -1,0 +1,339 @@
+"""Compiled inner loop of the half-swing map; see `half_swing` for the equations and the units.
+
+Derivatives follow the map exactly; where drag makes g implicit they come from the adjoint
+equation, so that their cost does not grow with the number of parameters. A trial step may divide
+by zero: that gives inf, as in numpy, and the step is refused.
+"""
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from processing.contact.quarter_nodes import NODES
+
+B, P, C, N, KAPPA, DRAG, RHO, A0 = range(8)
+MAP_PARAMETERS = 8
+"""Columns of the map's parameters and derivatives: those of `ScaledContact`, then the first amplitude."""
+
+ENDED = 1
+DIVERGED = 2
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _shape(
+    q: NDArray[np.float64],
+    side: float,
+    a: float,
+    constant: NDArray[np.float64],
+    travelled: NDArray[np.float64],
+    g: NDArray[np.float64],
+    root: NDArray[np.float64],
+    work: NDArray[np.float64],
+) -> bool:
+    """g and its root at the nodes of one quarter; False where the pendulum cannot pass.
+
+    `work`, the drag's share, is the solution of an equation: what is handed in is the guess from
+    which the iteration starts.
+    """
+    elastic1 = -np.pi * q[KAPPA] * a ** q[N] / (q[N] + 2)
+    elastic2 = 2 * q[KAPPA] * q[RHO] * a ** (q[N] + 1) / (q[N] + 3)
+    friction = side * 2 * q[B] * a ** (q[P] - 1) / (q[P] + 1)
+    coulomb = side * 2 * q[C] / a
+    drag = side * 2 * q[DRAG]
+    start = np.empty(NODES)
+    for k in range(NODES):
+        start[k] = (
+            1
+            + elastic1 * constant[0, k]
+            + elastic2 * constant[1, k]
+            + friction * constant[2, k]
+            + coulomb * constant[3, k]
+        )
+        if not start[k] > 0:
+            return False
+        g[k] = max(start[k] + drag * work[k], 0.1 * start[k])
+        root[k] = np.sqrt(g[k])
+    if drag == 0:
+        return True
+    for _ in range(200):
+        change = 0.0
+        for k in range(NODES):
+            total = 0.0
+            for j in range(NODES):
+                total += travelled[k, j] * root[j]
+            work[k] = total
+        for k in range(NODES):
+            value = start[k] + drag * work[k]
+            if not value > 0:
+                return False
+            change = max(change, abs(value - g[k]))
+            g[k] = value
+            root[k] = np.sqrt(value)
+        if change < 4e-16 * NODES:
+            return True
+    return False
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _energy(
+    q: NDArray[np.float64], side: float, a: float, root: NDArray[np.float64], across: NDArray[np.float64]
+) -> float:
+    """Twice the kinetic energy at the zero crossing over A^2: g there."""
+    total = (
+        1
+        - np.pi * q[KAPPA] * a ** q[N] / (q[N] + 2)
+        + 2 * q[KAPPA] * q[RHO] * a ** (q[N] + 1) / (q[N] + 3)
+        + side * 2 * (q[C] / a + q[B] * a ** (q[P] - 1) / (q[P] + 1))
+    )
+    if q[DRAG] != 0:
+        work = 0.0
+        for k in range(NODES):
+            work += across[k] * root[k]
+        total += side * 2 * q[DRAG] * work
+    return float(total)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _adjoint(
+    side_drag: float,
+    source: NDArray[np.float64],
+    root: NDArray[np.float64],
+    travelled: NDArray[np.float64],
+    out: NDArray[np.float64],
+) -> None:
+    """Solve ``out = source + side drag diag(1/root) travelled^T out`` by iteration."""
+    out[:] = source
+    if side_drag == 0:
+        return
+    for _ in range(200):
+        change = 0.0
+        scale = 0.0
+        previous = out.copy()
+        for k in range(NODES):
+            total = 0.0
+            for j in range(NODES):
+                total += travelled[j, k] * previous[j]
+            value = source[k] + side_drag * total / root[k]
+            change = max(change, abs(value - out[k]))
+            scale = max(scale, abs(value))
+            out[k] = value
+        if change <= 1e-14 * scale:
+            return
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _gradient(
+    q: NDArray[np.float64],
+    side: float,
+    a: float,
+    weight: NDArray[np.float64],
+    constant: NDArray[np.float64],
+    drag_work: NDArray[np.float64],
+    out: NDArray[np.float64],
+) -> None:
+    """``sum_k weight_k dg_k`` for every parameter; the last one is the amplitude of the quarter.
+
+    `constant` holds, a row each, (1-cos^(n+2))/sin^2, (1-cos^(n+3))/sin^2, (1-cos^(p+1))/sin^2,
+    1/(1+cos) and the derivatives of the first two by n and of the third by p.
+    """
+    s = np.zeros(7)
+    work = 0.0
+    for k in range(len(weight)):
+        for row in range(7):
+            s[row] += weight[k] * constant[row, k]
+        work += weight[k] * drag_work[k]
+    log_a = np.log(a)
+    n, p = q[N], q[P]
+    first = -np.pi * a**n / (n + 2)
+    second = 2 * q[RHO] * a ** (n + 1) / (n + 3)
+    third = side * 2 * a ** (p - 1) / (p + 1)
+    out[B] = third * s[2]
+    out[P] = q[B] * third * ((log_a - 1 / (p + 1)) * s[2] + s[6])
+    out[C] = side * 2 / a * s[3]
+    out[N] = q[KAPPA] * (
+        first * ((log_a - 1 / (n + 2)) * s[0] + s[4]) + second * ((log_a - 1 / (n + 3)) * s[1] + s[5])
+    )
+    out[KAPPA] = first * s[0] + second * s[1]
+    out[DRAG] = side * 2 * work
+    out[RHO] = q[KAPPA] * 2 * a ** (n + 1) / (n + 3) * s[1]
+    out[A0] = (
+        q[KAPPA] * (first * n * s[0] + second * (n + 1) * s[1])
+        + q[B] * third * (p - 1) * s[2]
+        - side * 2 * q[C] / a * s[3]
+    ) / a
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _quarter(
+    q: NDArray[np.float64],
+    side: float,
+    a: float,
+    nodes_weight: NDArray[np.float64],
+    across: NDArray[np.float64],
+    constant: NDArray[np.float64],
+    at_zero: NDArray[np.float64],
+    travelled: NDArray[np.float64],
+    g: NDArray[np.float64],
+    root: NDArray[np.float64],
+    time_gradient: NDArray[np.float64],
+    energy_gradient: NDArray[np.float64],
+) -> float:
+    """Time of one quarter in units of T0, and gradients of it and of the energy ``a^2 g/2``."""
+    source = np.empty(NODES)
+    adjoint = np.empty(NODES)
+    drag_work = np.zeros(NODES)
+    time = 0.0
+    for k in range(NODES):
+        time += nodes_weight[k] / root[k]
+        source[k] = -0.5 * nodes_weight[k] / (g[k] * root[k])
+    side_drag = side * q[DRAG]
+    for k in range(NODES):
+        for j in range(NODES):
+            drag_work[k] += travelled[k, j] * root[j]
+    _adjoint(side_drag, source, root, travelled, adjoint)
+    _gradient(q, side, a, adjoint, constant, drag_work, time_gradient)
+
+    work = np.empty(1)
+    work[0] = 0.0
+    for k in range(NODES):
+        work[0] += across[k] * root[k]
+        source[k] = side_drag * across[k] / root[k]
+    unit = np.ones(1)
+    _gradient(q, side, a, unit, at_zero, work, energy_gradient)
+    if side_drag != 0:
+        _adjoint(side_drag, source, root, travelled, adjoint)
+        through = np.empty(MAP_PARAMETERS)
+        _gradient(q, side, a, adjoint, constant, drag_work, through)
+        for i in range(MAP_PARAMETERS):
+            energy_gradient[i] += through[i]
+    g_zero = _energy(q, side, a, root, across)
+    for i in range(MAP_PARAMETERS):
+        time_gradient[i] /= 2 * np.pi
+        energy_gradient[i] *= 0.5 * a * a
+    energy_gradient[A0] += a * g_zero
+    return time / (2 * np.pi)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def half_swing_map(
+    q: NDArray[np.float64],
+    index: NDArray[np.int64],
+    weight: NDArray[np.float64],
+    cos: NDArray[np.float64],
+    log_cos: NDArray[np.float64],
+    sin2: NDArray[np.float64],
+    travelled: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], int]:
+    """Turning points at the given indices, run over every half-cycle between them.
+
+    Parameters
+    ----------
+    q
+        The seven numbers of `ScaledContact`, then the first amplitude in units of the reference.
+    index
+        Rising half-cycle numbers, the first 0.
+
+    Returns
+    -------
+    amplitude, time
+        In units of the reference and of T0; NaN from where the pendulum stops.
+    amplitude_gradient, time_gradient
+        Shape ``(len(index), MAP_PARAMETERS)``, derivatives by q.
+    state
+        0, `ENDED` (friction holds the pendulum before the last index) or `DIVERGED`.
+    """
+    count = len(index)
+    amplitude = np.full(count, np.nan)
+    time = np.full(count, np.nan)
+    amplitude_gradient = np.full((count, MAP_PARAMETERS), np.nan)
+    time_gradient = np.full((count, MAP_PARAMETERS), np.nan)
+    n, p = q[N], q[P]
+    if n <= -1.5 or p <= -0.9:
+        return amplitude, time, amplitude_gradient, time_gradient, DIVERGED
+    constant = np.empty((7, NODES))
+    across = np.empty(NODES)
+    for k in range(NODES):
+        e1, e2, e3 = (n + 2) * log_cos[k], (n + 3) * log_cos[k], (p + 1) * log_cos[k]
+        constant[0, k] = -np.expm1(e1) / sin2[k]
+        constant[1, k] = -np.expm1(e2) / sin2[k]
+        constant[2, k] = -np.expm1(e3) / sin2[k]
+        constant[3, k] = 1 / (1 + cos[k])
+        constant[4, k] = -log_cos[k] * np.exp(e1) / sin2[k]
+        constant[5, k] = -log_cos[k] * np.exp(e2) / sin2[k]
+        constant[6, k] = -log_cos[k] * np.exp(e3) / sin2[k]
+        across[k] = weight[k] * sin2[k]
+    at_zero = np.zeros((7, 1))
+    at_zero[:4] = 1.0
+
+    g, root = np.empty(NODES), np.empty(NODES)
+    work_leave, work_arrive = np.zeros(NODES), np.zeros(NODES)
+    time_leave, time_arrive = np.empty(MAP_PARAMETERS), np.empty(MAP_PARAMETERS)
+    energy_leave, energy_arrive = np.empty(MAP_PARAMETERS), np.empty(MAP_PARAMETERS)
+    a_gradient, t_gradient = np.zeros(MAP_PARAMETERS), np.zeros(MAP_PARAMETERS)
+    a_gradient[A0] = 1.0
+    a, t, ratio = q[A0], 0.0, 1.0
+    if not a > 0:
+        return amplitude, time, amplitude_gradient, time_gradient, DIVERGED
+    wanted = 0
+    step = 0
+    while True:
+        if index[wanted] == step:
+            amplitude[wanted] = a
+            time[wanted] = t
+            amplitude_gradient[wanted] = a_gradient
+            time_gradient[wanted] = t_gradient
+            wanted += 1
+            if wanted == count:
+                return amplitude, time, amplitude_gradient, time_gradient, 0
+        if not _shape(q, -1.0, a, constant, travelled, g, root, work_leave):
+            return amplitude, time, amplitude_gradient, time_gradient, ENDED
+        energy = 0.5 * a * a * _energy(q, -1.0, a, root, across)
+        if not energy > 0:
+            return amplitude, time, amplitude_gradient, time_gradient, ENDED
+        t_leave = _quarter(
+            q, -1.0, a, weight, across, constant, at_zero, travelled, g, root, time_leave, energy_leave
+        )
+        following = a * ratio
+        found = False
+        for _ in range(60):
+            if q[DRAG] != 0 and not _shape(q, 1.0, following, constant, travelled, g, root, work_arrive):
+                following *= 1.1
+                continue
+            g_zero = _energy(q, 1.0, following, root, across)
+            # Slope of the energy without the small change of the drag's shape: converges linearly
+            # by a factor of drag times nonlinearity, and quadratically without drag.
+            slope = following * (
+                g_zero
+                + 0.5
+                * (
+                    -np.pi * q[KAPPA] * n * following**n / (n + 2)
+                    + 2 * q[KAPPA] * q[RHO] * (n + 1) * following ** (n + 1) / (n + 3)
+                    + 2 * q[B] * (p - 1) * following ** (p - 1) / (p + 1)
+                    - 2 * q[C] / following
+                )
+            )
+            correction = (0.5 * following * following * g_zero - energy) / slope
+            if not abs(correction) < 0.9 * following:
+                correction = 0.5 * following if correction > 0 else -0.5 * following
+            following -= correction
+            if abs(correction) < 4e-15 * following:
+                found = True
+                break
+        if not found or not following < 2 * a:
+            return amplitude, time, amplitude_gradient, time_gradient, DIVERGED
+        if not _shape(q, 1.0, following, constant, travelled, g, root, work_arrive):
+            return amplitude, time, amplitude_gradient, time_gradient, DIVERGED
+        t_arrive = _quarter(
+            q, 1.0, following, weight, across, constant, at_zero, travelled, g, root,
+            time_arrive, energy_arrive,
+        )  # fmt: skip
+        before = a_gradient.copy()
+        for i in range(MAP_PARAMETERS):
+            direct = 0.0 if i == A0 else energy_leave[i] - energy_arrive[i]
+            a_gradient[i] = (direct + energy_leave[A0] * before[i]) / energy_arrive[A0]
+            explicit = 0.0 if i == A0 else time_leave[i] + time_arrive[i]
+            t_gradient[i] += explicit + time_leave[A0] * before[i] + time_arrive[A0] * a_gradient[i]
+        ratio = following / a
+        a = following
+        t += t_leave + t_arrive
+        step += 1

@@ -1,0 +1,163 @@
+"""Elastic contact of a ball and a flat after Hertz, and the materials of the paper.
+
+a = (3 F R / (4 E*))^(1/3)      1/E* = sum (1 - nu^2)/E      depth = a^2/R      angle = a/R
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import hypot, isfinite
+from types import MappingProxyType
+
+from processing.contact.parameters import STANDARD_GRAVITY_M_PER_S2, PendulumOnBall
+from processing.errors import ConfigurationError
+
+
+@dataclass(frozen=True, slots=True)
+class Material:
+    """Elastic constants of an isotropic material, with standard uncertainties."""
+
+    name: str
+    youngs_modulus_pa: float
+    poisson_ratio: float
+    u_youngs_modulus_pa: float = 0.0
+    u_poisson_ratio: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not (isfinite(self.youngs_modulus_pa) and self.youngs_modulus_pa > 0):
+            raise ConfigurationError(
+                f"material {self.name!r}: youngs_modulus_pa = {self.youngs_modulus_pa}; it must be positive"
+            )
+        if not -1 < self.poisson_ratio <= 0.5:
+            raise ConfigurationError(
+                f"material {self.name!r}: poisson_ratio = {self.poisson_ratio}; it lies between -1 and 0.5"
+            )
+        if not (self.u_youngs_modulus_pa >= 0 and self.u_poisson_ratio >= 0):
+            raise ConfigurationError(f"material {self.name!r}: an uncertainty is negative")
+
+    @property
+    def compliance_per_pa(self) -> float:
+        """(1 - nu^2)/E, this body's share of 1/E*."""
+        return (1 - self.poisson_ratio**2) / self.youngs_modulus_pa
+
+
+MATERIALS: Mapping[str, Material] = MappingProxyType(
+    {
+        material.name: material
+        for material in (
+            Material("steel", 2.11e11, 0.28),
+            Material("silicon", 1.31e11, 0.266),
+            Material("glass_k8", 0.82e11, 0.206),
+        )
+    }
+)
+"""The paper's three. It states no uncertainties."""
+
+
+def material(name: str, others: Mapping[str, Material] = MappingProxyType({})) -> Material:
+    """A material by name, `others` (a user's own) before the paper's.
+
+    Raises
+    ------
+    ConfigurationError
+        Unknown name; the message lists the known ones.
+    """
+    if name in others:
+        return others[name]
+    if name in MATERIALS:
+        return MATERIALS[name]
+    known = ", ".join(sorted({*others, *MATERIALS}))
+    raise ConfigurationError(
+        f"unknown material {name!r}: take one of {known}, or define it with its elastic constants"
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class HertzContact:
+    """Contact spot: its radius a, the ball's penetration a^2/R, the contact angle a/R."""
+
+    radius_m: float
+    depth_m: float
+    angle_rad: float
+    u_radius_m: float
+    u_depth_m: float
+    u_angle_rad: float
+
+
+def contact_radius(force_n: float, ball_radius_m: float, ball: Material, flat: Material) -> float:
+    """Radius a of the contact spot in m."""
+    compliance = ball.compliance_per_pa + flat.compliance_per_pa
+    return float((0.75 * force_n * ball_radius_m * compliance) ** (1 / 3))
+
+
+def hertz_contact(
+    force_n: float,
+    ball_radius_m: float,
+    ball: Material,
+    flat: Material,
+    *,
+    u_force_n: float = 0.0,
+    u_ball_radius_m: float = 0.0,
+) -> HertzContact:
+    """Contact of one ball pressed onto a flat.
+
+    Parameters
+    ----------
+    force_n
+        Load on this ball: m g on one ball, m g/2 on each of two.
+    u_force_n, u_ball_radius_m
+        Standard uncertainties; those of the elastic constants come with the materials, and are
+        independent of each other except where both bodies are of one and the same material, whose
+        constants then err together.
+
+    Raises
+    ------
+    ConfigurationError
+        Load or radius not positive, or a negative uncertainty.
+    """
+    for name, value in (("force_n", force_n), ("ball_radius_m", ball_radius_m)):
+        if not (isfinite(value) and value > 0):
+            raise ConfigurationError(f"{name} = {value}: it must be positive")
+    if not (u_force_n >= 0 and u_ball_radius_m >= 0):
+        raise ConfigurationError("the uncertainties of load and ball radius must not be negative")
+    radius = contact_radius(force_n, ball_radius_m, ball, flat)
+    compliance = ball.compliance_per_pa + flat.compliance_per_pa
+    # relative uncertainty of the compliance; one material on both sides counts fully, not in quadrature
+    bodies = [(ball, 2.0)] if ball == flat else [(ball, 1.0), (flat, 1.0)]
+    elastic = hypot(
+        *(
+            times * part / compliance
+            for body, times in bodies
+            for part in (
+                body.compliance_per_pa * body.u_youngs_modulus_pa / body.youngs_modulus_pa,
+                2 * body.poisson_ratio * body.u_poisson_ratio / body.youngs_modulus_pa,
+            )
+        )
+    )
+    force, ball_radius = u_force_n / force_n, u_ball_radius_m / ball_radius_m
+    third = 1 / 3
+    return HertzContact(
+        radius_m=radius,
+        depth_m=radius**2 / ball_radius_m,
+        angle_rad=radius / ball_radius_m,
+        u_radius_m=radius * third * hypot(force, elastic, ball_radius),
+        # a^2/R goes as F^(2/3) R^(-1/3) and a/R as F^(1/3) R^(-2/3)
+        u_depth_m=radius**2 / ball_radius_m * third * hypot(2 * force, 2 * elastic, ball_radius),
+        u_angle_rad=radius / ball_radius_m * third * hypot(force, elastic, 2 * ball_radius),
+    )
+
+
+def pendulum_on_ball(
+    mass_kg: float,
+    ball_radius_m: float,
+    ball: Material,
+    flat: Material,
+    *,
+    gravity_m_per_s2: float = STANDARD_GRAVITY_M_PER_S2,
+) -> PendulumOnBall:
+    """The pendulum with its contact radius after Hertz.
+
+    For two balls give half the mass: the moments of Eqs. 1 and 3 are then those of one ball, and
+    their ratio to m g R, which is all that the motion knows, is the same.
+    """
+    contact = hertz_contact(mass_kg * gravity_m_per_s2, ball_radius_m, ball, flat)
+    return PendulumOnBall(mass_kg, ball_radius_m, contact.radius_m, gravity_m_per_s2)

@@ -1,0 +1,84 @@
+"""Loss of a decay in the terms of oscillations: log decrement, Q, share of the energy per cycle."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from processing.contact.half_swing import turning_points_of
+from processing.contact.parameters import ContactParameters, PendulumOnBall
+from processing.errors import DataError
+from processing.swing.swing import TurningPoints
+
+
+@dataclass(frozen=True)
+class Losses:
+    """Loss over whole cycles, by the amplitude in the middle of each (rad).
+
+    `log_decrement` is ln(A_i/A_(i+2)), `quality` pi over it, `energy_share` 1 - (A_(i+2)/A_i)^2.
+    The `u_` are standard uncertainties; those of Q become meaningless, and infinite where the
+    decrement is not positive, as the decrement drowns in noise.
+    """
+
+    amplitude_rad: NDArray[np.float64]
+    log_decrement: NDArray[np.float64]
+    u_log_decrement: NDArray[np.float64]
+    quality: NDArray[np.float64]
+    u_quality: NDArray[np.float64]
+    energy_share: NDArray[np.float64]
+    u_energy_share: NDArray[np.float64]
+
+
+def _losses(
+    middle: NDArray[np.float64],
+    decrement: NDArray[np.float64],
+    u_decrement: NDArray[np.float64],
+) -> Losses:
+    lossy = decrement > 0
+    safe = np.where(lossy, decrement, 1.0)
+    kept = np.exp(-2 * decrement)
+    return Losses(
+        middle,
+        decrement,
+        u_decrement,
+        np.where(lossy, np.pi / safe, np.nan),
+        np.where(lossy, np.pi * u_decrement / safe**2, np.inf),
+        1 - kept,
+        2 * kept * u_decrement,
+    )
+
+
+def measured_losses(points: TurningPoints, *, cycles: int = 1) -> Losses:
+    """Losses from the turning points themselves, with no model.
+
+    `cycles` whole cycles are taken together and the decrement given per cycle: noise falls with
+    their number. Windows follow each other without overlap; those with a missing end are left out.
+    """
+    if cycles < 1:
+        raise DataError(f"cycles = {cycles}: at least one")
+    step = 2 * cycles
+    position = {int(index): i for i, index in enumerate(points.index)}
+    first, last = [], []
+    for index in range(int(points.index[0]), int(points.index[-1]) - step + 1, step):
+        if index in position and index + step in position:
+            first.append(position[index])
+            last.append(position[index + step])
+    if not first:
+        raise DataError(f"no two turning points {cycles} whole cycles apart")
+    a, b = points.amplitude_rad[first], points.amplitude_rad[last]
+    u = np.hypot(points.u_amplitude_rad[first] / a, points.u_amplitude_rad[last] / b)
+    return _losses(np.sqrt(a * b), np.log(a / b) / cycles, u / cycles)
+
+
+def model_losses(
+    amplitude_rad: NDArray[np.float64], parameters: ContactParameters, pendulum: PendulumOnBall
+) -> Losses:
+    """Losses of the exact half-swing map for a cycle begun at each amplitude; uncertainties are 0.
+
+    NaN where friction holds the pendulum before the cycle is over.
+    """
+    ends = np.array(
+        [turning_points_of(parameters, pendulum, float(a), 2)[0][2] for a in np.atleast_1d(amplitude_rad)]
+    )
+    start = np.atleast_1d(np.asarray(amplitude_rad, dtype=np.float64))
+    return _losses(np.sqrt(start * ends), np.log(start / ends), np.zeros_like(start))

@@ -1,0 +1,107 @@
+"""Moments of the contact (Eqs. 1, 3, 7), the loops they draw, the work they take, surface energy."""
+
+from dataclasses import dataclass
+from math import pi
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from processing.contact.half_swing import stiffness_ratio
+from processing.contact.parameters import ContactParameters, PendulumOnBall
+from processing.errors import DataError
+
+
+def weight_moment(pendulum: PendulumOnBall) -> float:
+    """m g R in N m: what the coefficients of Eq. 1 are counted in."""
+    return pendulum.mass_kg * pendulum.gravity_m_per_s2 * pendulum.ball_radius_m
+
+
+def friction_moment(
+    phi_rad: ArrayLike, direction: ArrayLike, parameters: ContactParameters, pendulum: PendulumOnBall
+) -> NDArray[np.float64]:
+    """M_fr of Eq. 1 in N m; `direction` is the sign of phi'. Drag is not part of it."""
+    phi = np.abs(np.asarray(phi_rad, dtype=np.float64))
+    friction = parameters.c + parameters.b * phi**parameters.p
+    return np.asarray(-weight_moment(pendulum) * friction * np.sign(direction), dtype=np.float64)
+
+
+def elastic_moment(
+    phi_rad: ArrayLike, parameters: ContactParameters, pendulum: PendulumOnBall
+) -> NDArray[np.float64]:
+    """M_el of Eq. 3 in N m, the skeletal curve: positive where phi is, against gravity's moment."""
+    phi = np.asarray(phi_rad, dtype=np.float64)
+    size = np.abs(phi)
+    rho = pendulum.ball_radius_m / pendulum.contact_radius_m
+    ratio = (
+        stiffness_ratio(parameters.gamma_pa, pendulum) * size ** (parameters.n + 1) * (pi / 2 - rho * size)
+    )
+    return np.asarray(weight_moment(pendulum) * ratio * np.sign(phi), dtype=np.float64)
+
+
+@dataclass(frozen=True)
+class MomentLoop:
+    """One full swing, +alpha to -alpha and back: a closed curve of `2 points` places.
+
+    `phi_rad` holds the way back first (falling), then forth; the friction moment jumps at both
+    turning points, which therefore appear twice.
+    """
+
+    phi_rad: NDArray[np.float64]
+    friction_n_m: NDArray[np.float64]
+    elastic_n_m: NDArray[np.float64]
+    total_n_m: NDArray[np.float64]
+
+
+def moment_loop(
+    amplitude_rad: float, parameters: ContactParameters, pendulum: PendulumOnBall, *, points: int = 201
+) -> MomentLoop:
+    """The three loops of Table 4 at an amplitude, its change within the cycle left out."""
+    if not amplitude_rad > 0:
+        raise DataError(f"amplitude {amplitude_rad} rad: a loop needs a positive one")
+    down = np.linspace(amplitude_rad, -amplitude_rad, points)
+    phi = np.concatenate([down, down[::-1]])
+    direction = np.repeat([-1.0, 1.0], points)
+    friction = friction_moment(phi, direction, parameters, pendulum)
+    elastic = elastic_moment(phi, parameters, pendulum)
+    return MomentLoop(phi, friction, elastic, friction + elastic)
+
+
+@dataclass(frozen=True, slots=True)
+class CycleWork:
+    """Work of one cycle (four deviations from the equilibrium) in J.
+
+    `dissipated_j` is 4A, the area of the loop; `adhesive_j` is 4A_t, the part of c, Table 4's
+    dashed rectangle; `drag_j` that of a linear drag, not contained in 4A.
+    """
+
+    dissipated_j: float
+    adhesive_j: float
+    drag_j: float
+
+
+def cycle_work(amplitude_rad: float, parameters: ContactParameters, pendulum: PendulumOnBall) -> CycleWork:
+    """4A = 4 m g R (c alpha + b alpha^(p+1)/(p+1)) and 4A_t = 4 m g R c alpha."""
+    moment = weight_moment(pendulum)
+    adhesive = 4 * moment * parameters.c * amplitude_rad
+    internal = 4 * moment * parameters.b * amplitude_rad ** (parameters.p + 1) / (parameters.p + 1)
+    drag = moment * parameters.drag_s * pi * (2 * pi / parameters.period0_s) * amplitude_rad**2
+    return CycleWork(adhesive + internal, adhesive, drag)
+
+
+@dataclass(frozen=True, slots=True)
+class SurfaceEnergy:
+    """Specific surface energy in J/m^2, in the paper's two forms.
+
+    `table2_j_per_m2` is m g R c/(2 a^2), the work over the area 2 a^2 phi that the spot sweeps:
+    the form that gives Table 2's numbers. `eq2_j_per_m2` is m g c/(2 a), Eq. 2 as printed.
+    """
+
+    table2_j_per_m2: float
+    eq2_j_per_m2: float
+
+
+def surface_energy(c: float, pendulum: PendulumOnBall) -> SurfaceEnergy:
+    """Both forms of sigma for an adhesion coefficient c of Eq. 1."""
+    force = pendulum.mass_kg * pendulum.gravity_m_per_s2
+    a = pendulum.contact_radius_m
+    return SurfaceEnergy(force * pendulum.ball_radius_m * c / (2 * a**2), force * c / (2 * a))

@@ -1,0 +1,56 @@
+"""Period against amplitude after the second approximation of the asymptotic theory (Eq. 6)."""
+
+from math import exp, lgamma, pi, sqrt
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from processing.contact.half_swing import stiffness_ratio
+from processing.contact.parameters import ContactParameters, PendulumOnBall
+
+PRINTED_CURVATURE = 0.55
+"""The number printed in Eq. 6, where averaging Eq. 3 gives `curvature` of n."""
+
+
+def cosine_moment(exponent: float) -> float:
+    """integral_0^(pi/2) cos^exponent, for any exponent above -1."""
+    return sqrt(pi) / 2 * exp(lgamma((exponent + 1) / 2) - lgamma(exponent / 2 + 1))
+
+
+def curvature(n: float) -> float:
+    """What stands where Eq. 6 prints 0.55: 0.540 at n = 0, 0.583 at n = 1."""
+    return 2 / pi * cosine_moment(n + 3) / cosine_moment(n + 2)
+
+
+def frequency_drop(
+    amplitude: ArrayLike, n: float, kappa: float, rho: float, *, printed_curvature: bool = False
+) -> NDArray[np.float64]:
+    """The relative fall of the frequency, what Eq. 6 subtracts from 1.
+
+    `kappa` is 2 gamma a^2/(m g) and `rho` R/a, both for the unit of `amplitude`.
+    """
+    alpha = np.asarray(amplitude, dtype=np.float64)
+    factor = PRINTED_CURVATURE if printed_curvature else curvature(n)
+    drop = kappa * cosine_moment(n + 2) * alpha**n * (1 - factor * rho * alpha)
+    return np.asarray(drop, dtype=np.float64)
+
+
+def period(
+    amplitude_rad: ArrayLike,
+    parameters: ContactParameters,
+    pendulum: PendulumOnBall,
+    *,
+    printed_curvature: bool = False,
+) -> NDArray[np.float64]:
+    """T(alpha) of Eq. 6 in seconds; the period rises with the amplitude.
+
+    `printed_curvature` takes 0.55 as printed instead of the value for n.
+    """
+    drop = frequency_drop(
+        amplitude_rad,
+        parameters.n,
+        stiffness_ratio(parameters.gamma_pa, pendulum),
+        pendulum.ball_radius_m / pendulum.contact_radius_m,
+        printed_curvature=printed_curvature,
+    )
+    return parameters.period0_s / (1 - drop)

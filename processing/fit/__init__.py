@@ -1,0 +1,1 @@
+"""From turning points to friction parameters, and what they are worth."""

@@ -1,0 +1,92 @@
+"""What turning points must be before a fit may look at them."""
+
+import numpy as np
+
+from processing.contact.parameters import PendulumOnBall
+from processing.errors import DataError
+from processing.swing.swing import TurningPoints
+
+FEWEST_HALF_CYCLES = 10
+OUTLIER = 5.0
+"""Standard uncertainties beyond which a half-cycle is listed as outlying."""
+WELL_DETERMINED = 0.1
+"""Relative standard uncertainty up to which a value and its covariance are believed as they are."""
+
+
+def check_turning_points(points: TurningPoints) -> None:
+    """Raise `DataError`, in one line, for turning points that cannot be fitted.
+
+    Too few, out of order, not finite, uncertainties that are not positive, amplitudes that grow.
+    """
+    count = len(points)
+    if count < FEWEST_HALF_CYCLES:
+        raise DataError(
+            f"{count} usable half-cycles, and a fit needs at least {FEWEST_HALF_CYCLES}: "
+            "record for longer or see which were flagged"
+        )
+    columns = {
+        "time_s": points.time_s,
+        "u_time_s": points.u_time_s,
+        "amplitude_rad": points.amplitude_rad,
+        "u_amplitude_rad": points.u_amplitude_rad,
+    }
+    for name, values in columns.items():
+        if len(values) != count:
+            raise DataError(f"{name} has {len(values)} values for {count} half-cycles")
+        bad = np.nonzero(~np.isfinite(values))[0]
+        if len(bad):
+            raise DataError(
+                f"{name} of half-cycle {points.index[bad[0]]} is {values[bad[0]]}: flag it or leave it out"
+            )
+    for name in ("u_time_s", "u_amplitude_rad", "amplitude_rad"):
+        bad = np.nonzero(columns[name] <= 0)[0]
+        if len(bad):
+            raise DataError(
+                f"{name} of half-cycle {points.index[bad[0]]} is {columns[name][bad[0]]:g}: "
+                "it must be positive"
+            )
+    for name, steps in (("index", np.diff(points.index)), ("time_s", np.diff(points.time_s))):
+        bad = np.nonzero(steps <= 0)[0]
+        if len(bad):
+            raise DataError(
+                f"swings out of order: {name} does not rise after half-cycle {points.index[bad[0]]}; "
+                "sort them by time"
+            )
+    third = max(count // 3, 3)
+    first = float(np.median(points.amplitude_rad[:third]))
+    last = float(np.median(points.amplitude_rad[-third:]))
+    if last >= first:
+        raise DataError(
+            f"the amplitude does not fall (median {first:.4g} of the first third, {last:.4g} of the last): "
+            "this is no free decay"
+        )
+
+
+def jumps(points: TurningPoints) -> list[int]:
+    """Half-cycles whose amplitude stands clearly above the one before: a kick or a vibration."""
+    step = np.diff(points.amplitude_rad)
+    noise = np.hypot(points.u_amplitude_rad[1:], points.u_amplitude_rad[:-1])
+    return [int(i) for i in points.index[1:][(step > 6 * noise) & (step > 0.01 * points.amplitude_rad[:-1])]]
+
+
+def data_warnings(
+    points: TurningPoints, pendulum: PendulumOnBall | None, *chi2_per_dof: float
+) -> tuple[str, ...]:
+    """Doubts that do not depend on the model's parameters."""
+    warnings = []
+    if pendulum is None:
+        warnings.append(
+            "no calibration: b, c and kappa are in the unit of the amplitudes; neither gamma nor a surface "
+            "energy follows from them"
+        )
+    kicked = jumps(points)
+    if kicked:
+        listed = ", ".join(str(i) for i in kicked[:5]) + (", ..." if len(kicked) > 5 else "")
+        warnings.append(f"the amplitude jumps up at half-cycle {listed}: a kick or a vibration")
+    worst = max(chi2_per_dof)
+    if worst > 2:
+        warnings.append(
+            f"chi2/dof = {worst:.3g}: the data scatter more than their uncertainties say or the model does "
+            "not describe them; uncertainties are scaled up by its root"
+        )
+    return tuple(warnings)

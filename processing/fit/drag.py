@@ -1,0 +1,93 @@
+"""Is there a linear drag in the decay? The fit with it against the fit without."""
+
+from dataclasses import dataclass
+
+from scipy.special import fdtrc
+
+from processing.contact.parameters import PendulumOnBall
+from processing.errors import DataError
+from processing.fit.exact import fit_exact
+from processing.fit.least_squares import Loss
+from processing.fit.result import DRAG_NAME, Estimate, FitResult
+from processing.swing.swing import TurningPoints
+
+SIGNIFICANT = 0.003
+"""Chance of a drag-free decay to look this much like one with drag: three standard deviations."""
+
+
+@dataclass(frozen=True)
+class DragVerdict:
+    """Both fits and what speaks for the drag.
+
+    Attributes
+    ----------
+    f_statistic, p_value
+        Fall of chi2 by the one parameter over chi2/dof of the richer fit, and the chance of that
+        without drag.
+    aic_difference
+        AIC with drag less AIC without; negative speaks for drag.
+    shift_b, shift_c
+        Relative change of b and c when drag is added: what leaving it out, or in, would do.
+    significant
+        Both tests ask for the drag, and it takes energy rather than giving it.
+    """
+
+    without: FitResult
+    with_drag: FitResult
+    drag_s: Estimate
+    f_statistic: float
+    p_value: float
+    aic_difference: float
+    shift_b: float
+    shift_c: float
+    significant: bool
+
+    @property
+    def preferred(self) -> FitResult:
+        return self.with_drag if self.significant else self.without
+
+    @property
+    def text(self) -> str:
+        numbers = (
+            f"drag {self.drag_s.value:.3g} +- {self.drag_s.standard_uncertainty:.2g} s, "
+            f"F = {self.f_statistic:.3g} (p = {self.p_value:.2g}), AIC {self.aic_difference:+.3g}; "
+            f"with it b moves by {self.shift_b:+.2%} and c by {self.shift_c:+.2%}"
+        )
+        if self.significant:
+            return f"a linear drag is in the data: {numbers}"
+        if self.drag_s.value < 0 and self.p_value < SIGNIFICANT:
+            return f"the data ask for a negative drag: the model lacks something else: {numbers}"
+        return f"no linear drag is seen: {numbers}"
+
+
+def drag_verdict(
+    points: TurningPoints,
+    pendulum: PendulumOnBall | None,
+    *,
+    loss: Loss = "linear",
+    without: FitResult | None = None,
+) -> DragVerdict:
+    """Fit with and without drag and compare; `without` spares the second where it exists."""
+    if without is None:
+        without = fit_exact(points, pendulum, loss=loss)
+    elif without.has_drag or without.model != "exact":
+        raise DataError("the drag verdict compares with an exact fit without drag")
+    with_drag = fit_exact(points, pendulum, drag=True, loss=loss)
+    gain = 2 * (without.cost - with_drag.cost)
+    f_statistic = max(gain, 0.0) / (2 * with_drag.cost / with_drag.dof)
+    p_value = float(fdtrc(1, with_drag.dof, f_statistic))
+    scale = max(1.0, 2 * with_drag.cost / with_drag.dof)
+    aic_difference = 2.0 - gain / scale
+    drag_s = with_drag.estimate(DRAG_NAME)
+    before, after = without.parameters, with_drag.parameters
+    return DragVerdict(
+        without=without,
+        with_drag=with_drag,
+        drag_s=drag_s,
+        f_statistic=f_statistic,
+        p_value=p_value,
+        aic_difference=aic_difference,
+        shift_b=after.b / before.b - 1 if before.b else float("nan"),
+        shift_c=after.c / before.c - 1 if before.c else float("nan"),
+        significant=p_value < SIGNIFICANT and aic_difference < 0 and drag_s.value > 0,
+    )

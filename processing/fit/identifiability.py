@@ -1,0 +1,282 @@
+"""Which parameters the data determine, and what can be said of those that they do not.
+
+A value with a symmetric uncertainty is the truth about a parameter only where the likelihood is
+nearly a parabola. Where it is not, the profile likelihood says what the data allow: the parameter
+is held at a value, all others are fitted again, and the interval ends where chi2 has risen by
+what the coverage asks for.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import stdtrit
+
+from processing.contact.parameters import PendulumOnBall
+from processing.errors import DataError
+from processing.fit.checks import WELL_DETERMINED
+from processing.fit.exact_model import SMALLEST_N, ExactModel
+from processing.fit.least_squares import solve
+from processing.fit.result import AMPLITUDE_NAME, DRAG_NAME, STIFFNESS_NAME, TIME_NAME, FitResult
+from processing.swing.swing import TurningPoints
+
+Verdict = Literal["determined", "interval", "upper bound", "lower bound", "undetermined"]
+
+STRONG_CORRELATION = 0.99
+_NOT_NEGATIVE = ("b", "c", "gamma_pa", STIFFNESS_NAME, "period0_s")
+_LOGARITHMIC = ("b", "gamma_pa", STIFFNESS_NAME)
+
+
+@dataclass(frozen=True, slots=True)
+class Determination:
+    """What may be said of one parameter, 95 % coverage.
+
+    `lower` or `upper` is NaN where the data set no limit (0 where only physics does: friction
+    takes energy). `profiled` tells whether the limits come from the profile likelihood.
+    """
+
+    name: str
+    value: float
+    standard_uncertainty: float
+    verdict: Verdict
+    lower: float
+    upper: float
+    profiled: bool
+
+    @property
+    def text(self) -> str:
+        if self.verdict == "determined":
+            return f"{self.name} = {self.value:.5g} +- {self.standard_uncertainty:.2g}"
+        if self.verdict == "interval":
+            return f"{self.name} between {self.lower:.2g} and {self.upper:.2g} (95 %)"
+        if self.verdict == "upper bound":
+            return f"{self.name} below {self.upper:.2g} (95 %)"
+        if self.verdict == "lower bound":
+            return f"{self.name} above {self.lower:.2g} (95 %)"
+        return f"{self.name} is not determined by these data"
+
+
+class _Held:
+    """The exact model with one physical parameter held: one column less."""
+
+    def __init__(self, model: ExactModel, name: str, best: NDArray[np.float64]) -> None:
+        self._model = model
+        self._row = model.names.index(name)
+        self._logarithmic = name in _LOGARITHMIC and bool(model.physical(best)[1][self._row] > 0)
+        count = len(model.lower)
+        in_place = {"p": 1, "c": 2, "n": 3, DRAG_NAME: 5, "period0_s": count - 2}
+        # With drag the valley runs along the column of ln b: b is held by what it leaves to p.
+        self.column = in_place.get(name, 4) if name != "b" else 1 if model.drag else 0
+        self.free = np.delete(np.arange(count), self.column)
+        self._guess = float(best[self.column])
+
+    def full(self, held: float, free: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """All columns, the held one solved for by Newton steps, and its derivatives by the others."""
+        values = np.empty(len(free) + 1)
+        values[self.free] = free
+        values[self.column] = self._guess
+        for _ in range(50 if np.all(np.isfinite(free)) else 0):
+            _, known, slopes = self._model.physical(values)
+            slope = slopes[self._row]
+            if not np.all(np.isfinite(slope)):
+                break
+            if self._logarithmic and not known[self._row] / held > 0:
+                break
+            if self._logarithmic:
+                error, per_column = np.log(known[self._row] / held), slope[self.column] / known[self._row]
+            else:
+                error, per_column = known[self._row] - held, slope[self.column]
+            with np.errstate(all="ignore"):
+                step = np.divide(error, per_column)
+            if not np.isfinite(step):
+                break
+            if self._logarithmic and self.column == 4:
+                # adhesion's column has the sign of gamma: a Newton step must not leave it
+                step = float(np.clip(step, -0.5 * abs(values[4]), 0.5 * abs(values[4])))
+            values[self.column] -= step
+            if abs(step) <= 1e-13 * max(abs(values[self.column]), 1e-3):
+                self._guess = float(values[self.column])
+                return values, -slope[self.free] / slope[self.column]
+        return np.full(len(values), np.nan), np.zeros(len(free))
+
+    def at(
+        self, held: float
+    ) -> Callable[[NDArray[np.float64]], tuple[NDArray[np.float64], NDArray[np.float64]]]:
+        def model(free: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+            values, through = self.full(held, free)
+            residuals, jacobian = self._model(values)
+            jacobian[:, self.free] += jacobian[:, [self.column]] * through
+            return residuals, jacobian[:, self.free]
+
+        return model
+
+    def follow(self, before: float, free: NDArray[np.float64], after: float) -> NDArray[np.float64]:
+        """The free columns at another held value, linearly: one Gauss-Newton step."""
+        here, jacobian = self.at(before)(free)
+        step = 1e-3 * (after - before)
+        change = (self.at(before + step)(free)[0] - here) * ((after - before) / step)
+        if not np.all(np.isfinite(change)):
+            return free
+        norm = np.linalg.norm(jacobian, axis=0)
+        norm[norm == 0] = 1.0
+        return np.asarray(free - np.linalg.lstsq(jacobian / norm, change, rcond=1e-10)[0] / norm)
+
+
+@dataclass(frozen=True)
+class Profile:
+    """Limits of one parameter by the profile likelihood; NaN where chi2 never rises enough.
+
+    `trace` holds what was computed on the way, (value, rise of chi2) rows in rising order, for a
+    figure.
+    """
+
+    lower: float
+    upper: float
+    trace: NDArray[np.float64]
+
+
+def profile_likelihood(
+    points: TurningPoints,
+    pendulum: PendulumOnBall | None,
+    result: FitResult,
+    name: str,
+    *,
+    coverage: float = 0.95,
+) -> Profile:
+    """Follow the minimum of chi2 away from the fitted value, to both sides.
+
+    Parameters
+    ----------
+    result
+        The exact fit of the same points. `name` is one of its contact parameters or ``drag_s``.
+
+    Notes
+    -----
+    The rise of chi2 is counted in units of max(1, chi2/dof); the limit is where its root reaches
+    Student's t. b and gamma are followed on a logarithmic scale where their estimate is positive.
+    The search gives up ten standard uncertainties away (b, gamma: at a factor of a million), or
+    below zero for what cannot be negative.
+    """
+    if result.model != "exact":
+        raise DataError("a profile likelihood belongs to an exact fit")
+    model = ExactModel(points, pendulum, drag=result.has_drag)
+    value, u = result.estimate(name)
+    if not np.isfinite(u):
+        u = abs(value) or 1.0
+    scale = max(1.0, 2 * result.cost / result.dof) if result.loss == "linear" else 1.0
+    target = float(stdtrit(result.dof, 0.5 * (1 + coverage)))
+    best = model.columns_of(result)
+    held = _Held(model, name, best)
+    logarithmic = name in _LOGARITHMIC and value > 0
+    trace: list[tuple[float, float]] = [(value, 0.0)]
+
+    def parameter(z: float) -> float:
+        return float(value * np.exp(z)) if logarithmic else value + z
+
+    def side(sign: float) -> float:
+        unit = min(u / value, 1.0) if logarithmic else u
+        farthest = 14.0 if logarithmic else 10 * target * unit
+        if sign < 0 and not logarithmic and name in _NOT_NEGATIVE:
+            if value <= 0:
+                return float("nan")
+            farthest = min(farthest, value)
+        if name in ("p", "n"):
+            limits = {"p": (-0.5, 5.0), "n": (SMALLEST_N, 5.0)}[name]
+            farthest = min(farthest, 0.999 * abs(limits[int(sign > 0)] - value))
+        free = best[held.free]
+        low, low_root = 0.0, 0.0
+        high, high_root, root = np.inf, np.inf, 0.0
+        z = min(target * unit, farthest)
+        for _ in range(15):
+            start = held.follow(parameter(sign * low), free, parameter(sign * z))
+            start = np.clip(start, model.lower[held.free] + 1e-9, model.upper[held.free] - 1e-9)
+            if not np.all(np.isfinite(held.at(parameter(sign * z))(start)[0])):
+                z = 0.5 * (low + z)
+                if z - low < 1e-6 * z:
+                    return float("nan")
+                continue
+            solution = solve(
+                held.at(parameter(sign * z)),
+                start,
+                lower=model.lower[held.free],
+                upper=model.upper[held.free],
+                loss=result.loss,
+                max_evaluations=40,
+                cost_tolerance=1e-7,
+            )
+            root = float(np.sqrt(max(2 * (solution.cost - result.cost), 0.0) / scale))
+            trace.append((parameter(sign * z), root**2))
+            if abs(root - target) < 0.01 * target:
+                break
+            if root < target:
+                free = solution.values
+                low, low_root = z, root
+                if z >= farthest:
+                    return float("nan")
+            else:
+                high, high_root = z, root
+            if np.isfinite(high):
+                # the root of the rise is nearly straight in z; halves keep it from creeping
+                share = (target - low_root) / (high_root - low_root)
+                z = low + (high - low) * float(np.clip(share, 0.1, 0.9))
+                if high - low < 1e-3 * high:
+                    break
+            else:
+                wanted = z * target / root if root > 0 else 2 * z
+                z = min(float(np.clip(1.02 * wanted, 1.05 * z, 2.5 * z)), farthest)
+        # out of patience on the way up: no limit was found
+        return (
+            parameter(sign * z) if np.isfinite(high) or abs(root - target) < 0.01 * target else float("nan")
+        )
+
+    if not np.all(np.isfinite(model(best)[0])):
+        raise DataError(f"the fitted parameters do not reach the last half-cycle; no profile of {name}")
+    lower, upper = side(-1.0), side(1.0)
+    trace.sort()
+    return Profile(lower, upper, np.array(trace))
+
+
+def identifiability(
+    points: TurningPoints, pendulum: PendulumOnBall | None, result: FitResult
+) -> tuple[Determination, ...]:
+    """A verdict for every parameter of an exact fit; poorly determined ones are profiled."""
+    names = [name for name in result.names if name not in (AMPLITUDE_NAME, TIME_NAME)]
+    return tuple(_determination(points, pendulum, result, name) for name in names)
+
+
+def _determination(
+    points: TurningPoints, pendulum: PendulumOnBall | None, result: FitResult, name: str
+) -> Determination:
+    value, u = result.estimate(name)
+    if u <= WELL_DETERMINED * abs(value):
+        lower, upper = result.interval(name)
+        return Determination(name, value, u, "determined", lower, upper, False)
+    found = profile_likelihood(points, pendulum, result, name)
+    lower, upper = found.lower, found.upper
+    verdict: Verdict
+    if np.isnan(lower) and np.isnan(upper):
+        verdict = "undetermined"
+    elif np.isnan(upper):
+        verdict = "lower bound"
+    elif np.isnan(lower) or (lower <= 0 and name in _NOT_NEGATIVE):
+        verdict = "upper bound"
+        lower = 0.0 if name in _NOT_NEGATIVE else lower
+    else:
+        verdict = "interval"
+    return Determination(name, value, u, verdict, lower, upper, True)
+
+
+def strong_correlations(
+    result: FitResult, limit: float = STRONG_CORRELATION
+) -> tuple[tuple[str, str, float], ...]:
+    """Pairs of parameters that the data hardly tell apart, strongest first."""
+    matrix = result.correlation
+    pairs = [
+        (result.names[i], result.names[j], float(matrix[i, j]))
+        for i in range(len(matrix))
+        for j in range(i)
+        if abs(matrix[i, j]) >= limit
+    ]
+    return tuple(sorted(pairs, key=lambda pair: -abs(pair[2])))

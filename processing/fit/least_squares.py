@@ -1,0 +1,185 @@
+"""Weighted nonlinear least squares with a covariance that can be trusted.
+
+The generic layer below every fit: a model hands over residuals in units of their own standard
+uncertainty and the Jacobian; out come values, covariance and the reason for stopping. Its values
+and standard errors are checked against the certified ones of NIST's Statistical Reference
+Datasets.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+Loss = Literal["linear", "soft_l1", "huber", "cauchy"]
+Model = Callable[[NDArray[np.float64]], tuple[NDArray[np.float64], NDArray[np.float64]]]
+"""Values to (residuals, Jacobian); residuals that are not finite mean: not here, step shorter."""
+
+_ROUND = 60
+"""Evaluations after which the progress is looked at."""
+_FLAT = 0.01
+"""A round that gains less than this, in units of chi2/2 per residual, ends the search: the rest of
+the way is a small part of a standard uncertainty."""
+_SINGULAR = 1e-13
+"""Singular values below this share of the largest, columns scaled to 1, carry no information."""
+
+
+@dataclass(frozen=True, slots=True)
+class Solution:
+    """What a fit came to.
+
+    `covariance` is that of the data's stated uncertainties (robust losses: of the M-estimator);
+    nothing is scaled by chi2. A direction that the data do not determine at all gives infinite
+    variances. `residuals` are the normalised ones, without the loss.
+    """
+
+    values: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+    residuals: NDArray[np.float64]
+    jacobian: NDArray[np.float64]
+    cost: float
+    converged: bool
+    message: str
+
+    @property
+    def chi2(self) -> float:
+        return float(self.residuals @ self.residuals)
+
+    @property
+    def dof(self) -> int:
+        return len(self.residuals) - len(self.values)
+
+
+def solve(
+    model: Model,
+    start: NDArray[np.float64],
+    *,
+    lower: NDArray[np.float64] | None = None,
+    upper: NDArray[np.float64] | None = None,
+    loss: Loss = "linear",
+    loss_scale: float = 1.5,
+    max_evaluations: int = 300,
+    cost_tolerance: float = 1e-12,
+) -> Solution:
+    """Minimise the sum of squares (or of a robust loss) of the model's residuals.
+
+    Parameters
+    ----------
+    loss, loss_scale
+        A robust loss takes residuals beyond about `loss_scale` standard uncertainties for
+        outliers and holds their influence down.
+    cost_tolerance
+        Relative fall of the cost below which the search ends.
+
+    Returns
+    -------
+    `converged` is False where the steps ran out or no step could be made; the values then are
+    the best ones seen, not a minimum.
+    """
+    seen: dict[bytes, tuple[NDArray[np.float64], NDArray[np.float64]]] = {}
+
+    def evaluate(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        key = values.tobytes()
+        if key not in seen:
+            seen.clear()
+            seen[key] = model(values)
+        return seen[key]
+
+    # The solver asks for the Jacobian where it has just accepted a step, after other trials at
+    # most once; one remembered evaluation saves half of all.
+    def residuals_at(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        return evaluate(values)[0]
+
+    def jacobian_at(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        return evaluate(values)[1]
+
+    values = np.asarray(start, dtype=np.float64)
+    cost, left, converged, message = np.inf, max_evaluations, False, "no step made"
+    while left > 0 and not converged:
+        result = least_squares(
+            residuals_at,
+            values,
+            jac=jacobian_at,
+            bounds=(
+                np.full(len(start), -np.inf) if lower is None else lower,
+                np.full(len(start), np.inf) if upper is None else upper,
+            ),
+            x_scale="jac",
+            loss=loss,
+            f_scale=loss_scale,
+            xtol=1e-12,
+            ftol=cost_tolerance,
+            gtol=1e-14,
+            max_nfev=min(left, _ROUND),
+        )
+        left -= int(result.nfev)
+        values, message = np.asarray(result.x, dtype=np.float64), str(result.message)
+        if result.status > 0:
+            converged = True
+        elif cost - float(result.cost) < _FLAT * float(result.cost) / len(result.fun):
+            converged, message = True, "a valley too flat for further steps to matter"
+        cost = float(result.cost)
+    residuals, jacobian = model(values)
+    return Solution(
+        values=values,
+        covariance=covariance_of(jacobian, residuals, loss, loss_scale),
+        residuals=residuals,
+        jacobian=jacobian,
+        cost=cost,
+        converged=converged,
+        message=message,
+    )
+
+
+def covariance_of(
+    jacobian: NDArray[np.float64],
+    residuals: NDArray[np.float64] | None = None,
+    loss: Loss = "linear",
+    loss_scale: float = 1.5,
+) -> NDArray[np.float64]:
+    """Inverse of J^T J, infinite for what is not determined; for a robust loss times the
+    M-estimator's mean(psi^2)/mean(psi')^2 (Huber, Robust Statistics, 1981, eq. 7.6.5)."""
+    if not np.all(np.isfinite(jacobian)):
+        return np.diag(np.full(jacobian.shape[1], np.inf))
+    norm = np.linalg.norm(jacobian, axis=0)
+    scale = np.where(norm > 0, norm, 1.0)
+    _, singular, vt = np.linalg.svd(jacobian / scale, full_matrices=False)
+    kept = singular > _SINGULAR * singular[0]
+    inverse = (vt[kept].T / singular[kept] ** 2) @ vt[kept]
+    covariance = inverse / np.outer(scale, scale)
+    blind = np.sum(vt[~kept] ** 2, axis=0) > 1e-12
+    covariance[blind, :] = 0.0
+    covariance[:, blind] = 0.0
+    covariance[blind, blind] = np.inf
+    if loss != "linear" and residuals is not None:
+        psi, slope = _influence(residuals / loss_scale, loss)
+        psi = psi * loss_scale
+        dof = len(residuals) - jacobian.shape[1]
+        covariance = covariance * (np.sum(psi**2) / dof) / np.mean(slope) ** 2
+    return np.asarray(covariance, dtype=np.float64)
+
+
+def _influence(z: NDArray[np.float64], loss: Loss) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """psi and psi' of scipy's losses, as functions of the scaled residual."""
+    if loss == "huber":
+        return np.clip(z, -1, 1), (np.abs(z) <= 1).astype(np.float64)
+    if loss == "soft_l1":
+        return z / np.sqrt(1 + z**2), (1 + z**2) ** -1.5
+    return z / (1 + z**2), (1 - z**2) / (1 + z**2) ** 2
+
+
+def propagate(jacobian: NDArray[np.float64], covariance: NDArray[np.float64]) -> NDArray[np.float64]:
+    """``J C J^T`` where variances may be infinite: infinite goes on to what depends on it."""
+    blind = ~np.isfinite(np.diag(covariance))
+    finite = covariance.copy()
+    finite[blind, :] = 0.0
+    finite[:, blind] = 0.0
+    out = jacobian @ finite @ jacobian.T
+    lost = np.any(jacobian[:, blind] != 0, axis=1)
+    out[lost, :] = 0.0
+    out[:, lost] = 0.0
+    out[lost, lost] = np.inf
+    return np.asarray(out, dtype=np.float64)

@@ -1,0 +1,76 @@
+"""Fit of Eq. 6 to full periods, and how its result scatters and moves with R/a."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from processing.contact.period import frequency_drop
+from processing.fit.least_squares import Loss, Solution, solve
+from processing.fit.periods import Periods
+from processing.fit.start import PeriodStart, period_start
+from processing.swing.swing import TurningPoints
+
+
+def fit_period(
+    points: TurningPoints,
+    periods: Periods,
+    reference: float,
+    rho: float,
+    printed_curvature: bool,
+    loss: Loss,
+) -> tuple[Solution, NDArray[np.float64], list[PeriodStart]]:
+    """Columns T0, n, kappa, the last in units of the reference."""
+    x = points.amplitude_rad[periods.where] / reference
+    starts = period_start(x, periods.period_s, periods.u_period_s, rho)
+
+    def curve(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        drop = frequency_drop(x, values[1], values[2], rho, printed_curvature=printed_curvature)
+        return np.asarray(values[0] / (1 - drop), dtype=np.float64)
+
+    def model(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        t0, n, kappa = values
+        drop = frequency_drop(x, n, kappa, rho, printed_curvature=printed_curvature)
+        step = 1e-5
+        by_n = (
+            frequency_drop(x, n + step, kappa, rho, printed_curvature=printed_curvature)
+            - frequency_drop(x, n - step, kappa, rho, printed_curvature=printed_curvature)
+        ) / (2 * step)
+        by_kappa = frequency_drop(x, n, 1.0, rho, printed_curvature=printed_curvature)
+        fitted = t0 / (1 - drop)
+        by_drop = fitted / (1 - drop)
+        jacobian = np.column_stack([fitted / t0, by_drop * by_n, by_drop * by_kappa])
+        return (fitted - periods.period_s) / periods.u_period_s, jacobian / periods.u_period_s[:, None]
+
+    lower = np.array([0.2 * periods.period_s.min(), -0.9, -10.0])
+    upper = np.array([2 * periods.period_s.max(), 5.0, 10.0])
+    first = np.clip(np.array(starts[0]), lower + 1e-9, upper - 1e-9)
+    solution = solve(model, first, lower=lower, upper=upper, loss=loss)
+    return solution, curve(solution.values), starts
+
+
+def period_covariance(solution: Solution, points: TurningPoints, periods: Periods) -> NDArray[np.float64]:
+    """Neighbouring full periods share turning points: the covariance of the fitted values follows
+    from the independent times, not from the periods taken as independent."""
+    weighted = solution.jacobian / periods.u_period_s[:, None]
+    by_time = np.zeros((len(points), 3))
+    np.add.at(by_time, periods.where + 1, weighted)
+    np.add.at(by_time, periods.where - 1, -weighted)
+    spread = (by_time * points.u_time_s[:, None] ** 2).T @ by_time
+    with np.errstate(invalid="ignore"):
+        return np.asarray(solution.covariance @ spread @ solution.covariance)
+
+
+def period_by_log_rho(
+    solution: Solution,
+    points: TurningPoints,
+    periods: Periods,
+    reference: float,
+    rho: float,
+    printed_curvature: bool,
+) -> NDArray[np.float64]:
+    """How T0, n, kappa move with ln(R/a): the least-squares answer to the curve's own derivative."""
+    x = points.amplitude_rad[periods.where] / reference
+    t0, n, kappa = solution.values
+    drop = frequency_drop(x, n, kappa, rho, printed_curvature=printed_curvature)
+    by_rho = drop - frequency_drop(x, n, kappa, 0.0, printed_curvature=printed_curvature)
+    change = t0 / (1 - drop) ** 2 * by_rho / periods.u_period_s
+    return np.asarray(-np.linalg.lstsq(solution.jacobian, change, rcond=1e-12)[0], dtype=np.float64)

@@ -1,0 +1,45 @@
+"""Periods and scales that the turning points themselves hold."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from processing.fit.result import Estimate
+from processing.swing.swing import TurningPoints
+
+
+class Periods(NamedTuple):
+    """Full periods about a turning point that has both neighbours; `where` is its position."""
+
+    where: NDArray[np.int64]
+    period_s: NDArray[np.float64]
+    u_period_s: NDArray[np.float64]
+
+
+def reference_amplitude(points: TurningPoints) -> float:
+    """Geometric mean of the amplitudes: in its units b and p, gamma and n correlate least."""
+    return float(np.exp(np.mean(np.log(points.amplitude_rad))))
+
+
+def full_periods(points: TurningPoints) -> Periods:
+    """Time from the turning point before to the one after, where neither is missing."""
+    complete = (points.index[2:] - points.index[:-2]) == 2
+    where = np.nonzero(complete)[0] + 1
+    u2 = points.u_time_s**2
+    return Periods(
+        where,
+        points.time_s[where + 1] - points.time_s[where - 1],
+        np.sqrt(u2[where + 1] + u2[where - 1]),
+    )
+
+
+def mean_period(points: TurningPoints) -> float:
+    """Mean full period of the run in s, over its gaps as well."""
+    return float(2 * (points.time_s[-1] - points.time_s[0]) / (points.index[-1] - points.index[0]))
+
+
+def mean_period_estimate(points: TurningPoints, chi2_per_dof: float) -> Estimate:
+    """`mean_period` with its standard uncertainty, scaled up where the data scatter beyond theirs."""
+    u = np.hypot(points.u_time_s[0], points.u_time_s[-1]) * np.sqrt(max(1.0, chi2_per_dof))
+    return Estimate(mean_period(points), float(2 * u / (points.index[-1] - points.index[0])))

@@ -1,0 +1,151 @@
+"""What a fit hands on: values, uncertainties, correlations, residuals, doubts."""
+
+from dataclasses import dataclass, field
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import stdtrit
+
+from processing.contact.parameters import ContactParameters
+from processing.errors import DataError
+from processing.fit.least_squares import Loss
+
+
+class Estimate(NamedTuple):
+    """A value and its standard uncertainty (infinite where the data do not determine it)."""
+
+    value: float
+    standard_uncertainty: float
+
+
+CONTACT_NAMES = ("b", "p", "c", "n", "period0_s", "gamma_pa")
+STIFFNESS_NAME = "kappa"
+"""Stands in the place of ``gamma_pa`` where there is no calibration: 2 gamma a^2/(m g), per unit of
+amplitude^n."""
+UNCALIBRATED_NAMES = (*CONTACT_NAMES[:5], STIFFNESS_NAME)
+DRAG_NAME = "drag_s"
+AMPLITUDE_NAME = "initial_amplitude_rad"
+TIME_NAME = "start_time_s"
+
+
+@dataclass(frozen=True)
+class FitResult:
+    """One fit of one decay.
+
+    Attributes
+    ----------
+    names
+        `CONTACT_NAMES`, then ``drag_s`` where it was fitted, ``initial_amplitude_rad`` and, for
+        the exact fit, ``start_time_s``: the first turning point on the clock of the data.
+    values, covariance
+        In that order, physical units. The covariance is scaled by max(1, chi2/dof): scatter
+        beyond the stated uncertainties counts, luck does not.
+    chi2, dof
+        Of the unscaled residuals over both kinds of data.
+    arae_decay, arae_period
+        Mean relative deviations of amplitude and period, Eqs. 8 and 9 with the mean taken over
+        as many terms as are summed.
+    amplitude_model_rad, time_model_s
+        The fitted curve at the turning points; for the asymptotic fit, whose amplitude is a
+        function of time, `time_model_s` is the data's time.
+    amplitude_residual_rad, period_residual_s
+        Data less model; the second for full periods about the turning points `period_index`.
+    time_residual_s
+        Data less model of the turning points' times; NaN for the asymptotic fit.
+    reference_rad
+        Amplitude in whose units the fit was made: b reference^(p-1) and gamma reference^n are
+        close to normally distributed even where b and gamma themselves are not.
+    by_log_rho
+        Derivative of `values` by ln(R/a), which the fit takes as known.
+    mean_period_s
+        Of the run, from the times alone: known even where T0, the period at vanishing amplitude,
+        cannot be told from n.
+    loss, cost
+        The loss that was minimised, and half its sum at the minimum (half of chi2 if linear).
+    outliers
+        Half-cycles (by index) whose residual, in either kind, exceeds 5 standard uncertainties.
+    warnings
+        What a person should know before believing the numbers.
+    """
+
+    model: Literal["asymptotic", "exact"]
+    names: tuple[str, ...]
+    values: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+    chi2: float
+    dof: int
+    arae_decay: float
+    arae_period: float
+    index: NDArray[np.int64]
+    amplitude_model_rad: NDArray[np.float64]
+    time_model_s: NDArray[np.float64]
+    amplitude_residual_rad: NDArray[np.float64]
+    time_residual_s: NDArray[np.float64]
+    period_index: NDArray[np.int64]
+    period_residual_s: NDArray[np.float64]
+    reference_rad: float
+    by_log_rho: NDArray[np.float64]
+    mean_period_s: Estimate
+    loss: Loss
+    cost: float
+    outliers: tuple[int, ...]
+    warnings: tuple[str, ...] = field(default=())
+
+    @property
+    def chi2_per_dof(self) -> float:
+        return self.chi2 / self.dof
+
+    @property
+    def standard_uncertainty(self) -> NDArray[np.float64]:
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def correlation(self) -> NDArray[np.float64]:
+        """Correlation matrix; NaN in rows and columns of what is not determined."""
+        u = self.standard_uncertainty
+        with np.errstate(invalid="ignore"):
+            matrix = self.covariance / np.outer(u, u)
+        matrix[np.diag_indices_from(matrix)] = 1.0
+        return matrix
+
+    @property
+    def calibrated(self) -> bool:
+        """Whether amplitudes were angles; if not, b and c are in the amplitudes' unit."""
+        return STIFFNESS_NAME not in self.names
+
+    @property
+    def parameters(self) -> ContactParameters:
+        """The values as one object; gamma is NaN without a calibration."""
+        known = dict(zip(self.names, self.values.tolist(), strict=True))
+        return ContactParameters(
+            **{name: known.get(name, float("nan")) for name in CONTACT_NAMES},
+            drag_s=known.get(DRAG_NAME, 0.0),
+        )
+
+    @property
+    def has_drag(self) -> bool:
+        return DRAG_NAME in self.names
+
+    def estimate(self, name: str) -> Estimate:
+        if name not in self.names:
+            raise DataError(f"the {self.model} fit has no parameter {name!r}; it has {', '.join(self.names)}")
+        i = self.names.index(name)
+        return Estimate(float(self.values[i]), float(np.sqrt(self.covariance[i, i])))
+
+    def interval(self, name: str, coverage: float = 0.95) -> tuple[float, float]:
+        """Interval of Student's t about the value, by the covariance alone.
+
+        About the logarithm for b and gamma where they are positive: in their units the exponents
+        p and n stand, and it is those whose scatter they inherit. Where a parameter is poorly
+        determined, `identifiability` follows the likelihood itself.
+        """
+        value, u = self.estimate(name)
+        k = float(stdtrit(self.dof, 0.5 * (1 + coverage)))
+        if name in ("b", "gamma_pa", STIFFNESS_NAME) and value > 0:
+            factor = float(np.exp(min(k * u / value, 700.0)))
+            return value / factor, value * factor
+        return value - k * u, value + k * u
+
+    def estimates(self) -> dict[str, Estimate]:
+        return {name: self.estimate(name) for name in self.names}

@@ -1,0 +1,281 @@
+"""Runs of one contact pair taken together, and series of them compared."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from math import sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+from scipy.special import chdtrc, stdtr, stdtrit
+
+from processing.errors import DataError
+from processing.fit.measurement import Measured, measured
+from processing.fit.result import CONTACT_NAMES, DRAG_NAME, Estimate, FitResult
+from processing.swing.swing import TurningPoints
+
+AGREE = 0.05
+"""Chance above which runs are taken to scatter by their own uncertainties alone."""
+DISAGREES = 0.003
+"""Chance, over all runs and parameters, below which a run is said to disagree."""
+
+
+@dataclass(frozen=True)
+class Combined:
+    """One parameter over a series.
+
+    Attributes
+    ----------
+    value, standard_uncertainty
+        Mean weighted by within-run and between-run variance, and its uncertainty, which holds
+        both; never less than the within-run part alone.
+    dof, expanded
+        Runs less one, and the half-width of the 95 % interval by Student's t.
+    within
+        What the runs' own uncertainties leave for the mean.
+    between
+        Standard deviation between runs beyond their own uncertainties, 0 where none is seen.
+    p_homogeneous
+        Chance of runs that scatter at least so much if nothing but their own uncertainties acted.
+    """
+
+    name: str
+    value: float
+    standard_uncertainty: float
+    dof: int
+    expanded: float
+    within: float
+    between: float
+    p_homogeneous: float
+    runs: tuple[Estimate, ...]
+
+    @property
+    def estimate(self) -> Estimate:
+        return Estimate(self.value, self.standard_uncertainty)
+
+
+@dataclass(frozen=True, slots=True)
+class Disagreement:
+    """A run whose parameter lies `deviation` of its uncertainty from what the other runs say."""
+
+    run: int
+    name: str
+    deviation: float
+
+
+@dataclass(frozen=True)
+class SeriesResult:
+    """A series of runs: every parameter combined, and the runs that stand apart."""
+
+    parameters: Mapping[str, Combined]
+    disagreements: tuple[Disagreement, ...]
+    measured: Measured
+
+    def estimates(self) -> dict[str, Estimate]:
+        return {name: combined.estimate for name, combined in self.parameters.items()}
+
+
+def combine(name: str, runs: Sequence[Estimate]) -> Combined:
+    """Combine one parameter over runs.
+
+    The between-run variance is that of Mandel and Paule (the one with which the weighted scatter
+    is what it should be); the mean's uncertainty that of Hartung and Knapp, with Student's t for
+    runs less one, but at least the within-run part.
+
+    Raises
+    ------
+    DataError
+        Fewer than two runs, or a run whose uncertainty is not positive and finite.
+    """
+    if len(runs) < 2:
+        raise DataError(f"{len(runs)} run: a series needs at least 2 to show its scatter")
+    x = np.array([run.value for run in runs])
+    u = np.array([run.standard_uncertainty for run in runs])
+    if not np.all(np.isfinite(u) & (u > 0)):
+        worst = int(np.nonzero(~(np.isfinite(u) & (u > 0)))[0][0])
+        raise DataError(
+            f"run {worst + 1} does not determine {name} (u = {u[worst]}); leave it out of the series"
+        )
+    dof = len(runs) - 1
+
+    def scatter(variance: float) -> float:
+        weight = 1 / (u**2 + variance)
+        mean = np.sum(weight * x) / np.sum(weight)
+        return float(np.sum(weight * (x - mean) ** 2))
+
+    alone = scatter(0.0)
+    variance = 0.0
+    if alone > dof:
+        high = float(np.var(x, ddof=1)) + float(np.max(u) ** 2)
+        while scatter(high) > dof:
+            high *= 2
+        variance = float(brentq(lambda v: scatter(v) - dof, 0.0, high, xtol=1e-12 * high))
+    weight = 1 / (u**2 + variance)
+    value = float(np.sum(weight * x) / np.sum(weight))
+    within = float(1 / np.sqrt(np.sum(1 / u**2)))
+    spread = float(np.sum(weight * (x - value) ** 2) / (dof * np.sum(weight)))
+    uncertainty = max(sqrt(spread), float(1 / np.sqrt(np.sum(weight))))
+    return Combined(
+        name,
+        value,
+        uncertainty,
+        dof,
+        float(stdtrit(dof, 0.975)) * uncertainty,
+        within,
+        sqrt(variance),
+        float(chdtrc(dof, alone)),
+        tuple(runs),
+    )
+
+
+def combine_runs(results: Sequence[FitResult]) -> SeriesResult:
+    """Every parameter of the runs' fits combined, and the runs that disagree with the rest.
+
+    `measured` goes on into `budgets`: its covariance has the mean within-run correlations and the
+    combined uncertainties.
+    """
+    if len(results) < 2:
+        raise DataError(f"{len(results)} run: a series needs at least 2 to show its scatter")
+    names = [name for name in (*CONTACT_NAMES, DRAG_NAME) if all(name in result.names for result in results)]
+    parameters = {name: combine(name, [result.estimate(name) for result in results]) for name in names}
+    runs = [measured(result) for result in results]
+    at = [list(runs[0].names).index(name) for name in names]
+    correlation = np.mean(
+        [
+            run.covariance[np.ix_(at, at)]
+            / np.sqrt(np.outer(np.diag(run.covariance)[at], np.diag(run.covariance)[at]))
+            for run in runs
+        ],
+        axis=0,
+    )
+    u = np.array([parameters[name].standard_uncertainty for name in names])
+    together = Measured(
+        tuple(names),
+        np.array([parameters[name].value for name in names]),
+        correlation * np.outer(u, u),
+        float(len(results) - 1),
+        np.mean([run.by_log_rho[at] for run in runs], axis=0),
+        float(np.exp(np.mean([np.log(run.reference_rad) for run in runs]))),
+    )
+    return SeriesResult(parameters, tuple(_disagreements(names, results)), together)
+
+
+def _disagreements(names: Sequence[str], results: Sequence[FitResult]) -> list[Disagreement]:
+    """Runs against the others, each parameter by itself, for all comparisons at once (Bonferroni).
+
+    With two runs there is no telling which of them is wrong; both are named. The others' scatter
+    counts with the few degrees of freedom that it has, but where they agree among themselves as
+    well as their own uncertainties let expect, those uncertainties are believed.
+    """
+    found = []
+    count = len(results)
+    limit = DISAGREES / (count * len(names))
+    for name in names:
+        for i in range(count):
+            own = results[i].estimate(name)
+            others = [results[j].estimate(name) for j in range(count) if j != i]
+            if count == 2:
+                rest = others[0]
+                between, dof = 0.0, 1e9
+            else:
+                combined = combine(name, others)
+                rest = combined.estimate
+                between = combined.between
+                dof = 1e9 if combined.p_homogeneous > AGREE else float(count - 2)
+            u = sqrt(own.standard_uncertainty**2 + rest.standard_uncertainty**2 + between**2)
+            deviation = (own.value - rest.value) / u
+            if 2 * float(stdtr(dof, -abs(deviation))) < limit:
+                found.append(Disagreement(i, name, deviation))
+    if count > 2 and found:
+        # One stray run pulls the others' means as well; the one that stands farthest off is named,
+        # and a second one only if it still disagrees without it.
+        worst = max(
+            {item.run for item in found}, key=lambda run: max(abs(d.deviation) for d in found if d.run == run)
+        )
+        named = [item for item in found if item.run == worst]
+        kept = [j for j in range(count) if j != worst]
+        if len(kept) > 2:
+            named += [
+                Disagreement(kept[item.run], item.name, item.deviation)
+                for item in _disagreements(names, [results[j] for j in kept])
+            ]
+        return named
+    return found
+
+
+def average_curves(runs: Sequence[TurningPoints]) -> TurningPoints:
+    """The paper's way: the runs' curves averaged into one, to be fitted as one run.
+
+    The runs are counted from the first half-cycle at which each has fallen to the amplitude that
+    all have reached, and averaged half-cycle by half-cycle where all have one. Uncertainties are
+    those of the mean, from the runs' own.
+
+    Notes
+    -----
+    The runs do not start at the same amplitude to the last digit, so that the average is not
+    quite the decay of anything; over starts within one half-cycle's loss that changes the
+    parameters by less than their uncertainties, and it is one reason to prefer `combine_runs`.
+    """
+    if len(runs) < 2:
+        raise DataError(f"{len(runs)} run: there is nothing to average")
+    common = min(float(run.amplitude_rad[0]) for run in runs)
+    starts = [int(np.nonzero(run.amplitude_rad <= common)[0][0]) for run in runs]
+    shared: NDArray[np.int64] | None = None
+    for run, start in zip(runs, starts, strict=True):
+        counted = run.index[start:] - run.index[start]
+        shared = counted if shared is None else np.intersect1d(shared, counted)
+    assert shared is not None
+    if len(shared) < 3:
+        raise DataError(f"the runs share {len(shared)} half-cycles: too few to average")
+    rows = []
+    for run, start in zip(runs, starts, strict=True):
+        at = start + np.searchsorted(run.index[start:] - run.index[start], shared)
+        rows.append(
+            (
+                run.time_s[at] - run.time_s[at[0]],
+                run.u_time_s[at],
+                run.amplitude_rad[at],
+                run.u_amplitude_rad[at],
+            )
+        )
+    count = len(runs)
+    return TurningPoints(
+        index=shared,
+        time_s=np.mean([row[0] for row in rows], axis=0),
+        u_time_s=np.sqrt(np.sum([row[1] ** 2 for row in rows], axis=0)) / count,
+        amplitude_rad=np.mean([row[2] for row in rows], axis=0),
+        u_amplitude_rad=np.sqrt(np.sum([row[3] ** 2 for row in rows], axis=0)) / count,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """One parameter of two series: difference, its standard uncertainty, and the chance of one so
+    large if the series were alike (Welch's t)."""
+
+    name: str
+    first: str
+    second: str
+    difference: float
+    standard_uncertainty: float
+    p_value: float
+
+
+def compare_series(series: Mapping[str, SeriesResult]) -> tuple[Comparison, ...]:
+    """All pairs of series (samples, days, humidities), parameter by parameter.
+
+    Type B uncertainties are left out: the same rig's mass and radius move all series together.
+    """
+    rows = []
+    for first, second in combinations(series, 2):
+        for name, a in series[first].parameters.items():
+            b = series[second].parameters.get(name)
+            if b is None:
+                continue
+            difference = a.value - b.value
+            u = sqrt(a.standard_uncertainty**2 + b.standard_uncertainty**2)
+            dof = u**4 / (a.standard_uncertainty**4 / a.dof + b.standard_uncertainty**4 / b.dof)
+            p_value = 2 * float(stdtr(dof, -abs(difference) / u))
+            rows.append(Comparison(name, first, second, difference, u, p_value))
+    return tuple(rows)

@@ -1,0 +1,117 @@
+"""Friedman's super-smoother: a curve through T(alpha) that knows no physics (Fig. 14).
+
+J. H. Friedman, "A variable span smoother", Stanford LCS technical report 5 (1984): running lines
+of three spans; at every point the span whose own left-out residuals, smoothed, are least, with
+the choice itself smoothed.
+"""
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from processing.errors import DataError
+
+SPANS = (0.05, 0.2, 0.5)
+"""Tweeter, midrange, woofer: shares of the points in a window."""
+_FEWEST = 8
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _running_lines(
+    x: NDArray[np.float64], y: NDArray[np.float64], weight: NDArray[np.float64], span: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Local straight lines over the nearest neighbours on either side, and the residuals each
+    point has from the line fitted without it."""
+    count = len(x)
+    half = max(int(0.5 * span * count + 0.5), 2)
+    smooth = np.empty(count)
+    left_out = np.empty(count)
+    for i in range(count):
+        # near an end the window keeps its size and lies to one side
+        low = min(max(i - half, 0), max(count - 1 - 2 * half, 0))
+        high = min(low + 2 * half, count - 1)
+        total = mean_x = mean_y = 0.0
+        for j in range(low, high + 1):
+            total += weight[j]
+            mean_x += weight[j] * x[j]
+            mean_y += weight[j] * y[j]
+        mean_x /= total
+        mean_y /= total
+        xx = xy = 0.0
+        for j in range(low, high + 1):
+            xx += weight[j] * (x[j] - mean_x) ** 2
+            xy += weight[j] * (x[j] - mean_x) * (y[j] - mean_y)
+        slope = xy / xx if xx > 0 else 0.0
+        smooth[i] = mean_y + slope * (x[i] - mean_x)
+        leverage = weight[i] * (1 / total + ((x[i] - mean_x) ** 2 / xx if xx > 0 else 0.0))
+        left_out[i] = abs(y[i] - smooth[i]) / max(1 - leverage, 1e-3)
+    return smooth, left_out
+
+
+def super_smooth(
+    x: NDArray[np.float64],
+    y: NDArray[np.float64],
+    u: NDArray[np.float64] | None = None,
+    *,
+    bass: float = 0.0,
+) -> NDArray[np.float64]:
+    """Smooth y over x, with the span chosen by cross-validation at every point.
+
+    Parameters
+    ----------
+    x, y
+        One length, at least eight points, x in any order; equal x are allowed.
+    u
+        Standard uncertainties of y; points weigh 1/u^2. None: all alike.
+    bass
+        0 to 10: leans towards the widest span where it is hardly worse.
+
+    Returns
+    -------
+    The smooth at every x, in the order given.
+    """
+    if not len(x) == len(y) >= _FEWEST:
+        raise DataError(
+            f"{len(x)} and {len(y)} points: smoothing needs two equally long series of at least {_FEWEST}"
+        )
+    if not (np.all(np.isfinite(x)) and np.all(np.isfinite(y))):
+        raise DataError("smoothing needs finite values")
+    if u is not None and not (len(u) == len(x) and np.all(u > 0)):
+        raise DataError("smoothing needs one positive uncertainty for every point")
+    if not 0 <= bass <= 10:
+        raise DataError(f"bass = {bass}: it lies between 0 and 10")
+    order = np.argsort(x, kind="stable")
+    xs, ys = (
+        np.ascontiguousarray(x[order], dtype=np.float64),
+        np.ascontiguousarray(y[order], dtype=np.float64),
+    )
+    weight = np.ones(len(xs)) if u is None else (np.median(u) / u[order]) ** 2
+    # Residuals are compared between spans at one point, so that u scales them all alike there; to
+    # smooth them over points they have to be of one size.
+    size = np.sqrt(weight)
+    smooths, errors = [], []
+    for span in SPANS:
+        smooth, left_out = _running_lines(xs, ys, weight, span)
+        smooths.append(smooth)
+        errors.append(_running_lines(xs, left_out * size, np.ones(len(xs)), SPANS[1])[0])
+    error = np.array(errors)
+    best = np.argmin(error, axis=0)
+    spans = np.array(SPANS)
+    chosen = spans[best]
+    if bass > 0:
+        least = np.min(error, axis=0)
+        ratio = np.clip(least / np.maximum(error[-1], 1e-300), 0.0, 1.0)
+        chosen = chosen + (SPANS[-1] - chosen) * ratio ** (10 - bass)
+    chosen = np.clip(_running_lines(xs, chosen, np.ones(len(xs)), SPANS[1])[0], SPANS[0], SPANS[-1])
+    below = chosen < SPANS[1]
+    share = np.where(
+        below, (chosen - SPANS[0]) / (SPANS[1] - SPANS[0]), (chosen - SPANS[1]) / (SPANS[2] - SPANS[1])
+    )
+    between = np.where(
+        below,
+        (1 - share) * smooths[0] + share * smooths[1],
+        (1 - share) * smooths[1] + share * smooths[2],
+    )
+    out = np.empty(len(xs))
+    out[order] = _running_lines(xs, between, weight, SPANS[0])[0]
+    return out

@@ -1,0 +1,193 @@
+"""Uncertainty of what is reported: GUM budget, and Monte Carlo after JCGM 101 beside it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import floor, inf, isfinite, log10, sqrt
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import stdtrit
+
+from processing.fit.measurement import OUTPUTS, Measured, RigQuantities, draw_fitted, report
+from processing.fit.result import DRAG_NAME
+
+FIT = "swings"
+"""Name of the type A source: the fit's covariance, or that of a series of runs."""
+
+
+@dataclass(frozen=True, slots=True)
+class BudgetLine:
+    """One source's part in the uncertainty of one quantity.
+
+    `sensitivity` is the quantity's derivative by the source (NaN for the fit, which has several
+    parameters), `contribution` its share as a standard uncertainty in the quantity's unit, and
+    `share` that as a fraction of the combined variance.
+    """
+
+    source: str
+    kind: Literal["A", "B"]
+    u_source: float
+    sensitivity: float
+    contribution: float
+    share: float
+
+
+@dataclass(frozen=True)
+class Budget:
+    """GUM budget of one quantity, largest contribution first.
+
+    `dof` are the effective degrees of freedom (Welch-Satterthwaite; type B counts as known),
+    `coverage_factor` Student's for 95 %, `expanded` that times `standard_uncertainty`.
+    """
+
+    quantity: str
+    unit: str
+    value: float
+    standard_uncertainty: float
+    dof: float
+    coverage_factor: float
+    lines: tuple[BudgetLine, ...]
+
+    @property
+    def expanded(self) -> float:
+        return self.coverage_factor * self.standard_uncertainty
+
+
+@dataclass(frozen=True, slots=True)
+class Propagated:
+    """One quantity by Monte Carlo: mean, standard uncertainty, probabilistically symmetric 95 %.
+
+    `gum_holds` is JCGM 101's validation (clause 8): both ends of the budget's interval agree with
+    these within half a unit of the first significant digit of the standard uncertainty.
+    """
+
+    quantity: str
+    mean: float
+    standard_uncertainty: float
+    lower: float
+    upper: float
+    gum_holds: bool
+
+
+def _nominal(rig: RigQuantities, count: int) -> dict[str, NDArray[np.float64]]:
+    return {name: np.full(count, quantity.value) for name, quantity in rig.inputs().items()}
+
+
+def _quantities(found: Measured) -> dict[str, str]:
+    return {**OUTPUTS, **({DRAG_NAME: "s"} if DRAG_NAME in found.names else {})}
+
+
+def budgets(found: Measured, rig: RigQuantities) -> dict[str, Budget]:
+    """A budget for every reported quantity.
+
+    Derivatives are central differences over a thousandth of each source's own uncertainty: exact
+    to 1e-6 for what is nearly linear over the uncertainty itself, and where it is not, the Monte
+    Carlo interval is the one to take.
+    """
+    value = {
+        name: float(out[0])
+        for name, out in report(found, found.values[:, None], _nominal(rig, 1), rig).items()
+    }
+    spread = np.diag(found.covariance)
+    by_value: dict[str, NDArray[np.float64]] = {name: np.zeros(len(found.names)) for name in value}
+    for i in range(len(found.names)):
+        step = 1e-3 * (sqrt(spread[i]) if 0 < spread[i] < inf else 1e-3 * abs(found.values[i]) or 1e-12)
+        both = np.repeat(found.values[:, None], 2, axis=1)
+        both[i] += (-step, step)
+        for name, out in report(found, both, _nominal(rig, 2), rig).items():
+            by_value[name][i] = (out[1] - out[0]) / (2 * step)
+    by_input: dict[str, dict[str, float]] = {name: {} for name in value}
+    for source, quantity in rig.inputs().items():
+        if quantity.u == 0:
+            continue
+        step = 1e-3 * quantity.u
+        inputs = _nominal(rig, 2)
+        inputs[source] = quantity.value + np.array([-step, step])
+        for name, out in report(found, np.repeat(found.values[:, None], 2, axis=1), inputs, rig).items():
+            by_input[name][source] = float(out[1] - out[0]) / (2 * step)
+    return {
+        name: _budget(name, unit, value[name], found, rig, by_value[name], by_input[name])
+        for name, unit in _quantities(found).items()
+    }
+
+
+def _budget(
+    name: str,
+    unit: str,
+    value: float,
+    found: Measured,
+    rig: RigQuantities,
+    by_value: NDArray[np.float64],
+    by_input: Mapping[str, float],
+) -> Budget:
+    blind = ~np.isfinite(np.diag(found.covariance))
+    known = np.where(np.outer(~blind, ~blind), found.covariance, 0.0)
+    type_a = inf if np.any(by_value[blind] != 0) else sqrt(max(float(by_value @ known @ by_value), 0.0))
+    parts: list[tuple[str, Literal["A", "B"], float, float, float]] = []
+    if type_a > 0:
+        own = found.names.index(name) if name in found.names else None
+        u_own = sqrt(found.covariance[own, own]) if own is not None else float("nan")
+        parts.append((FIT, "A", u_own, float("nan"), type_a))
+    inputs = rig.inputs()
+    for source, slope in by_input.items():
+        u = inputs[source].u
+        if slope != 0:
+            parts.append((source, "B", u, slope, abs(slope) * u))
+    combined = sqrt(sum(part[4] ** 2 for part in parts))
+    dof = found.dof * (combined / type_a) ** 4 if 0 < type_a < inf else inf
+    lines = tuple(
+        BudgetLine(
+            source, kind, u, slope, part, (part / combined) ** 2 if isfinite(combined) else float(part == inf)
+        )
+        for source, kind, u, slope, part in sorted(parts, key=lambda part: -part[4])
+    )
+    factor = float(stdtrit(min(dof, 1e9), 0.975))
+    return Budget(name, unit, value, combined, dof, factor, lines)
+
+
+def monte_carlo(
+    found: Measured,
+    rig: RigQuantities,
+    rng: np.random.Generator,
+    *,
+    draws: int = 10_000,
+    against: Mapping[str, Budget] | None = None,
+) -> dict[str, Propagated]:
+    """Propagate distributions instead of uncertainties (JCGM 101:2008).
+
+    Parameters
+    ----------
+    rng
+        Seeded by the caller, so that a report can be made again to the digit.
+    against
+        The budgets to validate; computed where not given.
+
+    Raises
+    ------
+    DataError
+        A fitted parameter that the data do not determine at all.
+    """
+    values = draw_fitted(found, rng, draws)
+    inputs = {}
+    for name, quantity in rig.inputs().items():
+        if quantity.distribution == "rectangular":
+            deviation = rng.uniform(-sqrt(3), sqrt(3), draws)
+        else:
+            deviation = rng.standard_normal(draws)
+        inputs[name] = quantity.value + quantity.u * deviation
+    reported = report(found, values, inputs, rig)
+    if against is None:
+        against = budgets(found, rig)
+    out = {}
+    for name in _quantities(found):
+        sample = reported[name]
+        lower, upper = np.quantile(sample, [0.025, 0.975])
+        u = float(np.std(sample, ddof=1))
+        budget = against[name]
+        tolerance = 0.5 * 10 ** floor(log10(u)) if u > 0 and isfinite(u) else 0.0
+        worst = max(abs(budget.value - budget.expanded - lower), abs(budget.value + budget.expanded - upper))
+        out[name] = Propagated(
+            name, float(np.mean(sample)), u, float(lower), float(upper), bool(worst <= tolerance or u == 0)
+        )
+    return out

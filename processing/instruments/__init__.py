@@ -1,0 +1,1 @@
+"""The kinds of pendulum: one table of descriptions, and what is reported of each."""

@@ -1,0 +1,105 @@
+"""Period against amplitude beside the circular-error law of the ideal pendulum.
+
+Half periods add up to the turning times, which err independently, and it is those that are fitted:
+
+    t_k = t_0 + (T0/2) sum over the half-cycles before k of [1 + f (T_ideal(A)/T0 - 1)]
+
+with A^2 the mean square of the amplitudes at both ends and T_ideal = T0 (2/pi) K(sin A/2), about
+1 + A^2/16. f = 1 is the law; f above 1 is Mendeleev's observation, that the period falls with the
+amplitude faster than the law says.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import ellipkm1
+
+from processing.errors import DataError
+from processing.fit.periods import full_periods
+from processing.fit.result import Estimate
+from processing.swing.swing import TurningPoints
+
+_FEWEST = 8
+
+
+class CircularError(NamedTuple):
+    """The fit, and the periods themselves beside the law with the same T0.
+
+    `factor` is f. `sentence` compares it with 1 by two standard uncertainties. Arrays are of one length,
+    one entry for each full period: amplitude, period, its uncertainty, the law, alpha^2/16 of it.
+    """
+
+    period0_s: Estimate
+    factor: Estimate
+    chi2_per_dof: float
+    sentence: str
+    amplitude_rad: NDArray[np.float64]
+    period_s: NDArray[np.float64]
+    u_period_s: NDArray[np.float64]
+    law_s: NDArray[np.float64]
+    sixteenth_s: NDArray[np.float64]
+
+
+def ideal_excess(amplitude_rad: ArrayLike) -> NDArray[np.float64]:
+    """T(A)/T0 - 1 of the ideal pendulum, exact: (2/pi) K(sin A/2) - 1."""
+    cosine = np.cos(0.5 * np.asarray(amplitude_rad, dtype=np.float64))
+    excess: NDArray[np.float64] = 2 / math.pi * ellipkm1(cosine**2) - 1
+    return excess
+
+
+def circular_error(points: TurningPoints) -> CircularError:
+    """Fit T0 and the factor of the circular error to all turning times.
+
+    A half-cycle whose ends are not both there is given the amplitude between those of its neighbours.
+    Raises DataError for fewer than eight turning points or amplitudes that are all alike.
+    """
+    if len(points) < _FEWEST:
+        raise DataError(
+            f"{len(points)} usable turning points, at least {_FEWEST} are needed for the law of the period"
+        )
+    index = np.arange(points.index[0], points.index[-1] + 1)
+    amplitude = np.exp(np.interp(index, points.index, np.log(points.amplitude_rad)))
+    square = 0.5 * (amplitude[1:] ** 2 + amplitude[:-1] ** 2)
+    summed = np.concatenate(([0.0], np.cumsum(ideal_excess(np.sqrt(square)))))
+    where = points.index - points.index[0]
+    design = np.column_stack([np.ones(len(where)), where.astype(np.float64), summed[where]])
+    weighted = design / points.u_time_s[:, np.newaxis]
+    scale = np.linalg.norm(weighted, axis=0)
+    if not scale[2] > 0 or np.linalg.cond(weighted / scale) > 1e7:
+        raise DataError("the amplitudes are too much alike to tell how the period depends on them")
+    solution, _, _, _ = np.linalg.lstsq(weighted / scale, points.time_s / points.u_time_s, rcond=None)
+    residual = points.time_s / points.u_time_s - weighted / scale @ solution
+    chi2_per_dof = float(residual @ residual) / (len(points) - 3)
+    covariance = np.linalg.inv((weighted / scale).T @ (weighted / scale)) * max(1.0, chi2_per_dof)
+    covariance /= np.outer(scale, scale)
+    values = solution / scale
+    half_s, slope_s = float(values[1]), float(values[2])
+    by = np.array([0.0, -slope_s / half_s**2, 1 / half_s])
+    factor = Estimate(slope_s / half_s, float(np.sqrt(by @ covariance @ by)))
+    period0 = Estimate(2 * half_s, 2 * math.sqrt(covariance[1, 1]))
+    periods = full_periods(points)
+    at = points.amplitude_rad[periods.where]
+    return CircularError(
+        period0,
+        factor,
+        chi2_per_dof,
+        _sentence(factor),
+        at,
+        periods.period_s,
+        periods.u_period_s,
+        period0.value * (1 + ideal_excess(at)),
+        period0.value * (1 + at**2 / 16),
+    )
+
+
+def _sentence(factor: Estimate) -> str:
+    f, u = factor
+    if abs(f - 1) <= 2 * u:
+        return f"the period follows the circular-error law: {f:.4g} ± {u:.2g} times alpha^2/16"
+    faster = "faster" if f > 1 else "more slowly"
+    return (
+        f"the period falls with the amplitude {faster} than the circular-error law: "
+        f"{f:.4g} ± {u:.2g} times alpha^2/16"
+    )

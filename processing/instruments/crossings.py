@@ -1,0 +1,199 @@
+"""A spot that leaves the sensor and comes back: turning points inferred from the crossings' speeds.
+
+Between the crossing that leads to a turning point (time t_1, speed v_1) and the one that leads back
+(t_2, v_2) the ideal pendulum gives, with k = sin(A/2) and the half period h = t_2 - t_1,
+
+    v = 2 w0 k,  h = 2 K(k)/w0    whence    k K(k) = v h/4
+
+with v^2 the mean of both squares: what friction takes before the turning point and after it then
+cancels. Nothing needs to be known of the pendulum.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+from scipy.special import ellipk
+
+from processing.swing.swing import Swing, SwingFlag
+
+_REACH = 0.2
+"""Of the half period, to either side of a crossing: samples that its time and speed are fitted to."""
+_FEWEST = 8
+_POWERS = 6
+_EARLY = 0.5 * (math.pi / 4 + 1 / math.pi), 0.5 * (math.pi / 4 - 1 / math.pi)
+"""A turning point lies before the middle of its crossings, because friction shortens the way out and
+lengthens the way back: by ln(v_1/v_2)/w0 times 1/pi for a drag, 1/2 for constant friction, pi/4 for friction
+that grows with the angle. The middle of these, and half their range as its uncertainty."""
+
+
+class _Crossing(NamedTuple):
+    time_s: float
+    u_time_s: float
+    speed: float
+    u_speed: float
+
+
+def inferred_swings(
+    times_ns: NDArray[np.int64],
+    deflection_rad: NDArray[np.float64],
+    u_deflection_rad: NDArray[np.float64],
+) -> list[Swing]:
+    """Half-cycles whose turning point the sensor did not see, flagged `SwingFlag.INFERRED`.
+
+    Parameters
+    ----------
+    times_ns, deflection_rad, u_deflection_rad
+        (n,) samples; NaN where the spot was lost. The rest position lies on the sensor.
+
+    Returns
+    -------
+    list of Swing
+        Indices count half periods from the first of them. Empty where the spot never left between two
+        crossings. The rest position is found from the crossings, whose intervals are equal about it.
+    """
+    seen = np.isfinite(deflection_rad) & (u_deflection_rad > 0)
+    if np.count_nonzero(seen) < 4 * _FEWEST:
+        return []
+    start_ns = int(times_ns[0])
+    time_s: NDArray[np.float64] = ((times_ns[seen] - start_ns) * 1e-9).astype(np.float64)
+    values, u = deflection_rad[seen], u_deflection_rad[seen]
+    spacing_s = float(np.median(np.diff(time_s)))
+    level = 0.5 * float(np.min(values) + np.max(values))
+    half_s = _half_period_s(time_s, values - level, spacing_s)
+    if not half_s > 0:
+        return []
+    found = _crossings(time_s, values - level, u, half_s, spacing_s)
+    if len(found) < 3:
+        return []
+    level += _rest(found, half_s)
+    found = _crossings(time_s, values - level, u, half_s, spacing_s)
+    swings: list[Swing] = []
+    for before, after in pairwise(found):
+        between = time_s[(time_s >= before.time_s) & (time_s <= after.time_s)]
+        lasts_s = after.time_s - before.time_s
+        if before.speed * after.speed > 0 or not 0.6 < lasts_s / half_s < 1.5:
+            continue
+        if len(between) > 1 and float(np.max(np.diff(between))) < 3 * spacing_s:
+            continue
+        # the half period falls slowly with the amplitude; the count goes on from the last one
+        index = 0
+        if swings:
+            gone_s = 0.5 * (before.time_s + after.time_s) - (swings[-1].turn_time_ns - start_ns) * 1e-9
+            index = swings[-1].index + max(1, round(gone_s / lasts_s))
+        swings.append(_swing(index, before, after, level, start_ns))
+    return swings
+
+
+def joined_swings(seen: Sequence[Swing], inferred: Sequence[Swing]) -> list[Swing]:
+    """Turning points that were seen, unflagged, and inferred ones in one count.
+
+    Where both claim the same half-cycle the inferred one holds: the spot was off the sensor there.
+    """
+    if not inferred:
+        return list(seen)
+    claimed = np.array([swing.turn_time_ns for swing in inferred])
+    half_ns = np.median(np.diff(claimed) / np.diff([s.index for s in inferred])) if len(inferred) > 1 else 0
+    alone = [
+        swing
+        for swing in seen
+        if not swing.flags and np.min(np.abs(claimed - swing.turn_time_ns)) > 0.5 * half_ns
+    ]
+    ordered = sorted([*alone, *inferred], key=lambda swing: swing.turn_time_ns)
+    joined: list[Swing] = []
+    for swing in ordered:
+        index = 0
+        if joined:
+            gone = (swing.turn_time_ns - joined[-1].turn_time_ns) / half_ns if half_ns else 1
+            index = joined[-1].index + max(1, round(gone))
+        joined.append(replace(swing, index=index))
+    return joined
+
+
+def _half_period_s(time_s: NDArray[np.float64], values: NDArray[np.float64], spacing_s: float) -> float:
+    """Median interval between changes of sign that the spot was seen at."""
+    at = np.nonzero((values[1:] * values[:-1] <= 0) & (np.diff(time_s) < 3 * spacing_s))[0]
+    interval = np.diff(time_s[at])
+    # noise at a slow crossing changes the sign several times within a few samples
+    interval = interval[interval > 6 * spacing_s]
+    return float(np.median(interval)) if len(interval) else math.nan
+
+
+def _crossings(
+    time_s: NDArray[np.float64],
+    values: NDArray[np.float64],
+    u: NDArray[np.float64],
+    half_s: float,
+    spacing_s: float,
+) -> list[_Crossing]:
+    """Where the deflection passes zero, with speed (positive upwards)."""
+    at = np.nonzero((values[1:] * values[:-1] <= 0) & (np.diff(time_s) < 3 * spacing_s))[0]
+    found: list[_Crossing] = []
+    for i in at.tolist():
+        if found and time_s[i] - found[-1].time_s < 0.4 * half_s:
+            continue
+        first, last = np.searchsorted(time_s, [time_s[i] - _REACH * half_s, time_s[i] + _REACH * half_s])
+        if last - first < _FEWEST:
+            continue
+        scale_s = _REACH * half_s
+        x = (time_s[first:last] - time_s[i]) / scale_s
+        weighted = np.vander(x, _POWERS, increasing=True) / u[first:last, np.newaxis]
+        q, r = np.linalg.qr(weighted)
+        solution = np.linalg.solve(r, q.T @ (values[first:last] / u[first:last]))
+        cover = np.linalg.inv(r)
+        slopes = np.polynomial.polynomial.polyder(solution)
+        root = slope = 0.0
+        for _ in range(20):
+            value = float(np.polynomial.polynomial.polyval(root, solution))
+            slope = float(np.polynomial.polynomial.polyval(root, slopes))
+            root -= value / slope
+        by_value = root ** np.arange(_POWERS)
+        by_slope = np.arange(_POWERS) * root ** np.maximum(np.arange(_POWERS) - 1, 0)
+        found.append(
+            _Crossing(
+                float(time_s[i]) + root * scale_s,
+                float(np.linalg.norm(by_value @ cover)) / abs(slope) * scale_s,
+                slope / scale_s,
+                float(np.linalg.norm(by_slope @ cover)) / scale_s,
+            )
+        )
+    return found
+
+
+def _rest(found: list[_Crossing], half_s: float) -> float:
+    """Rest position above the level of the crossings: about it the intervals are equal."""
+    shifts = [
+        0.25 * b.speed * (c.time_s - 2 * b.time_s + a.time_s)
+        for a, b, c in zip(found, found[1:], found[2:], strict=False)
+        if c.time_s - a.time_s < 3 * half_s
+    ]
+    return float(np.mean(shifts)) if shifts else 0.0
+
+
+def _swing(index: int, before: _Crossing, after: _Crossing, centre: float, start_ns: int) -> Swing:
+    lasts_s = after.time_s - before.time_s
+    speed = math.sqrt(0.5 * (before.speed**2 + after.speed**2))
+    u_speed = 0.5 * math.hypot(before.speed * before.u_speed, after.speed * after.u_speed) / speed
+    u_clock_s = math.hypot(before.u_time_s, after.u_time_s)
+    k = brentq(lambda k: k * ellipk(k * k) - 0.25 * speed * lasts_s, 0.0, 1 - 1e-12)
+    amplitude = 2 * math.asin(k)
+    relative = math.hypot(u_speed / speed, u_clock_s / lasts_s)
+    brake_s = math.log(abs(before.speed / after.speed)) * lasts_s / math.pi
+    turn_s = 0.5 * (before.time_s + after.time_s) - _EARLY[0] * brake_s
+    return Swing(
+        index=index,
+        turn_time_ns=start_ns + round(turn_s * 1e9),
+        u_turn_time_s=math.hypot(0.5 * u_clock_s, _EARLY[1] * brake_s),
+        amplitude=amplitude,
+        u_amplitude=amplitude * relative,
+        half_period_s=math.nan,
+        u_half_period_s=math.nan,
+        centre=centre,
+        side=1 if before.speed > 0 else -1,
+        flags=int(SwingFlag.INFERRED),
+    )

@@ -1,0 +1,163 @@
+"""Damping between two amplitudes: time and number of swings (Koenig, Persoz, Kuznetsov).
+
+Where the amplitude passes a level is interpolated between the two turning points on either side of
+it, ln(amplitude) against half-cycle, and the time between those same two turning points.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import stdtrit
+
+from processing.errors import DataError
+from processing.fit.result import Estimate
+from processing.instruments.descriptions import DEGREE_RAD
+from processing.swing.swing import TurningPoints
+
+_EXTENSION = 0.03
+_SLOPE_POINTS = 10
+
+
+class Passage(NamedTuple):
+    """Where the amplitude passes a level: half-cycle (a fraction) and time, and what they err together.
+
+    `missing` half-cycles lie between the two turning points that it was interpolated from.
+    """
+
+    half_cycle: float
+    u_half_cycle: float
+    time_s: float
+    u_time_s: float
+    missing: int
+
+
+class Damping(NamedTuple):
+    """Time and number of whole swings (to and fro) in which the amplitude falls from `start` to `end`.
+
+    `swings` is a fraction by interpolation; a counter shows the whole number below it. `period_s` is the
+    mean period meanwhile.
+    """
+
+    start_rad: float
+    end_rad: float
+    time_s: Estimate
+    swings: Estimate
+    period_s: Estimate
+    missing: int
+
+
+def passage(points: TurningPoints, level_rad: float) -> Passage:
+    """Where the amplitude falls through `level_rad`.
+
+    Noise may take neighbouring turning points across a level more than once: the last one at or above
+    it counts, and the next. Where the record begins less than 3 % below the level, as it does after a
+    release at the level itself, the decay of the first half-cycles is carried back to it (the half-cycle
+    is then negative).
+
+    Raises
+    ------
+    DataError
+        The amplitude begins below the level or never falls to it.
+    """
+    amplitude = points.amplitude_rad
+    if len(points) < 2:
+        raise DataError(f"{len(points)} usable turning points; at least 2 are needed for a passage")
+    level = level_rad / DEGREE_RAD
+    above = np.nonzero(amplitude >= level_rad)[0]
+    extended = not len(above) and amplitude[0] >= (1 - _EXTENSION) * level_rad
+    if not len(above) and not extended:
+        raise DataError(
+            f"the amplitude starts at {amplitude[0] / DEGREE_RAD:.4g} degrees, below the {level:.4g} degrees "
+            "wanted; release the pendulum farther out"
+        )
+    first = 0 if extended else int(above[-1])
+    if first == len(amplitude) - 1:
+        raise DataError(
+            f"the amplitude never reaches {level:.4g} degrees, the record ends at "
+            f"{amplitude[-1] / DEGREE_RAD:.4g} degrees; measure longer"
+        )
+    # a slope to carry on by needs more than two neighbours
+    i, j = first, min(_SLOPE_POINTS, len(amplitude) - 1) if extended else first + 1
+    steps = float(points.index[j] - points.index[i])
+    fall = math.log(amplitude[i] / amplitude[j])
+    share = math.log(amplitude[i] / level_rad) / fall
+    u_i = points.u_amplitude_rad[i] / amplitude[i]
+    u_j = points.u_amplitude_rad[j] / amplitude[j]
+    u_share = math.hypot((1 - share) * u_i, share * u_j) / fall
+    lasts_s = float(points.time_s[j] - points.time_s[i])
+    u_clock_s = math.hypot((1 - share) * points.u_time_s[i], share * points.u_time_s[j])
+    return Passage(
+        half_cycle=float(points.index[i]) + share * steps,
+        u_half_cycle=u_share * steps,
+        time_s=float(points.time_s[i]) + share * lasts_s,
+        u_time_s=math.hypot(u_share * lasts_s, u_clock_s),
+        missing=0 if extended else int(steps) - 1,
+    )
+
+
+def damping(points: TurningPoints, start_rad: float, end_rad: float) -> Damping:
+    """Time and swings from one amplitude to another. Raises DataError where one is not passed."""
+    if not end_rad < start_rad:
+        raise DataError(
+            f"end amplitude {end_rad / DEGREE_RAD:.4g} degrees must lie below the start, "
+            f"{start_rad / DEGREE_RAD:.4g} degrees"
+        )
+    begin, end = passage(points, start_rad), passage(points, end_rad)
+    between = np.nonzero((points.index >= begin.half_cycle - 1) & (points.index <= end.half_cycle + 1))[0]
+    first, last = int(between[0]), int(between[-1])
+    halves = float(points.index[last] - points.index[first])
+    u_clock_s = math.hypot(points.u_time_s[first], points.u_time_s[last])
+    return Damping(
+        start_rad,
+        end_rad,
+        Estimate(end.time_s - begin.time_s, math.hypot(begin.u_time_s, end.u_time_s)),
+        Estimate(
+            0.5 * (end.half_cycle - begin.half_cycle), 0.5 * math.hypot(begin.u_half_cycle, end.u_half_cycle)
+        ),
+        Estimate(2 * float(points.time_s[last] - points.time_s[first]) / halves, 2 * u_clock_s / halves),
+        begin.missing + end.missing,
+    )
+
+
+def ratio(measured: Estimate, reference: Estimate) -> Estimate:
+    """Relative hardness: sample over reference, of independent measurements. Raises DataError for zero."""
+    if not reference.value > 0:
+        raise DataError(f"the reference is {reference.value:g}; it must be positive")
+    value = measured.value / reference.value
+    relative = math.hypot(
+        measured.standard_uncertainty / measured.value, reference.standard_uncertainty / reference.value
+    )
+    return Estimate(value, abs(value) * relative)
+
+
+class Places(NamedTuple):
+    """Several places on one sample: mean with its uncertainty, spread from place to place, 95 % interval."""
+
+    number: int
+    mean: Estimate
+    spread: float
+    expanded_95: float
+
+
+def over_places(values: Sequence[Estimate]) -> Places:
+    """Mean over places. Its uncertainty is the larger of scatter and stated uncertainties.
+
+    The spread is the standard deviation from place to place, NaN for one place; the 95 % interval is
+    Student's with the number of places less one where the scatter rules. Raises DataError for none.
+    """
+    if not values:
+        raise DataError("no place was measured")
+    value = np.array([item.value for item in values])
+    stated = float(np.sqrt(np.sum([item.standard_uncertainty**2 for item in values]))) / len(values)
+    mean = float(np.mean(value))
+    if len(values) == 1:
+        return Places(1, Estimate(mean, stated), math.nan, 1.959964 * stated)
+    spread = float(np.std(value, ddof=1))
+    scatter = spread / math.sqrt(len(values))
+    if scatter > stated:
+        return Places(
+            len(values), Estimate(mean, scatter), spread, scatter * float(stdtrit(len(values) - 1, 0.975))
+        )
+    return Places(len(values), Estimate(mean, stated), spread, 1.959964 * stated)

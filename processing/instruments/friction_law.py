@@ -1,0 +1,141 @@
+"""Friction of a pendulum of any amplitude, from its turning points: moment = q (phi/phi_ref)^s.
+
+The moment stands over m g d, d the lever arm of the mass centre. Between two turning points A and B
+
+    cos B - cos A = D(A) + D(B)        D(x) = q phi_ref (x/phi_ref)^(s+1) / (s+1)
+
+whatever the support does on the way: at a turning point nothing moves, so that neither inertia nor
+rolling enters. s = 0 is friction independent of amplitude and speed, s = 1 a constant decrement.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from processing.errors import DataError
+from processing.fit.result import Estimate
+from processing.swing.swing import TurningPoints
+
+_FEWEST = 6
+
+
+@dataclass(frozen=True, slots=True)
+class FrictionLaw:
+    """The fitted law. `covariance` is that of (ln initial amplitude, ln q, s).
+
+    `moment` is q at `reference_rad`, `mean_moment` the mean over a half-swing of that amplitude,
+    q/(s+1): both over m g d. Uncertainties are scaled by sqrt(max(1, chi2/dof)).
+    """
+
+    reference_rad: float
+    initial_rad: Estimate
+    moment: Estimate
+    exponent: Estimate
+    covariance: NDArray[np.float64]
+    chi2_per_dof: float
+    amplitude_model_rad: NDArray[np.float64]
+
+    @property
+    def mean_moment(self) -> Estimate:
+        """Loss of a half-swing of the reference amplitude over the angle that it covers."""
+        value = self.moment.value / (1 + self.exponent.value)
+        by = np.array([0.0, 1.0, -1 / (1 + self.exponent.value)])
+        return Estimate(value, value * math.sqrt(by @ self.covariance @ by))
+
+    def decrement(self, amplitude_rad: float) -> Estimate:
+        """Log decrement ln(A_i/A_(i+2)) of the whole swing whose ends have this geometric mean.
+
+        Raises DataError where friction would hold the pendulum before the swing is over.
+        """
+        log_moment, exponent = math.log(self.moment.value), self.exponent.value
+        value = 0.0
+        for _ in range(20):
+            begin = math.log(amplitude_rad) + 0.5 * value
+            ends = _decay(begin, log_moment, exponent, self.reference_rad, np.array([0, 2]))
+            if not ends[1] > 0:
+                raise DataError("friction holds the pendulum within one swing; it has no decrement")
+            before, value = value, math.log(ends[0] / ends[1])
+            if abs(value - before) <= 1e-14 * value:
+                break
+        relative = math.log(amplitude_rad / self.reference_rad)
+        # to first order the decrement goes as the mean moment, whose logarithm has these derivatives
+        by = np.array([0.0, 1.0, relative - 1 / (1 + exponent)])
+        return Estimate(value, value * math.sqrt(by @ self.covariance @ by))
+
+
+def fit_friction_law(points: TurningPoints) -> FrictionLaw:
+    """Least squares of all turning-point amplitudes.
+
+    Raises DataError for fewer than six turning points, amplitudes that do not fall, or a law that the
+    data do not determine.
+    """
+    if len(points) < _FEWEST:
+        raise DataError(
+            f"{len(points)} usable turning points, at least {_FEWEST} are needed for a law of friction"
+        )
+    amplitude, steps = points.amplitude_rad, points.index - points.index[0]
+    lost = float(np.log(amplitude[0] / amplitude[-1]))
+    if not lost > 0:
+        raise DataError("the amplitude does not fall; no friction can be had from it")
+    reference = float(np.exp(np.mean(np.log(amplitude))))
+    start = np.array([math.log(amplitude[0]), math.log(lost / float(steps[-1]) * reference), 1.0])
+
+    def residuals(x: NDArray[np.float64]) -> NDArray[np.float64]:
+        return (_decay(x[0], x[1], x[2], reference, steps) - amplitude) / points.u_amplitude_rad
+
+    bounds = ([-np.inf, -np.inf, -0.9], [math.log(math.pi), 0.0, 6.0])
+    found = least_squares(
+        residuals, start, bounds=bounds, x_scale=[1e-3, 1e-2, 0.1], xtol=1e-12, ftol=1e-12, gtol=1e-12
+    )
+    chi2_per_dof = float(2 * found.cost) / (len(points) - 3)
+    try:
+        jacobian: NDArray[np.float64] = np.asarray(found.jac, dtype=np.float64)
+        covariance = np.asarray(np.linalg.inv(jacobian.T @ jacobian) * max(1.0, chi2_per_dof), np.float64)
+    except np.linalg.LinAlgError:
+        raise DataError("the decay is too short to tell friction from its exponent; measure longer") from None
+    u = np.sqrt(np.diag(covariance))
+    initial, moment = math.exp(found.x[0]), math.exp(found.x[1])
+    return FrictionLaw(
+        reference_rad=reference,
+        initial_rad=Estimate(initial, initial * float(u[0])),
+        moment=Estimate(moment, moment * float(u[1])),
+        exponent=Estimate(float(found.x[2]), float(u[2])),
+        covariance=covariance,
+        chi2_per_dof=chi2_per_dof,
+        amplitude_model_rad=_decay(found.x[0], found.x[1], found.x[2], reference, steps),
+    )
+
+
+@njit(cache=True, nogil=True)
+def _decay(
+    log_initial: float, log_moment: float, exponent: float, reference: float, steps: NDArray[np.int64]
+) -> NDArray[np.float64]:
+    """Amplitudes at the half-cycles `steps`, which rise from 0; 0 once friction holds the pendulum."""
+    found = np.zeros(len(steps))
+    amplitude = math.exp(log_initial)
+    scale = math.exp(log_moment) * reference / (1 + exponent)
+    found[0] = amplitude
+    reached = 0
+    for k in range(1, len(steps)):
+        while reached < steps[k]:
+            # 1 - cos by the half angle: no digits are lost at arc minutes
+            left = 2 * math.sin(0.5 * amplitude) ** 2 - scale * (amplitude / reference) ** (exponent + 1)
+            if left <= 0:
+                return found
+            new = amplitude
+            for _ in range(30):
+                power = scale * (new / reference) ** (exponent + 1)
+                change = (2 * math.sin(0.5 * new) ** 2 + power - left) / (
+                    math.sin(new) + power * (exponent + 1) / new
+                )
+                new = max(new - change, 0.1 * new)
+                if abs(change) <= 1e-15 * new:
+                    break
+            amplitude = new
+            reached += 1
+        found[k] = amplitude
+    return found

@@ -1,0 +1,69 @@
+"""Herbert's hardness numbers, from the first seconds of a record."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from processing.errors import DataError
+from processing.fit.result import Estimate
+from processing.swing.swing import TurningPoints
+
+
+class HerbertHardness(NamedTuple):
+    """Time of ten single swings, ten times the first one, and the scale reading after the first.
+
+    A single swing goes from one turning point to the next. `ten_swings_s` is None where the record
+    holds fewer than ten in a row; `missing` says so.
+    """
+
+    ten_swings_s: Estimate | None
+    first_swing_times_ten_s: Estimate
+    scale_hardness: Estimate
+    first_amplitude_rad: float
+    missing: str
+
+
+def herbert_hardness(points: TurningPoints, divisions: float = 100.0) -> HerbertHardness:
+    """Hardness numbers from the first swings that were seen whole.
+
+    Parameters
+    ----------
+    divisions
+        Of the scale that the released pendulum runs over from its zero to the mirrored angle: the reading
+        after a swing without loss. The scale's zero is the turning point that the first swing starts from.
+
+    Raises
+    ------
+    DataError
+        No two successive turning points at the beginning.
+    """
+    if len(points) < 2 or points.index[1] - points.index[0] != 1:
+        raise DataError("the first swing was not seen whole: two successive turning points are needed")
+    swing = Estimate(
+        float(points.time_s[1] - points.time_s[0]),
+        math.hypot(points.u_time_s[0], points.u_time_s[1]),
+    )
+    kept = float(points.amplitude_rad[1] / points.amplitude_rad[0])
+    u_kept = kept * math.hypot(
+        points.u_amplitude_rad[0] / points.amplitude_rad[0],
+        points.u_amplitude_rad[1] / points.amplitude_rad[1],
+    )
+    tenth = np.nonzero(points.index == points.index[0] + 10)[0]
+    ten, missing = None, ""
+    if len(tenth):
+        last = int(tenth[0])
+        ten = Estimate(
+            float(points.time_s[last] - points.time_s[0]),
+            math.hypot(points.u_time_s[0], points.u_time_s[last]),
+        )
+    else:
+        seen = int(points.index[-1] - points.index[0])
+        missing = f"no time of ten single swings: the record holds {seen}, or the tenth is disturbed"
+    return HerbertHardness(
+        ten,
+        Estimate(10 * swing.value, 10 * swing.standard_uncertainty),
+        Estimate(0.5 * divisions * (1 + kept), 0.5 * divisions * u_kept),
+        float(points.amplitude_rad[0]),
+        missing,
+    )

@@ -1,0 +1,75 @@
+"""Rolling friction after Tomlinson: is the decrement constant, and does the coefficient know the speed?
+
+Loss of a cycle over the angle that is covered is the mean moment; divided by load and radius it is the
+coefficient of rolling friction. All three follow from the friction law of the turning points.
+"""
+
+import math
+from typing import NamedTuple
+
+from processing.errors import DataError
+from processing.fit.result import Estimate
+from processing.instruments.friction_law import FrictionLaw, fit_friction_law
+from processing.swing.swing import TurningPoints
+
+
+class RollingFriction(NamedTuple):
+    """What a decay says of rolling friction.
+
+    `decrement` and `coefficient` hold at `law.reference_rad`, the geometric mean of the amplitudes. The
+    coefficient goes as amplitude^exponent, and so with the largest speed; the decrement as
+    amplitude^(exponent - 1). Each sentence tests one of the two against zero by two standard uncertainties.
+    """
+
+    law: FrictionLaw
+    decrement: Estimate
+    coefficient: Estimate | None
+    constant_decrement: bool
+    independent_of_speed: bool
+    sentences: tuple[str, str]
+
+
+def rolling_friction(
+    points: TurningPoints, lever_m: Estimate | None, radius_m: Estimate | None
+) -> RollingFriction:
+    """Decrement and coefficient from turning points.
+
+    Parameters
+    ----------
+    lever_m
+        Distance of the mass centre below the axis of rolling; with it, moments stand over m g.
+    radius_m
+        Of the axis or ball that rolls. Where one of the two is None there is no coefficient.
+
+    Raises
+    ------
+    DataError
+        Too few turning points or no decay.
+    """
+    law = fit_friction_law(points)
+    coefficient = None
+    if lever_m is not None and radius_m is not None:
+        if not (lever_m.value > 0 and radius_m.value > 0):
+            raise DataError("lever and radius of the support must be positive")
+        mean = law.mean_moment
+        value = mean.value * lever_m.value / radius_m.value
+        relative = math.hypot(
+            mean.standard_uncertainty / mean.value,
+            lever_m.standard_uncertainty / lever_m.value,
+            radius_m.standard_uncertainty / radius_m.value,
+        )
+        coefficient = Estimate(value, value * relative)
+    s, u = law.exponent
+    constant, independent = abs(s - 1) <= 2 * u, abs(s) <= 2 * u
+    digits = max(2, 1 - math.floor(math.log10(u))) if 0 < u < 1 else 2
+    decrement = (
+        f"the log decrement is {'constant' if constant else 'not constant'}: "
+        f"it goes as amplitude^({s - 1:+.{digits}f} ± {u:.2g})"
+    )
+    speed = (
+        f"the rolling-friction coefficient is {'independent' if independent else 'not independent'} "
+        f"of speed: it goes as amplitude^({s:.{digits}f} ± {u:.2g})"
+    )
+    return RollingFriction(
+        law, law.decrement(law.reference_rad), coefficient, constant, independent, (decrement, speed)
+    )

@@ -1,0 +1,102 @@
+"""Plane of the swing of a pendulum on one point: its direction, how it turns, the deflection in it."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from processing.errors import DataError
+from processing.fit.result import Estimate
+
+_FEWEST = 3
+
+
+class SwingPlane(NamedTuple):
+    """Direction of the plane against the slow axis Y, turning towards X, by whole periods.
+
+    `rate_rad_per_s` is the slope of a straight line, its uncertainty from the scatter about the line;
+    `turned_rad` from the first to the last period. `width_ratio` is the largest minor over major axis
+    of the ellipse.
+    """
+
+    time_s: NDArray[np.float64]
+    direction_rad: NDArray[np.float64]
+    rate_rad_per_s: Estimate
+    turned_rad: Estimate
+    width_ratio: float
+
+
+def swing_plane(
+    times_ns: NDArray[np.int64], x_rad: NDArray[np.float64], y_rad: NDArray[np.float64], period_s: float
+) -> SwingPlane:
+    """Principal direction of (X, Y), period by period.
+
+    Parameters
+    ----------
+    times_ns, x_rad, y_rad
+        (n,) samples; NaN where the spot was lost. A period that lacks a tenth of its samples is left out.
+    period_s
+        Of the swing.
+
+    Raises
+    ------
+    DataError
+        Fewer than three whole periods.
+    """
+    time_s = (times_ns - times_ns[0]) * 1e-9
+    number = np.floor(time_s / period_s).astype(np.int64)
+    seen = np.isfinite(x_rad) & np.isfinite(y_rad)
+    usual = float(np.median(np.bincount(number)[:-1])) if number[-1] else 0.0
+    middles, directions, widths = [], [], []
+    for k in range(int(number[-1])):
+        rows = np.nonzero(seen & (number == k))[0]
+        if len(rows) < max(8.0, 0.9 * usual):
+            continue
+        both = np.column_stack([x_rad[rows], y_rad[rows]])
+        both -= both.mean(axis=0)
+        _, sizes, axes = np.linalg.svd(both, full_matrices=False)
+        # the direction is that of the time at which the swing is wide, which slips through the periods
+        middles.append(float(np.average(time_s[rows], weights=np.sum(both**2, axis=1))))
+        directions.append(math.atan2(axes[0, 0], axes[0, 1]))
+        widths.append(float(sizes[1] / sizes[0]))
+    if len(middles) < _FEWEST:
+        raise DataError(
+            f"{len(middles)} whole periods with both axes; at least {_FEWEST} are needed for the swing plane"
+        )
+    at = np.array(middles)
+    # a plane has no sign: directions are known up to half a turn
+    direction = 0.5 * np.unwrap(2 * np.array(directions))
+    direction -= math.pi * round(direction[0] / math.pi)
+    centred = at - at.mean()
+    spread = float(centred @ centred)
+    rate = float(centred @ direction) / spread
+    residual = direction - direction.mean() - rate * centred
+    u_rate = math.sqrt(float(residual @ residual) / (len(at) - 2) / spread)
+    length_s = float(at[-1] - at[0])
+    return SwingPlane(
+        at,
+        direction,
+        Estimate(rate, u_rate),
+        Estimate(rate * length_s, u_rate * length_s),
+        max(widths),
+    )
+
+
+def along_plane(
+    plane: SwingPlane,
+    times_ns: NDArray[np.int64],
+    x_rad: NDArray[np.float64],
+    y_rad: NDArray[np.float64],
+    u_x_rad: NDArray[np.float64],
+    u_y_rad: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Deflection in the turning plane and its standard uncertainty, from both axes.
+
+    The direction is that of the straight line through the periods' directions.
+    """
+    time_s = (times_ns - times_ns[0]) * 1e-9
+    middle = float(plane.time_s.mean())
+    angle = float(plane.direction_rad.mean()) + plane.rate_rad_per_s.value * (time_s - middle)
+    sine, cosine = np.sin(angle), np.cos(angle)
+    return x_rad * sine + y_rad * cosine, np.hypot(u_x_rad * sine, u_y_rad * cosine)

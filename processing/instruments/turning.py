@@ -1,0 +1,151 @@
+"""Turning points of large swings, each from the samples about it.
+
+The swing detector's waveform is that of small swings. A pendulum of several degrees, on a round
+support, under friction that grows with the angle, has another: its turning points are fitted here again,
+each for itself, by a smooth curve with a step in its curvature at the turning point, where friction
+changes sign. Detection, counting and flags stay the detector's.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from processing.errors import DataError
+from processing.swing.swing import Swing, SwingFlag
+
+_REACH = 0.40
+"""Half width of the fitted stretch in half periods. There even powers up to the sixth follow a cosine to
+1e-6 of the amplitude."""
+_FEWEST = 16
+_FEWEST_CENTRES = 4
+_POWERS = 7
+_TERMS = _POWERS + 1
+
+
+def refined(
+    times_ns: NDArray[np.int64],
+    deflection_rad: NDArray[np.float64],
+    u_deflection_rad: NDArray[np.float64],
+    swings: Sequence[Swing],
+) -> list[Swing]:
+    """The same half-cycles with time and amplitude fitted to the samples about each turning point.
+
+    Parameters
+    ----------
+    times_ns, deflection_rad, u_deflection_rad
+        (n,) samples that the swings were detected in; NaN where the spot was lost.
+    swings
+        Of the detector. One whose turning point has too few samples about it keeps its values and is
+        flagged `SwingFlag.GAP`; flagged ones are handed on as they are.
+
+    Raises
+    ------
+    DataError
+        Fewer than two swings: nothing tells the period then.
+    """
+    if len(swings) < 2:
+        raise DataError(f"{len(swings)} half-cycles; at least 2 are needed to know the period")
+    seen = np.isfinite(deflection_rad) & (u_deflection_rad > 0)
+    times, values, u = times_ns[seen], deflection_rad[seen], u_deflection_rad[seen]
+    length_ns = (swings[-1].turn_time_ns - swings[0].turn_time_ns) / (swings[-1].index - swings[0].index)
+    found = [_refined_one(times, values, u, swing, float(length_ns)) for swing in swings]
+    return _with_half_periods(_about_the_rest_position(found))
+
+
+def _refined_one(
+    times_ns: NDArray[np.int64],
+    values: NDArray[np.float64],
+    u_values: NDArray[np.float64],
+    swing: Swing,
+    half_period_ns: float,
+) -> Swing:
+    if swing.flags:
+        return swing
+    reach_ns = _REACH * half_period_ns
+    turn_ns = swing.turn_time_ns
+    fitted = None
+    for _ in range(3):
+        first, last = np.searchsorted(times_ns, [turn_ns - reach_ns, turn_ns + reach_ns])
+        x = (times_ns[first:last] - turn_ns) / reach_ns
+        if len(x) < _FEWEST or x[0] > -0.8 or x[-1] < 0.8 or np.max(np.diff(x)) > 0.3:
+            return replace(swing, flags=swing.flags | int(SwingFlag.GAP))
+        fitted = _fit(x, values[first:last], u_values[first:last])
+        shift = -0.5 * fitted[0][1] / fitted[0][2]
+        if not abs(shift) < 0.5:
+            return replace(swing, flags=swing.flags | int(SwingFlag.GAP))
+        turn_ns += round(shift * reach_ns)
+    assert fitted is not None
+    solution, u_solution = fitted
+    return replace(
+        swing,
+        turn_time_ns=turn_ns,
+        u_turn_time_s=float(abs(0.5 * u_solution[1] / solution[2]) * reach_ns * 1e-9),
+        amplitude=float(abs(solution[0] - swing.centre)),
+        u_amplitude=float(u_solution[0]),
+    )
+
+
+def _fit(
+    x: NDArray[np.float64], values: NDArray[np.float64], u_values: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Weighted linear fit; coefficients of 1, x, x^2 and the rest with uncertainties scaled by chi2/dof."""
+    design = np.empty((len(x), _TERMS))
+    design[:, :_POWERS] = np.vander(x, _POWERS, increasing=True)
+    design[:, _POWERS] = x * np.abs(x)
+    weighted = design / u_values[:, np.newaxis]
+    q, r = np.linalg.qr(weighted)
+    solution = np.linalg.solve(r, q.T @ (values / u_values))
+    residual = values / u_values - weighted @ solution
+    chi2_per_dof = float(residual @ residual) / (len(x) - _TERMS)
+    spread = np.sum(np.linalg.inv(r) ** 2, axis=1)
+    return solution, np.sqrt(spread * max(1.0, chi2_per_dof))
+
+
+def _about_the_rest_position(swings: list[Swing]) -> list[Swing]:
+    """Amplitudes about one straight line in time, the rest position, from all turning points.
+
+    Three successive ones whose amplitudes fall as a geometric series tell it exactly.
+    """
+    good = [swing for swing in swings if not swing.flags]
+    triples = [
+        (a, b, c)
+        for a, b, c in zip(good, good[1:], good[2:], strict=False)
+        if c.index - a.index == 2 and b.index - a.index == 1
+    ]
+    if len(triples) < _FEWEST_CENTRES:
+        return swings
+    place = {swing.index: swing.centre + swing.side * swing.amplitude for swing in good}
+    time_s = np.array([(b.turn_time_ns - good[0].turn_time_ns) * 1e-9 for _, b, _ in triples])
+    before, turn, after = (
+        np.array([place[swing.index] for swing in row]) for row in zip(*triples, strict=True)
+    )
+    middle = (before * after - turn**2) / (before + after - 2 * turn)
+    slope, rest = np.polyfit(time_s, middle, 1)
+    result = []
+    for swing in swings:
+        if swing.flags:
+            result.append(swing)
+            continue
+        centre = float(rest + slope * (swing.turn_time_ns - good[0].turn_time_ns) * 1e-9)
+        result.append(replace(swing, centre=centre, amplitude=abs(place[swing.index] - centre)))
+    return result
+
+
+def _with_half_periods(swings: list[Swing]) -> list[Swing]:
+    """Half periods again, from the turning times."""
+    result = swings[:1]
+    for before, swing in pairwise(swings):
+        whole = swing.index - before.index == 1
+        result.append(
+            replace(
+                swing,
+                half_period_s=(swing.turn_time_ns - before.turn_time_ns) * 1e-9 if whole else float("nan"),
+                u_half_period_s=float(np.hypot(swing.u_turn_time_s, before.u_turn_time_s))
+                if whole
+                else float("nan"),
+            )
+        )
+    return result

@@ -1,0 +1,7 @@
+"""Laser spot on a sensor: finder, maximum-likelihood fit, tracker."""
+
+from processing.spot.sensor import SensorModel
+from processing.spot.spot import SPOT_DTYPE, Spot, SpotFlag
+from processing.spot.tracker import SpotTracker
+
+__all__ = ["SPOT_DTYPE", "SensorModel", "Spot", "SpotFlag", "SpotTracker"]

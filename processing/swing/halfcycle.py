@@ -1,0 +1,239 @@
+"""One half-cycle against its samples: linearised model, normal equations, two least-squares answers.
+
+The state of the pendulum at a turning point, every entry a float64:
+
+====================  =====================================================================
+`AMPLITUDE`           distance of the turning point from the centre, unit of the deflection
+`TIME`                time of the turning point in s after the reference time
+`RATE`                angular frequency, rad/s, of the linear part of the waveform's equation
+`SHAPE` .. +6         damping, dry, rise, p, stiff, n, bend (see waveform)
+`CENTRE`, `DRIFT`     rest position at the reference time, and its rate per s
+`FAST` .. +3          fast mode: cosine and sine part at the reference time, angular
+                      frequency in rad/s, damping in 1/s
+====================  =====================================================================
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from processing.swing.waveform import DAMPING, LOG_RATIO, NODES_BEFORE, SHAPES, STEP, Table, locate, tabulate
+
+AMPLITUDE, TIME, RATE, SHAPE, CENTRE, DRIFT, FAST = 0, 1, 2, 3, 10, 11, 12
+STATES = 16
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def invert(matrix: Matrix, inverse: Matrix) -> bool:
+    """Inverse of a symmetric positive definite matrix, scaled to a unit diagonal first; False if not one."""
+    n = len(matrix)
+    scale = np.empty(n)
+    for i in range(n):
+        if not matrix[i, i] > 0.0:
+            return False
+        scale[i] = 1.0 / math.sqrt(matrix[i, i])
+    lower = np.zeros((n, n))
+    for i in range(n):
+        for j in range(i + 1):
+            total = matrix[i, j] * scale[i] * scale[j]
+            for k in range(j):
+                total -= lower[i, k] * lower[j, k]
+            if i == j:
+                if not total > 1e-14:
+                    return False
+                lower[i, i] = math.sqrt(total)
+            else:
+                lower[i, j] = total / lower[j, j]
+    for i in range(n):
+        lower[i, i] = 1.0 / lower[i, i]
+    for j in range(n):
+        for i in range(j + 1, n):
+            total = 0.0
+            for k in range(j, i):
+                total -= lower[i, k] * lower[k, j]
+            lower[i, j] = total * lower[i, i]
+    for i in range(n):
+        for j in range(i + 1):
+            total = 0.0
+            for k in range(i, n):
+                total += lower[k, i] * lower[k, j]
+            inverse[i, j] = inverse[j, i] = total * scale[i] * scale[j]
+    return True
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def tabulate_state(
+    x: Vector, anchor: Vector, reference: float, active: Indices, table: Table, turn: Matrix
+) -> None:
+    """Table of the half-swing that belongs to the state `x`, and its derivatives by the active entries.
+
+    The shape terms are expanded to first order about those of `anchor`, another state. As long as
+    the anchor stays, what half-cycles say about terms that they hardly tell apart adds up
+    consistently; expanded anew at every step it would pretend to knowledge that nobody has.
+    """
+    wanted = np.empty(SHAPES + 1, dtype=np.int64)
+    count, bent = 0, False
+    for column in active:
+        if SHAPE <= column < SHAPE + SHAPES:
+            wanted[count] = column - SHAPE
+            count += 1
+            bent |= column != SHAPE + DAMPING
+    if bent:
+        # damping alone looks the same at every amplitude, all others do not
+        wanted[count] = LOG_RATIO
+        count += 1
+    shape = np.empty(SHAPES + 1)
+    shape[:SHAPES] = anchor[SHAPE : SHAPE + SHAPES]
+    shape[LOG_RATIO] = math.log(abs(x[AMPLITUDE]) / reference)
+    tabulate(shape, wanted[:count], table, turn)
+    if not bent:
+        turn[:, 1 + LOG_RATIO] = 0.0
+    for k in wanted[:count]:
+        away = x[SHAPE + k] - anchor[SHAPE + k] if k < SHAPES else 0.0
+        if away != 0.0:
+            table[0] += away * table[1 + k]
+            turn[:, 0] += away * turn[:, 1 + k]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def linearise(
+    x: Vector,
+    side: float,
+    active: Indices,
+    table: Table,
+    tau: Vector,
+    deflection: Vector,
+    residual: Vector,
+    jacobian: Matrix,
+) -> None:
+    """Residuals and their model's derivatives by the active entries of the state, at every sample.
+
+    A sample outside the table (further than a third of a period before or half a period after the
+    turning point) gets the residual NaN.
+    """
+    amplitude, rate = x[AMPLITUDE], x[RATE]
+    signed = side * amplitude
+    y_shape = np.empty(SHAPES)
+    fast = bent = False
+    for column in active:
+        fast |= column >= FAST
+        bent |= SHAPE + DAMPING < column < SHAPE + SHAPES
+    for i in range(len(tau)):
+        s = (tau[i] - x[TIME]) * rate
+        node, f = locate(s)
+        if node < 0:
+            residual[i] = math.nan
+            continue
+        h = STEP if node >= NODES_BEFORE else -STEP
+        g = 1.0 - f
+        h00, h10 = (1.0 + 2.0 * f) * g * g, f * g * g * h
+        h01, h11 = f * f * (3.0 - 2.0 * f), -f * f * g * h
+        y0, v0, y1, v1 = table[0, node, 0], table[0, node, 1], table[0, node + 1, 0], table[0, node + 1, 1]
+        y = h00 * y0 + h10 * v0 + h01 * y1 + h11 * v1
+        v = 6.0 * f * g * (y1 - y0) / h + g * (1.0 - 3.0 * f) * v0 + f * (3.0 * f - 2.0) * v1
+        for column in active:
+            if SHAPE <= column < SHAPE + SHAPES:
+                row = table[1 + column - SHAPE]
+                y_shape[column - SHAPE] = (
+                    h00 * row[node, 0] + h10 * row[node, 1] + h01 * row[node + 1, 0] + h11 * row[node + 1, 1]
+                )
+        by_amplitude = y
+        if bent:
+            row = table[1 + LOG_RATIO]
+            by_amplitude += (
+                h00 * row[node, 0] + h10 * row[node, 1] + h01 * row[node + 1, 0] + h11 * row[node + 1, 1]
+            )
+        model = x[CENTRE] + x[DRIFT] * tau[i] + signed * y
+        cosine = sine = 0.0
+        if fast:
+            decay = math.exp(-x[FAST + 3] * tau[i])
+            cosine = decay * math.cos(x[FAST + 2] * tau[i])
+            sine = decay * math.sin(x[FAST + 2] * tau[i])
+            model += x[FAST] * cosine + x[FAST + 1] * sine
+        residual[i] = deflection[i] - model
+        for n, column in enumerate(active):
+            if column == AMPLITUDE:
+                value = side * by_amplitude
+            elif column == TIME:
+                value = -signed * v * rate
+            elif column == RATE:
+                value = signed * v * (tau[i] - x[TIME])
+            elif column < CENTRE:
+                value = signed * y_shape[column - SHAPE]
+            elif column == CENTRE:
+                value = 1.0
+            elif column == DRIFT:
+                value = tau[i]
+            elif column == FAST:
+                value = cosine
+            elif column == FAST + 1:
+                value = sine
+            elif column == FAST + 2:
+                value = tau[i] * (x[FAST + 1] * cosine - x[FAST] * sine)
+            else:
+                value = -tau[i] * (x[FAST] * cosine + x[FAST + 1] * sine)
+            jacobian[i, n] = value
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def normal_equations(
+    residual: Vector, jacobian: Matrix, weight: Vector, information: Matrix, score: Vector
+) -> tuple[float, int]:
+    """Weighted information matrix and score; sum of squared normalised residuals and their number.
+
+    Samples with weight 0 or residual NaN do not count.
+    """
+    n = len(score)
+    information[:] = 0.0
+    score[:] = 0.0
+    total, count = 0.0, 0
+    for i in range(len(residual)):
+        if weight[i] > 0.0 and residual[i] == residual[i]:
+            count += 1
+            total += weight[i] * residual[i] * residual[i]
+            for j in range(n):
+                weighted = weight[i] * jacobian[i, j]
+                score[j] += weighted * residual[i]
+                for k in range(j + 1):
+                    information[j, k] += weighted * jacobian[i, k]
+    for j in range(n):
+        for k in range(j):
+            information[k, j] = information[j, k]
+    return total, count
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def propagate(x: Vector, turn: Matrix, elapsed: float) -> tuple[Vector, Matrix]:
+    """State at the next turning point, `elapsed` s after this one's reference time, and its derivatives."""
+    following = x.copy()
+    transition = np.eye(STATES)
+    rate = x[RATE]
+    following[AMPLITUDE] = x[AMPLITUDE] * turn[1, 0]
+    following[TIME] = x[TIME] + turn[0, 0] / rate - elapsed
+    transition[AMPLITUDE, AMPLITUDE] = turn[1, 0]
+    transition[TIME, RATE] = -turn[0, 0] / (rate * rate)
+    transition[AMPLITUDE, AMPLITUDE] += turn[1, 1 + LOG_RATIO]
+    transition[TIME, AMPLITUDE] = turn[0, 1 + LOG_RATIO] / (rate * x[AMPLITUDE])
+    for k in range(SHAPES):
+        if turn[0, 1 + k] == turn[0, 1 + k]:
+            transition[AMPLITUDE, SHAPE + k] = x[AMPLITUDE] * turn[1, 1 + k]
+            transition[TIME, SHAPE + k] = turn[0, 1 + k] / rate
+    following[CENTRE] = x[CENTRE] + x[DRIFT] * elapsed
+    transition[CENTRE, DRIFT] = elapsed
+    decay = math.exp(-x[FAST + 3] * elapsed)
+    cosine, sine = decay * math.cos(x[FAST + 2] * elapsed), decay * math.sin(x[FAST + 2] * elapsed)
+    following[FAST] = x[FAST] * cosine + x[FAST + 1] * sine
+    following[FAST + 1] = x[FAST + 1] * cosine - x[FAST] * sine
+    transition[FAST, FAST] = transition[FAST + 1, FAST + 1] = cosine
+    transition[FAST, FAST + 1], transition[FAST + 1, FAST] = sine, -sine
+    transition[FAST, FAST + 2] = elapsed * following[FAST + 1]
+    transition[FAST + 1, FAST + 2] = -elapsed * following[FAST]
+    transition[FAST, FAST + 3] = -elapsed * following[FAST]
+    transition[FAST + 1, FAST + 3] = -elapsed * following[FAST + 1]
+    return following, transition

@@ -1,0 +1,68 @@
+"""What a measured half-cycle is worth, and what is wrong with it."""
+
+import math
+
+from processing.swing.arc import HalfCycleSamples
+from processing.swing.measurement import Measurement, excess
+from processing.swing.swing import SwingFlag
+
+_EXCESS = 5.0
+"""A half-cycle whose chi-square lies this many deviations high was disturbed."""
+
+_SEGMENT_EXCESS = 5.5
+_OUTLIERS = 0.03
+_SHIFT = 0.15
+"""Largest believable difference of measured and predicted time, as a part of the half period."""
+
+_HOLE = 0.12
+"""Longest stretch without samples that goes unflagged, as a part of the half period ..."""
+
+_HOLE_SPACINGS = 3.5
+"""... and in spacings of the samples."""
+
+_FEWEST = 7
+_FAINT = 5.0
+
+_REPEATED, _FORGOTTEN = 8.0, 40.0
+"""How many more times a shared error of the time is counted at first, and for how many half-cycles."""
+
+
+def judge(
+    result: Measurement, noise_scale: float, predicted_time_s: float, half_period_s: float
+) -> SwingFlag:
+    """Flags of a valid measurement; 0 where nothing is wrong."""
+    flags = SwingFlag(0)
+    spacing = half_period_s / (result.samples + 1)
+    if result.samples < _FEWEST or result.hole_s > max(_HOLE * half_period_s, _HOLE_SPACINGS * spacing):
+        flags |= SwingFlag.GAP
+    high = excess(result.chi2 / noise_scale**2, max(result.samples - 2.0, 1.0))
+    shifted = abs(result.time_s - predicted_time_s) > _SHIFT * half_period_s
+    if (
+        high > _EXCESS
+        or result.worst_excess > _SEGMENT_EXCESS
+        or result.outliers > _OUTLIERS * result.samples + 1
+        or shifted
+    ):
+        flags |= SwingFlag.VIBRATION
+    if result.amplitude < _FAINT * result.u_amplitude:
+        flags |= SwingFlag.LOW_AMPLITUDE
+    return flags
+
+
+def turned(result: Measurement, half: HalfCycleSamples) -> bool:
+    """Whether the turning point lies among the samples, so that it was seen and not inferred."""
+    return result.valid and len(half.tau_s) > 0 and bool(half.tau_s[0] <= result.time_s <= half.tau_s[-1])
+
+
+def shared_widened(result: Measurement, rate: float, half_cycles_seen: int) -> Measurement:
+    """Widen the time's uncertainty by what its error shares with those of the half-cycles nearby.
+
+    While friction is being learned, the times of many half-cycles are off together. Who fits them
+    takes their errors as independent; each must then count for less than its own scatter says.
+    """
+    if not result.valid:
+        return result
+    alone = (result.resolution / (result.amplitude * rate)) ** 2
+    shared = max(result.u_time_s**2 - alone, 0.0)
+    repeated = _REPEATED * math.exp(-half_cycles_seen / _FORGOTTEN)
+    return result._replace(u_time_s=math.sqrt(result.u_time_s**2 + repeated * shared))

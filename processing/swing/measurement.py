@@ -1,0 +1,292 @@
+"""What the samples of one half-cycle say, given what earlier half-cycles taught.
+
+Two answers come from the same linearised equations. The *local* one is reported: amplitude and
+time from this half-cycle's own samples, with only the shape, the frequency, the centre and the fast
+mode known beforehand, so that errors of neighbouring half-cycles stay nearly independent. The
+*full* one, which also knows the predicted amplitude and time, is carried on to the next half-cycle.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from processing.swing.halfcycle import (
+    AMPLITUDE,
+    CENTRE,
+    DRIFT,
+    RATE,
+    SHAPE,
+    TIME,
+    Indices,
+    Matrix,
+    Vector,
+    invert,
+    linearise,
+    normal_equations,
+    tabulate_state,
+)
+from processing.swing.waveform import NODES, SHAPES, N, P
+
+SEGMENTS = 8
+_GATE = 6.0
+_ITERATIONS = 4
+_SEEN = 2.5
+"""Drift in standard uncertainties from which on it is believed."""
+
+
+class Measurement(NamedTuple):
+    """Local amplitude and time with covariance, the full posterior, and how well the samples fit."""
+
+    valid: bool
+    amplitude: float
+    time_s: float
+    u_amplitude: float
+    u_time_s: float
+    centre: float
+    resolution: float
+    """Uncertainty that the amplitude would have if all else were known."""
+    chi2: float
+    """Sum of squared residuals over the samples' own variances, at the local solution."""
+    samples: int
+    outliers: int
+    worst_excess: float
+    """Largest excess of a segment's chi-square, in standard deviations of a normal variable."""
+    surprise: float
+    """Chi-square (two degrees) of the local amplitude and time against the prediction."""
+    hole_s: float
+    """Longest stretch of the window without a sample."""
+    state: Vector
+    covariance: Matrix
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def excess(chi2: float, degrees: float) -> float:
+    """Chi-square as a standard normal deviate (Wilson and Hilferty 1931)."""
+    if degrees < 1.0:
+        return 0.0
+    spread = 2.0 / (9.0 * degrees)
+    return float(((chi2 / degrees) ** (1.0 / 3.0) - 1.0 + spread) / math.sqrt(spread))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _longest_hole(tau: Vector, deflection: Vector, start: float, end: float) -> float:
+    hole, last = 0.0, start
+    for i in range(len(tau)):
+        if deflection[i] == deflection[i]:
+            hole = max(hole, tau[i] - last)
+            last = tau[i]
+    return max(hole, end - last)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _worst_segment(residual: Vector, weight: Vector, count: int) -> float:
+    size = max(count // SEGMENTS, 4)
+    worst, total, n = -math.inf, 0.0, 0
+    for i in range(len(residual)):
+        if weight[i] > 0.0 and residual[i] == residual[i]:
+            total += weight[i] * residual[i] * residual[i]
+            n += 1
+            if n == size:
+                worst = max(worst, excess(total, float(n)))
+                total, n = 0.0, 0
+    return worst
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _gate(residual: Vector, jacobian: Matrix, step: Vector, weight: Vector) -> int:
+    """Take single wild samples out (weight 0); how many there were.
+
+    Wild against the median of all residuals too: one wild sample pulls the whole fit along.
+    """
+    n = len(residual)
+    size, count, largest = np.empty(n), 0, 0.0
+    for i in range(n):
+        if weight[i] > 0.0 and residual[i] == residual[i]:
+            left = residual[i]
+            for k in range(len(step)):
+                left -= jacobian[i, k] * step[k]
+            size[count] = abs(left) * math.sqrt(weight[i])
+            largest = max(largest, size[count])
+            count += 1
+    if largest <= _GATE:
+        return 0
+    threshold = _GATE * max(1.0, 1.4826 * float(np.median(size[:count])))
+    gated, k = 0, 0
+    for i in range(n):
+        if weight[i] > 0.0 and residual[i] == residual[i]:
+            if size[k] > threshold:
+                weight[i] = 0.0
+                gated += 1
+            k += 1
+    return gated
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _forget_drift(mean: Vector, covariance: Matrix, active: Indices) -> None:
+    """Take the drift as zero where it is not seen: four times less scatter of the centre for a start."""
+    for d in range(len(active)):
+        if active[d] != DRIFT:
+            continue
+        variance = covariance[d, d]
+        if not mean[DRIFT] ** 2 < _SEEN**2 * variance:
+            return
+        column = covariance[:, d].copy()
+        for i in range(len(active)):
+            mean[active[i]] -= column[i] * mean[DRIFT] / variance if i != d else 0.0
+            for j in range(len(active)):
+                covariance[i, j] -= column[i] * column[j] / variance
+        mean[DRIFT] = 0.0
+        for i in range(len(active)):
+            covariance[i, d] = covariance[d, i] = 0.0
+        covariance[d, d] = 1e-6 * variance
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def measure(
+    x: Vector,
+    covariance: Matrix,
+    anchor: Vector,
+    side: float,
+    reference: float,
+    active: Indices,
+    noise_scale: float,
+    calm: bool,
+    start: float,
+    end: float,
+    tau: Vector,
+    deflection: Vector,
+    u_deflection: Vector,
+) -> Measurement:
+    """Fit one half-cycle.
+
+    Parameters
+    ----------
+    x, covariance : predicted state and its covariance (see halfcycle)
+    anchor : state about whose shape terms the waveform is expanded
+    side : +1.0 or -1.0
+    reference : amplitude to which the shape terms in `x` refer
+    active : entries of the state that are in use, ascending
+    noise_scale : factor on every standard uncertainty
+    calm : whether a drift too small to be seen may be taken as none
+    start, end : the half-cycle's window, s relative to the reference time
+    tau, deflection, u_deflection : (n,) the samples in the window; NaN deflections do not count
+    """
+    k = len(active)
+    n = len(tau)
+    hole = _longest_hole(tau, deflection, start, end)
+    table = np.zeros((2 + SHAPES, NODES, 2))
+    turn = np.zeros((2, 2 + SHAPES))
+    residual, jacobian = np.empty(n), np.empty((n, k))
+    information, score = np.empty((k, k)), np.empty(k)
+    predicted, shared = np.zeros((k, k)), np.zeros((k, k))
+    covered, precision = np.empty((k, k)), np.empty((k, k))
+    for i in range(k):
+        for j in range(k):
+            covered[i, j] = covariance[active[i], active[j]]
+    valid = invert(covered, predicted)
+    mean = x.copy()
+    if calm:
+        _forget_drift(mean, covered, active)
+    # the information of all but amplitude and time, these two being free
+    inner = np.empty((k - 2, k - 2))
+    valid = invert(covered[2:, 2:].copy(), inner) and valid
+    shared[2:, 2:] = inner
+    weight = np.empty(n)
+    for i in range(n):
+        usable = deflection[i] == deflection[i] and u_deflection[i] > 0.0
+        weight[i] = 1.0 / (noise_scale * u_deflection[i]) ** 2 if usable else 0.0
+    current, local = x.copy(), np.zeros(k)
+    local_covariance = np.empty((k, k))
+    outliers, count, chi2 = 0, 0, math.nan
+    for iteration in range(_ITERATIONS):
+        if not valid:
+            break
+        tabulate_state(current, anchor, reference, active, table, turn)
+        linearise(current, side, active, table, tau, deflection, residual, jacobian)
+        while True:
+            chi2, count = normal_equations(residual, jacobian, weight, information, score)
+            precision[:] = information + shared
+            valid = count > 4 and invert(precision, local_covariance)
+            if not valid:
+                break
+            right = score.copy()
+            for i in range(k):
+                for j in range(2, k):
+                    right[i] += shared[i, j] * (mean[active[j]] - current[active[j]])
+            local = local_covariance @ right
+            newly = _gate(residual, jacobian, local, weight)
+            outliers += newly
+            if newly == 0:
+                break
+        if not valid:
+            break
+        phase = abs(local[1] * current[RATE])
+        u_amplitude = math.sqrt(local_covariance[0, 0])
+        step = phase + abs(local[0] / current[AMPLITUDE])
+        for i in range(k):
+            column = active[i]
+            if SHAPE <= column < SHAPE + SHAPES:
+                flat = column in (SHAPE + P, SHAPE + N)
+                step += abs(local[i]) * (0.05 if flat else 1.0)
+            elif column == RATE:
+                step += abs(local[i] / current[RATE])
+        if phase > 1.0:
+            valid = False
+            break
+        settled = abs(current[AMPLITUDE]) * step * step < 0.02 * u_amplitude
+        if settled or iteration == _ITERATIONS - 1:
+            break
+        for i in range(k):
+            current[active[i]] += local[i]
+        valid = current[AMPLITUDE] > 0.0
+    state, posterior = current.copy(), covariance.copy()
+    if not valid:
+        return Measurement(
+            False, math.nan, math.nan, math.nan, math.nan, math.nan, math.nan, math.nan, count, outliers,
+            math.nan, math.nan, hole, state, posterior,
+        )  # fmt: skip
+    full_covariance, full = np.empty((k, k)), np.zeros(k)
+    precision[:] = information + predicted
+    valid = invert(precision, full_covariance)
+    right = score.copy()
+    offset = np.empty(k)
+    for j in range(k):
+        offset[j] = x[active[j]] - current[active[j]]
+    right += predicted @ offset
+    full = full_covariance @ right
+    away = full - offset
+    cost_full = chi2 - 2.0 * np.dot(full, score) + np.dot(full, information @ full)
+    cost_full += np.dot(away, predicted @ away)
+    for j in range(k):
+        offset[j] = mean[active[j]] - current[active[j]]
+    chi2_local = chi2 - 2.0 * np.dot(local, score) + np.dot(local, information @ local)
+    away = local - offset
+    cost_local = chi2_local + np.dot(away, shared @ away)
+    for i in range(k):
+        state[active[i]] += full[i]
+        for j in range(k):
+            posterior[active[i], active[j]] = full_covariance[i, j]
+    for i in range(n):
+        residual[i] -= np.dot(jacobian[i], local)
+    moved = current.copy()
+    for i in range(k):
+        moved[active[i]] += local[i]
+    return Measurement(
+        valid,
+        moved[AMPLITUDE],
+        moved[TIME],
+        math.sqrt(local_covariance[0, 0]),
+        math.sqrt(local_covariance[1, 1]),
+        moved[CENTRE] + moved[DRIFT] * moved[TIME],
+        math.sqrt(2.0 / weight.sum()),
+        chi2_local * noise_scale * noise_scale,
+        count,
+        outliers,
+        _worst_segment(residual, weight, count),
+        cost_full - cost_local,
+        hole,
+        state,
+        posterior,
+    )

@@ -1,0 +1,255 @@
+"""Two modes of the pendulum in the plane: least squares of a slow and a fast damped ellipse.
+
+    (x, y)(t) = rest + drift t + Re[slow(t) exp((i w_slow - d_slow) t)] + Re[fast exp((i w_fast - d_fast) t)]
+    slow(t) = (X + k t Y, Y - k t X)
+
+over a few slow periods, with complex X, Y and `fast` and a complex k: the slow ellipse turns by Re k
+and widens by Im k. What is slow in one coordinate and fast in the other comes out apart, with
+directions, widths and their uncertainties.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from processing.errors import DataError
+from processing.swing.mode_fit import (
+    EVERY,
+    FAST,
+    SLOW,
+    TERMS,
+    TURN,
+    Fit,
+    Samples,
+    X,
+    Y,
+    fast_mode_seen,
+    fit_terms,
+    slow_fit,
+    with_fast_mode,
+)
+
+Floats = NDArray[np.float64]
+
+_FEWEST = 20
+
+
+@dataclass(frozen=True, slots=True)
+class Mode:
+    """One damped ellipse at the reference time, in the unit of the coordinates; angles in rad.
+
+    `direction_rad` is that of the long axis, from Y towards X, in (-pi/2, pi/2]. `width` is half the
+    short axis, positive where the motion runs from +Y towards +X. `x_` and `y_` are cosine and sine parts
+    of each coordinate. `phase_rad` is that of the motion along the long axis. `u_` are standard
+    uncertainties.
+    """
+
+    period_s: float
+    u_period_s: float
+    damping_per_s: float
+    u_damping_per_s: float
+    amplitude: float
+    u_amplitude: float
+    width: float
+    u_width: float
+    direction_rad: float
+    u_direction_rad: float
+    phase_rad: float
+    u_phase_rad: float
+    x_amplitude: float
+    u_x_amplitude: float
+    y_amplitude: float
+    u_y_amplitude: float
+    x_cosine: float
+    x_sine: float
+    y_cosine: float
+    y_sine: float
+
+
+@dataclass(frozen=True, slots=True)
+class TwoModes:
+    """Slow and fast mode, rest position and its drift, at `time_ns`, the middle of the samples.
+
+    `fast` is None where no fast mode is seen; `fast_limit` is then the amplitude in X of the strongest
+    line that there is. `turning_rad_per_s` is that of the slow mode's long axis from Y towards X.
+    `scatter_` is the standard deviation of what is left. `chi2_x_per_dof` and `chi2_y_per_dof` above 1
+    have widened the uncertainties.
+    """
+
+    time_ns: int
+    slow: Mode
+    fast: Mode | None
+    fast_limit: float
+    rest_x: float
+    u_rest_x: float
+    rest_y: float
+    u_rest_y: float
+    drift_x_per_s: float
+    u_drift_x_per_s: float
+    drift_y_per_s: float
+    u_drift_y_per_s: float
+    turning_rad_per_s: float
+    u_turning_rad_per_s: float
+    scatter_x: float
+    scatter_y: float
+    chi2_x_per_dof: float
+    chi2_y_per_dof: float
+
+
+def separate_modes(
+    times_ns: ArrayLike,
+    x: ArrayLike,
+    y: ArrayLike,
+    u_x: ArrayLike | None = None,
+    u_y: ArrayLike | None = None,
+    slow_period_s: float = math.nan,
+    fast_period_s: float = math.nan,
+) -> TwoModes | None:
+    """Fit both modes to the samples of a few slow periods.
+
+    Parameters
+    ----------
+    times_ns : (n,) int64, ns, ascending
+    x, y : (n,) coordinates, any unit; samples where one is NaN do not count
+    u_x, u_y : (n,) standard uncertainties, positive; None: all alike, taken from what the fit leaves
+    slow_period_s, fast_period_s : where to start; NaN where nothing is known
+
+    Returns
+    -------
+    None where there is no oscillation: the slow mode explains less than half of the variance or leaves
+    much more than the noise, less than one of its periods is there, or fewer than 20 samples are.
+
+    Raises
+    ------
+    DataError
+        Lengths differ.
+    """
+    times = np.asarray(times_ns, dtype=np.int64)
+    alike = u_x is None or u_y is None
+    ones = np.ones(times.shape)
+    columns = [
+        np.asarray(c, dtype=np.float64)
+        for c in (x, y, ones if u_x is None else u_x, ones if u_y is None else u_y)
+    ]
+    if any(c.shape != times.shape for c in columns) or times.ndim != 1:
+        raise DataError("times, coordinates and uncertainties must be of one length")
+    good = np.isfinite(columns[0]) & np.isfinite(columns[1])
+    times = times[good]
+    if len(times) < _FEWEST or times[0] == times[-1]:
+        return None
+    x_, y_, u_x_, u_y_ = (c[good] for c in columns)
+    middle_ns = int(times[0] + (times[-1] - times[0]) // 2)
+    t = np.asarray((times - middle_ns) * 1e-9, dtype=np.float64)
+    samples = Samples(t, x_, y_, u_x_**-2.0, u_y_**-2.0)
+    fit = None
+    if not math.isnan(slow_period_s) and not math.isnan(fast_period_s):
+        # both known from before: no search
+        start = np.zeros(TERMS)
+        start[SLOW], start[FAST] = 2.0 * math.pi / slow_period_s, 2.0 * math.pi / fast_period_s
+        fit = fit_terms(start, EVERY, samples, float(start[SLOW]))
+        if not (fit.explains(samples, alike) and fast_mode_seen(fit, alike)):
+            fit = None
+    limit = 0.0
+    if fit is None:
+        slow = slow_fit(samples, slow_period_s, alike)
+        if slow is None:
+            return None
+        fit, limit = with_fast_mode(slow, samples, alike)
+    if not fit.p[SLOW] * samples.span_s > 1.8 * math.pi:
+        return None
+    dof = max(len(t) - len(fit.active) / 2.0, 1.0)
+    misfit_x = float((fit.left_x**2 * samples.weights_x).sum()) / dof
+    misfit_y = float((fit.left_y**2 * samples.weights_y).sum()) / dof
+    lowest = 0.0 if alike else 1.0
+    if min(misfit_x, misfit_y) > 0.0 and max(misfit_x, misfit_y) > lowest:
+        # each coordinate by its own scatter: friction bends the long one, not the other
+        samples = samples.rescaled(max(misfit_x, lowest), max(misfit_y, lowest))
+        fit = fit_terms(fit.p, fit.active, samples, float(fit.p[SLOW]))
+    return _result(middle_ns, fit, (misfit_x, misfit_y), limit)
+
+
+def _ellipse(parts: Floats) -> Floats:
+    """Half axes, direction, phase and the coordinates' amplitudes from x cosine, x sine, y cosine, y sine."""
+    x, y = complex(parts[0], -parts[1]), complex(parts[2], -parts[3])
+    # y + i x turns one way with `forward` and the other way with `backward`
+    forward, backward = (y + 1j * x) / 2.0, (y.conjugate() + 1j * x.conjugate()) / 2.0
+    one, other = np.angle(forward), np.angle(backward)
+    return np.array(
+        [
+            abs(forward) + abs(backward),
+            abs(forward) - abs(backward),
+            (one + other) / 2.0,
+            (one - other) / 2.0,
+            abs(x),
+            abs(y),
+        ]
+    )
+
+
+def _mode(p: Floats, covariance: Floats, rate_place: int, offset: int) -> Mode:
+    places = [X + offset, X + offset + 1, Y + offset, Y + offset + 1]
+    parts, part_covariance = p[places], covariance[np.ix_(places, places)]
+    values = _ellipse(parts)
+    size = max(float(np.abs(parts).max()), 1e-300)
+    slopes = np.empty((len(values), 4))
+    for k in range(4):
+        change = np.zeros(4)
+        change[k] = 1e-6 * size
+        difference = _ellipse(parts + change) - _ellipse(parts - change)
+        # angles may have gone round
+        difference[2:4] = (difference[2:4] + math.pi / 2.0) % math.pi - math.pi / 2.0
+        slopes[:, k] = difference / (2e-6 * size)
+    u = np.sqrt(np.maximum(np.diag(slopes @ part_covariance @ slopes.T), 0.0))
+    turn = round(values[2] / math.pi) if abs(values[2]) > math.pi / 2.0 else 0
+    direction, phase = values[2] - turn * math.pi, values[3] - turn * math.pi
+    period = 2.0 * math.pi / p[rate_place]
+    u_rate, u_damping = (math.sqrt(max(covariance[k, k], 0.0)) for k in (rate_place, rate_place + 1))
+    return Mode(
+        period_s=float(period),
+        u_period_s=float(period * u_rate / p[rate_place]),
+        damping_per_s=float(p[rate_place + 1]),
+        u_damping_per_s=u_damping,
+        amplitude=float(values[0]),
+        u_amplitude=float(u[0]),
+        width=float(values[1]),
+        u_width=float(u[1]),
+        direction_rad=float(direction),
+        u_direction_rad=float(u[2]),
+        phase_rad=float(math.remainder(phase, 2.0 * math.pi)),
+        u_phase_rad=float(u[3]),
+        x_amplitude=float(values[4]),
+        u_x_amplitude=float(u[4]),
+        y_amplitude=float(values[5]),
+        u_y_amplitude=float(u[5]),
+        x_cosine=float(parts[0]),
+        x_sine=float(parts[1]),
+        y_cosine=float(parts[2]),
+        y_sine=float(parts[3]),
+    )
+
+
+def _result(time_ns: int, fit: Fit, misfits: tuple[float, float], limit: float) -> TwoModes:
+    p, covariance = fit.p, fit.covariance
+    u = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    return TwoModes(
+        time_ns=time_ns,
+        slow=_mode(p, covariance, SLOW, 2),
+        fast=_mode(p, covariance, FAST, 4) if FAST in fit.active else None,
+        fast_limit=limit,
+        rest_x=float(p[X]),
+        u_rest_x=float(u[X]),
+        rest_y=float(p[Y]),
+        u_rest_y=float(u[Y]),
+        drift_x_per_s=float(p[X + 1]),
+        u_drift_x_per_s=float(u[X + 1]),
+        drift_y_per_s=float(p[Y + 1]),
+        u_drift_y_per_s=float(u[Y + 1]),
+        turning_rad_per_s=float(p[TURN]),
+        u_turning_rad_per_s=float(u[TURN]),
+        scatter_x=float(np.sqrt(np.mean(fit.left_x**2))),
+        scatter_y=float(np.sqrt(np.mean(fit.left_y**2))),
+        chi2_x_per_dof=misfits[0],
+        chi2_y_per_dof=misfits[1],
+    )

@@ -1,0 +1,58 @@
+"""Noise of a record whose samples come without uncertainties."""
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from processing.errors import DataError
+
+_ORDER = 5
+"""Order of the differences: a swing sampled 20 times a period still leaves less than 1e-3 of itself."""
+
+_MAD_TO_SIGMA = 1.482602218505602
+
+
+def estimate_noise(times_ns: ArrayLike, deflection: ArrayLike) -> float:
+    """Standard uncertainty of a sample, from what a smooth motion cannot explain.
+
+    Median of the fifth differences (divided ones, so that uneven steps and missing frames do no
+    harm), scaled for Gaussian noise. Slow disturbances are motion to it; `SwingDetector` finds
+    them in its residuals. Values rounded so coarsely that most differences vanish give the
+    rounding's own uncertainty, step / sqrt(12).
+
+    Parameters
+    ----------
+    times_ns : (n,) int64, ns, ascending
+    deflection : (n,) NaN where the spot was lost
+
+    Raises
+    ------
+    DataError
+        Lengths differ, fewer than seven samples with different times are left, or all are alike.
+    """
+    times = np.asarray(times_ns, dtype=np.int64)
+    values = np.asarray(deflection, dtype=np.float64)
+    if times.shape != values.shape or times.ndim != 1:
+        raise DataError(f"times and deflections must be of one length: got {times.shape} and {values.shape}")
+    good = np.isfinite(values)
+    times, values = times[good], values[good]
+    fresh = np.append(True, np.diff(times) > 0) if len(times) else good[:0]
+    times, values = times[fresh], values[fresh]
+    if len(values) < _ORDER + 2:
+        raise DataError(
+            f"{len(values)} samples with a deflection and times of their own are too few to estimate noise: "
+            f"at least {_ORDER + 2} are needed"
+        )
+    steps = np.abs(np.diff(values))
+    if not np.any(steps > 0):
+        raise DataError(
+            f"all {len(values)} samples are {values[0]:g}: nothing moves, and there is no noise either"
+        )
+    rounding = float(steps[steps > 0].min()) / np.sqrt(12.0)
+    windows = np.lib.stride_tricks.sliding_window_view
+    t = windows((times - times[0]) * 1e-9, _ORDER + 1)
+    y = windows(values, _ORDER + 1)
+    apart = t[:, :, None] - t[:, None, :] + np.eye(_ORDER + 1)
+    weights = 1.0 / (apart / np.abs(apart).max(axis=(1, 2), keepdims=True)).prod(axis=2)
+    left = (weights * y).sum(axis=1) / np.sqrt((weights**2).sum(axis=1))
+    noise = _MAD_TO_SIGMA * float(np.median(np.abs(left)))
+    return max(noise, float(rounding))

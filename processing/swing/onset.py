@@ -1,0 +1,244 @@
+"""Finds an oscillation where nothing is known yet, and measures its first half-cycles."""
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from processing.swing.arc import Arc, HalfCycleSamples, state_before, state_on_arc
+from processing.swing.halfcycle import AMPLITUDE, RATE, TIME
+from processing.swing.judgement import judge, shared_widened, turned
+from processing.swing.measurement import Measurement, measure
+from processing.swing.pivots import SEARCH_STATE, Pivot, regular, search
+from processing.swing.prediction import window
+from processing.swing.samples import SampleBuffer
+from processing.swing.selection import choose, first_guess
+from processing.swing.swing import SwingFlag
+
+_PIVOTS = 4
+"""Rough turning points that start a fit."""
+
+_FEWEST_PIVOTS = 3
+"""... and that start one when no more samples will come."""
+
+_KEPT_SAMPLES = 1 << 17
+"""Samples kept while nothing swings, so that memory stays flat."""
+
+_DOUBTFUL = 1.5
+"""Reduced chi-square of a first fit above which its first half-cycle is doubted."""
+
+_UNEVEN = 4.0
+"""Chi-square of one half-cycle against the others' above which the fit is not believed."""
+
+_SILENCE = 50
+"""Half periods after which an oscillation of another period is believed to be the pendulum."""
+
+_FASTEST, _SLOWEST = 0.7, 1.4
+"""Change of the half period that is believed before."""
+
+_SHAPELESS = 0.2
+"""Largest part of the amplitude that the residuals of an oscillation may have."""
+
+
+@dataclass(frozen=True, slots=True)
+class FirstHalfCycle:
+    """One of the half-cycles that were measured together at the start."""
+
+    half: HalfCycleSamples
+    result: Measurement
+    flags: SwingFlag
+
+
+@dataclass(frozen=True, slots=True)
+class Onset:
+    """An oscillation that has been found."""
+
+    arc: Arc
+    halves: list[HalfCycleSamples]
+    """Those of the arc."""
+    noise_scale: float
+    measured: list[FirstHalfCycle]
+    """The arc's and, where it was seen, the one before."""
+
+    @property
+    def resolution(self) -> float:
+        """Uncertainty of an amplitude in the last half-cycle if all else were known."""
+        half = self.halves[-1]
+        u = half.u_deflection[np.isfinite(half.deflection)] * self.noise_scale
+        return math.sqrt(2.0 / float((1.0 / u**2).sum()))
+
+    @property
+    def half_period_s(self) -> float:
+        """About half a period."""
+        return math.pi / float(self.arc.states[-1][RATE])
+
+
+class OnsetSearch:
+    """Goes through the samples until four turning points in a row belong to one oscillation."""
+
+    def __init__(
+        self, samples: SampleBuffer, position: int, half_period_s: float = math.nan, lost_ns: int = 0
+    ) -> None:
+        """Start at a position in the buffer; `half_period_s` of an oscillation that was lost at `lost_ns`."""
+        self._samples = samples
+        self._half_period_s = half_period_s
+        self._lost_ns = lost_ns
+        self._searched = position + samples.dropped
+        self._state = np.zeros(SEARCH_STATE)
+        self._marks = np.zeros(3, dtype=np.int64)
+        self._pivots: list[Pivot] = []
+        self._ready_ns: int | None = None
+
+    def advance(self, final: bool) -> Onset | None:
+        """Search all samples that have come; `final` when no more will."""
+        samples = self._samples
+        while True:
+            if self._ready_ns is not None:
+                if samples.last_ns < self._ready_ns and not final:
+                    return None
+                self._ready_ns = None
+                onset = self._attempt()
+                if onset is not None:
+                    return onset
+            found = search(
+                samples.times_ns,
+                samples.deflection,
+                samples.u_deflection,
+                self._searched - samples.dropped,
+                samples.tail,
+                self._state,
+                self._marks,
+            )
+            if found < 0:
+                self._searched = samples.tail + samples.dropped
+                self._forget()
+                return self._last_attempt() if final else None
+            self._searched = found + samples.dropped
+            self._pivots.append(Pivot(int(self._marks[2]), float(self._state[5])))
+            del self._pivots[:-_PIVOTS]
+            if len(self._pivots) == _PIVOTS and regular(self._pivots) and not self._foreign():
+                self._ready_ns = self._pivots[-1].time_ns + _spacing_ns(self._pivots) * 6 // 10
+
+    def _foreign(self) -> bool:
+        """Whether this is no pendulum that was followed before, but a disturbance of its own."""
+        if math.isnan(self._half_period_s):
+            return False
+        since_s = (self._pivots[0].time_ns - self._lost_ns) * 1e-9
+        ratio = _spacing_ns(self._pivots) * 1e-9 / self._half_period_s
+        return since_s < _SILENCE * self._half_period_s and not _FASTEST < ratio < _SLOWEST
+
+    def _forget(self) -> None:
+        # counted from what was searched, not from what has come: the blocks must not matter
+        self._samples.forget_before(self._searched - self._samples.dropped - _KEPT_SAMPLES)
+
+    def _last_attempt(self) -> Onset | None:
+        if len(self._pivots) >= _FEWEST_PIVOTS and regular(self._pivots[-_FEWEST_PIVOTS:]):
+            self._pivots = self._pivots[-_FEWEST_PIVOTS:]
+            return self._attempt()
+        return None
+
+    def _attempt(self) -> Onset | None:
+        self._forget()
+        pivots = self._pivots
+        halves = _cut(self._samples, pivots)
+        arc = choose(first_guess(pivots), halves)
+        if len(pivots) > 2 and (arc is None or arc.chi2 > _DOUBTFUL * arc.samples):
+            # the first half-cycle may hold the release or the kick
+            later = choose(first_guess(pivots[1:]), halves[1:])
+            if later is not None and (arc is None or later.reduced_chi2 < 0.5 * arc.reduced_chi2):
+                arc, halves = later, halves[1:]
+        if arc is None or not _believable(arc, halves):
+            return None
+        noise_scale = math.sqrt(max(1.0, arc.chi2 / max(arc.samples - len(arc.active), 1)))
+        before = _measure_before(self._samples, arc, halves[0], noise_scale)
+        measured = [] if before is None else [before]
+        measured += [_measure_one(arc, k, half, noise_scale) for k, half in enumerate(halves)]
+        return Onset(arc, halves, noise_scale, measured)
+
+
+def _spacing_ns(pivots: list[Pivot]) -> int:
+    return (pivots[-1].time_ns - pivots[0].time_ns) // (len(pivots) - 1)
+
+
+def _cut(samples: SampleBuffer, pivots: list[Pivot]) -> list[HalfCycleSamples]:
+    """Samples around each of the rough turning points."""
+    spacing = _spacing_ns(pivots)
+    edges = [pivots[0].time_ns - spacing // 2]
+    edges += [(a.time_ns + b.time_ns) // 2 for a, b in pairwise(pivots)]
+    edges.append(pivots[-1].time_ns + spacing // 2)
+    first_side = 1 if pivots[0].deflection > pivots[1].deflection else -1
+    return [
+        samples.between(p.time_ns, first_side * (-1) ** k, start, end)
+        for k, (p, (start, end)) in enumerate(zip(pivots, pairwise(edges), strict=True))
+    ]
+
+
+def _believable(arc: Arc, halves: list[HalfCycleSamples]) -> bool:
+    each = arc.reduced_chi2_each
+    if not np.all(np.isfinite(arc.windows)) or len(each) == 0:
+        return False
+    if np.any(~np.isfinite(each)) or each.max() > _UNEVEN * max(np.median(each), 1.0):
+        return False
+    u = np.median(np.concatenate([h.u_deflection[np.isfinite(h.deflection)] for h in halves]))
+    return bool(math.sqrt(arc.reduced_chi2) * u < _SHAPELESS * arc.states[-1][AMPLITUDE])
+
+
+def _measure_one(arc: Arc, k: int, half: HalfCycleSamples, noise_scale: float) -> FirstHalfCycle:
+    """Half-cycle `k` of an arc, judged by what the others of the arc say."""
+    x, covariance = state_on_arc(arc, k, left_out=k)
+    start, end = arc.windows[k]
+    result = measure(
+        x,
+        covariance * noise_scale**2,
+        x,
+        float(half.side),
+        arc.reference,
+        arc.active,
+        noise_scale,
+        True,
+        max(start, float(half.tau_s[0])) if k else start,
+        end,
+        half.tau_s,
+        half.deflection,
+        half.u_deflection,
+    )
+    result = shared_widened(result, float(x[RATE]), 0)
+    flags = SwingFlag(0)
+    if result.valid:
+        flags = judge(result, noise_scale, float(x[TIME]), math.pi / float(x[RATE]))
+    return FirstHalfCycle(half, result, flags)
+
+
+def _measure_before(
+    samples: SampleBuffer, arc: Arc, first: HalfCycleSamples, noise_scale: float
+) -> FirstHalfCycle | None:
+    """The half-cycle before the arc, where its turning point was seen: it may hold the start."""
+    x, covariance, reference_ns = state_before(arc, first.reference_ns)
+    start, _, _ = window(x, arc.reference)
+    if not math.isfinite(start):
+        return None
+    end_ns = first.reference_ns + round(arc.windows[0][0] * 1e9)
+    half = samples.between(reference_ns, -first.side, reference_ns + round(start * 1e9), end_ns)
+    end = (end_ns - reference_ns) * 1e-9
+    result = measure(
+        x,
+        covariance * noise_scale**2,
+        x,
+        float(half.side),
+        arc.reference,
+        arc.active,
+        noise_scale,
+        True,
+        start,
+        end,
+        half.tau_s,
+        half.deflection,
+        half.u_deflection,
+    )
+    if not turned(result, half):
+        return None
+    flags = judge(result, noise_scale, float(x[TIME]), math.pi / float(x[RATE]))
+    if flags & SwingFlag.VIBRATION:
+        flags = flags & ~SwingFlag.VIBRATION | SwingFlag.START
+    return FirstHalfCycle(half, result, flags)

@@ -1,0 +1,29 @@
+"""Compiles the kernels before there is anything to lose."""
+
+import numpy as np
+
+from processing.swing.detector import SwingDetector
+from processing.swing.modes import separate_modes
+
+_FRAMES_PER_S, _SECONDS, _RATE, _LOSS = 20.0, 60.0, 1.5, 0.01
+
+
+def prepare() -> None:
+    """Go once through everything that is compiled at its first use.
+
+    That takes about 20 s on the first run after an installation, a few tenths of a second later on,
+    when the compiled kernels are read from their cache. Call it before a measurement: compiled at the
+    first swing they would hold the samples up.
+    """
+    time_s = np.arange(0.0, _SECONDS, 1.0 / _FRAMES_PER_S)
+    phase = _RATE * time_s
+    # dry friction: the amplitude falls by steps, about a centre that changes sides
+    halves = np.floor(phase / np.pi)
+    centre = _LOSS * np.where(halves % 2 == 0, -1.0, 1.0)
+    deflection = (1.0 - 2.0 * _LOSS * halves - _LOSS) * np.cos(phase) + centre
+    times_ns = np.round(time_s * 1e9).astype(np.int64)
+    u = np.full(len(time_s), 1e-5)
+    detector = SwingDetector()
+    detector.update(times_ns, deflection, u)
+    detector.finish()
+    separate_modes(times_ns[:200], 0.1 * np.cos(5.0 * phase[:200]), deflection[:200], u[:200], u[:200])

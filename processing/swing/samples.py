@@ -1,0 +1,106 @@
+"""The samples that are still needed, checked as they come in."""
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+
+from processing.errors import DataError
+from processing.swing.arc import HalfCycleSamples
+
+_FINE, _BACKWARDS, _UNCERTAINTY = 0, 1, 2
+_FIRST_SIZE = 4096
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _fault(
+    times_ns: NDArray[np.int64], deflection: NDArray[np.float64], u_deflection: NDArray[np.float64], last: int
+) -> tuple[int, int]:
+    for i in range(len(times_ns)):
+        if times_ns[i] < last:
+            return _BACKWARDS, i
+        last = times_ns[i]
+        if deflection[i] == deflection[i] and not (u_deflection[i] > 0.0 and u_deflection[i] < math.inf):
+            return _UNCERTAINTY, i
+    return _FINE, 0
+
+
+class SampleBuffer:
+    """Samples in order of time, forgotten from the front; positions are indices into its arrays."""
+
+    def __init__(self) -> None:
+        self.times_ns = np.empty(_FIRST_SIZE, dtype=np.int64)
+        self.deflection = np.empty(_FIRST_SIZE)
+        self.u_deflection = np.empty(_FIRST_SIZE)
+        self.head = 0
+        self.tail = 0
+        self.last_ns = -(1 << 63)
+        self.dropped = 0
+        """How many samples lie before position 0: positions shift when the arrays are packed."""
+
+    def append(self, times_ns: ArrayLike, deflection: ArrayLike, u_deflection: ArrayLike) -> None:
+        """Check a block and take it in, or raise `DataError` and take in nothing."""
+        times = np.ascontiguousarray(times_ns, dtype=np.int64)
+        values = np.ascontiguousarray(deflection, dtype=np.float64)
+        u_values = np.ascontiguousarray(u_deflection, dtype=np.float64)
+        if times.ndim != 1 or values.shape != times.shape or u_values.shape != times.shape:
+            raise DataError(
+                "times, deflections and uncertainties must be of one length: "
+                f"got {times.shape}, {values.shape} and {u_values.shape}"
+            )
+        n = len(times)
+        if n == 0:
+            return
+        fault, where = _fault(times, values, u_values, self.last_ns)
+        if fault == _BACKWARDS:
+            before = self.last_ns if where == 0 else int(times[where - 1])
+            raise DataError(
+                f"times run backwards at sample {where} of the block: "
+                f"{int(times[where])} ns after {before} ns; sort the samples or start a new detector"
+            )
+        if fault == _UNCERTAINTY:
+            raise DataError(
+                f"uncertainty of sample {where} of the block is {u_values[where]}: "
+                "it must be positive and finite where there is a deflection"
+            )
+        if self.tail + n > len(self.times_ns):
+            self._pack(n)
+        end = self.tail + n
+        self.times_ns[self.tail : end] = times
+        self.deflection[self.tail : end] = values
+        self.u_deflection[self.tail : end] = u_values
+        self.tail = end
+        self.last_ns = int(times[-1])
+
+    def _pack(self, n: int) -> None:
+        kept = self.tail - self.head
+        size = len(self.times_ns)
+        while kept + n > size // 2:
+            size *= 2
+        for name in ("times_ns", "deflection", "u_deflection"):
+            old = getattr(self, name)
+            new = old if size == len(old) else np.empty(size, dtype=old.dtype)
+            new[:kept] = old[self.head : self.tail]
+            setattr(self, name, new)
+        self.dropped += self.head
+        self.head, self.tail = 0, kept
+
+    def position(self, time_ns: int) -> int:
+        """First sample at or after a time."""
+        return self.head + int(np.searchsorted(self.times_ns[self.head : self.tail], time_ns))
+
+    def forget_before(self, position: int) -> None:
+        """Samples before `position` are not needed any more."""
+        self.head = max(self.head, min(position, self.tail))
+
+    def between(self, reference_ns: int, side: int, start_ns: int, end_ns: int) -> HalfCycleSamples:
+        """Copy of the samples from `start_ns` up to, not including, `end_ns`."""
+        i, j = self.position(start_ns), self.position(end_ns)
+        return HalfCycleSamples(
+            reference_ns,
+            side,
+            np.asarray((self.times_ns[i:j] - reference_ns) * 1e-9, dtype=np.float64),
+            self.deflection[i:j].copy(),
+            self.u_deflection[i:j].copy(),
+        )

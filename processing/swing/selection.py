@@ -1,0 +1,230 @@
+"""Which terms the motion needs: damping alone, dry friction and anharmonic elasticity, a fast mode."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numba import njit
+
+from processing.swing.arc import Arc, HalfCycleSamples, fit_arc, gain_of_more
+from processing.swing.halfcycle import (
+    AMPLITUDE,
+    CENTRE,
+    DRIFT,
+    FAST,
+    RATE,
+    SHAPE,
+    STATES,
+    TIME,
+    Indices,
+    Vector,
+    linearise,
+    tabulate_state,
+)
+from processing.swing.pivots import Pivot
+from processing.swing.waveform import BEND, DAMPING, DRY, NODES, RISE, SHAPES, STIFF, N, P
+
+LINEAR: tuple[int, ...] = (AMPLITUDE, TIME, RATE, SHAPE + DAMPING, CENTRE, DRIFT)
+ANHARMONIC: tuple[int, ...] = tuple(range(SHAPE + 1, SHAPE + SHAPES))
+ANHARMONIC_LINEAR: tuple[int, ...] = (SHAPE + DRY, SHAPE + RISE, SHAPE + STIFF, SHAPE + BEND)
+FAST_MODE: tuple[int, ...] = (FAST, FAST + 1, FAST + 2, FAST + 3)
+
+_GAIN_PER_TERM = 3.5
+"""Fall of chi-square that one more term must earn."""
+
+_FAST_MODE_TOLL = 20.0
+"""... and a fast mode in addition, for the many frequencies that were tried."""
+
+_HOPELESS = 0.25
+"""Part of the variance that a damped sinusoid leaves, above which no further term is tried."""
+
+_SUSPICIOUS = 1.2
+"""Reduced chi-square above which a fast mode is looked for."""
+
+
+def first_guess(pivots: Sequence[Pivot]) -> Vector:
+    """State at the first of the rough turning points: amplitude, frequency, damping and centre."""
+    times = np.array([p.time_ns - pivots[0].time_ns for p in pivots]) * 1e-9
+    values = np.array([p.deflection for p in pivots])
+    span = np.abs(np.diff(values))
+    loss = max(0.0, 1.0 - float(span[-1] / span[0]) ** (1.0 / max(len(span) - 1, 1)))
+    x = np.zeros(STATES)
+    x[AMPLITUDE] = 0.5 * span[0] * (1.0 + 0.5 * loss)
+    x[RATE] = math.pi * (len(pivots) - 1) / times[-1]
+    x[SHAPE + DAMPING] = loss / math.pi
+    x[CENTRE] = float(np.mean(0.5 * (values[1:] + values[:-1])))
+    return x
+
+
+def prior(start: Vector, anharmonic: bool) -> tuple[Vector, Vector]:
+    """Mean and width of what a state may be before anything was measured, given its rough size.
+
+    Wide enough for any pendulum that swings at all; it only keeps apart what a few half-cycles
+    cannot (dry friction from damping, the exponents).
+    """
+    mean, sigma = start.copy(), np.full(STATES, math.inf)
+    mean[SHAPE : SHAPE + SHAPES] = 0.0
+    mean[[DRIFT, FAST, FAST + 1, FAST + 3]] = 0.0
+    sigma[[AMPLITUDE, CENTRE]] = 3.0 * start[AMPLITUDE]
+    sigma[TIME], sigma[RATE] = 1.0 / start[RATE], 0.3 * start[RATE]
+    sigma[[FAST, FAST + 1]] = 3.0 * start[AMPLITUDE]
+    sigma[DRIFT] = 0.2 * start[AMPLITUDE] * start[RATE] / math.pi
+    sigma[FAST + 2] = 0.2 * start[RATE]
+    sigma[FAST + 3] = 0.05 * start[RATE]
+    sigma[SHAPE + DAMPING] = 0.2
+    if anharmonic:
+        loss = relative_loss(start) + 1e-4
+        sigma[SHAPE + DAMPING] = 0.5 * loss
+        mean[[SHAPE + DRY, SHAPE + RISE]] = 0.5 * loss
+        sigma[[SHAPE + DRY, SHAPE + RISE]] = loss
+        sigma[[SHAPE + STIFF, SHAPE + BEND]] = 0.1, 0.05
+        mean[[SHAPE + P, SHAPE + N]] = 0.9, 0.4
+        sigma[[SHAPE + P, SHAPE + N]] = 0.3, 0.3
+    return mean, sigma
+
+
+def bent(linear: Vector) -> Vector:
+    """Start for the anharmonic fit from a linear one: most of the loss is friction."""
+    start = linear.copy()
+    start[[SHAPE + P, SHAPE + N]] = 0.9, 0.4
+    start[SHAPE + DRY] = 0.95 * relative_loss(linear)
+    start[SHAPE + RISE] = 0.9 * start[SHAPE + DRY]
+    start[SHAPE + DAMPING] = 0.0
+    return start
+
+
+def relative_loss(x: Vector) -> float:
+    """Part of the amplitude that a half-swing at the reference amplitude takes."""
+    table, turn = np.zeros((2 + SHAPES, NODES, 2)), np.zeros((2, 2 + SHAPES))
+    tabulate_state(x, x, float(x[AMPLITUDE]), np.empty(0, dtype=np.int64), table, turn)
+    return abs(1.0 - float(turn[1, 0]))
+
+
+def choose(start: Vector, halves: Sequence[HalfCycleSamples]) -> Arc | None:
+    """The simplest of the four models (anharmonic or not, fast mode or not) that explains the samples."""
+    reference = float(start[AMPLITUDE])
+    mean, sigma = prior(start, anharmonic=False)
+    linear = fit_arc(start, mean, sigma, halves, reference, LINEAR)
+    if linear is None:
+        return None
+    base = linear.states[0]
+    spread = np.std(np.concatenate([h.deflection[np.isfinite(h.deflection)] for h in halves]))
+    if linear.reduced_chi2 * _typical_variance(halves) > _HOPELESS * spread**2:
+        return linear
+    candidates = [linear]
+    anharmonic_mean, anharmonic_sigma = prior(base, anharmonic=True)
+    anharmonic = fit_arc(
+        bent(base), anharmonic_mean, anharmonic_sigma, halves, reference, LINEAR + ANHARMONIC
+    )
+    if anharmonic is not None:
+        candidates.append(anharmonic)
+    for arc in tuple(candidates):
+        if arc.chi2 > _SUSPICIOUS * arc.samples:
+            found = _with_fast_mode(arc, halves)
+            if found is not None:
+                candidates.append(found)
+    return best_of(candidates)
+
+
+def extend(
+    first: Vector, halves: Sequence[HalfCycleSamples], reference: float, active: Indices
+) -> Arc | None:
+    """Fit a longer arc, started from the first state of a shorter one; new terms must earn their place."""
+    terms = tuple(active.tolist())
+    anharmonic = SHAPE + RISE in terms
+    mean, sigma = prior(first, anharmonic)
+    same = fit_arc(first, mean, sigma, halves, reference, terms)
+    if anharmonic or same is None:
+        return same
+    base = same.states[0].copy()
+    mean, sigma = prior(base, anharmonic=True)
+    sigma[SHAPE + DAMPING] = math.inf
+    mean[[SHAPE + DRY, SHAPE + RISE]] = 0.0
+    base[[SHAPE + P, SHAPE + N]] = mean[[SHAPE + P, SHAPE + N]]
+    if gain_of_more(same, base, mean, sigma, halves, terms + ANHARMONIC_LINEAR) < _GAIN_PER_TERM * len(
+        ANHARMONIC
+    ):
+        return same
+    mean, sigma = prior(base, anharmonic=True)
+    more = fit_arc(bent(base), mean, sigma, halves, reference, terms + ANHARMONIC)
+    return same if more is None else best_of((same, more))
+
+
+def _typical_variance(halves: Sequence[HalfCycleSamples]) -> float:
+    return float(np.median(np.concatenate([h.u_deflection[np.isfinite(h.deflection)] for h in halves])) ** 2)
+
+
+def best_of(arcs: Sequence[Arc]) -> Arc:
+    """The one whose terms have earned their place."""
+    # where the samples' uncertainties are too small, every term would seem to earn its place
+    floor = max(1.0, min(a.chi2 / max(a.samples - len(a.active), 1) for a in arcs))
+    toll = [_GAIN_PER_TERM * len(a.active) + _FAST_MODE_TOLL * (FAST in a.active) for a in arcs]
+    cost = [a.chi2 / floor + t for a, t in zip(arcs, toll, strict=True)]
+    return arcs[int(np.argmin(cost))]
+
+
+def _with_fast_mode(arc: Arc, halves: Sequence[HalfCycleSamples]) -> Arc | None:
+    guess = guess_fast_mode(arc, halves)
+    if guess is None:
+        return None
+    start = arc.states[0].copy()
+    start[FAST + 2], start[FAST], start[FAST + 1] = guess
+    mean, sigma = prior(start, anharmonic=len(arc.active) > len(LINEAR))
+    return fit_arc(start, mean, sigma, halves, arc.reference, (*arc.active.tolist(), *FAST_MODE))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _strongest_line(
+    time_s: Vector, residual: Vector, weight: Vector, rates: Vector
+) -> tuple[float, float, float]:
+    best_power, best_rate, best_cosine, best_sine = -1.0, 0.0, 0.0, 0.0
+    for rate in rates:
+        cc = cs = ss = cy = sy = 0.0
+        for i in range(len(time_s)):
+            if not weight[i] > 0.0:
+                continue
+            c, s = math.cos(rate * time_s[i]), math.sin(rate * time_s[i])
+            cc += weight[i] * c * c
+            cs += weight[i] * c * s
+            ss += weight[i] * s * s
+            cy += weight[i] * c * residual[i]
+            sy += weight[i] * s * residual[i]
+        determinant = cc * ss - cs * cs
+        if determinant > 1e-6 * cc * ss:
+            cosine, sine = (ss * cy - cs * sy) / determinant, (cc * sy - cs * cy) / determinant
+            power = cosine * cy + sine * sy
+            if power > best_power:
+                best_power, best_rate, best_cosine, best_sine = power, rate, cosine, sine
+    return best_rate, best_cosine, best_sine
+
+
+def guess_fast_mode(arc: Arc, halves: Sequence[HalfCycleSamples]) -> tuple[float, float, float] | None:
+    """Strongest line in what the slow mode leaves: angular frequency, cosine and sine part."""
+    times, residuals, weights = [], [], []
+    k = len(arc.active)
+    for x, half in zip(arc.states, halves, strict=True):
+        table, turn = np.zeros((2 + SHAPES, NODES, 2)), np.zeros((2, 2 + SHAPES))
+        tabulate_state(x, x, arc.reference, arc.active, table, turn)
+        residual, jacobian = np.empty(len(half.tau_s)), np.empty((len(half.tau_s), k))
+        linearise(
+            x,
+            float(half.side),
+            arc.active,
+            table,
+            half.tau_s,
+            half.deflection,
+            residual,
+            jacobian,
+        )
+        times.append(half.tau_s + (half.reference_ns - halves[0].reference_ns) * 1e-9)
+        residuals.append(residual)
+        weights.append(np.where(np.isfinite(residual), 1.0 / half.u_deflection**2, 0.0))
+    time_s, residual, weight = np.concatenate(times), np.concatenate(residuals), np.concatenate(weights)
+    span = float(time_s[-1] - time_s[0])
+    rate = float(arc.states[0][RATE])
+    nyquist = math.pi * len(time_s) / span
+    top = min(25.0 * rate, 0.9 * nyquist)
+    rates = np.arange(2.2 * rate, top, 0.5 * math.pi / span)
+    if len(rates) == 0:
+        return None
+    return _strongest_line(time_s, np.nan_to_num(residual), weight, rates)

@@ -1,0 +1,267 @@
+"""The half-swing of a damped, slightly anharmonic pendulum, in units of its own amplitude.
+
+Between two turning points friction keeps its sign, so the motion is smooth there and its second
+derivative jumps at the turning points. In phase ``s = w t``, ``y = (deflection - centre)/A`` and
+``r = A/A_ref``, with ``box(u, q) = (u^q - 1)/q`` (Box and Cox 1964; the logarithm at q = 0)
+
+    y'' = -y - 2 damping y' - sign(y') (dry + rise box(r |y|, p))/r
+          + y (stiff box(r |y|, n) + (bend - stiff n) (box(r |y|, 1+n) - box(r |y|, n)))
+
+so that at the reference amplitude `dry` and `rise` are the friction and its slope, `stiff` and
+`bend` slope and curvature of the stiffness, all against ln r. The exponents p and n come in one
+order later, which keeps a fit with few half-cycles well conditioned. It spans ``c + b |phi|^p`` and
+``|phi|^(n+1) (1 - const |phi|)`` exactly; with all terms but the damping zero it is the damped sinusoid.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+DAMPING, DRY, RISE, P, STIFF, N, BEND, LOG_RATIO = range(8)
+"""Places of the terms; LOG_RATIO is ln r and no term of its own."""
+
+SHAPES = 7
+STEP = 1.0 / 16.0
+NODES_BEFORE = 35
+NODES_AFTER = 57
+NODES = NODES_BEFORE + NODES_AFTER
+"""Nodes of the table before and after the turning point; after it reaches past the next one."""
+
+_SMALLEST_EXPONENT = 1e-3
+_NEAREST = 1e-9
+_NEAREST_SLOPE = 1e-2
+"""Closest approach to zero, in amplitudes, of logarithms and of slopes, which have no end there."""
+
+Table = NDArray[np.float64]
+"""(2 + SHAPES, NODES, 2): y and dy/ds, and their derivatives by the terms and by ln r."""
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _box(logarithm: float, power: float, exponent: float) -> tuple[float, float]:
+    """``(u^q - 1)/q`` and its derivative by q, from ln u and u^q."""
+    if abs(exponent) < _SMALLEST_EXPONENT:
+        square = logarithm * logarithm
+        return logarithm + 0.5 * exponent * square, square * (0.5 + exponent * logarithm / 3.0)
+    box = (power - 1.0) / exponent
+    return box, (logarithm * power - box) / exponent
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _acceleration(y: float, v: float, sense: float, shape: Vector, by: Vector) -> float:
+    """y'' and, in `by`, its derivatives by the terms, by ln r, by y and by v."""
+    by[DAMPING] = -2.0 * sense * v
+    by[SHAPES + 1] = -1.0
+    by[SHAPES + 2] = -2.0 * sense * shape[DAMPING]
+    force = -y + by[SHAPES + 2] * v
+    near = math.copysign(max(abs(y), _NEAREST), y)
+    ratio = math.exp(shape[LOG_RATIO])
+    logarithm = math.log(abs(near)) + shape[LOG_RATIO]
+    power = math.exp(shape[N] * logarithm)
+    higher = power * abs(near) * ratio
+    box, box_n = _box(logarithm, power, shape[N])
+    next_box, next_box_n = _box(logarithm, higher, 1.0 + shape[N])
+    curve = shape[BEND] - shape[N] * shape[STIFF]
+    stiffening = shape[STIFF] * box + curve * (next_box - box)
+    stiffening_slope = shape[STIFF] * power + curve * (higher - power)
+    friction_power = math.exp(shape[P] * logarithm)
+    friction_box, friction_box_p = _box(logarithm, friction_power, shape[P])
+    way = sense / ratio
+    friction = way * (shape[DRY] + shape[RISE] * friction_box)
+    friction_slope = way * shape[RISE] * friction_power
+    by[DRY] = way
+    by[RISE] = way * friction_box
+    by[P] = way * shape[RISE] * friction_box_p
+    by[STIFF] = y * (box - shape[N] * (next_box - box))
+    by[N] = y * (shape[STIFF] * (box_n - next_box + box) + curve * (next_box_n - box_n))
+    by[BEND] = y * (next_box - box)
+    by[LOG_RATIO] = y * stiffening_slope + friction_slope - friction
+    by[SHAPES + 1] += (
+        stiffening + stiffening_slope + friction_slope / math.copysign(max(abs(y), _NEAREST_SLOPE), y)
+    )
+    return float(force + y * stiffening + friction)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _step(
+    motion: Matrix,
+    sense: float,
+    shape: Vector,
+    wanted: NDArray[np.int64],
+    h: float,
+    rates: NDArray[np.float64],
+) -> None:
+    """One Runge-Kutta step of order four for y, v (row 0) and their derivatives (row 1 + term).
+
+    `rates` (5, SHAPES + 3, 2) is working space.
+    """
+    by = rates[4, :, 0]
+    y, v = motion[0, 0], motion[0, 1]
+    part = 0.0
+    for stage in range(4):
+        part = 0.0 if stage == 0 else (h if stage == 3 else 0.5 * h)
+        before = max(stage - 1, 0)
+        stage_y, stage_v = y + part * rates[before, 0, 0], v + part * rates[before, 0, 1]
+        if stage == 0:
+            stage_y, stage_v = y, v
+        rates[stage, 0, 0] = stage_v
+        rates[stage, 0, 1] = _acceleration(stage_y, stage_v, sense, shape, by)
+        for k in wanted:
+            shift, shift_v = motion[1 + k, 0], motion[1 + k, 1]
+            if stage > 0:
+                shift += part * rates[before, 1 + k, 0]
+                shift_v += part * rates[before, 1 + k, 1]
+            rates[stage, 1 + k, 0] = shift_v
+            rates[stage, 1 + k, 1] = by[k] + by[SHAPES + 1] * shift + by[SHAPES + 2] * shift_v
+    for column in range(2):
+        motion[0, column] += (
+            h
+            / 6.0
+            * (rates[0, 0, column] + 2.0 * (rates[1, 0, column] + rates[2, 0, column]) + rates[3, 0, column])
+        )
+        for k in wanted:
+            row = 1 + k
+            motion[row, column] += (
+                h
+                / 6.0
+                * (
+                    rates[0, row, column]
+                    + 2.0 * (rates[1, row, column] + rates[2, row, column])
+                    + rates[3, row, column]
+                )
+            )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _step_on_grid(
+    motion: Matrix,
+    before: Matrix,
+    sense: float,
+    shape: Vector,
+    wanted: NDArray[np.int64],
+    rates: NDArray[np.float64],
+) -> None:
+    """One step of the table; one that meets the zero crossing, where the forces have a kink, in two parts.
+
+    `before` is left as what `motion` was.
+    """
+    before[:] = motion
+    _step(motion, sense, shape, wanted, STEP, rates)
+    if before[0, 0] > 0.0 > motion[0, 0]:
+        fraction = STEP * before[0, 0] / (before[0, 0] - motion[0, 0])
+        for _ in range(3):
+            motion[0] = before[0]
+            _step(motion, sense, shape, wanted[:0], fraction, rates)
+            fraction -= motion[0, 0] / motion[0, 1]
+        motion[:] = before
+        _step(motion, sense, shape, wanted, fraction, rates)
+        motion[0, 0] = -0.0
+        _step(motion, sense, shape, wanted, STEP - fraction, rates)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _tabulate_sinusoid(damping: float, table: Table, turn: Matrix) -> None:
+    """The damped sinusoid and its derivative by the damping, in closed form."""
+    rate = math.sqrt(max(1.0 - damping * damping, 1e-6))
+    for node in range(NODES):
+        s = (node - NODES_BEFORE) * STEP if node >= NODES_BEFORE else -node * STEP
+        decay = math.exp(-damping * s)
+        cosine, sine = decay * math.cos(rate * s), decay * math.sin(rate * s) / rate
+        table[0, node, 0] = cosine + damping * sine
+        table[0, node, 1] = -sine
+        lag = (s * cosine - sine) / (rate * rate)
+        table[1 + DAMPING, node, 0] = -lag
+        table[1 + DAMPING, node, 1] = s * sine + damping * lag
+    turn[:] = math.nan
+    turn[0, 0] = math.pi / rate
+    turn[1, 0] = math.exp(-damping * turn[0, 0])
+    turn[0, 1 + DAMPING] = math.pi * damping / rate**3
+    turn[1, 1 + DAMPING] = -turn[1, 0] * math.pi / rate**3
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def tabulate(shape: Vector, wanted: NDArray[np.int64], table: Table, turn: Matrix) -> None:
+    """Tabulate the half-swing and its derivatives by the wanted shape terms.
+
+    Parameters
+    ----------
+    shape : (SHAPES + 1,) terms, and ln r
+    wanted : places of those whose derivatives are wanted; the others' rows are left alone
+    table : overwritten
+    turn : (2, 2 + SHAPES), overwritten: phase of the next turning point and remaining amplitude,
+        each followed by its derivatives
+    """
+    if shape[DRY] == 0.0 and shape[RISE] == 0.0 and shape[STIFF] == 0.0 and shape[BEND] == 0.0:
+        plain = True
+        for k in wanted:
+            plain &= k == DAMPING
+        if plain:
+            _tabulate_sinusoid(shape[DAMPING], table, turn)
+            return
+    motion = np.zeros((2 + SHAPES, 2))
+    before = np.empty_like(motion)
+    rates = np.empty((5, SHAPES + 3, 2))
+    motion[0, 0] = 1.0
+    # before the turning point time runs backwards, which turns friction and damping around
+    for node in range(NODES_BEFORE):
+        table[0, node, 0], table[0, node, 1] = motion[0, 0], -motion[0, 1]
+        for k in wanted:
+            table[1 + k, node, 0], table[1 + k, node, 1] = motion[1 + k, 0], -motion[1 + k, 1]
+        _step_on_grid(motion, before, -1.0, shape, wanted, rates)
+    motion[:] = 0.0
+    motion[0, 0] = 1.0
+    turn[:] = math.nan
+    by = rates[4, :, 0]
+    for step in range(NODES_AFTER):
+        node = NODES_BEFORE + step
+        table[0, node] = motion[0]
+        for k in wanted:
+            table[1 + k, node] = motion[1 + k]
+        _step_on_grid(motion, before, 1.0, shape, wanted, rates)
+        if step > 1 and before[0, 1] < 0.0 <= motion[0, 1]:
+            fraction = 0.5 * STEP
+            turning = before.copy()
+            for _ in range(3):
+                turning[0] = before[0]
+                _step(turning, 1.0, shape, wanted[:0], fraction, rates)
+                fraction -= turning[0, 1] / _acceleration(turning[0, 0], turning[0, 1], 1.0, shape, by)
+            turning[:] = before
+            _step(turning, 1.0, shape, wanted, fraction, rates)
+            rate = _acceleration(turning[0, 0], turning[0, 1], 1.0, shape, by)
+            turn[0, 0], turn[1, 0] = step * STEP + fraction, -turning[0, 0]
+            for k in wanted:
+                turn[0, 1 + k] = -turning[1 + k, 1] / rate
+                turn[1, 1 + k] = -turning[1 + k, 0]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def locate(s: float) -> tuple[int, float]:
+    """First of the two nodes around phase `s`, and the position between them; node -1 outside."""
+    if s >= 0.0:
+        cell = int(s / STEP)
+        if cell >= NODES_AFTER - 1:
+            return -1, 0.0
+        return NODES_BEFORE + cell, s / STEP - cell
+    cell = int(-s / STEP)
+    if cell >= NODES_BEFORE - 1:
+        return -1, 0.0
+    return cell, -s / STEP - cell
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def zero_phases(table: Table) -> tuple[float, float]:
+    """Phases at which the half-swing leaves and reaches zero (the first is negative)."""
+    before, after = math.nan, math.nan
+    for k in range(NODES_BEFORE - 1):
+        if table[0, k, 0] > 0.0 >= table[0, k + 1, 0]:
+            before = -(k + table[0, k, 0] / (table[0, k, 0] - table[0, k + 1, 0])) * STEP
+            break
+    for k in range(NODES_BEFORE, NODES_BEFORE + NODES_AFTER - 1):
+        if table[0, k, 0] > 0.0 >= table[0, k + 1, 0]:
+            after = (k - NODES_BEFORE + table[0, k, 0] / (table[0, k, 0] - table[0, k + 1, 0])) * STEP
+            break
+    return before, after
