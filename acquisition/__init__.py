@@ -1,0 +1,1 @@
+"""Frames in, records out: cameras, the simulated rig, MCAP records."""

@@ -1,0 +1,5 @@
+"""Frames that another program recorded: a folder of images, a lossless video, a .npy stack."""
+
+from acquisition.cameras.files.settings import FilesSettings
+
+__all__ = ["FilesSettings"]

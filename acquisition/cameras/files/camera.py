@@ -1,0 +1,227 @@
+"""Recorded frames as a camera: in order, on demand, never dropped by us."""
+
+import logging
+import threading
+import time
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.camera import CameraInfo, CameraLost, CameraSettings, CameraStatus, PixelFormat
+from acquisition.cameras.files.settings import FilesSettings
+from acquisition.cameras.files.sources import Source, Stored, Unreadable, open_source
+from acquisition.cameras.files.timestamps import FrameTimes, frame_times
+from acquisition.frame import Frame, Image
+from processing.errors import DeviceError
+
+_log = logging.getLogger(__name__)
+_FORMATS: dict[int, PixelFormat] = {8: "mono8", 10: "mono10", 12: "mono12", 16: "mono16"}
+
+
+class FilesCamera:
+    """A `Camera` that plays recorded frames from the first to the last, at each `start` anew.
+
+    A frame that cannot be read is skipped, counted in ``status.incomplete``, named in the log, and
+    leaves a gap in the sequence. Frames may differ in size; each has its own shape. The camera's
+    clock is the timestamps. Exposure, gain and depth are what they were: `configure` reports that
+    it has not applied them (they stay None); a region of interest is cut out.
+    """
+
+    def __init__(self, settings: FilesSettings) -> None:
+        self._settings = settings
+        self._source: Source | None = None
+        self._times = FrameTimes([], [])
+        self._info: CameraInfo | None = None
+        self._region = CameraSettings()
+        self._stopped: threading.Event | None = None
+        self._lock = threading.Lock()
+        self._next = 0
+        self._delivered = 0
+        self._incomplete = 0
+        self._dropped_earlier = 0
+        self._dtype: np.dtype[Any] | None = None
+        self._first_label = ""
+
+    def open(self) -> CameraInfo:
+        """Find the frames and their times; reads the first frame that can be read."""
+        if self._info is not None:
+            return self._info
+        path = self._settings.path
+        source = open_source(path)
+        if source.lossy:
+            _log.warning("%s: codec %s loses detail; spot positions suffer from it", path, source.lossy)
+        self._times = frame_times(self._settings, source.count, source.names, source.hint)
+        image, full_scale_dn, self._first_label = self._first_image(source)
+        self._dtype = image.dtype
+        self._source = source
+        self._info = CameraInfo(
+            driver="files",
+            vendor="",
+            model=path.name,
+            serial=str(path),
+            width_px=image.shape[1],
+            height_px=image.shape[0],
+            full_scale_dn=full_scale_dn,
+            has_clock=True,
+        )
+        return self._info
+
+    def configure(self, settings: CameraSettings) -> CameraSettings:
+        """Cut a region of interest out; report what the frames are otherwise."""
+        info = self._must_be_open()
+        if self._stopped is not None and not self._stopped.is_set():
+            raise DeviceError(f"{info.serial}: cannot be configured while frames are running; stop it first")
+        x0, y0 = settings.offset_x_px or 0, settings.offset_y_px or 0
+        width = settings.width_px or info.width_px - x0
+        height = settings.height_px or info.height_px - y0
+        if not 0 < width <= info.width_px - x0 or not 0 < height <= info.height_px - y0:
+            raise DeviceError(
+                f"{info.serial}: a region of {width}x{height} px at ({x0}, {y0}) does not lie in images of "
+                f"{info.width_px}x{info.height_px} px"
+            )
+        whole = (x0, y0, width, height) == (0, 0, info.width_px, info.height_px)
+        region = CameraSettings(width_px=width, height_px=height, offset_x_px=x0, offset_y_px=y0)
+        self._region = CameraSettings() if whole else region
+        return region.model_copy(
+            update={
+                "frame_rate_hz": self._settings.frame_rate_hz,
+                "pixel_format": _FORMATS.get(info.full_scale_dn.bit_length()),
+            }
+        )
+
+    def start(self) -> None:
+        """Play from the first frame."""
+        info = self._must_be_open()
+        if self._stopped is not None and not self._stopped.is_set():
+            raise DeviceError(f"{info.serial}: is running already; stop it first")
+        self._next = 0
+        self._delivered = self._incomplete = self._dropped_earlier = 0
+        self._stopped = threading.Event()
+
+    def read(self, timeout_s: float) -> Frame | None:
+        """Next frame that can be read; None after the last. Files do not keep anyone waiting."""
+        stopped = self._stopped
+        if stopped is None:
+            info = self._must_be_open()
+            raise DeviceError(f"{info.serial}: is not started; call start before read")
+        while not stopped.is_set():
+            with self._lock:
+                source = self._source
+                if source is None or stopped.is_set():
+                    return None
+                index = self._next
+                if index >= source.count:
+                    if self._delivered == 0:
+                        raise DeviceError(
+                            f"{self._settings.path}: none of the {self._incomplete} frames can be read"
+                        )
+                    return None
+                self._next += 1
+                try:
+                    image = self._image(source, index)
+                except Unreadable as error:
+                    self._incomplete += 1
+                    _log.warning("%s: skipped: %s", source.label(index), error)
+                    continue
+                except OSError as error:
+                    raise CameraLost(f"{self._settings.path}: has gone: {error.strerror}") from None
+            number = self._times.sequence[index]
+            before = self._times.sequence[index - 1] if index else -1
+            self._dropped_earlier += number - before - 1
+            self._delivered += 1
+            return Frame(image, number, self._times.time_ns[index], time.monotonic_ns())
+        return None
+
+    def stop(self) -> None:
+        """No more frames."""
+        if self._stopped is not None:
+            self._stopped.set()
+
+    def close(self) -> None:
+        """Give the files back."""
+        self.stop()
+        with self._lock:
+            if self._source is not None:
+                self._source.close()
+            self._source = None
+            self._info = None
+
+    @property
+    def status(self) -> CameraStatus:
+        """Counts since `start`; `dropped_by_camera` are gaps that the timestamps file reports."""
+        return CameraStatus(
+            delivered=self._delivered,
+            dropped_by_camera=self._dropped_earlier,
+            incomplete=self._incomplete,
+        )
+
+    def _must_be_open(self) -> CameraInfo:
+        if self._info is None:
+            raise DeviceError(f"{self._settings.path}: is not open; call open first")
+        return self._info
+
+    def _first_image(self, source: Source) -> tuple[Image, int, str]:
+        reasons = []
+        for index in range(source.count):
+            try:
+                stored = source.read(index)
+                return *self._grey(stored, source.label(index)), source.label(index)
+            except Unreadable as error:
+                reasons.append(str(error))
+            except OSError as error:
+                raise DeviceError(f"{self._settings.path}: cannot be read: {error.strerror}") from None
+        raise DeviceError(
+            f"{self._settings.path}: none of the {source.count} frames can be read; the first: {reasons[0]}"
+        )
+
+    def _image(self, source: Source, index: int) -> Image:
+        image, _ = self._grey(source.read(index), source.label(index))
+        if image.dtype != self._dtype:
+            raise DeviceError(
+                f"{source.label(index)}: its pixels are {image.dtype}, those of {self._first_label} are "
+                f"{self._dtype}; state camera.files.common_depth = true to bring them to one scale"
+            )
+        region = self._region
+        if region.width_px is not None and region.height_px is not None:
+            x0, y0 = region.offset_x_px or 0, region.offset_y_px or 0
+            if image.shape[0] < y0 + region.height_px or image.shape[1] < x0 + region.width_px:
+                raise Unreadable(f"{image.shape[1]}x{image.shape[0]} px do not hold the region of interest")
+            image = image[y0 : y0 + region.height_px, x0 : x0 + region.width_px].copy()
+        return image
+
+    def _grey(self, stored: Stored, label: str) -> tuple[Image, int]:
+        """One channel, the depth that was asked for, and full scale."""
+        pixels, full_scale = stored
+        if pixels.ndim == 3:
+            pixels = self._one_channel(pixels, label)
+        if self._settings.bit_depth is not None:
+            full_scale = min(full_scale, 2**self._settings.bit_depth - 1)
+        if self._settings.common_depth and pixels.dtype == np.uint8:
+            return pixels.astype(np.uint16) * np.uint16(257), 65535
+        image: Image = np.ascontiguousarray(pixels)
+        return image, 65535 if self._settings.common_depth else full_scale
+
+    def _one_channel(self, pixels: NDArray[Any], label: str) -> NDArray[Any]:
+        if pixels.shape[2] == 1:
+            return pixels[:, :, 0]
+        if pixels.shape[2] < 3:
+            raise Unreadable(f"{pixels.shape[2]} channels")
+        blue, green, red = (pixels[:, :, channel] for channel in range(3))
+        if np.array_equal(blue, green) and np.array_equal(green, red):
+            return green
+        match self._settings.colour:
+            case "mean":
+                total = blue.astype(np.uint32) + green + red
+                mean: NDArray[Any] = ((total + 1) // 3).astype(pixels.dtype)
+                return mean
+            case "red":
+                return red
+            case "green":
+                return green
+            case "blue":
+                return blue
+        raise DeviceError(
+            f"{label}: is a colour image; to use it, state camera.files.colour = "
+            "'mean', 'red', 'green' or 'blue'"
+        )

@@ -1,0 +1,47 @@
+"""What the user states of recorded frames."""
+
+from pathlib import Path
+from typing import Literal, Self
+
+from pydantic import BaseModel, Field, model_validator
+
+Colour = Literal["refuse", "mean", "red", "green", "blue"]
+
+
+class FilesSettings(BaseModel, frozen=True, extra="forbid"):
+    """Where the frames are and when they were taken.
+
+    Times come from a CSV file or from a stated frame rate, one of the two. Where neither is given,
+    a CSV file beside the frames is looked for: ``timestamps.csv`` in a folder of images, else the
+    name of the frames' file with the ending ``.csv``.
+
+    The CSV file has one header line and one row a frame, in the frames' order. Columns, any order,
+    others are ignored: ``time_ns`` (whole numbers) or ``time_s`` (decimal, any number of digits),
+    not negative and rising; optionally ``sequence`` (whole numbers, rising: a gap is a frame that
+    the first program lost); optionally ``file`` (the image's name, which must then agree).
+    """
+
+    path: Path = Field(description="folder of images, video file, TIFF stack or .npy stack (n, ny, nx)")
+    timestamps_csv: Path | None = None
+    frame_rate_hz: float | None = Field(default=None, gt=0, le=1e6)
+    bit_depth: int | None = Field(
+        default=None, ge=8, le=16, description="bits really used; None: all 8 or 16 (PGM states its own)"
+    )
+    colour: Colour = Field(
+        default="refuse",
+        description="images with three different channels are refused, or this is made of them; alike "
+        "channels are taken as the grey image that they are",
+    )
+    common_depth: bool = Field(
+        default=False,
+        description="8-bit images among 16-bit ones are multiplied by 257, so that full scale is the same; "
+        "without it such a mixture is refused",
+    )
+
+    @model_validator(mode="after")
+    def _one_clock(self) -> Self:
+        if self.timestamps_csv is not None and self.frame_rate_hz is not None:
+            raise ValueError("state timestamps_csv or frame_rate_hz, not both")
+        if self.common_depth and self.bit_depth is not None:
+            raise ValueError("common_depth brings all images to 16 bits; leave bit_depth out")
+        return self

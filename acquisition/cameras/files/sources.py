@@ -1,0 +1,271 @@
+"""Where recorded frames lie: each source counts them and hands over any one of them as it is stored."""
+
+import contextlib
+import math
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.cameras.files.pgm import read_pgm
+from processing.errors import DeviceError
+
+IMAGES = (".png", ".pgm", ".tif", ".tiff", ".bmp")
+_STACKS = (".tif", ".tiff")
+_LOSSLESS = ("FFV1", "HFYU", "FFVH", "GREY", "Y800", "Y8  ", "Y16 ", "RAW ", "\0\0\0\0")
+
+
+class Unreadable(Exception):
+    """One frame cannot be read; says why."""
+
+
+class Stored(NamedTuple):
+    """Pixels as they are stored, (ny, nx) or (ny, nx, channels), and the largest value they can take."""
+
+    pixels: NDArray[Any]
+    full_scale: int
+
+
+class Source(Protocol):
+    """Frames in order, read one after the other."""
+
+    count: int
+    """Number of frames."""
+    names: list[str]
+    """Name of each frame's file; empty where frames have none of their own."""
+    hint: str
+    """What the container says of its frame rate, for a message; may be empty."""
+    lossy: str
+    """Name of the codec where it loses something, else empty."""
+
+    def read(self, index: int) -> Stored:
+        """Frame `index`. Raises Unreadable for this frame, OSError where the source has gone."""
+        ...
+
+    def label(self, index: int) -> str:
+        """What to call the frame in a message."""
+        ...
+
+    def close(self) -> None:
+        """Give files back; a later `read` opens them again."""
+        ...
+
+
+def open_source(path: Path) -> Source:
+    """The source that `path` is. Raises DeviceError: missing, empty, of no known kind."""
+    if path.is_dir():
+        return FolderSource(path)
+    if not path.exists():
+        raise DeviceError(f"{path}: no such file or folder; check camera.files.path")
+    if path.suffix.lower() == ".npy":
+        return StackSource(path)
+    if path.suffix.lower() in _STACKS:
+        return TiffSource(path)
+    if path.suffix.lower() in IMAGES:
+        raise DeviceError(f"{path}: is one image; name the folder that holds the images")
+    return VideoSource(path)
+
+
+def natural_key(name: str) -> list[tuple[int, int, str]]:
+    """Sort key that counts digits as numbers: frame2 before frame10."""
+    parts = re.split(r"(\d+)", name)
+    return [(0, int(part), part) if part.isdigit() else (1, 0, part.lower()) for part in parts if part]
+
+
+class FolderSource:
+    """A folder of images, in natural order of their names."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        try:
+            inside = [entry.name for entry in path.iterdir()]
+        except OSError as error:
+            raise DeviceError(f"{path}: cannot be listed: {error.strerror}") from None
+        images = (name for name in inside if Path(name).suffix.lower() in IMAGES and not name.startswith("."))
+        self.names = sorted(images, key=natural_key)
+        self.count = len(self.names)
+        self.hint = ""
+        self.lossy = ""
+        if not self.names:
+            raise DeviceError(
+                f"{path}: holds no image ({', '.join(IMAGES)}) among its {len(inside)} files; "
+                "check camera.files.path"
+            )
+
+    def read(self, index: int) -> Stored:
+        path = self._path / self.names[index]
+        try:
+            data = path.read_bytes()
+        except OSError as error:
+            if not self._path.is_dir():
+                raise
+            raise Unreadable(str(error.strerror)) from None
+        if path.suffix.lower() == ".pgm":
+            try:
+                pixels, largest = read_pgm(data)
+            except ValueError as error:
+                raise Unreadable(str(error)) from None
+            # some programs state the image's own maximum: full scale is the next number of whole bits
+            return Stored(pixels, max(2 ** largest.bit_length() - 1, 255))
+        if path.suffix.lower() in _STACKS and _pages(path) > 1:
+            raise DeviceError(
+                f"{path}: holds several images; name it itself as camera.files.path, as a stack"
+            )
+        return _stored(_decode(data))
+
+    def label(self, index: int) -> str:
+        return str(self._path / self.names[index])
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+
+class TiffSource:
+    """A TIFF file of many pages."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self.names: list[str] = []
+        self.count = _pages(path)
+        self.hint = ""
+        self.lossy = ""
+        if self.count == 0:
+            raise DeviceError(f"{path}: is no TIFF stack that can be read")
+
+    def read(self, index: int) -> Stored:
+        with _quiet():
+            good, pages = cv2.imreadmulti(str(self._path), index, 1, flags=cv2.IMREAD_UNCHANGED)
+        if not good or len(pages) != 1:
+            self._path.stat()
+            raise Unreadable("the page cannot be decoded")
+        return _stored(pages[0])
+
+    def label(self, index: int) -> str:
+        return f"{self._path}, page {index + 1}"
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+
+class StackSource:
+    """A .npy array (n, ny, nx), memory-mapped: a stack larger than memory is no obstacle."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self.names: list[str] = []
+        self.hint = ""
+        self.lossy = ""
+        try:
+            stack = np.load(path, mmap_mode="r", allow_pickle=False)
+        except (OSError, ValueError, EOFError) as error:
+            raise DeviceError(f"{path}: is no .npy stack that can be read: {error}") from None
+        if stack.ndim != 3 or stack.dtype not in (np.uint8, np.uint16) or 0 in stack.shape:
+            raise DeviceError(
+                f"{path}: is an array of shape {stack.shape} and type {stack.dtype}; "
+                "(n, ny, nx) of uint8 or uint16 is needed"
+            )
+        self._stack: NDArray[Any] = stack
+        self.count = len(stack)
+
+    def read(self, index: int) -> Stored:
+        return _stored(np.array(self._stack[index]))
+
+    def label(self, index: int) -> str:
+        return f"{self._path}, frame {index}"
+
+    def close(self) -> None:
+        """The mapping is given back with the source."""
+
+
+class VideoSource:
+    """A video without loss, read through OpenCV without conversion."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._capture: cv2.VideoCapture | None = None
+        self._position = 0
+        self.names: list[str] = []
+        capture = self._opened()
+        self.count = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
+        rate_hz = capture.get(cv2.CAP_PROP_FPS)
+        codec = int(capture.get(cv2.CAP_PROP_FOURCC)).to_bytes(4, "little").decode("latin-1").upper()
+        self.lossy = "" if codec in _LOSSLESS else codec.strip()
+        self.hint = ""
+        if math.isfinite(rate_hz) and rate_hz > 0:
+            self.hint = f" (the file itself says {rate_hz:g} frames/s)"
+        if self.count <= 0:
+            self.close()
+            raise DeviceError(
+                f"{path}: the video does not say how many frames it holds; convert it to FFV1 in mkv"
+            )
+
+    def read(self, index: int) -> Stored:
+        if self._capture is None or index < self._position:
+            self.close()
+            self._opened()
+        while True:
+            capture = self._capture
+            good, pixels = capture.read() if capture is not None else (False, None)
+            self._position += 1
+            if not good or pixels is None:
+                raise Unreadable("the video ends here or is damaged")
+            if self._position > index:
+                return _stored(pixels)
+
+    def label(self, index: int) -> str:
+        return f"{self._path}, frame {index}"
+
+    def close(self) -> None:
+        if self._capture is not None:
+            self._capture.release()
+        self._capture = None
+        self._position = 0
+
+    def _opened(self) -> cv2.VideoCapture:
+        with _quiet():
+            capture = cv2.VideoCapture(str(self._path), cv2.CAP_FFMPEG)
+        if not capture.isOpened():
+            raise DeviceError(
+                f"{self._path}: is no video that OpenCV can read; folders of images "
+                f"({', '.join(IMAGES)}), .tif and .npy stacks are the other choices"
+            )
+        capture.set(cv2.CAP_PROP_CONVERT_RGB, 0)
+        self._capture = capture
+        return capture
+
+
+def _decode(data: bytes) -> NDArray[Any]:
+    if not data:
+        raise Unreadable("the file is empty")
+    with _quiet():
+        pixels = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
+    if pixels is None:
+        raise Unreadable("the file is damaged or no image")
+    return pixels
+
+
+def _stored(pixels: NDArray[Any]) -> Stored:
+    if pixels.dtype not in (np.uint8, np.uint16):
+        raise Unreadable(f"pixels of type {pixels.dtype}; 8 or 16 bits without sign are needed")
+    return Stored(pixels, int(np.iinfo(pixels.dtype).max))
+
+
+def _pages(path: Path) -> int:
+    with _quiet():
+        return int(cv2.imcount(str(path), cv2.IMREAD_UNCHANGED))
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    """OpenCV reports what it cannot read on stderr by itself; we say it in our own words."""
+    logging = cv2.utils.logging
+    level = logging.getLogLevel()
+    logging.setLogLevel(logging.LOG_LEVEL_SILENT)
+    try:
+        yield
+    finally:
+        logging.setLogLevel(level)

@@ -1,0 +1,112 @@
+"""Times of recorded frames, from a CSV file or from a frame rate."""
+
+import csv
+from collections.abc import Callable, Sequence
+from decimal import Decimal, InvalidOperation
+from itertools import pairwise
+from pathlib import Path
+from typing import NamedTuple, TypeVar
+
+from acquisition.cameras.files.settings import FilesSettings
+from processing.errors import DeviceError
+
+T = TypeVar("T")
+
+
+class FrameTimes(NamedTuple):
+    """Time of each frame in ns, and its number; a gap in the numbers is a frame lost earlier."""
+
+    time_ns: Sequence[int]
+    sequence: Sequence[int]
+
+
+def frame_times(settings: FilesSettings, count: int, names: Sequence[str], hint: str) -> FrameTimes:
+    """Times of `count` frames.
+
+    Parameters
+    ----------
+    names
+        Names of the images' files, empty where frames have none.
+    hint
+        What the container says of its frame rate, for the error message; may be empty.
+
+    Raises
+    ------
+    DeviceError
+        Neither a CSV file nor a frame rate, or a CSV file that does not fit the frames.
+    """
+    if settings.frame_rate_hz is not None:
+        period_ns = 1e9 / settings.frame_rate_hz
+        return FrameTimes([round(i * period_ns) for i in range(count)], range(count))
+    path = settings.timestamps_csv or _beside(settings.path)
+    if settings.timestamps_csv is None and not path.is_file():
+        raise DeviceError(
+            f"{settings.path}: when were the frames taken? State camera.files.frame_rate_hz or write "
+            f"{path}{hint}"
+        )
+    return _read(path, count, names)
+
+
+def _beside(path: Path) -> Path:
+    return path / "timestamps.csv" if path.is_dir() else path.with_suffix(".csv")
+
+
+def _read(path: Path, count: int, names: Sequence[str]) -> FrameTimes:
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            rows = [row for row in csv.reader(file) if any(cell.strip() for cell in row)]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise DeviceError(f"{path}: timestamps cannot be read: {error}") from None
+    if not rows:
+        raise DeviceError(f"{path}: is empty; one header line and one row a frame are needed")
+    header = [cell.strip().lower() for cell in rows[0]]
+    body = rows[1:]
+    if "time_ns" not in header and "time_s" not in header:
+        raise DeviceError(
+            f"{path}: the header has no column time_ns or time_s; it reads {','.join(rows[0])!r}"
+        )
+    if len(body) != count:
+        raise DeviceError(
+            f"{path}: has {len(body)} rows of times for {count} frames; one row a frame is needed"
+        )
+    if "time_ns" in header:
+        times_ns = _rising(path, "time_ns", _column(path, header, body, "time_ns", int))
+    else:
+        times_ns = _rising(path, "time_s", _column(path, header, body, "time_s", _ns_of_seconds))
+    sequence: Sequence[int] = range(count)
+    if "sequence" in header:
+        numbers = _rising(path, "sequence", _column(path, header, body, "sequence", int))
+        sequence = [number - numbers[0] for number in numbers] if numbers else numbers
+    if "file" in header and names:
+        stated = _column(path, header, body, "file", str)
+        for line, (name, wanted) in enumerate(zip(stated, names, strict=True), start=2):
+            if name != wanted:
+                raise DeviceError(f"{path}: line {line} names {name!r} where the image is {wanted!r}")
+    return FrameTimes(times_ns, sequence)
+
+
+def _ns_of_seconds(text: str) -> int:
+    return round(Decimal(text) * 1_000_000_000)
+
+
+def _column(
+    path: Path, header: list[str], body: list[list[str]], name: str, convert: Callable[[str], T]
+) -> list[T]:
+    place = header.index(name)
+    values = []
+    for line, row in enumerate(body, start=2):
+        text = row[place].strip() if place < len(row) else ""
+        try:
+            values.append(convert(text))
+        except (ValueError, InvalidOperation, OverflowError):
+            raise DeviceError(f"{path}: line {line}: {name} = {text!r} is no number") from None
+    return values
+
+
+def _rising(path: Path, name: str, values: list[int]) -> list[int]:
+    for line, (before, after) in enumerate(pairwise(values), start=3):
+        if after <= before:
+            raise DeviceError(f"{path}: line {line}: {name} does not rise; frames must be in the order taken")
+    if values and values[0] < 0:
+        raise DeviceError(f"{path}: line 2: {name} is negative; count from an earlier moment")
+    return values

@@ -1,0 +1,175 @@
+"""The simulated rig as a camera: in simulated time, frames on demand; or paced by the host's clock."""
+
+import time
+from collections.abc import Callable
+
+from acquisition.camera import CameraInfo, CameraSettings, CameraStatus, PixelFormat
+from acquisition.frame import Frame
+from acquisition.simulation.faults import FaultSettings
+from acquisition.simulation.inputs import RigInputs
+from acquisition.simulation.run_reader import CAMERA_NAME, RunReader
+from acquisition.simulation.scene import Readings, Scene, block_frames
+from acquisition.simulation.settings import SimulationSettings
+from processing.errors import DeviceError
+
+_BITS: dict[PixelFormat, int] = {"mono8": 8, "mono10": 10, "mono12": 12, "mono16": 16}
+_FORMATS: dict[int, PixelFormat] = {bits: name for name, bits in _BITS.items()}
+
+
+class SimulatedCamera:
+    """A `Camera` that looks at the simulated pendulum.
+
+    Each `start` after a `stop` is a new run: the pendulum is released anew, the noise is that of
+    the next run. A `start` after the camera was lost (`FaultSettings`) goes on with the same run.
+    In simulated time a wait costs nothing: a stall or an unplugged camera lets simulated time pass.
+
+    Parameters
+    ----------
+    settings, faults
+        Truth of the rig, and what is to go wrong.
+    inputs
+        Outputs of a controller that act on the rig; None: the laser is on, the release as stated.
+    monotonic_ns
+        The host's clock, for tests that step it.
+    """
+
+    def __init__(
+        self,
+        settings: SimulationSettings,
+        faults: FaultSettings | None = None,
+        inputs: RigInputs | None = None,
+        monotonic_ns: Callable[[], int] = time.monotonic_ns,
+    ) -> None:
+        self._settings = settings
+        self._faults = FaultSettings() if faults is None else faults
+        self._inputs = inputs
+        self._clock_ns = monotonic_ns
+        self._opened = False
+        self._reader: RunReader | None = None
+        self._runs = settings.first_run
+        self._applied = self._defaults()
+
+    def open(self) -> CameraInfo:
+        """Ready at once. Raises DeviceError while the simulated cable is out."""
+        if self._reader is not None and self._reader.lost:
+            self._reader.replug()
+        self._opened = True
+        sensor = self._settings.sensor
+        return CameraInfo(
+            driver="simulated",
+            vendor="optical-pendulum-rig",
+            model="simulated rig",
+            serial=f"seed-{self._settings.seed}",
+            width_px=sensor.width_px,
+            height_px=sensor.height_px,
+            full_scale_dn=2**self._readings.bit_depth - 1,
+            has_clock=True,
+        )
+
+    def configure(self, settings: CameraSettings) -> CameraSettings:
+        """Apply settings; what is None keeps its value. Raises DeviceError for what the sensor cannot do."""
+        self._must_be_open()
+        if self._reader is not None and self._reader.running:
+            raise DeviceError(f"{CAMERA_NAME}: cannot be configured while frames are running; stop it first")
+        asked = settings.model_dump(exclude_none=True)
+        sensor = self._settings.sensor
+        if "width_px" in asked and "offset_x_px" not in asked:
+            asked["offset_x_px"] = min(
+                self._applied.offset_x_px or 0, max(sensor.width_px - asked["width_px"], 0)
+            )
+        if "height_px" in asked and "offset_y_px" not in asked:
+            asked["offset_y_px"] = min(
+                self._applied.offset_y_px or 0, max(sensor.height_px - asked["height_px"], 0)
+            )
+        new = CameraSettings(**{**self._applied.model_dump(), **asked})
+        _check_range("width_px", (new.offset_x_px or 0) + (new.width_px or 0), sensor.width_px)
+        _check_range("height_px", (new.offset_y_px or 0) + (new.height_px or 0), sensor.height_px)
+        if (new.gain_db or 0.0) > 48:
+            raise DeviceError(
+                f"{CAMERA_NAME}: gain_db = {new.gain_db:g} is out of range; 0 to 48 dB are possible"
+            )
+        if (new.frame_rate_hz or 0.0) > 100_000:
+            raise DeviceError(
+                f"{CAMERA_NAME}: frame_rate_hz = {new.frame_rate_hz:g} is out of range; "
+                "at most 100000 are possible"
+            )
+        self._applied = new
+        return new
+
+    def start(self) -> None:
+        """Begin a run, or go on with the one that the camera was lost from."""
+        self._must_be_open()
+        if self._reader is not None:
+            if self._reader.running:
+                raise DeviceError(f"{CAMERA_NAME}: is running already; stop it first")
+            if self._reader.lost:
+                self._reader.resume()
+                return
+        scene = Scene(self._settings, self._faults, self._readings, self._runs, self._inputs)
+        self._runs += 1
+        block = block_frames(self._readings.frame_rate_hz, self._inputs is not None)
+        self._reader = RunReader(
+            scene, block, self._settings, self._faults, self._readings.frame_rate_hz, self._clock_ns
+        )
+
+    def read(self, timeout_s: float) -> Frame | None:
+        """Next frame; None at the end of the run or after `stop`."""
+        reader = self._reader
+        if reader is None:
+            self._must_be_open()
+            raise DeviceError(f"{CAMERA_NAME}: is not started; call start before read")
+        return reader.read(timeout_s)
+
+    def stop(self) -> None:
+        """No more frames."""
+        if self._reader is not None:
+            self._reader.stop()
+
+    def close(self) -> None:
+        """Stop and give back."""
+        self.stop()
+        self._opened = False
+
+    @property
+    def status(self) -> CameraStatus:
+        """Counts since `start`; they go on over a reconnection."""
+        return CameraStatus() if self._reader is None else self._reader.status
+
+    @property
+    def _readings(self) -> Readings:
+        new = self._applied
+        sensor = self._settings.sensor
+        return Readings(
+            x0_px=new.offset_x_px or 0,
+            y0_px=new.offset_y_px or 0,
+            width_px=new.width_px or sensor.width_px,
+            height_px=new.height_px or sensor.height_px,
+            bit_depth=_BITS[new.pixel_format or _FORMATS[sensor.bit_depth]],
+            exposure_us=new.exposure_us or sensor.exposure_us,
+            gain_db=new.gain_db or 0.0,
+            frame_rate_hz=new.frame_rate_hz or self._settings.clock.frame_rate_hz,
+        )
+
+    def _defaults(self) -> CameraSettings:
+        sensor = self._settings.sensor
+        return CameraSettings(
+            exposure_us=sensor.exposure_us,
+            gain_db=0.0,
+            frame_rate_hz=self._settings.clock.frame_rate_hz,
+            pixel_format=_FORMATS[sensor.bit_depth],
+            width_px=sensor.width_px,
+            height_px=sensor.height_px,
+            offset_x_px=0,
+            offset_y_px=0,
+        )
+
+    def _must_be_open(self) -> None:
+        if not self._opened:
+            raise DeviceError(f"{CAMERA_NAME}: is not open; call open first")
+
+
+def _check_range(name: str, end_px: int, size_px: int) -> None:
+    if end_px > size_px:
+        raise DeviceError(
+            f"{CAMERA_NAME}: {name} with its offset reaches {end_px}; the sensor has {size_px}. Ask for less"
+        )

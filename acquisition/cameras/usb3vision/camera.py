@@ -1,0 +1,318 @@
+"""USB3 Vision cameras as a `Camera`."""
+
+import logging
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Final, Literal
+
+import usb.backend
+from pydantic import BaseModel, Field
+
+from acquisition.camera import CameraInfo, CameraLost, CameraSettings, CameraStatus, FrameTimeout
+from acquisition.cameras.usb3vision.discovery import find_camera
+from acquisition.cameras.usb3vision.features import Features
+from acquisition.cameras.usb3vision.gencp import GenCpChannel
+from acquisition.cameras.usb3vision.libusb_transfers import LibusbTransfers
+from acquisition.cameras.usb3vision.link import UsbLink
+from acquisition.cameras.usb3vision.open_camera import ClockReading, OpenCamera
+from acquisition.cameras.usb3vision.stream import Expected, FrameStream
+from acquisition.cameras.usb3vision.transfers import BlockingTransfers, Transfers
+from acquisition.frame import Frame
+from acquisition.frame_queue import FrameQueue
+from processing.errors import DeviceError
+
+logger = logging.getLogger(__name__)
+
+_LARGEST_FRAME: Final = 1 << 30
+# `stop` and `close` return within a second, whatever the camera does: what each step may take of it
+_LOCK_S: Final = 0.2
+_COMMANDS_S: Final = 0.25
+_JOIN_S: Final = 0.25
+
+
+class Usb3VisionSettings(BaseModel, frozen=True, extra="forbid"):
+    """Which camera, and how it is talked to."""
+
+    serial: str | None = Field(default=None, description="needed only where several are plugged in")
+    transfers: int = Field(default=4, ge=1, le=64, description="frames for which reads are queued ahead")
+    transfer_bytes: int = Field(
+        default=1 << 20, ge=1 << 14, le=1 << 26, description="longest single transfer of a frame's bytes"
+    )
+    buffers: int = Field(default=64, ge=2, le=4096, description="frames kept for a reader that is late")
+    reading: Literal["auto", "blocking"] = Field(
+        default="auto", description="auto queues reads ahead where libusb 1.0 is there; blocking never does"
+    )
+    control_timeout_s: float = Field(default=0.5, gt=0, le=10, description="patience for one reply")
+    control_retries: int = Field(default=3, ge=0, le=20, description="commands sent again after silence")
+
+
+class Usb3VisionCamera:
+    """Any USB3 Vision camera, through pyusb and libusb.
+
+    Parameters
+    ----------
+    settings
+        Which camera and how.
+    backend
+        pyusb's backend; None takes libusb 1.0.
+
+    Notes
+    -----
+    A start after the camera was lost goes on counting (`CameraStatus.reconnects`); frames are
+    numbered from 0 again.
+    """
+
+    def __init__(
+        self, settings: Usb3VisionSettings | None = None, backend: usb.backend.IBackend | None = None
+    ) -> None:
+        self._settings = settings or Usb3VisionSettings()
+        self._backend = backend
+        self._lock = threading.RLock()
+        self._session: OpenCamera | None = None
+        self._channel: GenCpChannel | None = None
+        self._stream: FrameStream | None = None
+        self._queue: FrameQueue | None = None
+        self._name = "USB3 Vision camera"
+        self._delivered = 0
+        self._before = CameraStatus()
+        self._was_lost = False
+        self._camera_runs = False
+
+    # ---- life cycle
+
+    def open(self) -> CameraInfo:
+        """Find the camera, claim it, learn its features.
+
+        Raises
+        ------
+        DeviceError
+            No camera, several and no serial number, wrong serial number, no permission (names the
+            udev rule), in use, or a description that can't be understood.
+        """
+        self.close()
+        with self._lock:
+            found = find_camera(self._settings.serial, self._backend)
+            self._name = found.name
+            link = UsbLink(found.device, found.name)
+            link.claim()
+            try:
+                channel = GenCpChannel(
+                    link.send,
+                    link.receive,
+                    link.name,
+                    timeout_s=self._settings.control_timeout_s,
+                    retries=self._settings.control_retries,
+                )
+                self._channel = channel
+                self._session = OpenCamera.learn(link, channel)
+                self._session.halt_leftovers()
+                return self._session.info()
+            except BaseException:
+                self._session = None
+                link.release()
+                raise
+            finally:
+                self._channel = None if self._session is None else self._session.channel
+
+    def configure(self, settings: CameraSettings) -> CameraSettings:
+        """Apply settings; what is returned was read from the camera afterwards."""
+        with self._lock:
+            session = self._opened()
+            if self._running():
+                raise DeviceError(f"{self._name}: is running; stop it before settings are changed")
+            with self._noticing_loss():
+                return session.features.apply(settings)
+
+    def start(self) -> None:
+        """Set up the stream, then let the camera run."""
+        with self._lock, self._noticing_loss():
+            session = self._opened()
+            if self._running():
+                raise DeviceError(f"{self._name}: is running already; stop it first")
+            self._end_stream()
+            features = session.features
+            pixel_format = features.pixel_format()
+            pixel_format.prepare()
+            features.run_freely()
+            expected = Expected(
+                pixel_format,
+                int(features.get("Width")),
+                int(features.get("Height")),
+                session.identity.timestamp_increment_ns,
+            )
+            session.registers.enable(False)
+            session.link.reset_stream()
+            plan = session.registers.set_up(_LARGEST_FRAME, self._settings.transfer_bytes)
+            if sum(plan.payload) < expected.image_bytes:
+                size = f"{expected.width_px} x {expected.height_px} in {pixel_format.name}"
+                raise DeviceError(
+                    f"{self._name}: announces frames of {sum(plan.payload)} bytes, but {size} takes "
+                    f"{expected.image_bytes}; set its size again"
+                )
+            session.set_locked(True)
+            session.registers.enable(True)
+            self._begin_counting()
+            self._queue = FrameQueue(self._settings.buffers, "every")
+            self._stream = FrameStream(
+                self._transfers(session.link), plan, expected, self._queue, session.link
+            )
+            self._camera_runs = True
+            try:
+                features.execute("AcquisitionStart")
+            except DeviceError:
+                self.stop()
+                raise
+
+    def _transfers(self, link: UsbLink) -> Transfers:
+        if self._settings.reading == "auto" and LibusbTransfers.suits(link):
+            return LibusbTransfers(link, self._settings.transfers)
+        return BlockingTransfers(link)
+
+    def _begin_counting(self) -> None:
+        before = self.status
+        self._before = CameraStatus()
+        if self._was_lost:
+            self._before = CameraStatus(
+                before.delivered,
+                before.dropped_by_camera,
+                before.dropped_by_bus,
+                before.dropped_by_host,
+                before.incomplete,
+                before.reconnects + 1,
+            )
+        self._was_lost = False
+        self._delivered = 0
+
+    def read(self, timeout_s: float) -> Frame | None:
+        """Next frame, read ahead by a thread; see `acquisition.camera.Camera.read`."""
+        stream, queue = self._stream, self._queue
+        if stream is None or queue is None:
+            raise DeviceError(f"{self._name}: is not started; call start before read")
+        frames = queue.take(1, timeout_s)
+        if frames:
+            self._delivered += 1
+            return frames[0]
+        if not queue.drained:
+            raise FrameTimeout(
+                f"{self._name}: no frame within {timeout_s:g} s; is its trigger on, or its cable loose?"
+            )
+        if stream.error is None:
+            return None
+        if isinstance(stream.error, CameraLost):
+            self._was_lost = True
+        raise type(stream.error)(str(stream.error))
+
+    def stop(self) -> None:
+        """No more frames; within a second, whatever the camera does."""
+        stream = self._stream
+        if stream is not None:
+            stream.request_stop()
+        with self._locked_soon() as locked:
+            if locked:
+                self._end_stream()
+
+    def _end_stream(self) -> None:
+        stream, session = self._stream, self._session
+        if stream is None:
+            return
+        stream.request_stop()
+        if session is None or not self._camera_runs:
+            stream.stop(_JOIN_S)
+            return
+        self._camera_runs = False
+        # Any of these may fail on a camera that has gone or is silent; the others still make sense.
+        steps: tuple[Callable[[], None], ...] = (
+            lambda: session.features.execute("AcquisitionStop"),
+            lambda: session.registers.enable(False),
+        )
+        for step in steps:
+            try:
+                with session.channel.within(_COMMANDS_S / len(steps)):
+                    step()
+            except DeviceError as refused:
+                logger.info("%s", refused)
+                if isinstance(refused, CameraLost):
+                    break
+        stream.stop(_JOIN_S)
+        try:
+            with session.channel.within(_COMMANDS_S / 2):
+                session.set_locked(False)
+        except DeviceError as refused:
+            logger.debug("%s", refused)
+
+    def close(self) -> None:
+        """Stop and give the camera back."""
+        stream = self._stream
+        if stream is not None:
+            stream.request_stop()
+        with self._locked_soon() as locked:
+            if not locked:
+                return  # the call that holds the lock was told to give up, and releases the camera itself
+            self._end_stream()
+            session, self._session, self._channel = self._session, None, None
+            if session is None:
+                return
+            if stream is None:
+                session.link.release()
+            else:
+                stream.when_ended(session.link.release)  # a handle must not be closed under a read
+
+    # ---- beyond the protocol
+
+    @property
+    def status(self) -> CameraStatus:
+        """Counts since `start`; they go on over a reconnection."""
+        now = CameraStatus() if self._stream is None else self._stream.status
+        before = self._before
+        return CameraStatus(
+            delivered=before.delivered + self._delivered,
+            dropped_by_camera=before.dropped_by_camera + now.dropped_by_camera,
+            dropped_by_bus=before.dropped_by_bus + now.dropped_by_bus,
+            dropped_by_host=before.dropped_by_host + now.dropped_by_host,
+            incomplete=before.incomplete + now.incomplete,
+            reconnects=before.reconnects,
+        )
+
+    @property
+    def features(self) -> Features:
+        """All features of the open camera, for ``rig camera show`` and ``rig camera set``."""
+        return self._opened().features
+
+    def read_clocks(self, attempts: int = 5) -> ClockReading:
+        """The camera's clock beside the host's: the quickest of a few readings."""
+        session = self._opened()
+        with self._noticing_loss():
+            return session.read_clocks(attempts)
+
+    # ---- inside
+
+    def _opened(self) -> OpenCamera:
+        if self._session is None:
+            raise DeviceError(f"{self._name}: is not open; call open first")
+        return self._session
+
+    def _running(self) -> bool:
+        return self._stream is not None and not self._stream.ended
+
+    @contextmanager
+    def _noticing_loss(self) -> Iterator[None]:
+        try:
+            yield
+        except CameraLost:
+            self._was_lost = True
+            raise
+
+    @contextmanager
+    def _locked_soon(self) -> Iterator[bool]:
+        """The lock, taken from a call that waits for a silent camera by making that call fail."""
+        locked = self._lock.acquire(timeout=_LOCK_S)
+        channel = self._channel
+        if not locked and channel is not None:
+            channel.abort()
+            locked = self._lock.acquire(timeout=_LOCK_S)
+        try:
+            yield locked
+        finally:
+            if locked:
+                self._lock.release()

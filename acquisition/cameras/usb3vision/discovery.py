@@ -1,0 +1,163 @@
+"""Which USB3 Vision cameras are plugged in, and which of them is meant."""
+
+import errno
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import usb.backend
+import usb.backend.libusb1
+import usb.core
+import usb.util
+
+from acquisition.cameras.usb3vision.link import UDEV_RULE, VISION_CLASS, VISION_SUBCLASS, no_permission
+from processing.errors import DeviceError
+
+_DEVICE_INFO_TYPE: Final = 0x24
+_DEVICE_INFO_SUBTYPE: Final = 0x01
+_DEVICE_INFO_LENGTH: Final = 20
+_VENDOR_INDEX: Final = 12
+_MODEL_INDEX: Final = 13
+_SERIAL_INDEX: Final = 17
+_USB_SPEEDS: Final = {1: "low speed", 2: "full speed", 3: "high speed", 4: "SuperSpeed", 5: "SuperSpeed+"}
+
+
+@dataclass(frozen=True, slots=True)
+class FoundCamera:
+    """A camera on the bus; texts are empty where they can't be read, `accessible` says whether.
+
+    `device` is pyusb's object.
+    """
+
+    vendor: str
+    model: str
+    serial: str
+    usb_speed: str
+    accessible: bool
+    device: Any
+
+    @property
+    def name(self) -> str:
+        """How messages call the camera."""
+        who = (
+            f"{self.vendor} {self.model}".strip() or f"{self.device.idVendor:04x}:{self.device.idProduct:04x}"
+        )
+        serial = f"serial {self.serial}" if self.serial else "serial unreadable"
+        return f"USB3 Vision camera {who} ({serial})"
+
+
+def udev_rule() -> Path:
+    """The file that lets users who are logged in use such cameras; `rig doctor` names it."""
+    return Path(__file__).with_name(UDEV_RULE)
+
+
+def find_cameras(backend: usb.backend.IBackend | None = None) -> tuple[FoundCamera, ...]:
+    """All USB3 Vision cameras that are plugged in.
+
+    Raises DeviceError where libusb itself is missing.
+    """
+    devices = usb.core.find(find_all=True, backend=backend or _libusb(), custom_match=_is_vision)
+    return tuple(_describe(device) for device in devices)
+
+
+def find_camera(serial: str | None, backend: usb.backend.IBackend | None = None) -> FoundCamera:
+    """The camera with this serial number, or the only one there is.
+
+    Raises
+    ------
+    DeviceError
+        None is plugged in, several are and no serial number is given, none has the serial number,
+        or the one that is meant may not be opened.
+    """
+    cameras = find_cameras(backend)
+    if not cameras:
+        raise DeviceError("no USB3 Vision camera is plugged in; check cable and power, then: rig devices")
+    listed = "; ".join(camera.name for camera in cameras)
+    if serial is None:
+        if len(cameras) > 1:
+            raise DeviceError(
+                f"{len(cameras)} USB3 Vision cameras, and no serial given; set one of: {listed}"
+            )
+        chosen = cameras[0]
+    else:
+        matching = [camera for camera in cameras if camera.serial == serial]
+        unreadable = [camera for camera in cameras if not camera.accessible]
+        if not matching and unreadable:
+            raise no_permission(unreadable[0].name)
+        if not matching:
+            raise DeviceError(f"no USB3 Vision camera has serial {serial!r}; plugged in: {listed}")
+        if len(matching) > 1:
+            raise DeviceError(
+                f"{len(matching)} USB3 Vision cameras have serial {serial!r}; unplug all but one"
+            )
+        chosen = matching[0]
+    if not chosen.accessible:
+        raise no_permission(chosen.name)
+    return chosen
+
+
+def _libusb() -> usb.backend.IBackend:
+    backend = usb.backend.libusb1.get_backend()
+    if backend is None:
+        try:
+            import libusb_package  # ships libusb as a wheel, where the system has none
+        except ImportError:
+            pass
+        else:
+            backend = libusb_package.get_libusb1_backend()
+    if backend is None:
+        raise DeviceError(
+            "libusb-1.0 is missing, which USB3 Vision cameras need; "
+            "install it (Debian: apt install libusb-1.0-0) or: pip install libusb-package"
+        )
+    return backend
+
+
+def _is_vision(device: Any) -> bool:
+    try:
+        return any(
+            (interface.bInterfaceClass, interface.bInterfaceSubClass) == (VISION_CLASS, VISION_SUBCLASS)
+            for configuration in device
+            for interface in configuration
+        )
+    except usb.core.USBError:
+        return False  # a device that vanished during the search, or an odd one: no camera of ours
+
+
+def _describe(device: Any) -> FoundCamera:
+    indices = _string_indices(device)
+    speed = _USB_SPEEDS.get(device.speed, "unknown speed")
+    try:
+        vendor, model, serial = (_text(device, index) for index in indices)
+        accessible = True
+    except usb.core.USBError as error:
+        vendor = model = serial = ""
+        accessible = error.errno != errno.EACCES
+    finally:
+        usb.util.dispose_resources(device)
+    return FoundCamera(vendor, model, serial, speed, accessible, device)
+
+
+def _text(device: Any, index: int) -> str:
+    if not index:
+        return ""
+    try:
+        return (usb.util.get_string(device, index) or "").strip("\0 ")
+    except ValueError:  # pyusb's word for a device without strings, and for one that may not be opened
+        device.get_active_configuration()  # which raises where the reason is the latter
+        return ""
+
+
+def _string_indices(device: Any) -> tuple[int, int, int]:
+    """Indices of vendor, model and serial: the camera's own descriptor, else the device's."""
+    for configuration in device:
+        for interface in configuration:
+            extra = bytes(interface.extra_descriptors)
+            while len(extra) >= 3 and extra[0] >= 3:
+                length, kind, subtype = extra[0], extra[1], extra[2]
+                if (kind, subtype) == (_DEVICE_INFO_TYPE, _DEVICE_INFO_SUBTYPE):
+                    if length >= _DEVICE_INFO_LENGTH and len(extra) >= length:
+                        return extra[_VENDOR_INDEX], extra[_MODEL_INDEX], extra[_SERIAL_INDEX]
+                    break
+                extra = extra[length:]
+    return device.iManufacturer, device.iProduct, device.iSerialNumber

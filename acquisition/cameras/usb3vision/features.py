@@ -1,0 +1,262 @@
+"""What the rig sets on a camera, by the names that cameras have given it over the years."""
+
+import logging
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, Final
+
+from acquisition.camera import CameraLost, CameraSettings, PixelFormat
+from acquisition.cameras.usb3vision.genapi.choice_nodes import Enumeration
+from acquisition.cameras.usb3vision.genapi.node import Access
+from acquisition.cameras.usb3vision.genapi.node_map import NodeMap
+from acquisition.cameras.usb3vision.unpack import BY_NAME, FORMATS, Format
+from processing.errors import DeviceError
+
+logger = logging.getLogger(__name__)
+
+# Standard Feature Naming Convention first, then what older cameras call it
+ALIASES: Final[dict[str, tuple[str, ...]]] = {
+    "ExposureTime": ("ExposureTime", "ExposureTimeAbs", "ExposureTimeRaw"),
+    "Gain": ("Gain", "GainAbs", "GainRaw"),
+    "AcquisitionFrameRate": ("AcquisitionFrameRate", "AcquisitionFrameRateAbs", "FrameRate"),
+    "AcquisitionFrameRateEnable": (
+        "AcquisitionFrameRateEnable",
+        "AcquisitionFrameRateEnabled",
+        "AcquisitionFrameRateControlEnabled",
+    ),
+    "DeviceClockFrequency": ("DeviceClockFrequency", "GevTimestampTickFrequency"),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class FeatureReading:
+    """One feature as a user may see it. `value` is None where it can't be read; `problem` says why."""
+
+    name: str
+    kind: str
+    value: int | float | bool | str | bytes | None
+    access: str
+    minimum: float | None
+    maximum: float | None
+    unit: str
+    choices: tuple[str, ...]
+    problem: str
+
+
+class Features:
+    """The features of one camera that the rig knows, found by the standard's name or an older one."""
+
+    def __init__(self, nodes: NodeMap) -> None:
+        self.nodes = nodes
+
+    def find(self, name: str) -> str | None:
+        """The name under which this camera has the feature, usable now or not; None where it has not."""
+        present = [alias for alias in ALIASES.get(name, (name,)) if alias in self.nodes]
+        for alias in present:
+            if self.nodes.node(alias).access().readable or self.nodes.node(alias).access().writable:
+                return alias
+        return present[0] if present else None
+
+    def get(self, name: str) -> Any:
+        """Its value; DeviceError where the camera has no such feature or it can't be read."""
+        found = self.find(name)
+        if found is None:
+            raise DeviceError(f"{self.nodes.name}: has no feature {name}")
+        return self.nodes.get(found)
+
+    def get_if_readable(self, name: str) -> Any | None:
+        """Its value, None where there is none at present."""
+        found = self.find(name)
+        if found is None or not self.nodes.node(found).access().readable:
+            return None
+        return self.nodes.get(found)
+
+    def set(self, name: str, value: Any) -> Any:
+        """Set it, return what the camera says afterwards.
+
+        Raises
+        ------
+        DeviceError
+            Not a feature of this camera, not settable at present, out of range (says the range).
+        """
+        found = self.find(name)
+        if found is None:
+            raise DeviceError(f"{self.nodes.name}: has no feature {name}; leave that setting out")
+        self.nodes.set(found, value)
+        self.nodes.forget()  # what the camera has made of it, not what was written
+        return self.nodes.get(found) if self.nodes.node(found).access().readable else value
+
+    def readings(self) -> Iterator[FeatureReading]:
+        """All features that the camera has, as they are now; a faulty one says so and harms no other."""
+        self.nodes.forget()
+        for name in self.nodes.features():
+            node = self.nodes.node(name)
+            access, value, low, high, problem = "", None, None, None, ""
+            choices: tuple[str, ...] = ()
+            try:
+                mode = node.access()
+                access = mode.value
+                if mode is Access.NOT_IMPLEMENTED:
+                    continue
+                if mode.readable and hasattr(node, "get"):
+                    value = self.nodes.get(name)
+                    low, high = node.minimum(), node.maximum()
+                choices = node.choices() if isinstance(node, Enumeration) else ()
+            except CameraLost:
+                raise
+            except DeviceError as error:
+                problem = str(error)
+            unit = node.description.text("Unit") or ""
+            kind = node.description.kind
+            yield FeatureReading(name, kind, value, access, low, high, unit, choices, problem)
+
+    def execute(self, name: str) -> None:
+        """Run a command."""
+        self.nodes.set(name, True)
+
+    def _switch_off(self, name: str) -> None:
+        """An automatism off, a trigger off, where the camera has it and lets it be switched."""
+        node = self.nodes.node(name) if name in self.nodes else None
+        if isinstance(node, Enumeration) and node.access().writable and "Off" in node.choices():
+            node.set("Off")
+
+    # ---- for the rig
+
+    def apply(self, settings: CameraSettings) -> CameraSettings:
+        """Apply what is asked for, in the order in which cameras need it; return all as read back."""
+        self.nodes.forget()
+        if settings.pixel_format is not None:
+            self._set_pixel_format(settings.pixel_format)
+        self._set_region(settings)
+        if settings.exposure_us is not None:
+            self._switch_off("ExposureAuto")
+            self._set_number("ExposureTime", settings.exposure_us)
+        if settings.gain_db is not None:
+            self._switch_off("GainAuto")
+            self._set_number("Gain", settings.gain_db)
+        if settings.frame_rate_hz is not None:
+            self._switch_off("AcquisitionFrameRateAuto")
+            enable = self.find("AcquisitionFrameRateEnable")
+            if enable is not None and self.nodes.node(enable).access().writable:
+                self.nodes.set(enable, True)
+            self._set_number("AcquisitionFrameRate", settings.frame_rate_hz)
+        return self.read_back()
+
+    def read_back(self) -> CameraSettings:
+        """The camera's settings now; None where it has no such feature or it is not in use."""
+        self.nodes.forget()
+        pixel_format = self.pixel_format().pixel_format
+        enabled = self.get_if_readable("AcquisitionFrameRateEnable")
+        rate = None if enabled is False else self.get_if_readable("AcquisitionFrameRate")
+        return CameraSettings(
+            exposure_us=self._positive("ExposureTime"),
+            gain_db=self._gain(),
+            frame_rate_hz=float(rate) if rate else None,
+            pixel_format=pixel_format,
+            width_px=self.get("Width"),
+            height_px=self.get("Height"),
+            offset_x_px=self.get_if_readable("OffsetX"),
+            offset_y_px=self.get_if_readable("OffsetY"),
+        )
+
+    def _positive(self, name: str) -> float | None:
+        value = self.get_if_readable(name)
+        return float(value) if value is not None and value > 0 else None
+
+    def _gain(self) -> float | None:
+        value = self.get_if_readable("Gain")
+        # Cameras that attenuate have negative gains, which settings can't express.
+        return max(float(value), 0.0) if value is not None else None
+
+    def _set_number(self, name: str, wanted: float) -> None:
+        found = self.find(name)
+        is_whole = found is not None and self.nodes.node(found).description.kind == "Integer"
+        got = self.set(name, round(wanted) if is_whole else wanted)
+        if abs(got - wanted) > 1e-6 * abs(wanted):
+            logger.info("%s: %s set to %g, the camera made it %g", self.nodes.name, found, wanted, got)
+
+    def run_freely(self) -> None:
+        """Frames one after the other without an end, none of them waiting for a trigger."""
+        mode = self.nodes.node("AcquisitionMode") if "AcquisitionMode" in self.nodes else None
+        if isinstance(mode, Enumeration) and mode.access().writable and "Continuous" in mode.choices():
+            mode.set("Continuous")
+        selector = self.nodes.node("TriggerSelector") if "TriggerSelector" in self.nodes else None
+        if isinstance(selector, Enumeration) and selector.access().writable:
+            before = selector.get()
+            for choice in selector.choices():
+                selector.set(choice)
+                self._switch_off("TriggerMode")
+            selector.set(before)
+        else:
+            self._switch_off("TriggerMode")
+
+    def pixel_format(self) -> Format:
+        """The present pixel format; DeviceError where the rig can't use it."""
+        name = str(self.get("PixelFormat"))
+        if name not in BY_NAME:
+            raise DeviceError(
+                f"{self.nodes.name}: pixel format {name} can't be used; set one of: {self._usable_depths()}"
+            )
+        return BY_NAME[name]
+
+    def _usable_depths(self) -> str:
+        node = self.nodes.node("PixelFormat")
+        choices = node.choices() if isinstance(node, Enumeration) else ()
+        depths = dict.fromkeys(item.pixel_format for item in FORMATS if item.name in choices)
+        return ", ".join(depths) or "none that this camera has"
+
+    def _set_pixel_format(self, wanted: PixelFormat) -> None:
+        node = self.nodes.node("PixelFormat") if "PixelFormat" in self.nodes else None
+        choices = node.choices() if isinstance(node, Enumeration) else ()
+        fitting = [item.name for item in FORMATS if item.pixel_format == wanted and item.name in choices]
+        if not fitting:
+            raise DeviceError(
+                f"{self.nodes.name}: does not offer pixel format {wanted}; it offers: {self._usable_depths()}"
+            )
+        # A format of the same depth that is set already was somebody's choice.
+        if self.get("PixelFormat") not in fitting:
+            self.set("PixelFormat", fitting[0])
+
+    def sensor_size(self, size: str) -> int:
+        """The sensor's extent along "Width" or "Height", in the pixels that can be read out."""
+        for name in (f"{size}Max", f"Sensor{size}"):
+            value = self.get_if_readable(name) if self.find(name) is not None else None
+            if value:
+                offset = self.get_if_readable("OffsetX" if size == "Width" else "OffsetY") or 0
+                return max(int(value), int(self.get(size)) + int(offset))
+        largest = self.nodes.node(size).maximum()
+        return int(largest if largest is not None else self.get(size))
+
+    def _check_region(
+        self, size: str, offset: str, wanted_size: int | None, wanted_offset: int | None
+    ) -> None:
+        end = (wanted_size or self.get(size)) + (wanted_offset or 0)
+        sensor = self.sensor_size(size)
+        if wanted_offset and end > sensor:
+            raise DeviceError(
+                f"{self.nodes.name}: {size} {end - wanted_offset} at {offset} {wanted_offset} reaches {end}; "
+                f"the sensor has {sensor}. Ask for less"
+            )
+
+    def _set_region(self, settings: CameraSettings) -> None:
+        """Size and offset limit each other: whichever shrinks goes first."""
+        for size, offset, wanted_size, wanted_offset in (
+            ("Width", "OffsetX", settings.width_px, settings.offset_x_px),
+            ("Height", "OffsetY", settings.height_px, settings.offset_y_px),
+        ):
+            self._check_region(size, offset, wanted_size, wanted_offset)
+            has_offset = self.find(offset) is not None and self.nodes.node(offset).access().writable
+            if wanted_size is not None and self.get(size) != wanted_size:
+                before = self.get(offset) if has_offset else 0
+                if has_offset and before:
+                    self.set(offset, 0)  # else an old offset would forbid a size that fits at the new one
+                try:
+                    self.set(size, wanted_size)
+                except DeviceError:
+                    if has_offset and before:
+                        self.set(offset, before)
+                    raise
+                if wanted_offset is None and before:
+                    self.set(offset, min(before, int(self.nodes.node(offset).maximum() or 0)))
+            if wanted_offset is not None and (has_offset or wanted_offset):
+                self.set(offset, wanted_offset)

@@ -1,0 +1,1 @@
+"""GenApi: a camera's XML turned into features that can be read and set."""

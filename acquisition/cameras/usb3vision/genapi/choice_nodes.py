@@ -1,0 +1,142 @@
+"""Nodes that are features with a choice: switches, enumerations, commands."""
+
+from collections.abc import Iterator
+from typing import Any
+
+from acquisition.cameras.usb3vision.genapi.node import Access, Node, parse_number
+from acquisition.cameras.usb3vision.genapi.operators import Number, truncated
+from acquisition.cameras.usb3vision.genapi.value_nodes import Valued
+from processing.errors import DeviceError
+
+
+class Boolean(Valued):
+    """A switch."""
+
+    def _on_off(self) -> tuple[int, int]:
+        on, off = self.description.text("OnValue"), self.description.text("OffValue")
+        return int(parse_number(on or "1")), int(parse_number(off or "0"))
+
+    def own_number(self) -> Number:
+        text = self.description.text("Value")
+        if self.name not in self.nodes.own_values and text in ("true", "false"):
+            return self._on_off()[text == "false"]
+        return super().own_number()
+
+    def get(self) -> bool:
+        """Whether it is on."""
+        return self.number() != 0
+
+    def number(self) -> Number:
+        value = super().number()
+        on, off = self._on_off()
+        if value not in (on, off):
+            raise DeviceError(f"{self.nodes.name}: {self.name} is {value}, neither on ({on}) nor off ({off})")
+        return int(value == on)
+
+    def set_number(self, value: Number) -> None:
+        on, off = self._on_off()
+        super().set_number(on if value else off)
+
+    def set(self, value: bool) -> None:
+        """Switch it on or off."""
+        self.set_number(int(value))
+
+    def minimum(self) -> Number:
+        return 0
+
+    def maximum(self) -> Number:
+        return 1
+
+
+class EnumEntry(Node):
+    """One choice of an enumeration."""
+
+    def number(self) -> int:
+        text = self.description.text("Value")
+        try:
+            return truncated(parse_number(text or ""))
+        except ValueError:
+            raise self.broken(f"the choice's value {text!r} is no number") from None
+
+    def own_access(self) -> Access:
+        return Access.READ_ONLY
+
+
+class Enumeration(Valued):
+    """A choice by name."""
+
+    def entries(self) -> Iterator[tuple[str, EnumEntry]]:
+        """All choices by their names, whether available now or not."""
+        for item in self.description.all("EnumEntry"):
+            name = item.attributes.get("Name", "")
+            yield name, self.nodes.entry(self, name, item)
+
+    def entry_number(self, entry: str) -> int:
+        for name, node in self.entries():
+            if name == entry:
+                return node.number()
+        choices = ", ".join(name for name, _ in self.entries())
+        raise DeviceError(f"{self.nodes.name}: {self.name} has no choice {entry!r}; choices: {choices}")
+
+    def own_access(self) -> Access:
+        """Without a choice that can be made now it is of no use, whatever the register says."""
+        mode = super().own_access()
+        if mode is Access.NOT_IMPLEMENTED:
+            return mode
+        without = Access.NOT_IMPLEMENTED
+        for _, node in self.entries():
+            access = node.access()
+            if access.readable:
+                return mode  # one is enough; the others' registers need not be read
+            if access is not Access.NOT_IMPLEMENTED:
+                without = Access.NOT_AVAILABLE
+        return without
+
+    def choices(self) -> tuple[str, ...]:
+        """Names of the choices that are available now."""
+        return tuple(name for name, node in self.entries() if node.access().readable)
+
+    def number(self) -> int:
+        return truncated(super().number())
+
+    def get(self) -> str:
+        """Name of the present choice."""
+        value = self.number()
+        for name, node in self.entries():
+            if node.number() == value:
+                return name
+        raise DeviceError(f"{self.nodes.name}: {self.name} is {value}, which is none of its choices")
+
+    def set(self, value: str) -> None:
+        """Choose by name."""
+        self.must_be_writable()
+        number = self.entry_number(value)
+        available = self.choices()
+        if value not in available:
+            listed = ", ".join(available)
+            raise DeviceError(
+                f"{self.nodes.name}: {self.name} can't be {value!r} at present; choices: {listed}"
+            )
+        self.set_number(number)
+
+
+class Command(Valued):
+    """Something to be done."""
+
+    def execute(self) -> None:
+        """Do it."""
+        self.must_be_writable()
+        value = self.value_of("CommandValue")
+        self.set_number(1 if value is None else value)
+
+    def get(self) -> bool:
+        """Whether it is still being done."""
+        source = self.source()
+        if source is None or not source.access().readable:
+            return False
+        value = self.value_of("CommandValue")
+        return source.number() == (1 if value is None else value)
+
+    def set(self, value: Any) -> None:
+        """Any value does it."""
+        self.execute()

@@ -1,0 +1,139 @@
+"""Nodes whose value is calculated: swiss knives read, converters also write."""
+
+from typing import TYPE_CHECKING
+
+from acquisition.cameras.usb3vision.genapi.description import NodeDescription
+from acquisition.cameras.usb3vision.genapi.formula import Formula
+from acquisition.cameras.usb3vision.genapi.node import Access, Node, parse_number
+from acquisition.cameras.usb3vision.genapi.operators import Number
+
+if TYPE_CHECKING:
+    from acquisition.cameras.usb3vision.genapi.node_map import NodeMap
+
+
+class _Calculated(Node):
+    """Variables, constants and named expressions, as all formulas may use them."""
+
+    def __init__(self, description: NodeDescription, nodes: "NodeMap") -> None:
+        super().__init__(description, nodes)
+        self._whole = description.kind.startswith("Int")
+        self._variables = {
+            item.attributes.get("Name", ""): item.text for item in description.all("pVariable")
+        }
+        self._formulas: dict[str, Formula] = {}
+
+    def variable_values(self) -> dict[str, Number]:
+        """Values of all variables now; every one is read, whether the formula needs it or not."""
+        values: dict[str, Number] = {}
+        for name, target in self._variables.items():
+            values[name] = self._variable(name, self.nodes.node(target))
+        for item in self.description.all("Constant"):
+            values[item.attributes.get("Name", "")] = self._constant(item.text)
+        return values
+
+    def _with_variables(self, mode: Access) -> Access:
+        for target in self._variables.values():
+            mode = mode.where_readable(self.nodes.node(target).access())
+        return mode
+
+    def _constant(self, text: str) -> Number:
+        try:
+            return parse_number(text)
+        except ValueError:
+            raise self.broken(f"its constant {text!r} is no number") from None
+
+    def _variable(self, name: str, node: Node) -> Number:
+        """A variable's name may end in what it means of the node: its limits, or one of its choices."""
+        stem, _, suffix = name.partition(".")
+        value: Number | None
+        if not stem or suffix in ("", "Value"):
+            value = node.number()
+        elif suffix == "Min":
+            value = node.minimum()
+        elif suffix == "Max":
+            value = node.maximum()
+        elif suffix == "Inc":
+            value = node.increment()
+        elif suffix.startswith(("Entry.", "Enum.")):
+            value = node.entry_number(suffix.partition(".")[2])
+        else:
+            value = node.number()
+        if value is None:
+            raise self.broken(f"{node.name} has no {suffix}")
+        return value
+
+    def evaluate(self, tag: str, values: dict[str, Number]) -> Number:
+        """The formula under this tag with these values, after the expressions that it may use."""
+        known = dict(values)
+        for item in self.description.all("Expression"):
+            name = item.attributes.get("Name", "")
+            known[name] = self._formula(f"Expression {name}", item.text, known)(known)
+        text = self.description.text(tag)
+        if text is None:
+            raise self.broken(f"it has no {tag}")
+        return self._formula(tag, text, known)(known)
+
+    def _formula(self, key: str, text: str, known: dict[str, Number]) -> Formula:
+        if key not in self._formulas:
+            owner = f"{self.nodes.name}: {self.name}"
+            self._formulas[key] = Formula(text, whole=self._whole, variables=frozenset(known), owner=owner)
+        return self._formulas[key]
+
+
+class SwissKnife(_Calculated):
+    """A formula of other nodes; can't be set."""
+
+    def own_access(self) -> Access:
+        return self._with_variables(Access.READ_ONLY)
+
+    def number(self) -> Number:
+        self.must_be_readable()
+        return self.evaluate("Formula", self.variable_values())
+
+    get = number
+
+
+class Converter(_Calculated):
+    """A formula each way between the feature (FROM) and another node (TO)."""
+
+    def _target(self) -> Node:
+        target = self.referred("pValue")
+        if target is None:
+            raise self.broken("a converter without pValue")
+        return target
+
+    def own_access(self) -> Access:
+        return self._with_variables(self._target().access())
+
+    def number(self) -> Number:
+        self.must_be_readable()
+        return self._from(self._target().number(), self.variable_values())
+
+    get = number
+
+    def _from(self, value: Number, variables: dict[str, Number]) -> Number:
+        return self.evaluate("FormulaFrom", variables | {"TO": value})
+
+    def set_number(self, value: Number) -> None:
+        self.must_be_writable()
+        self._target().set_number(self.evaluate("FormulaTo", self.variable_values() | {"FROM": value}))
+
+    def set(self, value: Number) -> None:
+        """Set it, within the limits of what lies behind."""
+        self.set_number(value)
+
+    def _limits(self) -> tuple[Number, Number] | None:
+        low, high = self._target().minimum(), self._target().maximum()
+        if low is None or high is None or self.description.text("Slope") == "Varying":
+            return None
+        variables = self.variable_values()
+        ends = self._from(low, variables), self._from(high, variables)
+        return min(ends), max(ends)
+
+    def minimum(self) -> Number | None:
+        limits = self._limits()
+        return None if limits is None else limits[0]
+
+    def maximum(self) -> Number | None:
+        limits = self._limits()
+        return None if limits is None else limits[1]

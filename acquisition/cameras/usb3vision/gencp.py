@@ -1,0 +1,225 @@
+"""GenCP: reading and writing a camera's registers by command and reply."""
+
+import logging
+import struct
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Final
+
+from processing.errors import DeviceError
+
+logger = logging.getLogger(__name__)
+
+_PREFIX: Final = 0x43563355  # "U3VC", little-endian
+_HEADER: Final = struct.Struct("<IHHHH")  # prefix, flags or status, command, length, request id
+_READ_COMMAND: Final = struct.Struct("<QHH")
+_WRITE_ADDRESS: Final = struct.Struct("<Q")
+_TWO_WORDS: Final = struct.Struct("<HH")
+
+_REQUEST_ACK: Final = 0x4000
+_READ: Final = 0x0800
+_WRITE: Final = 0x0802
+_PENDING_ACK: Final = 0x0805
+
+# Until the bootstrap registers have told the camera's own limits, the least that any camera takes.
+_SMALLEST_PACKET: Final = 64
+# A camera that asks for more time again and again is given up after this long.
+_LONGEST_WAIT_S: Final = 30.0
+# `abort` is noticed between two reads of this length.
+_SLICE_S: Final = 0.1
+
+_BUSY: Final = 0x8007
+_STATUS_MEANINGS: Final = {
+    0x8001: "command not implemented",
+    0x8002: "invalid parameter",
+    0x8003: "no register at this address",
+    0x8004: "register is write-protected",
+    0x8005: "bad alignment",
+    0x8006: "access denied (another program may control the camera)",
+    _BUSY: "camera is busy",
+    0x800B: "message timed out inside the camera",
+    0x800E: "invalid header",
+    0x800F: "wrong configuration",
+    0x8FFF: "unspecified error",
+    0xA001: "resend not supported",
+    0xA002: "stream endpoint is halted",
+    0xA003: "payload size not aligned",
+    0xA004: "stream registers inconsistent",
+    0xA005: "data discarded",
+}
+
+
+class RegisterRefused(DeviceError):
+    """The camera answered a register access with an error status."""
+
+    def __init__(self, message: str, status: int) -> None:
+        super().__init__(message)
+        self.status = status
+
+
+class NoAnswer(DeviceError):
+    """The camera does not answer register accesses, or not sensibly, in spite of retries."""
+
+
+class GenCpChannel:
+    """Register access over one pair of endpoints, safe to use from several threads.
+
+    Parameters
+    ----------
+    send
+        Called with a packet and a timeout in s; raises TimeoutError when it could not be sent.
+    receive
+        Called with the largest size and a timeout in s, returns one packet; raises TimeoutError.
+    name
+        The camera as the messages shall call it.
+    timeout_s
+        Patience for one reply; a camera may ask for more with a pending acknowledge.
+    retries
+        How often a command is sent again after silence, a damaged reply or "busy". Every attempt
+        carries a new id, so that a late reply to an older one is recognised and ignored.
+    clock
+        Monotonic time in s.
+    """
+
+    def __init__(
+        self,
+        send: Callable[[bytes, float], None],
+        receive: Callable[[int, float], bytes],
+        name: str,
+        *,
+        timeout_s: float = 0.5,
+        retries: int = 3,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._send = send
+        self._receive = receive
+        self._name = name
+        self._timeout_s = timeout_s
+        self._retries = retries
+        self._clock = clock
+        self._lock = threading.RLock()
+        self._last_id = 0
+        self._max_command = _SMALLEST_PACKET
+        self._max_reply = _SMALLEST_PACKET
+        self._give_up_at_s: float | None = None
+        self._aborted = threading.Event()
+
+    def set_limits(self, max_command: int, max_reply: int, response_time_s: float) -> None:
+        """Use the camera's own packet sizes in bytes and its longest response time."""
+        self._max_command = max(max_command, _SMALLEST_PACKET)
+        self._max_reply = max(max_reply, _SMALLEST_PACKET)
+        self._timeout_s = max(self._timeout_s, min(2.0 * response_time_s, _LONGEST_WAIT_S))
+
+    @contextmanager
+    def within(self, seconds: float) -> Iterator[None]:
+        """Everything inside fails with `NoAnswer` rather than take longer than this altogether."""
+        give_up_at_s = self._clock() + seconds
+        if not self._lock.acquire(timeout=seconds):
+            raise NoAnswer(f"{self._name}: still busy with another command after {seconds:.1f} s")
+        try:
+            self._give_up_at_s = give_up_at_s
+            yield
+        finally:
+            self._give_up_at_s = None
+            self._lock.release()
+
+    def abort(self) -> None:
+        """Make the command that is under way in another thread fail now, and all later ones."""
+        self._aborted.set()
+
+    def read(self, address: int, length: int) -> bytes:
+        """`length` bytes from `address`, in as many commands as the camera's packets need."""
+        largest = self._max_reply - _HEADER.size
+        data = bytearray()
+        while len(data) < length:
+            size = min(length - len(data), largest)
+            data += self._read_once(address + len(data), size)
+        return bytes(data)
+
+    def write(self, address: int, data: bytes) -> None:
+        """Write `data` at `address`, in as many commands as the camera's packets need."""
+        largest = (self._max_command - _HEADER.size - _WRITE_ADDRESS.size) & ~3
+        for start in range(0, len(data), largest):
+            part = data[start : start + largest]
+            where = f"writing {len(part)} bytes at 0x{address + start:X}"
+            reply = self._transact(_WRITE, _WRITE_ADDRESS.pack(address + start) + part, where, None)
+            # The written length is optional in GenCP; a zero says nothing.
+            if len(reply) >= _TWO_WORDS.size:
+                written = _TWO_WORDS.unpack_from(reply)[1]
+                if written not in (0, len(part)):
+                    raise NoAnswer(f"{self._name}: {where}: the camera says it has written {written}")
+
+    def _read_once(self, address: int, size: int) -> bytes:
+        where = f"reading {size} bytes at 0x{address:X}"
+        return self._transact(_READ, _READ_COMMAND.pack(address, 0, size), where, size)
+
+    def _next_id(self) -> int:
+        self._last_id = self._last_id % 0xFFFF + 1  # 0 is reserved
+        return self._last_id
+
+    def _transact(self, command: int, payload: bytes, where: str, reply_size: int | None) -> bytes:
+        problem = "no reply"
+        with self._lock:
+            for _ in range(self._retries + 1):
+                if self._patience_s(1.0) <= 0:
+                    break
+                request_id = self._next_id()
+                header = _HEADER.pack(_PREFIX, _REQUEST_ACK, command, len(payload), request_id)
+                try:
+                    self._send(header + payload, self._patience_s(self._timeout_s))
+                    reply = self._await(command + 1, request_id, reply_size)
+                except TimeoutError as silence:
+                    problem = str(silence) or "no reply"
+                    continue
+                status, data = reply
+                if status == 0:
+                    return data
+                meaning = _STATUS_MEANINGS.get(status, "unknown status")
+                problem = f"{meaning} (status 0x{status:04X})"
+                if status != _BUSY:
+                    raise RegisterRefused(f"{self._name}: {where}: {problem}", status)
+                time.sleep(min(0.01, max(self._patience_s(0.01), 0.0)))
+        raise NoAnswer(f"{self._name}: {where}: {problem}; unplug the camera and plug it in again")
+
+    def _patience_s(self, wanted_s: float) -> float:
+        if self._aborted.is_set():
+            return 0.0
+        if self._give_up_at_s is None:
+            return wanted_s
+        return min(wanted_s, self._give_up_at_s - self._clock())
+
+    def _await(self, command: int, request_id: int, reply_size: int | None) -> tuple[int, bytes]:
+        """The reply's status and data; whatever else arrives meanwhile is named and passed over."""
+        start_s = self._clock()
+        deadline_s = start_s + self._timeout_s
+        problem = "no reply"
+        while True:
+            left_s = self._patience_s(min(deadline_s, start_s + _LONGEST_WAIT_S) - self._clock())
+            if left_s <= 0:
+                raise TimeoutError(problem)
+            try:
+                packet = self._receive(self._max_reply, min(left_s, _SLICE_S))
+            except TimeoutError:
+                continue
+            if len(packet) < _HEADER.size:
+                problem = f"a reply of only {len(packet)} bytes"
+                continue
+            prefix, status, answered, length, answered_id = _HEADER.unpack_from(packet)
+            if prefix != _PREFIX:
+                problem = f"a reply that begins with 0x{prefix:08X}, not 0x{_PREFIX:08X}"
+            elif answered_id != request_id:
+                logger.debug("%s: reply %d is late, %d is awaited", self._name, answered_id, request_id)
+                problem = f"a reply to command {answered_id}, not to {request_id}"
+            elif length != len(packet) - _HEADER.size:
+                problem = f"a reply of {len(packet) - _HEADER.size} bytes that claims {length}"
+            elif answered == _PENDING_ACK:
+                if length >= _TWO_WORDS.size:
+                    deadline_s = self._clock() + _TWO_WORDS.unpack_from(packet, _HEADER.size)[1] / 1000
+            elif answered != command:
+                problem = f"a reply of kind 0x{answered:04X}, not 0x{command:04X}"
+            elif status == 0 and reply_size is not None and length != reply_size:
+                problem = f"{length} bytes where {reply_size} were asked for"
+            else:
+                return status, packet[_HEADER.size :]

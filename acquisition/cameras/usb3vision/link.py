@@ -1,0 +1,187 @@
+"""One camera on the bus: its interfaces claimed, its endpoints read and written."""
+
+import errno
+import logging
+from array import array
+from typing import Any, Final
+
+import usb.core
+import usb.util
+
+from acquisition.camera import CameraLost
+from processing.errors import DeviceError
+
+logger = logging.getLogger(__name__)
+
+VISION_CLASS: Final = 0xEF
+VISION_SUBCLASS: Final = 0x05
+_CONTROL: Final = 0x00
+_STREAM: Final = 0x02
+
+_TO_ENDPOINT: Final = 0x02
+_SET_FEATURE: Final = 3
+_ENDPOINT_HALT: Final = 0
+
+UDEV_RULE: Final = "70-usb3vision.rules"
+
+# What the operating systems answer for a device that has been unplugged
+_GONE: Final = {errno.ENODEV, errno.ENXIO, errno.ESHUTDOWN}
+_LIBUSB_NO_DEVICE: Final = -4
+_LIBUSB_TIMEOUT: Final = -7
+
+
+class StreamHalted(DeviceError):
+    """The stream endpoint has stalled or lost the rhythm of its transfers; it can be cleared."""
+
+
+def no_permission(name: str) -> DeviceError:
+    """What to tell a user who may not open the camera."""
+    return DeviceError(
+        f"{name}: no permission to use it; copy {UDEV_RULE} (it lies beside this driver; rig doctor says "
+        f"where) to /etc/udev/rules.d, run 'sudo udevadm control --reload', and plug the camera in again"
+    )
+
+
+def is_gone(error: usb.core.USBError) -> bool:
+    """Whether the error means that the device is no longer there."""
+    return error.errno in _GONE or error.backend_error_code == _LIBUSB_NO_DEVICE
+
+
+def is_timeout(error: usb.core.USBError) -> bool:
+    """Whether the error means that nothing came in time."""
+    timeout = isinstance(error, usb.core.USBTimeoutError) or error.errno == errno.ETIMEDOUT
+    return timeout or error.backend_error_code == _LIBUSB_TIMEOUT
+
+
+class UsbLink:
+    """Access to one camera's control and stream endpoints through pyusb.
+
+    Errors of the bus become `CameraLost`, TimeoutError, `StreamHalted` or `DeviceError`.
+    """
+
+    def __init__(self, device: Any, name: str) -> None:
+        self.device = device
+        self.name = name
+        self._claimed: list[int] = []
+        control = self._interface(_CONTROL)
+        stream = self._interface(_STREAM)
+        self._control_interface: int = control.bInterfaceNumber
+        self.stream_interface: int = stream.bInterfaceNumber
+        self._control_in = self._endpoint(control, usb.util.ENDPOINT_IN)
+        self._control_out = self._endpoint(control, usb.util.ENDPOINT_OUT)
+        self.stream_in = self._endpoint(stream, usb.util.ENDPOINT_IN)
+        self.packet_size = self._packet_size(stream)
+
+    def _interface(self, protocol: int) -> Any:
+        for configuration in self.device:
+            for interface in configuration:
+                kind = (interface.bInterfaceClass, interface.bInterfaceSubClass)
+                if kind == (VISION_CLASS, VISION_SUBCLASS) and interface.bInterfaceProtocol == protocol:
+                    self._configuration = configuration.bConfigurationValue
+                    return interface
+        what = "control" if protocol == _CONTROL else "stream"
+        raise DeviceError(
+            f"{self.name}: has no USB3 Vision {what} interface; it can't deliver images this way"
+        )
+
+    def _endpoint(self, interface: Any, direction: int) -> int:
+        for endpoint in interface:
+            if usb.util.endpoint_direction(endpoint.bEndpointAddress) == direction:
+                return int(endpoint.bEndpointAddress)
+        raise DeviceError(f"{self.name}: interface {interface.bInterfaceNumber} lacks an endpoint")
+
+    def _packet_size(self, stream: Any) -> int:
+        sizes = [e.wMaxPacketSize for e in stream if e.bEndpointAddress == self.stream_in]
+        return int(sizes[0]) & 0x7FF or 1024
+
+    def reset_stream(self) -> None:
+        """Throw away what the stream endpoint still holds from before: halt it, then clear the halt."""
+        try:
+            self.device.ctrl_transfer(_TO_ENDPOINT, _SET_FEATURE, _ENDPOINT_HALT, self.stream_in)
+        except usb.core.USBError as error:
+            if is_gone(error):
+                raise self.translated(error, "resetting its stream") from error
+            logger.debug("%s: halting the stream endpoint: %s", self.name, error)
+        self.clear_halt(self.stream_in)
+
+    def claim(self) -> None:
+        """Take control and stream for this program alone."""
+        try:
+            if not self._is_configured():
+                self.device.set_configuration(self._configuration)
+            for number in (self._control_interface, self.stream_interface):
+                usb.util.claim_interface(self.device, number)
+                self._claimed.append(number)
+        except usb.core.USBError as error:
+            self.release()
+            raise self.translated(error, "claiming it") from error
+
+    def _is_configured(self) -> bool:
+        try:
+            # Setting the configuration again would reset the camera's state.
+            active = self.device.get_active_configuration().bConfigurationValue
+            return bool(active == self._configuration)
+        except usb.core.USBError as error:
+            if error.errno is None:
+                return False
+            raise
+
+    def release(self) -> None:
+        """Give the camera back; never fails, also when it is gone."""
+        self._claimed.clear()
+        try:
+            usb.util.dispose_resources(self.device)
+        except usb.core.USBError as error:
+            logger.debug("%s: releasing it: %s", self.name, error)
+
+    @property
+    def handle(self) -> Any:
+        """The backend's handle of the open device."""
+        return self.device._ctx.handle  # pyusb has no public way to it
+
+    def send(self, packet: bytes, timeout_s: float) -> None:
+        """Write one packet to the control endpoint; TimeoutError when the camera does not take it."""
+        try:
+            self.device.write(self._control_out, packet, self._milliseconds(timeout_s))
+        except usb.core.USBError as error:
+            self._recover_control(error, self._control_out, "sending a command")
+
+    def receive(self, size: int, timeout_s: float) -> bytes:
+        """Read one packet from the control endpoint; TimeoutError when none comes."""
+        # A transfer of whole packets cannot be overrun by one that is longer than expected.
+        room = -(-size // 1024) * 1024
+        try:
+            packet: array[int] = self.device.read(self._control_in, room, self._milliseconds(timeout_s))
+        except usb.core.USBError as error:
+            self._recover_control(error, self._control_in, "reading a reply")
+            raise TimeoutError from error
+        return packet.tobytes()
+
+    @staticmethod
+    def _milliseconds(timeout_s: float) -> int:
+        return max(1, round(timeout_s * 1000))  # libusb reads a zero as "for ever"
+
+    def _recover_control(self, error: usb.core.USBError, endpoint: int, doing: str) -> None:
+        if is_timeout(error):
+            raise TimeoutError(f"no reply ({doing})") from error
+        if error.errno in (errno.EPIPE, errno.EOVERFLOW):
+            self.clear_halt(endpoint)
+            raise TimeoutError(f"the control endpoint stalled ({doing})") from error
+        raise self.translated(error, doing) from error
+
+    def clear_halt(self, endpoint: int) -> None:
+        """Bring a stalled endpoint back to work."""
+        try:
+            self.device.clear_halt(endpoint)
+        except usb.core.USBError as error:
+            raise self.translated(error, "clearing a stalled endpoint") from error
+
+    def translated(self, error: usb.core.USBError, doing: str) -> DeviceError:
+        """The error of the bus in our own words."""
+        if is_gone(error):
+            return CameraLost(f"{self.name}: has gone ({doing}); plug it in again")
+        if error.errno == errno.EACCES:
+            return no_permission(self.name)
+        if error.errno == errno.EBUSY:
+            return DeviceError(f"{self.name}: is in use by another program; close that program")
+        return DeviceError(f"{self.name}: {doing}: {error}; unplug the camera and plug it in again")

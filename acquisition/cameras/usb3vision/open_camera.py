@@ -1,0 +1,111 @@
+"""A camera that is claimed and whose features are known."""
+
+import logging
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Self
+
+from acquisition.camera import CameraInfo, CameraLost
+from acquisition.cameras.usb3vision.features import Features
+from acquisition.cameras.usb3vision.genapi.node_map import NodeMap
+from acquisition.cameras.usb3vision.gencp import GenCpChannel
+from acquisition.cameras.usb3vision.link import UsbLink
+from acquisition.cameras.usb3vision.manifest import read_description
+from acquisition.cameras.usb3vision.registers import (
+    Identity,
+    StreamRegisters,
+    latch_timestamp,
+    read_identity,
+    silence_events,
+)
+from acquisition.cameras.usb3vision.unpack import BY_NAME
+from processing.errors import DeviceError
+
+logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class ClockReading:
+    """Camera's and host's clock at the same moment, the host's to within +- `u_host_time_ns`."""
+
+    device_time_ns: int
+    host_time_ns: int
+    u_host_time_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class OpenCamera:
+    """What belongs to an open camera."""
+
+    link: UsbLink
+    channel: GenCpChannel
+    identity: Identity
+    features: Features
+    registers: StreamRegisters
+
+    @classmethod
+    def learn(cls, link: UsbLink, channel: GenCpChannel) -> Self:
+        """Read who the camera is and what it can do; DeviceError where that makes no sense."""
+        identity = read_identity(channel)
+        silence_events(channel, identity.event_address)
+        xml = read_description(channel, identity.manifest_address, link.name)
+        features = Features(NodeMap(xml, channel, link.name))
+        for name in ("Width", "Height", "PixelFormat", "AcquisitionStart", "AcquisitionStop"):
+            if features.find(name) is None:
+                raise DeviceError(f"{link.name}: its description lacks {name}, which every camera must have")
+        registers = StreamRegisters(channel, identity.stream_address, link.name)
+        return cls(link, channel, identity, features, registers)
+
+    def halt_leftovers(self) -> None:
+        """A program that died may have left the camera running."""
+        steps: tuple[Callable[[], None], ...] = (
+            lambda: self.features.execute("AcquisitionStop"),
+            lambda: self.registers.enable(False),
+            lambda: self.set_locked(False),
+        )
+        for step in steps:
+            try:
+                step()
+            except CameraLost:
+                raise
+            except DeviceError as refused:
+                logger.debug("%s", refused)
+
+    def info(self) -> CameraInfo:
+        """Who the camera is."""
+        features, identity = self.features, self.identity
+        pixel_format = BY_NAME.get(str(features.get("PixelFormat")))
+        return CameraInfo(
+            driver="usb3vision",
+            vendor=identity.vendor,
+            model=identity.model,
+            serial=identity.serial,
+            width_px=features.sensor_size("Width"),
+            height_px=features.sensor_size("Height"),
+            full_scale_dn=255 if pixel_format is None else pixel_format.full_scale_dn,
+            has_clock=identity.timestamp_increment_ns > 0,
+        )
+
+    def set_locked(self, locked: bool) -> None:
+        """Tell the camera that the size of frames must not change now."""
+        nodes = self.features.nodes
+        if "TLParamsLocked" in nodes and nodes.node("TLParamsLocked").access().writable:
+            nodes.set("TLParamsLocked", int(locked))
+
+    def read_clocks(self, attempts: int) -> ClockReading:
+        """The camera's clock beside the host's: the quickest of a few readings.
+
+        The camera's clock is latched while a command is under way; the host's time is the middle
+        of it, uncertain by half its duration.
+        """
+        tick_ns = self.identity.timestamp_increment_ns
+        if not tick_ns:
+            raise DeviceError(f"{self.link.name}: has no clock of its own")
+        readings = []
+        for _ in range(max(attempts, 1)):
+            before_ns = time.monotonic_ns()
+            ticks, after_ns = latch_timestamp(self.channel)
+            half_ns = (after_ns - before_ns + 1) // 2
+            readings.append(ClockReading(ticks * tick_ns, before_ns + half_ns, half_ns))
+        return min(readings, key=lambda reading: reading.u_host_time_ns)

@@ -1,0 +1,62 @@
+"""Leader and trailer: what a camera sends before and after the bytes of a frame."""
+
+import struct
+from dataclasses import dataclass
+from typing import Final
+
+LEADER_MAGIC: Final = 0x4C563355  # "U3VL"
+TRAILER_MAGIC: Final = 0x54563355  # "U3VT"
+_MAGIC: Final = struct.Struct("<I")
+_LEADER: Final = struct.Struct("<IHHQHHQIIIIIHH")
+_TRAILER: Final = struct.Struct("<IHHQHHQI")
+_TRAILER_MIN: Final = struct.Struct("<IHHQHHQ")
+# Payload types that begin with a plain image; the second has chunk data behind it
+_IMAGE_TYPES: Final = {0x0001, 0x4001}
+
+
+@dataclass(frozen=True, slots=True)
+class Leader:
+    """Announces a frame."""
+
+    block: int
+    timestamp: int
+    pixel_format: int
+    width_px: int
+    height_px: int
+    x_padding: int
+
+
+@dataclass(frozen=True, slots=True)
+class Trailer:
+    """Ends a frame and says how it went; status 0 is good."""
+
+    block: int
+    status: int
+    valid_bytes: int
+
+
+def parse_leader(raw: bytes) -> Leader | None:
+    """The leader in these bytes; None where they are none, or announce no image."""
+    if len(raw) < _LEADER.size:
+        return None
+    magic, _, size, block, _, kind, timestamp, pixel_format, width, height, _, _, padding, _ = (
+        _LEADER.unpack_from(raw)
+    )
+    if magic != LEADER_MAGIC or size < _LEADER.size or size > len(raw) or kind not in _IMAGE_TYPES:
+        return None
+    return Leader(block, timestamp, pixel_format, width, height, padding)
+
+
+def parse_trailer(raw: bytes) -> Trailer | None:
+    """The trailer in these bytes; None where they are none."""
+    if len(raw) < _TRAILER_MIN.size:
+        return None
+    magic, _, size, block, status, _, valid = _TRAILER_MIN.unpack_from(raw)
+    if magic != TRAILER_MAGIC or size < _TRAILER_MIN.size or size > len(raw):
+        return None
+    return Trailer(block, status, valid)
+
+
+def begins_like(raw: bytes, magic: int) -> bool:
+    """Whether these bytes begin with a leader's or a trailer's mark."""
+    return len(raw) >= 4 and _MAGIC.unpack_from(raw)[0] == magic

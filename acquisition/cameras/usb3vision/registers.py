@@ -1,0 +1,183 @@
+"""The bootstrap registers: who the camera is, and how its stream is set up."""
+
+import struct
+import time
+from dataclasses import dataclass
+from typing import Final
+
+from acquisition.cameras.usb3vision.gencp import GenCpChannel, RegisterRefused
+from processing.errors import DeviceError
+
+# Technology-agnostic bootstrap registers (ABRM), at absolute addresses
+_MANUFACTURER: Final = 0x0004
+_MODEL: Final = 0x0044
+_SERIAL: Final = 0x0144
+_TEXT_LENGTH: Final = 64
+_MAX_RESPONSE_TIME_MS: Final = 0x01CC
+_MANIFEST_ADDRESS: Final = 0x01D0
+_SBRM_ADDRESS: Final = 0x01D8
+_TIMESTAMP: Final = 0x01F0
+_TIMESTAMP_LATCH: Final = 0x01F8
+_TIMESTAMP_INCREMENT: Final = 0x01FC
+
+# USB3 Vision bootstrap registers (SBRM), relative to their base
+_MAX_COMMAND: Final = 0x14
+_MAX_REPLY: Final = 0x18
+_SIRM_ADDRESS: Final = 0x20
+_EIRM_ADDRESS: Final = 0x2C
+_CURRENT_SPEED: Final = 0x40
+
+# Stream interface registers (SIRM), relative to their base
+_STREAM_INFO: Final = 0x00
+_STREAM_CONTROL: Final = 0x04
+_STREAM_REQUIRED_PAYLOAD: Final = 0x08
+_STREAM_REQUIRED_LEADER: Final = 0x10
+_STREAM_REQUIRED_TRAILER: Final = 0x14
+_STREAM_HOST_SIZES: Final = 0x18
+
+_SPEEDS: Final = {1: "low speed", 2: "full speed", 4: "high speed", 8: "SuperSpeed", 16: "SuperSpeed+"}
+
+
+@dataclass(frozen=True, slots=True)
+class Identity:
+    """What the bootstrap registers say about the camera."""
+
+    vendor: str
+    model: str
+    serial: str
+    usb_speed: str
+    manifest_address: int
+    stream_address: int
+    event_address: int
+    timestamp_increment_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class TransferPlan:
+    """How a frame is cut into bulk transfers, in bytes: leader, payload pieces, trailer.
+
+    The payload goes over in `payload_count` transfers of `payload_size`, then `final_1`, then
+    `final_2` (either may be zero); all are multiples of the camera's alignment.
+    """
+
+    leader: int
+    payload_size: int
+    payload_count: int
+    final_1: int
+    final_2: int
+    trailer: int
+
+    @property
+    def payload(self) -> tuple[int, ...]:
+        """Sizes of the payload's transfers, in order."""
+        finals = tuple(size for size in (self.final_1, self.final_2) if size)
+        return (self.payload_size,) * self.payload_count + finals
+
+
+def plan_transfers(
+    payload: int, leader: int, trailer: int, alignment: int, largest_transfer: int
+) -> TransferPlan:
+    """Cut a payload of `payload` bytes into transfers of at most `largest_transfer` bytes.
+
+    Leader and trailer are given room up to the alignment; the last piece is padded up to it.
+    """
+
+    def aligned(size: int) -> int:
+        return -(-size // alignment) * alignment
+
+    size = max(min(largest_transfer, payload) // alignment, 1) * alignment
+    count, rest = divmod(payload, size)
+    final_1 = rest // alignment * alignment
+    final_2 = aligned(rest - final_1)
+    return TransferPlan(aligned(leader), size if count else 0, count, final_1, final_2, aligned(trailer))
+
+
+def _text(channel: GenCpChannel, address: int) -> str:
+    raw = channel.read(address, _TEXT_LENGTH)
+    return raw.split(b"\0", 1)[0].decode("utf-8", "replace").strip()
+
+
+def _u32(channel: GenCpChannel, address: int) -> int:
+    return int.from_bytes(channel.read(address, 4), "little")
+
+
+def _u64(channel: GenCpChannel, address: int) -> int:
+    return int.from_bytes(channel.read(address, 8), "little")
+
+
+def read_identity(channel: GenCpChannel) -> Identity:
+    """Read the bootstrap registers and let the channel use the camera's own packet sizes."""
+    sbrm = _u64(channel, _SBRM_ADDRESS)
+    response_time_s = _u32(channel, _MAX_RESPONSE_TIME_MS) / 1000.0
+    channel.set_limits(_u32(channel, sbrm + _MAX_COMMAND), _u32(channel, sbrm + _MAX_REPLY), response_time_s)
+    speed = _u32(channel, sbrm + _CURRENT_SPEED)
+    return Identity(
+        vendor=_text(channel, _MANUFACTURER),
+        model=_text(channel, _MODEL),
+        serial=_text(channel, _SERIAL),
+        usb_speed=_SPEEDS.get(speed, f"unknown speed {speed}"),
+        manifest_address=_u64(channel, _MANIFEST_ADDRESS),
+        stream_address=_u64(channel, sbrm + _SIRM_ADDRESS),
+        event_address=_u64(channel, sbrm + _EIRM_ADDRESS),
+        timestamp_increment_ns=_timestamp_increment(channel),
+    )
+
+
+def _timestamp_increment(channel: GenCpChannel) -> int:
+    try:
+        increment = _u64(channel, _TIMESTAMP_INCREMENT)
+    except RegisterRefused:
+        return 0  # a camera without a clock need not have the register
+    # 1 s is far beyond any clock worth the name: the register is not what it should be
+    return increment if increment < 1_000_000_000 else 0
+
+
+def latch_timestamp(channel: GenCpChannel) -> tuple[int, int]:
+    """(camera's clock in its own ticks at the latch, host's monotonic clock in ns just after it)."""
+    channel.write(_TIMESTAMP_LATCH, struct.pack("<I", 1))
+    after_ns = time.monotonic_ns()
+    return _u64(channel, _TIMESTAMP), after_ns
+
+
+def silence_events(channel: GenCpChannel, event_address: int) -> None:
+    """Turn the event endpoint off; nobody reads it, and some cameras stall once it is full."""
+    if event_address:
+        try:
+            channel.write(event_address, struct.pack("<I", 0))
+        except RegisterRefused:
+            return  # a camera that refuses has no events to send
+
+
+class StreamRegisters:
+    """The stream interface of one camera."""
+
+    def __init__(self, channel: GenCpChannel, address: int, name: str) -> None:
+        self._channel = channel
+        self._address = address
+        self._name = name
+
+    def set_up(self, payload_limit: int, largest_transfer: int) -> TransferPlan:
+        """Ask what a frame needs, write the transfer sizes, return them. The stream must be off."""
+        base = self._address
+        alignment = 1 << (_u32(self._channel, base + _STREAM_INFO) >> 24)
+        payload = _u64(self._channel, base + _STREAM_REQUIRED_PAYLOAD)
+        leader = _u32(self._channel, base + _STREAM_REQUIRED_LEADER)
+        trailer = _u32(self._channel, base + _STREAM_REQUIRED_TRAILER)
+        if not 0 < payload <= payload_limit or not 0 < leader <= 65536 or not 0 < trailer <= 65536:
+            raise DeviceError(
+                f"{self._name}: asks for frames of {payload} bytes with {leader} before and {trailer} "
+                f"after; reduce Width and Height, or unplug the camera and plug it in again"
+            )
+        if alignment > 65536:
+            raise DeviceError(
+                f"{self._name}: says its stream is aligned to {alignment} bytes: no such camera"
+            )
+        # Packets never exceed 1024 bytes; buffers in multiples of that can't be overrun by one.
+        plan = plan_transfers(payload, leader, trailer, max(alignment, 1024), largest_transfer)
+        sizes = (plan.leader, plan.payload_size, plan.payload_count, plan.final_1, plan.final_2, plan.trailer)
+        self._channel.write(base + _STREAM_HOST_SIZES, struct.pack("<6I", *sizes))
+        return plan
+
+    def enable(self, on: bool) -> None:
+        """Let the camera put frames on the stream endpoint, or not."""
+        self._channel.write(self._address + _STREAM_CONTROL, struct.pack("<I", int(on)))

@@ -1,0 +1,349 @@
+"""Frames put together from transfers, checked, counted and handed over by a thread of their own."""
+
+import logging
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.camera import CameraLost, CameraStatus
+from acquisition.cameras.usb3vision.link import StreamHalted, UsbLink
+from acquisition.cameras.usb3vision.packets import (
+    TRAILER_MAGIC,
+    Leader,
+    begins_like,
+    parse_leader,
+    parse_trailer,
+)
+from acquisition.cameras.usb3vision.registers import TransferPlan
+from acquisition.cameras.usb3vision.transfers import Transfers
+from acquisition.cameras.usb3vision.unpack import Format
+from acquisition.frame import Frame
+from acquisition.frame_queue import FrameQueue
+from processing.errors import DeviceError, RigError
+
+logger = logging.getLogger(__name__)
+
+_POLL_S: Final = 0.05  # how long a read may keep the thread from noticing `stop`
+# Errors of the bus for so long without a frame in between: it is not coming back by itself.
+_PATIENCE_S: Final = 0.3
+# A jump of the block number beyond this is a counter that began anew, not lost frames.
+_LARGEST_GAP: Final = 1 << 31
+# So many frames in a row of another size or format are no accident of the bus.
+_MOST_MISFITS: Final = 10
+
+
+@dataclass(frozen=True, slots=True)
+class Expected:
+    """What every frame must be: its format and size, and the length of the clock's ticks."""
+
+    pixel_format: Format
+    width_px: int
+    height_px: int
+    tick_ns: int
+
+    @property
+    def image_bytes(self) -> int:
+        """Bytes of the image on the bus."""
+        return self.pixel_format.byte_count(self.width_px, self.height_px)
+
+
+class _Part(Enum):
+    LEADER = 0
+    PAYLOAD = 1
+    TRAILER = 2
+    SEARCH = 3
+
+
+class FrameStream:
+    """Reads frames from the moment it is made until `stop`.
+
+    A frame is handed over only when its leader, all of its bytes and its trailer have come, agree
+    with each other and with what is expected. Everything else is counted: ``incomplete`` when some
+    part of the frame came, ``dropped_by_bus`` when block numbers are missing after an error of the
+    bus, ``dropped_by_camera`` when they are missing without one, ``dropped_by_host`` when nobody
+    fetched the frames in time.
+    """
+
+    def __init__(
+        self, transfers: Transfers, plan: TransferPlan, expected: Expected, queue: FrameQueue, link: UsbLink
+    ) -> None:
+        self._transfers = transfers
+        self._plan = plan
+        self._expected = expected
+        self._queue = queue
+        self._link = link
+        self._parts = (
+            (_Part.LEADER, plan.leader),
+            *((_Part.PAYLOAD, size) for size in plan.payload),
+            (_Part.TRAILER, plan.trailer),
+        )
+        self._ring: deque[tuple[_Part, int, NDArray[np.uint8]]] = deque()
+        self._next_part = 0
+        self._payload = np.empty(0, np.uint8)  # of the frame whose parts are queued last
+        self._leader: Leader | None = None
+        self._received = 0
+        self._pieces: list[NDArray[np.uint8]] = []
+        self._last_block: int | None = None
+        self._last_sequence = -1
+        self._lost_parts = 0
+        self._misfits = 0
+        self._disturbed = False
+        self._trouble_since_s: float | None = None
+        self._delivered = self._by_camera = self._by_bus = self._incomplete = 0
+        self._stopping = threading.Event()
+        self._ending = threading.Lock()
+        self._ended = False
+        self._at_end: list[Callable[[], None]] = []
+        self.error: RigError | None = None
+        self._thread = threading.Thread(target=self._run, name=f"frames of {link.name}", daemon=True)
+        self._thread.start()
+
+    @property
+    def status(self) -> CameraStatus:
+        """Counts so far; the queue's drops are frames that nobody fetched."""
+        return CameraStatus(
+            delivered=self._delivered - self._queue.dropped,
+            dropped_by_camera=self._by_camera,
+            dropped_by_bus=self._by_bus,
+            dropped_by_host=self._queue.dropped,
+            incomplete=self._incomplete + self._lost_parts,
+        )
+
+    def stop(self, timeout_s: float) -> None:
+        """End the thread; what is queued stays readable."""
+        self._stopping.set()
+        if self._thread is not threading.current_thread():
+            self._thread.join(timeout_s)
+        self._queue.close()
+
+    def when_ended(self, action: Callable[[], None]) -> None:
+        """Do this as soon as the thread touches the camera no more: now, or at its end."""
+        with self._ending:
+            if not self._ended:
+                self._at_end.append(action)
+                return
+        action()
+
+    def request_stop(self) -> None:
+        """Let the thread end by itself, without waiting for it."""
+        self._stopping.set()
+
+    @property
+    def ended(self) -> bool:
+        """Whether no more frames will come."""
+        return self._stopping.is_set() or not self._thread.is_alive()
+
+    # ---- the thread
+
+    def _run(self) -> None:
+        try:
+            while not self._stopping.is_set():
+                self._step()
+        except RigError as error:
+            self.error = error
+        except Exception as error:
+            logger.exception("%s: reading frames", self._link.name)
+            self.error = DeviceError(f"{self._link.name}: reading frames failed: {error!r}")
+        finally:
+            try:
+                self._transfers.cancel()
+            finally:
+                self._queue.close()
+                with self._ending:
+                    self._ended = True
+                for action in self._at_end:
+                    action()
+
+    def _step(self) -> None:
+        try:
+            self._fill()
+            part, planned, buffer = self._ring[0]
+            arrived = self._transfers.wait(_POLL_S)
+        except TimeoutError:
+            return
+        except StreamHalted as halt:
+            self._after_trouble(halt)
+            return
+        self._ring.popleft()
+        data = buffer[: arrived.byte_count]
+        if part is _Part.PAYLOAD and self._leader is not None:
+            self._take_payload(data, planned)
+        elif part is _Part.TRAILER and self._leader is not None:
+            self._take_trailer(data, arrived.host_time_ns)
+        else:
+            self._take_leader(data, in_rhythm=part is _Part.LEADER)
+
+    def _fill(self) -> None:
+        if self._next_part < 0:
+            if not self._ring:
+                # Out of rhythm: whatever comes ends with a short packet, so one large buffer finds a leader.
+                size = max(self._plan.leader, self._plan.payload_size, 1 << 16)
+                self._submit(_Part.SEARCH, size, np.empty(size, np.uint8))
+            return
+        while len(self._ring) < self._transfers.frames_ahead * len(self._parts):
+            if self._ring and not self._transfers.has_room:
+                return  # the next read fits when the oldest has ended
+            part, size = self._parts[self._next_part]
+            if part is _Part.PAYLOAD:
+                if self._next_part == 1 or not self._payload.size:
+                    self._payload = np.empty(sum(self._plan.payload), np.uint8)
+                start = sum(size for _, size in self._parts[1 : self._next_part])
+                buffer = self._payload[start : start + size]
+            else:
+                buffer = np.empty(size, np.uint8)
+            self._submit(part, size, buffer)
+            self._next_part = (self._next_part + 1) % len(self._parts)
+
+    def _submit(self, part: _Part, size: int, buffer: NDArray[np.uint8]) -> None:
+        self._transfers.submit(buffer)
+        self._ring.append((part, size, buffer))
+
+    def _resume_at(self, next_part: int) -> None:
+        """Queue reads anew, beginning with this part; -1 looks for the next leader."""
+        if self._ring and self._transfers.under_way:
+            # Reads behind this one have taken bytes already that cancelling throws away: begin afresh.
+            next_part = -1
+        self._transfers.cancel()
+        self._ring.clear()
+        self._payload = np.empty(0, np.uint8)
+        self._next_part = next_part
+
+    def _after_trouble(self, trouble: StreamHalted) -> None:
+        logger.info("%s", trouble)
+        now_s = time.monotonic()
+        if self._trouble_since_s is None:
+            self._trouble_since_s = now_s
+        elif now_s - self._trouble_since_s > _PATIENCE_S:
+            raise CameraLost(f"{trouble}, again and again; unplug it and plug it in again")
+        self._lose_frame()
+        self._disturbed = True
+        self._resume_at(-1)
+        self._link.clear_halt(self._link.stream_in)
+        self._stopping.wait(0.01)
+
+    def _lose_frame(self) -> None:
+        if self._leader is not None:
+            self._lost_parts += 1
+        self._leader = None
+
+    # ---- parts of a frame
+
+    def _take_leader(self, data: NDArray[np.uint8], *, in_rhythm: bool) -> None:
+        self._lose_frame()
+        leader = parse_leader(data[:256].tobytes()) if data.size <= self._plan.leader else None
+        self._pieces, self._received = [], 0
+        if leader is None:
+            self._disturbed = True
+            if in_rhythm:
+                self._lost_parts += 1
+            # A trailer is followed by a leader, anything else by what can't be told.
+            self._resume_at(0 if begins_like(data.tobytes()[:4], TRAILER_MAGIC) else -1)
+            return
+        self._leader = leader
+        if not in_rhythm:
+            self._resume_at(1)
+            if self._next_part != 1:
+                self._lose_frame()
+                self._disturbed = True
+
+    def _take_payload(self, data: NDArray[np.uint8], planned: int) -> None:
+        if data.size < planned and data.size <= max(self._plan.leader, self._plan.trailer):
+            head = data[:256].tobytes()
+            trailer = parse_trailer(head)
+            is_short = self._received + data.size < self._expected.image_bytes
+            if is_short and trailer is not None and self._leader and trailer.block == self._leader.block:
+                self._lose_frame()
+                self._disturbed = True
+                self._resume_at(0)
+                return
+            if is_short and parse_leader(head) is not None:
+                self._take_leader(data, in_rhythm=False)
+                return
+        self._pieces.append(data)
+        self._received += data.size
+
+    def _take_trailer(self, data: NDArray[np.uint8], host_time_ns: int) -> None:
+        leader = self._leader
+        assert leader is not None
+        trailer = parse_trailer(data[:256].tobytes()) if data.size <= self._plan.trailer else None
+        if trailer is None:
+            self._disturbed = True
+            if parse_leader(data[:256].tobytes()) is not None:
+                self._take_leader(data, in_rhythm=False)
+            else:
+                self._lose_frame()
+                self._resume_at(-1)
+            return
+        image_bytes = self._expected.image_bytes
+        whole = trailer.status == 0 and trailer.valid_bytes >= image_bytes and self._received >= image_bytes
+        if trailer.block != leader.block or not whole or not self._fits(leader):
+            self._lose_frame()
+            return
+        self._misfits = 0
+        self._leader = None
+        self._deliver(leader, host_time_ns)
+
+    def _fits(self, leader: Leader) -> bool:
+        wanted = self._expected
+        size = (leader.width_px, leader.height_px, leader.pixel_format, leader.x_padding)
+        if size == (wanted.width_px, wanted.height_px, wanted.pixel_format.code, 0):
+            return True
+        self._misfits += 1
+        if self._misfits >= _MOST_MISFITS:
+            sent = f"{leader.width_px} x {leader.height_px}, format 0x{leader.pixel_format:08X}"
+            said = f"{wanted.width_px} x {wanted.height_px} in {wanted.pixel_format.name}"
+            raise DeviceError(
+                f"{self._link.name}: sends frames of {sent}, padding {leader.x_padding}; "
+                f"its features say {said}. Stop it and set size and format again"
+            )
+        return False
+
+    def _deliver(self, leader: Leader, host_time_ns: int) -> None:
+        # Frames that came damaged before the first good one are missing before it, too.
+        step = 1 + self._lost_parts if self._last_block is None else leader.block - self._last_block
+        if step == 0:
+            self._lost_parts += 1  # the same frame once more: of no use, and not what came in between
+            return
+        if not 0 < step <= _LARGEST_GAP:
+            logger.warning(
+                "%s: block number went from %s to %d", self._link.name, self._last_block, leader.block
+            )
+            step = 1 + self._lost_parts
+        missing = step - 1
+        incomplete = min(self._lost_parts, missing)
+        self._incomplete += incomplete
+        if self._disturbed:
+            self._by_bus += max(missing - incomplete, 0)
+        else:
+            self._by_camera += max(missing - incomplete, 0)
+        self._lost_parts, self._disturbed, self._trouble_since_s = 0, False, None
+        self._last_block = leader.block
+        self._last_sequence += step
+        raw = self._whole_payload()[: self._expected.image_bytes]
+        image = self._expected.pixel_format.image(raw, self._expected.width_px, self._expected.height_px)
+        image.flags.writeable = False
+        tick_ns = self._expected.tick_ns
+        device_time_ns = leader.timestamp * tick_ns if tick_ns else -1
+        self._delivered += 1
+        self._queue.put(Frame(image, self._last_sequence, device_time_ns, host_time_ns))
+
+    def _whole_payload(self) -> NDArray[np.uint8]:
+        """The pieces as one: they lie in one buffer, unless one was short."""
+        first = self._pieces[0]
+        if len(self._pieces) == 1:
+            return first
+        base = first.base
+        lie_together = isinstance(base, np.ndarray) and all(piece.base is base for piece in self._pieces)
+        if lie_together and isinstance(base, np.ndarray) and base.size >= self._received:
+            ends = np.cumsum([piece.size for piece in self._pieces])
+            starts = [piece.ctypes.data - base.ctypes.data for piece in self._pieces]
+            if starts[0] == 0 and starts[1:] == list(ends[:-1]):
+                return base[: self._received]
+        return np.concatenate(self._pieces)

@@ -1,0 +1,118 @@
+"""Bulk reads from the stream endpoint, queued ahead: through any backend of pyusb, one at a time."""
+
+import errno
+import time
+from collections import deque
+from typing import NamedTuple, Protocol
+
+import numpy as np
+import usb.core
+from numpy.typing import NDArray
+
+from acquisition.camera import CameraLost
+from acquisition.cameras.usb3vision.link import StreamHalted, UsbLink, is_gone, is_timeout
+
+Bytes = NDArray[np.uint8]
+
+
+class Arrived(NamedTuple):
+    """A transfer that has ended: how many bytes it brought, and the host's monotonic clock then."""
+
+    byte_count: int
+    host_time_ns: int
+
+
+class Transfers(Protocol):
+    """A queue of reads. Used by one thread.
+
+    `frames_ahead` is for how many frames it is worth queueing reads; `under_way` says whether a read
+    that is queued may take bytes before it is waited for.
+    """
+
+    frames_ahead: int
+    under_way: bool
+
+    @property
+    def has_room(self) -> bool:
+        """Whether the system takes one more."""
+        ...
+
+    def submit(self, buffer: Bytes) -> None:
+        """Queue a read into this buffer, which must stay untouched until it has ended."""
+        ...
+
+    def wait(self, timeout_s: float) -> Arrived:
+        """The oldest read's end.
+
+        Raises TimeoutError (it stays queued), StreamHalted (it is gone from the queue), CameraLost.
+        """
+        ...
+
+    def cancel(self) -> None:
+        """Give up all that is queued."""
+        ...
+
+
+class TransferBuffer(np.ndarray[tuple[int], np.dtype[np.uint8]]):
+    """Memory that pyusb's backends can read into: they ask for it as they would ask array.array."""
+
+    def buffer_info(self) -> tuple[int, int]:
+        """Address and count, as array.array has it."""
+        return self.ctypes.data, self.size
+
+
+class BlockingTransfers:
+    """Reads one after the other through pyusb's backend, whichever it is."""
+
+    frames_ahead = 1
+    under_way = False
+    has_room = True
+
+    def __init__(self, link: UsbLink) -> None:
+        self._link = link
+        self._queued: deque[TransferBuffer] = deque()
+        self._filled = 0
+
+    def submit(self, buffer: Bytes) -> None:
+        """Queue a read; it begins when it is the oldest and waited for."""
+        self._queued.append(buffer.view(TransferBuffer))
+
+    def wait(self, timeout_s: float) -> Arrived:
+        """Read into the oldest buffer."""
+        link = self._link
+        buffer = self._queued[0]
+        timeout_ms = max(1, round(timeout_s * 1000))
+        begin_s = time.monotonic()
+        try:
+            count = link.device.backend.bulk_read(
+                link.handle, link.stream_in, link.stream_interface, buffer[self._filled :], timeout_ms
+            )
+        except usb.core.USBError as error:
+            if is_timeout(error):
+                raise TimeoutError from None
+            self._queued.popleft()
+            self._filled = 0
+            raise stream_error(error, link) from error
+        now_ns = time.monotonic_ns()
+        self._filled += count
+        # Whole packets only, and the time is up: the timeout has cut the transfer, not the camera.
+        is_cut = count % link.packet_size == 0 and time.monotonic() - begin_s >= timeout_s
+        if is_cut and self._filled < buffer.size:
+            raise TimeoutError
+        self._queued.popleft()
+        total, self._filled = self._filled, 0
+        return Arrived(total, now_ns)
+
+    def cancel(self) -> None:
+        """Nothing is under way between two calls of `wait`."""
+        self._queued.clear()
+        self._filled = 0
+
+
+def stream_error(error: usb.core.USBError, link: UsbLink) -> CameraLost | StreamHalted:
+    """What an error while reading the stream means."""
+    if is_gone(error):
+        return CameraLost(f"{link.name}: has gone while frames were read; plug it in again")
+    if error.errno == errno.EPIPE:
+        return StreamHalted(f"{link.name}: the stream endpoint has stalled")
+    return StreamHalted(f"{link.name}: error while reading frames: {error}")

@@ -1,0 +1,115 @@
+"""Pixel formats: which are understood, and kernels that unpack the packed ones.
+
+Packed pixels follow each other without gaps: ``p`` formats least significant bits first
+(Pixel Format Naming Convention), the older ``Packed`` formats with the low bits of two pixels shared
+in the middle byte (GigE Vision).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from acquisition.camera import PixelFormat
+from acquisition.frame import Image
+
+Bytes = NDArray[np.uint8]
+_Kernel = Callable[[Bytes, NDArray[np.uint16]], None]
+
+
+@njit(cache=True, nogil=True)
+def unpack_10p(packed: Bytes, pixels: NDArray[np.uint16]) -> None:
+    """Four pixels of 10 bits in five bytes, least significant bits first."""
+    groups = pixels.size // 4
+    for group in range(groups):
+        b, p = 5 * group, 4 * group
+        b0, b1, b2, b3, b4 = packed[b], packed[b + 1], packed[b + 2], packed[b + 3], packed[b + 4]
+        pixels[p] = np.uint16(b0) | (np.uint16(b1 & 0x03) << np.uint16(8))
+        pixels[p + 1] = np.uint16(b1 >> 2) | (np.uint16(b2 & 0x0F) << np.uint16(6))
+        pixels[p + 2] = np.uint16(b2 >> 4) | (np.uint16(b3 & 0x3F) << np.uint16(4))
+        pixels[p + 3] = np.uint16(b3 >> 6) | (np.uint16(b4) << np.uint16(2))
+    for pixel in range(4 * groups, pixels.size):
+        first = pixel * 10 // 8
+        word = np.uint16(packed[first]) | (np.uint16(packed[first + 1]) << np.uint16(8))
+        pixels[pixel] = (word >> np.uint16(pixel * 10 % 8)) & np.uint16(0x3FF)
+
+
+@njit(cache=True, nogil=True)
+def unpack_12p(packed: Bytes, pixels: NDArray[np.uint16]) -> None:
+    """Two pixels of 12 bits in three bytes, least significant bits first."""
+    pairs = pixels.size // 2
+    for pair in range(pairs):
+        b0, b1, b2 = packed[3 * pair], packed[3 * pair + 1], packed[3 * pair + 2]
+        pixels[2 * pair] = np.uint16(b0) | (np.uint16(b1 & 0x0F) << np.uint16(8))
+        pixels[2 * pair + 1] = np.uint16(b1 >> 4) | (np.uint16(b2) << np.uint16(4))
+    if pixels.size % 2:
+        last = 3 * pairs
+        pixels[pixels.size - 1] = np.uint16(packed[last]) | (
+            np.uint16(packed[last + 1] & 0x0F) << np.uint16(8)
+        )
+
+
+@njit(cache=True, nogil=True)
+def unpack_12_packed(packed: Bytes, pixels: NDArray[np.uint16]) -> None:
+    """Two pixels of 12 bits in three bytes: high bits, low bits of both, high bits."""
+    pairs = pixels.size // 2
+    for pair in range(pairs):
+        b0, b1, b2 = packed[3 * pair], packed[3 * pair + 1], packed[3 * pair + 2]
+        pixels[2 * pair] = (np.uint16(b0) << np.uint16(4)) | np.uint16(b1 & 0x0F)
+        pixels[2 * pair + 1] = (np.uint16(b2) << np.uint16(4)) | np.uint16(b1 >> 4)
+    if pixels.size % 2:
+        last = 3 * pairs
+        pixels[pixels.size - 1] = (np.uint16(packed[last]) << np.uint16(4)) | np.uint16(
+            packed[last + 1] & 0x0F
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Format:
+    """One pixel format of the naming convention.
+
+    `transport_bits` is what a pixel takes on the bus; `kernel` unpacks where that is not a whole
+    number of bytes.
+    """
+
+    name: str
+    code: int
+    pixel_format: PixelFormat
+    transport_bits: int
+    full_scale_dn: int
+    kernel: _Kernel | None = None
+
+    def prepare(self) -> None:
+        """Compile the kernel now: at the first frame it would hold the reading thread up."""
+        if self.kernel is not None:
+            self.kernel(np.zeros(2, np.uint8), np.zeros(1, np.uint16))
+
+    def byte_count(self, width_px: int, height_px: int) -> int:
+        """Bytes of an image on the bus."""
+        return -(-width_px * height_px * self.transport_bits // 8)
+
+    def image(self, raw: Bytes, width_px: int, height_px: int) -> Image:
+        """The image in these bytes, shape (height, width): a view where nothing is packed."""
+        if self.kernel is None:
+            whole = raw if self.transport_bits == 8 else raw.view(np.uint16)
+            return whole.reshape(height_px, width_px)
+        pixels = np.empty(width_px * height_px, np.uint16)
+        self.kernel(raw, pixels)
+        return pixels.reshape(height_px, width_px)
+
+
+# In order of preference where a user asks for a depth: fewer bytes on the bus first
+FORMATS: Final = (
+    Format("Mono8", 0x01080001, "mono8", 8, 255),
+    Format("Mono10p", 0x010A0046, "mono10", 10, 1023, unpack_10p),
+    Format("Mono10", 0x01100003, "mono10", 16, 1023),
+    Format("Mono12p", 0x010C0047, "mono12", 12, 4095, unpack_12p),
+    Format("Mono12Packed", 0x010C0006, "mono12", 12, 4095, unpack_12_packed),
+    Format("Mono12", 0x01100005, "mono12", 16, 4095),
+    Format("Mono16", 0x01100007, "mono16", 16, 65535),
+)
+BY_CODE: Final = {item.code: item for item in FORMATS}
+BY_NAME: Final = {item.name: item for item in FORMATS}

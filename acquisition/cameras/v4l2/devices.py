@@ -1,0 +1,120 @@
+"""Which Video4Linux devices there are."""
+
+import errno
+import os
+from pathlib import Path
+from typing import NamedTuple
+
+from acquisition.cameras.v4l2 import kernel
+from acquisition.cameras.v4l2.layouts import LAYOUTS, possible
+from processing.errors import DeviceError
+
+_SYSFS = Path("/sys/class/video4linux")
+
+
+class VideoDevice(NamedTuple):
+    """One device that delivers images. `problem` says why it can't be looked at."""
+
+    path: str
+    name: str
+    bus: str
+    serial: str
+    formats: tuple[str, ...]
+    modes: tuple[str, ...]
+    problem: str = ""
+
+
+def list_devices() -> list[VideoDevice]:
+    """Every device that captures images, in order of its number; devices in use are listed too."""
+    if not _SYSFS.is_dir():
+        return []
+    nodes = sorted(
+        (entry.name for entry in _SYSFS.iterdir() if entry.name.startswith("video")),
+        key=lambda name: int(name.removeprefix("video")),
+    )
+    found = [_look_at(f"/dev/{node}", _serial(_SYSFS / node)) for node in nodes]
+    return [device for device in found if device is not None]
+
+
+def find_device(path: str | None, serial: str | None) -> VideoDevice:
+    """The device that is meant.
+
+    Raises
+    ------
+    DeviceError
+        None, several and none named (lists them), no such, no permission.
+    """
+    there = list_devices()
+    listed = "; ".join(f"{device.path} {device.name} {device.serial}".strip() for device in there)
+    chosen = there
+    if path is not None:
+        path = f"/dev/video{path}" if path.isdigit() else path
+        real = os.path.realpath(path)
+        chosen = [device for device in there if device.path == real]
+        if not chosen:
+            raise DeviceError(f"{path}: no camera is there; there are: {listed or 'none'}")
+    elif serial is not None:
+        chosen = [device for device in there if device.serial == serial]
+        if not chosen:
+            raise DeviceError(
+                f"no video device has the serial number {serial!r}; there are: {listed or 'none'}"
+            )
+    if not chosen:
+        raise DeviceError("no video device was found; is the camera plugged in, and does lsusb show it?")
+    usable = [device for device in chosen if possible(list(device.formats))] or chosen
+    if len(usable) > 1:
+        raise DeviceError(f"several video devices: {listed}; set camera.v4l2.device to the one that is meant")
+    if usable[0].problem:
+        raise DeviceError(usable[0].problem)
+    return usable[0]
+
+
+def refusal(path: str, error: OSError) -> str:
+    """One line for a device that can't be opened."""
+    if error.errno in (errno.EACCES, errno.EPERM):
+        return (
+            f"{path}: no permission; add yourself to the group 'video' "
+            "(sudo usermod -aG video $USER), log in again"
+        )
+    if error.errno == errno.EBUSY:
+        return f"{path}: is in use by another program; close it"
+    return f"{path}: {error.strerror or error}"
+
+
+def _look_at(path: str, serial: str) -> VideoDevice | None:
+    try:
+        device = kernel.open_device(path)
+    except OSError as error:
+        if error.errno in (errno.ENOENT, errno.ENODEV, errno.ENXIO):
+            return None
+        return VideoDevice(path, "", "", serial, (), (), refusal(path, error))
+    try:
+        who = kernel.capabilities(device)
+        if not who.captures:
+            return None
+        formats = kernel.formats(device)
+        modes = [
+            f"{LAYOUTS[fourcc].pixel_format} ({fourcc.strip()}) {width} x {height}"
+            + (f" at {rate:g} Hz" if rate == rate else "")
+            for fourcc in formats
+            if fourcc in LAYOUTS
+            for width, height in kernel.sizes(device, fourcc)
+            for rate in [kernel.highest_rate_hz(device, fourcc, width, height)]
+        ]
+        return VideoDevice(path, who.card, who.bus, serial, tuple(formats), tuple(modes))
+    except OSError:
+        return None
+    finally:
+        os.close(device)
+
+
+def _serial(entry: Path) -> str:
+    """Serial number of the USB device above this entry, where it has one."""
+    try:
+        place = (entry / "device").resolve()
+        for folder in (place, *place.parents):
+            if (folder / "serial").is_file():
+                return (folder / "serial").read_text().strip()
+    except OSError:
+        pass
+    return ""

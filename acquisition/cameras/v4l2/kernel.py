@@ -1,0 +1,277 @@
+"""The kernel's Video4Linux calls that a grey camera needs, as plain values (linux/videodev2.h, 64 bit)."""
+
+import errno
+import fcntl
+import os
+import struct
+from typing import Final, NamedTuple
+
+CAPTURE: Final = 1
+MEMORY_MAPPED: Final = 1
+STREAMING_CAPTURE: Final = 0x0400_0001
+FLAG_ERROR: Final = 0x40
+CROP, CROP_BOUNDS = 0, 2
+CONTROL_OFF: Final = 0x1 | 0x4 | 0x10  # disabled, read only, inactive: nothing that can be set now
+NEXT_CONTROL: Final = 0x8000_0000
+EXPOSURE_AUTO, EXPOSURE_ABSOLUTE, EXPOSURE_PRIORITY = 0x009A0901, 0x009A0902, 0x009A0903
+AUTO_GAIN, GAIN = 0x00980912, 0x00980913
+MANUAL_EXPOSURE: Final = 1
+
+
+def _code(direction: int, number: int, size: int) -> int:
+    return direction << 30 | size << 16 | ord("V") << 8 | number
+
+
+_QUERY_CAPABILITIES = _code(2, 0, 104)
+_ENUM_FORMAT = _code(3, 2, 64)
+_GET_FORMAT, _SET_FORMAT = _code(3, 4, 208), _code(3, 5, 208)
+_REQUEST_BUFFERS, _QUERY_BUFFER = _code(3, 8, 20), _code(3, 9, 88)
+_QUEUE, _DEQUEUE = _code(3, 15, 88), _code(3, 17, 88)
+_STREAM_ON, _STREAM_OFF = _code(1, 18, 4), _code(1, 19, 4)
+_GET_PARAMETERS, _SET_PARAMETERS = _code(3, 21, 204), _code(3, 22, 204)
+_GET_CONTROL, _SET_CONTROL, _QUERY_CONTROL = _code(3, 27, 8), _code(3, 28, 8), _code(3, 36, 68)
+_ENUM_SIZES, _ENUM_INTERVALS = _code(3, 74, 44), _code(3, 75, 52)
+_GET_SELECTION, _SET_SELECTION = _code(3, 94, 64), _code(3, 95, 64)
+
+_BUFFER = struct.Struct("<5I4xqq16sIIQI2I4x")
+
+
+class Capabilities(NamedTuple):
+    """Who a video device is."""
+
+    driver: str
+    card: str
+    bus: str
+    captures: bool
+
+
+class PixelLayout(NamedTuple):
+    """Format of the images in memory. `fourcc` is the kernel's name of it."""
+
+    width_px: int
+    height_px: int
+    fourcc: str
+    row_bytes: int
+    image_bytes: int
+
+
+class Control(NamedTuple):
+    """One control of the device, with its range."""
+
+    number: int
+    name: str
+    kind: int
+    lowest: int
+    highest: int
+    step: int
+    can_be_set: bool
+
+
+class Rectangle(NamedTuple):
+    """A part of the sensor."""
+
+    left: int
+    top: int
+    width: int
+    height: int
+
+
+class Filled(NamedTuple):
+    """A buffer that the driver has filled; `time_ns` is its timestamp."""
+
+    buffer: int
+    bytes_used: int
+    flags: int
+    time_ns: int
+    sequence: int
+
+
+def capabilities(device: int) -> Capabilities:
+    """Name, bus, and whether the device streams images."""
+    data = _call(device, _QUERY_CAPABILITIES, bytes(104))
+    driver, card, bus, _, everything, here = struct.unpack_from("<16s32s32s3I", data)
+    flags = here if everything & 0x8000_0000 else everything
+    return Capabilities(
+        _text(driver), _text(card), _text(bus), flags & STREAMING_CAPTURE == STREAMING_CAPTURE
+    )
+
+
+def formats(device: int) -> list[str]:
+    """Four-character codes of the formats that are offered."""
+    found = []
+    for index in range(256):
+        try:
+            data = _call(device, _ENUM_FORMAT, struct.pack("<II56x", index, CAPTURE))
+        except OSError:
+            break
+        found.append(data[44:48].decode("latin-1"))
+    return found
+
+
+def sizes(device: int, fourcc: str) -> list[tuple[int, int]]:
+    """Sizes of a format; of a continuous range only its largest."""
+    found = []
+    for index in range(256):
+        try:
+            data = _call(device, _ENUM_SIZES, struct.pack("<I4s36x", index, fourcc.encode("latin-1")))
+        except OSError:
+            break
+        kind, *values = struct.unpack_from("<7I", data, 8)
+        found.append((values[0], values[1]) if kind == 1 else (values[1], values[4]))
+        if kind != 1:
+            break
+    return found
+
+
+def highest_rate_hz(device: int, fourcc: str, width_px: int, height_px: int) -> float:
+    """The highest frame rate of a size; NaN where the driver doesn't say."""
+    best = float("nan")
+    for index in range(256):
+        try:
+            data = _call(
+                device,
+                _ENUM_INTERVALS,
+                struct.pack("<I4sII36x", index, fourcc.encode("latin-1"), width_px, height_px),
+            )
+        except OSError:
+            break
+        kind, above, below = struct.unpack_from("<III", data, 16)
+        if above:
+            rate = below / above
+            best = rate if best != best else max(best, rate)
+        if kind != 1:
+            break
+    return best
+
+
+def get_layout(device: int) -> PixelLayout:
+    """The format that is set."""
+    return _layout(_call(device, _GET_FORMAT, struct.pack("<I204x", CAPTURE)))
+
+
+def set_layout(device: int, width_px: int, height_px: int, fourcc: str) -> PixelLayout:
+    """Set the format; what the driver made of it comes back."""
+    request = struct.pack(
+        "<I4xII4sI", CAPTURE, width_px, height_px, fourcc.encode("latin-1"), 1
+    )  # 1: progressive
+    return _layout(_call(device, _SET_FORMAT, request.ljust(208, b"\0")))
+
+
+def get_rate_hz(device: int) -> float:
+    """Frames a second that are set; NaN where the driver doesn't say."""
+    try:
+        data = _call(device, _GET_PARAMETERS, struct.pack("<I200x", CAPTURE))
+    except OSError:
+        return float("nan")
+    above, below = struct.unpack_from("<II", data, 12)
+    return below / above if above else float("nan")
+
+
+def set_rate_hz(device: int, rate_hz: float) -> None:
+    """Ask for a frame rate."""
+    request = struct.pack("<IIIII", CAPTURE, 0, 0, 1000, round(rate_hz * 1000))
+    _call(device, _SET_PARAMETERS, request.ljust(204, b"\0"))
+
+
+def controls(device: int) -> list[Control]:
+    """All controls, in the driver's order."""
+    found: list[Control] = []
+    number = NEXT_CONTROL
+    while True:
+        try:
+            data = _call(device, _QUERY_CONTROL, struct.pack("<I64x", number))
+        except OSError:
+            return found
+        identity, kind, name, lowest, highest, step, _, flags = struct.unpack_from("<II32s4iI", data)
+        if kind != 6:  # a heading
+            found.append(Control(identity, _text(name), kind, lowest, highest, step, not flags & CONTROL_OFF))
+        number = identity | NEXT_CONTROL
+
+
+def get_control(device: int, number: int) -> int:
+    """Value of a control."""
+    value: int = struct.unpack_from("<Ii", _call(device, _GET_CONTROL, struct.pack("<Ii", number, 0)))[1]
+    return value
+
+
+def set_control(device: int, number: int, value: int) -> None:
+    """Set a control; drivers may take another value than this."""
+    _call(device, _SET_CONTROL, struct.pack("<Ii", number, value))
+
+
+def get_selection(device: int, target: int) -> Rectangle | None:
+    """The region that is read out, or its bounds; None where the driver has no such."""
+    try:
+        data = _call(device, _GET_SELECTION, struct.pack("<II56x", CAPTURE, target))
+    except OSError:
+        return None
+    return Rectangle(*struct.unpack_from("<iiII", data, 12))
+
+
+def set_selection(device: int, region: Rectangle) -> None:
+    """Set the region that is read out."""
+    request = struct.pack("<IIIiiII", CAPTURE, CROP, 0, *region)
+    _call(device, _SET_SELECTION, request.ljust(64, b"\0"))
+
+
+def request_buffers(device: int, count: int) -> int:
+    """Have the driver make buffers (0 gives them back); how many there are."""
+    made: int = struct.unpack_from(
+        "<I", _call(device, _REQUEST_BUFFERS, struct.pack("<III8x", count, CAPTURE, MEMORY_MAPPED))
+    )[0]
+    return made
+
+
+def buffer_place(device: int, index: int) -> tuple[int, int]:
+    """(offset to map, length) of a buffer."""
+    values = _BUFFER.unpack(_call(device, _QUERY_BUFFER, _buffer(index)))
+    return values[10] & 0xFFFF_FFFF, values[11]
+
+
+def queue(device: int, index: int) -> None:
+    """Hand a buffer to the driver."""
+    _call(device, _QUEUE, _buffer(index))
+
+
+def dequeue(device: int) -> Filled | None:
+    """The next filled buffer; None where there is none yet."""
+    try:
+        values = _BUFFER.unpack(_call(device, _DEQUEUE, _buffer(0)))
+    except OSError as error:
+        if error.errno == errno.EAGAIN:
+            return None
+        raise
+    return Filled(values[0], values[2], values[3], values[5] * 1_000_000_000 + values[6] * 1000, values[8])
+
+
+def stream(device: int, on: bool) -> None:
+    """Let the camera run, or not; switching it off gives all buffers back."""
+    _call(device, _STREAM_ON if on else _STREAM_OFF, struct.pack("<i", CAPTURE))
+
+
+def open_device(path: str) -> int:
+    """File descriptor, non-blocking."""
+    return os.open(path, os.O_RDWR | os.O_NONBLOCK | os.O_CLOEXEC)
+
+
+def _buffer(index: int) -> bytes:
+    return _BUFFER.pack(index, CAPTURE, 0, 0, 0, 0, 0, bytes(16), 0, MEMORY_MAPPED, 0, 0, 0, 0)
+
+
+def _layout(data: bytes) -> PixelLayout:
+    width_px, height_px, fourcc, _, row_bytes, image_bytes = struct.unpack_from("<II4s3I", data, 8)
+    return PixelLayout(width_px, height_px, fourcc.decode("latin-1"), row_bytes, image_bytes)
+
+
+def _call(device: int, code: int, request: bytes) -> bytes:
+    data = bytearray(request)
+    while True:
+        try:
+            fcntl.ioctl(device, code, data)
+        except InterruptedError:
+            continue
+        return bytes(data)
+
+
+def _text(raw: bytes) -> str:
+    return raw.split(b"\0", 1)[0].decode("utf-8", "replace")

@@ -1,0 +1,61 @@
+"""From the bytes of a buffer to a grey image, without arithmetic on the values."""
+
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from acquisition.camera import PixelFormat
+from acquisition.cameras.v4l2.kernel import PixelLayout
+from acquisition.frame import Image
+
+
+class Layout(NamedTuple):
+    """`pixel_format` is what it gives; `step` is the distance of two grey values of a row."""
+
+    pixel_format: PixelFormat
+    dtype: str
+    step: int = 1
+    offset: int = 0
+
+
+# In order of preference: a grey sensor's own values before the luminance of a colour camera.
+LAYOUTS: Final[dict[str, Layout]] = {
+    "GREY": Layout("mono8", "u1"),
+    "Y10 ": Layout("mono10", "<u2"),
+    "Y12 ": Layout("mono12", "<u2"),
+    "Y16 ": Layout("mono16", "<u2"),
+    "YUYV": Layout("mono8", "u1", step=2),
+    "UYVY": Layout("mono8", "u1", step=2, offset=1),
+    "NV12": Layout("mono8", "u1"),
+}
+
+
+def choose(offered: list[str], wanted: PixelFormat | None) -> str | None:
+    """The first layout that is offered and gives what is wanted; None where there is none."""
+    for fourcc, layout in LAYOUTS.items():
+        if fourcc in offered and wanted in (None, layout.pixel_format):
+            return fourcc
+    return None
+
+
+def possible(offered: list[str]) -> list[PixelFormat]:
+    """Pixel formats that can be had."""
+    return list(dict.fromkeys(layout.pixel_format for fourcc, layout in LAYOUTS.items() if fourcc in offered))
+
+
+def image_bytes(layout: PixelLayout) -> int:
+    """Bytes that the grey part of an image takes in its buffer."""
+    return layout.row_bytes * layout.height_px
+
+
+def to_image(data: memoryview, layout: PixelLayout) -> Image:
+    """A copy of the grey values, shape (height, width); `data` holds at least `image_bytes`."""
+    kind = LAYOUTS[layout.fourcc]
+    rows = np.frombuffer(data, np.uint8, image_bytes(layout)).reshape(layout.height_px, layout.row_bytes)
+    pixels = rows[:, : layout.width_px * kind.step * np.dtype(kind.dtype).itemsize]
+    if kind.dtype != "u1":
+        image: Image = pixels.view(kind.dtype).astype(np.uint16, copy=True)
+    else:
+        image = pixels[:, kind.offset :: kind.step].copy()
+    image.flags.writeable = False
+    return image

@@ -1,0 +1,249 @@
+"""A Video4Linux device read with the kernel's own calls: sequence numbers, error flags, timestamps."""
+
+import contextlib
+import errno
+import math
+import mmap
+import os
+import select
+import time
+
+from acquisition.camera import CameraInfo, CameraLost, CameraSettings
+from acquisition.cameras.v4l2 import kernel
+from acquisition.cameras.v4l2.devices import find_device, refusal
+from acquisition.cameras.v4l2.layouts import LAYOUTS, choose, image_bytes, possible, to_image
+from acquisition.cameras.v4l2.source import RawFrame, V4l2Settings
+from processing.errors import DeviceError
+
+_PATIENCE_MS = 100
+_EXPOSURE_STEP_US = 100.0  # the kernel's unit of V4L2_CID_EXPOSURE_ABSOLUTE
+
+
+class LinuxSource:
+    """See `source.Source`. Timestamps are the driver's, on the host's monotonic clock."""
+
+    def __init__(self, settings: V4l2Settings) -> None:
+        self._settings = settings
+        self._device = -1
+        self._name = "video device"
+        self._layout = kernel.PixelLayout(0, 0, "", 0, 0)
+        self._maps: list[mmap.mmap] = []
+        self._started_ns = 0
+        self._bounds: kernel.Rectangle | None = None
+
+    def open(self) -> CameraInfo:
+        """Find and open the device, set the best grey format that it has."""
+        found = find_device(self._settings.device, self._settings.serial)
+        self._name = f"{found.path} ({found.name})"
+        try:
+            self._device = kernel.open_device(found.path)
+            fourcc = choose(kernel.formats(self._device), None)
+            if fourcc is None:
+                raise DeviceError(
+                    f"{self._name}: offers {', '.join(code.strip() for code in found.formats)}; none is grey "
+                    f"or has its luminance uncompressed ({', '.join(code.strip() for code in LAYOUTS)})"
+                )
+            now = kernel.get_layout(self._device)
+            if now.fourcc not in LAYOUTS:
+                now = kernel.set_layout(self._device, now.width_px, now.height_px, fourcc)
+        except OSError as error:
+            self.close()
+            raise DeviceError(refusal(self._name, error)) from None
+        except DeviceError:
+            self.close()
+            raise
+        self._layout = now
+        region = kernel.get_selection(self._device, kernel.CROP)
+        self._bounds = None if region is None else kernel.get_selection(self._device, kernel.CROP_BOUNDS)
+        bits = int(LAYOUTS[now.fourcc].pixel_format.removeprefix("mono"))
+        return CameraInfo(
+            driver="v4l2",
+            vendor=found.bus,
+            model=found.name,
+            serial=found.serial,
+            width_px=self._bounds.width if self._bounds else now.width_px,
+            height_px=self._bounds.height if self._bounds else now.height_px,
+            full_scale_dn=2**bits - 1,
+            has_clock=True,
+        )
+
+    def configure(self, settings: CameraSettings) -> CameraSettings:
+        """Apply what is asked in an order in which nothing overrules what went before."""
+        try:
+            self._set_layout(settings)
+            self._set_exposure(settings)
+            self._set_gain(settings)
+            if settings.frame_rate_hz is not None:
+                kernel.set_rate_hz(self._device, settings.frame_rate_hz)
+            return self._readings()
+        except OSError as error:
+            raise self._failure(error) from None
+
+    def start(self) -> None:
+        """Map the buffers, queue them all, stream on."""
+        try:
+            count = kernel.request_buffers(self._device, self._settings.buffers)
+            for index in range(count):
+                offset, length = kernel.buffer_place(self._device, index)
+                self._maps.append(
+                    mmap.mmap(self._device, length, mmap.MAP_SHARED, mmap.PROT_READ, offset=offset)
+                )
+                kernel.queue(self._device, index)
+            self._started_ns = time.monotonic_ns()
+            kernel.stream(self._device, True)
+        except OSError as error:
+            self.stop()
+            raise self._failure(error) from None
+
+    def next(self) -> RawFrame | None:
+        """The next buffer, copied and handed back to the driver at once."""
+        try:
+            poll = select.poll()
+            poll.register(self._device, select.POLLIN)
+            if not poll.poll(_PATIENCE_MS):
+                return None
+            filled = kernel.dequeue(self._device)
+            if filled is None:
+                return None
+            host_time_ns = time.monotonic_ns()
+            stale = filled.time_ns < self._started_ns
+            whole = not filled.flags & kernel.FLAG_ERROR and filled.bytes_used >= image_bytes(self._layout)
+            image = None
+            if whole and not stale:
+                with memoryview(self._maps[filled.buffer]) as data:
+                    image = to_image(data, self._layout)
+            kernel.queue(self._device, filled.buffer)
+        except OSError as error:
+            raise self._failure(error) from None
+        if stale:
+            return None
+        return RawFrame(image, filled.sequence, filled.time_ns, host_time_ns)
+
+    def stop(self) -> None:
+        """Stream off, buffers back; a device that has gone has no say in it."""
+        with contextlib.suppress(OSError):
+            kernel.stream(self._device, False)
+        with contextlib.suppress(OSError):
+            self._unmap()
+
+    def close(self) -> None:
+        """Close the device."""
+        if self._device >= 0:
+            self.stop()
+            os.close(self._device)
+            self._device = -1
+
+    def _unmap(self) -> None:
+        for part in self._maps:
+            part.close()
+        self._maps = []
+        kernel.request_buffers(self._device, 0)
+
+    def _set_layout(self, settings: CameraSettings) -> None:
+        offered = kernel.formats(self._device)
+        fourcc = self._layout.fourcc
+        wanted = settings.pixel_format
+        if wanted is not None and LAYOUTS[fourcc].pixel_format != wanted:
+            chosen = choose(offered, wanted)
+            if chosen is None:
+                raise DeviceError(
+                    f"{self._name}: pixel format {wanted} is not supported; there are "
+                    f"{', '.join(possible(offered))}"
+                )
+            fourcc = chosen
+        width_px = settings.width_px or self._layout.width_px
+        height_px = settings.height_px or self._layout.height_px
+        if self._bounds is not None:
+            self._set_region(self._bounds, settings)
+        elif settings.offset_x_px or settings.offset_y_px:
+            raise DeviceError(
+                f"{self._name}: has no region of interest; leave the offsets out; its sizes: "
+                + ", ".join(f"{wide} x {high}" for wide, high in kernel.sizes(self._device, fourcc))
+            )
+        self._layout = kernel.set_layout(self._device, width_px, height_px, fourcc)
+        if self._layout.fourcc != fourcc:
+            raise DeviceError(f"{self._name}: took {self._layout.fourcc} where {fourcc} was asked")
+
+    def _set_region(self, bounds: kernel.Rectangle, settings: CameraSettings) -> None:
+        now = kernel.get_selection(self._device, kernel.CROP) or bounds
+        asked = kernel.Rectangle(
+            now.left if settings.offset_x_px is None else settings.offset_x_px,
+            now.top if settings.offset_y_px is None else settings.offset_y_px,
+            settings.width_px or now.width,
+            settings.height_px or now.height,
+        )
+        for name, end, size in (
+            ("width_px", asked.left + asked.width, bounds.width),
+            ("height_px", asked.top + asked.height, bounds.height),
+        ):
+            if end > size:
+                raise DeviceError(
+                    f"{self._name}: {name} with its offset reaches {end}; the sensor has {size}"
+                )
+        if asked != now:
+            kernel.set_selection(self._device, asked)
+
+    def _set_exposure(self, settings: CameraSettings) -> None:
+        if settings.exposure_us is None:
+            return
+        there = {control.number: control for control in kernel.controls(self._device)}
+        exposure = there.get(kernel.EXPOSURE_ABSOLUTE)
+        if exposure is None:
+            raise DeviceError(f"{self._name}: has no exposure time; leave camera.exposure_us out")
+        steps = round(settings.exposure_us / _EXPOSURE_STEP_US)
+        if not exposure.lowest <= steps <= exposure.highest:
+            raise DeviceError(
+                f"{self._name}: exposure_us = {settings.exposure_us:g} is out of range; "
+                f"{exposure.lowest * _EXPOSURE_STEP_US:g} to {exposure.highest * _EXPOSURE_STEP_US:g} "
+                "are possible"
+            )
+        for number, value in ((kernel.EXPOSURE_AUTO, kernel.MANUAL_EXPOSURE), (kernel.EXPOSURE_PRIORITY, 0)):
+            if number in there:
+                kernel.set_control(self._device, number, value)
+        kernel.set_control(self._device, kernel.EXPOSURE_ABSOLUTE, steps)
+
+    def _set_gain(self, settings: CameraSettings) -> None:
+        if settings.gain_db is not None:
+            raise DeviceError(
+                f"{self._name}: its gain has steps of its own, not decibels; set camera.v4l2.gain instead"
+            )
+        wanted = self._settings.gain
+        if wanted is None:
+            return
+        there = {control.number: control for control in kernel.controls(self._device)}
+        gain = there.get(kernel.GAIN)
+        if gain is None:
+            raise DeviceError(f"{self._name}: has no gain; leave camera.v4l2.gain out")
+        if not gain.lowest <= wanted <= gain.highest:
+            raise DeviceError(
+                f"{self._name}: gain = {wanted} is out of range; {gain.lowest} to {gain.highest} are possible"
+            )
+        if kernel.AUTO_GAIN in there:
+            kernel.set_control(self._device, kernel.AUTO_GAIN, 0)
+        kernel.set_control(self._device, kernel.GAIN, wanted)
+        taken = kernel.get_control(self._device, kernel.GAIN)
+        if taken != wanted:
+            raise DeviceError(f"{self._name}: gain = {wanted} was asked, the camera says {taken}")
+
+    def _readings(self) -> CameraSettings:
+        there = {control.number for control in kernel.controls(self._device)}
+        region = kernel.get_selection(self._device, kernel.CROP) if self._bounds else None
+        rate_hz = kernel.get_rate_hz(self._device)
+        exposure_us = None
+        if kernel.EXPOSURE_ABSOLUTE in there:
+            steps = kernel.get_control(self._device, kernel.EXPOSURE_ABSOLUTE)
+            exposure_us = max(steps * _EXPOSURE_STEP_US, 1e-3)
+        return CameraSettings(
+            exposure_us=exposure_us,
+            frame_rate_hz=None if math.isnan(rate_hz) else rate_hz,
+            pixel_format=LAYOUTS[self._layout.fourcc].pixel_format,
+            width_px=self._layout.width_px,
+            height_px=self._layout.height_px,
+            offset_x_px=region.left if region else 0,
+            offset_y_px=region.top if region else 0,
+        )
+
+    def _failure(self, error: OSError) -> DeviceError:
+        if error.errno in (errno.ENODEV, errno.ENXIO, errno.EIO, errno.EBADF):
+            return CameraLost(f"{self._name}: has gone ({error.strerror}); plug it in again")
+        return DeviceError(refusal(self._name, error))

@@ -1,0 +1,1 @@
+"""MCAP records: schemas, writer, reader, recovery."""

@@ -1,0 +1,92 @@
+"""Messages of one chunk as they will stand in it, and where each begins."""
+
+import struct
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from mcap.opcode import Opcode
+from numpy.typing import NDArray
+
+MESSAGE_HEAD = struct.Struct("<BQHIQQ")
+"""Opcode, length, channel, sequence, log time, publish time."""
+_LENGTH_BEFORE_DATA = MESSAGE_HEAD.size - 9
+_INDEX_ENTRY = struct.Struct("<QQ")
+_HEAD_FIELDS: list[Any] = [
+    ("opcode", "u1"),
+    ("length", "<u8"),
+    ("channel", "<u2"),
+    ("message_sequence", "<u4"),
+    ("log_time", "<u8"),
+    ("publish_time", "<u8"),
+]
+
+
+class ChunkBuilder:
+    """Grows until it is taken and cleared."""
+
+    def __init__(self) -> None:
+        self.clear()
+
+    def clear(self) -> None:
+        """Begin a new chunk."""
+        self.data = bytearray()
+        self.index: dict[int, bytearray] = {}
+        self.start_ns = 0
+        self.end_ns = 0
+
+    @property
+    def counts(self) -> dict[int, int]:
+        """Messages by channel."""
+        return {channel: len(entries) // _INDEX_ENTRY.size for channel, entries in self.index.items()}
+
+    def add(self, channel: int, sequence: int, log_time_ns: int, *parts: bytes | memoryview) -> None:
+        """One encoded message, in parts that follow on each other."""
+        self._extend_times(log_time_ns, log_time_ns)
+        self._entries(channel).extend(_INDEX_ENTRY.pack(log_time_ns, len(self.data)))
+        self.data += MESSAGE_HEAD.pack(
+            Opcode.MESSAGE,
+            _LENGTH_BEFORE_DATA + sum(map(len, parts)),
+            channel,
+            sequence & 0xFFFFFFFF,
+            log_time_ns,
+            log_time_ns,
+        )
+        for part in parts:
+            self.data += part
+
+    def add_rows(
+        self,
+        channel: int,
+        sequences: Sequence[int] | NDArray[np.int64],
+        log_times_ns: NDArray[np.int64],
+        rows: NDArray[Any],
+    ) -> None:
+        """Many encoded messages of one length, each a row of a packed structured array."""
+        count = len(rows)
+        if count == 0:
+            return
+        block = np.empty(count, dtype=[*_HEAD_FIELDS, ("message", rows.dtype)])
+        block["opcode"] = Opcode.MESSAGE
+        block["length"] = _LENGTH_BEFORE_DATA + rows.dtype.itemsize
+        block["channel"] = channel
+        block["message_sequence"] = np.asarray(sequences, dtype=np.int64) & 0xFFFFFFFF
+        block["log_time"] = log_times_ns
+        block["publish_time"] = log_times_ns
+        block["message"] = rows
+        entries = np.empty((count, 2), dtype="<u8")
+        entries[:, 0] = log_times_ns
+        entries[:, 1] = len(self.data) + np.arange(count) * block.itemsize
+        self._extend_times(int(log_times_ns.min()), int(log_times_ns.max()))
+        self._entries(channel).extend(entries.tobytes())
+        self.data += block.tobytes()
+
+    def _entries(self, channel: int) -> bytearray:
+        entries = self.index.get(channel)
+        if entries is None:
+            entries = self.index[channel] = bytearray()
+        return entries
+
+    def _extend_times(self, first_ns: int, last_ns: int) -> None:
+        self.start_ns = min(self.start_ns, first_ns) if self.data else first_ns
+        self.end_ns = max(self.end_ns, last_ns) if self.data else last_ns

@@ -1,0 +1,293 @@
+"""An MCAP file being written, append only, so that it is readable up to its last whole chunk at any moment.
+
+The container's small records are serialised by the mcap library. Chunks are our own: its writer
+has one open chunk for all topics and zstd's level 3 (decision 6).
+"""
+
+import contextlib
+import errno
+import os
+import struct
+import sys
+import zlib
+from collections import Counter
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import zstandard
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import (
+    Attachment,
+    AttachmentIndex,
+    Channel,
+    ChunkIndex,
+    DataEnd,
+    Footer,
+    Header,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+    SummaryOffset,
+)
+
+from acquisition.record.chunk_builder import ChunkBuilder
+from acquisition.record.reserve import Reserve
+
+MAGIC = b"\x89MCAP0\r\n"
+_ZSTD_LEVEL = 1
+_CHUNK_HEAD = struct.Struct("<BQQQQII4sQ")
+_INDEX_HEAD = struct.Struct("<BQHI")
+_FULL_DISK = {errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", errno.ENOSPC)}
+_SPARE_BYTES = 64 * 1024
+_UINT32 = 0xFFFFFFFF
+
+
+class McapFile:
+    """Appends to a file that it makes.
+
+    A piece that could not be written whole is cut off again. On a full disk the reserve is given
+    back once, the piece is written, and `full` holds the error: the owner has to end the file.
+
+    Raises OSError: the file exists or cannot be made, there is no room for the reserve; later, that
+    it cannot be written (full after the reserve was given back, drive gone).
+    """
+
+    def __init__(self, path: Path, library: str, reserve_bytes: int) -> None:
+        self.full: OSError | None = None
+        self.size = 0
+        self._crc = 0
+        self._schemas: dict[tuple[str, bytes], Schema] = {}
+        self._channels: list[Channel] = []
+        self._attachments: list[AttachmentIndex] = []
+        self._metadata: list[MetadataIndex] = []
+        self._chunk_index = bytearray()
+        self._counts: Counter[int] = Counter()
+        self._chunks = 0
+        self._start_ns = 0
+        self._end_ns = 0
+        self._reserve_bytes = reserve_bytes
+        self._compressor = zstandard.ZstdCompressor(level=_ZSTD_LEVEL)
+        self._file = path.open("xb", buffering=0)
+        try:
+            self._reserve = Reserve(path.parent, reserve_bytes)
+            self._append(MAGIC + serialised(Header("", library)))
+            _sync_folder(path.parent)
+        except OSError:
+            self._file.close()
+            path.unlink()
+            raise
+
+    @property
+    def end_ns(self) -> int:
+        """Latest log time of all chunks; 0 without any."""
+        return self._end_ns
+
+    def add_metadata(self, name: str, texts: Mapping[str, str]) -> None:
+        """Texts by key."""
+        data = serialised(Metadata(name, dict(texts)))
+        self._metadata.append(MetadataIndex(self.size, len(data), name))
+        self._append(data)
+
+    def add_attachment(self, name: str, media_type: str, data: bytes, log_time_ns: int) -> None:
+        """A file within the file."""
+        record = serialised(Attachment(log_time_ns, log_time_ns, name, media_type, data))
+        self._attachments.append(
+            AttachmentIndex(self.size, len(record), log_time_ns, log_time_ns, len(data), name, media_type)
+        )
+        self._append(record)
+
+    def add_channel(
+        self, topic: str, schema_name: str, descriptor: bytes, texts: Mapping[str, str] | None = None
+    ) -> int:
+        """Channel of protobuf messages; stands outside the chunks, so that each is readable alone.
+
+        `texts` travel with the channel, which unlike metadata is repeated under the summary's checksum.
+        """
+        schema = self._schemas.get((schema_name, descriptor))
+        data = b""
+        if schema is None:
+            schema = Schema(len(self._schemas) + 1, descriptor, "protobuf", schema_name)
+            self._schemas[schema_name, descriptor] = schema
+            data = serialised(schema)
+        channel = Channel(len(self._channels) + 1, topic, "protobuf", dict(texts or {}), schema.id)
+        self._channels.append(channel)
+        self._append(data + serialised(channel))
+        return channel.id
+
+    def add_chunk(self, builder: ChunkBuilder) -> None:
+        """Compress, append and clear what the builder holds; nothing where it is empty."""
+        if not builder.data:
+            return
+        compressed = self._compressor.compress(builder.data)
+        head = _CHUNK_HEAD.pack(
+            Opcode.CHUNK,
+            _CHUNK_HEAD.size - 9 + len(compressed),
+            builder.start_ns,
+            builder.end_ns,
+            len(builder.data),
+            zlib.crc32(builder.data),
+            4,
+            b"zstd",
+            len(compressed),
+        )
+        chunk_start = self.size
+        chunk_length = len(head) + len(compressed)
+        offsets: dict[int, int] = {}
+        parts: list[bytes | bytearray] = [head, compressed]
+        place = chunk_start + chunk_length
+        for channel, entries in builder.index.items():
+            offsets[channel] = place
+            parts += [
+                _INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, 6 + len(entries), channel, len(entries)),
+                entries,
+            ]
+            place += _INDEX_HEAD.size + len(entries)
+        self._append(b"".join(parts))
+        first = not self._chunks
+        self._start_ns = builder.start_ns if first else min(self._start_ns, builder.start_ns)
+        self._end_ns = max(self._end_ns, builder.end_ns)
+        self._chunks += 1
+        self._counts.update(builder.counts)
+        # Kept serialised: about 100 bytes a chunk, a tenth of what objects take, over days.
+        self._chunk_index += serialised(
+            ChunkIndex(
+                chunk_length=chunk_length,
+                chunk_start_offset=chunk_start,
+                compression="zstd",
+                compressed_size=len(compressed),
+                message_end_time=builder.end_ns,
+                message_index_length=place - chunk_start - chunk_length,
+                message_index_offsets=offsets,
+                message_start_time=builder.start_ns,
+                uncompressed_size=len(builder.data),
+            )
+        )
+        builder.clear()
+
+    def sync(self) -> None:
+        """Force what was appended to the disk, and keep room for the end of the file."""
+        try:
+            if self.full is None:
+                self._reserve.hold(self._reserve_bytes + len(self._chunk_index) + _SPARE_BYTES)
+            _sync_file(self._file.fileno())
+        except OSError as error:
+            if not self._give_reserve_back(error):
+                raise
+            _sync_file(self._file.fileno())
+
+    def finish(self) -> None:
+        """Write the summary, or where there is no room even for that a bare end, and close."""
+        try:
+            try:
+                self._append(self._ending())
+            except OSError as error:
+                if error.errno not in _FULL_DISK:
+                    raise
+                self._append(serialised(DataEnd(self._crc)) + serialised(Footer(0, 0, 0)) + MAGIC)
+            _sync_file(self._file.fileno())
+        finally:
+            self.abandon()
+
+    def abandon(self) -> None:
+        """Close as it is; never raises."""
+        with contextlib.suppress(OSError):
+            self._reserve.release()
+        with contextlib.suppress(OSError):
+            self._file.close()
+
+    def _append(self, data: bytes) -> None:
+        try:
+            self._write_whole(data)
+        except OSError as error:
+            self._cut_off()
+            if not self._give_reserve_back(error):
+                raise
+            try:
+                self._write_whole(data)
+            except OSError:
+                self._cut_off()
+                raise
+        self.size += len(data)
+        self._crc = zlib.crc32(data, self._crc)
+
+    def _write_whole(self, data: bytes) -> None:
+        rest = memoryview(data)
+        while rest:
+            rest = rest[self._file.write(rest) or 0 :]
+
+    def _cut_off(self) -> None:
+        with contextlib.suppress(OSError):
+            self._file.truncate(self.size)
+            self._file.seek(self.size)
+
+    def _give_reserve_back(self, error: OSError) -> bool:
+        if error.errno not in _FULL_DISK:
+            return False
+        self.full = self.full or error
+        return self._reserve.release()
+
+    def _ending(self) -> bytes:
+        """DataEnd, summary, footer and magic."""
+        data_end = serialised(DataEnd(self._crc))
+        start = self.size + len(data_end)
+        groups: list[tuple[Opcode, bytes]] = [
+            (Opcode.SCHEMA, b"".join(serialised(schema) for schema in self._schemas.values())),
+            (Opcode.CHANNEL, b"".join(serialised(channel) for channel in self._channels)),
+            (Opcode.STATISTICS, serialised(self._statistics())),
+            (Opcode.CHUNK_INDEX, bytes(self._chunk_index)),
+            (Opcode.ATTACHMENT_INDEX, b"".join(serialised(entry) for entry in self._attachments)),
+            (Opcode.METADATA_INDEX, b"".join(serialised(entry) for entry in self._metadata)),
+        ]
+        place = start
+        offsets: list[SummaryOffset] = []
+        for opcode, group in groups:
+            if group:
+                offsets.append(SummaryOffset(opcode, place, len(group)))
+                place += len(group)
+        summary = b"".join([*(group for _, group in groups), *(serialised(offset) for offset in offsets)])
+        head = struct.pack("<BQQQ", Opcode.FOOTER, 20, start, place)
+        footer = Footer(start, place, zlib.crc32(head, zlib.crc32(summary)) & _UINT32)
+        return data_end + summary + serialised(footer) + MAGIC
+
+    def _statistics(self) -> Statistics:
+        return Statistics(
+            attachment_count=len(self._attachments),
+            channel_count=len(self._channels),
+            channel_message_counts=dict(self._counts),
+            chunk_count=self._chunks,
+            message_count=self._counts.total(),
+            message_end_time=self._end_ns,
+            message_start_time=self._start_ns,
+            metadata_count=len(self._metadata),
+            schema_count=len(self._schemas),
+        )
+
+
+def serialised(record: Any) -> bytes:
+    """Bytes of a record of the mcap library."""
+    builder = RecordBuilder()
+    record.write(builder)
+    return bytes(builder.end())  # type: ignore[no-untyped-call]
+
+
+def _sync_file(number: int) -> None:
+    """To the disk itself; on macOS fsync alone leaves data in the drive's cache."""
+    if sys.platform == "darwin":
+        import fcntl
+
+        fcntl.fcntl(number, fcntl.F_FULLFSYNC)
+    else:
+        os.fsync(number)
+
+
+def _sync_folder(folder: Path) -> None:
+    """The new file's name survives a power cut too; Windows has no such call."""
+    if os.name == "posix":
+        number = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(number)
+        finally:
+            os.close(number)

@@ -1,0 +1,320 @@
+"""What an MCAP file consists of and where it lies: from the summary, or by walking through a cut file.
+
+Only the heads of chunks are read here, so that a file of any size is listed in about a second.
+"""
+
+import io
+import os
+import struct
+import zlib
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import IO, Any, NamedTuple
+
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import (
+    Attachment,
+    AttachmentIndex,
+    Channel,
+    Footer,
+    Header,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+)
+
+MAGIC = b"\x89MCAP0\r\n"
+_HEAD = struct.Struct("<BQ")
+_FOOTER = struct.Struct("<BQQQI")
+_CHUNK = struct.Struct("<QQQII")
+_CHUNK_INDEX = struct.Struct("<QQQQI")
+_SUMMARY_OFFSET = struct.Struct("<BQQ")
+_MESSAGE_INDEX = struct.Struct("<HI")
+_INDEX_OFFSET = struct.Struct("<HQ")
+_INDEX_ENTRY_BYTES = 16
+_FIRST_OPCODE, _LAST_OPCODE = int(Opcode.HEADER), int(Opcode.DATA_END)
+_CHUNK_OPCODE, _MESSAGE_INDEX_OPCODE = int(Opcode.CHUNK), int(Opcode.MESSAGE_INDEX)
+_SMALL_RECORD_BYTES = 256 * 1024 * 1024
+
+
+class ChunkPlace(NamedTuple):
+    """A chunk's record in the file. `channels` are those that its index names."""
+
+    offset: int
+    length: int
+    start_ns: int
+    end_ns: int
+    channels: frozenset[int]
+
+
+@dataclass
+class Contents:
+    """`whole` is false for a file without an end; `readable_bytes` is how far whole records go.
+
+    `indexed`: chunks come from a summary whose checksum holds, so that their channels can be relied on.
+    `damage` says in words what of the structure itself could not be read.
+    """
+
+    size: int
+    library: str = ""
+    whole: bool = False
+    indexed: bool = False
+    readable_bytes: int = 0
+    schemas: dict[int, Schema] = field(default_factory=dict)
+    channels: dict[int, Channel] = field(default_factory=dict)
+    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
+    attachments: dict[str, int] = field(default_factory=dict)
+    attachment_places: dict[str, int] = field(default_factory=dict)
+    walked_chunks: list[ChunkPlace] = field(default_factory=list)
+    chunk_index: bytes = b""
+    counts: Counter[int] = field(default_factory=Counter)
+    statistics: Statistics | None = None
+    data_end: int = 0
+    data_crc: int = 0
+    damage: list[str] = field(default_factory=list)
+
+    @cached_property
+    def chunks(self) -> list[ChunkPlace]:
+        """All chunks in the order of the file; the index of a day's record has 200,000 of them."""
+        return self.walked_chunks or list(_chunk_places(self.chunk_index))
+
+    @property
+    def chunk_count(self) -> int:
+        """How many chunks there are."""
+        return len(self.chunks) if self.statistics is None else self.statistics.chunk_count
+
+    @property
+    def start_ns(self) -> int:
+        """Earliest log time; 0 without messages."""
+        if self.statistics is not None:
+            return self.statistics.message_start_time
+        return min((chunk.start_ns for chunk in self.chunks), default=0)
+
+    @property
+    def end_ns(self) -> int:
+        """Latest log time; 0 without messages."""
+        if self.statistics is not None:
+            return self.statistics.message_end_time
+        return max((chunk.end_ns for chunk in self.chunks), default=0)
+
+
+def read_contents(file: IO[bytes]) -> Contents:
+    """Contents of a file that begins with MCAP's magic."""
+    size = file.seek(0, os.SEEK_END)
+    contents = Contents(size)
+    footer = _footer(file, size)
+    contents.whole = footer is not None
+    if footer is not None and footer.summary_start:
+        if _read_summary(file, contents, footer):
+            return contents
+        contents = Contents(size, whole=True, damage=contents.damage)
+    walk(file, contents)
+    return contents
+
+
+def walk(file: IO[bytes], contents: Contents) -> None:
+    """List the data section record by record, without decompressing anything, as far as it is whole."""
+    place = len(MAGIC)
+    chunk: ChunkPlace | None = None
+    channels: set[int] = set()
+    while place + _HEAD.size <= contents.size:
+        file.seek(place)
+        start = file.read(_HEAD.size + _CHUNK.size)
+        opcode, length = _HEAD.unpack_from(start)
+        end = place + _HEAD.size + length
+        if end > contents.size or not _FIRST_OPCODE <= opcode <= _LAST_OPCODE:
+            break
+        try:
+            if opcode == _MESSAGE_INDEX_OPCODE:
+                channel, bytes_of_entries = _MESSAGE_INDEX.unpack_from(start, _HEAD.size)
+                contents.counts[channel] += bytes_of_entries // _INDEX_ENTRY_BYTES
+                channels.add(channel)
+            elif opcode == _CHUNK_OPCODE:
+                if chunk is not None:
+                    contents.walked_chunks.append(chunk._replace(channels=frozenset(channels)))
+                    channels.clear()
+                start_ns, end_ns, *_ = _CHUNK.unpack_from(start, _HEAD.size)
+                chunk = ChunkPlace(place, _HEAD.size + length, start_ns, end_ns, frozenset())
+            else:
+                _list_record(file, contents, opcode, place)
+        except (struct.error, ValueError) as error:
+            contents.damage.append(f"record at byte {place} cannot be read ({error})")
+        place = end
+        if opcode in (Opcode.DATA_END, Opcode.FOOTER):
+            break
+    if chunk is not None:
+        contents.walked_chunks.append(chunk._replace(channels=frozenset(channels)))
+    contents.readable_bytes = place
+    contents.data_end = contents.data_end or place
+
+
+def _list_record(file: IO[bytes], contents: Contents, opcode: int, place: int) -> None:
+    if opcode == Opcode.DATA_END:
+        contents.data_end = place
+        contents.data_crc = struct.unpack("<I", read_record(file, place)[1])[0]
+    elif opcode == Opcode.ATTACHMENT:
+        attachment = parse(*read_record(file, place))
+        contents.attachments[attachment.name] = len(attachment.data)
+        contents.attachment_places[attachment.name] = place
+    elif opcode in (Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA):
+        _list_small(contents, *read_record(file, place))
+
+
+def _list_small(contents: Contents, opcode: int, data: bytes) -> None:
+    record = parse(opcode, data)
+    if isinstance(record, Header):
+        contents.library = record.library
+    elif isinstance(record, Schema):
+        contents.schemas[record.id] = record
+    elif isinstance(record, Channel):
+        contents.channels[record.id] = record
+    elif isinstance(record, Metadata):
+        contents.metadata[record.name] = record.metadata
+    elif isinstance(record, Statistics):
+        contents.statistics = record
+        contents.counts.update(record.channel_message_counts)
+
+
+_CLASSES: dict[int, Any] = {
+    Opcode.HEADER: Header,
+    Opcode.SCHEMA: Schema,
+    Opcode.CHANNEL: Channel,
+    Opcode.METADATA: Metadata,
+    Opcode.STATISTICS: Statistics,
+    Opcode.ATTACHMENT: Attachment,
+    Opcode.ATTACHMENT_INDEX: AttachmentIndex,
+    Opcode.METADATA_INDEX: MetadataIndex,
+}
+
+
+def parse(opcode: int, data: bytes) -> Any:
+    """A record of the mcap library from its bytes; None for a kind that is not needed here."""
+    kind = _CLASSES.get(opcode)
+    try:
+        return None if kind is None else kind.read(ReadDataStream(io.BytesIO(data)))
+    except (struct.error, UnicodeDecodeError, McapError) as error:
+        raise ValueError(str(error) or type(error).__name__) from None
+
+
+def read_record(file: IO[bytes], place: int) -> tuple[int, bytes]:
+    """Opcode and content of the record that begins at a place. Raises ValueError where there is none."""
+    file.seek(place)
+    head = file.read(_HEAD.size)
+    if len(head) < _HEAD.size:
+        raise ValueError(f"no record at byte {place}")
+    opcode, length = _HEAD.unpack(head)
+    if length > _SMALL_RECORD_BYTES:
+        raise ValueError(f"record at byte {place} claims {length} bytes")
+    data = file.read(length)
+    if len(data) < length:
+        raise ValueError(f"record at byte {place} ends early")
+    return opcode, data
+
+
+def _footer(file: IO[bytes], size: int) -> Footer | None:
+    length = _FOOTER.size + len(MAGIC)
+    if size < length + len(MAGIC):
+        return None
+    file.seek(size - length)
+    data = file.read(length)
+    opcode, record_length, start, offsets, crc = _FOOTER.unpack(data[: _FOOTER.size])
+    if data[_FOOTER.size :] != MAGIC or opcode != Opcode.FOOTER or record_length != 20:
+        return None
+    return Footer(start, offsets, crc)
+
+
+def _read_summary(file: IO[bytes], contents: Contents, footer: Footer) -> bool:
+    """Fill contents from the summary; False, and why, where it cannot be trusted."""
+    end = contents.size - _FOOTER.size - len(MAGIC)
+    if not len(MAGIC) <= footer.summary_start <= end:
+        contents.damage.append("the footer points outside the file")
+        return False
+    file.seek(footer.summary_start)
+    summary = file.read(end - footer.summary_start)
+    head = struct.pack("<BQQQ", Opcode.FOOTER, 20, footer.summary_start, footer.summary_offset_start)
+    if footer.summary_crc not in (0, zlib.crc32(head, zlib.crc32(summary))):
+        contents.damage.append("the summary's checksum does not match: bytes have changed")
+        return False
+    try:
+        _list_summary(file, contents, summary, footer)
+        _list_or_note(file, contents, len(MAGIC), "the header")
+        _, data = read_record(file, footer.summary_start - 13)
+        contents.data_end = footer.summary_start - 13
+        contents.data_crc = struct.unpack("<I", data)[0]
+    except (struct.error, ValueError) as error:
+        contents.damage.append(f"the summary cannot be read ({error})")
+        return False
+    contents.readable_bytes = contents.size
+    contents.indexed = True
+    return True
+
+
+def _list_summary(file: IO[bytes], contents: Contents, summary: bytes, footer: Footer) -> None:
+    groups = _groups(summary, footer)
+    place = 0
+    while place < len(summary):
+        if (Opcode.CHUNK_INDEX, place) in groups:
+            # By far the longest group; who only wants to know what is in a record does not need it.
+            length = groups[Opcode.CHUNK_INDEX, place]
+            contents.chunk_index += summary[place : place + length]
+            place += length
+            continue
+        opcode, length = _HEAD.unpack_from(summary, place)
+        end = place + _HEAD.size + length
+        data = summary[place + _HEAD.size : end]
+        if opcode == Opcode.CHUNK_INDEX:
+            contents.chunk_index += summary[place:end]
+        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS):
+            _list_small(contents, opcode, data)
+        elif opcode == Opcode.METADATA_INDEX:
+            index = parse(opcode, data)
+            _list_or_note(file, contents, index.offset, f"metadata {index.name}")
+        elif opcode == Opcode.ATTACHMENT_INDEX:
+            index = parse(opcode, data)
+            contents.attachments[index.name] = index.data_size
+            contents.attachment_places[index.name] = index.offset
+        place = end
+
+
+def _list_or_note(file: IO[bytes], contents: Contents, place: int, name: str) -> None:
+    """One record of the data section; what is wrong with it alone leaves the rest readable."""
+    try:
+        _list_small(contents, *read_record(file, place))
+    except (struct.error, ValueError) as error:
+        contents.damage.append(f"{name} cannot be read ({error})")
+
+
+def _groups(summary: bytes, footer: Footer) -> dict[tuple[int, int], int]:
+    """Length of each group of the summary, by kind and place within the summary."""
+    if footer.summary_offset_start < footer.summary_start:
+        return {}
+    records = summary[footer.summary_offset_start - footer.summary_start :]
+    size = _HEAD.size + _SUMMARY_OFFSET.size
+    return {
+        (kind, start - footer.summary_start): length
+        for kind, start, length in (
+            _SUMMARY_OFFSET.unpack_from(records, place + _HEAD.size)
+            for place in range(0, len(records) - size + 1, size)
+        )
+        if length > 0
+    }
+
+
+def _chunk_places(index: bytes) -> Iterator[ChunkPlace]:
+    place = 0
+    while place < len(index):
+        _, record_length = _HEAD.unpack_from(index, place)
+        start_ns, end_ns, offset, length, bytes_of_offsets = _CHUNK_INDEX.unpack_from(
+            index, place + _HEAD.size
+        )
+        at = place + _HEAD.size + _CHUNK_INDEX.size
+        channels = frozenset(
+            channel for channel, _ in _INDEX_OFFSET.iter_unpack(index[at : at + bytes_of_offsets])
+        )
+        yield ChunkPlace(offset, length, start_ns, end_ns, channels)
+        place += _HEAD.size + record_length

@@ -1,0 +1,26 @@
+"""SHA-256 of a record: what results.json names it by."""
+
+import hashlib
+from collections.abc import Callable
+from pathlib import Path
+
+from processing.errors import RecordError
+
+_BLOCK_BYTES = 4 * 1024 * 1024
+
+
+def sha256_of(path: Path, progress: Callable[[int, int], None] | None = None) -> str:
+    """Hexadecimal SHA-256 of a file, read in pieces; `progress` gets bytes done and bytes in all."""
+    digest = hashlib.sha256()
+    try:
+        with path.open("rb") as file:
+            total = path.stat().st_size
+            done = 0
+            while block := file.read(_BLOCK_BYTES):
+                digest.update(block)
+                done += len(block)
+                if progress is not None:
+                    progress(done, total)
+    except OSError as error:
+        raise RecordError(f"{path}: cannot be read: {error.strerror or error}") from None
+    return digest.hexdigest()

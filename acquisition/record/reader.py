@@ -1,0 +1,320 @@
+"""Reads a record, whole or cut short, chunk by chunk: memory stays flat however large the file is."""
+
+import logging
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Any, NamedTuple, Self, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.frame import Frame
+from acquisition.record.chunk_reader import ChunkDamage, RawMessage, messages_in, open_chunk
+from acquisition.record.contents import MAGIC, ChunkPlace, Contents, parse, read_contents, read_record
+from acquisition.record.foxglove import decode_log
+from acquisition.record.measurements import spot_table, swings_of
+from acquisition.record.pixels import decode_image, decode_window
+from acquisition.record.schemas import MessageType, message_type_of, parse_message_type
+from acquisition.record.topics import (
+    EVENT,
+    IMAGE_TOPIC,
+    LOG_TOPIC,
+    SCHEMA_VERSION,
+    SPOT,
+    SWING,
+    WINDOW,
+    DeflectionUnit,
+    RecordedEvent,
+    RecordedLog,
+    RecordedWindow,
+)
+from processing.errors import RecordError
+from processing.swing import Swing
+
+_log = logging.getLogger(__name__)
+_Value = TypeVar("_Value")
+
+
+class Message(NamedTuple):
+    """One message as it stands in the file; log times are UTC."""
+
+    topic: str
+    sequence: int
+    log_time_ns: int
+    data: bytes
+
+
+class Damage(NamedTuple):
+    """A stretch that cannot be trusted: topics and times (UTC) of the chunk, and what is wrong."""
+
+    start_ns: int
+    end_ns: int
+    topics: tuple[str, ...]
+    what: str
+
+
+class RecordReader:
+    """Context manager over one record.
+
+    CRCs are checked: a chunk whose bytes have changed is left out, named in `damages` and logged;
+    everything else is read. `truncated`: the file has no end, as after a kill or a power cut;
+    every complete chunk is read all the same.
+
+    Raises
+    ------
+    RecordError
+        No such file, no MCAP, no record of ours, or one of a newer version.
+    """
+
+    def __init__(self, path: Path, *, validate_crcs: bool = True) -> None:
+        self.path = path
+        self.damages: list[Damage] = []
+        self._validate_crcs = validate_crcs
+        self._damaged: set[int] = set()
+        self._types: dict[str, MessageType] = {}
+        self.file = open_mcap(path)
+        try:
+            self.contents: Contents = read_contents(self.file)
+            self._check_ours()
+        except OSError as error:
+            self.file.close()
+            raise RecordError(f"{path}: cannot be read: {error.strerror or error}") from None
+        except BaseException:
+            self.file.close()
+            raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the file."""
+        self.file.close()
+
+    @property
+    def truncated(self) -> bool:
+        """The file was cut short: it has no end."""
+        return not self.contents.whole
+
+    @property
+    def metadata(self) -> dict[str, dict[str, str]]:
+        """Texts by key, by name."""
+        return self.contents.metadata
+
+    @property
+    def attachments(self) -> dict[str, bytes]:
+        """Attached files by name. One whose bytes cannot be read is left out and named in `damages`."""
+        found = {}
+        for name, place in self.contents.attachment_places.items():
+            try:
+                opcode, data = read_record(self.file, place)
+                found[name] = parse(opcode, data).data
+            except ValueError as error:
+                self._remember(place, Damage(0, 0, (), f"attachment {name}: {error}"))
+        return found
+
+    @property
+    def epoch_offset_ns(self) -> int:
+        """What was added to the frames' clock to give UTC."""
+        return int(self.metadata["record"]["epoch_offset_ns"])
+
+    @property
+    def deflection_unit(self) -> DeflectionUnit:
+        """px where the rig had no calibration."""
+        return "px" if self.metadata["record"].get("deflection_unit") == "px" else "rad"
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Messages by topic as the file states them, damaged ones included."""
+        return {
+            channel.topic: self.contents.counts[number] for number, channel in self.contents.channels.items()
+        }
+
+    def messages(self, *topics: str) -> Iterator[Message]:
+        """Messages of some topics (all, without any) in the order of the file.
+
+        Numbers and pixels lie in chunks of their own; each topic is in order, topics among each
+        other are so only within a chunk.
+        """
+        names = {number: channel.topic for number, channel in self.contents.channels.items()}
+        for raw in self._raw(frozenset(topics)):
+            yield Message(names.get(raw.channel, ""), raw.sequence, raw.log_time_ns, raw.data)
+
+    def table(self, topic: str) -> NDArray[Any]:
+        """The numbers of all messages of a topic as a structured array; empty where there are none."""
+        kind = self._type(topic)
+        if kind is None:
+            return np.empty(0, dtype=np.dtype([]))
+        table = np.empty(self.counts[topic], dtype=kind.table_dtype)
+        filled = 0
+        for messages in self._by_chunk(frozenset([topic])):
+            part = kind.decode_table([message.data for message in messages])
+            if filled + len(part) > len(table):
+                # A cut file's last chunk may have lost the index from which messages were counted.
+                table = np.concatenate([table[:filled], part])
+            else:
+                table[filled : filled + len(part)] = part
+            filled += len(part)
+        return table[:filled]
+
+    def values(self, topic: str, value_class: type[_Value]) -> list[_Value]:
+        """All values of a topic as the dataclass or NamedTuple that was written.
+
+        Fields that an older record does not have are NaN, 0 or empty.
+        """
+        kind = self._type(topic)
+        if kind is None:
+            return []
+        wanted = message_type_of(value_class, kind.full_name, topic)
+        absent: dict[str, Any] = {name: math.nan if sort == "double" else 0 for name, sort in wanted.numbers}
+        absent |= {name: "" for name, _ in wanted.tail}
+        found = []
+        for message in self.messages(topic):
+            fields = dict(zip(kind.names, kind.decode(message.data), strict=True))
+            found.append(value_class(**{name: fields.get(name, absent[name]) for name in wanted.names}))
+        return found
+
+    def spots(self) -> NDArray[Any]:
+        """All spots as a structured array with the fields of `topics.SPOT`.
+
+        Without calibration (`deflection_unit` is px) x_rad, y_rad and their uncertainties hold px,
+        x_arcsec and y_arcsec NaN.
+        """
+        return spot_table(self.table(SPOT.topic))
+
+    def spot_blocks(self) -> Iterator[NDArray[Any]]:
+        """The same a chunk at a time, for records larger than memory."""
+        kind = self._type(SPOT.topic)
+        if kind is None:
+            return
+        for messages in self._by_chunk(frozenset([SPOT.topic])):
+            yield spot_table(kind.decode_table([message.data for message in messages]))
+
+    def swings(self) -> list[Swing]:
+        """All half-cycles; amplitudes in `deflection_unit`."""
+        return swings_of(self.table(SWING.topic))
+
+    def events(self) -> list[RecordedEvent]:
+        """All events."""
+        return self.values(EVENT.topic, RecordedEvent)
+
+    def windows(self) -> Iterator[RecordedWindow]:
+        """Windows around the spot, in order."""
+        kind = self._type(WINDOW.topic)
+        if kind is None:
+            return
+        for message in self.messages(WINDOW.topic):
+            yield decode_window(kind, message.data)
+
+    def images(self) -> Iterator[Frame]:
+        """Whole frames; the camera's own clock is not kept with them, the frames' time is."""
+        for message in self.messages(IMAGE_TOPIC):
+            time_ns = message.log_time_ns - self.epoch_offset_ns
+            yield Frame(decode_image(message.data), message.sequence, time_ns, time_ns)
+
+    def log(self) -> list[RecordedLog]:
+        """Lines of the log."""
+        offset_ns = self.epoch_offset_ns
+        return [
+            decode_log(message.log_time_ns - offset_ns, message.data) for message in self.messages(LOG_TOPIC)
+        ]
+
+    def _raw(self, topics: frozenset[str]) -> Iterator[RawMessage]:
+        for messages in self._by_chunk(topics):
+            yield from messages
+
+    def _by_chunk(self, topics: frozenset[str]) -> Iterator[list[RawMessage]]:
+        wanted = None
+        if topics:
+            channels = self.contents.channels.items()
+            wanted = frozenset(number for number, channel in channels if channel.topic in topics)
+        for place in self.contents.chunks:
+            listed = self.contents.indexed and place.channels
+            if wanted is not None and listed and not wanted & place.channels:
+                continue
+            try:
+                chunk = open_chunk(self.file, place, validate_crc=self._validate_crcs)
+                messages = list(messages_in(chunk.data, wanted))
+            except ChunkDamage as damage:
+                self.note_damage(place, str(damage))
+                continue
+            if messages:
+                yield messages
+
+    def _type(self, topic: str) -> MessageType | None:
+        """How the file itself describes a topic; None where it has no such topic."""
+        if topic not in self._types:
+            for channel in self.contents.channels.values():
+                if channel.topic == topic:
+                    schema = self.contents.schemas.get(channel.schema_id)
+                    if schema is None:
+                        raise RecordError(f"{self.path}: the description of {topic} is damaged")
+                    try:
+                        self._types[topic] = parse_message_type(schema.name, topic, schema.data)
+                    except ValueError as error:
+                        raise RecordError(f"{self.path}: topic {topic}: {error}") from None
+        return self._types.get(topic)
+
+    def note_damage(self, place: ChunkPlace, what: str) -> None:
+        """Remember a chunk that cannot be trusted, once."""
+        channels = self.contents.channels
+        topics = tuple(sorted(channels[number].topic for number in place.channels if number in channels))
+        self._remember(place.offset, Damage(place.start_ns, place.end_ns, topics, what))
+
+    def _remember(self, offset: int, damage: Damage) -> None:
+        if offset not in self._damaged:
+            self._damaged.add(offset)
+            self.damages.append(damage)
+            _log.warning("%s: damaged at byte %d, left out: %s", self.path, offset, damage.what)
+
+    def _check_ours(self) -> None:
+        """Find the record's description of itself: in its metadata, and beside the channel of spots.
+
+        The channel's copy is repeated in the summary, under a checksum, and is taken where both exist.
+        """
+        metadata = self.metadata.get("record", {})
+        beside = next((c.metadata for c in self.contents.channels.values() if c.topic == SPOT.topic), {})
+        if metadata and beside and metadata != beside:
+            self.contents.damage.append("metadata record differs from its copy: bytes have changed")
+        head = {**metadata, **beside}
+        if not head:
+            topics = ", ".join(sorted(channel.topic for channel in self.contents.channels.values()))
+            if not topics and self.truncated:
+                raise RecordError(f"{self.path}: was cut before anything was recorded; nothing can be read")
+            raise RecordError(
+                f"{self.path}: is an MCAP file of another program (topics: {topics or 'none'}); "
+                "only records of rig run can be read"
+            )
+        try:
+            version = int(head["schema_version"])
+            int(head["epoch_offset_ns"])
+        except (KeyError, ValueError):
+            raise RecordError(f"{self.path}: its own description is damaged: {head}") from None
+        if version > SCHEMA_VERSION:
+            raise RecordError(
+                f"{self.path}: has schema version {version}, this program reads up to {SCHEMA_VERSION}; "
+                "update optical-pendulum-rig"
+            )
+        self.metadata["record"] = head
+
+
+def open_mcap(path: Path) -> IO[bytes]:
+    """Open a file that begins as an MCAP file does. Raises RecordError."""
+    try:
+        file = path.open("rb")
+        head = file.read(len(MAGIC))
+    except FileNotFoundError:
+        raise RecordError(f"{path}: no such record") from None
+    except OSError as error:
+        raise RecordError(f"{path}: cannot be read: {error.strerror or error}") from None
+    if head != MAGIC:
+        file.close()
+        what = "is empty" if not head else "is no MCAP file"
+        raise RecordError(f"{path}: {what}; a record is made by rig run")
+    return file

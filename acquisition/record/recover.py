@@ -1,0 +1,104 @@
+"""A whole file from one that was cut short or damaged."""
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from acquisition.record.chunk_builder import ChunkBuilder
+from acquisition.record.chunk_reader import ChunkDamage, messages_in, open_chunk
+from acquisition.record.container import McapFile
+from acquisition.record.digest import sha256_of
+from acquisition.record.reader import Damage, RecordReader
+from acquisition.record.topics import LIBRARY
+from processing.errors import RecordError
+
+_RESERVE_BYTES = 1024 * 1024
+
+
+@dataclass(frozen=True, slots=True)
+class Recovery:
+    """What `recover` saved, and what not.
+
+    `messages` counts by topic, `end_ns` (UTC) is the time of the last one. `lost` are chunks whose
+    bytes have changed; `lost_bytes` stood behind the last complete record.
+    """
+
+    source: Path
+    path: Path
+    messages: Mapping[str, int]
+    start_ns: int
+    end_ns: int
+    lost: tuple[Damage, ...]
+    lost_bytes: int
+
+
+def recover(source: Path, path: Path) -> Recovery:
+    """Copy every intact message of a record, its metadata and attachments into a new file.
+
+    The source is only read. The new file says in its metadata "recovery" where it comes from and
+    what is missing. Raises RecordError: the source is no record of ours, the new file exists
+    already or cannot be written.
+    """
+    with RecordReader(source) as reader:
+        try:
+            file = McapFile(path, LIBRARY, _RESERVE_BYTES)
+        except FileExistsError:
+            raise RecordError(
+                f"{path}: exists already and is never overwritten; choose another name"
+            ) from None
+        except OSError as error:
+            raise RecordError(f"{path}: cannot be made: {error.strerror or error}") from None
+        try:
+            found = _copy(reader, file, path)
+            file.finish()
+        except OSError as error:
+            file.abandon()
+            path.unlink(missing_ok=True)
+            raise RecordError(
+                f"{path}: cannot be written: {error.strerror or error}; {source} is as it was"
+            ) from error
+        except BaseException:
+            file.abandon()
+            path.unlink(missing_ok=True)
+            raise
+    return found
+
+
+def _copy(reader: RecordReader, file: McapFile, path: Path) -> Recovery:
+    contents = reader.contents
+    for name, texts in contents.metadata.items():
+        file.add_metadata(name, texts)
+    for name, data in reader.attachments.items():
+        file.add_attachment(name, "application/octet-stream", data, contents.start_ns)
+    numbers: dict[int, int] = {}
+    for number, channel in sorted(contents.channels.items()):
+        schema = contents.schemas[channel.schema_id]
+        numbers[number] = file.add_channel(channel.topic, schema.name, schema.data, channel.metadata)
+    counts: Counter[str] = Counter()
+    for place in contents.chunks:
+        builder = ChunkBuilder()
+        try:
+            for message in messages_in(open_chunk(reader.file, place).data):
+                builder.add(numbers[message.channel], message.sequence, message.log_time_ns, message.data)
+                counts[contents.channels[message.channel].topic] += 1
+        except (ChunkDamage, KeyError) as damage:
+            reader.note_damage(place, str(damage))
+            continue
+        file.add_chunk(builder)
+        if file.full is not None:
+            raise file.full
+    lost_bytes = 0 if contents.whole else contents.size - contents.readable_bytes
+    file.add_metadata(
+        "recovery",
+        {
+            "source": reader.path.name,
+            "source_sha256": sha256_of(reader.path),
+            "source_was_cut": str(reader.truncated).lower(),
+            "lost_chunks": str(len(reader.damages)),
+            "lost_bytes_at_the_end": str(lost_bytes),
+        },
+    )
+    return Recovery(
+        reader.path, path, dict(counts), contents.start_ns, file.end_ns, tuple(reader.damages), lost_bytes
+    )

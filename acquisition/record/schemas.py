@@ -1,0 +1,275 @@
+"""Flat protobuf messages made from names and kinds: descriptor, encoding, decoding.
+
+Every number is stored in full width (double, sfixed64), so that replay is bit for bit and a message
+of numbers has one length: encoding many is one numpy array, decoding a whole topic is one
+`numpy.frombuffer`. The descriptor is embedded in the file; viewers plot the fields as they are.
+"""
+
+import dataclasses
+import struct
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Literal, get_type_hints
+
+import numpy as np
+from google.protobuf import descriptor_pb2
+from google.protobuf.message import DecodeError
+from numpy.typing import NDArray
+
+Kind = Literal["double", "int", "text", "bytes"]
+
+_FIELD = descriptor_pb2.FieldDescriptorProto
+_PROTO_TYPE: dict[Kind, "descriptor_pb2.FieldDescriptorProto.Type.ValueType"] = {
+    "double": _FIELD.TYPE_DOUBLE,
+    "int": _FIELD.TYPE_SFIXED64,
+    "text": _FIELD.TYPE_STRING,
+    "bytes": _FIELD.TYPE_BYTES,
+}
+_KIND: dict[int, Kind] = {number: kind for kind, number in _PROTO_TYPE.items()}
+_DEFAULT: dict[Kind, Any] = {"double": 0.0, "int": 0, "text": "", "bytes": b""}
+_NUMPY: dict[Kind, str] = {"double": "<f8", "int": "<i8"}
+_WIRE_VARINT, _WIRE_FIXED64, _WIRE_LENGTH, _WIRE_FIXED32 = 0, 1, 2, 5
+
+
+@dataclass(frozen=True)
+class MessageType:
+    """A protobuf message: numbers first, in order, then texts or bytes; field numbers count from 1."""
+
+    full_name: str
+    topic: str
+    numbers: tuple[tuple[str, Kind], ...]
+    tail: tuple[tuple[str, Kind], ...] = ()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Fields in order."""
+        return tuple(name for name, _ in (*self.numbers, *self.tail))
+
+    @cached_property
+    def descriptor(self) -> bytes:
+        """Serialised FileDescriptorSet, as MCAP embeds it."""
+        package, _, name = self.full_name.rpartition(".")
+        files = descriptor_pb2.FileDescriptorSet()
+        file = files.file.add(name=f"{package}/{name}.proto", package=package, syntax="proto3")
+        message = file.message_type.add(name=name)
+        for number, (field, kind) in enumerate((*self.numbers, *self.tail), start=1):
+            message.field.add(
+                name=field,
+                number=number,
+                type=_PROTO_TYPE[kind],
+                label=_FIELD.LABEL_OPTIONAL,
+                json_name=field,
+            )
+        return files.SerializeToString()
+
+    @cached_property
+    def table_dtype(self) -> np.dtype[Any]:
+        """One row of `decode_table`: the numbers."""
+        return np.dtype([(name, _NUMPY[kind]) for name, kind in self.numbers])
+
+    @cached_property
+    def wire_dtype(self) -> np.dtype[Any]:
+        """The encoded numbers, byte for byte: each field with its tag before it."""
+        fields: list[Any] = []
+        for number, (name, kind) in enumerate(self.numbers, start=1):
+            tag = _varint(number << 3 | _WIRE_FIXED64)
+            fields += [(f"tag {name}", f"V{len(tag)}"), (name, _NUMPY[kind])]
+        return np.dtype(fields)
+
+    @cached_property
+    def _tags(self) -> list[bytes]:
+        return [_varint(number << 3 | _WIRE_FIXED64) for number in range(1, len(self.numbers) + 1)]
+
+    @cached_property
+    def _layout(self) -> tuple[struct.Struct, list[Any]]:
+        """The numbers as one `struct.pack`, and its arguments with room for the values."""
+        form = "<" + "".join(
+            f"{len(tag)}s{'d' if kind == 'double' else 'q'}"
+            for tag, (_, kind) in zip(self._tags, self.numbers, strict=True)
+        )
+        arguments: list[Any] = [None] * (2 * len(self._tags))
+        arguments[0::2] = self._tags
+        return struct.Struct(form), arguments
+
+    @cached_property
+    def _tail_tags(self) -> list[bytes]:
+        first = len(self.numbers) + 1
+        return [_varint(number << 3 | _WIRE_LENGTH) for number in range(first, first + len(self.tail))]
+
+    def encode(self, *values: Any) -> bytes:
+        """Message from its fields in order: numbers, then texts and bytes."""
+        layout, template = self._layout
+        count = len(self.numbers)
+        arguments = template.copy()
+        arguments[1::2] = values[:count]
+        head = layout.pack(*arguments)
+        if not self.tail:
+            return head
+        parts = [head]
+        for tag, value in zip(self._tail_tags, values[count:], strict=True):
+            data = value.encode() if isinstance(value, str) else value
+            parts += [tag, _varint(len(data)), data]
+        return b"".join(parts)
+
+    def wire_rows(self, count: int) -> NDArray[Any]:
+        """Room for many encoded messages without tail: tags are set, numbers are zero."""
+        row = np.zeros(1, dtype=self.wire_dtype)
+        for tag, (name, _) in zip(self._tags, self.numbers, strict=True):
+            row[f"tag {name}"] = np.void(tag)
+        return np.repeat(row, count)
+
+    def decode(self, data: bytes) -> tuple[Any, ...]:
+        """Fields in order, from any valid encoding; a field that is absent has proto3's default.
+
+        Raises ValueError where the bytes are no such message.
+        """
+        kinds = [kind for _, kind in (*self.numbers, *self.tail)]
+        values = [_DEFAULT[kind] for kind in kinds]
+        place, end = 0, len(data)
+        layout, _ = self._layout
+        if end >= layout.size:
+            # What we wrote ourselves: all numbers, in order, none left out.
+            head = layout.unpack_from(data)
+            if list(head[0::2]) == self._tags:
+                values[: len(self.numbers)] = head[1::2]
+                place = layout.size
+        try:
+            while place < end:
+                key, place = _read_varint(data, place)
+                field, wire = (key >> 3) - 1, key & 7
+                known = 0 <= field < len(kinds)
+                if wire == _WIRE_FIXED64:
+                    if known:
+                        code = "<d" if kinds[field] == "double" else "<q"
+                        values[field] = struct.unpack_from(code, data, place)[0]
+                    place += 8
+                elif wire == _WIRE_LENGTH:
+                    length, place = _read_varint(data, place)
+                    raw, place = data[place : place + length], place + length
+                    if known:
+                        values[field] = raw.decode() if kinds[field] == "text" else raw
+                elif wire == _WIRE_VARINT:
+                    _, place = _read_varint(data, place)
+                elif wire == _WIRE_FIXED32:
+                    place += 4
+                else:
+                    raise ValueError(f"wire type {wire} is unknown")
+        except (IndexError, struct.error):
+            place = end + 1
+        if place != end:
+            raise ValueError(f"{self.full_name}: message of {end} bytes ends inside a field")
+        return tuple(values)
+
+    def decode_table(self, messages: Sequence[bytes]) -> NDArray[Any]:
+        """All numbers of many messages as a structured array."""
+        table = np.empty(len(messages), dtype=self.table_dtype)
+        size = self.wire_dtype.itemsize
+        if not self.tail and all(len(message) == size for message in messages):
+            wire = np.frombuffer(b"".join(messages), dtype=self.wire_dtype)
+            as_ours = all(
+                (wire[f"tag {name}"] == np.void(tag)).all()
+                for tag, (name, _) in zip(self._tags, self.numbers, strict=True)
+            )
+            if as_ours:
+                for name, _ in self.numbers:
+                    table[name] = wire[name]
+                return table
+        for row, data in enumerate(messages):
+            table[row] = self.decode(data)[: len(self.numbers)]
+        return table
+
+
+def parse_message_type(full_name: str, topic: str, descriptor: bytes) -> MessageType:
+    """Message type as a file describes it. Raises ValueError where it is not flat and fixed-width."""
+    try:
+        files = descriptor_pb2.FileDescriptorSet.FromString(descriptor)
+    except DecodeError:
+        raise ValueError(f"{full_name}: its descriptor cannot be read") from None
+    found = [
+        message
+        for file in files.file
+        for message in file.message_type
+        if f"{file.package}.{message.name}" == full_name
+    ]
+    if not found:
+        raise ValueError(f"{full_name}: its descriptor does not describe it")
+    fields = sorted(found[0].field, key=lambda field: field.number)
+    kinds = [_KIND.get(field.type) for field in fields]
+    numeric = [kind in _NUMPY for kind in kinds]
+    in_order = [field.number for field in fields] == list(range(1, len(fields) + 1))
+    names = [field.name for field in fields]
+    named_apart = len(set(names)) == len(names) and all(str(name).isidentifier() for name in names)
+    if None in kinds or not (in_order and named_apart) or numeric != sorted(numeric, reverse=True):
+        raise ValueError(f"{full_name}: is not a flat message of fixed-width numbers")
+    named = tuple((field.name, kind) for field, kind in zip(fields, kinds, strict=True) if kind is not None)
+    count = sum(numeric)
+    return MessageType(full_name, topic, named[:count], named[count:])
+
+
+def conform(table: NDArray[Any], dtype: np.dtype[Any]) -> NDArray[Any]:
+    """Rows of an older schema in today's: a double that it did not have is NaN, an integer 0."""
+    if table.dtype == dtype:
+        return table
+    out = np.zeros(len(table), dtype=dtype)
+    for name in dtype.names or ():
+        if name in (table.dtype.names or ()):
+            out[name] = table[name]
+        elif dtype[name].kind == "f":
+            out[name] = np.nan
+    return out
+
+
+def message_type_of(value_class: type, full_name: str, topic: str) -> MessageType:
+    """Message type of a flat dataclass or NamedTuple whose fields are int, bool, float or str.
+
+    Texts go behind the numbers, otherwise the order is kept. Raises TypeError for other fields.
+    """
+    hints = get_type_hints(value_class)
+    numbers: list[tuple[str, Kind]] = []
+    tail: list[tuple[str, Kind]] = []
+    for name in _field_names(value_class):
+        kind = hints[name]
+        if isinstance(kind, type) and issubclass(kind, int):
+            numbers.append((name, "int"))
+        elif kind is float:
+            numbers.append((name, "double"))
+        elif kind is str:
+            tail.append((name, "text"))
+        else:
+            raise TypeError(f"{value_class.__name__}.{name}: {kind} has no place in a record")
+    return MessageType(full_name, topic, tuple(numbers), tuple(tail))
+
+
+def _field_names(value_class: type) -> Iterable[str]:
+    if dataclasses.is_dataclass(value_class):
+        return [field.name for field in dataclasses.fields(value_class)]
+    names: Iterable[str] | None = getattr(value_class, "_fields", None)
+    if names is None:
+        raise TypeError(f"{value_class.__name__}: only a dataclass or a NamedTuple has a place in a record")
+    return names
+
+
+def length_delimited(number: int, length: int) -> bytes:
+    """What stands before the bytes of a text, bytes or message field."""
+    return _varint(number << 3 | _WIRE_LENGTH) + _varint(length)
+
+
+def _varint(value: int) -> bytes:
+    out = bytearray()
+    while value > 0x7F:
+        out.append(value & 0x7F | 0x80)
+        value >>= 7
+    out.append(value)
+    return bytes(out)
+
+
+def _read_varint(data: bytes, place: int) -> tuple[int, int]:
+    value = shift = 0
+    while True:
+        byte = data[place]
+        place += 1
+        value |= (byte & 0x7F) << shift
+        if byte < 0x80:
+            return value, place
+        shift += 7

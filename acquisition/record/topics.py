@@ -1,0 +1,125 @@
+"""The topics of a record: names, message types, and the values that belong to no other room."""
+
+import math
+from typing import Literal, NamedTuple
+
+from acquisition.frame import Image
+from acquisition.record.schemas import Kind, MessageType, message_type_of
+from processing.spot import Spot
+
+SCHEMA_VERSION = 1
+"""Raised when a reader of the version before could misunderstand a record; new fields do not count."""
+PACKAGE = "optical_pendulum"
+LIBRARY = "optical-pendulum-rig"
+
+IMAGE_TOPIC = "/image"
+LOG_TOPIC = "/log"
+CAMERA_TOPIC = "/camera_calibration"
+BALANCE_TOPIC = "/balance"
+SENSOR_FRAME = "sensor"
+"""Frame of reference of images and camera calibration, for viewers."""
+
+WARNING_KINDS = frozenset({"gap", "spot lost", "camera lost", "record"})
+"""Events that the log shows as warnings: something of the measurement is missing."""
+
+DeflectionUnit = Literal["rad", "px"]
+"""px where the rig has no calibration of its light lever."""
+
+
+class Environment(NamedTuple):
+    """What the laboratory's sensors say; NaN for what is not measured."""
+
+    time_ns: int
+    temperature_c: float = math.nan
+    humidity_percent: float = math.nan
+    pressure_pa: float = math.nan
+
+
+class RecordedWindow(NamedTuple):
+    """Raw pixels around the spot of one frame; `origin_px` is (x, y) of the first on the sensor."""
+
+    sequence: int
+    time_ns: int
+    image: Image
+    origin_px: tuple[int, int]
+
+
+class RecordedEvent(NamedTuple):
+    """Something that happened during the run."""
+
+    time_ns: int
+    kind: str
+    text: str
+
+
+class RecordedLog(NamedTuple):
+    """A line of the log; `level` as in foxglove.Log (1 debug, 2 info, 3 warning, 4 error, 5 fatal)."""
+
+    time_ns: int
+    level: int
+    source: str
+    text: str
+
+
+def _doubles(*names: str) -> tuple[tuple[str, Kind], ...]:
+    return tuple((name, "double") for name in names)
+
+
+def _ints(*names: str) -> tuple[tuple[str, Kind], ...]:
+    return tuple((name, "int") for name in names)
+
+
+def _message(
+    name: str, topic: str, *numbers: tuple[str, Kind], tail: tuple[tuple[str, Kind], ...] = ()
+) -> MessageType:
+    return MessageType(f"{PACKAGE}.{name}", topic, numbers, tail)
+
+
+_FRAME = _ints("sequence", "time_ns", "device_time_ns", "host_time_ns")
+_SPOT = (*_doubles(*Spot._fields[:-1]), *_ints("flags"))
+
+
+def _turning_point(unit: DeflectionUnit) -> tuple[tuple[str, Kind], ...]:
+    """The fields of `Swing` in its order, with the unit that they carry."""
+    return (
+        *_ints("index", "turn_time_ns"),
+        *_doubles("u_turn_time_s", f"amplitude_{unit}", f"u_amplitude_{unit}"),
+        *_doubles("half_period_s", "u_half_period_s", f"centre_{unit}"),
+        *_ints("side", "flags"),
+    )
+
+
+SPOT = _message(
+    "Spot",
+    "/spot",
+    *_FRAME,
+    *_SPOT,
+    *_doubles("x_rad", "y_rad", "u_x_rad", "u_y_rad", "x_arcsec", "y_arcsec"),
+)
+"""One frame: its numbers and times, the spot in it, the pendulum's deflection."""
+SPOT_UNCALIBRATED = _message(
+    "UncalibratedSpot",
+    "/spot",
+    *_FRAME,
+    *_SPOT,
+    *_doubles("x_deflection_px", "y_deflection_px", "u_x_deflection_px", "u_y_deflection_px"),
+)
+"""The same where pixels could not be turned into angles."""
+SWING = _message("Swing", "/swing", *_turning_point("rad"), *_doubles("amplitude_arcsec", "period_s"))
+"""One half-cycle."""
+SWING_UNCALIBRATED = _message("UncalibratedSwing", "/swing", *_turning_point("px"), *_doubles("period_s"))
+"""The same in px."""
+WINDOW = _message(
+    "Window",
+    "/window",
+    *_ints(
+        "sequence", "time_ns", "x0_px", "y0_px", "width_px", "height_px", "bytes_per_pixel", "byte_planes"
+    ),
+    tail=(("pixels", "bytes"),),
+)
+"""Pixels row by row; with `byte_planes` 1 first the low byte of every pixel, then the high byte."""
+EVENT = _message("Event", "/event", *_ints("time_ns"), tail=(("kind", "text"), ("text", "text")))
+ENVIRONMENT = message_type_of(Environment, f"{PACKAGE}.Environment", "/environment")
+
+PIXEL_TOPICS = (WINDOW.topic, IMAGE_TOPIC)
+"""Topics with chunks of their own, so that who wants numbers does not read pixels."""

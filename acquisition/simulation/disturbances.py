@@ -1,0 +1,122 @@
+"""What the laboratory and the faults do to frames: jitter, drift, fading, bursts, losses.
+
+Everything depends on the seed, the run and the frame's number alone, never on when it is asked for.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.simulation import randomness
+from acquisition.simulation.dynamics import ARCSEC_RAD, Motion
+from acquisition.simulation.faults import FaultSettings
+from acquisition.simulation.settings import DisturbanceTruth
+
+_JITTER, _WALK, _CLOCK, _POWER, _DROP = 4, 5, 6, 7, 8
+
+
+class FrameNoise:
+    """Random numbers of consecutive frames, for one run."""
+
+    def __init__(self, seed: int, run: int) -> None:
+        self._seed = seed
+        self._run = run
+        self._edges = randomness.ziggurat().x
+
+    def jitter(self, first: int, count: int) -> NDArray[np.float64]:
+        """Pointing, (count, 2) standard normal."""
+        return self._normals(_JITTER, first, count, 2)
+
+    def walk(self, first: int, count: int) -> NDArray[np.float64]:
+        """Steps of the pointing's random walk, (count, 2) standard normal."""
+        return self._normals(_WALK, first, count, 2)
+
+    def clock(self, first: int, count: int) -> NDArray[np.float64]:
+        """Timestamps, (count,) standard normal."""
+        return self._normals(_CLOCK, first, count, 1)[:, 0]
+
+    def power(self, first: int, count: int) -> NDArray[np.float64]:
+        """Laser power, (count,) standard normal."""
+        return self._normals(_POWER, first, count, 1)[:, 0]
+
+    def dropped(self, first: int, count: int, fraction: float) -> NDArray[np.bool_]:
+        """Whether the camera loses the frame."""
+        if fraction == 0.0:
+            return np.zeros(count, dtype=np.bool_)
+        # a normal number below its quantile, so that one generator serves all
+        quantile = _normal_quantile(fraction)
+        return self._normals(_DROP, first, count, 1)[:, 0] < quantile
+
+    def _normals(self, purpose: int, first: int, count: int, columns: int) -> NDArray[np.float64]:
+        out = np.empty((count, columns))
+        randomness.frame_normals(self._seed, self._run, purpose, first, self._edges, out)
+        return out
+
+
+class Pointing:
+    """Wandering of the beam on the sensor; frames are asked for in order, without gaps."""
+
+    def __init__(self, truth: DisturbanceTruth, noise: FrameNoise, frame_period_s: float) -> None:
+        self._truth = truth
+        self._noise = noise
+        self._period_s = frame_period_s
+        self._walked = np.zeros(2)
+
+    def offset_px(self, first: int, count: int) -> NDArray[np.float64]:
+        """(count, 2) offset of the spot, x and y in px."""
+        truth = self._truth
+        minutes = np.arange(first, first + count) * (self._period_s / 60.0)
+        drift = np.array([truth.pointing_drift_x_px_per_min, truth.pointing_drift_y_px_per_min])
+        offset: NDArray[np.float64] = minutes[:, None] * drift
+        if truth.pointing_jitter_px > 0:
+            offset += truth.pointing_jitter_px * self._noise.jitter(first, count)
+        if truth.pointing_walk_px_per_sqrt_s > 0:
+            step_px = truth.pointing_walk_px_per_sqrt_s * math.sqrt(self._period_s)
+            # summed one by one from the last place on, so that the length of a block leaves no trace
+            steps = np.vstack([self._walked, step_px * self._noise.walk(first, count)])
+            path = np.cumsum(steps, axis=0)[1:]
+            self._walked = path[-1]
+            offset += path
+        return offset
+
+
+def laser_factor(faults: FaultSettings, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
+    """What is left of the laser's power: down in a quarter of the fade, dark for half of it, up again."""
+    if faults.laser_fades_at_s is None:
+        return np.ones(len(times_s))
+    part = (times_s - faults.laser_fades_at_s) / faults.laser_fade_duration_s
+    depth = np.clip(np.minimum(4 * part, 4 * (1 - part)), 0, 1)
+    dark: NDArray[np.float64] = 0.5 * (1 - np.cos(np.pi * depth))
+    return 1 - (1 - faults.laser_fade_to) * dark
+
+
+def vibration_rad(faults: FaultSettings, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Shaking of the base as a tilt of both axes, in a smooth burst."""
+    if faults.vibration_burst_at_s is None:
+        return np.zeros(len(times_s))
+    since_s = times_s - faults.vibration_burst_at_s
+    part = np.clip(since_s / faults.vibration_burst_duration_s, 0, 1)
+    envelope = np.sin(np.pi * part) ** 2
+    phase = 2 * np.pi * faults.vibration_burst_hz * since_s
+    shake: NDArray[np.float64] = faults.vibration_burst_arcsec * ARCSEC_RAD * envelope * np.sin(phase)
+    return shake
+
+
+def add_draught(faults: FaultSettings, fast: Motion, slow: Motion) -> None:
+    """The draught's push, as the velocity that would swing the resting pendulum so far."""
+    if faults.draught_at_s is not None:
+        for motion in (fast, slow):
+            motion.kick(faults.draught_at_s, faults.draught_arcsec * ARCSEC_RAD * motion.w0_rad_per_s)
+
+
+def _normal_quantile(probability: float) -> float:
+    """Where the standard normal distribution function has this value, by bisection."""
+    low, high = -40.0, 40.0
+    for _ in range(100):
+        middle = 0.5 * (low + high)
+        if 0.5 * math.erfc(-middle / math.sqrt(2)) < probability:
+            low = middle
+        else:
+            high = middle
+    return 0.5 * (low + high)

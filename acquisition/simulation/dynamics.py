@@ -1,0 +1,224 @@
+"""The two modes of the simulated pendulum, followed in time as far as someone asks, in flat memory."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.simulation import integrator
+from acquisition.simulation.integrator import ANGLE, COLUMNS, DIRECTION, RATE, TIME, ModeConstants
+from acquisition.simulation.settings import ContactTruth, FastModeTruth, SimulationSettings
+from processing.errors import ConfigurationError
+
+ARCSEC_RAD = math.pi / (180 * 3600)
+_ROWS = 256
+_TURNS = 64
+
+
+def contact_radius_m(contact: ContactTruth) -> float:
+    """Radius of the contact spot: as stated, or Hertz's for a ball under its share of the weight."""
+    if contact.contact_radius_m is not None:
+        return contact.contact_radius_m
+    compliance = (1 - contact.ball_poisson_ratio**2) / contact.ball_youngs_modulus_pa + (
+        1 - contact.flat_poisson_ratio**2
+    ) / contact.flat_youngs_modulus_pa
+    load_n = contact.mass_kg * contact.gravity_m_per_s2 / contact.balls
+    return float(np.cbrt(0.75 * load_n * contact.ball_radius_m * compliance))
+
+
+def slow_mode(contact: ContactTruth) -> ModeConstants:
+    """Constants of the slow mode's equation of motion."""
+    radius_m = contact_radius_m(contact)
+    w0_rad_per_s = 2 * math.pi / contact.period0_s
+    return ModeConstants(
+        w0_rad_per_s=w0_rad_per_s,
+        b=contact.b,
+        p=contact.p,
+        c=contact.c,
+        n=contact.n,
+        kappa=2
+        * contact.balls
+        * contact.gamma_pa
+        * radius_m**2
+        / (contact.mass_kg * contact.gravity_m_per_s2),
+        ball_over_contact_radius=contact.ball_radius_m / radius_m,
+        drag_s=contact.drag_s,
+        exact=contact.exact_pendulum,
+        rolling=contact.ball_radius_m * w0_rad_per_s**2 / contact.gravity_m_per_s2,
+    )
+
+
+def fast_mode(contact: ContactTruth, fast: FastModeTruth) -> ModeConstants:
+    """Constants of the fast mode: the same contact under a smaller moment of inertia."""
+    slow = slow_mode(contact)
+    return slow._replace(
+        w0_rad_per_s=slow.w0_rad_per_s * fast.period_ratio,
+        b=slow.b * fast.friction_factor,
+        c=slow.c * fast.friction_factor,
+        drag_s=fast.drag_s,
+        exact=False,
+    )
+
+
+class Motion:
+    """One mode in time. Times must not fall from call to call; what lies behind is forgotten.
+
+    Parameters
+    ----------
+    mode
+        Constants of the equation of motion.
+    angle_rad, rate_rad_per_s
+        At `start_s`. Before it the pendulum is held at `held_rad`.
+    """
+
+    def __init__(
+        self, mode: ModeConstants, angle_rad: float, rate_rad_per_s: float, start_s: float, held_rad: float
+    ) -> None:
+        largest_rad = math.hypot(angle_rad, rate_rad_per_s / mode.w0_rad_per_s)
+        softening = mode.kappa * 0.5 * math.pi * largest_rad**mode.n
+        if softening > 0.9:
+            raise ConfigurationError(
+                f"simulation.contact.gamma_pa: elastic adhesion takes {softening:.2f} of gravity's restoring "
+                f"moment at {largest_rad / ARCSEC_RAD:.4g} arcsec; it would fall over. Lower gamma_pa"
+            )
+        self._mode = mode
+        self._rule = integrator.collocation()
+        self._rows = np.zeros((_ROWS, COLUMNS))
+        self._turns = np.zeros((_TURNS, 2))
+        self._state = np.zeros(4)
+        self._row = 0
+        self._n_rows = 0
+        self._kicks: list[tuple[float, float]] = []
+        self._held = False
+        self._state[:] = 0.0, held_rad, 0.0, 0.0
+        if start_s > 0:
+            self._rows[0, :3] = 0.0, start_s, held_rad
+            self._n_rows = 1
+        self._state[:] = start_s, angle_rad, rate_rad_per_s, 0.0
+        self._set_direction()
+
+    def kick(self, time_s: float, rate_rad_per_s: float) -> None:
+        """A push at `time_s`, which changes the rate at once. Not before any time already asked for."""
+        end_s = self._state[TIME]
+        if time_s < end_s:
+            self._return_to(time_s)
+        self._kicks = sorted([*self._kicks, (time_s, rate_rad_per_s)])
+
+    def hold(self, time_s: float, angle_rad: float) -> None:
+        """From `time_s` on held at this angle, until it is let go."""
+        self._stand_at(time_s)
+        self._held = True
+        self._state[ANGLE] = angle_rad
+        self._state[RATE] = 0.0
+        self._set_direction()
+
+    def let_go(self, time_s: float) -> None:
+        """Free from `time_s` on, from a standstill where it was held."""
+        self._stand_at(time_s)
+        self._held = False
+        self._set_direction()
+
+    def load(self, time_s: float, push_rad: float, drag_s: float) -> None:
+        """From `time_s` on under a constant push (shift of the rest position) and this linear drag."""
+        self._stand_at(time_s)
+        self._mode = self._mode._replace(push_rad=push_rad, drag_s=drag_s)
+        self._set_direction()
+
+    def tilt(self, times_s: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Angles in rad and rates in rad/s at `times_s`, which must not fall."""
+        angles = np.empty(len(times_s))
+        rates = np.empty(len(times_s))
+        reached = 0
+        while True:
+            self._row, reached = integrator.sample(
+                self._rows, self._row, self._n_rows, times_s, reached, angles, rates
+            )
+            if reached == len(times_s):
+                return angles, rates
+            self.step(math.inf)
+
+    def step(self, until_s: float) -> NDArray[np.float64]:
+        """Integrate one chunk further, not past `until_s`; turning points met: (k, 2) time in s and angle."""
+        while self._kicks and self._kicks[0][0] <= self._state[TIME]:
+            self._state[RATE] += 0.0 if self._held else self._kicks[0][1]
+            self._kicks.pop(0)
+            self._set_direction()
+        stop_s = min(until_s, self._kicks[0][0]) if self._kicks else until_s
+        if math.isinf(stop_s):
+            # friction holds the pendulum in one long row: let it end somewhere
+            stop_s = self._state[TIME] + 100 * 2 * math.pi / self._mode.w0_rad_per_s
+        self._row = 0
+        self._n_rows, n_turns = integrator.advance(
+            self._state, stop_s, self._mode, self._rule, self._rows, self._turns
+        )
+        return self._turns[:n_turns].copy()
+
+    @property
+    def w0_rad_per_s(self) -> float:
+        """Angular frequency at vanishing amplitude, elasticity off."""
+        return self._mode.w0_rad_per_s
+
+    @property
+    def reached_s(self) -> float:
+        """Time up to which the motion is known."""
+        return float(self._state[TIME])
+
+    @property
+    def at_rest(self) -> bool:
+        """Friction holds the pendulum, and no push is to come."""
+        return bool(self._state[DIRECTION] == 0.0) and not self._kicks
+
+    def _stand_at(self, time_s: float) -> None:
+        """The state is that of `time_s`, which lies not before any time already asked for."""
+        if self._state[TIME] > time_s:
+            self._return_to(time_s)
+        while self._state[TIME] < time_s:
+            self.step(time_s)
+
+    def _set_direction(self) -> None:
+        rate = self._state[RATE]
+        if self._held:
+            self._state[DIRECTION] = 0.0
+        elif rate != 0.0:
+            self._state[DIRECTION] = math.copysign(1.0, rate)
+        else:
+            self._state[DIRECTION] = integrator.direction_from_rest(self._state[ANGLE], self._mode)
+
+    def _return_to(self, time_s: float) -> None:
+        """Forget what was integrated beyond `time_s`."""
+        angles, rates = np.empty(1), np.empty(1)
+        row, _ = integrator.sample(self._rows, self._row, self._n_rows, np.array([time_s]), 0, angles, rates)
+        begin_s = self._rows[row, 0]
+        self._rows[row, 1:] = self._cut(self._rows[row], time_s - begin_s)
+        self._n_rows = row + 1
+        self._state[:3] = time_s, angles[0], rates[0]
+        self._set_direction()
+
+    @staticmethod
+    def _cut(row: NDArray[np.float64], length_s: float) -> NDArray[np.float64]:
+        ratio = length_s / row[1]
+        return np.concatenate(([length_s], row[2:] * ratio ** np.arange(COLUMNS - 2)))
+
+
+def motions(settings: SimulationSettings) -> tuple[Motion, Motion]:
+    """The fast and the slow mode as released."""
+    slow = slow_mode(settings.contact)
+    fast = fast_mode(settings.contact, settings.fast)
+    release = settings.release
+    amplitude_rad = release.amplitude_arcsec * ARCSEC_RAD
+    fast_rad = settings.fast.amplitude_arcsec * ARCSEC_RAD
+    phase = settings.fast.phase_rad
+    if release.way == "let go":
+        slow_motion = Motion(slow, amplitude_rad, 0.0, release.at_s, amplitude_rad)
+    elif release.way == "push":
+        slow_motion = Motion(slow, 0.0, amplitude_rad * slow.w0_rad_per_s, release.at_s, 0.0)
+    else:
+        return Motion(fast, 0.0, 0.0, 0.0, 0.0), Motion(slow, 0.0, 0.0, 0.0, 0.0)
+    fast_motion = Motion(
+        fast,
+        fast_rad * math.cos(phase),
+        -fast_rad * fast.w0_rad_per_s * math.sin(phase),
+        release.at_s,
+        fast_rad * math.cos(phase) if release.way == "let go" else 0.0,
+    )
+    return fast_motion, slow_motion

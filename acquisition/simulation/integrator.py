@@ -1,0 +1,280 @@
+"""One mode of the pendulum, stepped through time: Eq. 4 with Eqs. 1 and 3 on the right-hand side.
+
+    phi'' = w0^2 [ push - phi + kappa |phi|^(n+1) (pi/2 - (R/a) |phi|) sign(phi)
+                   - (c + b |phi|^p) sign(phi') - drag phi' ]
+
+A pendulum that swings by degrees has sin(phi) in the place of phi, and its round support rolls: with
+the radius r of the support and epsilon = r w0^2/g (mass and length cancel) the inertia about the point
+of contact is 1 + 2 epsilon (1 - cos phi) times that at rest, whence
+
+    [1 + 2 epsilon (1 - cos phi)] phi'' + epsilon sin(phi) phi'^2 = w0^2 [ the moments above ]
+
+Two things spoil a plain integrator: friction changes sign at the turning points, and |phi|^p,
+|phi|^(n+1) have no smooth derivatives at phi = 0. So every step lies between such points, which
+are located by Newton's method on the step's length, and steps shrink geometrically towards
+phi = 0 and grow again behind it. Each step is Gauss collocation with 6 stages (order 12), solved
+by iteration; its polynomial is the dense output.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+STAGES = 6
+LONGEST_STEP_RAD = 0.35
+"""Longest step, as phase of the oscillation: dense output good to about 1e-10 of the amplitude."""
+SHORTEST_STEP_RAD = 1e-4
+"""Steps that touch phi = 0: what |phi|^p leaves there is below 2e-12 of the amplitude even for p = 0.4."""
+
+COLUMNS = STAGES + 4
+"""A row of the trajectory: start time, length, then the coefficients of phi in (t - start)/length."""
+
+TIME, ANGLE, RATE, DIRECTION = 0, 1, 2, 3
+"""Entries of a state. Direction is the sign of the motion, 0 where friction holds the pendulum."""
+
+
+class Collocation(NamedTuple):
+    """Gauss nodes on (0, 1) with the matrices that turn accelerations at the nodes into motion."""
+
+    nodes: NDArray[np.float64]
+    weights: NDArray[np.float64]
+    to_rate: NDArray[np.float64]
+    to_angle: NDArray[np.float64]
+    to_polynomial: NDArray[np.float64]
+
+
+def collocation() -> Collocation:
+    """Nodes and matrices for `STAGES` stages."""
+    u, w = np.polynomial.legendre.leggauss(STAGES)
+    nodes = 0.5 * (u + 1.0)
+    values = np.polynomial.legendre.legvander(u, STAGES)
+    integrals = np.empty((STAGES, STAGES))
+    integrals[:, 0] = nodes
+    for k in range(1, STAGES):
+        integrals[:, k] = (values[:, k + 1] - values[:, k - 1]) / (2.0 * (2 * k + 1))
+    to_rate = integrals @ np.linalg.inv(values[:, :STAGES])
+    to_polynomial = np.linalg.inv(np.vander(nodes, STAGES, increasing=True)).astype(np.float64)
+    return Collocation(nodes, 0.5 * w, to_rate, to_rate @ to_rate, to_polynomial)
+
+
+class ModeConstants(NamedTuple):
+    """What the equation of motion of one mode needs; angles in rad."""
+
+    w0_rad_per_s: float
+    b: float
+    p: float
+    c: float
+    n: float
+    kappa: float
+    ball_over_contact_radius: float
+    drag_s: float
+    push_rad: float = 0.0
+    exact: bool = False
+    """Sine of the angle and a rolling support; False: small angles, Eq. 4 as it stands."""
+    rolling: float = 0.0
+    """epsilon, the support's radius in units of g/w0^2; heeded where `exact`."""
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _acceleration(angle: float, rate: float, direction: float, mode: ModeConstants) -> float:
+    size = max(abs(angle), 1e-300)
+    log_size = math.log(size)
+    elastic = (
+        mode.kappa * math.exp(mode.n * log_size) * (0.5 * math.pi - mode.ball_over_contact_radius * size)
+    )
+    friction = mode.c + mode.b * math.exp(mode.p * log_size)
+    if mode.exact:
+        sine = math.sin(angle)
+        moment = mode.push_rad + angle * elastic - sine - friction * direction - mode.drag_s * rate
+        inertia = 1.0 + 4.0 * mode.rolling * math.sin(0.5 * angle) ** 2
+        return (mode.w0_rad_per_s**2 * moment - mode.rolling * sine * rate * rate) / inertia
+    forces = mode.push_rad + angle * (elastic - 1.0) - friction * direction - mode.drag_s * rate
+    return mode.w0_rad_per_s**2 * forces
+
+
+@njit(cache=True, nogil=True)
+def _stages(
+    angle: float,
+    rate: float,
+    direction: float,
+    length_s: float,
+    mode: ModeConstants,
+    rule: Collocation,
+    f: NDArray[np.float64],
+) -> tuple[float, float]:
+    """Accelerations at the nodes into `f`; angle and rate at the step's end."""
+    h = length_s
+    for j in range(STAGES):
+        f[j] = _acceleration(angle + rule.nodes[j] * h * rate, rate, direction, mode)
+    scale = mode.w0_rad_per_s**2 * (abs(angle) + abs(rate) / mode.w0_rad_per_s)
+    for _ in range(40):
+        change = 0.0
+        for j in range(STAGES):
+            to_angle = 0.0
+            to_rate = 0.0
+            for k in range(STAGES):
+                to_angle += rule.to_angle[j, k] * f[k]
+                to_rate += rule.to_rate[j, k] * f[k]
+            new = _acceleration(
+                angle + h * (rule.nodes[j] * rate + h * to_angle), rate + h * to_rate, direction, mode
+            )
+            change = max(change, abs(new - f[j]))
+            f[j] = new
+        if change <= 4e-16 * scale:
+            break
+    to_angle = 0.0
+    to_rate = 0.0
+    for j in range(STAGES):
+        to_rate += rule.weights[j] * f[j]
+        to_angle += rule.weights[j] * (1.0 - rule.nodes[j]) * f[j]
+    return angle + h * (rate + h * to_angle), rate + h * to_rate
+
+
+@njit(cache=True, nogil=True)
+def _length_to(
+    wanted: int,
+    angle: float,
+    rate: float,
+    direction: float,
+    longest_s: float,
+    mode: ModeConstants,
+    rule: Collocation,
+    f: NDArray[np.float64],
+) -> float:
+    """Length of the step that ends where the angle (wanted 1) or the rate (2) is zero, below longest_s."""
+    low = 0.0
+    high = longest_s
+    start = angle if wanted == ANGLE else rate
+    h = longest_s
+    for _ in range(60):
+        end_angle, end_rate = _stages(angle, rate, direction, h, mode, rule, f)
+        value = end_angle if wanted == ANGLE else end_rate
+        if value * start > 0.0 or (start == 0.0 and value * direction > 0.0):
+            low = h
+        else:
+            high = h
+        slope = end_rate if wanted == ANGLE else _acceleration(end_angle, end_rate, direction, mode)
+        new = h - value / slope if slope != 0.0 else 0.5 * (low + high)
+        if not low <= new <= high:
+            new = 0.5 * (low + high)
+        if abs(new - h) <= 1e-15 * longest_s:
+            return new
+        h = new
+    return h
+
+
+@njit(cache=True, nogil=True)
+def direction_from_rest(angle: float, mode: ModeConstants) -> float:
+    """Which way the pendulum leaves a standstill; 0 where friction holds it."""
+    free = _acceleration(angle, 0.0, 0.0, mode)
+    held = free - _acceleration(angle, 0.0, 1.0, mode)
+    if abs(free) <= held:
+        return 0.0
+    return 1.0 if free > 0.0 else -1.0
+
+
+@njit(cache=True, nogil=True)
+def advance(
+    state: NDArray[np.float64],
+    stop_s: float,
+    mode: ModeConstants,
+    rule: Collocation,
+    rows: NDArray[np.float64],
+    turns: NDArray[np.float64],
+) -> tuple[int, int]:
+    """Step until `stop_s` or until an array is full.
+
+    `state` is (time, angle, rate, direction) and is changed in place. `rows` (m, COLUMNS) takes the
+    steps, `turns` (k, 2) time and angle of the turning points; returned are the numbers of both.
+    A step never passes `stop_s`.
+    """
+    w0 = mode.w0_rad_per_s
+    longest_s = LONGEST_STEP_RAD / w0
+    shortest_s = SHORTEST_STEP_RAD / w0
+    f = np.empty(STAGES)
+    n_rows = 0
+    n_turns = 0
+    while n_rows < rows.shape[0] and n_turns < turns.shape[0] and state[TIME] < stop_s:
+        angle = state[ANGLE]
+        rate = state[RATE]
+        direction = state[DIRECTION]
+        row = rows[n_rows]
+        row[:] = 0.0
+        row[0] = state[TIME]
+        row[2] = angle
+        if direction == 0.0:
+            row[1] = stop_s - state[TIME]
+            state[TIME] = stop_s
+            n_rows += 1
+            continue
+        inward = angle * direction < 0.0
+        from_zero_s = math.atan2(w0 * abs(angle), abs(rate)) / w0
+        h = min(longest_s, max(shortest_s, (0.62 if inward else 1.6) * from_zero_s))
+        h = min(h, stop_s - state[TIME])
+        end_angle, end_rate = _stages(angle, rate, direction, h, mode, rule, f)
+        turned = end_rate * direction <= 0.0
+        crossed = inward and end_angle * angle <= 0.0
+        if crossed:
+            shorter = _length_to(ANGLE, angle, rate, direction, h, mode, rule, f)
+            end_angle, end_rate = _stages(angle, rate, direction, shorter, mode, rule, f)
+            # a crossing seen only because the motion was carried on past a standstill is none
+            if end_rate * direction > 0.0:
+                h = shorter
+                end_angle = 0.0
+                turned = False
+        if turned:
+            h = _length_to(RATE, angle, rate, direction, h, mode, rule, f)
+            end_angle, end_rate = _stages(angle, rate, direction, h, mode, rule, f)
+            end_rate = 0.0
+        row[1] = h
+        row[3] = h * rate
+        for k in range(STAGES):
+            total = 0.0
+            for j in range(STAGES):
+                total += rule.to_polynomial[k, j] * f[j]
+            row[4 + k] = h * h * total / ((k + 1) * (k + 2))
+        n_rows += 1
+        state[TIME] += h
+        state[ANGLE] = end_angle
+        state[RATE] = end_rate
+        if turned:
+            turns[n_turns, 0] = state[TIME]
+            turns[n_turns, 1] = end_angle
+            n_turns += 1
+            state[DIRECTION] = direction_from_rest(end_angle, mode)
+    return n_rows, n_turns
+
+
+@njit(cache=True, nogil=True)
+def sample(
+    rows: NDArray[np.float64],
+    first_row: int,
+    n_rows: int,
+    times_s: NDArray[np.float64],
+    first: int,
+    angles: NDArray[np.float64],
+    rates: NDArray[np.float64],
+) -> tuple[int, int]:
+    """Angles (rad) and rates (rad/s) at rising times, from times[first] on, as far as the rows reach.
+
+    Returns the row reached and the number of the first time that lies beyond the rows.
+    """
+    row = first_row
+    for i in range(first, times_s.shape[0]):
+        t = times_s[i]
+        while row < n_rows and t > rows[row, 0] + rows[row, 1]:
+            row += 1
+        if row == n_rows:
+            return row, i
+        theta = (t - rows[row, 0]) / rows[row, 1] if rows[row, 1] > 0.0 else 0.0
+        angle = 0.0
+        rate = 0.0
+        for k in range(COLUMNS - 1, 1, -1):
+            rate = rate * theta + angle
+            angle = angle * theta + rows[row, k]
+        angles[i] = angle
+        rates[i] = rate / rows[row, 1] if rows[row, 1] > 0.0 else 0.0
+    return row, times_s.shape[0]

@@ -1,0 +1,190 @@
+"""Frames of one simulated run as a camera gives them: paced or on demand, with what is lost on the way."""
+
+import logging
+import math
+import threading
+from collections.abc import Callable
+
+from acquisition.camera import CameraLost, CameraStatus, FrameTimeout
+from acquisition.frame import Frame
+from acquisition.simulation.faults import FaultSettings
+from acquisition.simulation.scene import Plan, Scene
+from acquisition.simulation.settings import SimulationSettings
+from processing.errors import DeviceError
+
+_log = logging.getLogger(__name__)
+CAMERA_NAME = "simulated camera"
+
+
+class RunReader:
+    """Hands out the frames of a run; `stop` may come from another thread.
+
+    Parameters
+    ----------
+    scene
+        The run.
+    block
+        Frames that are planned at once.
+    rate_hz
+        Frame rate.
+    clock_ns
+        The host's monotonic clock.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        block: int,
+        settings: SimulationSettings,
+        faults: FaultSettings,
+        rate_hz: float,
+        clock_ns: Callable[[], int],
+    ) -> None:
+        self._scene = scene
+        self._settings = settings
+        self._faults = faults
+        self._rate_hz = rate_hz
+        self._clock_ns = clock_ns
+        self._block = block
+        self._plan: Plan = scene.plan(block)
+        self._stopped = threading.Event()
+        self._next = 0
+        self._numbered_from = 0
+        self._begin_ns = clock_ns()
+        self._last_host_ns = 0
+        self._delivered = 0
+        self._dropped_by_camera = 0
+        self._dropped_by_host = 0
+        self._reconnects = 0
+        self._unplug_at: float = _frame_at(faults.camera_unplugged_at_s, self._rate_hz)
+        self._stall_at: float = _frame_at(faults.frames_stalled_at_s, self._rate_hz)
+        self._stall_end: float = self._stall_at + math.ceil(faults.frames_stalled_duration_s * self._rate_hz)
+        self._end: float = _frame_at(settings.max_duration_s, self._rate_hz)
+        self.lost = False
+
+    @property
+    def running(self) -> bool:
+        """Neither stopped nor lost."""
+        return not self._stopped.is_set() and not self.lost
+
+    @property
+    def status(self) -> CameraStatus:
+        """Where the frames went."""
+        return CameraStatus(
+            delivered=self._delivered,
+            dropped_by_camera=self._dropped_by_camera,
+            dropped_by_host=self._dropped_by_host,
+            reconnects=self._reconnects,
+        )
+
+    def stop(self) -> None:
+        """A waiting `read` returns None."""
+        self._stopped.set()
+
+    def read(self, timeout_s: float) -> Frame | None:
+        """As `Camera.read`."""
+        deadline_ns = self._clock_ns() + round(timeout_s * 1e9)
+        stepped_s = 0.0
+        while not self._stopped.is_set():
+            if self.lost:
+                raise CameraLost(f"{CAMERA_NAME}: is unplugged; plug it in, then open it again")
+            frame = self._next
+            if frame >= self._end:
+                return None
+            if frame >= self._unplug_at:
+                self._lose()
+                continue
+            if self._settings.real_time:
+                if not self._wait_for(frame, deadline_ns):
+                    if self._stopped.is_set():
+                        return None
+                    raise FrameTimeout(f"{CAMERA_NAME}: no frame within {timeout_s:g} s")
+                frame = self._skip_overrun(frame)
+            if self._stall_at <= frame < self._stall_end:
+                if self._settings.real_time:
+                    self._pass_over(1)
+                    continue
+                silent_s = (self._stall_end - frame) / self._rate_hz
+                if silent_s > timeout_s - stepped_s:
+                    self._pass_over(math.ceil((timeout_s - stepped_s) * self._rate_hz))
+                    raise FrameTimeout(f"{CAMERA_NAME}: no frame within {timeout_s:g} s")
+                stepped_s += silent_s
+                self._pass_over(int(self._stall_end) - frame)
+                continue
+            row = self._row(frame)
+            if self._plan.dropped[row]:
+                self._pass_over(1)
+                continue
+            return self._deliver(frame, row)
+        return None
+
+    def replug(self) -> None:
+        """The camera is to be opened again: let it, if the cable is back."""
+        back_s = self._faults.camera_replugged_at_s
+        if back_s is None:
+            raise DeviceError(f"{CAMERA_NAME}: is unplugged; plug it in")
+        back = math.ceil(back_s * self._rate_hz)
+        now = self._due(self._clock_ns()) if self._settings.real_time else max(back, self._next)
+        if now < back:
+            raise DeviceError(f"{CAMERA_NAME}: is unplugged; plug it in")
+        self._unplug_at = math.inf
+        self._next = max(self._next, now)
+
+    def resume(self) -> None:
+        """Go on with the run; frames are numbered from 0 again."""
+        self._numbered_from = self._next
+        self._reconnects += 1
+        self.lost = False
+        self._stopped.clear()
+
+    def _lose(self) -> None:
+        self.lost = True
+        _log.warning("%s: unplugged at frame %d", CAMERA_NAME, self._next)
+
+    def _due(self, now_ns: int) -> int:
+        """Number of frames that the simulated camera has exposed by now."""
+        return math.floor((now_ns - self._begin_ns) * 1e-9 * self._rate_hz) + 1
+
+    def _wait_for(self, frame: int, deadline_ns: int) -> bool:
+        due_ns = self._begin_ns + round(frame / self._rate_hz * 1e9)
+        while True:
+            now_ns = self._clock_ns()
+            if now_ns >= due_ns:
+                return True
+            if now_ns >= deadline_ns or self._stopped.wait((min(due_ns, deadline_ns) - now_ns) * 1e-9):
+                return False
+
+    def _skip_overrun(self, frame: int) -> int:
+        """The reader was away for longer than the buffer holds: the oldest frames are lost."""
+        late = self._due(self._clock_ns()) - frame - self._settings.buffer_frames
+        if late > 0:
+            self._next += late
+            self._dropped_by_host += late
+        return self._next
+
+    def _pass_over(self, count: int) -> None:
+        self._next += count
+        self._dropped_by_camera += count
+
+    def _row(self, frame: int) -> int:
+        while frame >= self._plan.first + self._block:
+            self._plan = self._scene.plan(self._block)
+        return frame - self._plan.first
+
+    def _deliver(self, frame: int, row: int) -> Frame:
+        plan = self._plan
+        image = self._scene.draw(frame, plan.x_px[row], plan.y_px[row], plan.power[row])
+        host_ns = self._clock_ns()
+        if self._settings.real_time:
+            # a frame that waited in the buffer arrived when it was exposed, not when it was fetched
+            arrived_ns = self._begin_ns + round(frame / self._rate_hz * 1e9)
+            host_ns = max(arrived_ns, self._last_host_ns + 1)
+        self._last_host_ns = host_ns
+        self._next = frame + 1
+        self._delivered += 1
+        return Frame(image, frame - self._numbered_from, int(plan.device_time_ns[row]), host_ns)
+
+
+def _frame_at(time_s: float | None, rate_hz: float) -> float:
+    """First frame at or after a time; infinity for never."""
+    return math.inf if time_s is None else float(math.ceil(time_s * rate_hz - 1e-9))

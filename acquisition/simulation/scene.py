@@ -1,0 +1,196 @@
+"""One simulated run: where the spot is in each frame, when, how bright; and the frame itself."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.frame import Image
+from acquisition.simulation import randomness, sensor
+from acquisition.simulation.disturbances import FrameNoise, Pointing, add_draught, laser_factor, vibration_rad
+from acquisition.simulation.dynamics import ARCSEC_RAD, motions
+from acquisition.simulation.faults import FaultSettings
+from acquisition.simulation.inputs import RigInputs, RigState
+from acquisition.simulation.optics import Beam, spot_position_px
+from acquisition.simulation.settings import SimulationSettings
+from acquisition.simulation.trajectory import axes_motion
+
+
+class Plan(NamedTuple):
+    """Some consecutive frames before they are drawn; arrays of one length.
+
+    `x_px`, `y_px` is the true centre of the spot on the sensor, `device_time_ns` the camera's
+    clock as the camera will report it, `true_time_s` when the frame is really exposed.
+    """
+
+    first: int
+    true_time_s: NDArray[np.float64]
+    device_time_ns: NDArray[np.int64]
+    x_px: NDArray[np.float64]
+    y_px: NDArray[np.float64]
+    power: NDArray[np.float64]
+    dropped: NDArray[np.bool_]
+
+
+class Readings(NamedTuple):
+    """How the camera reads the sensor out: region, depth, brightness. Times of exposure are short."""
+
+    x0_px: int
+    y0_px: int
+    width_px: int
+    height_px: int
+    bit_depth: int
+    exposure_us: float
+    gain_db: float
+    frame_rate_hz: float
+
+
+class Scene:
+    """The simulated rig from the release on, frame by frame.
+
+    Plans are asked for in order; what is behind is forgotten, so that memory stays flat however
+    long the run. The same settings, readings and run give the same frames, bit for bit.
+    """
+
+    def __init__(
+        self,
+        settings: SimulationSettings,
+        faults: FaultSettings,
+        readings: Readings,
+        run: int,
+        inputs: RigInputs | None = None,
+    ) -> None:
+        truth = settings.sensor
+        state = truth.at(readings.bit_depth, readings.gain_db)
+        self._settings = settings
+        self._faults = faults
+        self._readings = readings
+        self._run = run
+        self._fast, self._slow = motions(settings)
+        add_draught(faults, self._fast, self._slow)
+        self._noise = FrameNoise(settings.seed, run)
+        self._pointing = Pointing(settings.disturbances, self._noise, 1 / readings.frame_rate_hz)
+        self._next = 0
+        self._inputs = inputs
+        self._commanded = RigState(laser_w=settings.optics.laser_w)
+        if inputs is not None:
+            self._command(inputs.begin(), 0.0)
+        self._state = state
+        brightness = readings.exposure_us / truth.exposure_us
+        self._peak_e = settings.optics.peak_dn * truth.gain_e_per_dn * brightness
+        self._readout = sensor.Readout(
+            gain_e_per_dn=state.gain_e_per_dn,
+            black_level_dn=state.black_level_dn,
+            full_scale_dn=float(state.full_scale_dn),
+            full_well_e=truth.full_well_e,
+            read_noise_e=state.read_noise_e,
+            ambient_e=truth.ambient_dn * truth.gain_e_per_dn * brightness,
+        )
+        self._dark = sensor.dark_table(state)
+        self._pixels = sensor.pixels(
+            truth, settings.seed, readings.x0_px, readings.y0_px, readings.width_px, readings.height_px
+        )
+        self._edges = randomness.ziggurat().x
+        self._light_e = np.zeros((readings.height_px, readings.width_px))
+        self._dtype = np.uint8 if readings.bit_depth == 8 else np.uint16
+
+    def plan(self, count: int) -> Plan:
+        """The next `count` frames."""
+        settings = self._settings
+        first = self._next
+        if self._inputs is not None:
+            for state in self._inputs.take():
+                self._command(state, first / self._readings.frame_rate_hz)
+        self._next += count
+        period_s = 1 / self._readings.frame_rate_hz
+        times_s = np.arange(first, first + count, dtype=np.float64) * period_s
+        x_rad, y_rad = axes_motion(settings, self._fast, self._slow, times_s)
+        shake_rad = vibration_rad(self._faults, times_s)
+        x_px, y_px = spot_position_px(
+            x_rad + shake_rad, y_rad + shake_rad, times_s, settings.axes, settings.optics, settings.sensor
+        )
+        offset_px = self._pointing.offset_px(first, count)
+        power = laser_factor(self._faults, times_s) * (self._commanded.laser_w / settings.optics.laser_w)
+        if settings.optics.power_noise > 0:
+            relative = 1 + settings.optics.power_noise * self._noise.power(first, count)
+            power = power * np.maximum(relative, 0)
+        return Plan(
+            first=first,
+            true_time_s=times_s,
+            device_time_ns=self._device_time_ns(first, times_s, period_s),
+            x_px=x_px + offset_px[:, 0],
+            y_px=y_px + offset_px[:, 1],
+            power=power,
+            dropped=self._noise.dropped(first, count, settings.disturbances.dropped_fraction),
+        )
+
+    def draw(self, frame: int, x_px: float, y_px: float, power: float) -> Image:
+        """Image of one frame whose spot is centred at (x_px, y_px) of the sensor."""
+        readings = self._readings
+        optics = self._settings.optics
+        main = Beam(
+            x_px - readings.x0_px,
+            y_px - readings.y0_px,
+            optics.sigma_x_px,
+            optics.sigma_y_px,
+            optics.rotation_rad,
+            self._peak_e * power,
+        )
+        ghost = Beam(
+            main.x_px + optics.ghost_dx_px,
+            main.y_px + optics.ghost_dy_px,
+            main.sigma_x_px,
+            main.sigma_y_px,
+            main.rotation_rad,
+            main.peak_e * optics.ghost_relative,
+        )
+        image = np.empty((readings.height_px, readings.width_px), dtype=self._dtype)
+        sensor.expose(
+            image,
+            self._light_e,
+            main,
+            ghost,
+            self._readout,
+            self._dark,
+            self._pixels,
+            self._edges,
+            self._settings.seed,
+            self._run,
+            frame,
+        )
+        return image
+
+    def _command(self, state: RigState, time_s: float) -> None:
+        """Let the controller's outputs act from `time_s` on."""
+        before, self._commanded = self._commanded, state
+        release = self._settings.release
+        if (state.starter, state.brake) != (before.starter, before.brake):
+            drag_s = release.brake_drag_s if state.brake else 0.0
+            push_rad = release.starter_arcsec * ARCSEC_RAD if state.starter else 0.0
+            self._slow.load(time_s, push_rad, self._settings.contact.drag_s + drag_s)
+            self._fast.load(time_s, 0.0, self._settings.fast.drag_s + drag_s)
+        if (state.magnet, state.clamp) != (before.magnet, before.clamp):
+            for motion, amplitude_arcsec in (
+                (self._slow, release.amplitude_arcsec),
+                (self._fast, self._settings.fast.amplitude_arcsec),
+            ):
+                if state.clamp:
+                    motion.hold(time_s, 0.0)
+                elif state.magnet:
+                    motion.hold(time_s, amplitude_arcsec * ARCSEC_RAD)
+                else:
+                    motion.let_go(time_s)
+
+    def _device_time_ns(self, first: int, times_s: NDArray[np.float64], period_s: float) -> NDArray[np.int64]:
+        clock = self._settings.clock
+        exact_ns = np.rint((clock.start_s + times_s * (1 + 1e-6 * clock.drift_ppm)) * 1e9)
+        if clock.jitter_s > 0:
+            late_s = clock.jitter_s * self._noise.clock(first, len(times_s))
+            exact_ns += np.rint(np.clip(late_s, -0.4 * period_s, 0.4 * period_s) * 1e9)
+        return np.maximum(exact_ns, 0).astype(np.int64)
+
+
+def block_frames(frame_rate_hz: float, commanded: bool) -> int:
+    """Frames planned at once: many for speed, but at most 20 ms where a controller may interfere."""
+    return max(1, math.floor(0.02 * frame_rate_hz)) if commanded else 64

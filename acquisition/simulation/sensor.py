@@ -1,0 +1,286 @@
+"""What the image sensor makes of light: electrons, noise, DN.
+
+A pixel holds ``min(Poisson(light), full well)`` electrons, read noise is added, and the sum over
+the gain plus the black level is rounded and cut to 0 ... full scale. Where no light falls, only the
+black level with read noise is left, whose DN follow one distribution for all pixels: it is drawn
+from a table. Where light falls, each pixel is drawn by itself.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from acquisition.simulation import randomness
+from acquisition.simulation.optics import FAINTEST_E, Beam, add_beam, beam_box
+from acquisition.simulation.randomness import normal, poisson, scramble, stream_key, uniform
+from acquisition.simulation.settings import SensorState, SensorTruth
+
+_MAP, _HOT, FRAME = 1, 2, 3
+_MOST_COLUMNS = 2**14
+_FAINTEST_PROBABILITY = 2.0**-34
+_SPARSE = 0.94
+_CLIP_SD = 7.0
+
+_GOLDEN = np.uint64(0x9E3779B97F4A7C15)
+_U32 = np.uint64(32)
+_LOW32 = np.uint64(0xFFFFFFFF)
+
+
+class DarkTable(NamedTuple):
+    """Distribution of a dark pixel's DN. `common_dn` has the probability `common`.
+
+    Where nearly all pixels read the same, the others are placed at geometric distances, their
+    values by `rare_below` (cumulative) over `rare_dn`. Else every pixel is drawn by Walker's alias
+    method from 32 random bits: the upper ones name a column, the `shift` lower ones are held against
+    its `threshold` and decide between `first` and `second`.
+    """
+
+    sparse: bool
+    common_dn: int
+    common: float
+    rare_dn: NDArray[np.int64]
+    rare_below: NDArray[np.float64]
+    first: NDArray[np.uint16]
+    second: NDArray[np.uint16]
+    threshold: NDArray[np.uint32]
+    shift: int
+
+
+class Pixels(NamedTuple):
+    """What distinguishes the pixels of the region read out; hot pixels as (row, column) and mean e-."""
+
+    response: NDArray[np.float32]
+    hot_row: NDArray[np.int64]
+    hot_column: NDArray[np.int64]
+    hot_e: NDArray[np.float64]
+
+
+class Readout(NamedTuple):
+    """Plain numbers of the readout, for the kernel."""
+
+    gain_e_per_dn: float
+    black_level_dn: float
+    full_scale_dn: float
+    full_well_e: float
+    read_noise_e: float
+    ambient_e: float
+
+
+def dark_probabilities(state: SensorState) -> NDArray[np.float64]:
+    """Probability of each DN, 0 ... full scale, for a pixel without light."""
+    spread_dn = max(state.read_noise_e / state.gain_e_per_dn, 1e-9)
+    edges = (np.arange(state.full_scale_dn) + 0.5 - state.black_level_dn) / (spread_dn * math.sqrt(2))
+    near = np.clip(edges, -30, 30)
+    # the smaller tail on either side, so that no digits are lost in 1 - 1
+    upper = np.array([0.5 * math.erfc(edge) for edge in near])
+    lower = np.array([0.5 * math.erfc(-edge) for edge in near])
+    p = np.where(near[:-1] > 0, upper[:-1] - upper[1:], lower[1:] - lower[:-1])
+    return np.concatenate(([lower[0]], p, [upper[-1]]))
+
+
+def dark_table(state: SensorState) -> DarkTable:
+    """Tables to draw dark pixels from."""
+    p = dark_probabilities(state)
+    common = int(np.argmax(p))
+    rare = np.flatnonzero(p)
+    rare = rare[rare != common]
+    weights = p[rare]
+    below = np.cumsum(weights) / weights.sum() if len(rare) else np.ones(1)
+    sparse = bool(p[common] >= _SPARSE)
+    first, second, threshold, shift = _alias(p) if not sparse else _alias(np.ones(1))
+    return DarkTable(
+        sparse=sparse,
+        common_dn=common,
+        common=float(p[common]),
+        rare_dn=rare.astype(np.int64) if len(rare) else np.array([common], dtype=np.int64),
+        rare_below=below,
+        first=first,
+        second=second,
+        threshold=threshold,
+        shift=shift,
+    )
+
+
+def _alias(
+    p: NDArray[np.float64],
+) -> tuple[NDArray[np.uint16], NDArray[np.uint16], NDArray[np.uint32], int]:
+    """Walker's alias table over all values that 32 random bits can tell from impossible."""
+    values = np.flatnonzero(p > _FAINTEST_PROBABILITY)
+    values = np.sort(values[np.argsort(p[values])[::-1][:_MOST_COLUMNS]])
+    columns = 1 << max(8, (len(values) - 1).bit_length())
+    shift = 32 - (columns.bit_length() - 1)
+    share = np.zeros(columns)
+    share[: len(values)] = p[values] / p[values].sum() * columns
+    first = np.zeros(columns, dtype=np.uint16)
+    first[: len(values)] = values
+    second = first.copy()
+    keep = np.ones(columns)
+    small = [i for i in range(columns) if share[i] < 1]
+    large = [i for i in range(columns) if share[i] >= 1]
+    while small and large:
+        less, more = small.pop(), large.pop()
+        keep[less] = share[less]
+        second[less] = first[more]
+        share[more] -= 1 - share[less]
+        (small if share[more] < 1 else large).append(more)
+    return first, second, np.rint(keep * 2**shift).astype(np.uint32), shift
+
+
+def pixels(truth: SensorTruth, seed: int, x0: int, y0: int, nx: int, ny: int) -> Pixels:
+    """Response and hot pixels of a region; they belong to the sensor, so every region sees the same."""
+    empty = np.empty((0, 0), dtype=np.float32)
+    response = empty
+    if truth.prnu > 0:
+        noise = np.empty((truth.height_px, truth.width_px))
+        randomness.frame_normals(seed, 0, _MAP, 0, randomness.ziggurat().x, noise)
+        response = np.maximum(1 + truth.prnu * noise, 0)[y0 : y0 + ny, x0 : x0 + nx].astype(np.float32)
+    generator = np.random.Generator(np.random.PCG64([seed, _HOT]))
+    count = min(truth.hot_pixels, truth.width_px * truth.height_px)
+    place = generator.choice(truth.width_px * truth.height_px, size=count, replace=False)
+    hot_e = generator.exponential(truth.hot_pixel_dn * truth.gain_e_per_dn, size=count)
+    row, column = np.divmod(place, truth.width_px)
+    inside = (row >= y0) & (row < y0 + ny) & (column >= x0) & (column < x0 + nx)
+    return Pixels(np.ascontiguousarray(response), row[inside] - y0, column[inside] - x0, hot_e[inside])
+
+
+@njit(cache=True, nogil=True)
+def expose(
+    image: NDArray[np.uint8],
+    light_e: NDArray[np.float64],
+    main: Beam,
+    ghost: Beam,
+    readout: Readout,
+    dark: DarkTable,
+    pixel: Pixels,
+    edges: NDArray[np.float64],
+    seed: int,
+    run: int,
+    frame: int,
+) -> None:
+    """Draw one frame into `image` (ny, nx). `light_e` is room of the same shape, left as zeros."""
+    ny, nx = image.shape
+    state = stream_key(seed, run, frame, FRAME)
+    ay0, ay1, ax0, ax1 = beam_box(main, ny, nx)
+    by0, by1, bx0, bx1 = beam_box(ghost, ny, nx)
+    if readout.ambient_e > 0.0:
+        y0, y1, x0, x1 = 0, ny, 0, nx
+        light_e[:, :] = readout.ambient_e
+    elif by0 == by1:
+        y0, y1, x0, x1 = ay0, ay1, ax0, ax1
+    elif ay0 == ay1:
+        y0, y1, x0, x1 = by0, by1, bx0, bx1
+    else:
+        y0, y1, x0, x1 = min(ay0, by0), max(ay1, by1), min(ax0, bx0), max(ax1, bx1)
+    add_beam(light_e, main, ay0, ay1, ax0, ax1)
+    add_beam(light_e, ghost, by0, by1, bx0, bx1)
+    state = _draw_dark(image, dark, state)
+    state = _draw_lit(image, light_e, y0, y1, x0, x1, readout, pixel.response, edges, state)
+    for i in range(pixel.hot_e.shape[0]):
+        y = pixel.hot_row[i]
+        x = pixel.hot_column[i]
+        e = light_e[y, x] * (pixel.response[y, x] if pixel.response.shape[0] > 0 else 1.0) + pixel.hot_e[i]
+        state, value = _read_exactly(e, readout, edges, state)
+        image[y, x] = value
+    light_e[y0:y1, x0:x1] = 0.0
+
+
+@njit(cache=True, nogil=True)
+def _draw_dark(image: NDArray[np.uint8], dark: DarkTable, state: np.uint64) -> np.uint64:
+    """Every pixel as if no light fell on it."""
+    flat = image.reshape(-1)
+    size = flat.shape[0]
+    if dark.sparse:
+        flat[:] = dark.common_dn
+        if dark.common >= 1.0:
+            return state
+        scale = 1.0 / math.log(dark.common)
+        place = -1.0
+        while True:
+            state, u = uniform(state)
+            place += 1.0 + math.floor(math.log(u) * scale)
+            if place >= size:
+                return state
+            state, u = uniform(state)
+            i = 0
+            while i < dark.rare_below.shape[0] - 1 and u > dark.rare_below[i]:
+                i += 1
+            flat[int(place)] = dark.rare_dn[i]
+    shift = np.uint64(dark.shift)
+    mask = (np.uint64(1) << shift) - np.uint64(1)
+    for i in range(size // 2):
+        bits = scramble(state + np.uint64(i + 1) * _GOLDEN)
+        flat[2 * i] = _column_value(bits & _LOW32, dark, shift, mask)
+        flat[2 * i + 1] = _column_value(bits >> _U32, dark, shift, mask)
+    state = state + np.uint64(size // 2 + 1) * _GOLDEN
+    if size % 2:
+        flat[size - 1] = _column_value(scramble(state) & _LOW32, dark, shift, mask)
+    return state
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _column_value(bits: np.uint64, dark: DarkTable, shift: np.uint64, mask: np.uint64) -> int:
+    column = bits >> shift
+    return int(dark.first[column] if (bits & mask) < dark.threshold[column] else dark.second[column])
+
+
+@njit(cache=True, nogil=True)
+def _draw_lit(
+    image: NDArray[np.uint8],
+    light_e: NDArray[np.float64],
+    y0: int,
+    y1: int,
+    x0: int,
+    x1: int,
+    readout: Readout,
+    response: NDArray[np.float32],
+    edges: NDArray[np.float64],
+    state: np.uint64,
+) -> np.uint64:
+    """Pixels that light falls on.
+
+    Shot and read noise together are one normal number bent to the right skewness and kurtosis
+    (Cornish and Fisher), where they are so nearly normal that the distribution function errs by
+    less than 1e-4; else, and near the full well, both are drawn.
+    """
+    read_variance = readout.read_noise_e**2
+    per_e = 1.0 / readout.gain_e_per_dn
+    offset = readout.black_level_dn + 0.5
+    uneven = response.shape[0] > 0
+    smooth = readout.read_noise_e >= 2.0
+    for y in range(y0, y1):
+        for x in range(x0, x1):
+            mean = light_e[y, x]
+            if mean < FAINTEST_E:
+                continue
+            if uneven:
+                mean *= response[y, x]
+            variance = mean + read_variance
+            sd = math.sqrt(variance)
+            if not smooth or variance < 36.0 or mean + _CLIP_SD * sd > readout.full_well_e:
+                state, value = _read_exactly(mean, readout, edges, state)
+                image[y, x] = value
+                continue
+            state, z = normal(state, edges)
+            skew = mean / (variance * sd)
+            excess = mean / (variance * variance)
+            zz = z * z
+            bent = z + skew * (zz - 1.0) / 6.0
+            bent += z * (excess * (zz - 3.0) / 24.0 - skew * skew * (2.0 * zz - 5.0) / 36.0)
+            dn = math.floor((mean + sd * bent) * per_e + offset)
+            image[y, x] = int(min(max(dn, 0.0), readout.full_scale_dn))
+    return state
+
+
+@njit(cache=True, nogil=True)
+def _read_exactly(
+    mean_e: float, readout: Readout, edges: NDArray[np.float64], state: np.uint64
+) -> tuple[np.uint64, int]:
+    """One pixel: electrons, full well, read noise, DN."""
+    state, electrons = poisson(state, mean_e)
+    state, z = normal(state, edges)
+    electrons = min(electrons, readout.full_well_e) + readout.read_noise_e * z
+    dn = math.floor(electrons / readout.gain_e_per_dn + readout.black_level_dn + 0.5)
+    return state, int(min(max(dn, 0.0), readout.full_scale_dn))

@@ -1,0 +1,215 @@
+"""What the simulated rig is made of: every number of its truth, with its unit.
+
+The defaults are the demonstration: a steel ball on K8 glass with the parameters of the paper,
+on a sensor of 320x640 pixels at 100 frames/s.
+"""
+
+from typing import Literal, NamedTuple, Self
+
+from pydantic import BaseModel, Field, model_validator
+
+
+class Section(BaseModel, frozen=True, extra="forbid"):
+    """A table of settings; a key it does not know is an error."""
+
+
+class ContactTruth(Section, frozen=True):
+    """Pendulum and contact of the slow mode, angles in rad (Eqs. 1, 3 and 4)."""
+
+    b: float = Field(default=37.33e-4, ge=0, description="friction that grows with the angle, rad^-p")
+    p: float = Field(default=0.944, gt=0, lt=4, description="its exponent")
+    c: float = Field(default=10.51e-9, ge=0, description="constant friction over m g R, adhesive")
+    n: float = Field(default=0.092, ge=0, lt=4, description="exponent of the elastic adhesion")
+    period0_s: float = Field(default=4.071, gt=0, description="period at vanishing amplitude, elasticity off")
+    gamma_pa: float = Field(default=28.97e6, ge=0, description="elastic adhesion, Eq. 3")
+    drag_s: float = Field(default=0.0, ge=0, description="linear drag; moment -m g R drag_s phi'")
+    exact_pendulum: bool = Field(
+        default=False,
+        description="swings by degrees: sine of the angle, rolling support of ball_radius_m; friction and "
+        "adhesion then stand over m g times the mass centre's lever arm",
+    )
+    balls: Literal[1, 2] = Field(default=1, description="equal balls that share the weight")
+    mass_kg: float = Field(default=0.406, gt=0)
+    ball_radius_m: float = Field(default=6.05e-3, gt=0, lt=1)
+    contact_radius_m: float | None = Field(
+        default=None, gt=0, description="radius of the contact spot; None: Hertz, from the constants below"
+    )
+    ball_youngs_modulus_pa: float = Field(default=2.11e11, gt=0)
+    ball_poisson_ratio: float = Field(default=0.28, gt=-1, lt=0.5)
+    flat_youngs_modulus_pa: float = Field(default=0.82e11, gt=0)
+    flat_poisson_ratio: float = Field(default=0.206, gt=-1, lt=0.5)
+    gravity_m_per_s2: float = Field(default=9.80665, gt=0)
+
+
+class FastModeTruth(Section, frozen=True):
+    """The mode about the other axis, seen as X(t). It obeys the same laws with its own inertia."""
+
+    period_ratio: float = Field(default=5.0, gt=1, description="slow period0 over fast period0")
+    amplitude_arcsec: float = Field(default=0.3, ge=0, description="at release")
+    phase_rad: float = Field(default=0.0, description="at release; 0: at a turning point")
+    friction_factor: float = Field(default=1.0, ge=0, description="times b and c of the slow mode")
+    drag_s: float = Field(default=0.0, ge=0, description="linear drag of this mode")
+
+
+class ReleaseTruth(Section, frozen=True):
+    """How the swing begins."""
+
+    amplitude_arcsec: float = Field(default=124.0, gt=0, lt=200000, description="of the slow mode")
+    at_s: float = Field(default=0.0, ge=0, description="simulated time of the release; at rest before")
+    way: Literal["let go", "push", "by command"] = Field(
+        default="let go",
+        description="'let go': held at the amplitude, then freed; 'push': rests at zero, then is given the "
+        "velocity that would carry it to the amplitude without losses and elasticity; 'by command': rests "
+        "until a controller's magnet or starter moves it",
+    )
+    starter_arcsec: float = Field(
+        default=150.0, description="shift of the rest position while the starter pushes"
+    )
+    brake_drag_s: float = Field(default=0.5, ge=0, description="linear drag while the brake is on")
+
+
+class AxesTruth(Section, frozen=True):
+    """How the pendulum's axes lie on the sensor, and what imbalance does to the picture.
+
+    The sensor's x runs to the right, its y down. `slow_angle_rad` is the angle of the slow mode's
+    positive direction from the sensor's upward vertical, turning towards +x; the fast mode's lies
+    a right angle further (to the right), turned by `non_orthogonality_rad` more; `mirrored` sends
+    it to the left instead.
+    """
+
+    slow_angle_rad: float = Field(default=0.0, ge=-3.2, le=3.2)
+    non_orthogonality_rad: float = Field(default=0.0, gt=-0.5, lt=0.5)
+    mirrored: bool = False
+    leakage: float = Field(default=0.002, gt=-1, lt=1, description="part of the slow tilt that shows in X")
+    leakage_quadrature: float = Field(
+        default=0.0, gt=-1, lt=1, description="the same, a quarter period apart: opens the line to an ellipse"
+    )
+    spin_rad_per_s: float = Field(default=0.0, description="turning of both axes, about the vertical")
+    rest_slow_arcsec: float = Field(default=0.0, description="rest position, slow axis")
+    rest_fast_arcsec: float = Field(default=0.0, description="rest position, fast axis")
+    rest_drift_slow_arcsec_per_min: float = 0.0
+    rest_drift_fast_arcsec_per_min: float = 0.0
+
+
+class OpticsTruth(Section, frozen=True):
+    """Light lever and laser spot. A tilt phi moves the spot by ``arm tan(2 phi)``, axis by axis."""
+
+    arm_m: float = Field(default=1.0, gt=0, description="mirror to sensor, along the beam")
+    reference_x_px: float | None = Field(
+        default=None, description="spot of the untilted pendulum; None: the sensor's middle"
+    )
+    reference_y_px: float | None = None
+    sigma_x_px: float = Field(default=6.0, ge=1, le=200, description="along the axis at rotation_rad from x")
+    sigma_y_px: float = Field(default=6.0, ge=1, le=200, description="across that axis")
+    rotation_rad: float = Field(default=0.0, description="from x towards y (clockwise as seen)")
+    peak_dn: float = Field(
+        default=174.0, ge=0, description="light of the spot's brightest point above the background, in DN, "
+        "at the exposure stated for the sensor; more than full scale saturates"
+    )  # fmt: skip
+    laser_w: float = Field(default=1e-3, gt=0, description="optical power at which peak_dn holds")
+    power_noise: float = Field(default=0.0, ge=0, lt=0.2, description="relative, from frame to frame")
+    ghost_relative: float = Field(default=0.0, ge=0, lt=1, description="light of a second-surface ghost")
+    ghost_dx_px: float = 40.0
+    ghost_dy_px: float = 0.0
+
+
+class SensorState(NamedTuple):
+    """The sensor as it reads out at one bit depth and gain."""
+
+    gain_e_per_dn: float
+    read_noise_e: float
+    full_scale_dn: int
+    black_level_dn: float
+
+
+class SensorTruth(Section, frozen=True):
+    """The image sensor. The black level is no light: it carries read noise alone."""
+
+    width_px: int = Field(default=320, ge=16, le=8192)
+    height_px: int = Field(default=640, ge=16, le=8192)
+    pixel_pitch_m: float = Field(default=4.8e-6, gt=0, lt=1e-3)
+    bit_depth: Literal[8, 10, 12, 16] = 8
+    gain_e_per_dn: float = Field(default=39.2, gt=0, description="at the bit depth stated here")
+    full_well_e: float = Field(default=10_000.0, gt=0)
+    read_noise_e: float = Field(default=7.0, ge=0)
+    black_level_dn: float = Field(default=6.0, ge=0, description="at the bit depth stated here")
+    ambient_dn: float = Field(
+        default=0.0, ge=0, description="even light from elsewhere, in DN (slow to draw)"
+    )
+    prnu: float = Field(default=0.0, ge=0, lt=0.2, description="relative spread of the pixels' response")
+    hot_pixels: int = Field(default=0, ge=0, le=100_000, description="how many, anywhere")
+    hot_pixel_dn: float = Field(
+        default=120.0, gt=0, description="mean dark signal of a hot pixel, exponential"
+    )
+    exposure_us: float = Field(default=100.0, gt=0, description="at which optics.peak_dn holds")
+
+    def at(self, bit_depth: int, gain_db: float = 0.0) -> SensorState:
+        """What this sensor is at another bit depth: full scale stays the same number of electrons."""
+        scale = (2**self.bit_depth - 1) / (2**bit_depth - 1) * 10 ** (-gain_db / 20)
+        return SensorState(
+            gain_e_per_dn=self.gain_e_per_dn * scale,
+            read_noise_e=self.read_noise_e,
+            full_scale_dn=2**bit_depth - 1,
+            black_level_dn=self.black_level_dn * (2**bit_depth - 1) / (2**self.bit_depth - 1),
+        )
+
+
+class ClockTruth(Section, frozen=True):
+    """Frames in time, and the camera's clock."""
+
+    frame_rate_hz: float = Field(default=100.0, gt=0, le=100_000)
+    start_s: float = Field(default=1.0, ge=0, description="reading of the camera's clock at simulated time 0")
+    drift_ppm: float = Field(
+        default=0.0, gt=-1e4, lt=1e4, description="camera's clock fast against true time"
+    )
+    jitter_s: float = Field(
+        default=0.0, ge=0, description="timestamp against true exposure, normal, cut at 0.4 frame"
+    )
+
+
+class DisturbanceTruth(Section, frozen=True):
+    """What the laboratory adds. Positions on the sensor in px."""
+
+    pointing_jitter_px: float = Field(default=0.0, ge=0, description="white, per frame and axis")
+    pointing_drift_x_px_per_min: float = 0.0
+    pointing_drift_y_px_per_min: float = 0.0
+    pointing_walk_px_per_sqrt_s: float = Field(default=0.0, ge=0, description="random walk, per axis")
+    dropped_fraction: float = Field(
+        default=0.0, ge=0, lt=1, description="frames lost by the camera, at random"
+    )
+
+
+class SimulationSettings(Section, frozen=True):
+    """The simulated rig: `seed` decides every random draw; the same settings give the same frames."""
+
+    seed: int = Field(default=1, ge=0, lt=2**63, description="of every random draw")
+    first_run: int = Field(
+        default=0, ge=0, description="number of the first run; another run has other noise, nothing else"
+    )
+    max_duration_s: float | None = Field(
+        default=None, gt=0, description="the source comes to its end after this simulated time; None: endless"
+    )
+    real_time: bool = Field(
+        default=False,
+        description="paced by the host's clock: who is slow loses frames; else frames on demand",
+    )
+    buffer_frames: int = Field(
+        default=64, ge=1, description="in real time: frames that wait for a slow reader"
+    )
+    contact: ContactTruth = ContactTruth()
+    fast: FastModeTruth = FastModeTruth()
+    release: ReleaseTruth = ReleaseTruth()
+    axes: AxesTruth = AxesTruth()
+    optics: OpticsTruth = OpticsTruth()
+    sensor: SensorTruth = SensorTruth()
+    clock: ClockTruth = ClockTruth()
+    disturbances: DisturbanceTruth = DisturbanceTruth()
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if self.clock.jitter_s * self.clock.frame_rate_hz > 0.4:
+            raise ValueError(
+                f"clock.jitter_s = {self.clock.jitter_s:g} is more than 0.4 of a frame "
+                f"({1 / self.clock.frame_rate_hz:g} s); frames would be out of order"
+            )
+        return self

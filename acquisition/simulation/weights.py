@@ -1,0 +1,106 @@
+"""The simulated pendulum's trimming weights: what a turn does to rest position and period.
+
+A weight on a screw moves the mass centre; the pendulum, which rolls on its ball, comes to rest
+where the mass centre lies below the ball's centre, and swings by the arm between the two.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from acquisition.simulation.dynamics import ARCSEC_RAD
+from acquisition.simulation.settings import SimulationSettings
+
+
+class TrimWeight(NamedTuple):
+    """One weight: mass, thread, and where a positive turn carries it (X, Y, down)."""
+
+    mass_kg: float
+    pitch_m: float
+    direction: tuple[float, float, float]
+    backlash_turns: float = 0.0
+
+
+class TrimmedPendulum:
+    """A pendulum whose mass centre lies off its place, and the weights that trim it.
+
+    Parameters
+    ----------
+    settings
+        Rest position and period here are those of the untrimmed pendulum.
+    weights
+        By name.
+    seed
+        Of the error with which a turn is set by hand.
+    u_turns
+        That error's standard deviation.
+    """
+
+    def __init__(
+        self,
+        settings: SimulationSettings,
+        weights: dict[str, TrimWeight],
+        lower_m: float = 0.0,
+        seed: int = 0,
+        u_turns: float = 0.01,
+    ) -> None:
+        self._settings = settings
+        self._weights = weights
+        self._random = np.random.default_rng(seed)
+        self._u_turns = u_turns
+        radius_m = settings.contact.ball_radius_m
+        arm_m = radius_m + lower_m
+        self._centre_m = np.array(
+            [
+                arm_m * math.tan(settings.axes.rest_fast_arcsec * ARCSEC_RAD),
+                arm_m * math.tan(settings.axes.rest_slow_arcsec * ARCSEC_RAD),
+                lower_m,
+            ]
+        )
+        self._last_way: dict[str, float] = {}
+
+    def turn(self, name: str, turns: float) -> None:
+        """Turn a weight; a change of direction loses the backlash, and no hand is exact."""
+        weight = self._weights[name]
+        way = math.copysign(1.0, turns)
+        if self._last_way.get(name, way) != way:
+            turns = way * max(abs(turns) - weight.backlash_turns, 0.0)
+        self._last_way[name] = way
+        done = turns + self._u_turns * self._random.standard_normal()
+        shift_m = weight.mass_kg / self._settings.contact.mass_kg * weight.pitch_m * done
+        self._centre_m = self._centre_m + shift_m * np.array(weight.direction)
+
+    @property
+    def settings(self) -> SimulationSettings:
+        """The simulated rig as it is trimmed now."""
+        x_m, y_m, lower_m = self._centre_m
+        contact, axes = self._settings.contact, self._settings.axes
+        arm_m = contact.ball_radius_m + lower_m
+        rest = {
+            "rest_fast_arcsec": math.atan2(x_m, arm_m) / ARCSEC_RAD,
+            "rest_slow_arcsec": math.atan2(y_m, arm_m) / ARCSEC_RAD,
+        }
+        period_s = contact.period0_s * math.sqrt(contact.ball_radius_m / arm_m)
+        return self._settings.model_copy(
+            update={
+                "axes": axes.model_copy(update=rest),
+                "contact": contact.model_copy(update={"period0_s": period_s}),
+            }
+        )
+
+
+def imperfect_weights(nominal: dict[str, TrimWeight], seed: int) -> dict[str, TrimWeight]:
+    """Weights as they are made: mass within 15 %, direction within some degrees, a little backlash."""
+    random = np.random.default_rng((seed, 77))
+    found = {}
+    for name, weight in nominal.items():
+        tilted = np.array(weight.direction) + random.uniform(-0.12, 0.12, 3)
+        tilted *= np.linalg.norm(weight.direction) / np.linalg.norm(tilted)
+        found[name] = TrimWeight(
+            mass_kg=weight.mass_kg * random.uniform(0.85, 1.15),
+            pitch_m=weight.pitch_m,
+            direction=(float(tilted[0]), float(tilted[1]), float(tilted[2])),
+            backlash_turns=random.uniform(0.0, 0.05),
+        )
+    return found
