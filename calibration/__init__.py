@@ -1,0 +1,1 @@
+"""Pixels to radians, camera ticks to seconds, DN to electrons: each with its budget."""

@@ -1,0 +1,30 @@
+"""Whether the pendulum rests, where a calibration needs it to."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.oscillation import strongest_oscillation
+from processing.errors import DataError
+
+_VISIBLE_PX = 0.05
+_TIMES_NOISE = 3.0
+
+
+def require_rest(
+    times_s: NDArray[np.float64], x_px: NDArray[np.float64], y_px: NDArray[np.float64], what: str
+) -> None:
+    """Raise DataError, beginning with `what`, for a record in which the pendulum swings.
+
+    A swing is a sinusoid that explains most of what a coordinate does about a straight line, with an
+    amplitude above 0.05 px and three times what is left without it.
+    """
+    for name, values in (("x", x_px), ("y", y_px)):
+        line = np.polyval(np.polyfit(times_s - times_s[0], values, 1), times_s - times_s[0])
+        flat = values - line
+        fit = strongest_oscillation(times_s, flat, float(times_s[-1] - times_s[0]))
+        loud = fit.amplitude > max(_VISIBLE_PX, _TIMES_NOISE * fit.noise)
+        if loud and fit.explained > 0.5 and fit.period_s > 0.2:
+            raise DataError(
+                f"{what}: the pendulum swings by {fit.amplitude:.3g} px in {name} with a period of "
+                f"{fit.period_s:.3g} s where it should rest; clamp it or let it come to rest"
+            )

@@ -1,0 +1,73 @@
+"""Directions of the pendulum's two modes on the sensor."""
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydantic import BaseModel, Field
+
+from calibration.lever import Lever
+
+
+class Axes(BaseModel, frozen=True, extra="forbid"):
+    """How the pendulum's axes lie on the sensor.
+
+    Tilts are (Y up, X right) for a person; the sensor's y runs down. `slow_angle_rad` is the angle
+    of the slow mode's direction from the sensor's upward vertical, turning towards the sensor's
+    +x. The fast mode lies at a right angle to it (to the right of it), turned further by
+    `non_orthogonality_rad`; `mirrored` says that the camera sees it to the left.
+    """
+
+    slow_angle_rad: float = Field(default=0.0, ge=-math.pi, le=math.pi)
+    u_slow_angle_rad: float = Field(default=0.0, ge=0)
+    non_orthogonality_rad: float = Field(default=0.0, gt=-0.5, lt=0.5)
+    u_non_orthogonality_rad: float = Field(default=0.0, ge=0)
+    mirrored: bool = False
+
+    def directions(self) -> NDArray[np.float64]:
+        """Matrix (2, 2) whose columns are the fast and the slow direction as (x, y) on the sensor."""
+        slow = self.slow_angle_rad
+        fast = slow + 0.5 * math.pi + self.non_orthogonality_rad
+        sign = -1.0 if self.mirrored else 1.0
+        return np.array(
+            [[sign * math.sin(fast), math.sin(slow)], [-sign * math.cos(fast), -math.cos(slow)]],
+        )
+
+
+def deflections(
+    lever: Lever,
+    axes: Axes,
+    x_px: ArrayLike,
+    y_px: ArrayLike,
+    u_x_px: ArrayLike,
+    u_y_px: ArrayLike,
+    reference_px: tuple[float, float],
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Tilts of the pendulum in its own axes, from spots.
+
+    Parameters
+    ----------
+    x_px, y_px, u_x_px, u_y_px
+        Spots and their standard uncertainties, scalars or arrays of one shape; NaN for a lost one.
+    reference_px
+        (x, y) of the spot at zero tilt.
+
+    Returns
+    -------
+    x_rad, y_rad, u_x_rad, u_y_rad
+        Fast and slow tilt with standard uncertainties (of the spot alone: the lever's scale is
+        common to all and belongs to the budget); NaN where the spot is NaN.
+    """
+    inverse = np.linalg.inv(axes.directions())
+    dx_px = np.asarray(x_px, dtype=float) - reference_px[0]
+    dy_px = np.asarray(y_px, dtype=float) - reference_px[1]
+    fast_px = inverse[0, 0] * dx_px + inverse[0, 1] * dy_px
+    slow_px = inverse[1, 0] * dx_px + inverse[1, 1] * dy_px
+    u_fast_px = np.hypot(inverse[0, 0] * np.asarray(u_x_px), inverse[0, 1] * np.asarray(u_y_px))
+    u_slow_px = np.hypot(inverse[1, 0] * np.asarray(u_x_px), inverse[1, 1] * np.asarray(u_y_px))
+    return (
+        lever.square().tilt_rad(fast_px),
+        lever.tilt_rad(slow_px),
+        u_fast_px * lever.square().rad_per_px(fast_px),
+        u_slow_px * lever.rad_per_px(slow_px),
+    )

@@ -1,0 +1,368 @@
+"""Directions of the two modes on the sensor, from a record in which both swing."""
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from calibration.axes import Axes
+from calibration.oscillation import strongest_oscillation
+from processing.errors import DataError
+
+Floats = NDArray[np.float64]
+Sign = Literal["+", "-"]
+_WINDOW_PERIODS = 6.0
+_FEWEST_PERIODS = 2.0
+_IMPROBABLE = 0.01
+_ENVELOPE = 3
+_OVERTONE_PARTS = (0.15, 0.08, 0.05)
+
+
+@dataclass(frozen=True, slots=True)
+class AxesFit:
+    """What both modes say of the axes.
+
+    `axes` with its uncertainties; periods in s; `slow_px` and `fast_px` the amplitudes at the
+    beginning. `rotation_rad_per_s` is a turning of the slow direction over the record. `signs_known`
+    and `handedness_known` say whether direction and handedness were told or only assumed (upward,
+    and as configured before): a free swing does not tell them. `notes` says what stands out.
+    """
+
+    axes: Axes
+    slow_period_s: float
+    fast_period_s: float
+    slow_px: float
+    fast_px: float
+    rotation_rad_per_s: float
+    u_rotation_rad_per_s: float
+    windows: int
+    chi2_per_dof: float
+    signs_known: bool
+    handedness_known: bool
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _Window:
+    """Directions of one stretch: vectors on the sensor (x, y), of the phase at the record's start."""
+
+    middle_s: float
+    slow: Floats
+    u_slow_rad: float
+    fast: Floats
+    u_fast_rad: float
+
+
+def fit_axes(
+    times_s: Floats,
+    x_px: Floats,
+    y_px: Floats,
+    *,
+    slow_began: Sign | None = None,
+    fast_began: Sign | None = None,
+    mirrored: bool = False,
+) -> AxesFit:
+    """Fit slow and fast mode in windows of six slow periods.
+
+    Parameters
+    ----------
+    times_s, x_px, y_px
+        Spots in order; NaN for lost ones.
+    slow_began, fast_began
+        Side on which each mode's swing stood at the first sample, as the pendulum's own axes have
+        it. Without the first, the slow direction is taken to point up on the sensor; without the
+        second, the handedness stays `mirrored`.
+
+    Raises
+    ------
+    DataError
+        No swing, less than two slow periods, or no fast mode to be seen.
+
+    Notes
+    -----
+    A mode that swings along a line has one phase in both coordinates, so that its complex
+    amplitudes are the direction times one number. The slow direction contains whatever part of the
+    slow tilt shows across it (leakage): a record cannot tell the two apart.
+    """
+    good = np.isfinite(x_px) & np.isfinite(y_px)
+    t, x, y = times_s[good], x_px[good], y_px[good]
+    if len(t) < 100:
+        raise DataError(f"axes: {len(t)} spots of 100 that are needed; record for longer")
+    slow_omega, fast_omega = _frequencies(t, x, y)
+    slow_period_s = 2.0 * math.pi / slow_omega
+    periods = float(t[-1] - t[0]) / slow_period_s
+    if periods < _FEWEST_PERIODS:
+        raise DataError(f"axes: {periods:.1f} slow periods; at least {_FEWEST_PERIODS:g} are needed")
+    count = max(1, round(periods / _WINDOW_PERIODS))
+    edges = np.linspace(t[0], t[-1] + 1e-9, count + 1)
+    windows = []
+    for first, last in pairwise(edges):
+        part = (t >= first) & (t < last)
+        if part.sum() > 60:
+            windows.append(
+                _window(t[part], np.column_stack([x[part], y[part]]), slow_omega, fast_omega, float(t[0]))
+            )
+    first_window = windows[0]
+    slow = _sided(first_window.slow, slow_began) if slow_began else _upward(first_window.slow)
+    slow_angle, u_slow, rotation, u_rotation, slow_chi2 = _combined(
+        windows, slow, [w.slow for w in windows], [w.u_slow_rad for w in windows]
+    )
+    usable = [w for w in windows if w.u_fast_rad < 0.2]
+    if not usable:
+        raise DataError(
+            f"axes: no fast mode to be seen ({float(np.hypot(*first_window.fast)):.2g} px, "
+            f"its direction to {first_window.u_fast_rad:.2g} rad); "
+            "push the pendulum crosswise as well, or record for longer"
+        )
+    if fast_began is not None:
+        fast = _sided(usable[0].fast, fast_began)
+        cross = slow[0] * fast[1] - slow[1] * fast[0]
+        # y runs down: right of the slow direction is where the cross product is positive
+        mirrored = bool(cross < 0)
+    else:
+        fast = _right(usable[0].fast, slow, mirrored)
+    fast_angle, u_fast, _, _, fast_chi2 = _combined(
+        usable, fast, [w.fast for w in usable], [w.u_fast_rad for w in usable]
+    )
+    non_orthogonality = _wrapped(fast_angle + (math.pi if mirrored else 0.0) - slow_angle - 0.5 * math.pi)
+    notes = []
+    if slow_began is None:
+        notes.append("the slow axis is taken to point up on the sensor; state the side of the start to know")
+    if fast_began is None:
+        notes.append("the handedness is assumed; push the pendulum to a known side and state it (fast_began)")
+    if abs(rotation) > 3.0 * u_rotation:
+        notes.append(f"the slow direction turns by {rotation:.3g} +- {u_rotation:.2g} rad/s")
+    if abs(non_orthogonality) >= 0.5:
+        raise DataError(
+            f"axes: the modes lie {math.degrees(0.5 * math.pi + non_orthogonality):.0f} degrees apart; "
+            "these are not the two modes of a pendulum"
+        )
+    return AxesFit(
+        axes=Axes(
+            slow_angle_rad=slow_angle,
+            u_slow_angle_rad=u_slow,
+            non_orthogonality_rad=non_orthogonality,
+            u_non_orthogonality_rad=math.hypot(u_fast, u_slow),
+            mirrored=mirrored,
+        ),
+        slow_period_s=slow_period_s,
+        fast_period_s=2.0 * math.pi / fast_omega,
+        slow_px=float(np.hypot(*first_window.slow)),
+        fast_px=float(np.hypot(*usable[0].fast)),
+        rotation_rad_per_s=rotation,
+        u_rotation_rad_per_s=u_rotation,
+        windows=len(windows),
+        chi2_per_dof=(slow_chi2 + fast_chi2) / max(len(windows) + len(usable) - 2, 1),
+        signs_known=slow_began is not None,
+        handedness_known=fast_began is not None,
+        notes=tuple(notes),
+    )
+
+
+def _frequencies(t: Floats, x: Floats, y: Floats) -> tuple[float, float]:
+    """Of the slow mode from the long axis of the cloud, of the fast one from what lies across it."""
+    span_s = float(t[-1] - t[0])
+    centred = np.column_stack([x - x.mean(), y - y.mean()])
+    _, vectors = np.linalg.eigh(centred.T @ centred)
+    along, across = centred @ vectors[:, 1], centred @ vectors[:, 0]
+    early = t - t[0] <= max(0.1 * span_s, min(span_s, 60.0))
+    slow = strongest_oscillation(t[early], along[early], span_s)
+    if slow.explained < 0.5:
+        raise DataError("axes: the spot does not swing; let the pendulum go, with a push crosswise as well")
+    fast = strongest_oscillation(t[early], across[early], 0.4 * slow.period_s)
+    return 2.0 * math.pi / slow.period_s, 2.0 * math.pi / fast.period_s
+
+
+def _window(t: Floats, spots: Floats, slow_omega: float, fast_omega: float, start_s: float) -> _Window:
+    """Both modes in both coordinates, each with an envelope and a phase that bend a little."""
+    middle = 0.5 * (t[0] + t[-1])
+    half = 0.5 * (t[-1] - t[0])
+    u = (t - middle) / half
+    # frequencies follow the window's own phases: the terms in u take up small differences
+    slow_c, slow_s = np.cos(slow_omega * (t - start_s)), np.sin(slow_omega * (t - start_s))
+    fast_c, fast_s = np.cos(fast_omega * (t - start_s)), np.sin(fast_omega * (t - start_s))
+    design = np.column_stack(
+        [
+            *(slow_c * u**k for k in range(_ENVELOPE)),
+            *(slow_s * u**k for k in range(_ENVELOPE)),
+            *(fast_c * u**k for k in range(_ENVELOPE)),
+            *(fast_s * u**k for k in range(_ENVELOPE)),
+            *(u**k for k in range(_ENVELOPE)),
+        ]
+    )
+    coefficients, *_ = np.linalg.lstsq(design, spots, rcond=None)
+    frame = _frame(coefficients[[0, _ENVELOPE]])
+    covariance = _noise(spots - design @ coefficients, design)
+    slow_columns, fast_columns = list(range(2 * _ENVELOPE)), list(range(2 * _ENVELOPE, 4 * _ENVELOPE))
+    inverse = np.linalg.inv(design.T @ design)
+    # overtones move the spot along the slow direction only: across it there is nothing but the fast mode
+    across, along = (spots @ frame).T
+    swing = _swing(design, coefficients @ frame[:, 1])
+    along_rows, along_covariance, overtones = _with_overtones(
+        design, along, swing, overtone_3=fast_omega > 4.0 * slow_omega
+    )
+    clean = spots - np.outer(overtones, frame[:, 1])
+    coefficients, *_ = np.linalg.lstsq(design, clean, rcond=None)
+    covariance = _noise(clean - design @ coefficients, design)
+    slow, u_slow = _direction(coefficients, inverse, covariance, slow_columns)
+    across_rows, *_ = np.linalg.lstsq(design, across, rcond=None)
+    noise_across = float(frame[:, 0] @ covariance @ frame[:, 0])
+    fast, u_fast = _fast_direction(
+        across_rows[fast_columns],
+        noise_across * inverse[np.ix_(fast_columns, fast_columns)],
+        along_rows[fast_columns],
+        along_covariance[np.ix_(fast_columns, fast_columns)],
+        frame,
+    )
+    return _Window(float(middle), slow, u_slow, fast, u_fast)
+
+
+def _noise(residual: Floats, design: Floats) -> Floats:
+    covariance: Floats = residual.T @ residual / (design.shape[0] - design.shape[1])
+    return covariance
+
+
+def _frame(rows: Floats) -> Floats:
+    """Columns: unit vectors across and along what swings most."""
+    _, vectors = np.linalg.eigh(rows.T @ rows)
+    along = vectors[:, 1]
+    return np.column_stack([[-along[1], along[0]], along])
+
+
+def _swing(design: Floats, along: Floats) -> NDArray[np.complex128]:
+    """Unit phasor of the slow swing at each sample, with the slow bend of its phase."""
+    u = design[:, 4 * _ENVELOPE + 1]
+    powers = np.column_stack([u**k for k in range(_ENVELOPE)])
+    c, s = powers @ along[:_ENVELOPE], powers @ along[_ENVELOPE : 2 * _ENVELOPE]
+    phasor = (c - 1j * s) * (design[:, 0] + 1j * design[:, _ENVELOPE])
+    unit: NDArray[np.complex128] = phasor / np.abs(phasor)
+    return unit
+
+
+def _with_overtones(
+    design: Floats, along: Floats, swing: NDArray[np.complex128], *, overtone_3: bool
+) -> tuple[Floats, Floats, Floats]:
+    """Coefficients along the slow direction with their covariance, and the overtones' motion.
+
+    Friction and elasticity give the slow swing odd overtones. One near the fast mode would be taken
+    for a part of it. The third tells how large the higher ones can be: 0.11 to 0.2 of it for the
+    fifth, less beyond, for powers of the tilt from 0 to 1. Held to zero with that as their standard
+    deviation, they take from the fast direction what they may, and no more.
+    """
+    orders = [3, 5, 7, 9] if overtone_3 else []
+    columns = [part for k in orders for part in ((swing**k).real, (swing**k).imag)]
+    whole = np.column_stack([design, *columns])
+    values, *_ = np.linalg.lstsq(whole[:, : design.shape[1] + 2 * bool(orders)], along, rcond=None)
+    residual = along - whole[:, : len(values)] @ values
+    variance = float(residual @ residual) / (len(along) - len(values))
+    held = np.zeros(whole.shape[1])
+    if orders:
+        third = float(np.hypot(values[-2], values[-1]))
+        for number, part in enumerate(_OVERTONE_PARTS):
+            at = design.shape[1] + 2 + 2 * number
+            held[at : at + 2] = variance / max(part * third, 1e-12) ** 2
+    covariance = np.linalg.inv(whole.T @ whole + np.diag(held))
+    values = covariance @ (whole.T @ along)
+    residual = along - whole @ values
+    variance = float(residual @ residual) / (len(along) - len(values))
+    moved = whole[:, design.shape[1] :] @ values[design.shape[1] :]
+    return (
+        np.asarray(values, dtype=np.float64),
+        np.asarray(variance * covariance, dtype=np.float64),
+        np.asarray(moved, dtype=np.float64),
+    )
+
+
+def _fast_direction(
+    across: Floats, u2_across: Floats, along: Floats, u2_along: Floats, frame: Floats
+) -> tuple[Floats, float]:
+    """Vector of the fast mode: what it does along the slow direction is a multiple of what it does across."""
+    slope = 0.0
+    for _ in range(3):
+        weight = np.linalg.inv(u2_along + slope**2 * u2_across)
+        slope = float(across @ weight @ along) / float(across @ weight @ across)
+    u_slope = 1.0 / math.sqrt(float(across @ weight @ across))
+    direction = (frame[:, 0] + slope * frame[:, 1]) / math.hypot(1.0, slope)
+    size = math.hypot(1.0, slope)
+    cosine, sine = _at_beginning(across * size)
+    sign = 1.0 if cosine >= 0 else -1.0
+    return sign * math.hypot(cosine, sine) * direction, u_slope / (1.0 + slope**2)
+
+
+def _at_beginning(rows: Floats) -> tuple[float, float]:
+    """Cosine and sine amplitude where the window begins: terms in u = -1 have alternating sign."""
+    signs = np.array([(-1.0) ** k for k in range(_ENVELOPE)])
+    return float(rows[:_ENVELOPE] @ signs), float(rows[_ENVELOPE:] @ signs)
+
+
+def _direction(
+    coefficients: Floats, inverse: Floats, covariance: Floats, columns: list[int]
+) -> tuple[Floats, float]:
+    """Vector of a mode, length its amplitude, sign that of its cosine at the start; and u of its angle.
+
+    All terms of the mode lie along one line; the long axis of their weighted scatter is its
+    direction, total least squares with the known covariance of the terms.
+    """
+    rows = coefficients[columns]
+    weight = np.linalg.inv(inverse[np.ix_(columns, columns)])
+    scatter = rows.T @ weight @ rows
+    # equal noise in all directions turns the scatter by nothing; unequal noise by its own part
+    _, vectors = np.linalg.eigh(scatter - (len(columns) - 1) * covariance)
+    along = vectors[:, 1]
+    across = np.array([-along[1], along[0]])
+    signal = float(along @ scatter @ along) - float(along @ covariance @ along) * len(columns)
+    noise = float(across @ covariance @ across)
+    u_angle = math.sqrt(noise / signal) if signal > 0 else math.inf
+    cosine, sine = _at_beginning(rows @ along)
+    amplitude = math.hypot(cosine, sine)
+    sign = 1.0 if cosine >= 0 else -1.0
+    return sign * amplitude * along, u_angle
+
+
+def _combined(
+    windows: list[_Window], reference: Floats, vectors: list[Floats], u: list[float]
+) -> tuple[float, float, float, float, float]:
+    """Weighted mean angle (upward vertical to +x), its u, turning with u, chi2 about the mean."""
+    base = math.atan2(reference[0], -reference[1])
+    # a line has no sign: differences of angle are taken modulo half a turn
+    turned = np.array([_half(math.atan2(v[0], -v[1]) - base) for v in vectors])
+    weight = 1.0 / np.maximum(np.array(u), 1e-12) ** 2
+    mean = float(weight @ turned / weight.sum())
+    u_mean = float(1.0 / np.sqrt(weight.sum()))
+    total = float(weight @ (turned - mean) ** 2)
+    dof = len(turned) - 1
+    if dof > 0 and chi2.sf(total, dof) < _IMPROBABLE:
+        u_mean *= math.sqrt(total / dof)
+    rate, u_rate = 0.0, math.inf
+    if dof > 1:
+        t = np.array([w.middle_s for w in windows])
+        t = t - float(weight @ t / weight.sum())
+        spread = float(weight @ t**2)
+        rate = float(weight @ (t * (turned - mean))) / spread
+        u_rate = 1.0 / math.sqrt(spread)
+    return _wrapped(base + mean), u_mean, rate, u_rate, total
+
+
+def _sided(vector: Floats, side: Sign) -> Floats:
+    return vector if side == "+" else -vector
+
+
+def _upward(vector: Floats) -> Floats:
+    return vector if vector[1] <= 0 else -vector
+
+
+def _right(vector: Floats, slow: Floats, mirrored: bool) -> Floats:
+    cross = slow[0] * vector[1] - slow[1] * vector[0]
+    return vector if (cross > 0) != mirrored else -vector
+
+
+def _wrapped(angle: float) -> float:
+    return (angle + math.pi) % (2.0 * math.pi) - math.pi
+
+
+def _half(angle: float) -> float:
+    return (angle + 0.5 * math.pi) % math.pi - 0.5 * math.pi

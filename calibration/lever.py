@@ -1,0 +1,63 @@
+"""Light lever: where the spot stands on the sensor -> how far the pendulum is tilted.
+
+The only place that knows of the mirror's factor 2, the arm and the pixel pitch.
+"""
+
+import math
+from typing import Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydantic import BaseModel, Field
+
+
+class Lever(BaseModel, frozen=True, extra="forbid"):
+    """Geometry of the light lever.
+
+    A tilt phi of the mirror turns the beam by 2 phi: the spot moves by ``arm (t + skew t^2)`` with
+    ``t = tan(2 phi)``. On a sensor square to the beam the skew is 0; a tilted one has about the
+    tangent of its tilt. The arm of a calibrated lever is the effective one, with everything in it
+    that acts as a factor. Standard uncertainties have the unit of their value; 0 means not stated.
+    """
+
+    arm_m: float = Field(gt=0, description="mirror to sensor, along the beam")
+    u_arm_m: float = Field(default=0.0, ge=0)
+    pixel_pitch_m: float = Field(gt=0, lt=1e-3, description="distance of neighbouring pixels")
+    u_pixel_pitch_m: float = Field(default=0.0, ge=0)
+    skew: float = Field(
+        default=0.0, gt=-10, lt=10, description="of the slow axis, from a sensor that stands askew"
+    )
+    reference_x_px: float | None = Field(
+        default=None, description="spot at zero tilt; None: the sensor's middle"
+    )
+    reference_y_px: float | None = None
+
+    def tilt_rad(self, displacement_px: ArrayLike) -> NDArray[np.float64]:
+        """Tilt for a displacement of the spot from the reference, exact (arc tangent), any shape."""
+        return 0.5 * np.arctan(self._tangent(displacement_px)[0])
+
+    def displacement_px(self, tilt_rad: ArrayLike) -> NDArray[np.float64]:
+        """Displacement of the spot for a tilt: the inverse of `tilt_rad`."""
+        tangent = np.tan(2.0 * np.asarray(tilt_rad, dtype=float))
+        return tangent * (1.0 + self.skew * tangent) * (self.arm_m / self.pixel_pitch_m)
+
+    def rad_per_px(self, displacement_px: ArrayLike = 0.0) -> NDArray[np.float64]:
+        """Derivative of the tilt with respect to the displacement."""
+        tangent, root = self._tangent(displacement_px)
+        return 0.5 * (self.pixel_pitch_m / self.arm_m) / root / (1.0 + tangent**2)
+
+    def square(self) -> Self:
+        """The same lever without skew: what the fast axis sees, across the tilt of the sensor."""
+        return self.model_copy(update={"skew": 0.0})
+
+    def _tangent(self, displacement_px: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """tan(2 phi), and the derivative of the displacement by it over the one at the reference."""
+        part = np.asarray(displacement_px, dtype=float) * (self.pixel_pitch_m / self.arm_m)
+        root = np.sqrt(1.0 + 4.0 * self.skew * part)
+        # the form that loses no digits, and gives `part` itself without skew
+        return 2.0 * part / (1.0 + root), root
+
+    @property
+    def u_scale_relative(self) -> float:
+        """Relative standard uncertainty of the scale, rad per px, from arm and pitch."""
+        return math.hypot(self.u_arm_m / self.arm_m, self.u_pixel_pitch_m / self.pixel_pitch_m)

@@ -1,0 +1,52 @@
+"""The strongest oscillation in samples of one coordinate."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Oscillation:
+    """Least squares of one sinusoid with a linear envelope about a line; `rest` is what is left."""
+
+    period_s: float
+    amplitude: float
+    noise: float
+    explained: float
+    rest: Floats
+
+
+def strongest_oscillation(times_s: Floats, values: Floats, longest_s: float) -> Oscillation:
+    """Sinusoid of the highest peak of the spectrum, of a period up to `longest_s`, refined."""
+    count = len(times_s)
+    span_s = float(times_s[-1] - times_s[0])
+    even = np.interp(np.linspace(times_s[0], times_s[-1], count), times_s, values)
+    even = even - np.polyval(np.polyfit(np.arange(count), even, 1), np.arange(count))
+    power = np.abs(np.fft.rfft(even * np.hanning(count), 8 * count)) ** 2
+    frequency = np.fft.rfftfreq(8 * count, span_s / (count - 1))
+    top = int(np.argmax(np.where(frequency >= 1.0 / longest_s, power, -1.0)))
+    half_line = 0.5 / span_s
+    found = minimize_scalar(
+        lambda f: float(np.sum(_left(times_s, values, f)[0] ** 2)),
+        bounds=(max(frequency[top] - half_line, 0.1 / span_s), frequency[top] + half_line),
+        method="bounded",
+        options={"xatol": 1e-7 / span_s},
+    )
+    rest, amplitude = _left(times_s, values, float(found.x))
+    flat = float(np.var(even))
+    noise = math.sqrt(float(rest @ rest) / max(count - 7, 1))
+    return Oscillation(1.0 / float(found.x), amplitude, noise, 1.0 - noise**2 / max(flat, 1e-300), rest)
+
+
+def _left(times_s: Floats, values: Floats, frequency_hz: float) -> tuple[Floats, float]:
+    phase = 2.0 * math.pi * frequency_hz * (times_s - times_s[0])
+    u = (times_s - times_s[0]) / (times_s[-1] - times_s[0]) - 0.5
+    cosine, sine = np.cos(phase), np.sin(phase)
+    design = np.column_stack([cosine, sine, u * cosine, u * sine, np.ones_like(u), u])
+    solution, *_ = np.linalg.lstsq(design, values, rcond=None)
+    return values - design @ solution, float(np.hypot(solution[0], solution[1]))

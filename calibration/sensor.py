@@ -1,0 +1,308 @@
+"""Sensor noise by photon transfer: gain, read noise, full well, linearity, dark level, PRNU, hot pixels.
+
+Pairs of frames of one scene: half the variance of their difference is the noise, free of whatever
+pattern scene and pixels have; it grows with the signal by one over the gain. Definitions after EMVA
+Standard 1288 (photon transfer curve, section 6).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from processing.errors import DataError
+
+Image = NDArray[np.uint8] | NDArray[np.uint16]
+
+_QUANTISATION_DN2 = 1.0 / 12.0
+_RESOLVED_DN = 0.24
+"""EMVA 1288: below this temporal noise, rounding hides what the sensor does in the dark."""
+_FEWEST_LEVELS = 4
+_IMPROBABLE = 0.01
+_FIT_TO = 0.7
+"""EMVA 1288 fits the gain up to 70 % of saturation."""
+
+
+@dataclass(frozen=True, slots=True)
+class TransferPoint:
+    """Signal above dark and noise variance of one pair, with their standard uncertainties."""
+
+    name: str
+    signal_dn: float
+    variance_dn2: float
+    u_variance_dn2: float
+
+
+@dataclass(frozen=True, slots=True)
+class SensorCalibration:
+    """What photon transfer says of a sensor. `u_` are standard uncertainties.
+
+    `dark_level_dn` is the tracker's pedestal. `read_noise_resolved` is False where rounding to DN
+    hides the noise in the dark (below 0.24 DN): read noise and dark level are then known to their
+    uncertainties only. `full_well_e` is a lower limit where `saturates` is False (no level was bright
+    enough). `linearity_error` is the largest relative deviation of the signal from a line through
+    the stated exposures, NaN without them. `rejected` names the pairs that could not serve, and why.
+    """
+
+    gain_e_per_dn: float
+    u_gain_e_per_dn: float
+    read_noise_e: float
+    u_read_noise_e: float
+    read_noise_resolved: bool
+    dark_level_dn: float
+    u_dark_level_dn: float
+    full_well_e: float
+    saturates: bool
+    linearity_error: float
+    prnu: float
+    u_prnu: float
+    chi2_per_dof: float
+    points: tuple[TransferPoint, ...]
+    hot_pixels: NDArray[np.int64]
+    rejected: tuple[str, ...]
+
+
+def photon_transfer(
+    flats: Sequence[tuple[Image, Image]],
+    darks: Sequence[Image],
+    full_scale_dn: int,
+    *,
+    names: Sequence[str] = (),
+    exposures_us: Sequence[float] = (),
+) -> SensorCalibration:
+    """Gain and read noise from pairs of evenly lit frames and at least two dark ones.
+
+    Parameters
+    ----------
+    flats
+        Pairs of frames, each pair of one exposure and one illumination; levels from near dark to near
+        full scale. All of one shape.
+    darks
+        Two or more frames without light.
+    names
+        How a pair is named in messages; by number without.
+    exposures_us
+        Exposure of each pair, for the linearity; the light must then be constant.
+
+    Raises
+    ------
+    DataError
+        Fewer than two darks, or fewer than four usable levels; the message lists what was
+        wrong with the others (saturated, unstable lamp).
+    """
+    if len(darks) < 2:
+        raise DataError(
+            f"sensor: {len(darks)} dark frames, at least 2 are needed; cover the sensor and take more"
+        )
+    dark_stack = np.stack([np.asarray(image, dtype=np.float64) for image in darks])
+    dark_map = dark_stack.mean(axis=0)
+    # the temporal variance of a hot pixel is not the sensor's: the median over pixels is not moved by them
+    hot = _hot_pixels(dark_map)
+    cold = np.ones(dark_map.size, dtype=bool)
+    cold[hot] = False
+    dark_level = float(dark_map.reshape(-1)[cold].mean())
+    dark_variance, u_dark_variance = _temporal_variance(dark_stack.reshape(len(darks), -1)[:, cold])
+    resolved = dark_variance - _QUANTISATION_DN2 > _RESOLVED_DN**2
+    u_dark_variance = float(np.hypot(u_dark_variance, _rounding(dark_variance)))
+    points: list[TransferPoint] = []
+    rejected: list[str] = []
+    saturated_level = 0.0
+    usable: list[int] = []
+    for number, (first, second) in enumerate(flats):
+        name = names[number] if number < len(names) else f"pair {number + 1}"
+        a = np.asarray(first, dtype=np.float64).reshape(-1)[cold]
+        b = np.asarray(second, dtype=np.float64).reshape(-1)[cold]
+        clipped = float(np.mean((a >= full_scale_dn) | (b >= full_scale_dn)))
+        signal = 0.5 * (a.mean() + b.mean()) - dark_level
+        if clipped > 1e-4:
+            saturated_level = max(saturated_level, signal)
+            rejected.append(f"{name}: {100 * clipped:.2g} % of the pixels at full scale")
+            continue
+        difference = a - b
+        shift = float(difference.mean())
+        noise = float(difference.std())
+        if (
+            abs(shift) > max(0.01 * signal, 5.0 * noise / np.sqrt(len(a)))
+            and abs(shift) > 0.002 * signal + 0.02
+        ):
+            rejected.append(
+                f"{name}: the two frames differ by {100 * abs(shift) / max(signal, 1e-9):.2g} % (lamp)"
+            )
+            continue
+        variance = 0.5 * float(difference.var(ddof=1))
+        kurtosis = float(np.mean((difference - shift) ** 4) / difference.var() ** 2)
+        u_variance = variance * np.sqrt((kurtosis - 1.0) / len(a))
+        points.append(TransferPoint(name, float(signal), variance, float(u_variance)))
+        usable.append(number)
+    knee = _knee(points)
+    if knee is not None:
+        saturated_level = max(saturated_level, knee) if saturated_level == 0 else min(saturated_level, knee)
+        rejected += [
+            f"{point.name}: the noise falls, the pixels are full"
+            for point in points
+            if point.signal_dn > knee
+        ]
+        kept = [i for i, point in enumerate(points) if point.signal_dn <= knee]
+        points, usable = [points[i] for i in kept], [usable[i] for i in kept]
+    top_dn = min(_FIT_TO * full_scale_dn, _FIT_TO * knee + dark_level if knee is not None else np.inf)
+    fitted = [point for point in points if point.signal_dn + dark_level <= top_dn]
+    if len(fitted) < _FEWEST_LEVELS:
+        detail = f"; not usable: {'; '.join(rejected)}" if rejected else ""
+        raise DataError(
+            f"sensor: {len(fitted)} usable levels up to {100 * _FIT_TO:.0f} % of full scale, at least "
+            f"{_FEWEST_LEVELS} are needed{detail}"
+        )
+    slope, u_slope, intercept, u_intercept, chi2_per_dof = _line(
+        fitted, dark_variance if resolved else None, u_dark_variance
+    )
+    gain = 1.0 / slope
+    read_variance = max(intercept - _QUANTISATION_DN2, 0.0)
+    read_noise_dn = float(np.sqrt(read_variance))
+    u_read_dn = u_intercept / (2.0 * read_noise_dn) if read_noise_dn > 0 else float(np.sqrt(u_intercept))
+    prnu, u_prnu = _prnu(
+        [flats[number] for number in usable], points, dark_map, cold, dark_variance / len(darks)
+    )
+    top = max(point.signal_dn for point in points)
+    return SensorCalibration(
+        gain_e_per_dn=gain,
+        u_gain_e_per_dn=gain * u_slope / slope,
+        read_noise_e=read_noise_dn * gain,
+        u_read_noise_e=float(np.hypot(u_read_dn * gain, read_noise_dn * gain * u_slope / slope)),
+        read_noise_resolved=bool(resolved),
+        dark_level_dn=dark_level,
+        u_dark_level_dn=float(
+            np.hypot(
+                np.sqrt(dark_variance / (len(darks) * cold.sum())), 0.0 if resolved else 0.5 / np.sqrt(3.0)
+            )
+        ),
+        full_well_e=max(top, saturated_level) * gain,
+        saturates=saturated_level > 0,
+        linearity_error=_linearity(points, [exposures_us[n] for n in usable] if exposures_us else []),
+        prnu=prnu,
+        u_prnu=u_prnu,
+        chi2_per_dof=chi2_per_dof,
+        points=tuple(points),
+        hot_pixels=np.column_stack(np.unravel_index(hot, dark_map.shape)[::-1]).astype(np.int64),
+        rejected=tuple(rejected),
+    )
+
+
+def _hot_pixels(dark_map: NDArray[np.float64]) -> NDArray[np.int64]:
+    flat = dark_map.reshape(-1)
+    middle = float(np.median(flat))
+    sigma = max(
+        1.4826 * float(np.median(np.abs(flat - middle))), float(np.percentile(flat, 84) - middle), 0.2
+    )
+    return np.nonzero(flat > middle + 8.0 * sigma)[0]
+
+
+def _temporal_variance(stack: NDArray[np.float64]) -> tuple[float, float]:
+    """Variance over frames, frame-to-frame offset removed, and its standard uncertainty."""
+    frames, pixels = stack.shape
+    residual = stack - stack.mean(axis=1, keepdims=True)
+    residual -= residual.mean(axis=0, keepdims=True)
+    dof = (frames - 1) * (pixels - 1)
+    variance = float(np.sum(residual**2)) / dof
+    kurtosis = float(np.mean(residual**4) / np.mean(residual**2) ** 2) if variance > 0 else 3.0
+    return variance, variance * float(np.sqrt((kurtosis - 1.0) / dof))
+
+
+def _rounding(variance: float) -> float:
+    """How far rounding moves a normal pixel's variance from 1/12 more, at worst, over sqrt(2).
+
+    First term of the characteristic function's series (B. Widrow, Quantization Noise, 2008).
+    """
+    inner = max(variance - _QUANTISATION_DN2, 0.0)
+    return float((4.0 * inner + 1.0 / np.pi**2) * np.exp(-2.0 * np.pi**2 * inner) / np.sqrt(2.0))
+
+
+def _knee(points: Sequence[TransferPoint]) -> float | None:
+    """Signal at which the noise is greatest, where it falls beyond; None where it never does."""
+    if not points:
+        return None
+    best = max(points, key=lambda point: point.variance_dn2)
+    beyond = [point for point in points if point.signal_dn > best.signal_dn]
+    falls = any(
+        best.variance_dn2 - point.variance_dn2 > 5.0 * np.hypot(best.u_variance_dn2, point.u_variance_dn2)
+        for point in beyond
+    )
+    return best.signal_dn if falls else None
+
+
+def _line(
+    points: Sequence[TransferPoint], dark_variance: float | None, u_dark_variance: float
+) -> tuple[float, float, float, float, float]:
+    """Weighted line variance = intercept + slope signal; the dark point belongs to it at signal 0."""
+    x = np.array([point.signal_dn for point in points])
+    y = np.array([point.variance_dn2 for point in points])
+    u = np.array([point.u_variance_dn2 for point in points])
+    if dark_variance is not None:
+        x, y, u = np.append(x, 0.0), np.append(y, dark_variance), np.append(u, u_dark_variance)
+    u = np.maximum(u, 1e-12)
+    # weights from each variance itself would favour those that came out low by chance
+    common = np.median(u[: len(points)] / y[: len(points)])
+    for _ in range(3):
+        design = np.column_stack([np.ones_like(x), x]) / u[:, None]
+        values, *_ = np.linalg.lstsq(design, y / u, rcond=None)
+        model = values[0] + values[1] * x
+        if np.all(model > 0):
+            u[: len(points)] = common * model[: len(points)]
+    design = np.column_stack([np.ones_like(x), x]) / u[:, None]
+    values, *_ = np.linalg.lstsq(design, y / u, rcond=None)
+    chi2_per_dof = float(np.sum((design @ values - y / u) ** 2)) / (len(x) - 2)
+    dof = len(x) - 2
+    improbable = chi2.sf(chi2_per_dof * dof, dof) < _IMPROBABLE
+    covariance = np.linalg.inv(design.T @ design) * (chi2_per_dof if improbable else 1.0)
+    if values[1] <= 0:
+        raise DataError(
+            f"sensor: the noise does not grow with the signal (slope {values[1]:.3g} DN); "
+            "these are no pairs of frames of one constant light"
+        )
+    return (
+        float(values[1]),
+        float(np.sqrt(covariance[1, 1])),
+        float(values[0]),
+        float(np.sqrt(covariance[0, 0])),
+        chi2_per_dof,
+    )
+
+
+def _prnu(
+    flats: Sequence[tuple[Image, Image]],
+    points: Sequence[TransferPoint],
+    dark_map: NDArray[np.float64],
+    cold: NDArray[np.bool_],
+    u2_dark_map: float,
+) -> tuple[float, float]:
+    """Spatial spread of the response at the brightest usable level, temporal noise taken out.
+
+    Slow shading of the lamp is removed with a plane; only what differs from pixel to pixel is PRNU.
+    """
+    best = int(np.argmax([point.signal_dn for point in points]))
+    pair, point = flats[best], points[best]
+    mean = 0.5 * (np.asarray(pair[0], dtype=np.float64) + np.asarray(pair[1], dtype=np.float64)) - dark_map
+    ny, nx = mean.shape
+    y, x = np.mgrid[0:ny, 0:nx]
+    design = np.column_stack([np.ones(mean.size), x.reshape(-1) / nx, y.reshape(-1) / ny])[cold]
+    values = mean.reshape(-1)[cold]
+    plane, *_ = np.linalg.lstsq(design, values, rcond=None)
+    spatial = float((values - design @ plane).var(ddof=3)) - 0.5 * point.variance_dn2 - u2_dark_map
+    u_spatial = float(np.hypot(values.var() * np.sqrt(2.0 / len(values)), 0.5 * point.u_variance_dn2))
+    if spatial <= 0:
+        return 0.0, float(np.sqrt(u_spatial) / point.signal_dn)
+    return float(np.sqrt(spatial) / point.signal_dn), float(
+        u_spatial / (2 * np.sqrt(spatial)) / point.signal_dn
+    )
+
+
+def _linearity(points: Sequence[TransferPoint], exposures_us: Sequence[float]) -> float:
+    if len(exposures_us) < 3:
+        return float("nan")
+    x = np.array(exposures_us)
+    y = np.array([point.signal_dn for point in points])
+    # relative weights, as EMVA 1288 has it: the small signals must follow the line too
+    design = np.column_stack([np.ones_like(x), x]) / y[:, None]
+    values, *_ = np.linalg.lstsq(design, np.ones_like(y), rcond=None)
+    return float(np.max(np.abs(design @ values - 1.0)))

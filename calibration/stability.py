@@ -1,0 +1,155 @@
+"""A spot that should stand still: Allan deviation, drift, spectrum, ISO 11670 pointing stability."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from processing.errors import DataError
+
+_FEWEST_SAMPLES = 100
+_LINE_RATIO = 12.0
+
+
+@dataclass(frozen=True, slots=True)
+class AllanCurve:
+    """Overlapping Allan deviation; `u_deviation` from the equivalent degrees of freedom of white noise."""
+
+    tau_s: NDArray[np.float64]
+    deviation: NDArray[np.float64]
+    u_deviation: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class SpectralLine:
+    """A line that stands out of the spectrum: frequency and amplitude (peak) in the unit of the record."""
+
+    frequency_hz: float
+    amplitude: float
+    name: str
+
+
+@dataclass(frozen=True, slots=True)
+class Stability:
+    """One coordinate of a static record, in the record's unit.
+
+    `drift_per_s` with its uncertainty is the slope of a line (its uncertainty from the scatter of
+    sixteen segments, since the noise is not white); `noise` the standard deviation of one sample about
+    a slow line, from the Allan deviation at one sample; `iso11670` is 2 standard deviations of the
+    whole record, the standard's pointing stability of one axis (ISO 11670:2003, 4 sigma width halved).
+    `claimed_ratio` is what the samples' stated uncertainty says over what is there.
+    """
+
+    noise: float
+    drift_per_s: float
+    u_drift_per_s: float
+    iso11670: float
+    claimed_ratio: float
+    allan: AllanCurve
+    lines: tuple[SpectralLine, ...]
+    frequency_hz: NDArray[np.float64]
+    density: NDArray[np.float64]
+
+
+def allan_deviation(values: NDArray[np.float64], interval_s: float) -> AllanCurve:
+    """Overlapping Allan deviation (IEEE 1139), tau doubling up to a quarter of the record.
+
+    Degrees of freedom for white noise from NIST SP 1065, table 5.
+    """
+    count = len(values)
+    sums = np.concatenate([[0.0], np.cumsum(values - values.mean())])
+    taus, deviations, u = [], [], []
+    m = 1
+    while 4 * m <= count:
+        averages = (sums[m:] - sums[:-m]) / m
+        steps = averages[m:] - averages[:-m]
+        deviations.append(float(np.sqrt(0.5 * np.mean(steps**2))))
+        taus.append(m * interval_s)
+        dof = max(
+            1.0, (1.5 * count / m - 2.0 * (count - 1.0) / (count + 1.0)) * 4.0 * m**2 / (4.0 * m**2 + 5.0)
+        )
+        u.append(deviations[-1] / np.sqrt(2.0 * dof))
+        m *= 2
+    return AllanCurve(np.array(taus), np.array(deviations), np.array(u))
+
+
+def stability(
+    times_s: NDArray[np.float64], values: NDArray[np.float64], u_values: NDArray[np.float64]
+) -> Stability:
+    """Noise, drift, spectrum and stability of a record in which nothing should move.
+
+    Lost samples (NaN) are left out; times must be even to a fraction of the interval (gaps are closed
+    up for the Allan deviation and the spectrum). Raises DataError for fewer than 100 samples.
+    """
+    good = np.isfinite(values) & np.isfinite(u_values)
+    times_s, values, u_values = times_s[good], values[good], u_values[good]
+    if len(values) < _FEWEST_SAMPLES:
+        raise DataError(
+            f"stability: {len(values)} spots of {_FEWEST_SAMPLES} that are needed; record for longer"
+        )
+    interval_s = float(np.median(np.diff(times_s)))
+    drift, u_drift = _drift(times_s, values)
+    flat = values - np.polyval(np.polyfit(times_s - times_s[0], values, 1), times_s - times_s[0])
+    allan = allan_deviation(values, interval_s)
+    frequency, density = _spectrum(flat, interval_s)
+    return Stability(
+        noise=float(allan.deviation[0]),
+        drift_per_s=drift,
+        u_drift_per_s=u_drift,
+        iso11670=float(2.0 * values.std(ddof=1)),
+        claimed_ratio=float(np.sqrt(np.mean(u_values**2)) / allan.deviation[0]),
+        allan=allan,
+        lines=_lines(frequency, density),
+        frequency_hz=frequency,
+        density=density,
+    )
+
+
+def _drift(times_s: NDArray[np.float64], values: NDArray[np.float64]) -> tuple[float, float]:
+    segments = 16
+    centres = np.array([part.mean() for part in np.array_split(times_s, segments)])
+    means = np.array([part.mean() for part in np.array_split(values, segments)])
+    design = np.column_stack([centres - centres.mean(), np.ones(segments)])
+    solution, *_ = np.linalg.lstsq(design, means, rcond=None)
+    residual = means - design @ solution
+    variance = float(residual @ residual) / (segments - 2)
+    return float(solution[0]), float(np.sqrt(variance / np.sum(design[:, 0] ** 2)))
+
+
+def _spectrum(
+    flat: NDArray[np.float64], interval_s: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """One-sided power density, Hann window (its noise bandwidth is 1.5 bins)."""
+    window = np.hanning(len(flat))
+    power = np.abs(np.fft.rfft(flat * window)) ** 2
+    density = 2.0 * power * interval_s / np.sum(window**2)
+    return np.fft.rfftfreq(len(flat), interval_s)[1:].astype(np.float64), density[1:].astype(np.float64)
+
+
+def _lines(frequency: NDArray[np.float64], density: NDArray[np.float64]) -> tuple[SpectralLine, ...]:
+    width = max(15, len(density) // 50) | 1
+    padded = np.pad(density, width // 2, mode="reflect")
+    # the median of exponentially distributed power is ln 2 of its mean
+    floor = np.median(np.lib.stride_tricks.sliding_window_view(padded, width), axis=1) / np.log(2.0)
+    threshold = max(_LINE_RATIO, np.log(len(density)) + 7.0)
+    peaks = [
+        i
+        for i in range(1, len(density) - 1)
+        if density[i] > threshold * floor[i] and density[i] >= density[i - 1] and density[i] > density[i + 1]
+    ]
+    step_hz = float(frequency[1] - frequency[0]) if len(frequency) > 1 else 1.0
+    lines = []
+    for i in peaks:
+        power = float(np.sum(density[max(0, i - 1) : i + 2])) * step_hz
+        lines.append(
+            SpectralLine(float(frequency[i]), float(np.sqrt(2.0 * power)), _name(float(frequency[i])))
+        )
+    return tuple(sorted(lines, key=lambda line: -line.amplitude)[:10])
+
+
+def _name(frequency_hz: float) -> str:
+    for mains_hz in (50.0, 60.0):
+        harmonic = round(frequency_hz / mains_hz)
+        if harmonic >= 1 and abs(frequency_hz - harmonic * mains_hz) < 0.3:
+            return f"mains, {harmonic} x {mains_hz:g} Hz"
+    return "building" if 5.0 <= frequency_hz <= 30.0 else ""

@@ -1,0 +1,142 @@
+"""Calibration files: TOML with provenance, a new one beside the old ones, never over them."""
+
+import datetime
+import hashlib
+import json
+import math
+import re
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import BaseModel, Field, ValidationError
+
+from processing.errors import ConfigurationError, RecordError
+
+Kind = Literal["lever", "axes", "sensor", "clock", "pointing", "check"]
+SCHEMA = 1
+
+
+class Source(BaseModel, frozen=True, extra="forbid"):
+    """A file that the calibration was made from."""
+
+    name: str
+    sha256: str = Field(pattern="^[0-9a-f]{64}$")
+
+
+class CalibrationFile(BaseModel, frozen=True, extra="forbid"):
+    """One calibration.
+
+    `values` fill the configuration's section of this kind; `details` is everything else that was
+    found, plain values for a report. Times carry their offset from UTC.
+    """
+
+    schema_version: int = Field(default=SCHEMA, ge=1, le=SCHEMA)
+    kind: Kind
+    made_by: str = ""
+    made_at: datetime.datetime
+    valid_until: datetime.datetime
+    host: str = ""
+    software: str = ""
+    method: str = ""
+    measured_at: datetime.datetime
+    sources: tuple[Source, ...] = ()
+    notes: tuple[str, ...] = ()
+    values: dict[str, Any] = Field(default_factory=dict)
+    details: dict[str, Any] = Field(default_factory=dict)
+
+    def expired(self, at: datetime.datetime) -> bool:
+        """Whether it was no longer valid then."""
+        return at > self.valid_until
+
+
+def sha256_bytes(data: bytes) -> str:
+    """Hash of a calibration file as it stands."""
+    return hashlib.sha256(data).hexdigest()
+
+
+def write_calibration(folder: Path, calibration: CalibrationFile) -> Path:
+    """Write KIND-001.toml, KIND-002.toml ...: the next free number in the folder.
+
+    Raises RecordError where it cannot be written.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        taken = [
+            int(match.group(1))
+            for path in folder.iterdir()
+            if (match := re.fullmatch(rf"{calibration.kind}-(\d+)\.toml", path.name))
+        ]
+        path = folder / f"{calibration.kind}-{max(taken, default=0) + 1:03d}.toml"
+        with path.open("x", encoding="utf-8") as file:
+            file.write(toml_text(calibration))
+    except OSError as error:
+        raise RecordError(f"{folder}: no calibration can be written: {error.strerror or error}") from None
+    return path
+
+
+def read_calibration(path: Path, kind: Kind | None = None) -> CalibrationFile:
+    """Read a file. Raises ConfigurationError: no such file, no calibration, of another kind."""
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise ConfigurationError(f"{path}: no calibration can be read: {error.strerror or error}") from None
+    return parse_calibration(data, str(path), kind)
+
+
+def parse_calibration(data: bytes, name: str, kind: Kind | None = None) -> CalibrationFile:
+    """The same from bytes, as a record keeps them."""
+    try:
+        found = CalibrationFile.model_validate(tomllib.loads(data.decode("utf-8")))
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise ConfigurationError(f"{name}: is not TOML: {error}") from None
+    except ValidationError as error:
+        fault = error.errors()[0]
+        place = ".".join(str(part) for part in fault["loc"])
+        raise ConfigurationError(f"{name}: is no calibration file ({place}: {fault['msg']})") from None
+    for field in ("made_at", "valid_until", "measured_at"):
+        if getattr(found, field).tzinfo is None:
+            raise ConfigurationError(
+                f"{name}: {field} has no offset from UTC; write it as 2026-01-31T12:00:00Z"
+            )
+    if kind is not None and found.kind != kind:
+        raise ConfigurationError(f"{name}: is a calibration of {found.kind}, {kind} is wanted")
+    return found
+
+
+def toml_text(calibration: CalibrationFile) -> str:
+    """The file's text."""
+    plain = calibration.model_dump()
+    lines = [
+        "# Made by rig calibrate. What was found is under [values] and [details]; make a new one, edit none."
+    ]
+    tables = {key: plain.pop(key) for key in ("values", "details")}
+    sources = plain.pop("sources")
+    lines += [f"{key} = {_toml(value)}" for key, value in plain.items()]
+    for source in sources:
+        lines += ["", "[[sources]]", *(f"{key} = {_toml(value)}" for key, value in source.items())]
+    for name, table in tables.items():
+        lines += ["", f"[{name}]"]
+        lines += [f"{key} = {_toml(value)}" for key, value in table.items() if value is not None]
+    return "\n".join(lines) + "\n"
+
+
+def _toml(value: Any) -> str:
+    if isinstance(value, datetime.datetime):
+        return value.isoformat(timespec="seconds")
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        # JSON's escapes are TOML's, but for the raw delete character
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    if isinstance(value, int):
+        return str(value)
+    if isinstance(value, float):
+        return repr(value) if math.isfinite(value) else "nan" if math.isnan(value) else f"{value:+}"
+    if isinstance(value, Mapping):
+        inner = ", ".join(f"{json.dumps(str(k))} = {_toml(v)}" for k, v in value.items() if v is not None)
+        return "{" + inner + "}"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(_toml(item) for item in value) + "]"
+    raise TypeError(f"{type(value).__name__} has no place in a calibration file")

@@ -1,0 +1,202 @@
+"""Camera clock against the host's monotonic clock, and how even the frames come.
+
+Frames are stamped twice: by the camera at exposure and by the host at arrival. The line through
+the pairs relates the clocks; what scatters about it is the way through bus and scheduler, never
+the exposure. Swings need frame times that are even to about 15 us.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from processing.errors import DataError
+
+FRAME_JITTER_LIMIT_S = 15e-6
+"""Frame-time jitter up to this is invisible in the turning points' times; 100 us doubles their error."""
+_FEWEST_FRAMES = 50
+_HUBER = 1.345
+_ROUNDING_S = 1e-9 / 12**0.5
+_JUMP_WINDOW = 25
+
+
+@dataclass(frozen=True, slots=True)
+class ClockJump:
+    """One of the clocks was set, or frames were held back: the relation shifted by `step_s` at `frame`."""
+
+    frame: int
+    step_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class ClockRelation:
+    """host = host_reference_ns + rate (device - device_reference_ns), with what it is worth.
+
+    `rate` is host seconds for one device second; `jitter_s` the robust standard deviation of the
+    arrivals about the line; the offset contains the mean delay of arrival, which no pair of clocks
+    can tell apart. `frame_jitter_s` is the scatter of the camera's own stamps about evenly spaced
+    frames.
+    """
+
+    device_reference_ns: int
+    host_reference_ns: int
+    rate: float
+    u_rate: float
+    u_offset_s: float
+    jitter_s: float
+    frame_period_s: float
+    frame_jitter_s: float
+    jumps: tuple[ClockJump, ...]
+    frames: int
+
+    @property
+    def drift_ppm(self) -> float:
+        """How much the camera's clock is fast against the host's."""
+        return (1.0 / self.rate - 1.0) * 1e6
+
+    @property
+    def u_drift_ppm(self) -> float:
+        """Standard uncertainty of `drift_ppm`."""
+        return self.u_rate * 1e6
+
+    def host_ns(self, device_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Host time of device times, integer ns."""
+        since = device_ns - self.device_reference_ns
+        return self.host_reference_ns + since + np.round(since * (self.rate - 1.0)).astype(np.int64)
+
+
+def unwrap_counter(ticks: NDArray[np.int64], bits: int) -> NDArray[np.int64]:
+    """Counter readings of a `bits` wide counter made continuous; each wrap adds 2**bits.
+
+    The readings must be in order and nearer to each other than half the counter's range.
+    """
+    if len(ticks) == 0:
+        return ticks.astype(np.int64)
+    span = 1 << bits
+    steps = np.mod(np.diff(ticks.astype(np.int64)), np.int64(span))
+    if len(steps) and int(steps.max()) > span // 2:
+        frame = int(np.argmax(steps > span // 2))
+        raise DataError(
+            f"camera clock: runs backwards after frame {frame} ({ticks[frame]} then {ticks[frame + 1]} ticks "
+            f"of a {bits}-bit counter); restart the camera"
+        )
+    return np.concatenate([ticks[:1].astype(np.int64), ticks[0] + np.cumsum(steps)])
+
+
+def relate_clocks(
+    device_ns: NDArray[np.int64], host_ns: NDArray[np.int64], sequence: NDArray[np.int64]
+) -> ClockRelation:
+    """Robust line through pairs of stamps.
+
+    Parameters
+    ----------
+    device_ns, host_ns, sequence
+        Stamps and frame numbers of frames in order, one length.
+
+    Raises
+    ------
+    DataError
+        Fewer than 50 frames, arrays of different lengths, or a clock that runs backwards.
+
+    Notes
+    -----
+    Huber's M-estimate (P. J. Huber, Robust Statistics, 1981) with the sandwich covariance, since
+    arrivals have a long tail of late ones. After a jump the segments share one rate and get
+    offsets of their own.
+    """
+    if not (len(device_ns) == len(host_ns) == len(sequence)):
+        raise DataError(
+            f"clock: {len(device_ns)} device stamps, {len(host_ns)} host stamps, {len(sequence)} numbers"
+        )
+    if len(device_ns) < _FEWEST_FRAMES:
+        raise DataError(f"clock: {len(device_ns)} frames, {_FEWEST_FRAMES} are needed; record for longer")
+    for name, stamps in (("camera", device_ns), ("host", host_ns)):
+        backwards = np.nonzero(np.diff(stamps) <= 0)[0]
+        if len(backwards):
+            raise DataError(
+                f"clock: the {name}'s clock does not advance after frame {sequence[backwards[0]]} "
+                f"({stamps[backwards[0]]} ns, then {stamps[backwards[0] + 1]} ns)"
+            )
+    # the clocks differ by ppm: fitting the difference keeps all digits
+    since_s = (device_ns - device_ns[0]) * 1e-9
+    ahead_s = ((host_ns - host_ns[0]) - (device_ns - device_ns[0])) * 1e-9
+    breaks = _jumps(since_s, ahead_s)
+    segment = np.searchsorted(breaks, np.arange(len(since_s)), side="right")
+    design = np.column_stack([since_s, *(segment == k for k in range(len(breaks) + 1))]).astype(float)
+    values, covariance, sigma = _huber(design, ahead_s)
+    offsets = values[1:]
+    period_s, frame_jitter_s = _frame_period(since_s, sequence)
+    return ClockRelation(
+        device_reference_ns=int(device_ns[0]),
+        host_reference_ns=int(host_ns[0]) + round(float(offsets[0]) * 1e9),
+        rate=1.0 + float(values[0]),
+        u_rate=float(np.sqrt(covariance[0, 0])),
+        u_offset_s=float(np.sqrt(covariance[1, 1])),
+        jitter_s=sigma,
+        frame_period_s=period_s,
+        frame_jitter_s=frame_jitter_s,
+        jumps=tuple(
+            ClockJump(int(sequence[frame]), float(step))
+            for frame, step in zip(breaks, np.diff(offsets), strict=True)
+        ),
+        frames=len(device_ns),
+    )
+
+
+def _robust_sigma(values: NDArray[np.float64]) -> float:
+    # 1.4826: the median absolute deviation of a normal distribution is sigma / 1.4826
+    return float(1.4826 * np.median(np.abs(values - np.median(values))))
+
+
+def _jumps(since_s: NDArray[np.float64], ahead_s: NDArray[np.float64]) -> list[int]:
+    """Frames at which the relation steps and stays; medians tell a jump from a late frame."""
+    window = _JUMP_WINDOW
+    if len(ahead_s) < 4 * window:
+        return []
+    rate = np.median(np.diff(ahead_s) / np.diff(since_s))
+    flat = ahead_s - rate * since_s
+    views = np.median(np.lib.stride_tricks.sliding_window_view(flat, window), axis=1)
+    step = views[window:] - views[:-window]
+    noise = _robust_sigma(np.diff(flat)) / np.sqrt(2.0)
+    limit = max(8.0 * noise, 8.0 * _robust_sigma(step), 1e-6)
+    found: list[int] = []
+    candidates = np.nonzero(np.abs(step) > limit)[0]
+    while len(candidates):
+        top = candidates[np.argmax(np.abs(step[candidates]))]
+        # the medians see the step over a whole window; the largest single difference marks its frame
+        around = slice(max(int(top), 0), int(top) + 2 * window - 1)
+        frame = around.start + int(np.argmax(np.abs(np.diff(flat)[around]))) + 1
+        found.append(frame)
+        candidates = candidates[np.abs(candidates - top) > 2 * window]
+    return sorted(found)
+
+
+def _huber(
+    design: NDArray[np.float64], values: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+    solution = np.linalg.lstsq(design, values, rcond=None)[0]
+    sigma = _robust_sigma(values - design @ solution)
+    for _ in range(60):
+        residual = values - design @ solution
+        sigma = max(_robust_sigma(residual), 1e-12)
+        weight = np.minimum(1.0, _HUBER * sigma / np.maximum(np.abs(residual), 1e-300))
+        root = np.sqrt(weight)[:, None]
+        new = np.linalg.lstsq(design * root, values * root[:, 0], rcond=None)[0]
+        if np.allclose(new, solution, rtol=1e-13, atol=1e-16):
+            solution = new
+            break
+        solution = new
+    residual = (values - design @ solution) / sigma
+    psi = np.clip(residual, -_HUBER, _HUBER)
+    inside = np.mean(np.abs(residual) < _HUBER)
+    dof = len(values) - design.shape[1]
+    # stamps are whole ns: no line through them is known better than their rounding allows
+    scale = max(sigma**2 * float(psi @ psi) / dof / inside**2, _ROUNDING_S**2)
+    covariance = scale * np.linalg.inv(design.T @ design)
+    return solution.astype(np.float64), covariance.astype(np.float64), sigma
+
+
+def _frame_period(since_s: NDArray[np.float64], sequence: NDArray[np.int64]) -> tuple[float, float]:
+    design = np.column_stack([sequence - sequence[0], np.ones(len(sequence))]).astype(float)
+    values, _, sigma = _huber(design, since_s)
+    return float(values[0]), sigma
