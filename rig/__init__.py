@@ -1,0 +1,1 @@
+"""The instrument put together: command line, configuration, session, control, view, report."""

@@ -1,0 +1,264 @@
+"""From a closed record to fits: the record alone is read, results stand beside it."""
+
+import datetime
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from acquisition.record.digest import sha256_of
+from acquisition.record.reader import RecordReader
+from acquisition.record.topics import ENVIRONMENT
+from processing.angle import ARCSEC_RAD
+from processing.contact.moments import surface_energy
+from processing.contact.parameters import PendulumOnBall
+from processing.errors import DataError
+from processing.fit.asymptotic import fit_asymptotic
+from processing.fit.exact import fit_exact
+from processing.fit.least_squares import Loss
+from processing.fit.result import FitResult
+from processing.swing import Swing, TurningPoints, turning_points
+from rig.calibration_use import judge_calibration
+from rig.config import Configuration, FitSettings
+from rig.evaluation import Evaluation, evaluate, rig_quantities
+from rig.evaluation_tree import series_tree
+from rig.instrument import pendulum_on_ball
+from rig.provenance import recorded_configuration
+from rig.reduction import Air, Samples, reduce_run
+from rig.reduction_series import reduce_series
+from rig.results import RunResult, results_tree, write_results
+
+
+@dataclass(frozen=True, slots=True)
+class DecayFits:
+    """Both fits of one decay; `problem` says in one line why they are missing."""
+
+    fits: Mapping[str, FitResult]
+    surface_energy: Mapping[str, Any]
+    problem: str = ""
+
+
+def fit_decay(points: TurningPoints, pendulum: PendulumOnBall | None, settings: FitSettings) -> DecayFits:
+    """Asymptotic and exact fit of turning points; a decay that cannot be fitted is said, not raised."""
+    if pendulum is None:
+        return DecayFits(
+            {}, {}, "no [pendulum] in the configuration: state mass_kg and ball_radius_m to fit the contact"
+        )
+    loss: Loss = "soft_l1" if settings.robust else "linear"
+    try:
+        fits = {
+            "asymptotic": fit_asymptotic(
+                points, pendulum, drag=settings.drag, loss=loss, printed_curvature=settings.printed_055
+            ),
+            "exact": fit_exact(points, pendulum, drag=settings.drag, loss=loss),
+        }
+    except DataError as error:
+        return DecayFits({}, {}, str(error))
+    energies = {name: _energy(fit, pendulum) for name, fit in fits.items()}
+    return DecayFits(fits, {**energies["exact"], "asymptotic": energies["asymptotic"]})
+
+
+def _energy(fit: FitResult, pendulum: PendulumOnBall) -> dict[str, dict[str, float]]:
+    """Both forms of the surface energy; each is proportional to c, and so is its uncertainty."""
+    c = fit.estimate("c")
+    value = surface_energy(c.value, pendulum)
+    unit = surface_energy(1.0, pendulum)
+    return {
+        "table2": {
+            "value": value.table2_j_per_m2,
+            "standard_uncertainty": c.standard_uncertainty * unit.table2_j_per_m2,
+        },
+        "eq2": {
+            "value": value.eq2_j_per_m2,
+            "standard_uncertainty": c.standard_uncertainty * unit.eq2_j_per_m2,
+        },
+    }
+
+
+def analyse_record(path: Path, overrides: Sequence[str] = ()) -> RunResult:
+    """Fit one closed record; `overrides` change its configuration (fit settings, pendulum) for this fit."""
+    with RecordReader(path) as reader:
+        config = recorded_configuration(reader, overrides)
+        swings = reader.swings()
+        spots = reader.spots()
+        sequences = spots["sequence"]
+        began, ended = (
+            _utc(reader, spots["time_ns"][at]) if len(spots) else _utc(reader, 0) for at in (0, -1)
+        )
+        calibration, doubts = judge_calibration(config, reader.attachments, began, ended)
+        truncated, damages = reader.truncated, reader.damages
+        samples, air = recorded_samples(reader), recorded_air(reader, config)
+    result = analyse_swings(path, swings, config, samples, air)
+    warnings = [*result.warnings, *doubts]
+    if truncated:
+        warnings.append("the record was cut short; rig recover makes a whole file of it")
+    warnings += [f"damaged chunk: {damage.what}" for damage in damages]
+    dropped = int(sequences[-1]) + 1 - len(sequences) if len(sequences) else 0
+    return replace(
+        result,
+        frames=len(sequences),
+        dropped_frames=dropped,
+        warnings=tuple(warnings),
+        calibration=calibration,
+    )
+
+
+def recorded_samples(reader: RecordReader) -> Samples:
+    """The deflections of a record."""
+    table = reader.spots()
+    return Samples(table["time_ns"], table["x_rad"], table["y_rad"], table["u_x_rad"], table["u_y_rad"])
+
+
+def recorded_air(reader: RecordReader, config: Configuration) -> Air:
+    """Means over a record of what its sensor read; what it did not read, as the user stated it."""
+    stated = config.environment
+    table = reader.table(ENVIRONMENT.topic)
+    means = []
+    for name, value in (
+        ("temperature_c", stated.temperature_c),
+        ("humidity_percent", stated.humidity_percent),
+    ):
+        read = table[name][np.isfinite(table[name])] if len(table) else np.empty(0)
+        means.append(float(np.mean(read)) if len(read) else math.nan if value is None else value)
+    return Air(*means)
+
+
+def analyse_swings(
+    path: Path,
+    swings: Sequence[Swing],
+    config: Configuration,
+    samples: Samples | None = None,
+    air: Air | None = None,
+) -> RunResult:
+    """Reduce the half-cycles of one run as its kind of pendulum asks.
+
+    `path` is the record that they come from, `samples` and `air` what it holds beside them.
+    """
+    if config.instrument.description().report != "contact" and config.lever is not None:
+        return _reduced(path, swings, config, samples, air or Air())
+    calibrated = config.lever is not None
+    unit_rad = ARCSEC_RAD if calibrated else 1.0
+    good = [swing for swing in swings if swing.flags == 0]
+    points = _in_true_time(turning_points(swings), config)
+    pendulum = pendulum_on_ball(config)
+    if calibrated:
+        decay = fit_decay(points, pendulum, config.fit)
+    else:
+        decay = DecayFits(
+            {}, {}, "the record has no calibration (no [lever]): amplitudes are in px, the laws need rad"
+        )
+    warnings = _fit_warnings(decay.fits)
+    sha256 = sha256_of(path)
+    evaluation: Evaluation | None = None
+    if decay.fits and pendulum is not None:
+        seed = int(sha256[:12], 16)
+        evaluation = evaluate(points, pendulum, decay.fits["exact"], rig_quantities(config), seed)
+    return RunResult(
+        record=path,
+        sha256=sha256,
+        frames=0,
+        dropped_frames=0,
+        half_cycles=len(good),
+        initial_amplitude_arcsec=good[0].amplitude / unit_rad if good else math.nan,
+        final_amplitude_arcsec=good[-1].amplitude / unit_rad if good else math.nan,
+        fits=decay.fits,
+        surface_energy_j_per_m2=decay.surface_energy,
+        problem=decay.problem,
+        warnings=tuple(dict.fromkeys(warnings)),
+        points=points,
+        evaluation=evaluation,
+        settings=config.fit.model_dump(),
+    )
+
+
+def _reduced(
+    path: Path, swings: Sequence[Swing], config: Configuration, samples: Samples | None, air: Air
+) -> RunResult:
+    """A run of a pendulum that is not described by the contact's laws."""
+    reduction = reduce_run(config.instrument, swings, samples, air)
+    points = reduction.points
+    return RunResult(
+        record=path,
+        sha256=sha256_of(path),
+        frames=0,
+        dropped_frames=0,
+        half_cycles=len(points),
+        initial_amplitude_arcsec=float(points.amplitude_rad[0]) / ARCSEC_RAD if len(points) else math.nan,
+        final_amplitude_arcsec=float(points.amplitude_rad[-1]) / ARCSEC_RAD if len(points) else math.nan,
+        fits={},
+        surface_energy_j_per_m2={},
+        problem=reduction.problem,
+        points=points,
+        settings=config.instrument.model_dump(mode="json"),
+        reduction=reduction,
+    )
+
+
+def _in_true_time(points: TurningPoints, config: Configuration) -> TurningPoints:
+    """Times of the camera's clock in true seconds, as its calibration has it."""
+    rate = config.timebase.camera_rate if config.timebase is not None else 1.0
+    return replace(points, time_s=points.time_s * rate, u_time_s=points.u_time_s * rate)
+
+
+def _utc(reader: RecordReader, time_ns: int) -> datetime.datetime:
+    return datetime.datetime.fromtimestamp((int(time_ns) + reader.epoch_offset_ns) * 1e-9, datetime.UTC)
+
+
+def _fit_warnings(fits: Mapping[str, FitResult]) -> list[str]:
+    """What every fit says once; what only one of them says with its name."""
+    found: dict[str, list[str]] = {}
+    for name, fit in fits.items():
+        for warning in fit.warnings:
+            found.setdefault(warning, []).append(name)
+    return [
+        warning if len(names) == len(fits) else f"{names[0]} fit: {warning}"
+        for warning, names in found.items()
+    ]
+
+
+def combine(runs: Sequence[RunResult]) -> dict[str, Any]:
+    """Parameters of a series: see `processing.fit.series`; empty for fewer than two fitted runs.
+
+    Of other instruments, what their runs say together: places on the sample, the reference.
+    """
+    reductions = [run.reduction for run in runs if run.reduction is not None]
+    if reductions:
+        values, _ = reduce_series(reductions)
+        return {"instrument": values} if values else {}
+    fitted = [run for run in runs if run.fits and run.points is not None and run.evaluation is not None]
+    first = fitted[0].evaluation if fitted else None
+    if len(fitted) < 2 or first is None:
+        return {}
+    return series_tree(
+        {name: [run.fits[name] for run in fitted] for name in fitted[0].fits},
+        [run.points for run in fitted if run.points is not None],
+        first.pendulum,
+        first.rig,
+        printed_curvature=bool(fitted[0].settings.get("printed_055")),
+    )
+
+
+def fit_records(paths: Sequence[Path], output: Path | None, overrides: Sequence[str]) -> int:
+    """`rig fit` on records: results.json in `output` or beside the first record; exit status."""
+    from rig.view.terminal import print_results
+
+    results = [analyse_record(path, overrides) for path in paths]
+    folder = output or paths[0].parent
+    target = folder / "results.json"
+    if target.exists() and output is None:
+        target = free_name(folder, "results", ".json")
+    folder.mkdir(parents=True, exist_ok=True)
+    write_results(target, results_tree(results, folder, combine(results)))
+    print_results(results, [("results", target)])
+    return 1 if any(result.problem for result in results) else 0
+
+
+def free_name(folder: Path, stem: str, suffix: str) -> Path:
+    """First of stem-2, stem-3... that does not exist: a fit made again stands beside the earlier one."""
+    number = 2
+    while (folder / f"{stem}-{number}{suffix}").exists():
+        number += 1
+    return folder / f"{stem}-{number}{suffix}"

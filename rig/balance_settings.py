@@ -1,0 +1,31 @@
+"""What a user says of the balance: limits, and the trimming weights as their drawings have them."""
+
+from pydantic import BaseModel, Field
+
+
+class WeightSettings(BaseModel, frozen=True, extra="forbid"):
+    """A weight on a screw. `sense` -1: a clockwise turn carries it the negative way; mass 0: not known."""
+
+    mass_kg: float = Field(default=0.002, ge=0)
+    pitch_m: float = Field(default=0.5e-3, gt=0, description="of the thread, a turn")
+    sense: int = Field(default=1, ge=-1, le=1)
+
+
+class BalanceSettings(BaseModel, frozen=True, extra="forbid"):
+    """Balancing: the limits, what is known of the pendulum and its weights. What a turn does is learned."""
+
+    rest_arcsec: float = Field(default=10.0, gt=0)
+    height_m: float = Field(default=20e-6, gt=0)
+    line_angle_deg: float = Field(default=0.5, gt=0)
+    transverse_ratio: float = Field(default=0.01, gt=0)
+    width_ratio: float = Field(default=0.01, gt=0)
+    spin_deg_per_min: float = Field(default=0.2, gt=0)
+    seconds: float = Field(default=14.0, gt=9, description="of swinging for one look; three periods")
+    inertia_kg_m2: float | None = Field(
+        default=None, gt=0, description="about the contact; None: the height is not told"
+    )
+    gamma_pa: float = Field(default=0.0, ge=0, description="elastic adhesion, for T0 from T; 0: T is taken")
+    n: float = Field(default=0.1, ge=0)
+    weight_x: WeightSettings = WeightSettings()
+    weight_y: WeightSettings = WeightSettings()
+    weight_height: WeightSettings = WeightSettings(mass_kg=0.005, pitch_m=0.7e-3)

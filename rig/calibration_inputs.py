@@ -1,0 +1,148 @@
+"""What a user states for a calibration: ladders and lists of frames, as TOML files."""
+
+import tomllib
+from pathlib import Path
+from typing import Any, Literal, Self, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, Field, ValidationError, model_validator
+
+from acquisition.cameras.files.sources import Unreadable, open_source
+from acquisition.record.reader import RecordReader
+from calibration.lever_fit import LadderSteps
+from calibration.lever_geometry import LeverGeometry
+from processing.angle import ARCSEC_RAD
+from processing.errors import ConfigurationError, DataError
+
+Image = NDArray[np.uint8] | NDArray[np.uint16]
+_Model = TypeVar("_Model", bound=BaseModel)
+_MOST_FRAMES = 64
+_UNITS = {
+    "tilt": {"rad": 1.0, "mrad": 1e-3, "urad": 1e-6, "arcsec": ARCSEC_RAD, "arcmin": 60.0 * ARCSEC_RAD},
+    "shift": {"m": 1.0, "mm": 1e-3, "um": 1e-6},
+}
+
+
+class Step(BaseModel, frozen=True, extra="forbid"):
+    """One setting: the reference's reading, and a record at rest or the spot itself."""
+
+    reference: float
+    record: Path | None = None
+    x_px: float = 0.0
+    y_px: float = 0.0
+    u_px: float = Field(default=0.0, ge=0)
+
+    @model_validator(mode="after")
+    def _either(self) -> Self:
+        if (self.record is None) == (self.u_px == 0.0):
+            raise ValueError("a step needs either a record or x_px, y_px and u_px")
+        return self
+
+
+class LadderFile(BaseModel, frozen=True, extra="forbid"):
+    """A ladder, or the geometry of the lever in its place.
+
+    Steps stand in the order in which they were climbed. `u_reference` is the standard uncertainty of
+    one setting, in `unit`; `u_reference_relative` that of the reference's own scale. Records are
+    named relative to the file.
+    """
+
+    kind: Literal["tilt", "shift"] = "tilt"
+    unit: str = "arcsec"
+    u_reference: float = Field(default=0.0, ge=0)
+    u_reference_relative: float = Field(default=0.0, ge=0)
+    pixel_pitch_m: float | None = Field(default=None, gt=0, lt=1e-3)
+    arm_m: float | None = Field(default=None, gt=0)
+    u_arm_m: float = Field(default=0.0, ge=0)
+    step: tuple[Step, ...] = ()
+    geometry: LeverGeometry | None = None
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if self.unit not in _UNITS[self.kind]:
+            raise ValueError(f"unit = {self.unit!r}: {', '.join(_UNITS[self.kind])} for a {self.kind}")
+        if (self.geometry is None) == (not self.step):
+            raise ValueError("state either [[step]] or [geometry]")
+        return self
+
+    def in_si(self, reading: float) -> float:
+        """A reading in rad or m."""
+        return reading * _UNITS[self.kind][self.unit]
+
+    def needed(self, name: Literal["pixel_pitch_m", "arm_m"]) -> float:
+        """A value that this kind of ladder does not give and needs. Raises ConfigurationError."""
+        value: float | None = getattr(self, name)
+        if value is None:
+            raise ConfigurationError(f"{name} is missing: a ladder of {self.kind}s needs it")
+        return value
+
+    def steps(self, rows: list[tuple[float, float, float, float]]) -> LadderSteps:
+        """The ladder with the spots (x, y, u_x, u_y in px) of its steps."""
+        table = np.array(rows, dtype=np.float64).reshape(-1, 4)
+        count = len(table)
+        reference = np.array([self.in_si(step.reference) for step in self.step])
+        return LadderSteps(reference, np.full(count, self.in_si(self.u_reference)), *table.T)
+
+
+class Level(BaseModel, frozen=True, extra="forbid"):
+    """Frames of one exposure and one illumination; the first two serve."""
+
+    frames: Path
+    exposure_us: float | None = Field(default=None, gt=0)
+
+
+class TransferFile(BaseModel, frozen=True, extra="forbid"):
+    """Dark frames and levels: records, folders of images or .npy stacks, named relative to the file."""
+
+    darks: Path
+    level: tuple[Level, ...]
+    full_scale_dn: int | None = Field(default=None, gt=1, description="None: as the frames' files say")
+
+
+def read_ladder(path: Path) -> LadderFile:
+    """A ladder's file. Raises ConfigurationError in one line."""
+    return _read(path, LadderFile)
+
+
+def read_transfer(path: Path) -> TransferFile:
+    """A photon transfer's file. Raises ConfigurationError in one line."""
+    return _read(path, TransferFile)
+
+
+def frames_of(path: Path) -> tuple[list[Image], int]:
+    """Whole frames (at most 64) and full scale of a record, a folder of images or a stack.
+
+    Raises DataError where there are none, or they have colours.
+    """
+    if path.suffix == ".mcap":
+        with RecordReader(path) as reader:
+            full_scale = int(reader.metadata.get("camera", {}).get("full_scale_dn", "255"))
+            images = [frame.image for frame, _ in zip(reader.images(), range(_MOST_FRAMES), strict=False)]
+        if not images:
+            raise DataError(f"{path}: holds no whole frames")
+        return images, full_scale
+    source = open_source(path)
+    try:
+        stored = [source.read(index) for index in range(min(source.count, _MOST_FRAMES))]
+    except (Unreadable, OSError) as error:
+        raise DataError(f"{path}: {error}") from None
+    finally:
+        source.close()
+    if not stored or any(item.pixels.ndim != 2 for item in stored):
+        raise DataError(f"{path}: grey frames are needed")
+    return [item.pixels for item in stored], stored[0].full_scale
+
+
+def _read(path: Path, model: type[_Model]) -> _Model:
+    try:
+        tree: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
+        return model.model_validate(tree)
+    except OSError as error:
+        raise ConfigurationError(f"{path}: cannot be read: {error.strerror or error}") from None
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise ConfigurationError(f"{path}: is not TOML: {error}") from None
+    except ValidationError as error:
+        fault = error.errors()[0]
+        place = ".".join(str(part) for part in fault["loc"])
+        raise ConfigurationError(f"{path}: {place}{': ' if place else ''}{fault['msg']}") from None

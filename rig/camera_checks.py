@@ -1,0 +1,56 @@
+"""Whether this computer is fit for a USB camera: plain values for a table."""
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from acquisition.cameras.usb3vision.discovery import FoundCamera, udev_rule
+from rig.control.ports import Check
+
+_USBFS_MEMORY = Path("/sys/module/usbcore/parameters/usbfs_memory_mb")
+_SLOW = ("low", "full", "high")
+_BUFFERED_FRAMES = 8
+
+
+def check_usb_camera(camera: FoundCamera) -> tuple[Check, ...]:
+    """Permission, and the speed that the port has agreed on."""
+    rule = udev_rule()
+    allowed = Check(
+        "camera permission",
+        camera.accessible,
+        camera.name if camera.accessible else f"{camera.name} may not be opened",
+        ""
+        if camera.accessible
+        else f"copy {rule} to /etc/udev/rules.d, run 'sudo udevadm control --reload', plug it in again",
+    )
+    slow = camera.usb_speed.split()[0].lower() in _SLOW if camera.usb_speed else False
+    speed = Check(
+        "camera USB speed",
+        not slow,
+        camera.usb_speed or "unknown",
+        "use a USB 3 port (blue, or marked SS) and a USB 3 cable, without a hub" if slow else "",
+    )
+    return allowed, speed
+
+
+def check_usb_cameras(cameras: Sequence[FoundCamera]) -> tuple[Check, ...]:
+    """All USB3 Vision cameras that are plugged in; nothing where there are none."""
+    return tuple(check for camera in cameras for check in check_usb_camera(camera))
+
+
+def check_usb_memory(frame_bytes: int, memory: Path = _USBFS_MEMORY) -> tuple[Check, ...]:
+    """Whether Linux lends enough memory to USB transfers for some frames to be under way at once."""
+    if sys.platform != "linux" or not memory.is_file():
+        return ()
+    limit_mb = int(memory.read_text())
+    wanted_mb = -(-_BUFFERED_FRAMES * frame_bytes // 2**20)
+    # 0 means without a limit
+    enough = limit_mb == 0 or limit_mb >= wanted_mb
+    return (
+        Check(
+            "USB buffer memory",
+            enough,
+            f"{limit_mb} MB for all USB devices, {wanted_mb} MB hold {_BUFFERED_FRAMES} frames",
+            "" if enough else f"echo {2 * wanted_mb} | sudo tee {memory}",
+        ),
+    )

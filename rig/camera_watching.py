@@ -1,0 +1,53 @@
+"""The newest frames of a camera for someone who looks on: what is seen is now."""
+
+import threading
+import time
+from collections.abc import Iterator
+
+from acquisition.camera import Camera
+from acquisition.frame import Frame
+from acquisition.frame_queue import FrameQueue
+
+_LOOK_S = 0.2
+
+
+def watch_latest(
+    camera: Camera, queue: FrameQueue, at_least: int, end_s: float, timeout_s: float = 5.0
+) -> Iterator[list[Frame]]:
+    """Blocks of `at_least` frames, five a second at most; older ones are dropped by the queue.
+
+    The camera is configured and stopped; it is stopped again in the end, at the monotonic time
+    `end_s`, when its source ends, or when the one who looks on goes away. What the camera raises
+    is raised here.
+    """
+    errors: list[Exception] = []
+
+    def acquire() -> None:
+        try:
+            while (frame := camera.read(timeout_s)) is not None and queue.put(frame) is not None:
+                if ended.is_set():
+                    break
+        except Exception as error:
+            errors.append(error)
+        finally:
+            queue.close()
+
+    ended = threading.Event()
+    camera.start()
+    thread = threading.Thread(target=acquire, name="camera", daemon=True)
+    thread.start()
+    try:
+        while time.monotonic() < end_s and not queue.drained:
+            frames: list[Frame] = []
+            while len(frames) < at_least and not queue.drained:
+                frames += queue.take(at_least - len(frames), 0.1)
+            if frames:
+                yield frames
+            time.sleep(_LOOK_S)
+        if errors:
+            raise errors[0]
+    finally:
+        ended.set()
+        queue.close()
+        camera.stop()
+        thread.join(timeout_s)

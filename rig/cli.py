@@ -1,0 +1,76 @@
+"""The command line: parses, calls, and turns an error into one line and an exit status.
+
+Heavy imports stand inside the commands, so that ``rig --help`` answers at once.
+"""
+
+import logging
+import sys
+from typing import Annotated
+
+import typer
+
+from processing.errors import ConfigurationError, RigError
+from rig.commands import calibration, camera, instruments, measure, physics, records, reporting
+from rig.commands import session as session_commands
+
+app = typer.Typer(
+    name="rig",
+    help="Optical pendulum rig: measure, replay, view and analyse the free decay of a pendulum on one ball.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+measure.register(app)
+session_commands.register(app)
+records.register(app)
+physics.register(app)
+instruments.register(app)
+calibration.register(app)
+reporting.register(app)
+camera.register(app)
+
+
+@app.callback()
+def _options(
+    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks and debug messages.")] = False,
+) -> None:
+    logging.basicConfig(
+        level=logging.DEBUG if debug else logging.WARNING,
+        format="%(levelname)s %(name)s: %(message)s" if debug else "%(message)s",
+        stream=sys.stderr,
+    )
+
+
+def main() -> None:
+    """Entry point of the ``rig`` script: exit status 2 for wrong usage, 1 for a failed measurement."""
+    debug = "--debug" in sys.argv
+    if debug:
+        # accepted anywhere on the line, because that is where one adds it after an error
+        sys.argv = [sys.argv[0], "--debug", *(word for word in sys.argv[1:] if word != "--debug")]
+    try:
+        status = app(standalone_mode=False)
+    except (typer.Abort, KeyboardInterrupt):
+        print("rig: stopped by the user", file=sys.stderr)
+        status = 130
+    except BrokenPipeError:
+        sys.stderr.close()
+        status = 0
+    except Exception as error:
+        if debug:
+            raise
+        status = _say(error)
+    sys.exit(status if isinstance(status, int) else 0)
+
+
+def _say(error: Exception) -> int:
+    """One line on stderr for an error, and its exit status."""
+    if isinstance(error, RigError):
+        text, status = str(error), 2 if isinstance(error, ConfigurationError) else 1
+    elif hasattr(error, "format_message"):
+        # wrong usage, as the command-line library reports it
+        text, status = error.format_message(), 2
+    else:
+        text, status = f"{type(error).__name__}: {error} (--debug shows where)", 1
+    print(f"rig: {' '.join(text.split())}", file=sys.stderr)
+    return status

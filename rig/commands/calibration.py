@@ -1,0 +1,122 @@
+"""Commands that calibrate."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+if TYPE_CHECKING:
+    from rig.calibrating import Filing
+
+Record = Annotated[Path, typer.Argument(help="A record, an MCAP file.", show_default=False)]
+Ladder = Annotated[Path, typer.Argument(help="Steps or geometry, a TOML file.", show_default=False)]
+Folder = Annotated[Path, typer.Option("-o", "--output", help="Folder of the calibration files.")]
+Days = Annotated[float, typer.Option("--valid-days", help="How long it holds.", min=0.01)]
+By = Annotated[str, typer.Option("--by", help="Who made it; the user's name without.")]
+Side = Annotated[
+    Literal["+", "-"] | None, typer.Option(help="Side on which the record's first frame has this mode.")
+]
+_FOLDER = Path("calibrations")
+_DAYS = 90.0
+
+
+def register(app: typer.Typer) -> None:
+    """Add `rig calibrate`."""
+    group = typer.Typer(help="Make a calibration file.", no_args_is_help=True)
+    group.command("lever")(lever)
+    group.command("axes")(axes)
+    group.command("sensor")(sensor)
+    group.command("clock")(clock)
+    group.command("pointing")(pointing)
+    group.command("check")(check)
+    app.add_typer(group, name="calibrate")
+
+
+def lever(ladder: Ladder, output: Folder = _FOLDER, valid_days: Days = _DAYS, by: By = "") -> None:
+    """Pixels to radians: from geometry, known tilts or known shifts of the sensor."""
+    from rig.calibrating import calibrate_lever
+
+    _say(calibrate_lever(ladder, _filing(output, valid_days, by)))
+
+
+def axes(
+    record: Record,
+    output: Folder = _FOLDER,
+    valid_days: Days = _DAYS,
+    by: By = "",
+    slow_began: Side = None,
+    fast_began: Side = None,
+) -> None:
+    """Directions of both modes on the sensor, from a record in which both swing."""
+    from rig.calibrating import calibrate_axes
+
+    _say(calibrate_axes(record, _filing(output, valid_days, by), slow_began, fast_began))
+
+
+def sensor(
+    frames: Annotated[Path, typer.Argument(help="Dark frames and levels, a TOML file.", show_default=False)],
+    output: Folder = _FOLDER,
+    valid_days: Days = _DAYS,
+    by: By = "",
+) -> None:
+    """Gain, read noise and dark level by photon transfer."""
+    from rig.calibrating import calibrate_sensor
+
+    _say(calibrate_sensor(frames, _filing(output, valid_days, by)))
+
+
+def clock(
+    record: Record,
+    output: Folder = _FOLDER,
+    valid_days: Days = _DAYS,
+    by: By = "",
+    counter_bits: Annotated[
+        int | None, typer.Option(help="Width of a camera counter of ns that rolls over.", min=16, max=62)
+    ] = None,
+) -> None:
+    """The camera's clock against the host's."""
+    from rig.calibrating import calibrate_clock
+
+    _say(calibrate_clock(record, _filing(output, valid_days, by), counter_bits))
+
+
+def pointing(record: Record, output: Folder = _FOLDER, valid_days: Days = _DAYS, by: By = "") -> None:
+    """Noise and drift of the spot while the pendulum is clamped."""
+    from rig.calibrating import calibrate_pointing
+
+    _say(calibrate_pointing(record, _filing(output, valid_days, by)))
+
+
+def check(
+    ladder: Ladder,
+    lever: Annotated[Path, typer.Option(help="Calibration file of the lever in use.", show_default=False)],
+    output: Folder = _FOLDER,
+    valid_days: Days = _DAYS,
+    by: By = "",
+) -> None:
+    """Known tilts against the lever in use, before and after a series."""
+    from rig.calibrating import check_known_angle
+
+    _say(check_known_angle(ladder, lever, _filing(output, valid_days, by)))
+
+
+def _filing(folder: Path, valid_days: float, by: str) -> "Filing":
+    from rig.calibrating import Filing
+
+    return Filing(folder, valid_days, by)
+
+
+def _say(path: Path) -> None:
+    """What is in the new file, in a few lines."""
+    from calibration.store import read_calibration
+
+    found = read_calibration(path)
+    print(f"{found.kind}: {found.method}, valid until {found.valid_until:%Y-%m-%d}")
+    for name, value in {**found.values, **found.details}.items():
+        if isinstance(value, bool | str):
+            print(f"  {name:24} {value}")
+        elif isinstance(value, int | float):
+            print(f"  {name:24} {value:.6g}")
+    for note in found.notes:
+        print(f"note: {note}")
+    print(path)

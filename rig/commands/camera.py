@@ -1,0 +1,187 @@
+"""`rig devices` and `rig camera`: what is plugged in, and a look through it."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from rig.commands.measure import Config, Set
+
+if TYPE_CHECKING:
+    from acquisition.camera import Camera, CameraInfo, CameraSettings
+    from rig.camera_picture import PictureFigures
+
+Average = Annotated[int, typer.Option(help="Frames to average, against laser speckle.", min=1, max=10_000)]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands of this module."""
+    app.command("devices")(devices)
+    camera = typer.Typer(help="Look through the camera, and at its settings.", no_args_is_help=True)
+    camera.command("show")(show)
+    camera.command("set")(set_features)
+    camera.command("snap")(snap)
+    camera.command("focus")(focus)
+    camera.command("expose")(expose)
+    app.add_typer(camera, name="camera")
+
+
+def devices() -> None:
+    """List cameras (with driver, serial number, modes) and serial ports."""
+    from rig.camera_finding import list_cameras
+    from rig.control.ports import list_serial_ports
+
+    cameras, notes = list_cameras()
+    for camera in cameras:
+        words = [camera.driver, camera.name, camera.serial and f"serial {camera.serial}", camera.place]
+        typer.echo("camera  " + "  ".join(word for word in words if word))
+        for mode in camera.modes:
+            typer.echo(f"          {mode}")
+        if camera.problem:
+            typer.echo(f"          {camera.problem}")
+    if not cameras:
+        typer.echo("no camera is plugged in")
+    for port in list_serial_ports():
+        usb = f"USB {port.vendor:04x}:{port.product:04x}" if port.vendor >= 0 else ""
+        words = [port.device, port.description, usb, port.serial and f"serial {port.serial}"]
+        typer.echo("serial  " + "  ".join(word for word in words if word))
+    for note in notes:
+        typer.echo(f"note    {note}")
+
+
+def show(config: Config, set_: Set = None) -> None:
+    """Open the camera and print who it is, its settings and all its features."""
+    with _opened(config, set_) as (camera, info, applied):
+        typer.echo(f"{info.driver}: {info.vendor} {info.model} serial {info.serial or 'unknown'}")
+        typer.echo(f"sensor {info.width_px} x {info.height_px} px, full scale {info.full_scale_dn} DN")
+        for name, value in applied.model_dump().items():
+            typer.echo(f"camera.{name} = {'unknown' if value is None else value}")
+        features = getattr(camera, "features", None)
+        for reading in features.readings() if features is not None else ():
+            typer.echo(str(reading))
+
+
+def set_features(
+    config: Config,
+    assignments: Annotated[list[str], typer.Argument(metavar="NAME=VALUE...", show_default=False)],
+) -> None:
+    """Set features by their GenICam name, or settings by the name they have in [camera].
+
+    They hold until the camera loses its power; what a measurement needs belongs in the configuration.
+    """
+    from acquisition.camera import CameraSettings
+    from processing.errors import ConfigurationError
+    from rig.config import validate_configuration
+
+    with _opened(config, None) as (camera, _, _):
+        for assignment in assignments:
+            name, equals, value = assignment.partition("=")
+            if not equals:
+                raise ConfigurationError(f"{assignment}: must read NAME=VALUE")
+            if name in CameraSettings.model_fields:
+                asked = validate_configuration({"camera": {name: value}}, str(config)).camera
+                applied = camera.configure(CameraSettings(**{name: getattr(asked, name)}))
+                typer.echo(f"camera.{name} = {getattr(applied, name)}")
+            elif hasattr(camera, "features"):
+                typer.echo(f"{name} = {camera.features.set(name, value)}")
+            else:
+                known = ", ".join(CameraSettings.model_fields)
+                raise ConfigurationError(f"{name}: this camera has no such setting; there are {known}")
+
+
+def snap(
+    config: Config,
+    output: Annotated[Path, typer.Option("-o", "--output", help="PNG to make.")] = Path("snap.png"),
+    average: Average = 1,
+    set_: Set = None,
+) -> None:
+    """Save a frame as PNG, every bit of it, and print its histogram."""
+    import cv2
+
+    from processing.errors import ConfigurationError
+    from rig import camera_picture
+
+    if output.exists():
+        raise ConfigurationError(f"{output}: exists already and is not written over; name another with -o")
+    with _opened(config, set_) as (camera, info, _):
+        camera.start()
+        frames = [frame for frame in (camera.read(5.0) for _ in range(average)) if frame is not None]
+        camera.stop()
+        if len(frames) < average:
+            raise ConfigurationError(f"the camera gave {len(frames)} frames, {average} were asked for")
+        image = camera_picture.average(frames)
+        done, png = cv2.imencode(".png", image)
+        if not done:
+            raise ConfigurationError(f"{output}: can't be written as PNG")
+        output.write_bytes(png.tobytes())
+        for line in camera_picture.histogram_bars(image, info.full_scale_dn):
+            typer.echo(line)
+        typer.echo(_figures_line(camera_picture.figures(image, info.full_scale_dn)))
+        typer.echo(str(output))
+
+
+def focus(
+    config: Config,
+    seconds: Annotated[float, typer.Option(help="Stop after this; 0: at Ctrl-C.", min=0)] = 0.0,
+    average: Average = 1,
+    set_: Set = None,
+) -> None:
+    """Show sharpness and saturation while one turns the lens; sharper is a larger number."""
+    import sys
+    import time
+
+    from acquisition.frame_queue import FrameQueue
+    from rig import camera_picture
+    from rig.camera_watching import watch_latest
+
+    with _opened(config, set_) as (camera, info, _):
+        best = 0.0
+        end_s = time.monotonic() + seconds if seconds else float("inf")
+        queue = FrameQueue(max(average, 1), "latest")
+        for frames in watch_latest(camera, queue, average, end_s):
+            seen = camera_picture.figures(camera_picture.average(frames), info.full_scale_dn)
+            best = max(best, seen.sharpness_per_px)
+            age_ms = (time.monotonic_ns() - frames[-1].host_time_ns) * 1e-6
+            line = f"{_figures_line(seen)}  best {best:.4f}  age {age_ms:.0f} ms"
+            typer.echo(f"\r{line:<100}" if sys.stdout.isatty() else line, nl=not sys.stdout.isatty())
+
+
+def expose(
+    config: Config,
+    target: Annotated[float, typer.Option(help="Peak as a part of full scale.", min=0.05, max=0.95)] = 0.7,
+    set_: Set = None,
+) -> None:
+    """Find the exposure that brings the peak to 70 % of full scale; it then stays fixed."""
+    from rig.auto_exposure import find_exposure
+
+    with _opened(config, set_) as (camera, info, applied):
+        found = find_exposure(camera, info, applied, target)
+        typer.echo(f"peak {found.peak:.1%} of full scale; for the configuration:")
+        typer.echo(f"camera.exposure_us = {found.exposure_us:.6g}")
+
+
+@contextmanager
+def _opened(
+    config: Path, set_: list[str] | None
+) -> Iterator[tuple["Camera", "CameraInfo", "CameraSettings"]]:
+    from rig.config import load_configuration
+    from rig.instrument import camera_settings, make_camera, setting_differences
+
+    loaded = load_configuration(config, set_ or [])
+    camera = make_camera(loaded)
+    try:
+        info = camera.open()
+        asked = camera_settings(loaded)
+        applied = camera.configure(asked)
+        for line in setting_differences(asked, applied):
+            typer.echo(line, err=True)
+        yield camera, info, applied
+    finally:
+        camera.close()
+
+
+def _figures_line(seen: "PictureFigures") -> str:
+    saturated = f"{seen.saturated_px} px SATURATED" if seen.saturated_px else "none saturated"
+    return f"peak {seen.peak:6.1%}  {saturated}  sharpness {seen.sharpness_per_px:.4f} /px"

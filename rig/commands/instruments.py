@@ -1,0 +1,16 @@
+"""`rig instruments`: the kinds of pendulum."""
+
+import typer
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands of this module."""
+    app.command("instruments")(instruments)
+
+
+def instruments() -> None:
+    """List the kinds of pendulum, a sentence each; [instrument] kind selects one."""
+    from processing.instruments.descriptions import INSTRUMENTS
+
+    for description in INSTRUMENTS.values():
+        typer.echo(f"{description.kind:<15} {description.sentence}")

@@ -1,0 +1,1 @@
+"""Serial devices of the rig: controller, laser driver, environment sensor."""

@@ -1,0 +1,257 @@
+"""The rig controller as plain calls; `service.ControlService` calls them from a thread of its own."""
+
+import contextlib
+import math
+import secrets
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from processing.errors import DeviceError
+from rig.control.link import ControllerReset, Link
+from rig.control.protocol import Event
+from rig.control.serial_port import Line, PortLost, SerialPort
+from rig.control.settings import ControllerSettings
+
+_MAKER = "optical-pendulum-rig"
+_PROTOCOL = "1"
+
+
+class InterlockOpen(DeviceError):
+    """The interlock loop is open; the laser stays dark."""
+
+
+class PowerLimit(DeviceError):
+    """More laser power was asked for than a limit allows."""
+
+
+@dataclass(frozen=True, slots=True)
+class ControllerIdentity:
+    """Who the controller is and the power limit stored on it."""
+
+    serial: str
+    firmware: str
+    laser_max_w: float
+
+
+@dataclass(frozen=True, slots=True)
+class ControllerStatus:
+    """The board's outputs and inputs as of its last heartbeat; `trip` is NONE, WATCHDOG or INTERLOCK."""
+
+    uptime_ms: int
+    interlock_closed: bool
+    laser_on: bool
+    laser_power_w: float
+    magnet_on: bool
+    starter_on: bool
+    clamp_closed: bool
+    brake_on: bool
+    trip: str
+    errors_waiting: int
+
+
+@dataclass(frozen=True, slots=True)
+class Environment:
+    """Temperature, humidity and pressure of the air; NaN where no sensor says."""
+
+    temperature_c: float = math.nan
+    humidity_percent: float = math.nan
+    pressure_pa: float = math.nan
+
+
+class Controller:
+    """The rig controller behind a `Line`, real or simulated.
+
+    `open_line` makes the line anew at each `open`, so that a controller that was unplugged can be
+    opened again. All methods block for at most (retries + 1) timeouts and raise DeviceError
+    (`PortLost`, `ReplyTimeout`, `ControllerReset`, `Refused` and those below). One thread calls them.
+    """
+
+    def __init__(
+        self,
+        settings: ControllerSettings,
+        laser_max_w: float,
+        open_line: Callable[[], Line] | None = None,
+    ) -> None:
+        self._settings = settings
+        self._laser_max_w = laser_max_w
+        self._open_line = open_line or (lambda: SerialPort(settings.port, settings.baud, write_timeout_s=1.0))
+        self._line: Line | None = None
+        self._link: Link | None = None
+        self._limit_w = 0.0
+
+    def open(self) -> ControllerIdentity:
+        """Open the line, make sure that a controller of ours answers, begin a session with every output off.
+
+        Raises DeviceError where the port is missing or another device answers.
+        """
+        self.close()
+        line = self._open_line()
+        try:
+            link = Link(line, self._settings.timeout_s, self._settings.retries)
+            try:
+                identity = self._begin(link)
+            except ControllerReset:
+                # A board that was just plugged in says so in between; it is ready now.
+                identity = self._begin(link)
+        except BaseException:
+            with contextlib.suppress(PortLost):
+                line.close()
+            raise
+        self._line, self._link = line, link
+        return identity
+
+    def _begin(self, link: Link) -> ControllerIdentity:
+        link.begin()
+        identity = link.ask("*IDN?")
+        maker, _, serial, firmware = (identity.split(",") + [""] * 4)[:4]
+        if maker != _MAKER:
+            raise DeviceError(
+                f"{link.name}: {identity!r} answers there, not the rig controller;"
+                " check the port in the configuration"
+            )
+        if firmware.split(".")[0] != _PROTOCOL:
+            raise DeviceError(
+                f"{link.name}: the controller's firmware is {firmware}, wanted {_PROTOCOL}.x;"
+                " flash the firmware that came with this version"
+            )
+        token = secrets.token_hex(8).upper()
+        (stored_w,) = _floats(link.ask(f"SYST:SESS {token},{round(self._settings.watchdog_s * 1000)}"), 1)
+        self._limit_w = min(stored_w, self._laser_max_w)
+        link.ask(f"LAS:POW:LIM {_floor_w(self._limit_w)}")
+        return ControllerIdentity(serial, firmware, stored_w)
+
+    def close(self) -> None:
+        """End the session, which puts every output into its safe state, and give the port back.
+
+        A controller that is not there any more is no error here: its own watchdog has done the same.
+        """
+        line, link, self._line, self._link = self._line, self._link, None, None
+        if line is None or link is None:
+            return
+        try:
+            with contextlib.suppress(DeviceError):
+                link.ask("SYST:SESS:END")
+        finally:
+            with contextlib.suppress(PortLost):
+                line.close()
+
+    def heartbeat(self) -> ControllerStatus:
+        """Tell the board that the program lives; its state in return."""
+        return _status(self._ask("SYST:HEAR?"))
+
+    def environment(self) -> Environment:
+        """What the controller's own sensor reads; NaN without one."""
+        return Environment(*_floats(self._ask("ENV?"), 3))
+
+    def set_laser_power_w(self, power_w: float) -> None:
+        """Set the power, lit or not. Raises PowerLimit above the configured or the stored limit."""
+        if not 0.0 <= power_w <= self._limit_w:
+            raise PowerLimit(
+                f"{self.name}: a laser power of {power_w:g} W was asked for;"
+                f" 0 to {self._limit_w:g} W is allowed by max_power_w and the controller's own limit"
+            )
+        self._ask(f"LAS:POW {_floor_w(power_w)}")
+
+    def laser_on(self) -> None:
+        """Light the laser. Reads the interlock first and raises InterlockOpen where it is open."""
+        if not self.interlock_closed():
+            raise InterlockOpen(
+                f"{self.name}: the interlock is open, the laser stays dark; close the cover or door"
+            )
+        self._ask("LAS:STAT ON")
+
+    def laser_off(self) -> None:
+        """Laser off."""
+        self._ask("LAS:STAT OFF")
+
+    def interlock_closed(self) -> bool:
+        """State of the interlock loop now."""
+        return self._ask("INT?") == "CLOSED"
+
+    def hold(self) -> None:
+        """Energise the magnet that holds the deflected pendulum."""
+        self._ask("MAGN ON")
+
+    def release(self) -> None:
+        """De-energise the magnet: the pendulum starts. Refused where the magnet was not on."""
+        self._ask("MAGN:REL")
+
+    def starter_pulse(self, duration_s: float) -> None:
+        """Tilt by the starter for duration_s; the board ends the pulse itself."""
+        if not 0.001 <= duration_s <= self._settings.starter_max_s:
+            raise DeviceError(
+                f"{self.name}: a starter pulse of {duration_s:g} s was asked for;"
+                f" 0.001 to {self._settings.starter_max_s:g} s is allowed by starter_max_s"
+            )
+        self._ask(f"STAR:PULS {round(duration_s * 1000)}")
+
+    def clamp(self, closed: bool) -> None:
+        """Close or open the clamp."""
+        self._ask(f"CLAM {'ON' if closed else 'OFF'}")
+
+    def brake(self, on: bool) -> None:
+        """Apply or release the brake; the board releases it itself after its longest time."""
+        self._ask(f"BRAK {'ON' if on else 'OFF'}")
+
+    def safe(self) -> None:
+        """Every output into its safe state now."""
+        self._ask("SYST:SAFE")
+
+    def next_error(self) -> tuple[int, str]:
+        """Oldest entry of the board's error queue, (0, "No error") when it is empty."""
+        code, _, text = self._ask("SYST:ERR?").partition(",")
+        return int(code), text.strip('"')
+
+    def take_events(self) -> tuple[Event, ...]:
+        """What the board said unasked (TRIP, BOOT) since the last call."""
+        return self._link.take_events() if self._link else ()
+
+    def line_counts(self) -> tuple[int, int, int]:
+        """Since `open`: lines of junk, replies that came too late, commands asked again."""
+        link = self._link
+        return (link.junk_lines, link.late_replies, link.retried) if link else (0, 0, 0)
+
+    @property
+    def name(self) -> str:
+        """How messages call it."""
+        return self._line.name if self._line else self._settings.port or f"{self._settings.kind} controller"
+
+    def _ask(self, command: str) -> str:
+        if self._link is None:
+            raise PortLost(f"{self.name}: the controller is not open")
+        return self._link.ask(command)
+
+
+def _floor_w(power_w: float) -> str:
+    """Seven digits, which is what single precision holds on the board, rounded down."""
+    text = f"{power_w:.7g}"
+    return text if float(text) <= power_w else f"{power_w * (1 - 1e-6):.7g}"
+
+
+def _floats(values: str, count: int) -> list[float]:
+    try:
+        numbers = [float(value) for value in values.split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) != count:
+        raise DeviceError(f"the controller answered {values!r} where {count} numbers were due")
+    return numbers
+
+
+def _status(values: str) -> ControllerStatus:
+    fields = values.split(",")
+    if len(fields) != 10:
+        raise DeviceError(f"the controller answered {values!r} where a status of 10 fields was due")
+    uptime_ms, interlock, laser, power_w, magnet, starter, clamp, brake, trip, errors = fields
+    return ControllerStatus(
+        uptime_ms=int(uptime_ms),
+        interlock_closed=interlock == "1",
+        laser_on=laser == "1",
+        laser_power_w=float(power_w),
+        magnet_on=magnet == "1",
+        starter_on=starter == "1",
+        clamp_closed=clamp == "1",
+        brake_on=brake == "1",
+        trip=trip,
+        errors_waiting=int(errors),
+    )

@@ -1,0 +1,138 @@
+"""Temperature, humidity and pressure from any sensor that writes lines to a serial port."""
+
+import contextlib
+import logging
+import math
+import re
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from types import TracebackType
+from typing import Self
+
+from processing.errors import DeviceError
+from rig.control.controller import Environment
+from rig.control.serial_port import Line, LineReader, PortLost, SerialPort
+from rig.control.settings import EnvironmentSettings
+from rig.control.worker import Worker
+
+_log = logging.getLogger(__name__)
+_REOPEN_S = 1.0
+_READ_S = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class EnvironmentReading:
+    """Latest reading and when it came (host's monotonic clock); NaN for what the sensor did not say."""
+
+    environment: Environment
+    time_ns: int = 0
+    unread_lines: int = 0
+    last_line: str = ""
+    last_error: str = ""
+
+
+def parse_environment(pattern: re.Pattern[str], line: str) -> Environment | None:
+    """What a line says by the pattern's named groups; None where it does not match or says no finite number.
+
+    ``pressure_hpa`` is turned into Pa. A quantity that the line does not carry is NaN.
+    """
+    match = pattern.search(line)
+    if match is None:
+        return None
+    try:
+        found = {name: float(text) for name, text in match.groupdict().items() if text is not None}
+    except ValueError:
+        return None
+    if not found or not all(math.isfinite(value) for value in found.values()):
+        return None
+    pressure_pa = found.get("pressure_pa", found.get("pressure_hpa", math.nan) * 100.0)
+    return Environment(
+        found.get("temperature_c", math.nan), found.get("humidity_percent", math.nan), pressure_pa
+    )
+
+
+class EnvironmentService:
+    """Reads the sensor in a thread of its own from `start` to `close`; opens it again when it was lost."""
+
+    def __init__(self, settings: EnvironmentSettings, open_line: Callable[[], Line] | None = None) -> None:
+        self._settings = settings
+        self._pattern = re.compile(settings.pattern)
+        self._open_line = open_line or (lambda: SerialPort(settings.port, settings.baud))
+        self._line: Line | None = None
+        self._reader: LineReader | None = None
+        self._asked_s = 0.0
+        self._latest = EnvironmentReading(Environment())
+        self._worker = Worker("rig-environment", self._turn, self._give_back)
+
+    def start(self) -> None:
+        """Begin."""
+        self._worker.start()
+
+    def close(self) -> bool:
+        """Give the port back and end the thread; False if it hangs."""
+        return self._worker.close()
+
+    def __enter__(self) -> Self:
+        self.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    @property
+    def latest(self) -> EnvironmentReading:
+        """Latest reading; all NaN once it is older than stale_after_s. Never blocks."""
+        latest = self._latest
+        age_s = (time.monotonic_ns() - latest.time_ns) / 1e9
+        if age_s > self._settings.stale_after_s:
+            return replace(latest, environment=Environment())
+        return latest
+
+    @property
+    def failure(self) -> BaseException | None:
+        """What ended the service against our will."""
+        return self._worker.failure
+
+    def _turn(self) -> float:
+        try:
+            if self._line is None or self._reader is None:
+                self._line = self._open_line()
+                self._reader = LineReader(self._line)
+                self._reader.clear()
+                self._latest = replace(self._latest, last_error="")
+            self._read(self._line, self._reader)
+        except DeviceError as error:
+            if str(error) != self._latest.last_error:
+                _log.warning("%s", error)
+            self._latest = replace(self._latest, last_error=str(error))
+            self._give_back()
+            return _REOPEN_S
+        return 0.0
+
+    def _read(self, line: Line, reader: LineReader) -> None:
+        now_s = time.monotonic()
+        if self._settings.request and now_s - self._asked_s >= self._settings.period_s:
+            self._asked_s = now_s
+            line.write(self._settings.request.encode("ascii") + b"\n")
+        raw = reader.read_line(now_s + _READ_S)
+        if raw is None or not raw.strip():
+            return
+        text = raw.decode("latin-1").strip()
+        environment = parse_environment(self._pattern, text)
+        if environment is None:
+            self._latest = replace(
+                self._latest, unread_lines=self._latest.unread_lines + 1, last_line=text[:80]
+            )
+        else:
+            self._latest = replace(
+                self._latest, environment=environment, time_ns=time.monotonic_ns(), last_line=text[:80]
+            )
+
+    def _give_back(self) -> None:
+        line, self._line, self._reader = self._line, None, None
+        if line is not None:
+            with contextlib.suppress(PortLost):
+                line.close()

@@ -1,0 +1,159 @@
+"""The only file that touches hardware: a Raspberry Pi Pico with the rig's usual wiring.
+
+Another board needs another file with the same names. Pins (all outputs active high, each with
+a pull-down resistor, so that a board in reset drives nothing):
+
+    GP2 laser, PWM into the driver's modulation input     GP3 laser enable relay (external interlock)
+    GP4 holding magnet   GP5 starter   GP6 clamp   GP7 brake
+    GP8 interlock loop to ground, closed = low            GP9 maintenance jumper to ground
+    GP16 SDA, GP17 SCL: BME280
+"""
+
+import json
+import select
+import sys
+import time
+
+import machine  # type: ignore[import-not-found]
+import micropython  # type: ignore[import-not-found]
+from bme280 import Bme280  # type: ignore[import-not-found]
+
+LIMITS_FILE = "limits.json"
+PWM_HZ = 100_000
+
+
+class Board:
+    """Pins, clock and bytes for `core.Firmware`."""
+
+    def __init__(self) -> None:
+        self._laser = machine.PWM(machine.Pin(2), freq=PWM_HZ, duty_u16=0)
+        self._enable = machine.Pin(3, machine.Pin.OUT, value=0)
+        self._magnet = machine.Pin(4, machine.Pin.OUT, value=0)
+        self._starter = machine.Pin(5, machine.Pin.OUT, value=0)
+        self._clamp = machine.Pin(6, machine.Pin.OUT, value=0)
+        self._brake = machine.Pin(7, machine.Pin.OUT, value=0)
+        self._interlock = machine.Pin(8, machine.Pin.IN, machine.Pin.PULL_UP)
+        self._maintenance = machine.Pin(9, machine.Pin.IN, machine.Pin.PULL_UP)
+        self.serial = machine.unique_id().hex().upper()
+        self.clamp_closed = False
+        self.fault = ""
+        # Without a readable limit the laser stays dark: nobody has said how much is safe.
+        self.laser_max_w = 0.0
+        self._full_scale_w = 1.0
+        self.starter_max_ms = 5000
+        self.brake_max_ms = 60000
+        self._read_limits()
+        self._sensor = None
+        try:
+            self._sensor = Bme280(machine.I2C(0, sda=machine.Pin(16), scl=machine.Pin(17), freq=400_000))
+        except OSError:
+            self.fault = self.fault or "no BME280 on I2C 0"
+        self._poll = select.poll()
+        self._poll.register(sys.stdin, select.POLLIN)
+        self._watchdog = None
+
+    def _read_limits(self) -> None:
+        try:
+            with open(LIMITS_FILE) as file:
+                limits = json.load(file)
+            full_scale_w = float(limits["laser_full_scale_w"])
+            max_w = float(limits["laser_max_w"])
+            starter_max_ms, brake_max_ms = int(limits["starter_max_ms"]), int(limits["brake_max_ms"])
+        except (OSError, ValueError, KeyError, TypeError):
+            self.fault = LIMITS_FILE + " is missing or wrong; the laser stays dark"
+            return
+        if not 0.0 <= max_w <= full_scale_w or full_scale_w == 0.0:
+            self.fault = (
+                LIMITS_FILE + ": laser_max_w is not within 0 and laser_full_scale_w; the laser stays dark"
+            )
+            return
+        self.laser_max_w, self._full_scale_w = max_w, full_scale_w
+        self.starter_max_ms, self.brake_max_ms = starter_max_ms, brake_max_ms
+
+    def maintenance(self) -> bool:
+        """True with the jumper in: leave the board to the prompt."""
+        if not self._maintenance.value():
+            return True
+        # Junk on the line must not be a Ctrl-C, and a hung loop must not leave the laser on.
+        micropython.kbd_intr(-1)
+        self._watchdog = machine.WDT(timeout=1000)
+        return False
+
+    def set_laser(self, on: bool, power_w: float) -> None:
+        """Close or open the enable relay and set the power, rounded down: never above what was asked.
+
+        The relay closes at 0 W too, for a laser that has its own power control.
+        """
+        if on:
+            self._laser.duty_u16(int(65535 * power_w / self._full_scale_w))
+            self._enable.value(1)
+        else:
+            self._enable.value(0)
+            self._laser.duty_u16(0)
+
+    def set_magnet(self, on: bool) -> None:
+        """Energise the holding magnet."""
+        self._magnet.value(on)
+
+    def set_starter(self, on: bool) -> None:
+        """Tilt by the starter."""
+        self._starter.value(on)
+
+    def set_clamp(self, on: bool) -> None:
+        """Close the clamp."""
+        self._clamp.value(on)
+
+    def set_brake(self, on: bool) -> None:
+        """Apply the eddy-current brake."""
+        self._brake.value(on)
+
+    def all_off(self) -> None:
+        """Everything off but the clamp, which stays where it is."""
+        self.set_laser(False, 0.0)
+        for pin in (self._magnet, self._starter, self._brake):
+            pin.value(0)
+
+    def interlock_closed(self) -> bool:
+        """True when the loop pulls the pin low."""
+        return not self._interlock.value()
+
+    def environment(self) -> tuple[float, float, float]:
+        """Degrees Celsius, per cent of relative humidity and Pa; OSError without a sensor."""
+        if self._sensor is None:
+            raise OSError("no sensor")
+        return self._sensor.read()  # type: ignore[no-any-return]
+
+    def ticks_ms(self) -> int:
+        """The board's clock."""
+        return time.ticks_ms()  # type: ignore[attr-defined, no-any-return]
+
+    def ticks_diff(self, later: int, earlier: int) -> int:
+        """Difference of two clock readings; the clock wraps around."""
+        return time.ticks_diff(later, earlier)  # type: ignore[attr-defined, no-any-return]
+
+    def ticks_add(self, start: int, delta_ms: int) -> int:
+        """A clock reading later by delta_ms."""
+        return time.ticks_add(start, delta_ms)  # type: ignore[attr-defined, no-any-return]
+
+    def read(self) -> bytes:
+        """What has come in, at once; b"" for nothing."""
+        data = b""
+        while len(data) < 64 and self._poll.poll(0):
+            byte = sys.stdin.buffer.read(1)
+            if not byte:
+                break
+            data += byte
+        return data
+
+    def write(self, data: bytes) -> None:
+        """Send; the USB stack drops what no host takes."""
+        sys.stdout.buffer.write(data)
+
+    def idle(self) -> None:
+        """Once a turn of the loop: the hardware watchdog resets a board that stopped turning."""
+        if self._watchdog is not None:
+            self._watchdog.feed()
+
+    def restart(self) -> None:
+        """Start again from the beginning."""
+        machine.reset()

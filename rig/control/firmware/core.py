@@ -1,0 +1,397 @@
+"""The controller's protocol, limits and watchdog, without any hardware.
+
+Runs on MicroPython and, for the simulated controller, on CPython: no imports, no typing, and
+every clock, pin and byte goes through the board object (see `board.py` for what it offers).
+The wire format and the commands are documented in docs/controller.md.
+"""
+
+VERSION = "1.0"
+LINE_MAX = 120
+REPLAY = 8
+ERRORS_MAX = 16
+DEADLINE_MIN_MS = 100
+DEADLINE_MAX_MS = 5000
+
+
+def _crc_table() -> list[int]:
+    table = []
+    for byte in range(256):
+        crc = byte << 8
+        for _ in range(8):
+            crc = (crc << 1) ^ 0x1021 if crc & 0x8000 else crc << 1
+        table.append(crc & 0xFFFF)
+    return table
+
+
+_TABLE = _crc_table()
+
+
+def crc16(data: bytes) -> int:
+    """CRC-16/CCITT-FALSE (polynomial 1021h, start FFFFh); of b"123456789" it is 29B1h."""
+    crc = 0xFFFF
+    table = _TABLE
+    for byte in data:
+        crc = ((crc << 8) & 0xFFFF) ^ table[(crc >> 8) ^ byte]
+    return crc
+
+
+class Refused(Exception):
+    """A command that cannot be done: (code, text) for the reply and the error queue."""
+
+
+def _spellings(header: str) -> list[str]:
+    """Every mix of short and long mnemonics, as SCPI has it: "LASer:POWer?" -> LAS:POW?, LASER:POW?, ..."""
+    query = "?" if header.endswith("?") else ""
+    forms = [""]
+    for word in header.rstrip("?").split(":"):
+        short = "".join([c for c in word if not ("a" <= c <= "z")])
+        long = word.upper()
+        forms = [
+            (f + ":" if f else "") + w for f in forms for w in ([short] if short == long else [short, long])
+        ]
+    return [f + query for f in forms]
+
+
+def _on_off(argument: str) -> bool:
+    if argument in ("ON", "1"):
+        return True
+    if argument in ("OFF", "0"):
+        return False
+    raise Refused(-224, "Illegal parameter value; ON or OFF")
+
+
+def _number(argument: str) -> float:
+    try:
+        return float(argument)
+    except ValueError:
+        raise Refused(-104, "Data type error; a number is wanted") from None
+
+
+class Firmware:
+    """State of the controller. The board's loop calls `step` as often as it can.
+
+    The laser lights only while a session is open, heartbeats come in time and the interlock is
+    closed; whatever ends one of these puts every output into its safe state at once, and only a
+    new command lights it again. Power is bound by the limit stored on the board.
+    """
+
+    def __init__(self, board):  # type: ignore[no-untyped-def]
+        self.board = board
+        self.token = ""
+        self.deadline_ms = 0
+        self.heard_ms = 0
+        self.trip = "NONE"
+        self.limit_w = board.laser_max_w
+        self.power_w = 0.0
+        self.laser = False
+        self.magnet = False
+        self.starter = False
+        self.clamp = board.clamp_closed
+        self.brake = False
+        self._starter_end_ms = 0
+        self._brake_end_ms = 0
+        self._errors: list[tuple[int, str]] = []
+        self._replies: list[tuple[bytes, bytes]] = []
+        self._line = b""
+        self._overrun = False
+        # These may be done without a session; all others act on the rig and need one.
+        self._free = {}
+        self._acting = {}
+        for header, action in (
+            ("*IDN?", self._identify),
+            ("SYSTem:ERRor?", self._next_error),
+            ("SYSTem:STATus?", self._status),
+            ("SYSTem:SESSion", self._open_session),
+            ("SYSTem:SAFE", self._safe_now),
+            ("*RST", self._safe_now),
+            ("LASer:STATe?", lambda _: str(int(self.laser))),
+            ("LASer:POWer?", lambda _: f"{self.power_w:.7g}"),
+            ("LASer:POWer:LIMit?", lambda _: f"{self.limit_w:.7g}"),
+            ("INTerlock?", lambda _: "CLOSED" if board.interlock_closed() else "OPEN"),
+            ("MAGNet?", lambda _: str(int(self.magnet))),
+            ("STARter?", lambda _: str(int(self.starter))),
+            ("CLAMp?", lambda _: str(int(self.clamp))),
+            ("BRAKe?", lambda _: str(int(self.brake))),
+            ("ENVironment?", lambda _: ",".join([f"{v:.7g}" for v in self._environment()])),
+            ("TEMPerature?", lambda _: f"{self._environment()[0]:.7g}"),
+            ("HUMidity?", lambda _: f"{self._environment()[1]:.7g}"),
+            ("PRESsure?", lambda _: f"{self._environment()[2]:.7g}"),
+        ):
+            for spelling in _spellings(header):
+                self._free[spelling] = action
+        for header, action in (
+            ("SYSTem:HEARtbeat?", self._heartbeat),
+            ("SYSTem:SESSion:END", self._end_session),
+            ("LASer:STATe", self._set_laser),
+            ("LASer:POWer", self._set_power),
+            ("LASer:POWer:LIMit", self._set_limit),
+            ("MAGNet", self._set_magnet),
+            ("MAGNet:RELease", self._release),
+            ("STARter:PULSe", self._pulse),
+            ("CLAMp", self._set_clamp),
+            ("BRAKe", self._set_brake),
+        ):
+            for spelling in _spellings(header):
+                self._acting[spelling] = action
+        self.safe()
+        if board.fault:
+            self._fail(-240, "Hardware error; " + board.fault)
+        self._event("BOOT " + VERSION)
+
+    # -- what the loop calls --------------------------------------------------
+
+    def step(self) -> None:
+        """One turn of the loop: deadlines first, so that a late heartbeat does not undo a trip."""
+        self._tick()
+        data = self.board.read()
+        if data:
+            self._receive(data)
+
+    def safe(self) -> None:
+        """Laser, magnet, starter and brake off; the clamp stays where it is, for it could strike the ball."""
+        self.laser = self.magnet = self.starter = self.brake = False
+        board = self.board
+        board.set_laser(False, 0.0)
+        board.set_magnet(False)
+        board.set_starter(False)
+        board.set_brake(False)
+
+    def _tick(self) -> None:
+        board = self.board
+        now = board.ticks_ms()
+        if self.token and board.ticks_diff(now, self.heard_ms) > self.deadline_ms:
+            self._trip("WATCHDOG", 101)
+        if self.laser and not board.interlock_closed():
+            self._trip("INTERLOCK", 102)
+        if self.starter and board.ticks_diff(now, self._starter_end_ms) >= 0:
+            self.starter = False
+            board.set_starter(False)
+        if self.brake and board.ticks_diff(now, self._brake_end_ms) >= 0:
+            self.brake = False
+            board.set_brake(False)
+
+    def _trip(self, cause: str, code: int) -> None:
+        self.safe()
+        if cause == "WATCHDOG":
+            self.token = ""
+        self.trip = cause
+        self._fail(code, "Tripped; " + cause)
+        self._event("TRIP " + cause)
+
+    # -- lines ----------------------------------------------------------------
+
+    def _receive(self, data: bytes) -> None:
+        start = 0
+        while True:
+            end = data.find(b"\n", start)
+            if end < 0:
+                break
+            line = self._line + data[start:end]
+            overrun = self._overrun or len(line) > LINE_MAX
+            self._line = b""
+            self._overrun = False
+            start = end + 1
+            if overrun:
+                self._fail(-363, "Input buffer overrun")
+                self._event("NAK")
+            else:
+                self._take(line)
+        self._line += data[start:]
+        if len(self._line) > LINE_MAX:
+            self._line = b""
+            self._overrun = True
+
+    def _take(self, line: bytes) -> None:
+        # Half a line that lost its end may stand before a whole one: begin at the last tag.
+        tag_at = line.rfind(b"#")
+        if tag_at < 0:
+            self._take_typed(line)
+            return
+        line = line[tag_at:].rstrip(b"\r")
+        for seen, reply in self._replies:
+            if seen == line:
+                # A repeated line is one whose reply was lost: answer again, don't do it again.
+                self.board.write(reply)
+                return
+        try:
+            body, text = line[:-5], line[1:-5].decode()
+            valid = line[-5:-4] == b"*" and int(line[-4:], 16) == crc16(body)
+            tag, _, command = text.partition(" ")
+            valid = valid and 0 < int(tag) < 65536
+        except ValueError:  # UnicodeError is one
+            valid = False
+        if not valid:
+            self._fail(-101, "Invalid character or checksum")
+            self._event("NAK")
+            return
+        reply = self._seal("#" + tag + " " + self._do(command, True))
+        self._replies.append((line, reply))
+        if len(self._replies) > REPLAY:
+            self._replies.pop(0)
+        self.board.write(reply)
+
+    def _take_typed(self, line: bytes) -> None:
+        """A line typed by hand, without tag and checksum, may ask but not act."""
+        line = line.strip()
+        if not line:
+            return
+        try:
+            command = line.decode()
+        except ValueError:
+            command = ""
+        if command.split(" ")[0].endswith("?"):
+            self.board.write((self._do(command, False) + "\r\n").encode())
+        else:
+            self._fail(-101, "Invalid character or checksum")
+            self._event("NAK")
+
+    def _do(self, command: str, trusted: bool) -> str:
+        header, _, argument = command.strip().upper().partition(" ")
+        try:
+            action = self._free.get(header)
+            if action is None:
+                action = self._acting.get(header)
+                if action is None:
+                    raise Refused(-113, "Undefined header")
+                if not (self.token and trusted):
+                    raise Refused(-203, "Command protected; open a session first")
+            values: str = action(argument.strip())
+        except Refused as refusal:
+            code, text = refusal.args
+            self._fail(code, text)
+            return f'ERR {code},"{text}"'
+        return "OK " + values if values else "OK"
+
+    @staticmethod
+    def _seal(body: str) -> bytes:
+        raw = body.encode()
+        return raw + f"*{crc16(raw):04X}\n".encode()
+
+    def _event(self, text: str) -> None:
+        self.board.write(self._seal("!" + text))
+
+    def _fail(self, code: int, text: str) -> None:
+        if len(self._errors) < ERRORS_MAX:
+            self._errors.append((code, text))
+        else:
+            self._errors[-1] = (-350, "Queue overflow")
+
+    # -- commands -------------------------------------------------------------
+
+    def _identify(self, _: str) -> str:
+        return f"optical-pendulum-rig,controller,{self.board.serial},{VERSION}"
+
+    def _next_error(self, _: str) -> str:
+        code, text = self._errors.pop(0) if self._errors else (0, "No error")
+        return f'{code},"{text}"'
+
+    def _status(self, _: str) -> str:
+        return (
+            f"{self.board.ticks_ms()},{int(self.board.interlock_closed())},{int(self.laser)},{self.power_w:.7g},"
+            f"{int(self.magnet)},{int(self.starter)},{int(self.clamp)},{int(self.brake)},"
+            f"{self.trip},{len(self._errors)}"
+        )
+
+    def _heartbeat(self, argument: str) -> str:
+        self.heard_ms = self.board.ticks_ms()
+        return self._status(argument)
+
+    def _open_session(self, argument: str) -> str:
+        token, _, deadline = argument.partition(",")
+        deadline_ms = _number(deadline)
+        if not token:
+            raise Refused(-109, "Missing parameter; token,deadline_ms")
+        if not DEADLINE_MIN_MS <= deadline_ms <= DEADLINE_MAX_MS:
+            raise Refused(-222, "Data out of range; deadline 100 to 5000 ms")
+        self.safe()
+        self._replies = []
+        self.token = token
+        self.deadline_ms = int(deadline_ms)
+        self.heard_ms = self.board.ticks_ms()
+        self.trip = "NONE"
+        self.power_w = 0.0
+        self.limit_w = self.board.laser_max_w
+        return f"{self.limit_w:.7g}"
+
+    def _end_session(self, _: str) -> str:
+        self.safe()
+        self.token = ""
+        return ""
+
+    def _safe_now(self, _: str) -> str:
+        self.safe()
+        return ""
+
+    def _set_laser(self, argument: str) -> str:
+        on = _on_off(argument)
+        if on:
+            if not self.board.interlock_closed():
+                raise Refused(-221, "Settings conflict; interlock open")
+            self.trip = "NONE"
+        self.laser = on
+        self.board.set_laser(on, self.power_w)
+        return ""
+
+    def _set_power(self, argument: str) -> str:
+        power_w = _number(argument)
+        # Written so that NaN, which compares false with everything, is refused too.
+        if not 0.0 <= power_w <= self.limit_w:
+            raise Refused(-222, f"Data out of range; 0 to {self.limit_w:.7g} W")
+        self.power_w = power_w
+        if self.laser:
+            self.board.set_laser(True, power_w)
+        return ""
+
+    def _set_limit(self, argument: str) -> str:
+        limit_w = _number(argument)
+        # Never above the stored limit, which is changed on the board alone.
+        if not 0.0 <= limit_w <= self.board.laser_max_w:
+            raise Refused(-222, f"Data out of range; 0 to {self.board.laser_max_w:.7g} W")
+        self.limit_w = limit_w
+        if self.power_w > limit_w:
+            self._set_power(argument)
+        return ""
+
+    def _set_magnet(self, argument: str) -> str:
+        self.magnet = _on_off(argument)
+        self.board.set_magnet(self.magnet)
+        return ""
+
+    def _release(self, _: str) -> str:
+        if not self.magnet:
+            raise Refused(-221, "Settings conflict; the magnet holds nothing")
+        self.magnet = False
+        self.board.set_magnet(False)
+        return ""
+
+    def _pulse(self, argument: str) -> str:
+        length_ms = _number(argument)
+        longest_ms = self.board.starter_max_ms
+        if not 1 <= length_ms <= longest_ms:
+            raise Refused(-222, f"Data out of range; 1 to {longest_ms} ms")
+        if self.starter:
+            raise Refused(-221, "Settings conflict; a pulse is running")
+        self.starter = True
+        self._starter_end_ms = self.board.ticks_add(self.board.ticks_ms(), int(length_ms))
+        self.board.set_starter(True)
+        return ""
+
+    def _set_clamp(self, argument: str) -> str:
+        self.clamp = _on_off(argument)
+        self.board.set_clamp(self.clamp)
+        return ""
+
+    def _set_brake(self, argument: str) -> str:
+        self.brake = _on_off(argument)
+        self._brake_end_ms = self.board.ticks_add(self.board.ticks_ms(), self.board.brake_max_ms)
+        self.board.set_brake(self.brake)
+        return ""
+
+    def _environment(self) -> tuple[float, float, float]:
+        try:
+            temperature_c, humidity_percent, pressure_pa = self.board.environment()
+            return (temperature_c, humidity_percent, pressure_pa)
+        except OSError:
+            self._fail(-240, "Hardware error; environment sensor")
+            nan = float("nan")
+            return (nan, nan, nan)

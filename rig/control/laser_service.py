@@ -1,0 +1,151 @@
+"""A laser with its own port in a thread of its own: its silence delays neither frames nor heartbeats."""
+
+import logging
+import time
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import Future
+from dataclasses import dataclass, replace
+from types import TracebackType
+from typing import Self, TypeVar
+
+from processing.errors import DeviceError
+from rig.control.lasers.laser import Laser, LaserIdentity, LaserState
+from rig.control.link import ReplyTimeout
+from rig.control.serial_port import PortLost
+from rig.control.service import ControlEvent
+from rig.control.worker import Worker
+
+_log = logging.getLogger(__name__)
+_REOPEN_S = 1.0
+_EVENTS_KEPT = 256
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class LaserSnapshot:
+    """The latest that is known; `state` is None while the laser does not answer."""
+
+    identity: LaserIdentity | None = None
+    state: LaserState | None = None
+    state_time_ns: int = 0
+    last_error: str = ""
+
+
+class LaserService:
+    """Owns a `Laser` from `start` to `close`; commands return futures, as in `ControlService`.
+
+    A laser that was lost is opened again with its light off.
+    """
+
+    def __init__(self, laser: Laser, period_s: float = 1.0) -> None:
+        self._laser = laser
+        self._period_s = period_s
+        self._is_open = False
+        self._snapshot = LaserSnapshot()
+        self._events: deque[ControlEvent] = deque(maxlen=_EVENTS_KEPT)
+        self._worker = Worker("rig-laser", self._turn, self._finish)
+
+    def start(self) -> None:
+        """Begin."""
+        self._worker.start()
+
+    def close(self) -> bool:
+        """Light off, port back, thread ended; False if it hangs."""
+        return self._worker.close()
+
+    def __enter__(self) -> Self:
+        self.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    @property
+    def snapshot(self) -> LaserSnapshot:
+        """Latest state; never blocks."""
+        return self._snapshot
+
+    @property
+    def failure(self) -> BaseException | None:
+        """What ended the service against our will."""
+        return self._worker.failure
+
+    def take_events(self) -> tuple[ControlEvent, ...]:
+        """Events since the last call, oldest first; never blocks."""
+        events = []
+        while self._events:
+            events.append(self._events.popleft())
+        return tuple(events)
+
+    def enable(self) -> "Future[None]":
+        """Light on, interlock permitting; a family may take seconds."""
+        return self._submit(lambda laser: laser.enable(), timeout_s=5.0)
+
+    def off(self) -> "Future[None]":
+        """Light off, ahead of whatever else waits."""
+        return self._submit(lambda laser: laser.off(), urgent=True)
+
+    def set_power_w(self, power_w: float) -> "Future[None]":
+        """Set the optical power."""
+        return self._submit(lambda laser: laser.set_power_w(power_w))
+
+    def set_current_a(self, current_a: float) -> "Future[None]":
+        """Set the diode current."""
+        return self._submit(lambda laser: laser.set_current_a(current_a))
+
+    def _submit(
+        self, call: Callable[[Laser], T], timeout_s: float = 5.0, urgent: bool = False
+    ) -> "Future[T]":
+        return self._worker.submit(lambda: self._guarded(call), timeout_s, urgent)
+
+    def _turn(self) -> float:
+        try:
+            if not self._is_open:
+                identity = self._laser.open()
+                self._is_open = True
+                self._snapshot = replace(self._snapshot, identity=identity, last_error="")
+                self._say(f"laser {identity.vendor} {identity.model} {identity.serial} open, dark")
+            self._read()
+        except DeviceError as error:
+            self._lose(error)
+            return _REOPEN_S
+        return self._period_s
+
+    def _read(self) -> None:
+        before, state = self._snapshot.state, self._laser.state()
+        self._snapshot = replace(self._snapshot, state=state, state_time_ns=time.monotonic_ns())
+        if before is not None and before.interlock_closed and not state.interlock_closed:
+            self._say("laser: interlock opened")
+        if state.fault and (before is None or before.fault != state.fault):
+            self._say(f"laser: {state.fault}")
+
+    def _guarded(self, call: Callable[[Laser], T]) -> T:
+        if not self._is_open:
+            raise PortLost(self._snapshot.last_error or "the laser is not open")
+        try:
+            result = call(self._laser)
+            self._read()
+        except (PortLost, ReplyTimeout) as error:
+            self._lose(error)
+            raise
+        return result
+
+    def _lose(self, error: DeviceError) -> None:
+        if str(error) != self._snapshot.last_error:
+            self._say(str(error))
+        self._is_open = False
+        self._snapshot = replace(self._snapshot, state=None, last_error=str(error))
+        self._laser.close()
+
+    def _say(self, text: str) -> None:
+        _log.info("%s", text)
+        self._events.append(ControlEvent(time.monotonic_ns(), text))
+
+    def _finish(self) -> None:
+        self._laser.close()
+        self._is_open = False
+        self._snapshot = replace(self._snapshot, state=None)

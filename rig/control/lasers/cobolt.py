@@ -1,0 +1,50 @@
+"""Cobolt lasers (04-01, 06-01, 08 series): short words, lines end with CR, answers with CR LF, watts.
+
+A command that was done is answered by ``OK``, one that was not by ``Syntax error: ...``.
+"""
+
+from rig.control.lasers.laser import LaserIdentity, LaserRefused, LaserState
+from rig.control.lasers.serial_laser import SerialLaser, rounded_down
+
+_FAULTS = {"1": "temperature error", "3": "interlock error", "4": "constant-power time-out"}
+
+
+class Cobolt(SerialLaser):
+    """Constant power, regulated by the laser's own photodiode."""
+
+    terminator = b"\r"
+
+    def identify(self) -> LaserIdentity:
+        """Serial number; the family has no identification string beyond it."""
+        serial = self.ask("sn?")
+        if "error" in serial.lower() or not any(c.isdigit() for c in serial) or "," in serial:
+            raise LaserRefused(
+                f"{self.name}: answered {serial!r} where a Cobolt's serial number was due; check the port"
+            )
+        return LaserIdentity("Cobolt", "", serial)
+
+    def state(self) -> LaserState:
+        """Emission, interlock, measured power, fault."""
+        fault = self.ask("f?")
+        return LaserState(
+            on=self.ask("l?") == "1",
+            interlock_closed=self.ask("ilk?") == "0",
+            power_w=self.ask_float("pa?"),
+            # The interlock has its own place in the state.
+            fault="" if fault in ("0", "3") else _FAULTS.get(fault, f"fault {fault}"),
+        )
+
+    def _prepare(self) -> None:
+        self._told("cp")
+
+    def _switch(self, on: bool) -> None:
+        self._told("l1" if on else "l0")
+
+    def _set(self, value: float) -> float:
+        self._told(f"p {rounded_down(value, 5)}")
+        return self.ask_float("p?")
+
+    def _told(self, command: str) -> None:
+        answer = self.ask(command)
+        if answer != "OK":
+            raise LaserRefused(f"{self.name}: answered {answer!r} to {command}")

@@ -1,0 +1,82 @@
+"""What every laser driver promises."""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from processing.errors import DeviceError
+
+
+class LaserRefused(DeviceError):
+    """The laser did not do what it was told: it answered an error, or read back another value."""
+
+
+@dataclass(frozen=True, slots=True)
+class LaserIdentity:
+    """Who the laser is."""
+
+    vendor: str
+    model: str
+    serial: str
+
+
+@dataclass(frozen=True, slots=True)
+class LaserState:
+    """Read from the laser, not remembered. None where this family cannot say.
+
+    `power_w` is measured light, `current_a` measured diode current; `fault` is empty when all is well.
+    """
+
+    on: bool
+    interlock_closed: bool
+    power_w: float | None = None
+    current_a: float | None = None
+    fault: str = ""
+
+
+class Laser(Protocol):
+    """A laser, or the driver of a laser diode.
+
+    Life cycle: ``open`` -> (``set_power_w`` or ``set_current_a``, ``enable``, ``state``, ``off``)
+    any number of times -> ``close``. ``open`` leaves the light off and puts the configured limit
+    into the device where it has one; ``close`` turns the light off and may be called from any
+    state. One thread calls them; each blocks for at most a few timeouts (``enable`` for the
+    delay that a safety class demands) and raises DeviceError with one line.
+    """
+
+    def open(self) -> LaserIdentity:
+        """Claim the port, make sure of the family, light off, limits into the device."""
+        ...
+
+    def identify(self) -> LaserIdentity:
+        """Ask the laser who it is."""
+        ...
+
+    def set_power_w(self, power_w: float) -> None:
+        """Set the optical power.
+
+        Raises PowerLimit above max_power_w, LaserRefused for a family that is set in amperes.
+        """
+        ...
+
+    def set_current_a(self, current_a: float) -> None:
+        """Set the diode current.
+
+        Raises PowerLimit above max_current_a, LaserRefused for a family that is set in watts.
+        """
+        ...
+
+    def enable(self) -> None:
+        """Light on: reads the interlock first (InterlockOpen), reads back that it is lit (LaserRefused)."""
+        ...
+
+    def off(self) -> None:
+        """Light off, read back."""
+        ...
+
+    def state(self) -> LaserState:
+        """Read the laser's state."""
+        ...
+
+    def close(self) -> None:
+        """Light off where the laser still answers; give the port back."""
+        ...

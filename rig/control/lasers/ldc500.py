@@ -1,0 +1,66 @@
+"""SRS LDC500 series diode drivers: four-letter commands, lines end with LF, current in milliampere.
+
+`SILM` is the instrument's own current limit: it clamps the output whatever is set afterwards.
+Modulation from the analogue input is turned off, for it would add to the set current.
+"""
+
+from rig.control.lasers.laser import LaserIdentity, LaserRefused, LaserState
+from rig.control.lasers.serial_laser import SerialLaser, rounded_down
+
+
+class Ldc500(SerialLaser):
+    """Constant-current drive of a diode."""
+
+    unit = "a"
+
+    def identify(self) -> LaserIdentity:
+        """Vendor, model and serial number."""
+        fields = [field.strip() for field in self.ask("*IDN?").split(",")]
+        if (
+            len(fields) < 3
+            or "STANFORD" not in fields[0].upper()
+            or not fields[1].upper().startswith("LDC50")
+        ):
+            raise LaserRefused(
+                f"{self.name}: {','.join(fields)!r} is no SRS LDC500 series driver; check the port"
+            )
+        return LaserIdentity(fields[0], fields[1], fields[2].removeprefix("s/n"))
+
+    def state(self) -> LaserState:
+        """Output, interlock, measured current, monitor diode's power."""
+        return LaserState(
+            on=_flag(self.ask("LDON?")),
+            interlock_closed=_flag(self.ask("ILOC?")),
+            current_a=self.ask_float("RILD?") / 1000.0,
+            power_w=self.ask_float("RWPD?") / 1000.0,
+        )
+
+    def _prepare(self) -> None:
+        self._told("SMOD CC")
+        self._told("MODU OFF")
+        limit_a = self._settings.max_current_a
+        self._told(f"SILM {rounded_down(limit_a * 1000.0, 3)}")
+        applied_a = self.ask_float("SILM?") / 1000.0
+        if applied_a > limit_a + 1e-6:
+            raise LaserRefused(
+                f"{self.name}: the current limit was set to {limit_a:g} A and is {applied_a:g} A;"
+                " set it on the instrument's panel"
+            )
+
+    def _switch(self, on: bool) -> None:
+        self._told(f"LDON {'ON' if on else 'OFF'}")
+
+    def _set(self, value: float) -> float:
+        self._told(f"SILD {rounded_down(value * 1000.0, 3)}")
+        return self.ask_float("SILD?") / 1000.0
+
+    def _told(self, command: str) -> None:
+        self.tell(command)
+        # LEXE? is the error of the last execution, LCME? that of the last command; reading clears them.
+        errors = (self.ask("LEXE?"), self.ask("LCME?"))
+        if any(error not in ("0", "0.0") for error in errors):
+            raise LaserRefused(f"{self.name}: refused {command} (LEXE {errors[0]}, LCME {errors[1]})")
+
+
+def _flag(answer: str) -> bool:
+    return answer.upper() in ("1", "ON", "CLOSED")

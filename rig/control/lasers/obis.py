@@ -1,0 +1,77 @@
+"""Coherent OBIS and its remotes: SCPI, lines end with CR LF, power in watt.
+
+With handshaking on (the factory's setting) each command is answered by a line ``OK`` or
+``ERR<number>``, and each answer to a question is followed by one. Both lines are always read.
+"""
+
+import time
+
+from rig.control.lasers.laser import LaserIdentity, LaserRefused, LaserState
+from rig.control.lasers.serial_laser import SerialLaser, rounded_down
+from rig.control.link import ReplyTimeout
+
+_CLOSED = ("ON", "OK", "1", "CLOSED")
+
+
+class Obis(SerialLaser):
+    """Continuous wave at constant power, regulated by the laser's own photodiode."""
+
+    terminator = b"\r\n"
+
+    def identify(self) -> LaserIdentity:
+        """Vendor, model and serial number."""
+        identity = self.ask("*IDN?")
+        if "COHERENT" not in identity.upper() or "OBIS" not in identity.upper():
+            raise LaserRefused(f"{self.name}: {identity!r} is no Coherent OBIS; check the port")
+        return LaserIdentity(
+            "Coherent", self.ask("SYSTem:INFormation:MODel?"), self.ask("SYSTem:INFormation:SNUMber?")
+        )
+
+    def state(self) -> LaserState:
+        """Emission, interlock, measured power, fault code."""
+        fault = self.ask("SYSTem:FAULt?")
+        return LaserState(
+            on=self.ask("SOURce:AM:STATe?").upper() == "ON",
+            interlock_closed=self.ask("SYSTem:LOCK?").upper() in _CLOSED,
+            power_w=self.ask_float("SOURce:POWer:LEVel?"),
+            fault="" if _is_zero(fault) else f"fault {fault}",
+        )
+
+    def ask(self, command: str) -> str:
+        """A question's answer; the ``OK`` that follows it is read too."""
+        answer = super().ask(command)
+        if answer.startswith("ERR"):
+            raise LaserRefused(f"{self.name}: answered {answer} to {command}")
+        self._handshake(command)
+        return answer
+
+    def _prepare(self) -> None:
+        self._told("SOURce:AM:INTernal CWP")
+
+    def _switch(self, on: bool) -> None:
+        self._told(f"SOURce:AM:STATe {'ON' if on else 'OFF'}")
+
+    def _set(self, value: float) -> float:
+        self._told(f"SOURce:POWer:LEVel:IMMediate:AMPLitude {rounded_down(value, 6)}")
+        return self.ask_float("SOURce:POWer:LEVel:IMMediate:AMPLitude?")
+
+    def _told(self, command: str) -> None:
+        _, reader = self._claimed()
+        reader.clear()
+        self.tell(command)
+        self._handshake(command)
+
+    def _handshake(self, command: str) -> None:
+        _, reader = self._claimed()
+        line = reader.read_line(time.monotonic() + self._settings.timeout_s)
+        if line is None:
+            raise ReplyTimeout(f"{self.name}: no OK after {command} within {self._settings.timeout_s:g} s")
+        if line.strip() != b"OK":
+            raise LaserRefused(f"{self.name}: answered {line.decode('latin-1').strip()} to {command}")
+
+
+def _is_zero(code: str) -> bool:
+    try:
+        return int(code.removeprefix("0x"), 16) == 0
+    except ValueError:
+        return False

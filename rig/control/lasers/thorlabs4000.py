@@ -1,0 +1,74 @@
+"""Thorlabs 4000 series diode drivers (LDC4000, ITC4000): SCPI, lines end with LF, current in ampere.
+
+Commands as in the programmer's reference manual of the series. The set current and its limit
+are read back, and the instrument's error queue is read after every setting.
+"""
+
+from rig.control.lasers.laser import LaserIdentity, LaserRefused, LaserState
+from rig.control.lasers.serial_laser import SerialLaser, rounded_down
+
+_TRIPS = {
+    "INTLock": "interlock",
+    "KEYLock": "key switch",
+    "OTEMp": "over-temperature",
+    "VOLTage": "compliance voltage",
+}
+
+
+class Thorlabs4000(SerialLaser):
+    """Constant-current drive of a diode."""
+
+    unit = "a"
+
+    def identify(self) -> LaserIdentity:
+        """Vendor, model and serial number."""
+        fields = [field.strip() for field in self.ask("*IDN?").split(",")]
+        if (
+            len(fields) < 3
+            or "THORLABS" not in fields[0].upper()
+            or fields[1][:4].upper() not in ("LDC4", "ITC4")
+        ):
+            raise LaserRefused(
+                f"{self.name}: {','.join(fields)!r} is no Thorlabs 4000 series driver; check the port"
+            )
+        return LaserIdentity(fields[0], fields[1], fields[2])
+
+    def state(self) -> LaserState:
+        """Output, protections and measured current."""
+        tripped = [name for key, name in _TRIPS.items() if self._flag(f"OUTPut:PROTection:{key}:TRIPped?")]
+        return LaserState(
+            on=self._flag("OUTPut:STATe?"),
+            interlock_closed="interlock" not in tripped,
+            current_a=self.ask_float("MEASure:CURRent?"),
+            fault=", ".join(trip for trip in tripped if trip != "interlock"),
+        )
+
+    def _prepare(self) -> None:
+        self.tell("*CLS")
+        self._told("SOURce:FUNCtion:MODE CURRent")
+        limit_a = self._settings.max_current_a
+        self._told(f"SOURce:CURRent:LIMit:AMPLitude {rounded_down(limit_a, 6)}")
+        applied_a = self.ask_float("SOURce:CURRent:LIMit:AMPLitude?")
+        if applied_a > limit_a + 1e-6:
+            raise LaserRefused(
+                f"{self.name}: the current limit was set to {limit_a:g} A and is {applied_a:g} A;"
+                " set it on the instrument's panel"
+            )
+
+    def _switch(self, on: bool) -> None:
+        self._told(f"OUTPut:STATe {'ON' if on else 'OFF'}")
+
+    def _set(self, value: float) -> float:
+        self._told(f"SOURce:CURRent:LEVel:AMPLitude {rounded_down(value, 6)}")
+        return self.ask_float("SOURce:CURRent:LEVel:AMPLitude?")
+
+    def _told(self, command: str) -> None:
+        self.tell(command)
+        code, _, text = self.ask("SYSTem:ERRor?").partition(",")
+        if code.strip().lstrip("+") != "0":
+            raise LaserRefused(
+                f"{self.name}: refused {command}: {text.strip().strip(chr(34))} ({code.strip()})"
+            )
+
+    def _flag(self, command: str) -> bool:
+        return self.ask(command).upper() in ("1", "ON")

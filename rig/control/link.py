@@ -1,0 +1,158 @@
+"""Commands and replies over a line: tags, checksums, timeouts, retries.
+
+Retrying is safe: the board does a tagged line once and answers a repeated one from memory, and a
+board that was reset in between has lost its session and refuses, so that a pulse is never
+given twice.
+"""
+
+import secrets
+import time
+from collections import deque
+
+from processing.errors import DeviceError
+from rig.control.protocol import TAG_MAX, Event, Reply, decode, encode
+from rig.control.serial_port import Line, LineReader
+
+_SESSION_NEEDED = -203
+_EVENTS_KEPT = 256
+_LINES_WAITING = 64
+
+
+class ReplyTimeout(DeviceError):
+    """The controller did not answer, also when asked again."""
+
+
+class ControllerReset(DeviceError):
+    """The controller started anew and has lost the session; what was asked may not have been done."""
+
+
+class Refused(DeviceError):
+    """The controller answered that it will not do this; `code` is from its error list."""
+
+    def __init__(self, message: str, code: int) -> None:
+        super().__init__(message)
+        self.code = code
+
+
+class Link:
+    """One command at a time over a `Line`; not for more than one thread."""
+
+    def __init__(self, line: Line, timeout_s: float = 0.2, retries: int = 2) -> None:
+        self._line = line
+        self._reader = LineReader(line)
+        self._timeout_s = timeout_s
+        self._retries = retries
+        self._tag = 0
+        self._events: deque[Event] = deque(maxlen=_EVENTS_KEPT)
+        self._last_junk = b""
+        self.junk_lines = 0
+        self.late_replies = 0
+        self.retried = 0
+
+    @property
+    def name(self) -> str:
+        """How messages call the line."""
+        return self._line.name
+
+    def begin(self) -> None:
+        """Start afresh: forget what came before, end any half line at the board, choose a new tag.
+
+        The tags begin at random, so that a reply meant for an earlier program is not taken for ours.
+        """
+        self._reader.clear()
+        self._events.clear()
+        self._tag = secrets.randbelow(TAG_MAX)
+        self._line.write(b"\n")
+
+    def ask(self, command: str, timeout_s: float | None = None) -> str:
+        """Send a command and return the values of its reply.
+
+        Raises
+        ------
+        ReplyTimeout
+            No valid reply within timeout_s, nor to the repetitions (each with the same patience).
+        Refused
+            The board refused; also where the command cannot be sent as it is.
+        ControllerReset
+            The board was reset before or while the command was under way.
+        PortLost
+            The line has gone.
+        """
+        self._tag = self._tag % TAG_MAX + 1
+        try:
+            line = encode(self._tag, command)
+        except ValueError as error:
+            raise Refused(f"{self._line.name}: {error}", 0) from None
+        patience_s = self._timeout_s if timeout_s is None else timeout_s
+        self._hear_what_waits()
+        for attempt in range(self._retries + 1):
+            if attempt:
+                self.retried += 1
+            self._line.write(line)
+            reply = self._await(self._tag, time.monotonic() + patience_s)
+            if reply is None:
+                continue
+            if reply.error_code == _SESSION_NEEDED:
+                raise ControllerReset(
+                    f"{self._line.name}: the controller has no session (reset, or its watchdog tripped)"
+                    f" and refused {command}; it is being opened anew with every output off"
+                )
+            if reply.error_code:
+                raise Refused(
+                    f"{self._line.name}: the controller refused {command}: {reply.error_text}"
+                    f" ({reply.error_code})",
+                    reply.error_code,
+                )
+            return reply.values
+        heard = f"; {self._last_junk!r} came, which is no line of ours" if self._last_junk else ""
+        raise ReplyTimeout(
+            f"{self._line.name}: no reply to {command} within {patience_s:g} s,"
+            f" asked {self._retries + 1} times{heard};"
+            " check port, cable, baud rate and that the controller runs"
+        )
+
+    def take_events(self) -> tuple[Event, ...]:
+        """What the board has said unasked since the last call."""
+        events = tuple(self._events)
+        self._events.clear()
+        return events
+
+    def _hear_what_waits(self) -> None:
+        """Take in what came since the last command: an old NAK must not cost a new command an attempt."""
+        for _ in range(_LINES_WAITING):
+            line = self._reader.read_line(0.0)
+            if line is None:
+                return
+            self.late_replies += isinstance(self._hear(line), Reply)
+
+    def _await(self, tag: int, deadline_s: float) -> Reply | None:
+        while True:
+            line = self._reader.read_line(deadline_s)
+            if line is None:
+                return None
+            message = self._hear(line)
+            if isinstance(message, Reply):
+                if message.tag == tag:
+                    return message
+                self.late_replies += 1
+            elif message is not None and message.name == "NAK":
+                # The board got a line that it could not read, most likely ours: ask again at once.
+                return None
+            if time.monotonic() > deadline_s:
+                # A device that never stops talking must not keep us.
+                return None
+
+    def _hear(self, line: bytes) -> Reply | Event | None:
+        message = decode(line)
+        if message is None:
+            if line.strip():
+                self.junk_lines += 1
+                self._last_junk = line[:60]
+        elif isinstance(message, Event) and message.name != "NAK":
+            self._events.append(message)
+            if message.name == "BOOT":
+                raise ControllerReset(
+                    f"{self._line.name}: the controller was reset;"
+                    " it is being opened anew with every output off"
+                )
+        return message

@@ -1,0 +1,172 @@
+"""Serial ports, and whether the devices behind them are as configured: plain values for a table."""
+
+import contextlib
+import re
+import time
+from dataclasses import dataclass
+
+from serial.tools import list_ports
+
+from processing.errors import DeviceError
+from rig.control.controller import Controller
+from rig.control.environment import parse_environment
+from rig.control.lasers import make_laser
+from rig.control.serial_port import LineReader, PortLost, SerialPort
+from rig.control.settings import ControllerSettings, EnvironmentSettings, LaserSettings
+
+
+@dataclass(frozen=True, slots=True)
+class SerialPortInfo:
+    """A serial port of this computer; vendor and product are USB's numbers, -1 where there are none."""
+
+    device: str
+    description: str
+    vendor: int
+    product: int
+    serial: str
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """One line of a go / no-go table; `remedy` is empty where all is well."""
+
+    name: str
+    ok: bool
+    reason: str
+    remedy: str = ""
+
+
+def list_serial_ports() -> tuple[SerialPortInfo, ...]:
+    """Every serial port of this computer, in order of its name; none of them is opened."""
+    found = [
+        SerialPortInfo(
+            port.device,
+            "" if port.description in (None, "n/a") else port.description,
+            -1 if port.vid is None else port.vid,
+            -1 if port.pid is None else port.pid,
+            port.serial_number or "",
+        )
+        for port in list_ports.comports()
+    ]
+    return tuple(sorted(found, key=lambda port: port.device))
+
+
+def check_controller(
+    controller: Controller, settings: ControllerSettings, laser: LaserSettings
+) -> tuple[Check, ...]:
+    """Open the controller, look at it and close it again; no output is switched on."""
+    if settings.kind == "none":
+        return (Check("controller", True, "none is configured"),)
+    try:
+        identity = controller.open()
+        status = controller.heartbeat()
+        air = controller.environment()
+        code, text = controller.next_error()
+    except DeviceError as error:
+        return (Check("controller", False, str(error), _port_remedy(settings.port)),)
+    finally:
+        controller.close()
+    checks = [
+        Check("controller", True, f"serial {identity.serial}, firmware {identity.firmware}"),
+        Check(
+            "interlock",
+            status.interlock_closed,
+            "closed" if status.interlock_closed else "open: the laser will stay dark",
+            "" if status.interlock_closed else "close cover and door; see that the loop is plugged in",
+        ),
+    ]
+    if laser.kind == "controller":
+        enough = laser.power_w <= identity.laser_max_w
+        checks.append(
+            Check(
+                "laser power",
+                enough,
+                f"{laser.power_w:g} W is wanted, the controller's own limit is {identity.laser_max_w:g} W",
+                "" if enough else "lower laser.power_w, or laser_max_w in the board's limits.json",
+            )
+        )
+    if code:
+        checks.append(
+            Check("controller errors", False, f"{text} ({code})", "remove the cause, then reset the board")
+        )
+    sensor = air.temperature_c == air.temperature_c
+    checks.append(
+        Check(
+            "controller's sensor",
+            sensor,
+            f"{air.temperature_c:.2f} °C, {air.humidity_percent:.1f} %, {air.pressure_pa / 100:.1f} hPa"
+            if sensor
+            else "no reading",
+            "" if sensor else "plug the BME280 in, or set environment.kind to none or serial",
+        )
+    )
+    return tuple(checks)
+
+
+def check_laser(settings: LaserSettings, controller: ControllerSettings) -> tuple[Check, ...]:
+    """Open the laser, look at it and close it again; it stays dark."""
+    laser = make_laser(settings)
+    if laser is None:
+        return ()
+    try:
+        identity = laser.open()
+        state = laser.state()
+    except DeviceError as error:
+        return (Check("laser", False, str(error), _port_remedy(settings.port)),)
+    finally:
+        laser.close()
+    checks = [
+        Check("laser", True, f"{identity.vendor} {identity.model} {identity.serial}".replace("  ", " ")),
+        Check(
+            "laser interlock",
+            state.interlock_closed,
+            "closed" if state.interlock_closed else "open: the laser will stay dark",
+            "" if state.interlock_closed else "close the laser's interlock and turn its key",
+        ),
+        Check(
+            "laser goes dark by itself",
+            controller.kind == "serial",
+            "the controller's relay opens its interlock when the program dies"
+            if controller.kind == "serial"
+            else "this laser has no watchdog of its own: it stays lit when the program is killed",
+            "" if controller.kind == "serial" else "wire its interlock through a controller's enable relay",
+        ),
+    ]
+    if state.fault:
+        checks.append(Check("laser fault", False, state.fault, "see the laser's panel and manual"))
+    return tuple(checks)
+
+
+def check_environment(settings: EnvironmentSettings, patience_s: float = 5.0) -> tuple[Check, ...]:
+    """Read the sensor with a port of its own until a line matches, for at most patience_s."""
+    if settings.kind != "serial":
+        return ()
+    pattern = re.compile(settings.pattern)
+    last = ""
+    try:
+        with SerialPort(settings.port, settings.baud) as port:
+            reader = LineReader(port)
+            deadline_s = time.monotonic() + patience_s
+            if settings.request:
+                port.write(settings.request.encode("ascii") + b"\n")
+            while (raw := reader.read_line(deadline_s)) is not None and time.monotonic() < deadline_s:
+                last = raw.decode("latin-1").strip() or last
+                if parse_environment(pattern, last) is not None:
+                    return (Check("environment sensor", True, last[:80]),)
+    except PortLost as error:
+        return (Check("environment sensor", False, str(error), _port_remedy(settings.port)),)
+    reason = f"{last[:80]!r} does not match the pattern" if last else f"silent for {patience_s:g} s"
+    return (
+        Check(
+            "environment sensor", False, reason, "check port, baud rate, request and pattern in [environment]"
+        ),
+    )
+
+
+def _port_remedy(port: str) -> str:
+    here: tuple[SerialPortInfo, ...] = ()
+    with contextlib.suppress(OSError):
+        here = list_serial_ports()
+    if not here:
+        return "no serial port is here: plug the device in"
+    return f"{port or 'no port'} is configured; here are {', '.join(info.device for info in here)}"

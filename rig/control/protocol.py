@@ -1,0 +1,78 @@
+"""The line format between host and controller; see docs/controller.md.
+
+    host  -> board   #<tag> <command>*<crc>
+    board -> host    #<tag> OK[ <values>]*<crc>   or   #<tag> ERR <code>,"<text>"*<crc>
+    board -> host    !<event>*<crc>               unasked: BOOT, TRIP, NAK
+
+The tag (1 to 65535) says which command a reply belongs to; the checksum is CRC-16/CCITT-FALSE
+of everything before the asterisk, as four hexadecimal digits; a line ends with LF.
+"""
+
+import re
+from binascii import crc_hqx
+from dataclasses import dataclass
+
+LINE_MAX = 240
+TAG_MAX = 65535
+_REPLY = re.compile(r'#(\d{1,5}) (?:OK(?: (.*))?|ERR (-?\d+),"(.*)")')
+_EVENT = re.compile(r"!(\S+)(?: (.*))?")
+
+
+@dataclass(frozen=True, slots=True)
+class Reply:
+    """Answer to the command with this tag; `error_code` is 0 when it was done."""
+
+    tag: int
+    values: str = ""
+    error_code: int = 0
+    error_text: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """Something the board says unasked."""
+
+    name: str
+    detail: str = ""
+
+
+def checksum(body: bytes) -> int:
+    """CRC-16/CCITT-FALSE; of b"123456789" it is 0x29B1."""
+    return crc_hqx(body, 0xFFFF)
+
+
+def encode(tag: int, command: str) -> bytes:
+    """The line that asks for a command.
+
+    Raises
+    ------
+    ValueError
+        For a tag out of 1 to 65535, and for a command that is not one line of printable ASCII or
+        that contains ``#`` or ``!``, by which a reader finds the beginning of a line.
+    """
+    if not 1 <= tag <= TAG_MAX:
+        raise ValueError(f"tag {tag} is not within 1 to {TAG_MAX}")
+    if not (command.isascii() and command.isprintable()) or "#" in command or "!" in command:
+        raise ValueError(f"{command!r} is no command: one line of printable ASCII without # and ! is wanted")
+    body = f"#{tag} {command}".encode("ascii")
+    return body + b"*%04X\n" % checksum(body)
+
+
+def decode(line: bytes) -> Reply | Event | None:
+    """What a line from the board says; None for junk, which is whatever has no valid checksum.
+
+    Half a line that lost its end may stand before a whole one, so reading begins at the last
+    ``#`` or ``!``.
+    """
+    line = line.rstrip(b"\r\n")
+    line = line[max(line.rfind(b"#"), line.rfind(b"!"), 0) :]
+    body, star, digits = line[:-5], line[-5:-4], line[-4:]
+    if star != b"*" or digits != b"%04X" % checksum(body):
+        return None
+    text = body.decode("latin-1")
+    if match := _REPLY.fullmatch(text):
+        tag, values, code, message = match.groups()
+        return Reply(int(tag), values or "", int(code or 0), message or "")
+    if match := _EVENT.fullmatch(text):
+        return Event(match[1], match[2] or "")
+    return None

@@ -1,0 +1,279 @@
+"""The controller in a thread of its own: commands as futures, the heartbeat, reconnection.
+
+Frames are never delayed by the serial line: the threads that handle frames only read the
+snapshot, and nothing here holds a lock while it waits for the device.
+"""
+
+import logging
+import time
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import Future
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from types import TracebackType
+from typing import Self, TypeVar
+
+from processing.errors import DeviceError
+from rig.control.controller import Controller, ControllerIdentity, ControllerStatus, Environment
+from rig.control.link import ControllerReset, ReplyTimeout
+from rig.control.serial_port import PortLost
+from rig.control.settings import ControllerSettings
+from rig.control.worker import Worker
+
+_log = logging.getLogger(__name__)
+_REOPEN_S = 0.5
+_EVENTS_KEPT = 1024
+_NO_READING = Environment()
+
+T = TypeVar("T")
+
+
+class ControlState(StrEnum):
+    """Whether the controller answers."""
+
+    OPENING = "opening"
+    OPEN = "open"
+    LOST = "lost"
+    CLOSED = "closed"
+
+
+@dataclass(frozen=True, slots=True)
+class ControlEvent:
+    """Something worth recording: lost, opened, tripped, reset, an entry of the board's error queue."""
+
+    host_time_ns: int
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class ControlSnapshot:
+    """The latest that is known; `status_time_ns` is the host's monotonic clock when `status` came.
+
+    `environment` is NaN until the first reading and while the controller is lost.
+    """
+
+    state: ControlState = ControlState.OPENING
+    identity: ControllerIdentity | None = None
+    status: ControllerStatus | None = None
+    status_time_ns: int = 0
+    environment: Environment = _NO_READING
+    environment_time_ns: int = 0
+    reconnects: int = 0
+    junk_lines: int = 0
+    late_replies: int = 0
+    retried: int = 0
+    last_error: str = ""
+
+
+class ControlService:
+    """Owns a `Controller` from `start` to `close`; usable as a context manager.
+
+    Every command returns a future at once. Its error is a DeviceError: what the controller
+    refused, that it is lost, or `Overdue` when the command waited longer than its time limit,
+    for a command that comes late must not act. After the controller was lost its outputs are in
+    their safe state and stay there: the service opens it again but lights no laser by itself.
+    """
+
+    def __init__(
+        self, controller: Controller, settings: ControllerSettings, environment_period_s: float = 1.0
+    ) -> None:
+        self._controller = controller
+        self._settings = settings
+        self._environment_period_s = environment_period_s
+        self._snapshot = ControlSnapshot()
+        self._events: deque[ControlEvent] = deque(maxlen=_EVENTS_KEPT)
+        self._is_open = False
+        self._was_open = False
+        self._heard_s = 0.0
+        self._environment_due_s = 0.0
+        self._counts_before = (0, 0, 0)
+        self._worker = Worker("rig-control", self._turn, self._finish)
+
+    def start(self) -> None:
+        """Begin; the first `snapshot` that is OPEN says that the controller answered."""
+        self._worker.start()
+
+    def wait_open(self, timeout_s: float = 5.0) -> ControllerIdentity:
+        """Block until the controller has answered; raises DeviceError with the reason when it does not."""
+        deadline_s = time.monotonic() + timeout_s
+        while time.monotonic() < deadline_s:
+            snapshot = self._snapshot
+            if snapshot.state is ControlState.OPEN and snapshot.identity is not None:
+                return snapshot.identity
+            time.sleep(0.005)
+        raise DeviceError(
+            self._snapshot.last_error or f"{self._controller.name} did not answer in {timeout_s:g} s"
+        )
+
+    def close(self) -> bool:
+        """Put every output into its safe state, give the port back, end the thread; False if it hangs."""
+        return self._worker.close()
+
+    def __enter__(self) -> Self:
+        self.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    @property
+    def snapshot(self) -> ControlSnapshot:
+        """Latest state; never blocks."""
+        return self._snapshot
+
+    @property
+    def failure(self) -> BaseException | None:
+        """What ended the service against our will."""
+        return self._worker.failure
+
+    def take_events(self) -> tuple[ControlEvent, ...]:
+        """Events since the last call, oldest first; never blocks. One thread takes them."""
+        events = []
+        while self._events:
+            events.append(self._events.popleft())
+        return tuple(events)
+
+    def submit(
+        self, call: Callable[[Controller], T], timeout_s: float = 2.0, urgent: bool = False
+    ) -> "Future[T]":
+        """Queue any call on the controller."""
+        return self._worker.submit(lambda: self._guarded(call), timeout_s, urgent)
+
+    def laser_on(self) -> "Future[None]":
+        """Light the laser, interlock permitting."""
+        return self.submit(Controller.laser_on)
+
+    def laser_off(self) -> "Future[None]":
+        """Laser off, ahead of whatever else waits."""
+        return self.submit(Controller.laser_off, urgent=True)
+
+    def set_laser_power_w(self, power_w: float) -> "Future[None]":
+        """Set the laser's power within its limits."""
+        return self.submit(lambda c: c.set_laser_power_w(power_w))
+
+    def hold(self) -> "Future[None]":
+        """Energise the holding magnet."""
+        return self.submit(Controller.hold)
+
+    def release(self) -> "Future[None]":
+        """Let the pendulum go."""
+        return self.submit(Controller.release)
+
+    def starter_pulse(self, duration_s: float) -> "Future[None]":
+        """Tilt by the starter; the future is done when the pulse has begun."""
+        return self.submit(lambda c: c.starter_pulse(duration_s))
+
+    def clamp(self, closed: bool) -> "Future[None]":
+        """Close or open the clamp."""
+        return self.submit(lambda c: c.clamp(closed))
+
+    def brake(self, on: bool) -> "Future[None]":
+        """Apply or release the brake."""
+        return self.submit(lambda c: c.brake(on))
+
+    def safe(self) -> "Future[None]":
+        """Every output into its safe state, ahead of whatever else waits."""
+        return self.submit(Controller.safe, urgent=True)
+
+    # -- in the thread --------------------------------------------------------
+
+    def _turn(self) -> float:
+        try:
+            if not self._is_open:
+                self._open()
+            self._beat()
+        except DeviceError as error:
+            self._note_failure(error)
+            return self._settings.heartbeat_s if self._is_open else _REOPEN_S
+        return self._settings.heartbeat_s
+
+    def _open(self) -> None:
+        identity = self._controller.open()
+        self._is_open = True
+        self._heard_s = time.monotonic()
+        self._counts_before = (
+            self._snapshot.junk_lines,
+            self._snapshot.late_replies,
+            self._snapshot.retried,
+        )
+        reconnects = self._snapshot.reconnects + self._was_open
+        self._was_open = True
+        self._snapshot = replace(
+            self._snapshot, state=ControlState.OPEN, identity=identity, reconnects=reconnects, last_error=""
+        )
+        self._say(f"controller {identity.serial} open, firmware {identity.firmware}")
+
+    def _beat(self) -> None:
+        controller = self._controller
+        status = controller.heartbeat()
+        now_s, now_ns = time.monotonic(), time.monotonic_ns()
+        self._heard_s = now_s
+        junk, late, retried = (
+            before + count
+            for before, count in zip(self._counts_before, controller.line_counts(), strict=True)
+        )
+        self._snapshot = replace(
+            self._snapshot,
+            status=status,
+            status_time_ns=now_ns,
+            junk_lines=junk,
+            late_replies=late,
+            retried=retried,
+        )
+        for event in controller.take_events():
+            self._say(f"controller: {event.name} {event.detail}".rstrip())
+        if status.errors_waiting:
+            code, text = controller.next_error()
+            self._say(f"controller error {code}: {text}")
+        if now_s >= self._environment_due_s:
+            self._environment_due_s = now_s + self._environment_period_s
+            environment = controller.environment()
+            self._snapshot = replace(
+                self._snapshot, environment=environment, environment_time_ns=time.monotonic_ns()
+            )
+
+    def _guarded(self, call: Callable[[Controller], T]) -> T:
+        if not self._is_open:
+            raise PortLost(
+                self._snapshot.last_error or f"{self._controller.name}: the controller is not open"
+            )
+        try:
+            return call(self._controller)
+        except DeviceError as error:
+            self._note_failure(error)
+            raise
+
+    def _note_failure(self, error: DeviceError) -> None:
+        """Decide whether the controller is lost; a refusal and a single silence don't mean that."""
+        silent_s = time.monotonic() - self._heard_s
+        lost = (
+            not self._is_open
+            or isinstance(error, PortLost | ControllerReset)
+            or (isinstance(error, ReplyTimeout) and silent_s > self._settings.watchdog_s)
+        )
+        if not lost:
+            self._say(str(error))
+            return
+        if self._is_open or str(error) != self._snapshot.last_error:
+            self._say(str(error))
+        self._is_open = False
+        self._snapshot = replace(
+            self._snapshot,
+            state=ControlState.LOST,
+            status=None,
+            environment=_NO_READING,
+            last_error=str(error),
+        )
+        self._controller.close()
+
+    def _say(self, text: str) -> None:
+        _log.info("%s", text)
+        self._events.append(ControlEvent(time.monotonic_ns(), text))
+
+    def _finish(self) -> None:
+        self._controller.close()
+        self._is_open = False
+        self._snapshot = replace(self._snapshot, state=ControlState.CLOSED, status=None)

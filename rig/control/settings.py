@@ -1,0 +1,126 @@
+"""What a user asks of the controller, the laser and the environment sensor."""
+
+import re
+from typing import Annotated, Literal, Self
+
+from pydantic import AfterValidator, BaseModel, Field, model_validator
+
+ControllerKind = Literal["none", "simulated", "serial"]
+LaserKind = Literal["none", "controller", "thorlabs4000", "obis", "ldc500", "cobolt"]
+EnvironmentKind = Literal["none", "controller", "serial"]
+
+_QUANTITIES = frozenset({"temperature_c", "humidity_percent", "pressure_pa", "pressure_hpa"})
+
+
+class SerialFaults(BaseModel, frozen=True, extra="forbid"):
+    """What goes wrong on the simulated controller's line; all off by default.
+
+    The probabilities count for each chunk of bytes, in either direction.
+    """
+
+    junk_probability: float = Field(default=0.0, ge=0, le=1)
+    loss_probability: float = Field(default=0.0, ge=0, le=1)
+    delay_s: float = Field(default=0.0, ge=0, le=10)
+    reset_at_s: float | None = Field(default=None, ge=0)
+    unplug_at_s: float | None = Field(default=None, ge=0)
+    seed: int = 0
+
+
+class ControllerSettings(BaseModel, frozen=True, extra="forbid"):
+    """The rig controller: its line, its patience and the limits that the host keeps.
+
+    `watchdog_s` is how long the board waits for a heartbeat before it puts every output into its
+    safe state; several heartbeats must fit in.
+    """
+
+    kind: ControllerKind = "none"
+    port: str = ""
+    baud: int = Field(default=115200, gt=0)
+    timeout_s: float = Field(default=0.2, gt=0, le=5)
+    retries: int = Field(default=2, ge=0, le=10)
+    heartbeat_s: float = Field(default=0.25, gt=0, le=2)
+    watchdog_s: float = Field(default=1.5, ge=0.1, le=5)
+    starter_max_s: float = Field(default=5.0, gt=0)
+    faults: SerialFaults = SerialFaults()
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if self.kind == "serial" and not self.port:
+            raise ValueError("port is missing; name the controller's serial port, or see `rig devices`")
+        if self.watchdog_s < 2 * self.heartbeat_s:
+            raise ValueError(
+                f"watchdog_s {self.watchdog_s:g} is too short for heartbeat_s {self.heartbeat_s:g};"
+                " at least two heartbeats must fit in"
+            )
+        return self
+
+
+class LaserSettings(BaseModel, frozen=True, extra="forbid"):
+    """The laser: who drives it, how strong it may and shall be, how long it warms up.
+
+    Diode drivers (thorlabs4000, ldc500) are set in amperes, the others in watts. `power_w`
+    or `current_a` above its limit is refused here, before anything is opened.
+    """
+
+    kind: LaserKind = "none"
+    port: str = ""
+    baud: int = Field(default=115200, gt=0)
+    timeout_s: float = Field(default=0.5, gt=0, le=5)
+    max_power_w: float = Field(default=0.001, ge=0, le=1, allow_inf_nan=False)
+    power_w: float = Field(default=0.0, ge=0, allow_inf_nan=False)
+    max_current_a: float = Field(default=0.0, ge=0, le=20, allow_inf_nan=False)
+    current_a: float = Field(default=0.0, ge=0, allow_inf_nan=False)
+    warm_up_min_s: float = Field(default=0.0, ge=0)
+    warm_up_max_s: float = Field(default=1800.0, gt=0)
+
+    @model_validator(mode="after")
+    def _within_limits(self) -> Self:
+        if self.kind not in ("none", "controller") and not self.port:
+            raise ValueError("port is missing; name the laser's serial port, or see `rig devices`")
+        if self.power_w > self.max_power_w:
+            raise ValueError(f"power_w {self.power_w:g} is above max_power_w {self.max_power_w:g}")
+        if self.current_a > self.max_current_a:
+            raise ValueError(f"current_a {self.current_a:g} is above max_current_a {self.max_current_a:g}")
+        if self.warm_up_min_s > self.warm_up_max_s:
+            raise ValueError(
+                f"warm_up_min_s {self.warm_up_min_s:g} is above warm_up_max_s {self.warm_up_max_s:g}"
+            )
+        return self
+
+
+def _named_groups(pattern: str) -> str:
+    try:
+        groups = set(re.compile(pattern).groupindex)
+    except re.error as error:
+        raise ValueError(f"pattern {pattern!r} is no regular expression: {error}") from None
+    if not groups or groups - _QUANTITIES:
+        raise ValueError(
+            f"pattern {pattern!r} names the groups {sorted(groups)};"
+            f" at least one of {sorted(_QUANTITIES)} is wanted and no other"
+        )
+    return pattern
+
+
+class EnvironmentSettings(BaseModel, frozen=True, extra="forbid"):
+    """Where temperature, humidity and pressure come from.
+
+    `pattern` is searched in each line that the sensor writes; its named groups say which number is which:
+    temperature_c, humidity_percent, and pressure_pa or pressure_hpa. `request` is sent once a
+    period to a sensor that speaks only when asked.
+    """
+
+    kind: EnvironmentKind = "none"
+    port: str = ""
+    baud: int = Field(default=9600, gt=0)
+    pattern: Annotated[str, AfterValidator(_named_groups)] = (
+        r"(?P<temperature_c>[-+\d.]+)[,;\s]+(?P<humidity_percent>[\d.]+)[,;\s]+(?P<pressure_hpa>[\d.]+)"
+    )
+    request: str = ""
+    period_s: float = Field(default=1.0, gt=0)
+    stale_after_s: float = Field(default=30.0, gt=0)
+
+    @model_validator(mode="after")
+    def _port_named(self) -> Self:
+        if self.kind == "serial" and not self.port:
+            raise ValueError("port is missing; name the sensor's serial port, or see `rig devices`")
+        return self

@@ -1,0 +1,218 @@
+"""A controller without hardware: the board's own protocol core in this process, behind a line that can fail.
+
+The host's side is the one that real hardware gets, checksums, retries, watchdog and all; only the
+pins end in plain callbacks, by which a simulated rig lights its laser or lets its pendulum go.
+"""
+
+import random
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from rig.control.controller import Controller, Environment
+from rig.control.firmware.core import Firmware
+from rig.control.serial_port import Line, PortLost
+from rig.control.settings import ControllerSettings, SerialFaults
+
+_TURN_S = 0.005
+
+
+def _ignore(_: object) -> None:
+    """A pin to which nothing is wired."""
+
+
+@dataclass(frozen=True)
+class SimulatedOutputs:
+    """Where the simulated board's pins end; each is called from the board's thread and must return at once.
+
+    `laser` is given the optical power in W, 0.0 when dark; `starter` and the others True or False.
+    """
+
+    laser: Callable[[float], None] = _ignore
+    magnet: Callable[[bool], None] = _ignore
+    starter: Callable[[bool], None] = _ignore
+    clamp: Callable[[bool], None] = _ignore
+    brake: Callable[[bool], None] = _ignore
+    interlock_closed: Callable[[], bool] = lambda: True
+    environment: Callable[[], Environment] = lambda: Environment(20.0, 45.0, 101325.0)
+
+
+def simulated_controller(
+    settings: ControllerSettings,
+    laser_max_w: float,
+    outputs: SimulatedOutputs | None = None,
+    stored_laser_max_w: float = 0.005,
+) -> Controller:
+    """A `Controller` whose board lives in this process; the faults of its line are in the settings."""
+    board = SimulatedBoard(outputs or SimulatedOutputs(), stored_laser_max_w, settings.faults)
+    return Controller(settings, laser_max_w, board.open_line)
+
+
+class SimulatedBoard:
+    """The board: a thread turns the firmware's loop while a line is open or a session lasts.
+
+    So the watchdog works here as it does on the real board when nobody sends heartbeats.
+    """
+
+    fault = ""
+    serial = "SIMULATED"
+    clamp_closed = False
+    starter_max_ms = 5000
+    brake_max_ms = 60000
+
+    def __init__(self, outputs: SimulatedOutputs, laser_max_w: float, faults: SerialFaults) -> None:
+        self.laser_max_w = laser_max_w
+        self.faults = faults
+        self.changed = threading.Condition()
+        self.to_board = bytearray()
+        self.to_host: list[tuple[float, bytes]] = []
+        self.open_lines = 0
+        self.begun_s = time.monotonic()
+        self._outputs = outputs
+        self._random = random.Random(faults.seed)
+        self._thread: threading.Thread | None = None
+        self._reset_done = False
+        self._firmware = Firmware(self)  # type: ignore[no-untyped-call]
+
+    def open_line(self) -> Line:
+        """Plug the cable in."""
+        if self.unplugged():
+            raise PortLost("simulated controller: unplugged by [controller.faults]; it stays so")
+        with self.changed:
+            self.open_lines += 1
+            if self._thread is None:
+                self._thread = threading.Thread(target=self._live, name="simulated-board", daemon=True)
+                self._thread.start()
+        return _SimulatedLine(self)
+
+    def unplugged(self) -> bool:
+        """Whether the fault that pulls the cable has come."""
+        at_s = self.faults.unplug_at_s
+        return at_s is not None and time.monotonic() - self.begun_s >= at_s
+
+    def spoil(self, data: bytes) -> bytes:
+        """What the faulty line makes of a chunk."""
+        faults = self.faults
+        if faults.loss_probability and self._random.random() < faults.loss_probability:
+            data = data[: self._random.randrange(len(data))]
+        if faults.junk_probability and self._random.random() < faults.junk_probability:
+            data = self._random.randbytes(self._random.randrange(1, 40)) + data
+        return data
+
+    def _live(self) -> None:
+        while True:
+            with self.changed:
+                if not self.to_board:
+                    self.changed.wait(_TURN_S)
+            at_s = self.faults.reset_at_s
+            if at_s is not None and not self._reset_done and time.monotonic() - self.begun_s >= at_s:
+                self._reset_done = True
+                self._firmware = Firmware(self)  # type: ignore[no-untyped-call]
+            self._firmware.step()
+            with self.changed:
+                if not self.open_lines and not self._firmware.token:
+                    self._thread = None
+                    return
+
+    # -- what the firmware asks of a board ------------------------------------
+
+    def read(self) -> bytes:
+        """What has come in."""
+        with self.changed:
+            data = bytes(self.to_board)
+            self.to_board.clear()
+        return data
+
+    def write(self, data: bytes) -> None:
+        """Send to the host, if there is one."""
+        with self.changed:
+            if self.open_lines:
+                self.to_host.append((time.monotonic() + self.faults.delay_s, self.spoil(data)))
+                self.changed.notify_all()
+
+    def set_laser(self, on: bool, power_w: float) -> None:
+        """Laser at this power."""
+        self._outputs.laser(power_w if on else 0.0)
+
+    def set_magnet(self, on: bool) -> None:
+        """Holding magnet."""
+        self._outputs.magnet(on)
+
+    def set_starter(self, on: bool) -> None:
+        """Starter."""
+        self._outputs.starter(on)
+
+    def set_clamp(self, on: bool) -> None:
+        """Clamp."""
+        self._outputs.clamp(on)
+
+    def set_brake(self, on: bool) -> None:
+        """Brake."""
+        self._outputs.brake(on)
+
+    def interlock_closed(self) -> bool:
+        """State of the loop."""
+        return self._outputs.interlock_closed()
+
+    def environment(self) -> tuple[float, float, float]:
+        """The sensor's reading."""
+        air = self._outputs.environment()
+        return air.temperature_c, air.humidity_percent, air.pressure_pa
+
+    def ticks_ms(self) -> int:
+        """The board's clock."""
+        return time.monotonic_ns() // 1_000_000
+
+    def ticks_diff(self, later: int, earlier: int) -> int:
+        """Difference of two clock readings."""
+        return later - earlier
+
+    def ticks_add(self, start: int, delta_ms: int) -> int:
+        """A clock reading later by delta_ms."""
+        return start + delta_ms
+
+
+class _SimulatedLine:
+    """The host's end of the cable."""
+
+    name = "simulated controller"
+
+    def __init__(self, board: SimulatedBoard) -> None:
+        self._board = board
+        self._closed = False
+
+    def write(self, data: bytes) -> None:
+        self._check()
+        board = self._board
+        with board.changed:
+            board.to_board += board.spoil(data)
+            board.changed.notify_all()
+
+    def read(self, timeout_s: float) -> bytes:
+        board = self._board
+        deadline_s = time.monotonic() + timeout_s
+        with board.changed:
+            while True:
+                self._check()
+                now_s = time.monotonic()
+                if board.to_host and board.to_host[0][0] <= now_s:
+                    return board.to_host.pop(0)[1]
+                if now_s >= deadline_s:
+                    return b""
+                due_s = min(deadline_s, board.to_host[0][0] if board.to_host else deadline_s)
+                board.changed.wait(max(due_s - now_s, 0.0))
+
+    def discard_input(self) -> None:
+        with self._board.changed:
+            self._board.to_host.clear()
+
+    def close(self) -> None:
+        with self._board.changed:
+            if not self._closed:
+                self._closed = True
+                self._board.open_lines -= 1
+
+    def _check(self) -> None:
+        if self._closed or self._board.unplugged():
+            raise PortLost("simulated controller: the serial port has gone; check the cable")

@@ -1,0 +1,141 @@
+"""A thread that owns one device: jobs in order of urgency, each with a deadline, and a regular turn."""
+
+import itertools
+import logging
+import queue
+import threading
+import time
+from collections.abc import Callable
+from concurrent.futures import Future
+from dataclasses import dataclass, field
+from typing import Any, TypeVar
+
+from processing.errors import DeviceError
+
+_log = logging.getLogger(__name__)
+_LONGEST_WAIT_S = 0.5
+
+T = TypeVar("T")
+
+
+class Overdue(DeviceError):
+    """A job waited too long behind others and was not begun: a command that is late must not act."""
+
+
+@dataclass(order=True, slots=True)
+class _Job:
+    order: tuple[int, int]
+    deadline_s: float = field(compare=False)
+    call: Callable[[], Any] = field(compare=False)
+    future: "Future[Any]" = field(compare=False)
+
+
+class Worker:
+    """Runs `turn` regularly and jobs in between, all in one thread, so that callers never wait on a device.
+
+    Parameters
+    ----------
+    name
+        Of the thread, and in messages.
+    turn
+        Called first, and again after as many seconds as it returned, or sooner.
+    finish
+        Called in the thread at the end, whatever ended it; gives the device back.
+    """
+
+    def __init__(self, name: str, turn: Callable[[], float], finish: Callable[[], None]) -> None:
+        self._name = name
+        self._turn = turn
+        self._finish = finish
+        self._jobs: queue.PriorityQueue[_Job] = queue.PriorityQueue()
+        self._count = itertools.count()
+        self._stopping = threading.Event()
+        self._lock = threading.Lock()
+        self._accepting = True
+        self._failure: BaseException | None = None
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+
+    def start(self) -> None:
+        """Begin; once."""
+        self._thread.start()
+
+    def submit(self, call: Callable[[], T], timeout_s: float, urgent: bool = False) -> "Future[T]":
+        """Queue a call, ahead of the others where urgent; the future carries its result or error.
+
+        A call that was not begun within timeout_s is not made: its future raises `Overdue`. After
+        `close` the future raises DeviceError at once.
+        """
+        future: Future[T] = Future()
+        job = _Job((0 if urgent else 1, next(self._count)), time.monotonic() + timeout_s, call, future)
+        with self._lock:
+            if self._accepting:
+                self._jobs.put(job)
+                return future
+        future.set_exception(DeviceError(f"{self._name} is closed"))
+        return future
+
+    def close(self, timeout_s: float = 5.0) -> bool:
+        """Fail the calls still queued, run `finish`, end the thread; False when it did not end in time."""
+        self._stopping.set()
+        self.submit(_nothing, 0.0, urgent=True)  # wakes the thread
+        if self._thread.ident is None or self._thread is threading.current_thread():
+            return True
+        self._thread.join(timeout_s)
+        return not self._thread.is_alive()
+
+    @property
+    def failure(self) -> BaseException | None:
+        """What ended the thread against our will; None while all is well."""
+        return self._failure
+
+    def _run(self) -> None:
+        try:
+            next_turn_s = 0.0
+            while not self._stopping.is_set():
+                now_s = time.monotonic()
+                if now_s >= next_turn_s:
+                    next_turn_s = now_s + self._turn()
+                self._work(min(next_turn_s - time.monotonic(), _LONGEST_WAIT_S))
+        except BaseException as error:
+            _log.exception("%s ended", self._name)
+            self._failure = error
+        finally:
+            with self._lock:
+                self._accepting = False
+            self._fail_all()
+            try:
+                self._finish()
+            except BaseException as error:
+                _log.exception("%s did not finish", self._name)
+                self._failure = self._failure or error
+
+    def _work(self, wait_s: float) -> None:
+        try:
+            job = self._jobs.get(timeout=wait_s) if wait_s > 0 else self._jobs.get_nowait()
+        except queue.Empty:
+            return
+        if self._stopping.is_set():
+            self._jobs.put(job)  # fails with the rest
+        elif time.monotonic() > job.deadline_s:
+            if job.future.set_running_or_notify_cancel():
+                job.future.set_exception(
+                    Overdue(f"{self._name} was busy; a command was too late and was not given")
+                )
+        elif job.future.set_running_or_notify_cancel():
+            try:
+                job.future.set_result(job.call())
+            except Exception as error:
+                job.future.set_exception(error)
+
+    def _fail_all(self) -> None:
+        while True:
+            try:
+                job = self._jobs.get_nowait()
+            except queue.Empty:
+                return
+            if job.future.set_running_or_notify_cancel():
+                job.future.set_exception(DeviceError(f"{self._name} is closed"))
+
+
+def _nothing() -> None:
+    """The job that only wakes the thread."""

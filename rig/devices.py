@@ -1,0 +1,199 @@
+"""The instrument's devices: opened in order, closed in reverse, always."""
+
+import logging
+import math
+import time
+from collections.abc import Iterator
+from concurrent.futures import Future
+from contextlib import ExitStack, contextmanager
+from types import TracebackType
+from typing import Any, NamedTuple, Self
+
+from acquisition.camera import Camera, CameraInfo
+from acquisition.cameras.simulated import SimulatedCamera
+from acquisition.simulation.inputs import RigInputs
+from processing.errors import ConfigurationError, DeviceError
+from rig.config import Configuration
+from rig.control.controller import Controller
+from rig.control.environment import EnvironmentService
+from rig.control.laser_service import LaserService
+from rig.control.lasers import make_laser
+from rig.control.service import ControlService, ControlState
+from rig.control.simulated import SimulatedOutputs, simulated_controller
+from rig.instrument import camera_settings, make_camera, setting_differences
+
+_log = logging.getLogger(__name__)
+_COMMAND_S = 5.0
+
+
+class OpenCamera(NamedTuple):
+    """A camera that is configured; `notes` are the settings that it did not take as asked."""
+
+    camera: Camera
+    info: CameraInfo
+    notes: tuple[str, ...]
+
+
+class Devices:
+    """Controller, sensor and laser of one session, and the camera of each run; a context manager.
+
+    Opened in the order controller, sensor, laser, camera and closed in reverse, whatever happens.
+    What is not configured is not opened. Laser and controller stay on between the runs of a series.
+    """
+
+    def __init__(self, config: Configuration) -> None:
+        self._config = config
+        self._closing = ExitStack()
+        self._inputs: RigInputs | None = None
+        self.control: ControlService | None = None
+        self.laser: LaserService | None = None
+        self.sensor: EnvironmentService | None = None
+        if config.controller.kind == "simulated":
+            if config.camera.driver != "simulated" or not config.simulation.real_time:
+                raise ConfigurationError(
+                    "controller.kind = 'simulated' moves the simulated rig in real time: "
+                    "set camera.driver = 'simulated' and simulation.real_time = true"
+                )
+            self._inputs = RigInputs()
+
+    def __enter__(self) -> Self:
+        try:
+            self._open()
+        except BaseException:
+            self._closing.close()
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._closing.close()
+
+    def _open(self) -> None:
+        config = self._config
+        if config.controller.kind != "none":
+            self.control = self._closing.enter_context(
+                ControlService(self.make_controller(), config.controller, config.environment_sensor.period_s)
+            )
+            self.control.wait_open()
+        if config.environment_sensor.kind == "serial":
+            self.sensor = self._closing.enter_context(EnvironmentService(config.environment_sensor))
+        laser = make_laser(config.laser)
+        if laser is not None:
+            self.laser = self._closing.enter_context(LaserService(laser))
+
+    @contextmanager
+    def camera(self, config: Configuration) -> Iterator[OpenCamera]:
+        """The camera of one run, opened and configured; closed on the way out."""
+        camera: Camera
+        if self._inputs is not None:
+            camera = SimulatedCamera(config.simulation, config.faults, self._inputs)
+        else:
+            camera = make_camera(config)
+        try:
+            info = camera.open()
+            asked = camera_settings(config)
+            yield OpenCamera(camera, info, tuple(setting_differences(asked, camera.configure(asked))))
+        finally:
+            camera.close()
+
+    def make_controller(self) -> Controller:
+        """The configured controller, not opened yet; a simulated one acts on the simulated rig."""
+        config = self._config
+        limit_w = config.laser.max_power_w
+        if config.controller.kind == "serial":
+            return Controller(config.controller, limit_w)
+        inputs = self._inputs or RigInputs()
+        if config.laser.kind != "controller":
+            # a laser that nobody drives is simply on
+            inputs.laser(config.simulation.optics.laser_w)
+        return simulated_controller(
+            config.controller,
+            limit_w,
+            SimulatedOutputs(
+                laser=inputs.laser if config.laser.kind == "controller" else _unwired,
+                magnet=inputs.magnet,
+                starter=inputs.starter,
+                clamp=inputs.clamp,
+                brake=inputs.brake,
+            ),
+        )
+
+    def light(self) -> str:
+        """Switch the laser on; what was done, in words. Raises DeviceError: refused, interlock open."""
+        settings = self._config.laser
+        if settings.kind == "controller":
+            control = self.required_control("laser.kind = 'controller'")
+            if settings.power_w <= 0:
+                raise ConfigurationError("laser.power_w = 0: state the power that the laser shall have")
+            done(control.set_laser_power_w(settings.power_w))
+            done(control.laser_on())
+            return f"laser on, {settings.power_w * 1e3:g} mW"
+        if self.laser is None:
+            return ""
+        deadline_s = time.monotonic() + _COMMAND_S
+        while self.laser.snapshot.state is None and time.monotonic() < deadline_s:
+            time.sleep(0.01)
+        if settings.power_w > 0:
+            done(self.laser.set_power_w(settings.power_w))
+        if settings.current_a > 0:
+            done(self.laser.set_current_a(settings.current_a))
+        done(self.laser.enable())
+        return "laser on"
+
+    def required_control(self, who: str) -> ControlService:
+        """The controller; ConfigurationError where `who` needs one and there is none."""
+        if self.control is None:
+            raise ConfigurationError(f"{who} needs a controller: set controller.kind to serial or simulated")
+        return self.control
+
+    def take_events(self) -> list[tuple[str, str]]:
+        """(kind, text) of what the devices did since the last call; never blocks."""
+        found = [("controller", event.text) for event in self.control.take_events()] if self.control else []
+        if self.laser is not None:
+            found += [("laser", event.text) for event in self.laser.take_events()]
+        return found
+
+    def environment(self) -> tuple[float, float, float]:
+        """Temperature in °C, humidity in %, pressure in Pa: sensor, controller, else what the user states."""
+        if self.sensor is not None:
+            air = self.sensor.latest.environment
+            return air.temperature_c, air.humidity_percent, air.pressure_pa
+        if self.control is not None and self._config.environment_sensor.kind == "controller":
+            air = self.control.snapshot.environment
+            return air.temperature_c, air.humidity_percent, air.pressure_pa
+        return math.nan, math.nan, math.nan
+
+    def describe(self) -> str:
+        """The controller's state in a few words; empty without one."""
+        if self.control is None:
+            return ""
+        snapshot = self.control.snapshot
+        if snapshot.state is not ControlState.OPEN or snapshot.status is None:
+            return str(snapshot.state)
+        status = snapshot.status
+        words = ["laser on" if status.laser_on else "laser off"] if self._config.laser.kind != "none" else []
+        words += [
+            name
+            for name, on in (
+                ("magnet", status.magnet_on),
+                ("starter", status.starter_on),
+                ("clamp", status.clamp_closed),
+                ("brake", status.brake_on),
+            )
+            if on
+        ]
+        words.append("interlock closed" if status.interlock_closed else "INTERLOCK OPEN")
+        return ", ".join(words)
+
+
+def done(command: "Future[Any]") -> None:
+    """Wait for a command; raises its DeviceError."""
+    try:
+        command.result(_COMMAND_S)
+    except TimeoutError:
+        raise DeviceError(f"a command was not carried out within {_COMMAND_S:g} s") from None
+
+
+def _unwired(_: float) -> None:
+    """The laser's pin of a rig whose laser is another's."""

@@ -1,0 +1,100 @@
+"""[instrument]: which kind of pendulum, and what of its description is different here."""
+
+import math
+from dataclasses import replace
+from typing import Literal, Self
+
+from pydantic import BaseModel, Field, model_validator
+
+from processing.instruments.descriptions import DEGREE_RAD, INSTRUMENTS, Description, Limits
+
+Kind = Literal[
+    "single_ball",
+    "two_ball",
+    "herbert",
+    "herbert_roller",
+    "kuznetsov_one",
+    "kuznetsov_two",
+    "koenig",
+    "persoz",
+    "tomlinson",
+    "knife_edge",
+]
+
+
+class InstrumentSettings(BaseModel, frozen=True, extra="forbid"):
+    """The kind selects a description (`rig instruments` lists them); None keeps what it says."""
+
+    kind: Kind = "single_ball"
+    mass_kg: float | None = Field(default=None, gt=0)
+    support_radius_m: float | None = Field(default=None, gt=0, lt=1, description="ball, roller or axis")
+    u_support_radius_m: float = Field(default=0.0, ge=0)
+    lever_m: float | None = Field(
+        default=None, gt=0, description="mass centre from the axis about which the pendulum turns"
+    )
+    u_lever_m: float = Field(default=0.0, ge=0)
+    start_amplitude_deg: float | None = Field(default=None, gt=0, lt=90)
+    end_amplitude_deg: float | None = Field(default=None, gt=0, lt=90)
+    period_s: float | None = Field(default=None, gt=0, description="that the standard asks for on glass")
+    period_tolerance_s: float | None = Field(default=None, gt=0)
+    glass_time_s: float | None = Field(default=None, gt=0, description="damping time asked for on glass")
+    glass_tolerance_s: float | None = Field(default=None, gt=0)
+    glass_time_at_least: bool = Field(default=False, description="glass_time_s is a lower limit only")
+    temperature_c: float | None = Field(default=None, gt=-100, lt=200)
+    temperature_tolerance_c: float | None = Field(default=None, gt=0)
+    humidity_percent: float | None = Field(default=None, ge=0, le=100)
+    humidity_tolerance_percent: float | None = Field(default=None, gt=0)
+    scale_divisions: float = Field(default=100.0, gt=0, description="Herbert's scale, end to end")
+    reference_runs: tuple[int, ...] = Field(
+        default=(), description="runs on the glass plate or reference sample, counted from 1"
+    )
+    reference_time_s: float | None = Field(
+        default=None, gt=0, description="damping time of the reference, where it was measured elsewhere"
+    )
+    u_reference_time_s: float = Field(default=0.0, ge=0)
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        description = self.description()
+        if not description.end_amplitude_rad < description.start_amplitude_rad:
+            raise ValueError(
+                f"instrument: end_amplitude_deg = {description.end_amplitude_rad / DEGREE_RAD:g} must be "
+                f"below start_amplitude_deg = {description.start_amplitude_rad / DEGREE_RAD:g}"
+            )
+        if any(number < 1 for number in self.reference_runs):
+            raise ValueError(f"instrument.reference_runs = {list(self.reference_runs)}: runs count from 1")
+        return self
+
+    def description(self) -> Description:
+        """The table's entry with what is overridden here."""
+        table = INSTRUMENTS[self.kind]
+        tolerance = math.inf if self.glass_time_at_least else self.glass_tolerance_s
+        return replace(
+            table,
+            mass_kg=table.mass_kg if self.mass_kg is None else self.mass_kg,
+            support_radius_m=table.support_radius_m
+            if self.support_radius_m is None
+            else self.support_radius_m,
+            lever_m=table.lever_m if self.lever_m is None else self.lever_m,
+            start_amplitude_rad=table.start_amplitude_rad
+            if self.start_amplitude_deg is None
+            else self.start_amplitude_deg * DEGREE_RAD,
+            end_amplitude_rad=table.end_amplitude_rad
+            if self.end_amplitude_deg is None
+            else self.end_amplitude_deg * DEGREE_RAD,
+            period_s=_limits(table.period_s, self.period_s, self.period_tolerance_s),
+            glass_time_s=_limits(table.glass_time_s, self.glass_time_s, tolerance),
+            temperature_c=_limits(table.temperature_c, self.temperature_c, self.temperature_tolerance_c),
+            humidity_percent=_limits(
+                table.humidity_percent, self.humidity_percent, self.humidity_tolerance_percent
+            ),
+        )
+
+
+def _limits(table: Limits | None, value: float | None, tolerance: float | None) -> Limits | None:
+    """The table's limits with what is given; a value alone, where the table has none, needs a tolerance."""
+    if table is None:
+        return None if value is None or tolerance is None else Limits(value, tolerance)
+    return Limits(
+        table.value if value is None else value, table.tolerance if tolerance is None else tolerance
+    )

@@ -1,0 +1,206 @@
+"""Printed beside simulated-and-analysed, row by row, with difference and verdict."""
+
+import math
+from collections.abc import Sequence
+
+from processing.angle import ARCSEC_RAD
+from processing.contact.hertz import MATERIALS, hertz_contact
+from processing.contact.moments import cycle_work, surface_energy
+from processing.contact.parameters import STANDARD_GRAVITY_M_PER_S2
+from rig.paper.printed import BALL, BALL_RADIUS_M, LOOP_AMPLITUDE_ARCSEC, MASS_KG, PAIRS
+from rig.paper.simulation import PairSeries
+from rig.report.curves import number, parameters_of
+from rig.report.numbers import plain, power, with_uncertainty
+from rig.report.table import Cell, Table
+
+AGREES = "agrees"
+CONTRADICTION = "known contradiction"
+NOT_COMPARABLE = "not comparable"
+_COLUMNS = (
+    "pair", "quantity", "unit", "printed", "exact", "u_exact", "asymptotic", "relative_difference_exact",
+    "relative_difference_asymptotic", "verdict",
+)  # fmt: skip
+_HEAD = ("", "", "printed", "exact map", "difference", "Eqs. 5 and 6", "difference", "verdict")
+
+
+def table1() -> Table:
+    """Contact after Hertz: nothing is simulated, the materials decide."""
+    rows: list[list[Cell]] = []
+    shown = []
+    for pair in PAIRS:
+        contact = hertz_contact(
+            MASS_KG * STANDARD_GRAVITY_M_PER_S2, BALL_RADIUS_M, MATERIALS[BALL], MATERIALS[pair.flat]
+        )
+        name = pair.name.removeprefix("steel on ")
+        for what, unit, printed, found, last_digit in (
+            ("contact radius", "µm", pair.contact_radius_um, contact.radius_m * 1e6, 1.0),
+            ("depth", "µm", pair.depth_um, contact.depth_m * 1e6, 0.1),
+            ("contact angle", "arcmin", pair.contact_angle_arcmin, contact.angle_rad * 10800 / math.pi, 1.0),
+        ):
+            agrees = abs(found - printed) <= 0.5 * last_digit
+            verdict = f"{AGREES} as rounded" if agrees else "differs"
+            difference = found / printed - 1
+            rows.append([pair.name, what, unit, printed, found, difference, verdict])
+            shown.append(
+                [name, f"{what} / {unit}", f"{printed:g}", plain(found, 4), _percent(difference), verdict]
+            )
+            name = ""
+    return Table(
+        "table1", "Table 1: contact after Hertz",
+        ("pair", "quantity", "unit", "printed", "calculated", "relative_difference", "verdict"), rows,
+        ("", "", "printed", "calculated", "difference", "verdict"), shown,
+    )  # fmt: skip
+
+
+def table2(found: Sequence[PairSeries], b_exponent: int) -> Table:
+    """Friction: b, p, c, surface energy in both forms, ARAE."""
+    rows: list[list[Cell]] = []
+    for series in found:
+        pair = series.pair
+        name = pair.name
+        scale = 10.0**b_exponent
+        rows.append(
+            [
+                *_fitted(series, name, "b", f"{power(b_exponent)} rad⁻ᵖ", pair.b_printed, scale, 0.001),
+                f"; with the power of ten set to {b_exponent}, which the paper leaves out",
+            ]
+        )
+        rows.append([*_fitted(series, name, "p", "1", pair.p, 1.0, 0.001), "; printed in the row labelled b"])
+        rows.append([*_fitted(series, name, "c", power(-9), pair.c * 1e9, 1e-9, 0.001), ""])
+        rows += [_energy(series, "table2"), _energy(series, "eq2")]
+        rows.append(_arae(series, "arae_decay", pair.arae_decay))
+    return _compared("table2", "Table 2: friction", rows)
+
+
+def table3(found: Sequence[PairSeries]) -> Table:
+    """Elastic rolling resistance: n, T0, gamma, ARAE."""
+    rows: list[list[Cell]] = []
+    for series in found:
+        pair = series.pair
+        rows.append([*_fitted(series, pair.name, "n", "1", pair.n, 1.0, 0.001), ""])
+        rows.append([*_fitted(series, pair.name, "period0_s", "s", pair.period0_s, 1.0, 0.001), ""])
+        rows.append([*_fitted(series, pair.name, "gamma_pa", "MPa", pair.gamma_pa * 1e-6, 1e6, 0.01), ""])
+        rows.append(_arae(series, "arae_period", pair.arae_period))
+    return _compared("table3", "Table 3: elastic rolling resistance", rows)
+
+
+def table4(found: Sequence[PairSeries]) -> Table:
+    """Works over one cycle: with the printed parameters and with the fitted ones."""
+    rows: list[list[Cell]] = []
+    shown = []
+    for series in found:
+        name = series.pair.name.removeprefix("steel on ")
+        amplitude_rad = LOOP_AMPLITUDE_ARCSEC * ARCSEC_RAD
+        truth = cycle_work(amplitude_rad, series.parameters, series.pendulum)
+        fitted = cycle_work(amplitude_rad, parameters_of(series.series["exact"]), series.pendulum)
+        paper = cycle_work(amplitude_rad, parameters_of(series.series["asymptotic"]), series.pendulum)
+        for what, attribute in (("4A", "dissipated_j"), ("4Aₜ", "adhesive_j")):
+            expected, exact, way = (getattr(work, attribute) * 1e15 for work in (truth, fitted, paper))
+            rows.append(
+                [series.pair.name, what, "fJ", expected, exact, way, exact / expected - 1, way / expected - 1]
+            )
+            shown.append(
+                [
+                    name, f"{what} / fJ", plain(expected), plain(exact), _percent(exact / expected - 1),
+                    plain(way), _percent(way / expected - 1), "no printed number",
+                ]
+            )  # fmt: skip
+            name = ""
+    return Table(
+        "table4", f"Table 4: work over one cycle at {LOOP_AMPLITUDE_ARCSEC:g} arcsec",
+        ("pair", "quantity", "unit", "of_printed_parameters", "exact", "asymptotic",
+         "relative_difference_exact", "relative_difference_asymptotic"),
+        rows,
+        ("", "", "of printed parameters", "exact map", "difference", "Eqs. 5 and 6", "difference", "verdict"),
+        shown,
+    )  # fmt: skip
+
+
+def _fitted(
+    series: PairSeries, name: str, parameter: str, unit: str, printed: float, scale: float, last_digit: float
+) -> list[Cell]:
+    """One fitted parameter of the series: agrees within its 95 % interval or as rounded in print."""
+    exact, asymptotic = series.series["exact"][parameter], series.series["asymptotic"][parameter]
+    value, u = number(exact, "value") / scale, number(exact, "standard_uncertainty") / scale
+    half = number(exact, "expanded_uncertainty_95") / scale
+    other = number(asymptotic, "value") / scale
+    difference = value - printed
+    if abs(difference) <= half:
+        verdict = f"{AGREES} (95 %)"
+    elif abs(difference) <= 0.5 * last_digit:
+        verdict = f"{AGREES} as rounded"
+    else:
+        verdict = f"differs by {abs(difference) / u:.1f} u"
+    label = {"period0_s": "T₀", "gamma_pa": "γ"}.get(parameter, parameter)
+    return [name, label, unit, printed, value, u, other, value / printed - 1, other / printed - 1, verdict]
+
+
+def _energy(series: PairSeries, form: str) -> list[Cell]:
+    """Surface energy: Table 2's own form has to agree, Eq. 2 as printed is known not to."""
+    printed = series.pair.surface_energy_j_per_m2 * 1e3
+    exact = series.series["surface_energy_j_per_m2"][form]
+    value, u = number(exact, "value") * 1e3, number(exact, "standard_uncertainty") * 1e3
+    c = series.series["exact"]["c"]["value"]
+    other = value / c * series.series["asymptotic"]["c"]["value"]
+    label = "σ, m g R c/(2a²)" if form == "table2" else "σ, Eq. 2: m g c/(2a)"
+    half = (
+        u
+        * number(series.series["exact"]["c"], "expanded_uncertainty_95")
+        / number(series.series["exact"]["c"], "standard_uncertainty")
+    )
+    of_printed_c = surface_energy(series.pair.c, series.pendulum).table2_j_per_m2 * 1e3
+    if form == "eq2":
+        verdict = CONTRADICTION
+    elif abs(value - printed) <= half + 0.05:
+        verdict = f"{AGREES} as rounded"
+    elif abs(value - of_printed_c) <= half:
+        off = f"{100 * abs(printed / of_printed_c - 1):.1f} %"
+        verdict = f"{AGREES} with the printed c (σ {of_printed_c:.2f}, {off} off)"
+    else:
+        verdict = f"differs by {abs(value - printed) / u:.1f} u"
+    return [
+        series.pair.name, label, "mJ/m²", printed, value, u, other, value / printed - 1, other / printed - 1,
+        verdict, "" if form == "table2" else " with Table 2",
+    ]  # fmt: skip
+
+
+def _arae(series: PairSeries, key: str, printed: float) -> list[Cell]:
+    """Relative errors tell of the noise, which is the simulated rig's, not the paper's."""
+    values = [number(series.run["fits"][name], key) for name in ("exact", "asymptotic")]
+    label = "ARAE, Eq. 8" if key == "arae_decay" else "ARAE, Eq. 9"
+    return [
+        series.pair.name, label, "1", printed, values[0], math.nan, values[1], math.nan, math.nan,
+        NOT_COMPARABLE, ": another noise",
+    ]  # fmt: skip
+
+
+def _compared(name: str, title: str, rows: Sequence[Sequence[Cell]]) -> Table:
+    shown = []
+    before = ""
+    for row in rows:
+        pair, label, unit, printed, exact, u, other, d_exact, d_other, verdict, remark = row
+        text = (
+            with_uncertainty(float(exact), float(u)) if not math.isnan(float(u)) else plain(float(exact), 2)
+        )
+        shown.append(
+            [
+                str(pair).removeprefix("steel on ") if pair != before else "",
+                f"{label} / {str(unit).removeprefix(' × ')}" if unit != "1" else str(label),
+                f"{printed:.6g}", text, _percent(float(d_exact)),
+                plain(float(other), 2 if verdict == NOT_COMPARABLE else 5), _percent(float(d_other)),
+                f"{verdict}{remark if verdict in (CONTRADICTION, NOT_COMPARABLE) else ''}",
+            ]
+        )  # fmt: skip
+        before = str(pair)
+    remarks = dict.fromkeys(f"{row[1]}{row[-1]}" for row in rows if str(row[-1]).startswith(";"))
+    note = ". ".join(text.replace(";", ":", 1) for text in remarks)
+    return Table(name, title, _COLUMNS, [row[:-1] for row in rows], _HEAD, shown, f"{note}." if note else "")
+
+
+def _percent(share: float) -> str:
+    if math.isnan(share):
+        return "–"
+    if abs(share) < 5e-6:
+        return "0.000 %"
+    digits = 1 if abs(share) >= 0.1 else 2 if abs(share) >= 0.001 else 3
+    return f"{100 * share:+.{digits}f} %".replace("-", "−")

@@ -1,0 +1,122 @@
+"""Simulated series of the paper's contact pairs, from the equations of motion to fits."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from acquisition.simulation.settings import (
+    ContactTruth,
+    FastModeTruth,
+    ReleaseTruth,
+    SimulationSettings,
+)
+from acquisition.simulation.trajectory import noisy, true_trajectory, true_turning_points
+from processing.angle import ARCSEC_RAD
+from processing.contact.hertz import MATERIALS, pendulum_on_ball
+from processing.contact.parameters import ContactParameters, PendulumOnBall
+from processing.fit.asymptotic import fit_asymptotic
+from processing.fit.exact import fit_exact
+from processing.fit.measurement import Quantity, RigQuantities
+from processing.fit.result import FitResult
+from processing.swing import SwingDetector, TurningPoints, turning_points
+from rig.evaluation import evaluate
+from rig.evaluation_tree import evaluation_tree, series_tree
+from rig.paper.printed import (
+    BALL,
+    BALL_RADIUS_M,
+    FINAL_AMPLITUDE_ARCSEC,
+    INITIAL_AMPLITUDE_ARCSEC,
+    MASS_KG,
+    PERIOD_RATIO,
+    RUNS,
+    PrintedPair,
+)
+from rig.report.source import Motion
+from rig.results import fit_tree
+
+NOISE_ARCSEC = 0.0027
+"""Standard uncertainty of one tracked position of the demonstration, 0.0055 px at an arm of 1 m."""
+
+
+@dataclass(frozen=True)
+class PairSeries:
+    """One contact pair simulated and analysed: `run` and `series` in the form of results.json."""
+
+    pair: PrintedPair
+    parameters: ContactParameters
+    pendulum: PendulumOnBall
+    points: Sequence[TurningPoints]
+    motion: Motion
+    run: Mapping[str, Any]
+    series: Mapping[str, Any]
+
+
+def printed_parameters(pair: PrintedPair, b_exponent: int) -> ContactParameters:
+    """The pair's parameters with b's missing power of ten put in."""
+    return ContactParameters(
+        pair.b_printed * 10.0**b_exponent, pair.p, pair.c, pair.n, pair.period0_s, pair.gamma_pa
+    )
+
+
+def simulate_pair(pair: PrintedPair, b_exponent: int, seed: int) -> PairSeries:
+    """Three runs of one pair: motion by integration, noise, swings, both fits, the series.
+
+    The noise of each run is its own; everything else is the same, so that runs differ by what
+    the measurement does to them.
+    """
+    truth = printed_parameters(pair, b_exponent)
+    pendulum = pendulum_on_ball(MASS_KG, BALL_RADIUS_M, MATERIALS[BALL], MATERIALS[pair.flat])
+    settings = _settings(pair, truth)
+    end_s = float(true_turning_points(settings, FINAL_AMPLITUDE_ARCSEC).time_s[-1])
+    motion = true_trajectory(settings, end_s + 0.6 * truth.period0_s)
+    noise_rad = NOISE_ARCSEC * ARCSEC_RAD
+    u = np.full(len(motion.times_ns), noise_rad)
+    runs = []
+    shown: Motion | None = None
+    for number in range(RUNS):
+        seen = noisy(motion, noise_rad, noise_rad, seed + number)
+        detector = SwingDetector()
+        swings = detector.update(seen.times_ns, seen.y_rad, u) + detector.finish()
+        runs.append(turning_points(swings))
+        if shown is None:
+            first_ns = next(swing.turn_time_ns for swing in swings if swing.flags == 0)
+            time_s = np.asarray((seen.times_ns - first_ns) * 1e-9, dtype=np.float64)
+            shown = Motion(time_s, seen.x_rad / ARCSEC_RAD, seen.y_rad / ARCSEC_RAD, "arcsec")
+    assert shown is not None
+    fits: dict[str, list[FitResult]] = {
+        "asymptotic": [fit_asymptotic(points, pendulum) for points in runs],
+        "exact": [fit_exact(points, pendulum) for points in runs],
+    }
+    rig = RigQuantities(
+        Quantity(MASS_KG), Quantity(BALL_RADIUS_M), MATERIALS[BALL], MATERIALS[pair.flat],
+        Quantity(1.0), Quantity(1.0),
+    )  # fmt: skip
+    run = {
+        "fits": {name: fit_tree(found[0]) for name, found in fits.items()},
+        **evaluation_tree(evaluate(runs[0], pendulum, fits["exact"][0], rig, seed)),
+    }
+    return PairSeries(pair, truth, pendulum, runs, shown, run, series_tree(fits, runs, pendulum, rig))
+
+
+def _settings(pair: PrintedPair, truth: ContactParameters) -> SimulationSettings:
+    flat, ball = MATERIALS[pair.flat], MATERIALS[BALL]
+    return SimulationSettings(
+        contact=ContactTruth(
+            b=truth.b,
+            p=truth.p,
+            c=truth.c,
+            n=truth.n,
+            period0_s=truth.period0_s,
+            gamma_pa=truth.gamma_pa,
+            mass_kg=MASS_KG,
+            ball_radius_m=BALL_RADIUS_M,
+            ball_youngs_modulus_pa=ball.youngs_modulus_pa,
+            ball_poisson_ratio=ball.poisson_ratio,
+            flat_youngs_modulus_pa=flat.youngs_modulus_pa,
+            flat_poisson_ratio=flat.poisson_ratio,
+        ),
+        fast=FastModeTruth(period_ratio=PERIOD_RATIO),
+        release=ReleaseTruth(amplitude_arcsec=INITIAL_AMPLITUDE_ARCSEC),
+    )

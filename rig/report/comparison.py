@@ -1,0 +1,176 @@
+"""`rig compare`: series of several samples, days, humidities beside each other."""
+
+from collections.abc import Mapping, Sequence
+from math import isfinite, nan
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.special import stdtrit
+
+from processing.errors import RecordError
+from processing.fit.measurement import Measured
+from processing.fit.result import CONTACT_NAMES, Estimate
+from processing.fit.series import Combined, Comparison, SeriesResult, compare_series
+from rig.report import html
+from rig.report.curves import number
+from rig.report.drawing import styled
+from rig.report.figures_contact import comparison_figure
+from rig.report.numbers import plain, symbol, with_uncertainty
+from rig.report.session_report import save_figures, save_tables
+from rig.report.source import read_results
+from rig.report.table import Cell, Table
+
+DIFFERENT = 0.05
+"""Chance, shared between all pairs and parameters, below which series are said to differ."""
+
+
+def compare(folders: Sequence[Path], output: Path | None) -> list[Table]:
+    """Tables of several sessions' exact parameters and of their differences.
+
+    With `output` (an HTML file) a page with the plot is written, figures and CSV beside it.
+
+    Raises RecordError for fewer than two folders, or one without fits.
+    """
+    if len(folders) < 2:
+        raise RecordError(f"{len(folders)} folder: a comparison needs at least two sessions")
+    series = {_label(folder, folders): series_of(folder) for folder in folders}
+    tables = [values_table(series), differences_table(compare_series(series))]
+    if output is not None:
+        files = output.parent / output.stem
+        names = [name for name in CONTACT_NAMES if all(name in s.parameters for s in series.values())]
+        bars = {
+            label: {name: (item.value, item.expanded) for name, item in found.parameters.items()}
+            for label, found in series.items()
+        }
+        try:
+            files.mkdir(parents=True, exist_ok=True)
+            save_tables(tables, files)
+            with styled():
+                figures = save_figures([comparison_figure(names, bars)], files)
+            body = [*figures, *(html.table(content) for content in tables)]
+            output.write_text(html.page("Series compared", ", ".join(series), body), encoding="utf-8")
+        except OSError as error:
+            raise RecordError(f"{output}: cannot be written: {error.strerror or error}") from None
+    return tables
+
+
+def _label(folder: Path, folders: Sequence[Path]) -> str:
+    """The folder's own name, or its whole path where two share the name."""
+    name = folder.resolve().name
+    return name if sum(other.resolve().name == name for other in folders) == 1 else str(folder)
+
+
+def series_of(folder: Path) -> SeriesResult:
+    """The exact parameters of a session: the combined ones of a series, else those of its one fitted run.
+
+    Raises RecordError where nothing was fitted.
+    """
+    tree = read_results(folder)
+    combined = (tree.get("series") or {}).get("exact")
+    if combined:
+        parameters = {name: _combined(name, item) for name, item in combined.items()}
+    else:
+        fitted = [run for run in tree["runs"] if run.get("fits")]
+        if not fitted:
+            raise RecordError(f"{folder}: no run of it was fitted ({tree['runs'][0].get('problem')})")
+        parameters = _single(fitted[0]["fits"]["exact"])
+    names = tuple(parameters)
+    u = np.array([parameters[name].standard_uncertainty for name in names])
+    together = Measured(
+        names, np.array([parameters[name].value for name in names]), np.diag(u**2),
+        float(min(item.dof for item in parameters.values())), np.zeros(len(names)), nan,
+    )  # fmt: skip
+    return SeriesResult(parameters, (), together)
+
+
+def _combined(name: str, item: Mapping[str, Any]) -> Combined:
+    return Combined(
+        name,
+        number(item, "value"),
+        number(item, "standard_uncertainty"),
+        int(number(item, "degrees_of_freedom")),
+        number(item, "expanded_uncertainty_95"),
+        number(item, "within_runs"),
+        number(item, "between_runs"),
+        number(item, "p_homogeneous"),
+        tuple(Estimate(number(run, "value"), number(run, "standard_uncertainty")) for run in item["runs"]),
+    )
+
+
+def _single(fit: Mapping[str, Any]) -> dict[str, Combined]:
+    """One run as a series of its own: what scatters between runs is not known of it."""
+    dof = int(number(fit, "degrees_of_freedom"))
+    found = {}
+    for name in CONTACT_NAMES:
+        value, u = number(fit, name), number(fit, name, "standard_uncertainty")
+        if isfinite(value) and isfinite(u):
+            half = float(stdtrit(dof, 0.975)) * u
+            found[name] = Combined(name, value, u, dof, half, u, 0.0, nan, (Estimate(value, u),))
+    return found
+
+
+def values_table(series: Mapping[str, SeriesResult]) -> Table:
+    """One row a parameter, one column a series."""
+    names = [name for name in CONTACT_NAMES if any(name in found.parameters for found in series.values())]
+    rows: list[list[Cell]] = []
+    shown = []
+    for name in names:
+        label, unit, scale = symbol(name)
+        items = [found.parameters.get(name) for found in series.values()]
+        cells: list[Cell] = [name]
+        for item in items:
+            cells += (
+                [nan, nan, nan] if item is None else [item.value, item.standard_uncertainty, item.expanded]
+            )
+        rows.append(cells)
+        texts = [
+            "–" if item is None else with_uncertainty(item.value * scale, item.standard_uncertainty * scale)
+            for item in items
+        ]
+        shown.append([f"{label} / {unit}" if unit != "1" else label, *texts])
+    columns = [f"{label}_{what}" for label in series for what in ("value", "u", "expanded_95")]
+    runs = ", ".join(f"{label}: {len(_runs(found))}" for label, found in series.items())
+    return Table(
+        "values", "Parameters of each series", ("parameter", *columns), rows, ("", *series), shown,
+        f"Exact fits, value ± standard uncertainty of the swings. Runs: {runs}.",
+    )  # fmt: skip
+
+
+def _runs(found: SeriesResult) -> tuple[Estimate, ...]:
+    return next(iter(found.parameters.values())).runs
+
+
+def differences_table(comparisons: Sequence[Comparison]) -> Table:
+    """Every pair of series, parameter by parameter."""
+    limit = DIFFERENT / max(len(comparisons), 1)
+    rows: list[list[Cell]] = []
+    shown = []
+    for item in comparisons:
+        label, unit, scale = symbol(item.name)
+        verdict = "differ" if item.p_value < limit else "no difference seen"
+        rows.append(
+            [
+                item.first,
+                item.second,
+                item.name,
+                item.difference,
+                item.standard_uncertainty,
+                item.p_value,
+                verdict,
+            ]
+        )
+        shown.append(
+            [
+                f"{item.first} − {item.second}", f"{label} / {unit}" if unit != "1" else label,
+                with_uncertainty(item.difference * scale, item.standard_uncertainty * scale),
+                plain(item.p_value, 2), verdict,
+            ]
+        )  # fmt: skip
+    return Table(
+        "differences", "Differences",
+        ("first", "second", "parameter", "difference", "standard_uncertainty", "p_value", "verdict"), rows,
+        ("", "", "difference", "chance", "verdict"), shown,
+        "Welch's t. The chance is that of so large a difference between series that are alike; 5 % is shared "
+        "between all rows. Mass, radius and scale, which move all series together, are left out.",
+    )  # fmt: skip

@@ -1,0 +1,160 @@
+"""Moments of the contact (Table 4), correlations of the fit, runs of a series beside each other."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from processing.angle import ARCSEC_RAD
+from processing.contact.moments import cycle_work, moment_loop, weight_moment
+from processing.contact.parameters import ContactParameters, PendulumOnBall
+from rig.report.curves import number
+from rig.report.drawing import ASYMPTOTIC, DATA, EXACT, INK, Drawing, canvas
+from rig.report.numbers import plain, symbol
+from rig.view import palette
+
+
+def loop_figure(
+    parameters: ContactParameters, pendulum: PendulumOnBall, amplitude_arcsec: float = 3.1
+) -> Drawing:
+    """The three loops of Table 4 with the rectangle of the adhesive work."""
+    amplitude_rad = amplitude_arcsec * ARCSEC_RAD
+    loop = moment_loop(amplitude_rad, parameters, pendulum)
+    work = cycle_work(amplitude_rad, parameters, pendulum)
+    phi = loop.phi_rad / ARCSEC_RAD
+    closed = np.append(phi, phi[0])
+    figure = canvas(2.75)
+    panels = figure.subplots(1, 3)
+    figure.subplots_adjust(left=0.075, right=0.99, bottom=0.165, top=0.9, wspace=0.3)
+    for axes, values, title in zip(
+        panels,
+        (loop.friction_n_m, loop.elastic_n_m, loop.total_n_m),
+        ("dissipative, Eq. 1", "elastic, Eq. 3", "total, Eq. 7"),
+        strict=True,
+    ):
+        moment = np.append(values, values[0]) * 1e9
+        axes.plot(closed, moment, color=EXACT, lw=1.2)
+        if title.startswith("diss"):
+            axes.fill(closed, moment, color=palette.SKY_BLUE, alpha=0.25, lw=0)
+        axes.axhline(0, color=INK, lw=0.5)
+        axes.axvline(0, color=INK, lw=0.5)
+        axes.set_title(title)
+        axes.set_xlabel("φ / arcsec")
+    adhesive = weight_moment(pendulum) * parameters.c * 1e9
+    panels[0].plot(
+        np.array([-1, 1, 1, -1, -1]) * amplitude_arcsec,
+        np.array([-1, -1, 1, 1, -1]) * adhesive,
+        ls=(0, (4, 2)), color=INK, lw=0.9,
+    )  # fmt: skip
+    for place, text in (
+        (0.96, f"4A = {plain(work.dissipated_j * 1e15)} fJ"),
+        (0.11, f"4Aₜ = {plain(work.adhesive_j * 1e15)} fJ"),
+    ):
+        panels[0].text(0.5, place, text, transform=panels[0].transAxes, ha="center", va="top", fontsize=7.5)
+    panels[0].set_ylabel("M / nN m")
+    return Drawing(
+        "table4-loops",
+        f"Moments over one cycle at {amplitude_arcsec:g} arcsec (Table 4)",
+        "Shaded: 4A, the work lost in a cycle. Dashed: 4Aₜ, the part of adhesion (c). "
+        "The elastic moment is the skeletal curve about which the total makes its loop.",
+        figure,
+    )
+
+
+def correlation_figure(correlation: Mapping[str, Any]) -> Drawing:
+    """Correlation matrix of the exact fit as a map with its numbers."""
+    names = [symbol(name)[0] for name in correlation["names"]]
+    matrix = np.array(
+        [[np.nan if v is None else v for v in row] for row in correlation["matrix"]], dtype=np.float64
+    )
+    figure = canvas(3.0)
+    axes = figure.subplots()
+    figure.subplots_adjust(left=0.05, right=0.985, bottom=0.09, top=0.975)
+    axes.imshow(matrix, cmap="RdBu_r", vmin=-1, vmax=1, aspect="auto")
+    for i, row in enumerate(matrix):
+        for j, value in enumerate(row):
+            if np.isfinite(value):
+                strong = abs(value) > 0.6
+                text = f"{value:+.3f}" if abs(value) > 0.9 else f"{value:+.2f}"
+                axes.text(
+                    j, i, "1" if i == j else text.replace("-", "−"), ha="center", va="center",
+                    fontsize=7.5, color="white" if strong else INK,
+                )  # fmt: skip
+    axes.set_xticks(range(len(names)), names)
+    axes.set_yticks(range(len(names)), names)
+    axes.tick_params(length=0)
+    return Drawing(
+        "correlation",
+        "Correlations of the exact fit",
+        "What two parameters share: near ±1 the data hardly tell them apart, though each may be determined.",
+        figure,
+    )
+
+
+def series_figure(series: Mapping[str, Any]) -> Drawing:
+    """Every parameter of every run, and the combined value with its 95 % interval."""
+    models = [name for name in ("exact", "asymptotic") if name in series]
+    names = list(series[models[0]])
+    figure = canvas(0.35 + 1.55 * ((len(names) + 2) // 3))
+    panels = figure.subplots((len(names) + 2) // 3, 3, squeeze=False)
+    figure.subplots_adjust(left=0.115, right=0.985, bottom=0.11, top=0.93, wspace=0.55, hspace=0.5)
+    for axes, name in zip(panels.flat, names, strict=False):
+        label, unit, scale = symbol(name)
+        item = series["exact" if "exact" in series else models[0]][name]
+        runs = item["runs"]
+        x = np.arange(1, len(runs) + 1)
+        values = np.array([number(run, "value") for run in runs]) * scale
+        u = np.array([number(run, "standard_uncertainty") for run in runs]) * scale
+        middle, expanded = item["value"] * scale, (item["expanded_uncertainty_95"] or np.nan) * scale
+        axes.axhspan(middle - expanded, middle + expanded, color=EXACT, alpha=0.15, lw=0)
+        axes.axhline(middle, color=EXACT, lw=1.0)
+        axes.errorbar(x, values, u, fmt="o", color=DATA, ms=3.5, elinewidth=0.8, capsize=2)
+        axes.set_xlim(0.5, len(runs) + 0.5)
+        axes.set_xticks(x)
+        axes.set_title(f"{label}" + (f" / {unit}" if unit != "1" else ""))
+        axes.ticklabel_format(axis="y", useOffset=False, scilimits=(-3, 4))
+        axes.tick_params(axis="y", labelsize=7)
+    for axes in list(panels.flat)[len(names) :]:
+        axes.set_visible(False)
+    return Drawing(
+        "series",
+        "Runs of the series",
+        "Exact fit of each run with its standard uncertainty; line and band: combined value, 95 % interval.",
+        figure,
+    )
+
+
+def comparison_figure(
+    names: Sequence[str], series: Mapping[str, Mapping[str, tuple[float, float]]]
+) -> Drawing:
+    """One panel a parameter, one point a series: value and half-width of the 95 % interval."""
+    rows = (len(names) + 2) // 3
+    figure = canvas(0.5 + 1.9 * rows)
+    panels = figure.subplots(rows, 3, squeeze=False)
+    figure.subplots_adjust(left=0.1, right=0.985, bottom=0.16, top=0.93, wspace=0.5, hspace=0.75)
+    x = np.arange(len(series))
+    for axes, name in zip(panels.flat, names, strict=False):
+        label, unit, scale = symbol(name)
+        for position, (values, colour) in enumerate(
+            zip(series.values(), (DATA, EXACT, ASYMPTOTIC, *palette.SEQUENCE) * len(series), strict=False)
+        ):
+            value, half = values.get(name, (np.nan, np.nan))
+            axes.errorbar(
+                position,
+                value * scale,
+                half * scale,
+                fmt="o",
+                color=colour,
+                ms=4,
+                capsize=2.5,
+                elinewidth=0.9,
+            )
+        axes.set_xticks(x, list(series), rotation=25, ha="right")
+        axes.set_xlim(-0.5, len(series) - 0.5)
+        axes.set_title(f"{label}" + (f" / {unit}" if unit != "1" else ""))
+        axes.tick_params(axis="y", labelsize=7)
+    for axes in list(panels.flat)[len(names) :]:
+        axes.set_visible(False)
+    return Drawing(
+        "comparison", "Series compared", "Exact fits; bars are 95 % intervals of each series.", figure
+    )

@@ -1,0 +1,221 @@
+"""Decay, period, residuals, losses against the fitted laws (Figs. 12 to 14)."""
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from processing.angle import ARCSEC_RAD
+from processing.contact.losses import measured_losses, model_losses
+from processing.contact.parameters import ContactParameters, PendulumOnBall
+from processing.errors import DataError
+from processing.swing import TurningPoints
+from rig.report.curves import Curves
+from rig.report.drawing import (
+    ASYMPTOTIC,
+    DATA,
+    EXACT,
+    INK,
+    SMOOTH,
+    Array,
+    Drawing,
+    canvas,
+    span,
+    thinned,
+)
+from rig.view import palette
+
+_DOTS = 700
+_BARS = 150
+_RINGS = 90
+
+
+def decay_figure(points: TurningPoints, curves: Curves | None, unit: str, unit_scale: float) -> Drawing:
+    """alpha(t), the paper's Fig. 12, with residuals below; data alone where nothing was fitted."""
+    figure = canvas(4.2 if curves else 2.8)
+    shown = thinned(len(points), _DOTS)
+    time = points.time_s[shown]
+    if curves is None:
+        top = figure.subplots()
+        figure.subplots_adjust(left=0.095, right=0.985, bottom=0.15, top=0.97)
+        top.set_xlabel("t / s")
+    else:
+        top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=[2.2, 1.0])
+        figure.subplots_adjust(left=0.095, right=0.985, bottom=0.1, top=0.98, hspace=0.06)
+        residual = (points.amplitude_rad - curves.asymptotic_rad) / unit_scale * 1e3
+        exact_residual = (points.amplitude_rad - curves.exact_rad) / unit_scale * 1e3
+        bottom.plot(time, residual[shown], ".", color=ASYMPTOTIC, ms=2.0, label="Eq. 5")
+        bottom.plot(time, exact_residual[shown], ".", color=EXACT, ms=2.0, label="exact")
+        bottom.axhline(0, color=INK, lw=0.6)
+        span(bottom, np.concatenate([residual, exact_residual]), 0.002, 0.1)
+        bottom.set_xlabel("t / s")
+        bottom.set_ylabel(f"data − fit / 10⁻³ {unit}")
+    rings = thinned(len(points), _RINGS)
+    top.plot(
+        points.time_s[rings], points.amplitude_rad[rings] / unit_scale, "o", mfc="none", mec=DATA, mew=0.8,
+        ms=4.0, label="turning points" + (" (some)" if len(points) > _RINGS else ""), zorder=5,
+    )  # fmt: skip
+    if curves is not None:
+        top.plot(points.time_s, curves.asymptotic_rad / unit_scale, color=ASYMPTOTIC, lw=2.0, label="Eq. 5")
+        top.plot(points.time_s, curves.exact_rad / unit_scale, color=EXACT, lw=0.9, label="exact")
+    top.set_ylabel(f"α / {unit}")
+    top.set_xlim(0, points.time_s[-1] * 1.005)
+    top.set_ylim(bottom=0)
+    top.legend(loc="upper right")
+    return Drawing(
+        "fig12-decay",
+        "Fig. 12: amplitude against time",
+        "Amplitude of every half-cycle"
+        + (" with Eq. 5 and the exact half-swing map; residuals below." if curves else "."),
+        figure,
+    )
+
+
+def period_figure(curves: Curves) -> Drawing:
+    """T(alpha), the paper's Fig. 13."""
+    return Drawing(
+        "fig13-period",
+        "Fig. 13: period against amplitude",
+        "Full periods about every half-cycle with Eq. 6 and the exact map. The bars are standard "
+        "uncertainties, which grow as the amplitude falls.",
+        _period(
+            curves,
+            {
+                "Eq. 6": (curves.asymptotic_period_s, ASYMPTOTIC, 2.0),
+                "exact": (curves.exact_period_s, EXACT, 0.9),
+            },
+        ),
+    )
+
+
+def smooth_figure(curves: Curves) -> Drawing:
+    """T(alpha) with the super-smoother, the paper's Fig. 14."""
+    return Drawing(
+        "fig14-smoother",
+        "Fig. 14: period against amplitude, model-free",
+        "The super-smoother knows no physics: where Eq. 6 follows it, the law is in the data. An even, small "
+        "distance is the smoother's own, which cuts short what is curved.",
+        _period(
+            curves,
+            {
+                "super-smoother": (curves.smooth_s, SMOOTH, 2.2),
+                "Eq. 6": (curves.asymptotic_period_s, INK, 0.9),
+            },
+        ),
+    )
+
+
+def _period(curves: Curves, models: dict[str, tuple[Array, str, float]]) -> Figure:
+    figure = canvas(4.0)
+    top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=[2.0, 1.0])
+    figure.subplots_adjust(left=0.105, right=0.985, bottom=0.105, top=0.98, hspace=0.06)
+    order = np.argsort(curves.period_rad)
+    alpha = curves.period_rad[order] / ARCSEC_RAD
+    period, u = curves.period_s[order], curves.u_period_s[order]
+    shown = thinned(len(order), _DOTS)
+    bars = thinned(len(order), _BARS)
+    top.errorbar(alpha[bars], period[bars], u[bars], fmt="none", ecolor=palette.SKY_BLUE, elinewidth=0.5)
+    rings = thinned(len(order), _RINGS)
+    top.plot(
+        alpha[rings], period[rings], "o", mfc="none", mec=DATA, mew=0.8, ms=4.0, zorder=5,
+        label="measured" + (" (some)" if len(order) > _RINGS else ""),
+    )  # fmt: skip
+    # the curve sets the range, and the data where they are worth something
+    rough = u > 4 * np.median(u)
+    for label, (values, colour, width) in models.items():
+        top.plot(alpha, values[order], color=colour, lw=width, label=label)
+        residual = (period - values[order]) * 1e3
+        bottom.plot(alpha[shown], residual[shown], ".", color=colour, ms=2.0, label=label)
+    span(top, np.concatenate([period[~rough], *(values for values, _, _ in models.values())]))
+    residuals = [(period - values[order])[~rough] * 1e3 for values, _, _ in models.values()]
+    span(bottom, np.concatenate(residuals), 0.005, 0.25)
+    bottom.axhline(0, color=INK, lw=0.6)
+    bottom.set_xlabel("α / arcsec")
+    bottom.set_xlim(0, alpha[-1] * 1.01)
+    bottom.set_ylabel("data − curve / ms")
+    top.set_ylabel("T / s")
+    top.ticklabel_format(axis="y", useOffset=False)
+    top.legend(loc="lower right")
+    return figure
+
+
+def residual_figure(points: TurningPoints, curves: Curves, outliers: list[int]) -> Drawing:
+    """Residuals of the exact fit in units of their standard uncertainty."""
+    figure = canvas(3.6)
+    grid = figure.add_gridspec(2, 2, width_ratios=[3.2, 1.0])
+    figure.subplots_adjust(left=0.08, right=0.985, bottom=0.115, top=0.93, hspace=0.16, wspace=0.05)
+    both = {
+        "amplitude": (points.amplitude_rad - curves.exact_rad) / points.u_amplitude_rad,
+        "time": (points.time_s - curves.exact_time_s) / points.u_time_s,
+    }
+    shown = thinned(len(points), 1200)
+    outlying = np.isin(points.index, outliers)
+    grey = np.linspace(-4.5, 4.5, 181)
+    normal = np.exp(-0.5 * grey**2) / np.sqrt(2 * np.pi)
+    for row, (name, values) in enumerate(both.items()):
+        left = figure.add_subplot(grid[row, 0])
+        right = figure.add_subplot(grid[row, 1], sharey=left)
+        left.plot(points.index[shown], values[shown], ".", color=DATA, ms=2.0)
+        left.plot(points.index[outlying], np.clip(values[outlying], -4.4, 4.4), "x", color=EXACT, ms=4)
+        left.axhline(0, color=INK, lw=0.6)
+        left.set_ylim(-4.5, 4.5)
+        left.set_ylabel(f"{name}, (data − fit)/u")
+        left.set_xlim(points.index[0], points.index[-1])
+        right.hist(
+            np.clip(values, -4.4, 4.4), bins=36, range=(-4.5, 4.5), orientation="horizontal", density=True,
+            color=palette.SKY_BLUE,
+        )  # fmt: skip
+        right.plot(normal, grey, color=INK, lw=0.9)
+        right.tick_params(labelleft=False)
+        right.set_xticks([])
+        right.text(0.95, 0.92, f"rms {np.std(values):.2f}", transform=right.transAxes, ha="right", va="top")
+        if row == 0:
+            left.tick_params(labelbottom=False)
+            right.set_title("and the normal law")
+        else:
+            left.set_xlabel("half-cycle")
+    return Drawing(
+        "residuals",
+        "Residuals of the exact fit",
+        "In units of each half-cycle's own standard uncertainty; crosses are listed as outlying.",
+        figure,
+    )
+
+
+def loss_figure(points: TurningPoints, parameters: ContactParameters, pendulum: PendulumOnBall) -> Drawing:
+    """Logarithmic decrement and quality factor against amplitude, measured and of the exact map."""
+    figure = canvas(2.9)
+    left, right = figure.subplots(1, 2)
+    figure.subplots_adjust(left=0.085, right=0.985, bottom=0.155, top=0.97, wspace=0.24)
+    cycles = max(1, len(points) // 120)
+    try:
+        found = measured_losses(points, cycles=cycles)
+    except DataError:
+        found = measured_losses(points)
+    alpha = found.amplitude_rad / ARCSEC_RAD
+    left.errorbar(alpha, found.log_decrement, found.u_log_decrement, fmt=".", color=DATA, elinewidth=0.5)
+    known = np.isfinite(found.quality) & np.isfinite(found.u_quality)
+    right.errorbar(
+        alpha[known], found.quality[known], found.u_quality[known], fmt=".", color=DATA, elinewidth=0.5,
+        label=f"measured, {cycles} cycle{'s' if cycles > 1 else ''} each",
+    )  # fmt: skip
+    amplitudes = np.geomspace(points.amplitude_rad[-1], points.amplitude_rad[0], 80)
+    model = model_losses(amplitudes, parameters, pendulum)
+    x = model.amplitude_rad / ARCSEC_RAD
+    left.plot(x, model.log_decrement, color=EXACT)
+    right.plot(x, model.quality, color=EXACT, label="exact")
+    span(left, np.concatenate([found.log_decrement, model.log_decrement]), 0.01)
+    span(right, np.concatenate([found.quality[known], model.quality]), 0.01)
+    left.set_ylabel("logarithmic decrement per cycle")
+    right.set_ylabel("quality factor Q")
+    for axes in (left, right):
+        axes.set_xscale("log")
+        axes.set_xlabel("α / arcsec")
+        axes.set_xticks([2, 5, 10, 20, 50, 100], ["2", "5", "10", "20", "50", "100"])
+        axes.minorticks_off()
+        axes.set_xlim(alpha.min() * 0.9, alpha.max() * 1.1)
+    right.legend(loc="best")
+    return Drawing(
+        "losses",
+        "Losses against amplitude",
+        "From turning points whole cycles apart, and of the exact map with the fitted parameters.",
+        figure,
+    )

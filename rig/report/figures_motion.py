@@ -1,0 +1,149 @@
+"""What the camera saw and how the pendulum moved: frame, Y(t), X(t), trajectory (Figs. 9 to 11)."""
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle
+
+from rig.report.drawing import INK, Array, Drawing, canvas, envelope, thinned
+from rig.report.source import Motion, Picture
+from rig.view import palette
+
+_ZOOM_CYCLES = 6.0
+_LINE_POINTS = 1500
+_MOST_COLUMNS = 2600
+
+
+def frame_figure(picture: Picture) -> Drawing:
+    """The whole frame, and the spot large with the fitted centre."""
+    image = picture.frame.image
+    rows, columns = image.shape[:2]
+    figure = canvas(3.3)
+    tall = rows > columns
+    left, right = figure.subplots(1, 2, width_ratios=[columns / rows if tall else 1.4, 1.0])
+    figure.subplots_adjust(left=0.09, right=0.93, bottom=0.14, top=0.93, wspace=0.3)
+    top = float(np.max(image)) or 1.0
+    step = max(1, max(rows, columns) // 640)
+    # a square root of the grey values shows the foot of the beam and the background as an eye does
+    shown = np.sqrt(np.clip(image / top, 0.0, 1.0))
+    left.imshow(
+        shown[::step, ::step],
+        cmap="gray",
+        extent=(-0.5, columns - 0.5, rows - 0.5, -0.5),
+        vmin=0,
+        vmax=1,
+        interpolation="nearest",
+    )
+    half = max(12, round(4.5 * picture.sigma_px))
+    x0, y0 = round(picture.x_px), round(picture.y_px)
+    low_x, low_y = max(0, x0 - half), max(0, y0 - half)
+    part = image[low_y : y0 + half + 1, low_x : x0 + half + 1]
+    shape = (low_x - 0.5, low_x + part.shape[1] - 0.5, low_y + part.shape[0] - 0.5, low_y - 0.5)
+    drawn = right.imshow(part, cmap="gray", extent=shape, interpolation="nearest", vmin=0)
+    right.axhline(picture.y_px, color=palette.ORANGE, lw=0.7)
+    right.axvline(picture.x_px, color=palette.ORANGE, lw=0.7)
+    if np.isfinite(picture.sigma_px):
+        right.add_patch(
+            Circle((picture.x_px, picture.y_px), 2 * picture.sigma_px, fill=False, ec=palette.ORANGE, lw=0.8)
+        )
+    left.add_patch(Circle((picture.x_px, picture.y_px), half, fill=False, ec=palette.ORANGE, lw=0.9))
+    bar = figure.colorbar(drawn, ax=right, fraction=0.046, pad=0.03)
+    bar.set_label("grey value / DN")
+    left.set_title(f"frame {picture.frame.sequence}")
+    right.set_title(f"spot at ({picture.x_px:.3f}, {picture.y_px:.3f}) px; circle 2σ")
+    for axes in (left, right):
+        axes.set_xlabel("x / px")
+        axes.set_ylabel("y / px")
+        axes.tick_params(color="white", labelcolor=INK)
+    return Drawing(
+        "fig00-frame",
+        "Camera frame",
+        f"One whole frame, {columns} × {rows} px, on a square-root scale of grey, and the laser "
+        "spot in it with the fitted centre.",
+        figure,
+    )
+
+
+def slow_figure(motion: Motion, period_s: float) -> Drawing:
+    """Y(t), the paper's Fig. 9."""
+    return Drawing(
+        "fig09-y",
+        "Fig. 9: Y(t)",
+        "Slow mode. Above, the whole run as the band between the extremes; below, its beginning and its end.",
+        _motion_figure(motion.time_s, motion.y, "Y", motion.unit, palette.BLUE, period_s),
+    )
+
+
+def fast_figure(motion: Motion, period_s: float) -> Drawing:
+    """X(t), the paper's Fig. 10."""
+    return Drawing(
+        "fig10-x",
+        "Fig. 10: X(t)",
+        "Fast mode and what of the slow one shows in X; drawn like Y(t), on its own scale.",
+        _motion_figure(motion.time_s, motion.x, "X", motion.unit, palette.VERMILLION, period_s),
+    )
+
+
+def _motion_figure(
+    time_s: Array, values: Array, name: str, unit: str, colour: str, period_s: float
+) -> Figure:
+    figure = canvas(3.5)
+    grid = figure.add_gridspec(2, 2, height_ratios=[1.25, 1.0])
+    whole = figure.add_subplot(grid[0, :])
+    cycles = float(time_s[-1] - time_s[0]) / period_s
+    # either every oscillation is resolved, or none: anything between makes beats that are not there
+    columns = round(8 * cycles) if 8 * cycles <= _MOST_COLUMNS else round(min(cycles, _MOST_COLUMNS))
+    x, low, high = envelope(time_s, values, max(columns, 300))
+    whole.fill_between(x, low, high, color=colour, lw=0.3)
+    whole.set_xlim(time_s[0], time_s[-1])
+    zoom_s = min(_ZOOM_CYCLES * period_s, float(time_s[-1] - time_s[0]))
+    first = figure.add_subplot(grid[1, 0])
+    last = figure.add_subplot(grid[1, 1])
+    _zoom(first, time_s, values, float(time_s[0]), zoom_s, colour)
+    _zoom(last, time_s, values, float(time_s[-1]) - zoom_s, zoom_s, colour)
+    for axes in (whole, first, last):
+        axes.set_xlabel("t / s")
+    for axes in (whole, first):
+        axes.set_ylabel(f"{name} / {unit}")
+    figure.subplots_adjust(left=0.105, right=0.985, bottom=0.115, top=0.975, hspace=0.38, wspace=0.22)
+    figure.align_ylabels([whole, first])
+    return figure
+
+
+def _zoom(axes: Axes, time_s: Array, values: Array, start_s: float, length_s: float, colour: str) -> None:
+    inside = np.nonzero((time_s >= start_s) & (time_s <= start_s + length_s))[0]
+    inside = inside[thinned(len(inside), _LINE_POINTS)]
+    axes.plot(time_s[inside], values[inside], color=colour, lw=0.8)
+    axes.set_xlim(start_s, start_s + length_s)
+
+
+def trajectory_figure(motion: Motion, period_s: float) -> Drawing:
+    """(X, Y), the paper's Fig. 11: to one scale, and X stretched."""
+    figure = canvas(3.6)
+    left, right = figure.subplots(1, 2, width_ratios=[1.0, 1.6])
+    figure.subplots_adjust(left=0.09, right=0.985, bottom=0.12, top=0.93, wspace=0.28)
+    length = motion.time_s[-1] - motion.time_s[0]
+    cycles = 3 * period_s
+    starts = {
+        "first three periods": (motion.time_s[0], palette.BLUE),
+        "middle of the run": (motion.time_s[0] + 0.5 * length, palette.ORANGE),
+        "last three periods": (motion.time_s[-1] - cycles, palette.VERMILLION),
+    }
+    for label, (start, colour) in starts.items():
+        inside = np.nonzero((motion.time_s >= start) & (motion.time_s <= start + cycles))[0]
+        inside = inside[thinned(len(inside), _LINE_POINTS)]
+        for axes in (left, right):
+            axes.plot(motion.x[inside], motion.y[inside], color=colour, lw=0.6, label=label)
+    left.set_aspect("equal", adjustable="datalim")
+    left.set_title("one scale")
+    right.set_title("X stretched")
+    for axes in (left, right):
+        axes.set_xlabel(f"X / {motion.unit}")
+        axes.set_ylabel(f"Y / {motion.unit}")
+    right.legend(loc="lower right", handlelength=1.2)
+    return Drawing(
+        "fig11-trajectory",
+        "Fig. 11: trajectory",
+        "A well balanced pendulum draws a line; its tilt, width and drift show what balance is left to do.",
+        figure,
+    )

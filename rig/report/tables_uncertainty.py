@@ -1,0 +1,161 @@
+"""Tables of what is known how well: identifiability, budget, Monte Carlo, the series."""
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from rig.report.curves import number
+from rig.report.numbers import SOURCES, plain, power, symbol, with_uncertainty
+from rig.report.table import Cell, Table
+from rig.report.verdicts import determined_text, series_verdicts
+
+_NEGLIGIBLE = 0.005
+"""Share of the variance below which a source is shown with others in one line."""
+
+
+def identifiability_table(results: Mapping[str, Any]) -> Table:
+    """Which parameters the data determine."""
+    rows: list[list[Cell]] = []
+    shown = []
+    for item in results.get("identifiability") or []:
+        label, unit, scale = symbol(item["name"])
+        value, u = number(item, "value"), number(item, "standard_uncertainty")
+        low, high = number(item, "lower_95"), number(item, "upper_95")
+        rows.append([item["name"], item["verdict"], value, u, low, high, str(item["profile_likelihood"])])
+        relative = abs(u / value) if value else math.inf
+        shown.append(
+            [
+                label, item["verdict"], plain(relative, 2),
+                _interval(low * scale, high * scale), unit,
+                "profile likelihood" if item["profile_likelihood"] else "covariance",
+            ]
+        )  # fmt: skip
+    return Table(
+        "identifiability", "What the data determine",
+        ("parameter", "verdict", "value", "standard_uncertainty", "lower_95", "upper_95",
+         "profile_likelihood"),
+        rows, ("", "verdict", "u relative", "95 % interval", "unit", "by"), shown,
+    )  # fmt: skip
+
+
+def _interval(low: float, high: float) -> str:
+    """Both ends to as many digits as tell them apart, and two more."""
+    if not (math.isfinite(low) and math.isfinite(high)) or high <= low:
+        return f"{plain(low, 3)} … {plain(high, 3)}"
+    digits = 2 + max(0, math.ceil(math.log10(max(abs(low), abs(high)) / (high - low))))
+    exponent = math.floor(math.log10(max(abs(low), abs(high))))
+    if -3 <= exponent <= 4:
+        return f"{plain(low, digits)} … {plain(high, digits)}"
+    unit = 10.0**exponent
+    return f"({plain(low / unit, digits)} … {plain(high / unit, digits)}){power(exponent)}"
+
+
+def budget_table(budget: Mapping[str, Any], name: str = "budget") -> Table:
+    """GUM budgets of all quantities, largest contribution first."""
+    rows: list[list[Cell]] = []
+    shown = []
+    for quantity, item in budget.items():
+        label, unit, scale = symbol(quantity)
+        value, u = number(item, "value"), number(item, "standard_uncertainty")
+        factor = number(item, "coverage_factor_95")
+        head = [f"{label} / {unit}" if unit != "1" else label, with_uncertainty(value * scale, u * scale)]
+        head.append(f"± {plain(number(item, 'expanded_uncertainty_95') * scale, 2)} (k = {factor:.2f})")
+        small = []
+        for line in item["sources"]:
+            contribution, share = number(line, "contribution"), number(line, "share")
+            rows.append(
+                [
+                    quantity, value, u, line["source"], line["type"], number(line, "u_source"),
+                    number(line, "sensitivity"), contribution, share,
+                ]
+            )  # fmt: skip
+            if share < _NEGLIGIBLE:
+                small.append(contribution)
+                continue
+            cells = [SOURCES.get(line["source"], line["source"]), line["type"]]
+            shown.append([*head, *cells, plain(contribution * scale, 2), f"{100 * share:.1f} %"])
+            head = [""] * 3
+        if small:
+            rest = math.hypot(*small)
+            count = f"{len(small)} more" if len(small) < len(item["sources"]) else f"{len(small)} sources"
+            shown.append([*head, count, "", plain(rest * scale, 2), f"{100 * (rest / u) ** 2:.2f} %"])
+    return Table(
+        name, "Uncertainty budget (GUM)",
+        ("quantity", "value", "standard_uncertainty", "source", "type", "u_source", "sensitivity",
+         "contribution", "share"),
+        rows, ("", "value ± u", "95 %", "source", "type", "u", "share"), shown,
+        "Largest contribution first. Type A: from the swings; B: stated in the configuration. Sources "
+        "without a stated uncertainty contribute nothing; those below 0.5 % of the variance are summed here "
+        "and listed one by one in budget.csv.",
+    )  # fmt: skip
+
+
+def monte_carlo_table(results: Mapping[str, Any]) -> Table:
+    """Monte Carlo after JCGM 101 beside the budget."""
+    tree = results.get("monte_carlo") or {}
+    budget = results.get("budget") or {}
+    rows: list[list[Cell]] = []
+    shown = []
+    for name, item in (tree.get("quantities") or {}).items():
+        label, unit, scale = symbol(name)
+        mean, u = number(item, "mean"), number(item, "standard_uncertainty")
+        low, high = number(item, "lower_95"), number(item, "upper_95")
+        rows.append([name, mean, u, low, high, str(item["gum_holds"])])
+        if u == 0:
+            continue
+        value, half = number(budget[name], "value"), number(budget[name], "expanded_uncertainty_95")
+        shown.append(
+            [
+                f"{label} / {unit}" if unit != "1" else label, with_uncertainty(mean * scale, u * scale),
+                _interval(low * scale, high * scale),
+                _interval((value - half) * scale, (value + half) * scale),
+                "agrees" if item["gum_holds"] else "take Monte Carlo's",
+            ]
+        )  # fmt: skip
+    draws = tree.get("draws", 0)
+    return Table(
+        "monte-carlo", f"Monte Carlo propagation (JCGM 101), {draws:,} draws".replace(",", " "),
+        ("quantity", "mean", "standard_uncertainty", "lower_95", "upper_95", "gum_holds"), rows,
+        ("", "mean ± u", "95 % interval", "budget's interval", "budget"), shown,
+    )  # fmt: skip
+
+
+def series_table(series: Mapping[str, Any]) -> Table:
+    """A series combined: exact, asymptotic, and the paper's way."""
+    rows: list[list[Cell]] = []
+    shown = []
+    exact, asymptotic = series.get("exact") or {}, series.get("asymptotic") or {}
+    average = series.get("averaged_curves") or {}
+    verdicts = series_verdicts(exact)
+    for name in exact or asymptotic:
+        label, unit, scale = symbol(name)
+        item = exact.get(name) or {}
+        cells = [number(item, key) for key in _SERIES_KEYS]
+        trees = [tree.get(name) or {} for tree in (asymptotic, average)]
+        others = [(number(tree, "value"), number(tree, "standard_uncertainty")) for tree in trees]
+        rows.append([name, *cells, *others[0], *others[1]])
+        between = cells[4] * scale
+        shown.append(
+            [
+                f"{label} / {unit}" if unit != "1" else label,
+                determined_text(name, (cells[0], cells[1]), scale, verdicts),
+                plain(cells[2] * scale, 2),
+                plain(between, 2) if between else "none seen",
+                *(with_uncertainty(value * scale, u * scale) for value, u in others),
+            ]
+        )  # fmt: skip
+    return Table(
+        "series", "The series",
+        ("parameter", *(f"exact_{key}" for key in _SERIES_KEYS), "asymptotic_value",
+         "asymptotic_standard_uncertainty", "averaged_curves_value", "averaged_curves_standard_uncertainty"),
+        rows,
+        ("", "exact", "95 % (±)", "between runs", "Eqs. 5 and 6", "curves averaged first"), shown,
+        "Runs combined with their own and the between-run scatter, Student's t for the 95 % half-width; "
+        "last, the paper's way: the runs' curves averaged, then Eqs. 5 and 6 fitted.",
+    )  # fmt: skip
+
+
+_SERIES_KEYS = (
+    "value", "standard_uncertainty", "expanded_uncertainty_95", "within_runs", "between_runs",
+    "p_homogeneous",
+)  # fmt: skip

@@ -1,0 +1,105 @@
+"""results.json: values, uncertainties, provenance. Fixed names, so that other programs can rely on them."""
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from processing.errors import RecordError
+from processing.fit.result import FitResult
+from processing.swing import TurningPoints
+from rig.evaluation import Evaluation
+from rig.evaluation_tree import estimate_tree, evaluation_tree
+from rig.reduction import Reduction
+
+SCHEMA = 1
+
+
+@dataclass(frozen=True, slots=True)
+class RunResult:
+    """What is reported of one run. Amplitudes in arcsec; `problem` says why a fit is missing."""
+
+    record: Path
+    sha256: str
+    frames: int
+    dropped_frames: int
+    half_cycles: int
+    initial_amplitude_arcsec: float
+    final_amplitude_arcsec: float
+    fits: Mapping[str, FitResult]
+    surface_energy_j_per_m2: Mapping[str, Any]
+    problem: str = ""
+    warnings: Sequence[str] = ()
+    points: TurningPoints | None = None
+    evaluation: Evaluation | None = None
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    calibration: Mapping[str, Any] = field(default_factory=dict)
+    reduction: Reduction | None = None
+
+
+def results_tree(runs: Sequence[RunResult], folder: Path, series: Mapping[str, Any]) -> dict[str, Any]:
+    """The whole file as plain values; paths of records are relative to the folder where they can be."""
+    return {"schema": SCHEMA, "runs": [_run_tree(run, folder) for run in runs], "series": dict(series)}
+
+
+def write_results(path: Path, tree: Mapping[str, Any]) -> None:
+    """Write results.json; never over an existing one. Raises RecordError."""
+    try:
+        with path.open("x", encoding="utf-8") as file:
+            json.dump(plain_values(tree), file, indent=2)
+            file.write("\n")
+    except FileExistsError:
+        raise RecordError(f"{path}: exists already and is not overwritten; choose another folder") from None
+    except OSError as error:
+        raise RecordError(f"{path}: cannot be written: {error.strerror or error}") from None
+
+
+def fit_tree(fit: FitResult) -> dict[str, Any]:
+    """One fit as plain values."""
+    tree: dict[str, Any] = {name: estimate_tree(*estimate) for name, estimate in fit.estimates().items()}
+    tree["mean_period_s"] = estimate_tree(*fit.mean_period_s)
+    tree["arae_decay"] = fit.arae_decay
+    tree["arae_period"] = fit.arae_period
+    tree["chi2_per_dof"] = fit.chi2_per_dof
+    tree["degrees_of_freedom"] = fit.dof
+    tree["correlation"] = {"names": list(fit.names), "matrix": fit.correlation.tolist()}
+    tree["outliers"] = list(fit.outliers)
+    tree["warnings"] = list(fit.warnings)
+    return tree
+
+
+def _run_tree(run: RunResult, folder: Path) -> dict[str, Any]:
+    try:
+        record = run.record.resolve().relative_to(folder.resolve())
+    except ValueError:
+        record = run.record.resolve()
+    return {
+        "record": record.as_posix(),
+        "sha256": run.sha256,
+        "frames": run.frames,
+        "dropped_frames": run.dropped_frames,
+        "half_cycles": run.half_cycles,
+        "initial_amplitude_arcsec": run.initial_amplitude_arcsec,
+        "final_amplitude_arcsec": run.final_amplitude_arcsec,
+        "fits": {name: fit_tree(fit) for name, fit in run.fits.items()},
+        "surface_energy_j_per_m2": dict(run.surface_energy_j_per_m2),
+        "problem": run.problem,
+        "warnings": list(run.warnings),
+        "settings": dict(run.settings),
+        "calibration": dict(run.calibration),
+        **(evaluation_tree(run.evaluation) if run.evaluation is not None else {}),
+        **({"instrument": dict(run.reduction.values)} if run.reduction is not None else {}),
+    }
+
+
+def plain_values(value: Any) -> Any:
+    """Nested values for JSON, where NaN and infinity become null, which says "not determined"."""
+    if isinstance(value, Mapping):
+        return {str(key): plain_values(inner) for key, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain_values(inner) for inner in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

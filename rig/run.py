@@ -1,0 +1,299 @@
+"""One run: from the first frame to a closed record."""
+
+import logging
+import math
+import threading
+import time
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from acquisition.camera import Camera, CameraSettings
+from acquisition.frame import Frame
+from acquisition.frame_queue import Policy
+from acquisition.record.topics import Environment
+from acquisition.record.writer import RecordWriter
+from processing.angle import ARCSEC_RAD
+from processing.errors import DataError, RigError
+from processing.swing import Swing
+from rig.frame_counts import FrameCounts
+from rig.limits import EndOfRun, StartJudge
+from rig.pipeline import Block, Pipeline
+from rig.recorder import Entry, Event, Recorder
+from rig.run_roles import Attempts, Prelude, RunOutcome, Surroundings, Watcher
+from rig.snapshot import Snapshot
+from rig.stream import FrameStream
+
+_log = logging.getLogger(__name__)
+_BLOCK_FRAMES = 64
+
+
+class Run:
+    """Camera thread -> bounded queue -> processing thread -> recorder thread, and a place to watch from.
+
+    The camera must be open and configured. `make_pipeline` gets the sensor's shape, `open_writer`
+    the offset from the frames' clock to UTC: both are known with the first frame. `policy` says
+    whether the camera is held back ("wait") or loses frames, counted, when we are too slow.
+    Without a `prelude` the record begins with the camera's first frame.
+    """
+
+    def __init__(
+        self,
+        camera: Camera,
+        settings: CameraSettings,
+        make_pipeline: Callable[[tuple[int, int]], Pipeline],
+        open_writer: Callable[[int, Frame], RecordWriter],
+        end: EndOfRun,
+        *,
+        amplitude_unit_rad: float = ARCSEC_RAD,
+        policy: Policy = "every",
+        timeout_s: float = 5.0,
+        reconnect_s: float = 60.0,
+        full_frame_interval_s: float = 10.0,
+        watchers: Iterable[Watcher] = (),
+        prelude: Prelude | None = None,
+        attempts: Attempts | None = None,
+        surroundings: Surroundings | None = None,
+        environment_period_s: float = 1.0,
+    ) -> None:
+        self._camera = camera
+        self._stream = FrameStream(
+            camera, settings, policy=policy, timeout_s=timeout_s, reconnect_s=reconnect_s
+        )
+        self._make_pipeline = make_pipeline
+        self._open_writer = open_writer
+        self._end = end
+        self._amplitude_unit_rad = amplitude_unit_rad
+        self._full_frame_interval_ns = round(full_frame_interval_s * 1e9)
+        self._watchers = tuple(watchers)
+        self._prelude = prelude
+        self._attempts = attempts
+        self._surroundings = surroundings
+        self._environment_period_ns = round(environment_period_s * 1e9)
+        self._environment_due_ns = 0
+        self._stop = threading.Event()
+        self._done = threading.Event()
+        self._reason = ""
+        self._failure: Exception | None = None
+        self._snapshot = Snapshot()
+        self._lost_before = 0
+
+    @property
+    def snapshot(self) -> Snapshot:
+        """State of the run; may be read from any thread."""
+        return self._snapshot
+
+    def request_stop(self, reason: str) -> None:
+        """End the run soon; the first reason given is the one that is recorded."""
+        if not self._stop.is_set():
+            self._reason = reason
+            self._stop.set()
+            self._stream.request_stop()
+
+    def execute(
+        self, show: Callable[[Snapshot], None] = lambda _: None, interval_s: float = 0.1
+    ) -> RunOutcome:
+        """Measure until the run ends; returns with the record closed. Ctrl-C ends it as a request does."""
+        self._camera.start()
+        worker = threading.Thread(target=self._process, name="processing", daemon=True)
+        worker.start()
+        done = False
+        while not done:
+            try:
+                done = self._done.wait(interval_s)
+                show(self._snapshot)
+            except KeyboardInterrupt:
+                self.request_stop("stopped by the user")
+        worker.join()
+        return RunOutcome(self._snapshot, self._snapshot.half_cycles, self._failure)
+
+    def _process(self) -> None:
+        """The processing thread: owns the pipeline from the first frame to the closed record."""
+        try:
+            first = self._stream.begin()
+            if first is None:
+                raise DataError("the camera delivered no frame at all; nothing was recorded")
+            epoch_offset_ns = time.time_ns() - first.time_ns - (time.monotonic_ns() - first.host_time_ns)
+            number = 1
+            while not self._attempt(number, epoch_offset_ns):
+                number += 1
+        except Exception as error:
+            self._fail(error, str(error))
+        finally:
+            self._shut_down()
+            self._done.set()
+
+    def _attempt(self, number: int, epoch_offset_ns: int) -> bool:
+        """Prepare, record, judge the start; False where it was not accepted and is to be repeated."""
+        begun: list[Frame] = []
+        events: list[Event] = []
+        if self._prelude is not None:
+            begun, events = self._prelude(self._stream, self._report, self._stop.is_set)
+            if not begun:
+                why = self._reason or self._stream.ended or "stopped"
+                raise self._stream.failure or DataError(f"{why} before the run began; nothing was recorded")
+        first = begun[0] if begun else self._wait_first()
+        if first is None:
+            raise self._stream.failure or DataError("stopped before the run began; nothing was recorded")
+        begun = begun or [first]
+        self._lost_before = self._stream.dropped if self._prelude is not None else 0
+        recorder = Recorder(self._open_writer(epoch_offset_ns, first))
+        rejected = ""
+        try:
+            judge = self._attempts.make_judge() if self._attempts is not None else None
+            rejected = self._measure(begun, events, recorder, judge)
+        finally:
+            recorder.close()
+            if recorder.error is not None:
+                self._fail(recorder.error, str(recorder.error))
+        if not rejected or self._attempts is None or recorder.error is not None:
+            return True
+        self._attempts.set_aside(number, rejected)
+        if number >= self._attempts.most:
+            raise DataError(f"no start of {number} was accepted; the last: {rejected}")
+        return False
+
+    def _wait_first(self) -> Frame | None:
+        while not self._stream.drained and not self._stop.is_set():
+            frames = self._stream.take(1, 0.1)
+            if frames:
+                return frames[0]
+        return None
+
+    def _measure(
+        self, begun: list[Frame], events: list[Event], recorder: Recorder, judge: StartJudge | None
+    ) -> str:
+        """Record until the run ends; why the start was not accepted, or nothing."""
+        first, stream = begun[0], self._stream
+        pipeline = self._make_pipeline((first.image.shape[0], first.image.shape[1]))
+        counts = FrameCounts(first, self._full_frame_interval_ns)
+        self._snapshot = replace(self._snapshot, half_cycles=0, amplitude=math.nan, period_s=math.nan)
+        events = [*events, Event(first.time_ns, "start", "first frame")]
+        recorder.put(Entry(events=events))
+        for watcher in self._watchers:
+            for event in events:
+                watcher.event(counts.start_ns, event)
+        rejected = ""
+        while begun or not (stream.drained or (self._stop.is_set() and stream.policy != "wait")):
+            taken = begun[:_BLOCK_FRAMES] or stream.take(_BLOCK_FRAMES, 0.1)
+            begun = begun[_BLOCK_FRAMES:]
+            if not taken:
+                # a silent camera is named while it is silent
+                new = self._surrounding_events(counts.last_ns)
+                if new:
+                    recorder.put(Entry(events=new))
+                    for watcher in self._watchers:
+                        for event in new:
+                            watcher.event(counts.start_ns, event)
+                continue
+            frames = counts.numbered(taken)
+            block = pipeline.process(frames)
+            entry = counts.entry(frames, block, pipeline)
+            new = [*entry.events, *self._surrounding_events(counts.last_ns)]
+            recorder.put(replace(entry, events=new, environment=self._environment(counts.last_ns)))
+            self._publish("measuring", counts, block.swings, recorder)
+            self._tell(counts.start_ns, frames, block, new)
+            if recorder.error is not None:
+                raise recorder.error
+            if judge is not None:
+                rejected = judge.rejection(block.swings, block.balances, counts.elapsed_s)
+                if rejected:
+                    break
+            reason = self._end.reason(block.swings, counts.elapsed_s)
+            if reason is not None:
+                self.request_stop(reason)
+                break
+            if self._stop.is_set() and self._reason == "stopped by the user":
+                break
+        if stream.ended and not rejected:
+            self.request_stop(stream.ended)
+        swings = pipeline.finish()
+        empty = pipeline.measure(np.empty(0, np.int64), [])._replace(swings=swings)
+        last = [*self._surrounding_events(counts.last_ns)]
+        last.append(
+            Event(counts.last_ns, "stop", f"start not accepted: {rejected}" if rejected else self._reason)
+        )
+        recorder.put(Entry(block=empty, events=last))
+        self._publish("closing the record", counts, swings, recorder)
+        self._tell(counts.start_ns, [], empty, last)
+        return rejected
+
+    def _surrounding_events(self, time_ns: int) -> list[Event]:
+        happened = self._stream.take_events()
+        if self._surroundings is not None:
+            happened += self._surroundings.take_events()
+        return [Event(time_ns, kind, text) for kind, text in happened]
+
+    def _environment(self, time_ns: int) -> Environment | None:
+        """The laboratory's air, once a period, where anything is known of it."""
+        if self._surroundings is None or time_ns < self._environment_due_ns:
+            return None
+        self._environment_due_ns = time_ns + self._environment_period_ns
+        reading = self._surroundings.environment()
+        return None if all(map(math.isnan, reading)) else Environment(time_ns, *reading)
+
+    def _fail(self, error: Exception, reason: str) -> None:
+        if self._failure is None:
+            self._failure = error
+        if not isinstance(error, RigError):
+            _log.error("%s", reason, exc_info=error)
+        self.request_stop(reason)
+
+    def _shut_down(self) -> None:
+        stream = self._stream
+        self._stop.set()
+        stream.close()
+        if stream.failure is not None:
+            if self._failure is None:
+                self._failure = stream.failure
+            self._reason = self._reason or stream.ended
+        dropped = max(self._snapshot.dropped_frames, stream.dropped - self._lost_before)
+        self._snapshot = replace(
+            self._snapshot, phase="done", reason=self._reason, dropped_frames=dropped, instruction=""
+        )
+
+    def _tell(self, start_ns: int, frames: Sequence[Frame], block: Block, events: Iterable[Event]) -> None:
+        for watcher in self._watchers:
+            watcher.block(start_ns, frames, block)
+            for event in events:
+                watcher.event(start_ns, event)
+            watcher.snapshot(self._snapshot)
+
+    def _report(self, snapshot: Snapshot) -> None:
+        self._snapshot = self._with_surroundings(snapshot)
+        for watcher in self._watchers:
+            watcher.snapshot(self._snapshot)
+
+    def _with_surroundings(self, snapshot: Snapshot) -> Snapshot:
+        if self._surroundings is None:
+            return snapshot
+        temperature_c, humidity_percent, pressure_pa = self._surroundings.environment()
+        return replace(
+            snapshot,
+            temperature_c=temperature_c,
+            humidity_percent=humidity_percent,
+            pressure_pa=pressure_pa,
+            controller=self._surroundings.describe(),
+        )
+
+    def _publish(self, phase: str, counts: FrameCounts, swings: list[Swing], recorder: Recorder) -> None:
+        last = swings[-1] if swings else None
+        before = self._snapshot
+        self._snapshot = self._with_surroundings(
+            Snapshot(
+                phase=phase,
+                elapsed_s=counts.elapsed_s,
+                frames=counts.frames,
+                dropped_frames=counts.missing,
+                lost_spots=counts.lost_spots,
+                half_cycles=before.half_cycles + len(swings),
+                amplitude=before.amplitude if last is None else last.amplitude / self._amplitude_unit_rad,
+                period_s=before.period_s
+                if last is None or math.isnan(last.half_period_s)
+                else 2.0 * last.half_period_s,
+                queue_frames=len(self._stream),
+                record_bytes=recorder.bytes_written,
+                reason=self._reason,
+            )
+        )

@@ -1,0 +1,143 @@
+"""What a session folder says of its session: which runs were made, how each ended, what is missing."""
+
+import datetime
+import json
+import os
+from pathlib import Path
+from typing import IO, Any, Literal, Self
+
+from pydantic import BaseModel, ValidationError
+
+from processing.errors import ConfigurationError, RecordError
+
+try:
+    import fcntl
+except ImportError:  # pragma: no cover
+    # no such lock on this system: two sessions in one folder are then not prevented
+    fcntl = None  # type: ignore[assignment]
+
+STATE_NAME = "session.json"
+RunState = Literal["recording", "complete", "stopped", "rejected", "failed", "interrupted"]
+
+
+class RunEntry(BaseModel, frozen=True, extra="forbid"):
+    """One run or attempt: its record's name, how it stands, and why it ended."""
+
+    number: int
+    record: str
+    state: RunState
+    reason: str = ""
+    begun_utc: str = ""
+    ended_utc: str = ""
+    recovered: str = ""
+
+
+class SessionState(BaseModel, frozen=True, extra="forbid"):
+    """The whole file. `configuration` is complete, so that a session goes on without any other file."""
+
+    schema_version: int = 1
+    source: str
+    runs_wanted: int
+    configuration: dict[str, Any]
+    entries: tuple[RunEntry, ...] = ()
+
+    @property
+    def complete(self) -> list[RunEntry]:
+        """Runs that count."""
+        return [entry for entry in self.entries if entry.state == "complete"]
+
+    @property
+    def next_number(self) -> int:
+        """A number that no run has had."""
+        return 1 + max((entry.number for entry in self.entries), default=0)
+
+    def with_entry(self, entry: RunEntry) -> Self:
+        """The same with this entry in place of the one with its record, or added."""
+        kept = [old for old in self.entries if old.record != entry.record]
+        return self.model_copy(update={"entries": (*kept, entry)})
+
+
+class SessionFile:
+    """`session.json` of one folder: locked while the session runs, replaced as a whole at each change."""
+
+    def __init__(self, folder: Path, state: SessionState) -> None:
+        self.folder = folder
+        self.state = state
+        self._lock: IO[bytes] | None = None
+
+    @classmethod
+    def made(cls, folder: Path, source: Path, runs: int, configuration: dict[str, Any]) -> Self:
+        """A new session's."""
+        file = cls(folder, SessionState(source=str(source), runs_wanted=runs, configuration=configuration))
+        file._take_lock()
+        file.save(file.state)
+        return file
+
+    @classmethod
+    def opened(cls, folder: Path) -> Self:
+        """An earlier session's. Raises ConfigurationError: there is none, or it is still running."""
+        path = folder / STATE_NAME
+        try:
+            state = SessionState.model_validate_json(path.read_bytes())
+        except FileNotFoundError:
+            raise ConfigurationError(
+                f"{folder}: holds no session to go on with ({STATE_NAME} is missing)"
+            ) from None
+        except (OSError, ValidationError) as error:
+            raise ConfigurationError(f"{path}: cannot be read: {str(error).splitlines()[0]}") from None
+        file = cls(folder, state)
+        file._take_lock()
+        return file
+
+    def note(self, number: int, record: str, state: RunState, reason: str = "", recovered: str = "") -> None:
+        """Write down how a run stands."""
+        now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
+        before = next((entry for entry in self.state.entries if entry.record == record), None)
+        begun = before.begun_utc if before is not None else now
+        ended = "" if state == "recording" else now
+        self.save(
+            self.state.with_entry(
+                RunEntry(
+                    number=number,
+                    record=record,
+                    state=state,
+                    reason=reason,
+                    begun_utc=begun,
+                    ended_utc=ended,
+                    recovered=recovered,
+                )
+            )
+        )
+
+    def save(self, state: SessionState) -> None:
+        """Replace the file: after a power cut there is the old one or the new one, never half of one."""
+        path = self.folder / STATE_NAME
+        new = path.with_suffix(".json.new")
+        try:
+            with new.open("wb") as file:
+                file.write(json.dumps(state.model_dump(mode="json"), indent=1).encode())
+                file.flush()
+                os.fsync(file.fileno())
+            new.replace(path)
+        except OSError as error:
+            raise RecordError(f"{path}: cannot be written: {error.strerror or error}") from None
+        self.state = state
+
+    def close(self) -> None:
+        """Give the lock back."""
+        if self._lock is not None:
+            self._lock.close()
+            self._lock = None
+
+    def _take_lock(self) -> None:
+        if fcntl is None:
+            return
+        lock = (self.folder / ".session.lock").open("wb")
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            lock.close()
+            raise ConfigurationError(
+                f"{self.folder}: its session is still running; stop it first, or name another folder"
+            ) from None
+        self._lock = lock

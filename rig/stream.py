@@ -1,0 +1,176 @@
+"""The camera's thread: frames without interruption from preflight to the end of a run."""
+
+import logging
+import threading
+import time
+
+from acquisition.camera import Camera, CameraLost, CameraSettings, FrameTimeout
+from acquisition.frame import Frame
+from acquisition.frame_line import FrameLine
+from acquisition.frame_queue import FrameQueue, Policy
+from processing.errors import DeviceError, RigError
+
+_log = logging.getLogger(__name__)
+_QUEUE_BYTES = 256 * 1024 * 1024
+
+
+class FrameStream:
+    """Camera thread -> bounded queue; reconnects after an unplugging; counts what was lost.
+
+    `policy` says whether the camera is held back ("wait") or loses frames, counted, when we are
+    too slow. `ended` says in words why no more frames come, `failure` holds the error that did it.
+    """
+
+    def __init__(
+        self,
+        camera: Camera,
+        settings: CameraSettings,
+        *,
+        policy: Policy = "every",
+        timeout_s: float = 5.0,
+        reconnect_s: float = 60.0,
+    ) -> None:
+        self._camera = camera
+        self._settings = settings
+        self.policy: Policy = policy
+        self._timeout_s = timeout_s
+        self._reconnect_s = reconnect_s
+        self._stop = threading.Event()
+        self._queue: FrameQueue | None = None
+        self._thread: threading.Thread | None = None
+        self._events: list[tuple[str, str]] = []
+        self.ended = ""
+        self.failure: Exception | None = None
+
+    def begin(self) -> Frame | None:
+        """Wait for the first frame and start the thread; None where the source has none.
+
+        Raises FrameTimeout after the time allowed.
+        """
+        first = self._first_frame()
+        if first is None:
+            return None
+        self._queue = FrameQueue(_capacity(first), self.policy)
+        self._queue.put(first)
+        self._thread = threading.Thread(target=self._acquire, name="camera", daemon=True)
+        self._thread.start()
+        return first
+
+    def take(self, at_most: int, timeout_s: float) -> list[Frame]:
+        """Up to `at_most` frames in order; empty after the timeout, and when drained."""
+        return [] if self._queue is None else self._queue.take(at_most, timeout_s)
+
+    def take_events(self) -> list[tuple[str, str]]:
+        """(kind, text) of what happened to the camera since the last call."""
+        taken, self._events = self._events, []
+        return taken
+
+    def request_stop(self) -> None:
+        """No more frames; may come from any thread."""
+        self._stop.set()
+
+    def close(self) -> None:
+        """End the thread; the camera is stopped, not closed. An error of the camera's goes to `failure`."""
+        self._stop.set()
+        if self._queue is not None:
+            self._queue.close()
+        try:
+            self._camera.stop()
+        except Exception as error:
+            self._fail(error, f"camera: {error}")
+        if self._thread is not None:
+            self._thread.join(timeout=self._timeout_s + 1.0)
+
+    @property
+    def drained(self) -> bool:
+        """Ended, and every frame taken."""
+        return self._queue is not None and self._queue.drained
+
+    @property
+    def dropped(self) -> int:
+        """Frames lost since the start, by the camera, the bus or here."""
+        return self._camera.status.dropped + (self._queue.dropped if self._queue is not None else 0)
+
+    def __len__(self) -> int:
+        return 0 if self._queue is None else len(self._queue)
+
+    def _first_frame(self) -> Frame | None:
+        waited_s = 0.0
+        while not self._stop.is_set():
+            step_s = min(self._timeout_s, 0.5)
+            try:
+                return self._camera.read(step_s)
+            except FrameTimeout:
+                waited_s += step_s
+                if waited_s >= self._timeout_s:
+                    raise
+        return None
+
+    def _acquire(self) -> None:
+        """Read and hand over, reconnect after an unplugging."""
+        queue = self._queue
+        assert queue is not None
+        line = FrameLine()
+        silent_s = 0.0
+        try:
+            while not self._stop.is_set():
+                # a source that waits for us may take its time; one that runs by itself may not
+                patience_s = self._timeout_s if self.policy == "wait" else line.patience_s(self._timeout_s)
+                patience_s = min(patience_s, self._timeout_s - silent_s)
+                try:
+                    frame = self._camera.read(patience_s)
+                except FrameTimeout as timeout:
+                    if silent_s == 0.0 and patience_s < self._timeout_s:
+                        self._events.append(("camera silent", str(timeout)))
+                    silent_s += patience_s
+                    if silent_s >= self._timeout_s - 1e-6:
+                        raise
+                    continue
+                except CameraLost as lost:
+                    self._events.append(("camera lost", str(lost)))
+                    self._reconnect(lost)
+                    line.begin_anew()
+                    silent_s = 0.0
+                    continue
+                if frame is None:
+                    self.ended = self.ended or "the camera has come to its end"
+                    break
+                if silent_s:
+                    self._events.append(("camera speaks", f"after more than {silent_s:.2f} s of silence"))
+                    silent_s = 0.0
+                frame, note = line.join(frame)
+                if note:
+                    self._events.append(("camera back", note))
+                queue.put(frame)
+        except FrameTimeout as error:
+            self._fail(error, f"no frame for {self._timeout_s:g} s: the camera has stalled")
+        except Exception as error:
+            self._fail(error, f"camera: {error}")
+        finally:
+            queue.close()
+
+    def _reconnect(self, lost: CameraLost) -> None:
+        deadline_s = time.monotonic() + self._reconnect_s
+        while not self._stop.is_set() and time.monotonic() < deadline_s:
+            try:
+                self._camera.close()
+                self._camera.open()
+                self._camera.configure(self._settings)
+                self._camera.start()
+            except DeviceError:
+                self._stop.wait(0.25)
+            else:
+                return
+        raise lost
+
+    def _fail(self, error: Exception, reason: str) -> None:
+        if self.failure is None:
+            self.failure = error
+            self.ended = reason
+        if not isinstance(error, RigError):
+            _log.error("%s", reason, exc_info=error)
+
+
+def _capacity(frame: Frame) -> int:
+    """Frames that may wait: a bounded amount of memory, at least a few, at most about a thousand."""
+    return max(8, min(1024, _QUEUE_BYTES // max(frame.image.nbytes, 1)))

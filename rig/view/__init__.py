@@ -1,0 +1,1 @@
+"""What a person watches: Rerun layout and worker, terminal display."""

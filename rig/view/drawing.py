@@ -1,0 +1,237 @@
+"""Messages drawn into one Rerun stream."""
+
+import cv2
+import numpy as np
+import rerun as rr
+
+from rig.view import layout, palette
+from rig.view.analysis_panels import draw_fits
+from rig.view.balance_quantities import balance_quantity, balance_table
+from rig.view.decimation import Decimator
+from rig.view.gathering import Gathering
+from rig.view.lissajous import Lissajous
+from rig.view.marks import spot_cross
+from rig.view.messages import (
+    Balance,
+    Event,
+    Fits,
+    Floats,
+    Losses,
+    Message,
+    Picture,
+    Samples,
+    Setup,
+    State,
+    Swings,
+)
+
+DRAWN_RATE_HZ = 100.0
+JPEG_QUALITY = 90
+LEVELS = {
+    "debug": rr.TextLogLevel.DEBUG,
+    "info": rr.TextLogLevel.INFO,
+    "warning": rr.TextLogLevel.WARN,
+    "error": rr.TextLogLevel.ERROR,
+}
+
+
+class Drawing:
+    """One stream with its layout, and what has been gathered for it.
+
+    Parameters
+    ----------
+    stream
+        A recording whose sinks are set.
+    setup
+        Names, units and expectations.
+    gather_s, gather_rows
+        See `Gathering`.
+    picture_interval_s
+        Pictures closer together than this in the time of the run are left out.
+    """
+
+    def __init__(
+        self,
+        stream: rr.RecordingStream,
+        setup: Setup,
+        *,
+        gather_s: float,
+        gather_rows: int,
+        picture_interval_s: float,
+    ) -> None:
+        self._stream = stream
+        self._setup = setup
+        self._gathered = Gathering(stream, gather_s, gather_rows)
+        self._lissajous = Lissajous(
+            stream, self._gathered, setup.unit, setup.amplitude_arcsec, follows=len(setup.runs) < 2
+        )
+        self._picture_interval_s = picture_interval_s
+        self._last_picture_s: dict[str, float] = {}
+        self._latest_s = 0.0
+        self._decimators: dict[str, Decimator] = {}
+        self._named: set[str] = set()
+
+    def draw(self, message: Message) -> None:
+        """Draw or gather one message."""
+        match message:
+            case Samples():
+                self._draw_samples(message)
+            case Swings():
+                self._draw_swings(message)
+            case Balance():
+                self._draw_balance(message)
+            case Picture():
+                self._draw_picture(message)
+            case Losses():
+                self._draw_losses(message)
+            case State():
+                self._draw_text(message.run, layout.STATE, message.time_s, message.text)
+            case Event():
+                self._draw_event(message)
+            case Fits():
+                draw_fits(self._stream, message, self._setup.unit)
+
+    def send(self, *, now: bool = False) -> None:
+        """Send what was gathered, where it is enough or `now`."""
+        self._gathered.send(now=now)
+
+    def _draw_samples(self, message: Samples) -> None:
+        decimator = self._decimators.setdefault(message.run, Decimator(DRAWN_RATE_HZ))
+        chosen = decimator.choose(message.time_s, message.flags)
+        if not chosen.any():
+            return
+        time_s, x, y = message.time_s[chosen], message.x_arcsec[chosen], message.y_arcsec[chosen]
+        self._gather(message.run, layout.X, time_s, x, f"X / {self._setup.unit}", palette.X_COLOUR)
+        self._gather(message.run, layout.Y, time_s, y, f"Y / {self._setup.unit}", palette.Y_COLOUR)
+        colour = self._run_colour(message.run, palette.TRAJECTORY_COLOUR)
+        self._lissajous.draw(message.run, time_s, x, y, colour)
+
+    def _draw_swings(self, message: Swings) -> None:
+        for path, value, u, colour, unit in (
+            (
+                layout.AMPLITUDE,
+                message.amplitude_arcsec,
+                message.u_amplitude_arcsec,
+                palette.AMPLITUDE_COLOUR,
+                self._setup.unit,
+            ),
+            (layout.PERIOD, message.period_s, message.u_period_s, palette.PERIOD_COLOUR, "s"),
+        ):
+            good = np.isfinite(value)
+            if good.any():
+                self._gather_uncertain(
+                    message.run, path, message.time_s[good], value[good], u[good], path, unit, colour
+                )
+
+        if len(message.time_s) and np.isfinite(message.amplitude_arcsec[-1]):
+            self._lissajous.follow(float(message.time_s[-1]), float(message.amplitude_arcsec[-1]))
+
+    def _draw_balance(self, message: Balance) -> None:
+        at = np.array([message.time_s])
+        for name, (value, u) in message.quantities.items():
+            quantity = balance_quantity(name, self._setup.unit)
+            if np.isfinite(value):
+                scale = quantity.scale
+                self._gather_uncertain(
+                    message.run,
+                    f"{layout.BALANCE_ROOT}/{name}",
+                    at,
+                    np.array([scale * value]),
+                    np.array([scale * u]),
+                    quantity.label,
+                    quantity.unit,
+                    quantity.colour,
+                )
+        table = balance_table(message.quantities, self._setup.unit)
+        self._draw_text(message.run, layout.BALANCE_TABLE, message.time_s, table)
+        if message.advice:
+            self._draw_text(message.run, layout.ADVICE, message.time_s, message.advice)
+
+    def _draw_picture(self, message: Picture) -> None:
+        last = self._last_picture_s.get(message.run, -np.inf)
+        if message.time_s - last < self._picture_interval_s * 0.999:
+            return
+        self._last_picture_s[message.run] = message.time_s
+        self._set_time(message.time_s)
+        image = message.image
+        if image.dtype != np.uint8 or message.full_scale_dn != 255:
+            image = np.clip(image * (255.0 / message.full_scale_dn), 0, 255).astype(np.uint8)
+        done, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+        if done:
+            encoded = rr.EncodedImage(contents=data.tobytes(), media_type="image/jpeg")
+            self._stream.log(layout.entity(message.run, layout.IMAGE), encoded)
+        spot = layout.entity(message.run, layout.SPOT)
+        if np.isfinite(message.x_px) and np.isfinite(message.y_px):
+            cross = spot_cross(message.x_px, message.y_px, (image.shape[0], image.shape[1]))
+            self._stream.log(spot, cross)
+        else:
+            self._stream.log(spot, rr.Clear(recursive=False))
+
+    def _draw_losses(self, message: Losses) -> None:
+        at = np.array([message.time_s])
+        for index, (name, count) in enumerate(sorted(message.counts.items())):
+            colour = palette.LOSSES[index % len(palette.LOSSES)]
+            label = name.replace("_", " ")
+            path = f"{layout.LOSSES_ROOT}/{name}"
+            self._gather(message.run, path, at, np.array([float(count)]), label, colour, steps=True)
+
+    def _draw_event(self, message: Event) -> None:
+        self._set_time(message.time_s)
+        log = rr.TextLog(message.text, level=LEVELS.get(message.level, rr.TextLogLevel.INFO))
+        self._stream.log(layout.entity(message.run, layout.EVENTS), log)
+
+    def _draw_text(self, run: str, path: str, time_s: float, text: str) -> None:
+        self._set_time(time_s if np.isfinite(time_s) else self._latest_s)
+        document = rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN)
+        self._stream.log(layout.entity(run, path), document)
+
+    def _gather_uncertain(
+        self,
+        run: str,
+        path: str,
+        time_s: Floats,
+        value: Floats,
+        u: Floats,
+        label: str,
+        unit: str,
+        colour: str,
+    ) -> None:
+        """A value and, fainter, the lines one standard uncertainty above and below it."""
+        named = f"{label} / {unit}" if unit else label
+        self._gather(run, f"{path}/value", time_s, value, named, colour)
+        # The same name and colour: the legend has one entry for the three.
+        for side, sign in (("upper", 1.0), ("lower", -1.0)):
+            self._gather(run, f"{path}/{side}", time_s, value + sign * u, named, colour, width=0.4)
+
+    def _gather(
+        self,
+        run: str,
+        path: str,
+        time_s: Floats,
+        values: Floats,
+        label: str,
+        colour: str,
+        width: float = 1.5,
+        steps: bool = False,
+    ) -> None:
+        full = layout.entity(run, path)
+        if full not in self._named:
+            self._named.add(full)
+            name = f"{run} {label}".strip()
+            colours = [palette.rgba(self._run_colour(run, colour))]
+            mode = rr.components.InterpolationMode.StepAfter if steps else None
+            style = rr.SeriesLines(colors=colours, names=name, widths=width, interpolation_mode=mode)
+            self._stream.log(full, style, static=True)
+        self._gathered.scalars(full, time_s, values)
+        self._latest_s = max(self._latest_s, float(time_s[-1]))
+
+    def _run_colour(self, run: str, colour: str) -> str:
+        """A run laid over others has its own colour throughout; a single one the quantity's."""
+        runs = self._setup.runs
+        if len(runs) < 2 or run not in runs or colour == palette.GREY:
+            return colour
+        return palette.SEQUENCE[runs.index(run) % len(palette.SEQUENCE)]
+
+    def _set_time(self, time_s: float) -> None:
+        self._stream.set_time(layout.TIMELINE, duration=time_s)
+        self._latest_s = max(self._latest_s, time_s)

@@ -1,0 +1,157 @@
+"""One worker and its queue: a thread keeps the worker fed, and replaces it when it fails."""
+
+import itertools
+import logging
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from rig.view.dropping_queue import DroppingQueue
+from rig.view.messages import Finish, Setup, rows
+from rig.view.worker_process import WorkerProcess
+
+logger = logging.getLogger(__name__)
+
+BATCH_BYTES = 4 << 20
+FIRST_PAUSE_S, LONGEST_PAUSE_S = 1.0, 30.0
+LONG_LIFE_S = 60.0
+
+
+class Feed:
+    """Feeds one stream (a file or a live view) to a worker.
+
+    Parameters
+    ----------
+    setup
+        What the worker is told first. A replaced worker gets it with a new file name.
+    queue_bytes, hang_limit_s, start_limit_s
+        See `rig.view.viewer.Viewer`.
+    note
+        Called with what a person should know, on the feed's threads.
+    on_ready
+        Called when a worker has opened its stream, with the address of a live one; returns what
+        the next worker is told of the program that shows it.
+    """
+
+    def __init__(
+        self,
+        setup: Setup,
+        *,
+        queue_bytes: int,
+        hang_limit_s: float,
+        start_limit_s: float,
+        note: Callable[[str], None],
+        on_ready: Callable[[str], str] = lambda url: "",
+    ) -> None:
+        self.queue = DroppingQueue(queue_bytes)
+        self.sent = 0
+        self.restarts = 0
+        self.url = ""
+        self._setup = setup
+        self._hang_limit_s = hang_limit_s
+        self._start_limit_s = start_limit_s
+        self._note = note
+        self._on_ready = on_ready
+        self._worker: WorkerProcess | None = None
+        self._ready = False
+        self._hurry = threading.Event()
+        self._abandoned = False
+        self._thread = threading.Thread(target=self._feed_workers, name="view", daemon=True)
+
+    def start(self) -> None:
+        """Start the first worker; returns before it runs."""
+        self._thread.start()
+
+    @property
+    def alive(self) -> bool:
+        """A worker is running and has opened its stream."""
+        worker = self._worker
+        return self._ready and worker is not None and worker.running
+
+    @property
+    def worker_pid(self) -> int | None:
+        """Process of the present worker."""
+        return self._worker.pid if self._worker is not None else None
+
+    def close(self) -> None:
+        """Take nothing more; let the worker complete its stream and end."""
+        self.queue.close()
+        self._hurry.set()
+
+    def wait(self, deadline_s: float) -> None:
+        """Wait for the worker's end until `time.monotonic()` is `deadline_s`, then kill it."""
+        if self._thread.is_alive():
+            self._thread.join(max(0.0, deadline_s - time.monotonic()))
+        if self._thread.is_alive():
+            self._abandoned = True
+            if self._worker is not None:
+                self._worker.kill()
+            self._thread.join(5.0)
+        self.queue.drop_rest()
+
+    def _feed_workers(self) -> None:
+        pause_s = FIRST_PAUSE_S
+        setup = self._setup
+        while not self._abandoned:
+            closing = self.queue.closed
+            started_s = time.monotonic()
+            try:
+                worker = self._worker = WorkerProcess(setup, self._on_report)
+            except OSError as error:
+                self._note(f"the viewer's worker cannot be started: {error}")
+                return
+            complete = self._feed(worker)
+            self._ready = False
+            worker.kill()
+            if complete or closing or self._abandoned:
+                return
+            self.restarts += 1
+            logger.warning("the viewer's worker died or stopped answering; it is replaced")
+            # One that lived for long is replaced at once, one that dies again and again ever more slowly.
+            lived_long = time.monotonic() - started_s > LONG_LIFE_S
+            pause_s = FIRST_PAUSE_S if lived_long else min(2 * pause_s, LONGEST_PAUSE_S)
+            self._hurry.wait(pause_s)
+            setup = self._next_setup()
+
+    def _feed(self, worker: WorkerProcess) -> bool:
+        """Feed one worker until all is delivered (True) or it fails (False)."""
+        if not worker.wait_ready(self._start_limit_s):
+            return False
+        self._ready = True
+        self._setup = self._setup._replace(viewer_url=self._on_ready(self.url))
+        while True:
+            batch = self.queue.take(0.25, BATCH_BYTES)
+            if batch:
+                drawn = worker.deliver(batch, self._hang_limit_s)
+                if drawn:
+                    self.sent += sum(rows(message) for message in batch)
+                else:
+                    self.queue.count_lost(batch)
+                if drawn is None:
+                    return False
+            elif not worker.running:
+                return False
+            elif self.queue.closed and self.queue.empty:
+                return worker.finish([Finish()], self._hang_limit_s)
+
+    def _next_setup(self) -> Setup:
+        """The same again, with a file of its own: none is ever overwritten.
+
+        A live stream moves to another port where a viewer can be told (it takes no notice of a stream
+        that comes back at an address it knows), else it stays, so that reloading the page finds it.
+        """
+        setup = self._setup
+        if setup.rrd_path is None:
+            return setup._replace(port=0) if setup.viewer_url else setup
+        first = Path(setup.rrd_path)
+        parts = (first.with_stem(f"{first.stem}-part{number}") for number in itertools.count(2))
+        return setup._replace(rrd_path=str(next(part for part in parts if not part.exists())))
+
+    def _on_report(self, report: dict[str, Any]) -> None:
+        for note in report.get("notes", []):
+            self._note(str(note))
+        if "port" in report:
+            self.url = str(report["url"])
+            self._setup = self._setup._replace(port=int(report["port"]))

@@ -1,0 +1,70 @@
+"""Rows gathered into blocks on their way to Rerun.
+
+Rerun stores what it gets in chunks, one a call, of a kilobyte or two each: a call for every frame
+would make a run's file hundreds of megabytes.
+"""
+
+import time
+
+import numpy as np
+import rerun as rr
+
+from rig.view.layout import TIMELINE
+from rig.view.messages import Floats
+
+
+class Gathering:
+    """Scalars, line strips and points waiting for one stream, sent when they are enough.
+
+    `limit_s` and `limit_rows`: they are enough when they have waited so long, or are so many.
+    """
+
+    def __init__(self, stream: rr.RecordingStream, limit_s: float, limit_rows: int) -> None:
+        self._stream = stream
+        self._limit_s = limit_s
+        self._limit_rows = limit_rows
+        self._scalars: dict[str, list[tuple[Floats, Floats]]] = {}
+        self._strips: dict[str, tuple[list[float], list[Floats]]] = {}
+        self._points: dict[str, tuple[list[float], list[Floats]]] = {}
+        self._rows = 0
+        self._sent_at = time.monotonic()
+
+    def scalars(self, path: str, times_s: Floats, values: Floats) -> None:
+        """Values of one curve."""
+        self._scalars.setdefault(path, []).append((times_s, values))
+        self._rows += len(times_s)
+
+    def strips(self, path: str, times_s: Floats, pieces: list[Floats]) -> None:
+        """Line strips (n, 2), one a time."""
+        times, known = self._strips.setdefault(path, ([], []))
+        times.extend(times_s)
+        known.extend(pieces)
+
+    def points(self, path: str, times_s: Floats, points: list[Floats]) -> None:
+        """Single points (2,), one a time."""
+        times, known = self._points.setdefault(path, ([], []))
+        times.extend(times_s)
+        known.extend(points)
+
+    def send(self, *, now: bool = False) -> None:
+        """Send everything, where it is enough or `now`."""
+        waited_s = time.monotonic() - self._sent_at
+        if not now and self._rows < self._limit_rows and waited_s < self._limit_s:
+            return
+        self._sent_at = time.monotonic()
+        self._rows = 0
+        scalars, self._scalars = self._scalars, {}
+        strips, self._strips = self._strips, {}
+        points, self._points = self._points, {}
+        for path, parts in scalars.items():
+            times_s, values = (np.concatenate(column) for column in zip(*parts, strict=True))
+            self._stream.send_columns(path, [_column(times_s)], rr.Scalars.columns(scalars=values))
+        for path, (times, pieces) in strips.items():
+            self._stream.send_columns(path, [_column(times)], rr.LineStrips2D.columns(strips=pieces))
+        for path, (times, known) in points.items():
+            self._stream.send_columns(path, [_column(times)], rr.Points2D.columns(positions=np.array(known)))
+
+
+def _column(times_s: Floats | list[float]) -> rr.TimeColumn:
+    # A list of Python floats would be converted one by one, at ten times the cost.
+    return rr.TimeColumn(TIMELINE, duration=np.asarray(times_s, dtype=np.float64))

@@ -1,0 +1,225 @@
+"""What the viewer shows and where: entity paths and the three layouts.
+
+Each run's entities lie below its own name (a single run has none), so that several can be laid over
+each other. Spatial views of Rerun point their y axis down: everything drawn in one carries -Y, and
+the graticule's labels say +Y, so that up is up.
+
+The trajectory is stored once, in arcsec, and seen in two ways. Its entity TRAJECTORY carries a
+transform that makes the present amplitude fill the axes (they step down 150, 100, 70, 50 arcsec ...
+as the swing decays), and EQUAL above it one that stretches X. A view with its origin at EQUAL shows
+equal scales, one with its origin at STRETCHED sees X stretched.
+"""
+
+from collections.abc import Sequence
+from typing import Final
+
+import rerun as rr
+import rerun.blueprint as rrb
+
+from rig.view.balance_quantities import BALANCE, PANELS
+from rig.view.graticule import BOX, PLANE_REACH
+from rig.view.marks import BACKGROUND
+from rig.view.messages import LayoutName
+
+APPLICATION_ID: Final = "optical_pendulum_rig"
+TIMELINE: Final = "run_time"
+
+STRETCHED: Final = "/lissajous"
+EQUAL: Final = "/lissajous/equal"
+TRAJECTORY: Final = "/lissajous/equal/trajectory"
+X_STRETCH: Final = 10.0
+TRAIL: Final = {"recent": (0.0, 2.0), "older": (2.0, 8.0), "oldest": (8.0, 28.0)}
+"""The trajectory three times: which periods before the time cursor are shown of each."""
+POSITION: Final = "position"
+
+# Entities of one run, below its name.
+X: Final = "deflection/x"
+Y: Final = "deflection/y"
+AMPLITUDE: Final = "amplitude"
+PERIOD: Final = "period"
+CAMERA: Final = "camera"
+IMAGE: Final = "camera/image"
+SPOT: Final = "camera/spot"
+BALANCE_ROOT: Final = "balance"
+LOSSES_ROOT: Final = "losses"
+STATE: Final = "state"
+ADVICE: Final = "advice"
+BALANCE_TABLE: Final = "balance_table"
+EVENTS: Final = "events"
+ANALYSIS_ROOT: Final = "analysis"
+REPORT: Final = "analysis/report"
+
+WINDOW_S: Final = 30.0
+"""How much of X(t) and Y(t) is in sight before the time cursor."""
+
+
+def entity(run: str, path: str) -> str:
+    """Path of a run's entity: below the run's name where it has one."""
+    return f"/{rr.escape_entity_path_part(run)}/{path}" if run else f"/{path}"
+
+
+def trail_entity(run: str, part: str) -> str:
+    """Path of a run's trajectory; all runs' lie below TRAJECTORY, which scales them."""
+    return f"{TRAJECTORY}/{rr.escape_entity_path_part(run)}/{part}" if run else f"{TRAJECTORY}/{part}"
+
+
+def blueprint(layout: LayoutName, runs: Sequence[str], unit: str, period_s: float) -> rrb.Blueprint:
+    """The named layout, for one run or several laid over each other."""
+    views = _Views(tuple(runs), unit, period_s)
+    root = {
+        "balancing": views.balancing,
+        "measuring": views.measuring,
+        "analysing": views.analysing,
+    }[layout]()
+    return rrb.Blueprint(
+        root,
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="following"),
+        auto_views=False,
+        auto_layout=False,
+    )
+
+
+class _Views:
+    """The panels, each built from the entities of all runs."""
+
+    def __init__(self, runs: tuple[str, ...], unit: str, period_s: float) -> None:
+        self._runs = runs
+        self._unit = unit
+        self._period_s = period_s
+
+    def measuring(self) -> rrb.Container:
+        return rrb.Horizontal(
+            rrb.Vertical(self.trajectory(), self.losses(), self.events(), row_shares=[10, 3, 3]),
+            rrb.Vertical(
+                self.deflection(Y, "Y(t), slow mode"),
+                self.deflection(X, "X(t), fast mode"),
+                rrb.Horizontal(
+                    self.history(AMPLITUDE, f"Amplitude / {self._unit}"), self.history(PERIOD, "Period / s")
+                ),
+            ),
+            rrb.Vertical(
+                self.camera(),
+                self.text(BALANCE_TABLE, "Balance"),
+                self.text(STATE, "State"),
+                row_shares=[5, 8, 5],
+            ),
+            column_shares=[4, 5, 3],
+        )
+
+    def balancing(self) -> rrb.Container:
+        return rrb.Horizontal(
+            rrb.Vertical(self.trajectory(), self.stretched()),
+            rrb.Grid(
+                *(self.balance(panel, title.format(unit=self._unit)) for panel, title in PANELS.items()),
+                grid_columns=2,
+            ),
+            rrb.Vertical(
+                self.text(ADVICE, "Advice"),
+                self.text(BALANCE_TABLE, "Balance"),
+                self.camera(),
+                row_shares=[4, 8, 5],
+            ),
+            column_shares=[4, 5, 3],
+        )
+
+    def analysing(self) -> rrb.Container:
+        unit = self._unit
+        return rrb.Horizontal(
+            rrb.Vertical(
+                self.plane("decay", f"Decay: amplitude / {unit} against time / s"),
+                self.plane("residuals", f"Residuals of the amplitude / {unit}"),
+            ),
+            rrb.Vertical(
+                self.plane("period", f"T(α): period / s against amplitude / {unit}"),
+                self.plane("period_residuals", "Residuals of the period / ms"),
+            ),
+            rrb.Vertical(
+                self.plane("loops", f"Loops: moment / µN m against angle / {unit}"),
+                self.text(REPORT, "Report"),
+            ),
+        )
+
+    def trajectory(self) -> rrb.View:
+        return self._lissajous(EQUAL, f"Trajectory / {self._unit}, equal scales")
+
+    def stretched(self) -> rrb.View:
+        return self._lissajous(STRETCHED, f"Trajectory / {self._unit}, X stretched {X_STRETCH:.0f} times")
+
+    def _lissajous(self, origin: str, title: str) -> rrb.View:
+        ranges: dict[rr.encodings.EntityPath | str, rrb.VisibleTimeRanges] = {}
+        for run in self._runs:
+            for part, (newest, oldest) in TRAIL.items():
+                span = rrb.VisibleTimeRange(
+                    TIMELINE,
+                    start=rrb.TimeRangeBoundary.cursor_relative(seconds=-oldest * self._period_s),
+                    end=rrb.TimeRangeBoundary.cursor_relative(seconds=-newest * self._period_s),
+                )
+                ranges[trail_entity(run, part)] = rrb.VisibleTimeRanges([span])
+        # Room for the labels: below and to the left of the axes.
+        return rrb.Spatial2DView(
+            name=title,
+            origin=origin,
+            contents=[f"+ {TRAJECTORY}/**", f"+ {origin}/graticule/**"],
+            visual_bounds=rrb.VisualBounds2D(
+                x_range=(-1.32 * PLANE_REACH, 1.15 * PLANE_REACH),
+                y_range=(-1.06 * PLANE_REACH, 1.18 * PLANE_REACH),
+            ),
+            background=BACKGROUND,
+            overrides=ranges,
+        )
+
+    def deflection(self, path: str, title: str) -> rrb.View:
+        window = rr.TimeRange(
+            start=rrb.TimeRangeBoundary.cursor_relative(seconds=-WINDOW_S),
+            end=rrb.TimeRangeBoundary.cursor_relative(),
+        )
+        return rrb.TimeSeriesView(
+            name=f"{title} / {self._unit}",
+            contents=self._below(path),
+            axis_x=rrb.TimeAxis(view_range=window),
+            plot_legend=rrb.PlotLegend(visible=len(self._runs) > 1),
+        )
+
+    def history(self, path: str, title: str) -> rrb.View:
+        return rrb.TimeSeriesView(
+            name=title, contents=self._below(path), plot_legend=rrb.PlotLegend(visible=len(self._runs) > 1)
+        )
+
+    def balance(self, panel: str, title: str) -> rrb.View:
+        names = [name for name, quantity in BALANCE.items() if quantity.panel == panel]
+        contents = [line for name in names for line in self._below(f"{BALANCE_ROOT}/{name}")]
+        legend = rrb.PlotLegend(rrb.Corner2D.LeftTop, visible=len(names) > 1 or len(self._runs) > 1)
+        return rrb.TimeSeriesView(name=title, contents=contents, plot_legend=legend)
+
+    def losses(self) -> rrb.View:
+        return rrb.TimeSeriesView(
+            name="Losses", contents=self._below(LOSSES_ROOT), plot_legend=rrb.Corner2D.LeftTop
+        )
+
+    def camera(self) -> rrb.View:
+        return rrb.Spatial2DView(name="Camera", contents=self._below(CAMERA)[:1])
+
+    def plane(self, panel: str, title: str) -> rrb.View:
+        return rrb.Spatial2DView(
+            name=title,
+            contents=self._below(f"{ANALYSIS_ROOT}/{panel}"),
+            visual_bounds=rrb.VisualBounds2D(
+                x_range=(-0.2 * BOX[0], 1.03 * BOX[0]), y_range=(-1.04 * BOX[1], 0.12 * BOX[1])
+            ),
+            background=BACKGROUND,
+        )
+
+    def events(self) -> rrb.View:
+        return rrb.TextLogView(
+            name="Events",
+            contents=self._below(EVENTS),
+            columns=rrb.TextLogColumns(timeline_columns=[TIMELINE], text_log_columns=["loglevel", "body"]),
+        )
+
+    def text(self, path: str, title: str) -> rrb.View:
+        return rrb.TextDocumentView(name=title, origin=entity(self._runs[0], path))
+
+    def _below(self, path: str) -> list[str]:
+        return [f"+ {entity(run, path)}/**" for run in self._runs]

@@ -1,0 +1,128 @@
+"""The one stream that a worker draws into: an .rrd file, or a live stream on 127.0.0.1."""
+
+import sys
+import threading
+import time
+import traceback
+from pathlib import Path
+
+import rerun as rr
+
+from rig.view import layout
+from rig.view.drawing import Drawing
+from rig.view.messages import Message, Setup
+from rig.view.ports import LOOPBACK, free_port
+
+LIVE_GATHER_S, LIVE_GATHER_ROWS, LIVE_PICTURE_S = 0.2, 2000, 0.1
+FILE_GATHER_S, FILE_GATHER_ROWS, FILE_PICTURE_S = 10.0, 8000, 10.0
+FLUSH_INTERVAL_S = 2.0
+FLUSH_LIMIT_S = 5.0
+VIEWER_TRIES = 10
+
+
+class Output:
+    """A stream with its drawing.
+
+    A file that cannot be written (a full disk) is given up and noted; what comes later is not drawn.
+    A live stream that does not drain is an error that ends the worker: the next one opens a new
+    server, and no viewer that hangs can hold it up.
+    """
+
+    def __init__(self, setup: Setup) -> None:
+        self.url = ""
+        self.port = setup.port
+        self._setup = setup
+        self._notes: list[str] = []
+        self._failed = False
+        self._flushed_at = time.monotonic()
+        self._stream = rr.RecordingStream(layout.APPLICATION_ID, recording_id=setup.recording_id)
+        sink = self._file_sink(Path(setup.rrd_path)) if setup.rrd_path else self._live_sink()
+        blueprint = layout.blueprint(setup.layout, setup.runs, setup.unit, setup.period_s)
+        live = setup.rrd_path is None
+        try:
+            self._stream.set_sinks(sink, default_blueprint=blueprint)
+            self._stream.send_recording_name(setup.title)
+            self._drawing = Drawing(
+                self._stream,
+                setup,
+                gather_s=LIVE_GATHER_S if live else FILE_GATHER_S,
+                gather_rows=LIVE_GATHER_ROWS if live else FILE_GATHER_ROWS,
+                picture_interval_s=LIVE_PICTURE_S if live else FILE_PICTURE_S,
+            )
+        except RuntimeError as error:
+            self._fail(error)
+        if setup.viewer_url:
+            threading.Thread(target=self._connect_viewer, daemon=True).start()
+
+    def take_notes(self) -> list[str]:
+        """What a person should know and was not yet told."""
+        notes, self._notes = self._notes, []
+        return notes
+
+    def draw(self, messages: list[Message]) -> bool:
+        """Draw the messages; False where the stream has been given up."""
+        if self._failed:
+            return False
+        for message in messages:
+            try:
+                self._drawing.draw(message)
+            except (ValueError, TypeError, RuntimeError) as error:
+                traceback.print_exc(file=sys.stderr)
+                self._notes.append(f"view: a {type(message).__name__} could not be drawn: {error}")
+        self._drawing.send()
+        if time.monotonic() - self._flushed_at > FLUSH_INTERVAL_S:
+            self._flush()
+        return not self._failed
+
+    def finish(self) -> None:
+        """Send what was gathered and complete the stream."""
+        if not self._failed:
+            self._drawing.send(now=True)
+            self._flush()
+        if not self._failed:
+            self._stream.disconnect()
+
+    def _file_sink(self, path: Path) -> rr.FileSink:
+        return rr.FileSink(path)
+
+    def _live_sink(self) -> rr.GrpcServerSink:
+        setup = self._setup
+        self.port = free_port(setup.port)
+        if setup.port not in (0, self.port):
+            self._notes.append(
+                f"port {setup.port} is in use: the live view listens on {LOOPBACK}:{self.port}"
+            )
+        sink = rr.GrpcServerSink(LOOPBACK, self.port, server_memory_limit=setup.memory_limit)
+        self.url = sink.uri
+        return sink
+
+    def _flush(self) -> None:
+        self._flushed_at = time.monotonic()
+        try:
+            self._stream.flush(timeout_sec=FLUSH_LIMIT_S)
+        except (RuntimeError, TimeoutError) as error:
+            if self._setup.rrd_path is None:
+                raise
+            self._fail(error)
+
+    def _fail(self, error: Exception) -> None:
+        self._failed = True
+        where = f"the Rerun file {self._setup.rrd_path}" if self._setup.rrd_path else "the live view"
+        self._notes.append(f"{where} is given up (the record is not concerned): {error}")
+
+    def _connect_viewer(self) -> None:
+        """Tell the viewer that showed the stream before where it is now; it may be stopped, or gone."""
+        from rerun.experimental import ViewerClient
+
+        problem: Exception | None = None
+        for _ in range(VIEWER_TRIES):
+            try:
+                viewer = ViewerClient.connect(self._setup.viewer_url)
+                viewer.open(self.url)
+                # Refused until the first data have arrived.
+                viewer.set_time(layout.TIMELINE, play_state="following")
+                return
+            except (RuntimeError, OSError, ValueError) as error:
+                problem = error
+                time.sleep(1.0)
+        print(f"the viewer at {self._setup.viewer_url} does not follow: {problem}", file=sys.stderr)

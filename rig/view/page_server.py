@@ -1,0 +1,120 @@
+"""The viewer as a page for a browser on this machine, from a process of its own.
+
+Rerun's own page server is asked for its files once. They are served on from here with a content
+security policy, because the page would otherwise report its use to its makers and load fonts from
+elsewhere: a browser that obeys it speaks with 127.0.0.1 alone. The process ends with its standard
+input, so it never outlives the session that started it.
+"""
+
+import http.client
+import http.server
+import os
+import subprocess
+import sys
+import threading
+import time
+import urllib.parse
+from pathlib import Path
+from typing import Any
+
+from rig.view.ports import LOOPBACK, free_port
+from rig.view.process_group import own_group
+from rig.view.rerun_program import start_program
+
+FILES = {
+    "/": "text/html; charset=utf-8",
+    "/re_viewer.js": "text/javascript",
+    "/re_viewer_bg.wasm": "application/wasm",
+    "/favicon.ico": "image/x-icon",
+}
+POLICY = (
+    "default-src 'self'; "
+    "script-src 'self' 'unsafe-inline' 'wasm-unsafe-eval'; "
+    "style-src 'self' 'unsafe-inline'; "
+    "img-src 'self' data: blob:; "
+    "worker-src 'self' blob:; "
+    f"connect-src 'self' data: blob: http://{LOOPBACK}:*"
+)
+FETCH_LIMIT_S = 30.0
+
+
+def start_page_server(port: int) -> subprocess.Popen[bytes]:
+    """Serve the page on a port of 127.0.0.1, until the process is ended or its standard input is."""
+    path = os.pathsep.join(
+        part for part in (str(Path(__file__).resolve().parents[2]), os.environ.get("PYTHONPATH")) if part
+    )
+    return subprocess.Popen(
+        [sys.executable, "-P", "-c", "from rig.view.page_server import main; main()", str(port)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        env={**os.environ, "PYTHONPATH": path},
+        **own_group(),
+    )
+
+
+def page_address(port: int, stream_url: str) -> str:
+    """Where a browser finds the page, connected to a live stream."""
+    return f"http://{LOOPBACK}:{port}/?url={urllib.parse.quote(stream_url, safe='')}"
+
+
+def main() -> None:
+    """Serve until the standard input ends."""
+    server = http.server.ThreadingHTTPServer((LOOPBACK, int(sys.argv[1])), PageHandler)
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    sys.stdin.buffer.read()
+
+
+class PageHandler(http.server.BaseHTTPRequestHandler):
+    """Answers with the viewer's files, fetched before the first answer."""
+
+    protocol_version = "HTTP/1.1"
+    files: dict[str, bytes] = {}  # noqa: RUF012 - one cache for all requests of the process
+    fetching = threading.Lock()
+
+    def do_GET(self) -> None:
+        path = self.path.partition("?")[0]
+        with self.fetching:
+            if not self.files:
+                self.files.update(viewer_files())
+        data = self.files.get(path)
+        if data is None:
+            self.send_error(http.HTTPStatus.NOT_FOUND)
+            return
+        self.send_response(http.HTTPStatus.OK)
+        self.send_header("Content-Type", FILES[path])
+        self.send_header("Content-Length", str(len(data)))
+        self.send_header("rerun-final-length", str(len(data)))
+        self.send_header("Content-Security-Policy", POLICY)
+        self.end_headers()
+        self.wfile.write(data)
+
+    def log_message(self, format: str, *args: Any) -> None:
+        """Requests are not worth a line."""
+
+
+def viewer_files() -> dict[str, bytes]:
+    """The page's files from Rerun's own server, which is started for it and ended again."""
+    port = free_port(0)
+    program = start_program("--serve-web", "--web-viewer-port", str(port), "rerun+http://127.0.0.1:1/proxy")
+    try:
+        deadline_s = time.monotonic() + FETCH_LIMIT_S
+        while True:
+            try:
+                return {path: _fetched(port, path) for path in FILES}
+            except OSError:
+                if time.monotonic() > deadline_s:
+                    raise
+                time.sleep(0.1)
+    finally:
+        program.kill()
+        program.wait()
+
+
+def _fetched(port: int, path: str) -> bytes:
+    connection = http.client.HTTPConnection(LOOPBACK, port, timeout=FETCH_LIMIT_S)
+    try:
+        connection.request("GET", path)
+        return connection.getresponse().read()
+    finally:
+        connection.close()

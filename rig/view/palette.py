@@ -1,0 +1,53 @@
+"""Colours of view and report: one palette that colour-blind readers can tell apart.
+
+The eight colours of Okabe and Ito, "Color Universal Design" (2008), as hexadecimal sRGB, and what
+each of them stands for in every figure and every panel.
+"""
+
+from typing import Final
+
+BLACK: Final = "#000000"
+ORANGE: Final = "#E69F00"
+SKY_BLUE: Final = "#56B4E9"
+BLUISH_GREEN: Final = "#009E73"
+YELLOW: Final = "#F0E442"
+BLUE: Final = "#0072B2"
+VERMILLION: Final = "#D55E00"
+REDDISH_PURPLE: Final = "#CC79A7"
+GREY: Final = "#8A8F98"
+LIGHT_GREY: Final = "#C9CDD3"
+
+X_COLOUR: Final = ORANGE
+"""X(t), the fast mode."""
+Y_COLOUR: Final = SKY_BLUE
+"""Y(t), the slow mode."""
+TRAJECTORY_COLOUR: Final = YELLOW
+"""The last two periods of (X, Y)."""
+AMPLITUDE_COLOUR: Final = SKY_BLUE
+PERIOD_COLOUR: Final = BLUISH_GREEN
+DATA_COLOUR: Final = SKY_BLUE
+EXACT_FIT_COLOUR: Final = VERMILLION
+ASYMPTOTIC_FIT_COLOUR: Final = REDDISH_PURPLE
+LOSSES: Final = (VERMILLION, ORANGE, REDDISH_PURPLE, YELLOW)
+"""Counts of losses."""
+
+SEQUENCE: Final = (SKY_BLUE, ORANGE, BLUISH_GREEN, VERMILLION, YELLOW, REDDISH_PURPLE, BLUE, GREY)
+"""Curves without a meaning of their own, and runs laid over each other, in this order."""
+
+
+def curve_colour(name: str, number: int) -> str:
+    """Colour of an analysis' curve: fixed for data and the two fits, else the next of SEQUENCE."""
+    for word, colour in (
+        ("exact", EXACT_FIT_COLOUR),
+        ("asymptotic", ASYMPTOTIC_FIT_COLOUR),
+        ("measured", DATA_COLOUR),
+    ):
+        if word in name.lower():
+            return colour
+    return SEQUENCE[number % len(SEQUENCE)]
+
+
+def rgba(colour: str, opacity: float = 1.0) -> tuple[int, int, int, int]:
+    """Red, green, blue and opacity, each 0 to 255, of a ``#RRGGBB`` colour."""
+    red, green, blue = (int(colour[i : i + 2], 16) for i in (1, 3, 5))
+    return red, green, blue, round(255 * opacity)

@@ -1,0 +1,70 @@
+"""What the terminal says of a record: its contents, its faults, what was recovered."""
+
+import datetime
+from pathlib import Path
+
+from acquisition.record.check import check_record
+from acquisition.record.info import record_info
+from acquisition.record.recover import recover
+
+_HIDDEN = {"record"}
+
+
+def print_info(path: Path) -> None:
+    """`rig info`: what is in a record, from its index alone."""
+    info = record_info(path)
+    state = "whole" if info.whole else f"cut short after {_size(info.readable_bytes)} (see rig recover)"
+    print(f"{path}: {_size(info.size_bytes)}, {state}")
+    print(f"schema {info.schema_version}, written by {info.library}")
+    if info.start_ns:
+        print(f"{_utc(info.start_ns)} to {_utc(info.end_ns)}, {info.duration_s:.1f} s")
+    for topic, count in info.messages.items():
+        print(f"  {topic:<20} {count}")
+    for section, texts in info.metadata.items():
+        filled = {key: text for key, text in texts.items() if text}
+        if section not in _HIDDEN and filled:
+            print(f"{section}")
+            for key, text in filled.items():
+                print(f"  {key:<20} {text}")
+    for name, size in info.attachments.items():
+        print(f"attachment {name} ({_size(size)})")
+    for problem in info.problems:
+        print(f"problem: {problem}")
+
+
+def print_check(path: Path, results: Path | None) -> int:
+    """`rig check`: one line for each finding; exit status 1 where something is wrong."""
+    if results is None and (path.parent / "results.json").exists():
+        results = path.parent / "results.json"
+    findings = check_record(path, results)
+    for finding in findings:
+        print(f"{finding.severity}: {finding.text}")
+    errors = sum(finding.severity == "error" for finding in findings)
+    print(f"{path}: {'is sound' if not errors else f'{errors} errors'}")
+    return 1 if errors else 0
+
+
+def recover_record(path: Path, output: Path | None) -> None:
+    """`rig recover`: a whole file beside the cut one, which is only read."""
+    target = output or path.with_name(f"{path.stem}-recovered{path.suffix}")
+    recovery = recover(path, target)
+    counts = ", ".join(f"{count} {topic.lstrip('/')}" for topic, count in recovery.messages.items() if count)
+    print(f"{target}: {counts or 'no messages'}, up to {_utc(recovery.end_ns)}")
+    print(f"lost: {recovery.lost_bytes} bytes behind the last complete chunk")
+    for damage in recovery.lost:
+        topics = ", ".join(damage.topics)
+        print(f"lost: {topics} from {_utc(damage.start_ns)} to {_utc(damage.end_ns)}: {damage.what}")
+
+
+def _utc(time_ns: int) -> str:
+    moment = datetime.datetime.fromtimestamp(time_ns * 1e-9, tz=datetime.UTC)
+    return f"{moment:%Y-%m-%d %H:%M:%S}.{time_ns // 1_000_000 % 1000:03d} UTC"
+
+
+def _size(count: int) -> str:
+    size = float(count)
+    for unit in ("B", "kB", "MB"):
+        if size < 1000:
+            return f"{size:.0f} {unit}" if unit == "B" else f"{size:.1f} {unit}"
+        size /= 1000
+    return f"{size:.1f} GB"

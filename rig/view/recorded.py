@@ -1,0 +1,240 @@
+"""Recorded runs in the live layout: one, or several laid over each other."""
+
+import logging
+import tempfile
+from collections.abc import Iterator, Sequence
+from datetime import UTC, datetime
+from itertools import islice
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.record.reader import RecordReader
+from acquisition.record.topics import BALANCE_TOPIC, SPOT, SPOT_UNCALIBRATED
+from processing.angle import ARCSEC_RAD
+from processing.errors import RecordError
+from processing.spot import SpotFlag
+from rig.view.balance_quantities import balance_quantities
+from rig.view.messages import EventLevel, LayoutName
+from rig.view.rrd_display import show_rrd
+from rig.view.viewer import Viewer
+
+logger = logging.getLogger(__name__)
+
+BLOCK_ROWS = 1024
+PICTURE_INTERVAL_S = 10.0
+WARNINGS = frozenset({"gap", "spot lost", "camera lost"})
+
+
+def show_records(
+    paths: Sequence[Path],
+    *,
+    mode: Literal["spawn", "web"] = "spawn",
+    rrd: Path | None = None,
+    align_start: bool = True,
+    layout: LayoutName = "measuring",
+) -> None:
+    """Show records (.mcap), or Rerun files (.rrd) as they are; returns when the viewer is closed.
+
+    Parameters
+    ----------
+    paths
+        Several records are laid over each other in colours of their own.
+    mode
+        A window, or a page for a browser on this machine.
+    rrd
+        Write the Rerun file here and open nothing; must not exist yet.
+    align_start
+        Every record begins at 0; else all count from the first one's start, by their UTC times.
+    layout
+        The layout that opens.
+
+    Raises
+    ------
+    RecordError
+        A file is missing, is no record, or holds no spots; nothing has been written then.
+    processing.errors.ConfigurationError
+        No screen for a window, or `rrd` exists already.
+    """
+    if paths and all(path.suffix == ".rrd" for path in paths):
+        for path in paths:
+            if not path.is_file():
+                raise RecordError(f"{path}: no such Rerun file")
+        show_rrd(paths, mode)
+        return
+    if rrd is not None:
+        write_rrd(paths, rrd, align_start=align_start, layout=layout)
+        return
+    with tempfile.TemporaryDirectory(prefix="rig-view-") as folder:
+        path = Path(folder) / "records.rrd"
+        write_rrd(paths, path, align_start=align_start, layout=layout)
+        show_rrd([path], mode)
+
+
+def write_rrd(
+    paths: Sequence[Path], rrd: Path, *, align_start: bool = True, layout: LayoutName = "measuring"
+) -> None:
+    """Draw records into one Rerun file; memory stays flat however large they are. See `show_records`."""
+    names = run_names(paths)
+    overviews = [overview(path) for path in paths]
+    units = {each.unit for each in overviews}
+    if len(units) > 1:
+        raise RecordError(
+            f"{', '.join(map(str, paths))}: some are in px, for want of a calibration, and some in arcsec; "
+            "they cannot be laid over each other"
+        )
+    first_utc_ns = min(each.start_utc_ns for each in overviews)
+    viewer = Viewer(
+        rrd,
+        "none",
+        layout,
+        ", ".join(path.stem for path in paths),
+        runs=names,
+        amplitude_arcsec=max(each.amplitude for each in overviews),
+        unit=units.pop(),
+    )
+    lines = ["| record | start (UTC) | spots | half-cycles | |", "|---|---|---:|---:|---|"]
+    with viewer:
+        for path, name, each in zip(paths, names, overviews, strict=True):
+            later_s = 0.0 if align_start else (each.start_utc_ns - first_utc_ns) * 1e-9
+            with RecordReader(path) as reader:
+                spots, swings = _draw(viewer, reader, name, each.start_ns, later_s)
+                start = datetime.fromtimestamp(each.start_utc_ns * 1e-9, UTC)
+                end = "cut short" if reader.truncated else "damaged" if reader.damages else "whole"
+            lines.append(f"| {path.stem} | {start:%Y-%m-%d %H:%M:%S} | {spots} | {swings} | {end} |")
+        viewer.state("\n".join(lines), time_s=0.0, run=names[0])
+    if viewer.counts.notes:
+        raise RecordError(f"{rrd}: {viewer.counts.notes[0]}")
+
+
+def run_names(paths: Sequence[Path]) -> list[str]:
+    """A short name for each record, none twice; no name where there is only one."""
+    if len(paths) == 1:
+        return [""]
+    names = [path.stem for path in paths]
+    if len(set(names)) < len(names):
+        names = [f"{path.resolve().parent.name} {path.stem}" for path in paths]
+    return [
+        f"{name} ({names[:n].count(name) + 1})" if name in names[:n] else name for n, name in enumerate(names)
+    ]
+
+
+class Overview(NamedTuple):
+    """What must be known of a record before it is drawn."""
+
+    unit: str
+    start_ns: int
+    start_utc_ns: int
+    amplitude: float
+
+
+def overview(path: Path) -> Overview:
+    """Unit, start and the largest deflection among the first spots."""
+    with RecordReader(path) as reader:
+        head = next(spot_tables(reader), None)
+        if head is None:
+            raise RecordError(f"{path}: holds no spots; nothing can be shown")
+        x, y, unit = deflections(head, reader)
+        with np.errstate(invalid="ignore"):
+            reach = np.fmax(np.abs(x), np.abs(y))
+        amplitude = float(np.nanmax(reach)) if np.isfinite(reach).any() else 1.0
+        start_ns = int(head["time_ns"][0])
+        return Overview(unit, start_ns, start_ns + reader.epoch_offset_ns, max(amplitude, 1e-3))
+
+
+def spot_tables(reader: RecordReader) -> Iterator[NDArray[Any]]:
+    """The record's spots, some thousand at a time."""
+    kind = SPOT_UNCALIBRATED if reader.deflection_unit == "px" else SPOT
+    messages = reader.messages(kind.topic)
+    while block := list(islice(messages, BLOCK_ROWS)):
+        yield kind.decode_table([message.data for message in block])
+
+
+def deflections(
+    table: NDArray[Any], reader: RecordReader
+) -> tuple[NDArray[np.float64], NDArray[np.float64], str]:
+    """X, Y and their unit: arcsec, or px without a calibration."""
+    if reader.deflection_unit == "px":
+        return table["x_deflection_px"], table["y_deflection_px"], "px"
+    return table["x_rad"] / ARCSEC_RAD, table["y_rad"] / ARCSEC_RAD, "arcsec"
+
+
+def _draw(viewer: Viewer, reader: RecordReader, run: str, start_ns: int, later_s: float) -> tuple[int, int]:
+    """Draw one record; how many spots and half-cycles it holds."""
+
+    def seconds(time_ns: Any) -> Any:
+        return (np.asarray(time_ns) - start_ns) * 1e-9 + later_s
+
+    scale = 1.0 if reader.deflection_unit == "px" else 1.0 / ARCSEC_RAD
+    swings = reader.swings()
+    if swings:
+        viewer.swings(
+            seconds([swing.turn_time_ns for swing in swings]),
+            [swing.amplitude * scale for swing in swings],
+            [2.0 * swing.half_period_s for swing in swings],
+            u_amplitude_arcsec=[swing.u_amplitude * scale for swing in swings],
+            u_period_s=[2.0 * swing.u_half_period_s for swing in swings],
+            run=run,
+        )
+    balances = reader.table(BALANCE_TOPIC)
+    names = balances.dtype.names or ()
+    for row in balances:
+        fields = dict(zip(names, row.tolist(), strict=True))
+        quantities = balance_quantities(fields, 1.0 / scale)
+        viewer.balance(float(seconds(fields["time_ns"])), quantities, run=run)
+    for event in reader.events():
+        level: EventLevel = "warning" if event.kind in WARNINGS else "info"
+        viewer.event(float(seconds(event.time_ns)), level, f"{event.kind}: {event.text}", run=run)
+    spots = _draw_spots(viewer, reader, run, start_ns, later_s)
+    _draw_images(viewer, reader, run, start_ns, later_s, spots)
+    return len(spots["sequence"]), len(swings)
+
+
+def _draw_spots(
+    viewer: Viewer, reader: RecordReader, run: str, start_ns: int, later_s: float
+) -> dict[str, NDArray[Any]]:
+    """Draw X and Y and the losses; where the spot was in each frame, by its number."""
+    sequences: list[NDArray[np.int64]] = []
+    places: list[NDArray[np.float32]] = []
+    lost = missing = 0
+    last: int | None = None
+    viewer.losses(later_s, {"missing_frames": 0, "lost_spots": 0}, own=False, run=run)
+    for table in spot_tables(reader):
+        x, y, _ = deflections(table, reader)
+        time_s = (table["time_ns"] - start_ns) * 1e-9 + later_s
+        viewer.samples(time_s, x, y, table["flags"], run=run)
+        sequence = table["sequence"]
+        before = sequence[0] - 1 if last is None else last
+        missing += int(np.maximum(np.diff(sequence, prepend=before) - 1, 0).sum())
+        lost += int(np.count_nonzero(table["flags"] & SpotFlag.LOST))
+        last = int(sequence[-1])
+        told = {"missing_frames": missing, "lost_spots": lost}
+        viewer.losses(float(time_s[-1]), told, own=False, run=run)
+        sequences.append(sequence.copy())
+        places.append(np.column_stack((table["x_px"], table["y_px"])).astype(np.float32))
+        viewer.wait_room()
+    return {"sequence": np.concatenate(sequences), "place": np.concatenate(places)}
+
+
+def _draw_images(
+    viewer: Viewer,
+    reader: RecordReader,
+    run: str,
+    start_ns: int,
+    later_s: float,
+    spots: dict[str, NDArray[Any]],
+) -> None:
+    """Draw a whole frame now and then, with the spot that was found in it."""
+    next_ns = start_ns
+    for frame in reader.images():
+        if frame.time_ns < next_ns:
+            continue
+        next_ns = frame.time_ns + round(PICTURE_INTERVAL_S * 1e9)
+        row = int(np.searchsorted(spots["sequence"], frame.sequence))
+        found = row < len(spots["sequence"]) and spots["sequence"][row] == frame.sequence
+        x_px, y_px = spots["place"][row] if found else (np.nan, np.nan)
+        time_s = (frame.time_ns - start_ns) * 1e-9 + later_s
+        viewer.image(time_s, frame.image, (float(x_px), float(y_px)), run=run)
+        viewer.wait_room()

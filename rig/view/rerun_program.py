@@ -1,0 +1,71 @@
+"""The viewer's own program, started from inside its package and kept on 127.0.0.1.
+
+The `rerun` command is a Python wrapper, and ending it would orphan the viewer; the program itself is
+started instead. It listens on all interfaces and reports usage by default: neither happens here.
+"""
+
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import rerun_cli
+
+from rig.view.ports import LOOPBACK
+from rig.view.process_group import own_group
+
+
+def program() -> Path:
+    """The viewer's executable inside its package."""
+    folder = Path(rerun_cli.__file__).parent
+    bundled = folder / "Rerun.app" / "Contents" / "MacOS" / "Rerun"
+    if sys.platform == "darwin" and bundled.exists():
+        return bundled
+    return folder / ("rerun.exe" if sys.platform == "win32" else "rerun")
+
+
+def quiet_environment() -> dict[str, str]:
+    """The environment in which the program sends no usage data.
+
+    No variable says so, only its own command does, which writes it into the user's settings. On Linux
+    the program gets a settings folder of its own, and the user's stay as they are.
+    """
+    environment = {**os.environ, "RERUN_APP_ONLY": "true"}
+    if sys.platform.startswith("linux"):
+        settings = Path(tempfile.gettempdir()) / f"rerun-settings-{os.getuid()}"
+        settings.mkdir(mode=0o700, exist_ok=True)
+        environment["XDG_CONFIG_HOME"] = str(settings)
+    subprocess.run(
+        [program(), "analytics", "disable"], check=True, capture_output=True, timeout=60, env=environment
+    )
+    return environment
+
+
+def display_missing() -> str:
+    """Why no window can be opened here; empty where one can."""
+    if sys.platform.startswith("linux") and not (
+        os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    ):
+        return (
+            "no window was opened: there is no screen here (neither DISPLAY nor WAYLAND_DISPLAY is set); "
+            'use view.mode = "web", or open the .rrd file on another machine'
+        )
+    return ""
+
+
+def open_window(url: str, port: int) -> subprocess.Popen[bytes]:
+    """Open a window on a live stream; it stays when the run is over. It takes commands on `port`."""
+    return start_program("--port", str(port), "--hide-welcome-screen", "--connect", url)
+
+
+def start_program(*arguments: str, environment: dict[str, str] | None = None) -> subprocess.Popen[bytes]:
+    """Start the program on 127.0.0.1, silent, out of Ctrl-C's reach."""
+    return subprocess.Popen(
+        [program(), "--bind", LOOPBACK, *arguments],
+        env=environment if environment is not None else quiet_environment(),
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        **own_group(),
+    )

@@ -1,0 +1,48 @@
+"""A Rerun file in a window, or as a page for a browser on this machine."""
+
+import subprocess
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Literal
+
+from processing.errors import ConfigurationError
+from rig.view.page_server import page_address, start_page_server
+from rig.view.ports import LOOPBACK, free_port
+from rig.view.rerun_program import display_missing, start_program
+
+
+def show_rrd(paths: Sequence[Path], mode: Literal["spawn", "web"]) -> None:
+    """Show the files until the window is closed or Ctrl-C is pressed.
+
+    Raises
+    ------
+    ConfigurationError
+        There is no screen for a window.
+    """
+    files = [str(path) for path in paths]
+    if mode == "spawn":
+        if missing := display_missing():
+            raise ConfigurationError(missing)
+        _wait_for(start_program("--port", str(free_port(0)), "--hide-welcome-screen", *files))
+        return
+    port, web_port = free_port(9876), free_port(9090)
+    server = start_program("--serve-grpc", "--port", str(port), *files)
+    page = start_page_server(web_port)
+    try:
+        stream = f"rerun+http://{LOOPBACK}:{port}/proxy"
+        print(f"the view is at {page_address(web_port, stream)} (Ctrl-C ends it)", flush=True)
+        _wait_for(server)
+    finally:
+        page.kill()
+        page.communicate()
+
+
+def _wait_for(program: subprocess.Popen[bytes]) -> None:
+    """Until the program ends, or Ctrl-C ends it."""
+    try:
+        program.wait()
+    except KeyboardInterrupt:
+        pass
+    finally:
+        program.kill()
+        program.wait()

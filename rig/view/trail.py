@@ -1,0 +1,36 @@
+"""The trajectory cut into short pieces, so that the viewer can show any stretch of it by time."""
+
+import numpy as np
+
+from rig.view.messages import Floats
+
+PIECE_POINTS = 25
+
+
+class Trail:
+    """Gathers points and hands them out as strips that join each other.
+
+    A piece's time is that of its last point. A lost spot (NaN) ends a piece, and nothing is drawn
+    across it.
+    """
+
+    def __init__(self) -> None:
+        self._last_time_s = np.empty(0)
+        self._last_point = np.empty((0, 2))
+
+    def pieces(self, time_s: Floats, points: Floats) -> tuple[Floats, list[Floats]]:
+        """Times and strips (n, 2) of the points, each beginning where the one before ended."""
+        times = np.concatenate((self._last_time_s, time_s))
+        path = np.concatenate((self._last_point, points))
+        ends: list[float] = []
+        strips: list[Floats] = []
+        good = np.isfinite(path[:, 0] + path[:, 1])
+        edges = np.flatnonzero(np.diff(np.concatenate(([False], good, [False])).astype(np.int8)))
+        for start, stop in edges.reshape(-1, 2):
+            for first in range(start, stop - 1, PIECE_POINTS):
+                last = min(first + PIECE_POINTS, stop - 1)
+                ends.append(float(times[last]))
+                strips.append(path[first : last + 1])
+        keep = len(path) - 1 if len(path) and good[-1] else len(path)
+        self._last_time_s, self._last_point = times[keep:], path[keep:]
+        return np.array(ends), strips
