@@ -1,0 +1,109 @@
+"""Small records with everything in them, the same for the same seed."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from acquisition.frame import Frame
+from acquisition.record.topics import DeflectionUnit
+from acquisition.record.writer import RecordWriter
+from processing.spot import Spot, SpotFlag
+from processing.swing import Swing
+
+EPOCH_OFFSET_NS = 1_790_000_000_000_000_000
+FRAME_NS = 10_000_000
+BLOCK = 16
+
+
+@dataclass(frozen=True)
+class SampleBalance:
+    """A value that the record is not told of beforehand."""
+
+    time_ns: int
+    ratio: float
+    settled: bool
+    advice: str
+    turns: int
+
+
+class Expected(NamedTuple):
+    """What was handed to the writer."""
+
+    spots: list[Spot]
+    deflections: np.ndarray
+    windows: list[tuple[int, np.ndarray, tuple[int, int]]]
+    swings: list[Swing]
+    images: list[Frame]
+    balances: list[SampleBalance]
+
+
+def write_sample(
+    path: Path,
+    frames: int = 128,
+    *,
+    seed: int = 1,
+    unit: DeflectionUnit = "rad",
+    dtype: str = "u1",
+    window_px: int = 24,
+    metadata: dict[str, dict[str, str]] | None = None,
+    flush_interval_s: float = 1e9,
+) -> Expected:
+    """Write blocks of spots and windows with a swing and a balance each; every 16th spot is lost."""
+    rng = np.random.default_rng(seed)
+    about = (
+        {"session": {"operator": "Ä. Tester", "notes": "line 1\nline 2"}} if metadata is None else metadata
+    )
+    done = Expected([], rng.normal(0.0, 1e-4, (4, frames)), [], [], [], [])
+    attachments = {"configuration.toml": b"[session]\n", "any.bin": bytes(range(256))}
+    with RecordWriter(
+        path,
+        EPOCH_OFFSET_NS,
+        metadata=about,
+        attachments=attachments,
+        deflection_unit=unit,
+        reserve_bytes=64 * 1024,
+        flush_interval_s=flush_interval_s,
+    ) as writer:
+        writer.write_event(0, "start", "first frame")
+        writer.write_camera_calibration(0, (48, 64), 86956.5, (31.5, 23.5))
+        for first in range(0, frames, BLOCK):
+            sequences = list(range(first, min(first + BLOCK, frames)))
+            times = np.array(sequences, dtype=np.int64) * FRAME_NS
+            spots = [_spot(rng, sequence) for sequence in sequences]
+            done.spots.extend(spots)
+            columns = done.deflections[:, first : first + len(sequences)]
+            hosts = (times + 123).tolist()
+            writer.write_spots(sequences, times.tolist(), hosts, times, spots, *columns)
+            for sequence in sequences:
+                pixels = rng.poisson(40, (window_px, window_px)).astype(dtype)
+                done.windows.append((sequence, pixels, (sequence % 7, 3)))
+                writer.write_window(sequence, sequence * FRAME_NS, pixels, sequence % 7, 3)
+            time_ns = int(times[-1])
+            swing = Swing(first, time_ns, 1e-6, *rng.normal(size=5).tolist(), (-1) ** first, 0)
+            done.swings.append(swing)
+            writer.write_swing(swing)
+            balance = SampleBalance(time_ns, float(rng.normal()), bool(first % 3), f"turn {first}", first)
+            done.balances.append(balance)
+            writer.write_balance(balance)
+            if first % (4 * BLOCK) == 0:
+                frame = Frame(rng.poisson(9, (48, 64)).astype(dtype), first, first * FRAME_NS, 0)
+                done.images.append(frame)
+                writer.write_image(frame)
+                writer.write_environment(time_ns, 21.5, pressure_pa=101325.0)
+            writer.write_log(time_ns, 2, "session", f"block {first}")
+            writer.flush()
+        writer.write_event(frames * FRAME_NS, "stop", "amplitude below 2 arcsec")
+    return done
+
+
+def _spot(rng: np.random.Generator, sequence: int) -> Spot:
+    if sequence % 16 == 5:
+        return Spot(*[float("nan")] * 10, flags=int(SpotFlag.LOST))
+    return Spot(*rng.normal(100.0, 30.0, 10).tolist(), flags=int(SpotFlag.SATURATED) * (sequence % 2))
+
+
+def same_bits(a: np.ndarray, b: np.ndarray) -> bool:
+    """Equal to the last bit, NaN included."""
+    return a.shape == b.shape and np.asarray(a, "f8").tobytes() == np.asarray(b, "f8").tobytes()

@@ -1,0 +1,1 @@
+"""A USB3 Vision camera written for the tests, independent of the driver."""

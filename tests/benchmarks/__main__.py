@@ -1,0 +1,48 @@
+"""All benchmarks, one after the other: ``python -m tests.benchmarks [--quick] [NAME...]``.
+
+Writes build/bench.json. Speeds are ratios of things measured in the same run; a benchmark that
+cannot run here says why and the others go on.
+"""
+
+import importlib
+import json
+import platform
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+FOLDER = Path(__file__).parent
+
+
+def main() -> int:
+    """Run what is asked for (everything, without names) and write the numbers."""
+    quick = "--quick" in sys.argv
+    wanted = [word for word in sys.argv[1:] if not word.startswith("-")]
+    names = wanted or sorted(path.stem.removeprefix("bench_") for path in FOLDER.glob("bench_*.py"))
+    results: dict[str, Any] = {
+        "machine": platform.platform(),
+        "python": platform.python_version(),
+        "quick": quick,
+    }
+    failed = []
+    for name in names:
+        print(f"\n== {name}", flush=True)
+        began_s = time.monotonic()
+        try:
+            results[name] = importlib.import_module(f"tests.benchmarks.bench_{name}").run(quick=quick)
+        except Exception as error:
+            failed.append(name)
+            results[name] = {"not measured": f"{type(error).__name__}: {error}"}
+            print(f"not measured: {type(error).__name__}: {error}")
+        print(f"({time.monotonic() - began_s:.0f} s)")
+    target = Path("build") / "bench.json"
+    target.parent.mkdir(exist_ok=True)
+    merged = json.loads(target.read_text()) if wanted and target.exists() else {}
+    target.write_text(json.dumps({**merged, **results}, indent=2) + "\n")
+    print(f"\n{target}")
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

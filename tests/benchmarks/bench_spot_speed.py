@@ -1,0 +1,309 @@
+"""Speed of the spot tracker in units of cv2.sumElems over a frame that is not in the cache, and of its peers.
+
+Everything is measured in interleaved rounds of one run on one core; the median over the rounds is taken.
+Run as ``python -m tests.benchmarks.bench_spot_speed [--quick]`` from the repository.
+"""
+
+import json
+import math
+import sys
+import time
+import warnings
+from collections.abc import Callable
+from statistics import median
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.table import Table
+
+from processing.spot import SpotTracker
+from tests.processing.spot_frames import EIGHT_BIT, exposed, light, side_of
+
+SHAPE = (1024, 1280)
+RING = 64
+"""Frames of 1.3 MB: more than a core's own cache holds."""
+SIGMAS = (3, 6, 12)
+PEAK = 180.0
+BLOCK = 20
+
+Frames = list[NDArray[Any]]
+Action = Callable[[], object]
+
+
+def interleaved(actions: dict[str, tuple[Action, int]], rounds: int) -> dict[str, float]:
+    """Median microseconds per frame; an action and the frames it does."""
+    for action, _ in actions.values():
+        action()
+    times: dict[str, list[float]] = {name: [] for name in actions}
+    for _ in range(rounds):
+        for name, (action, frames) in actions.items():
+            begin_s = time.perf_counter()
+            action()
+            times[name].append((time.perf_counter() - begin_s) / frames * 1e6)
+    return {name: median(values) for name, values in times.items()}
+
+
+def ring(sigma: float, rng: np.random.Generator, hot_pixels: int = 0) -> tuple[Frames, NDArray[np.float64]]:
+    """Full frames with a moving spot, and where it is."""
+    phase = 0.05 * np.arange(RING)
+    truth = np.column_stack((640.3 + 8 * np.sin(phase), 512.6 + np.cos(phase)))
+    frames: Frames = []
+    reach = int(6 * sigma)
+    side = 2 * reach + 1
+    for x, y in truth:
+        frame = np.rint(6 + rng.normal(0, 0.18, SHAPE)).astype(np.uint8)
+        column, row = int(x) - reach, int(y) - reach
+        frame[row : row + side, column : column + side] = exposed(
+            light((side, side), x - column, y - row, sigma, PEAK), rng
+        )
+        frame[rng.integers(0, SHAPE[0], hot_pixels), rng.integers(0, SHAPE[1], hot_pixels)] = 220
+        frames.append(frame)
+    return frames, truth
+
+
+def _follow(tracker: SpotTracker, frames: Frames) -> Action:
+    def action() -> None:
+        for frame in frames:
+            tracker.track(frame)
+
+    return action
+
+
+def _search(tracker: SpotTracker, frames: Frames) -> Action:
+    def action() -> None:
+        for frame in frames:
+            tracker.reset()
+            tracker.track(frame)
+
+    return action
+
+
+def _sum(frames: Frames) -> Action:
+    def action() -> None:
+        for frame in frames:
+            cv2.sumElems(frame)
+
+    return action
+
+
+def against_sum(sigma: float, hot_pixels: int, rounds: int) -> dict[str, float]:
+    """Ratios to the time cv2.sumElems needs for the same frames."""
+    frames, _ = ring(sigma, np.random.default_rng(31), hot_pixels)
+    us = interleaved(
+        {
+            "cv2.sumElems": (_sum(frames), RING),
+            "following": (_follow(SpotTracker(EIGHT_BIT), frames), RING),
+            "search, every row": (_search(SpotTracker(EIGHT_BIT, row_step=1), frames), RING),
+            "search, every 8th row first": (_search(SpotTracker(EIGHT_BIT, row_step=8), frames), RING),
+        },
+        rounds,
+    )
+    result: dict[str, float] = {"sigma_px": sigma, "hot_pixels": hot_pixels, "sum_us": us["cv2.sumElems"]}
+    for name, value in us.items():
+        if name != "cv2.sumElems":
+            result[f"{name}, us"] = value
+            result[f"{name}, ratio"] = value / us["cv2.sumElems"]
+    return result
+
+
+def windows(sigma: float, count: int, seed: int) -> tuple[NDArray[Any], NDArray[np.float64]]:
+    """Stack of windows with a spot at random phases."""
+    rng = np.random.default_rng(seed)
+    n = side_of(sigma)
+    truth = n / 2 + rng.uniform(-0.5, 0.5, (count, 2))
+    return np.array([exposed(light((n, n), x, y, sigma, PEAK), rng) for x, y in truth]), truth
+
+
+def two_cores(sigma: float, rounds: int) -> dict[str, float]:
+    """Stack on one thread and on two; calls frame by frame beside them."""
+    stack = np.tile(windows(sigma, 512, 41)[0], (8, 1, 1))
+    tracker = SpotTracker(EIGHT_BIT)
+    us = interleaved(
+        {
+            "one": (lambda: tracker.track_stack(stack), len(stack)),
+            "two": (lambda: tracker.track_stack(stack, threads=2), len(stack)),
+            "calls": (_follow(SpotTracker(EIGHT_BIT), list(stack)), len(stack)),
+        },
+        rounds,
+    )
+    return {"sigma_px": sigma, **{f"{name}_us": value for name, value in us.items()},
+            "speedup": us["one"] / us["two"]}  # fmt: skip
+
+
+def _picasso() -> Callable[[NDArray[Any]], tuple[float, float]]:
+    from picasso import gaussmle
+
+    def locate(image: NDArray[Any]) -> tuple[float, float]:
+        n = min(image.shape) // 2 * 2 - 1
+        # photons, as the method wants them: the background's pedestal has no shot noise to speak of
+        spot = ((image[:n, :n].astype(np.float32) - 6) * 39.2).clip(min=0)[None]
+        theta = gaussmle.gaussmle(spot, eps=1e-3, max_it=100, method="sigmaxy")[0][0]
+        return float(theta[0]), float(theta[1])
+
+    return locate
+
+
+def _photutils() -> Callable[[NDArray[Any]], tuple[float, float]]:
+    from photutils.centroids import centroid_2dg
+
+    def locate(image: NDArray[Any]) -> tuple[float, float]:
+        x, y = centroid_2dg(image - 6.0)
+        return float(x), float(y)
+
+    return locate
+
+
+def _trackpy() -> Callable[[NDArray[Any]], tuple[float, float]]:
+    import trackpy
+
+    trackpy.quiet()
+
+    def locate(image: NDArray[Any]) -> tuple[float, float]:
+        found = trackpy.locate(image, 37, topn=1, preprocess=True)
+        return float(found.x.iloc[0]), float(found.y.iloc[0])
+
+    return locate
+
+
+def _laserbeamsize() -> Callable[[NDArray[Any]], tuple[float, float]]:
+    import laserbeamsize
+
+    def locate(image: NDArray[Any]) -> tuple[float, float]:
+        x, y = laserbeamsize.beam_size(image)[:2]
+        return float(x), float(y)
+
+    return locate
+
+
+def _astropy() -> Callable[[NDArray[Any]], tuple[float, float]]:
+    from astropy.modeling import fitting, models
+
+    def locate(image: NDArray[Any]) -> tuple[float, float]:
+        ny, nx = image.shape
+        y, x = np.mgrid[:ny, :nx]
+        start = models.Gaussian2D(PEAK, nx / 2, ny / 2, 6, 6) + models.Const2D(6.0)
+        fit = fitting.TRFLSQFitter()(start, x, y, image.astype(float))
+        return float(fit.x_mean_0.value), float(fit.y_mean_0.value)
+
+    return locate
+
+
+def _lmfit() -> Callable[[NDArray[Any]], tuple[float, float]]:
+    from lmfit.models import ConstantModel, Gaussian2dModel
+
+    model = Gaussian2dModel() + ConstantModel()
+
+    def locate(image: NDArray[Any]) -> tuple[float, float]:
+        ny, nx = image.shape
+        y, x = np.mgrid[:ny, :nx]
+        start = model.make_params(
+            amplitude=PEAK * 226, centerx=nx / 2, centery=ny / 2, sigmax=6, sigmay=6, c=6
+        )
+        fit = model.fit(image.ravel().astype(float), start, x=x.ravel(), y=y.ravel())
+        return fit.params["centerx"].value, fit.params["centery"].value
+
+    return locate
+
+
+PEERS = {
+    "picasso gaussmle": _picasso,
+    "photutils centroid_2dg": _photutils,
+    "trackpy locate": _trackpy,
+    "laserbeamsize": _laserbeamsize,
+    "astropy Gaussian2D": _astropy,
+    "lmfit Gaussian2d": _lmfit,
+}
+
+
+def peers(quick: bool) -> dict[str, Any]:
+    """Time and RMS error of each peer that can be imported, on the same windows as the tracker."""
+    images, truth = windows(6, 40 if quick else 200, 51)
+    tracker = SpotTracker(EIGHT_BIT)
+    tracker.track_stack(images)
+
+    def ours(image: NDArray[Any]) -> tuple[float, float]:
+        spot = tracker.track(image)
+        return spot.x_px, spot.y_px
+
+    methods: dict[str, Callable[[NDArray[Any]], tuple[float, float]]] = {"this tracker": ours}
+    result: dict[str, Any] = {}
+    for name, make in PEERS.items():
+        try:
+            methods[name] = make()
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                methods[name](images[0])
+        except Exception as error:  # a peer's own failure is what is reported
+            methods.pop(name, None)
+            result[name] = {"skipped": f"{type(error).__name__}: {error}".splitlines()[0][:120]}
+    times: dict[str, list[float]] = {name: [] for name in methods}
+    errors: dict[str, list[tuple[float, float]]] = {name: [] for name in methods}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        # whole blocks, so that no method pays for the cache that another one filled
+        for start in range(0, len(images), BLOCK):
+            block = images[start : start + BLOCK]
+            for name, locate in methods.items():
+                locate(block[0])
+                begin_s = time.perf_counter()
+                found = [locate(image) for image in block]
+                times[name].append((time.perf_counter() - begin_s) / len(block) * 1e6)
+                errors[name].extend(
+                    (px - x, py - y) for (px, py), (x, y) in zip(found, truth[start:], strict=False)
+                )
+    own_us = median(times["this tracker"])
+    for name in methods:
+        # the mean is a matter of convention (pixel corner or centre) or a bias; the scatter is compared
+        result[name] = {
+            "us": median(times[name]),
+            "times_slower": median(times[name]) / own_us,
+            "scatter_mpx": 1e3 * math.sqrt(np.mean(np.var(np.array(errors[name]), axis=0))),
+        }
+    return result
+
+
+def run(quick: bool = False) -> dict[str, Any]:
+    """All of it; numbers as plain values."""
+    rounds = 5 if quick else 31
+    ratios = [against_sum(sigma, hot, rounds) for sigma in SIGMAS for hot in (0, 200)]
+    cores = [two_cores(sigma, 5 if quick else 15) for sigma in SIGMAS]
+    others = peers(quick)
+    console = Console()
+    table = Table(title="1280 x 1024 uint8, time in units of cv2.sumElems over the frame")
+    names = ("following", "search, every row", "search, every 8th row first")
+    for column in ("sigma", "hot pixels", "sumElems us", *names):
+        table.add_column(column, justify="right")
+    for r in ratios:
+        table.add_row(
+            f"{r['sigma_px']:g}", f"{r['hot_pixels']}", f"{r['sum_us']:.1f}",
+            *(f"{r[name + ', ratio']:.3f} ({r[name + ', us']:.1f} us)" for name in names),
+        )  # fmt: skip
+    console.print(table)
+    table = Table(title="track_stack, us per window of +-5 sigma")
+    for column in ("sigma", "calls", "one thread", "two threads", "speedup"):
+        table.add_column(column, justify="right")
+    for c in cores:
+        table.add_row(
+            f"{c['sigma_px']:g}", f"{c['calls_us']:.2f}", f"{c['one_us']:.2f}", f"{c['two_us']:.2f}",
+            f"{c['speedup']:.2f}",
+        )  # fmt: skip
+    console.print(table)
+    table = Table(title="peers, sigma 6, peak 180, the same windows")
+    for column in ("method", "us", "times slower", "scatter mpx"):
+        table.add_column(column, justify="right")
+    for name, value in others.items():
+        if "skipped" in value:
+            table.add_row(name, "skipped", value["skipped"], "")
+        else:
+            table.add_row(
+                name, f"{value['us']:.1f}", f"{value['times_slower']:.0f}", f"{value['scatter_mpx']:.2f}"
+            )
+    console.print(table)
+    return {"against_sum": ratios, "two_cores": cores, "peers": others}
+
+
+if __name__ == "__main__":
+    json.dump(run("--quick" in sys.argv), sys.stderr, indent=1)

@@ -1,0 +1,155 @@
+"""USB3 Vision driver: unpacking, time per frame of our own code, 640 x 480 at 500 frames/s."""
+
+import struct
+import time
+from typing import Any
+
+import numpy as np
+
+from acquisition.camera import CameraSettings
+from acquisition.cameras.usb3vision.camera import Usb3VisionCamera, Usb3VisionSettings
+from acquisition.cameras.usb3vision.discovery import find_camera
+from acquisition.cameras.usb3vision.link import UsbLink
+from acquisition.cameras.usb3vision.registers import plan_transfers
+from acquisition.cameras.usb3vision.stream import Expected, FrameStream
+from acquisition.cameras.usb3vision.transfers import Arrived, Bytes
+from acquisition.cameras.usb3vision.unpack import BY_NAME
+from acquisition.frame_queue import FrameQueue
+from tests.acquisition.usb3vision.backend import InProcessBackend
+from tests.acquisition.usb3vision.device import VisionDevice, pack
+
+WIDTH, HEIGHT = 640, 480
+
+
+def unpacking(name: str, seconds: float) -> dict[str, float]:
+    """Packed bytes in and pixels out, per second of one core; the best of repeated runs."""
+    item = BY_NAME[name]
+    pixels = np.random.default_rng(1).integers(0, item.full_scale_dn + 1, (HEIGHT, WIDTH))
+    raw = np.frombuffer(pack(pixels, item.code), np.uint8)
+    assert np.array_equal(item.image(raw, WIDTH, HEIGHT), pixels)
+    out = np.empty(WIDTH * HEIGHT, np.uint16)
+    assert item.kernel is not None
+    best_s, end_s = float("inf"), time.perf_counter() + seconds
+    while time.perf_counter() < end_s:
+        begin_s = time.perf_counter()
+        for _ in range(20):
+            item.kernel(raw, out)
+        best_s = min(best_s, (time.perf_counter() - begin_s) / 20)
+    return {"packed_gb_per_s": raw.size / best_s / 1e9, "pixels_gb_per_s": out.nbytes / best_s / 1e9}
+
+
+class _Memory:
+    """Transfers that cost nothing: leader, payload and trailer lie ready; only our code takes time."""
+
+    frames_ahead = 1
+    has_room = True
+    under_way = False
+
+    def __init__(self, frames: int, image_bytes: int) -> None:
+        self.frames = frames
+        self.served = 0
+        self.part = 0
+        self.image_bytes = image_bytes
+        self.queued: list[Bytes] = []
+        self._leader = bytearray(52)
+        self._trailer = bytearray(32)
+        struct.pack_into(
+            "<IHHQHHQIIIIIHH",
+            self._leader,
+            0,
+            0x4C563355,
+            0,
+            52,
+            0,
+            0,
+            1,
+            0,
+            0x01080001,
+            WIDTH,
+            HEIGHT,
+            0,
+            0,
+            0,
+            0,
+        )
+        struct.pack_into("<IHHQHHQI", self._trailer, 0, 0x54563355, 0, 32, 0, 0, 0, image_bytes, HEIGHT)
+
+    def submit(self, buffer: Bytes) -> None:
+        self.queued.append(buffer)
+
+    def wait(self, timeout_s: float) -> Arrived:
+        if self.served >= self.frames:
+            time.sleep(0.01)
+            raise TimeoutError
+        buffer = self.queued.pop(0)
+        self.part = (self.part + 1) % 3
+        if self.part == 2:  # the payload is in the buffer already, as if the controller had put it there
+            return Arrived(self.image_bytes, time.monotonic_ns())
+        packet = self._leader if self.part == 1 else self._trailer
+        packet[8:16] = self.served.to_bytes(8, "little")
+        buffer[: len(packet)] = np.frombuffer(packet, np.uint8)
+        self.served += self.part == 0
+        return Arrived(len(packet), time.monotonic_ns())
+
+    def cancel(self) -> None:
+        self.queued.clear()
+
+
+def overhead(frames: int) -> dict[str, float]:
+    """Our own code for each frame, from transfer to `Frame`, with the bus taken away."""
+    plan = plan_transfers(WIDTH * HEIGHT, 52, 32, 1024, 1 << 20)
+    memory = _Memory(frames, WIDTH * HEIGHT)
+    queue = FrameQueue(frames, "every")
+    camera = find_camera(None, InProcessBackend(VisionDevice()))
+    link = UsbLink(camera.device, camera.name)
+    begin_s = time.perf_counter()
+    stream = FrameStream(memory, plan, Expected(BY_NAME["Mono8"], WIDTH, HEIGHT, 8), queue, link)
+    taken = 0
+    while taken < frames:
+        taken += len(queue.take(64, 1.0))
+    spent_s = time.perf_counter() - begin_s
+    stream.stop(1.0)
+    return {"us_per_frame": spent_s / frames * 1e6}
+
+
+def full_speed(rate_hz: float, seconds: float, pixel_format: str = "mono8") -> dict[str, float]:
+    """The whole driver against the camera made for the tests, at a rate that it keeps by the clock."""
+    camera = Usb3VisionCamera(Usb3VisionSettings(), InProcessBackend(VisionDevice()))
+    camera.open()
+    settings = {"width_px": WIDTH, "height_px": HEIGHT, "exposure_us": 100.0, "frame_rate_hz": rate_hz}
+    camera.configure(CameraSettings.model_validate(settings | {"pixel_format": pixel_format}))
+    camera.start()
+    count = int(rate_hz * seconds)
+    cpu_s, begin_s = time.process_time(), time.perf_counter()
+    worst_ns = 0
+    for _ in range(count):
+        frame = camera.read(2.0)
+        assert frame is not None
+        worst_ns = max(worst_ns, time.monotonic_ns() - frame.host_time_ns)
+    spent_s, cpu_s = time.perf_counter() - begin_s, time.process_time() - cpu_s
+    status = camera.status
+    camera.close()
+    return {
+        "frames_per_s": count / spent_s,
+        "dropped": status.dropped,
+        "cpu_us_per_frame_with_the_camera_itself": cpu_s / count * 1e6,
+        "worst_age_ms": worst_ns / 1e6,
+    }
+
+
+def run(quick: bool = False) -> dict[str, Any]:
+    """Measure, print, return the numbers."""
+    seconds = 0.2 if quick else 1.0
+    results: dict[str, Any] = {
+        name: unpacking(name, seconds) for name in ("Mono10p", "Mono12p", "Mono12Packed")
+    }
+    overhead(100)
+    results["overhead"] = overhead(500 if quick else 3000)
+    results["640x480 mono8 at 500/s"] = full_speed(500.0, 1.0 if quick else 10.0)
+    for name, values in results.items():
+        print(f"{name:28}", ", ".join(f"{key} = {value:.4g}" for key, value in values.items()))
+    return results
+
+
+if __name__ == "__main__":
+    run()

@@ -1,0 +1,111 @@
+import numpy as np
+import pytest
+
+from calibration.at_rest import require_rest
+from calibration.axes_fit import fit_axes
+from calibration.stability import stability
+from calibration.timebase import relate_clocks, unwrap_counter
+from processing.errors import DataError
+from tests.calibration.simulated_rig import draw_rig, swing_for_axes
+
+N = 2000
+
+
+def stamps(seed: int = 1) -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    true_s = np.arange(N) * 0.01
+    device = np.rint(true_s * (1 + 40e-6) * 1e9).astype(np.int64)
+    return device, np.rint((3 + true_s + 2e-5 * rng.standard_normal(N)) * 1e9).astype(np.int64)
+
+
+@pytest.mark.parametrize("bits", [32, 48])
+def test_a_rolling_counter_is_unwrapped(bits: int) -> None:
+    true = np.arange(5000, dtype=np.int64) * 10_000_019 + (1 << bits) - 12_345_678_901 % (1 << bits)
+    unwrapped = unwrap_counter(true % (1 << bits), bits)
+    np.testing.assert_array_equal(np.diff(unwrapped), np.diff(true))
+
+
+def test_a_jump_of_the_clock_is_found_where_it_is() -> None:
+    device, host = stamps()
+    host[1200:] += 3_000_000
+    found = relate_clocks(device, host, np.arange(N))
+    assert [jump.frame for jump in found.jumps] == [1200]
+    assert found.jumps[0].step_s == pytest.approx(3e-3, abs=2e-5)
+    assert abs(found.drift_ppm - 40) < 4 * found.u_drift_ppm
+
+
+def test_times_far_from_zero_keep_their_nanoseconds() -> None:
+    device, host = stamps()
+    found = relate_clocks(device + 2**61, host + 2**60, np.arange(N))
+    near = relate_clocks(device, host, np.arange(N))
+    assert found.rate == near.rate
+    again = found.host_ns(device + 2**61)
+    assert np.abs(again - (host + 2**60)).max() < 2e5
+
+
+@pytest.mark.parametrize("which", ["camera", "host"])
+def test_a_clock_that_runs_backwards_is_refused(which: str) -> None:
+    device, host = stamps()
+    (device if which == "camera" else host)[700] -= 20_000_000
+    with pytest.raises(DataError, match=f"the {which}'s clock does not advance after frame 699"):
+        relate_clocks(device, host, np.arange(N))
+
+
+def test_a_counter_that_runs_backwards_is_refused() -> None:
+    with pytest.raises(DataError, match="runs backwards after frame 1"):
+        unwrap_counter(np.array([1000, 2000, 1500]), 32)
+
+
+def test_lines_of_the_spectrum_are_named() -> None:
+    rng = np.random.default_rng(4)
+    times_s = np.arange(8000) / 250.0
+    values = 0.02 * rng.standard_normal(8000)
+    values += 0.03 * np.sin(2 * np.pi * 17.0 * times_s) + 0.02 * np.sin(2 * np.pi * 50.0 * times_s)
+    found = stability(times_s, values, np.full(8000, 0.02))
+    named = {round(line.frequency_hz): line for line in found.lines}
+    assert named[17].name == "building"
+    assert named[50].name.startswith("mains")
+    # amplitude of a line in noise: u = sigma sqrt(2/N), and the window's scalloping below 3 %
+    assert named[17].amplitude == pytest.approx(0.03, abs=4 * 0.02 * np.sqrt(3 / 8000) + 0.001)
+    assert len(found.lines) == 2
+    # a sinusoid adds A^2 sin^2(pi f tau) to the Allan variance of one sample
+    there = np.hypot(0.02, np.hypot(0.03 * np.sin(np.pi * 17 / 250), 0.02 * np.sin(np.pi * 50 / 250)))
+    assert found.claimed_ratio == pytest.approx(0.02 / there, rel=4 / np.sqrt(8000))
+
+
+def test_white_noise_has_no_lines_and_falls_as_one_over_root_tau() -> None:
+    rng = np.random.default_rng(5)
+    found = stability(np.arange(20_000) * 0.01, rng.standard_normal(20_000), np.ones(20_000))
+    assert found.lines == ()
+    expected = 1 / np.sqrt(found.allan.tau_s / 0.01)
+    assert np.all(np.abs(found.allan.deviation - expected) < 4 * found.allan.u_deviation)
+    assert found.iso11670 == pytest.approx(2.0, rel=4 / np.sqrt(40_000))
+
+
+def test_a_pendulum_that_swings_where_it_should_rest_is_refused() -> None:
+    rng = np.random.default_rng(6)
+    times_s = np.arange(1000) * 0.02
+    x, y = 0.02 * rng.standard_normal((2, 1000))
+    require_rest(times_s, x, y, "record")
+    with pytest.raises(DataError, match=r"swings by 0\.\d+ px in y with a period of 4"):
+        require_rest(times_s, x, y + 0.4 * np.sin(2 * np.pi * times_s / 4.07), "record")
+
+
+def test_handedness_and_sign_are_said_to_be_assumed() -> None:
+    rig = draw_rig(3)
+    told = swing_for_axes(rig, 30.0)
+    assert told.handedness_known
+    assert told.axes.mirrored == rig.settings.axes.mirrored
+    assert told.notes == ()
+
+
+def test_axes_without_a_swing_or_a_fast_mode_are_refused() -> None:
+    rng = np.random.default_rng(7)
+    times_s = np.arange(1000) * 0.02
+    x, y = 0.02 * rng.standard_normal((2, 1000))
+    with pytest.raises(DataError, match="does not swing"):
+        fit_axes(times_s, x, y)
+    with pytest.raises(DataError, match="no fast mode"):
+        fit_axes(times_s, x, y + 100 * np.cos(2 * np.pi * times_s / 4.07))
+    with pytest.raises(DataError, match="slow periods"):
+        fit_axes(times_s[:300], x[:300], y[:300] + 100 * np.cos(2 * np.pi * times_s[:300] / 4.07))

@@ -1,0 +1,135 @@
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calibration.known_angle import check_scale, moved_between
+from calibration.lever import Lever
+from calibration.lever_fit import LadderSteps, fit_ladder, lever_from_shifts, lever_from_tilts
+from calibration.lever_geometry import LeverGeometry, lever_from_geometry, trace_m
+from processing.angle import ARCSEC_RAD
+from processing.errors import DataError
+
+PITCH_M = 4.8e-6
+NOISE_PX = 0.01
+
+
+def ladder(
+    readings_arcsec: list[float], *, skew: float = 0.0, arm_m: float = 1.0, seed: int = 1
+) -> LadderSteps:
+    rng = np.random.default_rng(seed)
+    reference = np.array(readings_arcsec) * ARCSEC_RAD
+    t = np.tan(2 * reference)
+    d_px = arm_m / PITCH_M * (t + skew * t**2)
+    count, noise = len(reference), NOISE_PX * rng.standard_normal((2, len(reference)))
+    u = np.full(count, NOISE_PX)
+    return LadderSteps(reference, np.zeros(count), 160 + noise[0], 300 - d_px + noise[1], u, u)
+
+
+@pytest.mark.parametrize("skew", [0.0, 0.05, -2.0])
+def test_tilt_and_displacement_are_inverse(skew: float) -> None:
+    lever = Lever(arm_m=1.3, pixel_pitch_m=PITCH_M, skew=skew)
+    tilt = np.linspace(-0.01, 0.01, 41)
+    np.testing.assert_allclose(lever.tilt_rad(lever.displacement_px(tilt)), tilt, rtol=1e-12, atol=1e-18)
+    step = 1e-3
+    d = lever.displacement_px(tilt)
+    slope = (lever.tilt_rad(d + step) - lever.tilt_rad(d - step)) / (2 * step)
+    np.testing.assert_allclose(lever.rad_per_px(d), slope, rtol=1e-6)
+
+
+def test_plain_geometry_is_the_plain_lever() -> None:
+    found = lever_from_geometry(
+        LeverGeometry(arm_m=1.0, u_arm_m=1e-3, pixel_pitch_m=PITCH_M, u_pixel_pitch_m=1e-9)
+    )
+    assert found.lever.arm_m == pytest.approx(1.0, rel=1e-12)
+    assert found.lever.skew == 0.0
+    assert found.lever.u_arm_m == pytest.approx(1e-3, rel=1e-6)
+    assert found.lever.u_scale_relative == pytest.approx(math.hypot(1e-3, 1e-9 / PITCH_M), rel=1e-6)
+
+
+def test_the_trace_agrees_with_what_can_be_had_by_hand() -> None:
+    base = {"arm_m": 1.0, "pixel_pitch_m": PITCH_M}
+    # a mirror that recedes by R phi shifts the beam by 2 R phi sin(i): against 2 phi of the lever, R sin(i)
+    incidence = lever_from_geometry(LeverGeometry(**base, incidence_along_rad=0.2)).lever.arm_m
+    rolled = lever_from_geometry(
+        LeverGeometry(**base, incidence_along_rad=0.2, ball_radius_m=6e-3)
+    ).lever.arm_m
+    assert abs(rolled - incidence) == pytest.approx(6e-3 * math.sin(0.2), rel=0.05)
+    # square incidence: the ball's translation is without effect to first order
+    straight = lever_from_geometry(LeverGeometry(**base, ball_radius_m=6e-3)).lever.arm_m
+    assert straight == pytest.approx(1.0, abs=1e-5)
+    # incidence across the swing turns the beam by 2 phi cos(i)
+    across = lever_from_geometry(LeverGeometry(**base, incidence_across_rad=0.2)).lever.arm_m
+    assert across == pytest.approx(math.cos(0.2), rel=1e-6)
+    # a sensor askew by theta: sin(2 phi)/cos(2 phi + theta)
+    askew = LeverGeometry(**base, sensor_tilt_along_rad=0.1)
+    for tilt in (1e-3, -1e-3):
+        exact = {math.sin(2 * tilt) / math.cos(2 * tilt + sign * 0.1) for sign in (1, -1)}
+        assert any(trace_m(askew, tilt)[1] == pytest.approx(value, rel=1e-12) for value in exact)
+    assert abs(lever_from_geometry(askew).lever.skew) == pytest.approx(math.tan(0.1), rel=1e-3)
+
+
+def test_a_bent_ladder_is_found_out_and_corrected() -> None:
+    # 0.5 skew at 2000 arcsec: 2 % of 4000 px, far beyond 0.01 px of noise
+    readings = np.linspace(-2000, 2000, 11).tolist()
+    fit = fit_ladder(ladder(readings, skew=0.5), "tilt")
+    assert fit.nonlinear
+    assert abs(fit.skew - 0.5) < 4 * fit.u_skew
+    lever = lever_from_tilts(fit, PITCH_M)
+    assert abs(lever.arm_m - 1.0) < 4 * lever.u_arm_m
+    straight = fit_ladder(ladder(readings), "tilt")
+    assert not straight.nonlinear
+
+
+def test_a_wrong_step_is_named() -> None:
+    steps = ladder(np.linspace(-120, 120, 9).tolist())
+    y_px = steps.y_px.copy()
+    y_px[7] += 1.0
+    fit = fit_ladder(replace(steps, y_px=y_px), "tilt")
+    assert any("scatter" in note for note in fit.notes)
+    assert int(np.argmax(np.abs(fit.residual_px[:, 1]))) == 7
+
+
+def test_shifts_give_the_pitch() -> None:
+    shift = np.linspace(-3e-4, 3e-4, 7)
+    ones = np.ones(7)
+    steps = LadderSteps(shift, 0 * ones, 100 + 0 * ones, 200 + shift / PITCH_M, 0.01 * ones, 0.01 * ones)
+    lever = lever_from_shifts(fit_ladder(steps, "shift"), 1.0, 1e-3)
+    assert lever.pixel_pitch_m == pytest.approx(PITCH_M, rel=1e-9)
+    assert lever.u_scale_relative > 1e-3
+
+
+@pytest.mark.parametrize(
+    ("readings", "words"),
+    [
+        ([-100.0, 100.0], "2 steps"),
+        ([20.0, 40.0, 60.0, 80.0, 100.0], "one sign"),
+        ([-50.0, 50.0, -50.0, 50.0, -50.0], "different settings"),
+        ([math.nan, -50.0, 0.0, 50.0, 100.0], "no reference"),
+    ],
+)
+def test_a_ladder_that_cannot_serve_is_refused(readings: list[float], words: str) -> None:
+    with pytest.raises(DataError, match=words):
+        fit_ladder(ladder(readings), "tilt")
+
+
+def test_a_spot_that_does_not_follow_is_refused() -> None:
+    steps = ladder(np.linspace(-120, 120, 9).tolist())
+    rng = np.random.default_rng(3)
+    still = replace(steps, x_px=160 + 0.01 * rng.standard_normal(9), y_px=300 + 0.01 * rng.standard_normal(9))
+    with pytest.raises(DataError, match="does not follow"):
+        fit_ladder(still, "tilt")
+
+
+@pytest.mark.parametrize(("arm_m", "moved"), [(1.0, False), (1.002, True)])
+def test_a_lever_that_moved_is_flagged(arm_m: float, moved: bool) -> None:
+    readings = np.linspace(-120, 120, 13).tolist()
+    lever = lever_from_tilts(fit_ladder(ladder(readings, seed=5), "tilt"), PITCH_M)
+    check = check_scale(lever, fit_ladder(ladder(readings, arm_m=arm_m, seed=6), "tilt"))
+    assert check.moved is moved
+
+
+def test_what_both_checks_share_does_not_hide_a_move() -> None:
+    assert moved_between((1.0, 1.01e-3), (1.002, 1.01e-3))[2] is False
+    assert moved_between((1.0, 1.01e-3), (1.002, 1.01e-3), 1e-3)[2] is True

@@ -1,0 +1,126 @@
+"""Sensor calibration against the simulated sensor's truth and against EMVA 1288's formulas."""
+
+import numpy as np
+import pytest
+
+from acquisition.simulation.settings import SensorTruth
+from calibration.sensor import photon_transfer
+from processing.errors import DataError
+from tests.calibration.simulated_sensor import even_frames, random_sensor, transfer_frames
+
+
+def test_gain_and_read_noise_come_back_without_bias() -> None:
+    rng = np.random.default_rng(11)
+    deviations = []
+    for seed in range(40):
+        truth = random_sensor(rng)
+        pairs, darks, exposures = transfer_frames(truth, seed)
+        found = photon_transfer(pairs, darks, 2**truth.bit_depth - 1, exposures_us=exposures)
+        deviations.append(
+            (
+                (found.gain_e_per_dn - truth.gain_e_per_dn) / found.u_gain_e_per_dn,
+                (found.read_noise_e - truth.read_noise_e) / found.u_read_noise_e,
+            )
+        )
+        assert found.dark_level_dn == pytest.approx(
+            truth.black_level_dn, abs=6 * found.u_dark_level_dn + 0.05
+        )
+        assert found.linearity_error < 0.01
+    z = np.array(deviations)
+    # the mean of 40 standard normal numbers lies within 3/sqrt(40), their spread within 3/sqrt(80)
+    assert np.all(np.abs(z.mean(axis=0)) < 3 / np.sqrt(40))
+    assert np.all(np.abs(z.std(axis=0) - 1) < 3 / np.sqrt(80))
+
+
+def test_agrees_with_the_emva_1288_formulas() -> None:
+    truth = random_sensor(np.random.default_rng(2), size=128).model_copy(
+        update={"hot_pixels": 0, "prnu": 0.0}
+    )
+    pairs, darks, exposures = transfer_frames(truth, 5)
+    full_scale = 2**truth.bit_depth - 1
+    found = photon_transfer(pairs, darks, full_scale, exposures_us=exposures)
+    # EMVA 1288 release 3.1: eqs. 14-18 and 22-24, written down without a look at the code under test
+    mu, sigma2 = [], []
+    for a, b in pairs:
+        a64, b64 = a.astype(float), b.astype(float)
+        mu.append(0.5 * (a64 + b64).mean())
+        sigma2.append(0.5 * ((a64 - b64) ** 2).mean() - 0.5 * (a64.mean() - b64.mean()) ** 2)
+    d0, d1 = darks[0].astype(float), darks[1].astype(float)
+    mu_dark = 0.5 * (d0 + d1).mean()
+    s2_dark = 0.5 * ((d0 - d1) ** 2).mean() - 0.5 * (d0.mean() - d1.mean()) ** 2
+    x, y = np.array(mu) - mu_dark, np.array(sigma2) - s2_dark
+    below = np.array(mu) <= 0.7 * full_scale
+    overall_gain_dn_per_e = float(x[below] @ y[below] / (x[below] @ x[below]))
+    sigma_d_e = float(np.sqrt(s2_dark - 1 / 12)) / overall_gain_dn_per_e
+    # the standard's line is unweighted and forced through the dark point: its own scatter is larger
+    n = pairs[0][0].size
+    u_standard = np.sqrt(2 / n * np.sum((x[below] * np.array(sigma2)[below]) ** 2)) / (x[below] @ x[below])
+    assert 1 / found.gain_e_per_dn == pytest.approx(overall_gain_dn_per_e, abs=4 * u_standard)
+    assert found.read_noise_e == pytest.approx(sigma_d_e, rel=4 * np.sqrt(1 / n) + 0.01)
+    assert found.dark_level_dn == pytest.approx(mu_dark, abs=4 * np.sqrt(s2_dark / n))
+
+
+def test_hot_pixels_and_prnu_are_found() -> None:
+    truth = random_sensor(np.random.default_rng(3)).model_copy(update={"hot_pixels": 12, "prnu": 0.02})
+    pairs, darks, _ = transfer_frames(truth, 9)
+    found = photon_transfer(pairs, darks, 2**truth.bit_depth - 1)
+    dark = np.mean([image.astype(float) for image in darks], axis=0)
+    for x, y in found.hot_pixels:
+        assert dark[y, x] > truth.black_level_dn + 3
+    assert len(found.hot_pixels) >= 8
+    assert found.prnu == pytest.approx(0.02, abs=4 * found.u_prnu)
+
+
+def test_the_knee_of_a_small_full_well_is_found() -> None:
+    truth = SensorTruth(
+        width_px=64, height_px=64, bit_depth=12, gain_e_per_dn=2.4, full_well_e=6000.0, black_level_dn=60.0
+    )
+    darks = even_frames(truth, 100, 4, seed=1, run=0, ambient_dn=0)
+    pairs = []
+    for run, exposure in enumerate(np.linspace(8, 95, 14)):
+        a, b = even_frames(truth, exposure, 2, seed=1, run=1 + run, ambient_dn=3300.0)
+        pairs.append((a, b))
+    found = photon_transfer(pairs, darks, 4095)
+    assert found.saturates
+    # the noise is greatest up to a level and 3 sqrt(6000) e- below it
+    level_e = (95 - 8) / 13 / 100 * 3300.0 * 2.4
+    assert abs(found.full_well_e - 6000) < level_e + 3 * np.sqrt(6000)
+    assert any("full" in line for line in found.rejected)
+    assert abs(found.gain_e_per_dn - 2.4) < 4 * found.u_gain_e_per_dn
+
+
+def test_a_converter_too_coarse_for_the_noise_is_said() -> None:
+    truth = SensorTruth(width_px=64, height_px=64)
+    pairs, darks, _ = transfer_frames(truth.model_copy(update={"full_well_e": 15_000.0}), 4)
+    found = photon_transfer(pairs, darks, 255)
+    assert not found.read_noise_resolved
+    assert found.u_dark_level_dn > 0.25
+    assert abs(found.gain_e_per_dn - truth.gain_e_per_dn) < 4 * found.u_gain_e_per_dn
+
+
+def test_frames_that_cannot_serve_are_named() -> None:
+    truth = random_sensor(np.random.default_rng(4))
+    full_scale = 2**truth.bit_depth - 1
+    pairs, darks, _ = transfer_frames(truth, 6)
+    burnt = np.full_like(pairs[0][0], full_scale)
+    darker = (pairs[4][1] * 0.9).astype(pairs[4][1].dtype)
+    names = [*(f"level {k}" for k in range(9)), "burnt"]
+    found = photon_transfer(
+        [*pairs[:4], (pairs[4][0], darker), *pairs[5:], (burnt, burnt)], darks, full_scale, names=names
+    )
+    assert any(line.startswith("level 4:") and "lamp" in line for line in found.rejected)
+    assert any(line.startswith("burnt:") and "full scale" in line for line in found.rejected)
+
+
+@pytest.mark.parametrize(
+    ("levels", "darks", "words"),
+    [(9, 1, "dark frames"), (3, 4, "usable levels"), (-1, 4, "full scale")],
+)
+def test_too_little_is_refused(levels: int, darks: int, words: str) -> None:
+    truth = random_sensor(np.random.default_rng(5))
+    full_scale = 2**truth.bit_depth - 1
+    pairs, dark, _ = transfer_frames(truth, 7)
+    if levels < 0:
+        pairs = [(np.full_like(a, full_scale), np.full_like(b, full_scale)) for a, b in pairs]
+    with pytest.raises(DataError, match=words):
+        photon_transfer(pairs[: levels if levels > 0 else None], dark[:darks], full_scale)

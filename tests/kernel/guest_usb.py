@@ -1,0 +1,192 @@
+"""Runs inside the guest: the test camera on the kernel's virtual USB host, read by real libusb."""
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+import traceback
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import usb.backend.libusb1
+
+from acquisition.camera import CameraLost, CameraSettings
+from acquisition.cameras.usb3vision.camera import Usb3VisionCamera, Usb3VisionSettings
+from acquisition.cameras.usb3vision.discovery import find_cameras
+from acquisition.cameras.usb3vision.libusb_transfers import LibusbTransfers
+from tests.acquisition.usb3vision.device import VisionDevice
+from tests.acquisition.usb3vision.usbip import UsbIpServer
+from tests.kernel.boot import MARK
+
+VHCI = Path("/sys/devices/platform/vhci_hcd.0")
+SUPER_SPEED_PORT, SUPER_SPEED = 8, 5
+WIDTH, HEIGHT, RATE_HZ = 320, 240, 20.0
+
+
+def cameras() -> int:
+    """How many cameras libusb finds now.
+
+    libusb hears of new devices from udev's daemon, which the guest has not: it must look afresh.
+    """
+    usb.backend.libusb1._lib_object = None
+    return len(find_cameras())
+
+
+def damage(kind: str, block: int, data: bytes) -> list[bytes]:
+    """Every part of a frame goes missing or is cut once; the frames are far enough apart to tell."""
+    if (kind, block) in {("payload", 5), ("leader", 12), ("trailer", 19)}:
+        return []
+    return [data[:5000]] if (kind, block) == ("payload", 26) else [data]
+
+
+def plug_in(unplug_after_bytes: int | None = None, damaged: bool = False) -> int:
+    """Attach a camera that lives in a process of its own; returns that process's id."""
+    kernel_end, camera_end = socket.socketpair(socket.AF_UNIX, socket.SOCK_STREAM)
+    child = os.fork()
+    if child == 0:
+        kernel_end.close()
+        device = VisionDevice("QEMU-1", frame_rate_hz=RATE_HZ, frames_inside=1000)
+        if damaged:
+            device.faults.units = damage
+        device.faults.unplug_after_stream_bytes = unplug_after_bytes
+        signal.signal(signal.SIGUSR1, lambda *_: device.unplug())
+        UsbIpServer(device, camera_end).serve()
+        os._exit(0)
+    camera_end.close()
+    (VHCI / "attach").write_text(f"{SUPER_SPEED_PORT} {kernel_end.fileno()} 65537 {SUPER_SPEED}")
+    kernel_end.close()
+    deadline_s = time.monotonic() + 20
+    while not cameras():
+        if time.monotonic() > deadline_s:
+            raise TimeoutError("the kernel shows no camera")
+        time.sleep(0.1)
+    return child
+
+
+def pull_out(child: int) -> None:
+    """End the camera's process, and wait until the kernel has noticed."""
+    os.kill(child, signal.SIGKILL)
+    os.waitpid(child, 0)
+    deadline_s = time.monotonic() + 10
+    while cameras() and time.monotonic() < deadline_s:
+        time.sleep(0.1)
+
+
+def opened(reading: str) -> Usb3VisionCamera:
+    options = Usb3VisionSettings.model_validate({"reading": reading, "control_timeout_s": 2.0})
+    camera = Usb3VisionCamera(options)
+    camera.open()
+    camera.configure(
+        CameraSettings(width_px=WIDTH, height_px=HEIGHT, frame_rate_hz=RATE_HZ, exposure_us=100.0)
+    )
+    return camera
+
+
+def frames_are_right(reading: str, count: int, damaged: bool = False) -> dict[str, Any]:
+    """Frames in order and byte for byte, or all but those that are damaged."""
+    child = plug_in(damaged=damaged)
+    camera = opened(reading)
+    twin = VisionDevice()
+    twin.poke(0x20000, WIDTH.to_bytes(4, "little") + HEIGHT.to_bytes(4, "little"))
+    camera.start()
+    begin_s = time.monotonic()
+    frames = [camera.read(5.0) for _ in range(count)]
+    spent_s = time.monotonic() - begin_s
+    uses_queue = isinstance(camera._stream and camera._stream._transfers, LibusbTransfers)
+    status = camera.status
+    stop_s = time.monotonic()
+    camera.stop()
+    stop_s = time.monotonic() - stop_s
+    camera.start()
+    again = camera.read(5.0)
+    camera.close()
+    pull_out(child)
+    return {
+        "uses_queue": uses_queue,
+        "numbers": [frame.sequence for frame in frames if frame],
+        "equal": all(frame and np.array_equal(frame.image, twin.pixels(frame.sequence)) for frame in frames),
+        "dropped": status.dropped,
+        "frames_per_s": count / spent_s,
+        "stop_s": stop_s,
+        "again": again.sequence if again else None,
+    }
+
+
+def unplugged(reading: str) -> dict[str, Any]:
+    """Pulled out in the middle of a frame, noticed, plugged in again, the run goes on."""
+    child = plug_in(unplug_after_bytes=10 * (WIDTH * HEIGHT + 84) + 30_000)
+    camera = opened(reading)
+    camera.start()
+    frames, last_s, message = 0, time.monotonic(), ""
+    try:
+        while True:
+            camera.read(5.0)
+            frames, last_s = frames + 1, time.monotonic()
+    except CameraLost as lost:
+        message, noticed_s = str(lost), time.monotonic() - last_s
+    camera.close()
+    pull_out(child)
+    child = plug_in()
+    camera.open()
+    camera.configure(CameraSettings(width_px=WIDTH, height_px=HEIGHT))
+    camera.start()
+    frame = camera.read(5.0)
+    status = camera.status
+    camera.close()
+    pull_out(child)
+    return {
+        "frames": frames,
+        "noticed_s": noticed_s,
+        "message": message,
+        "after": frame.sequence if frame else None,
+        "reconnects": status.reconnects,
+    }
+
+
+def aravis() -> dict[str, Any]:
+    """The same camera read by libaravis: our camera is not judged by our driver alone."""
+    program = Path(__file__).with_name("guest_aravis.py")
+    child = plug_in()
+    try:
+        done = subprocess.run(
+            ["/usr/bin/python3", str(program)], capture_output=True, text=True, timeout=120, check=False
+        )
+    finally:
+        pull_out(child)
+    if done.returncode:
+        return {"skipped": done.stderr.strip()[-400:]}
+    result: dict[str, Any] = json.loads(done.stdout.strip().splitlines()[-1])
+    return result
+
+
+def main() -> None:
+    results: dict[str, Any] = {"imported_s": time.clock_gettime(time.CLOCK_BOOTTIME)}
+    scenarios: dict[str, Callable[[], dict[str, Any]]] = {
+        "queued": lambda: frames_are_right("auto", 60),
+        "blocking": lambda: frames_are_right("blocking", 30),
+        "damaged_queued": lambda: frames_are_right("auto", 35, damaged=True),
+        "damaged_blocking": lambda: frames_are_right("blocking", 35, damaged=True),
+        "unplugged_queued": lambda: unplugged("auto"),
+        "unplugged_blocking": lambda: unplugged("blocking"),
+        "aravis": aravis,
+    }
+    wanted = sys.argv[1:] or list(scenarios)
+    for name in wanted:
+        begin_s = time.monotonic()
+        try:
+            results[name] = scenarios[name]()
+        except BaseException:
+            kernel = subprocess.run(["dmesg"], capture_output=True, text=True, check=False).stdout
+            results[name] = {"error": traceback.format_exc(), "kernel": kernel[-3000:]}
+        results[name]["seconds"] = time.monotonic() - begin_s
+        print(name, results[name], flush=True)
+    print("\n" + MARK + json.dumps(results), flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,84 @@
+"""The USB3 Vision driver with a real kernel, real libusb and libaravis, in QEMU.
+
+The camera made for the tests is attached to the kernel's virtual host controller over USB/IP.
+Run by ``make test-kernel``; skipped, with the reason, where QEMU or a kernel can't be had.
+"""
+
+from typing import Any
+
+import pytest
+
+from tests.kernel.boot import Missing, run_in_guest
+
+pytestmark = pytest.mark.kernel
+
+TIME_LIMIT_S = 420.0
+FRAME_S = 1 / 20.0
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """One boot for all tests; what happened in it is asserted here, outside."""
+    try:
+        return run_in_guest("tests.kernel.guest_usb", tmp_path_factory.mktemp("guest"), TIME_LIMIT_S)
+    except Missing as missing:
+        pytest.skip(str(missing))
+
+
+def scenario(results: dict[str, Any], name: str) -> dict[str, Any]:
+    result: dict[str, Any] = results[name]
+    assert "error" not in result, result["error"] + result.get("kernel", "")
+    return result
+
+
+@pytest.mark.parametrize("name", ["queued", "blocking"])
+def test_frames_come_whole_and_in_order(results: dict[str, Any], name: str) -> None:
+    seen = scenario(results, name)
+    assert seen["uses_queue"] is (name == "queued")
+    assert seen["numbers"] == list(range(len(seen["numbers"])))
+    assert seen["equal"]
+    assert seen["dropped"] == 0
+    assert seen["stop_s"] < 1.0
+    assert seen["again"] == 0
+
+
+@pytest.mark.parametrize("name", ["damaged_queued", "damaged_blocking"])
+def test_damaged_frames_are_counted_and_the_rest_is_whole(results: dict[str, Any], name: str) -> None:
+    seen = scenario(results, name)
+    numbers = seen["numbers"]
+    missing = set(range(numbers[-1] + 1)) - set(numbers)
+    assert {5, 12, 19, 26} <= missing
+    # Reads that were queued for the rest of the damaged frame may have swallowed the next ones.
+    assert missing <= {block + later for block in (5, 12, 19, 26) for later in range(5)}
+    assert seen["dropped"] == len(missing)
+    assert seen["equal"]
+
+
+@pytest.mark.parametrize("name", ["unplugged_queued", "unplugged_blocking"])
+def test_unplugged_in_the_middle_of_a_frame(results: dict[str, Any], name: str) -> None:
+    seen = scenario(results, name)
+    assert seen["frames"] == 10
+    assert "plug it in again" in seen["message"]
+    assert seen["noticed_s"] < 2 * FRAME_S + 0.5
+    assert seen["after"] == 0
+    assert seen["reconnects"] == 1
+
+
+def test_aravis_reads_the_same_camera(results: dict[str, Any]) -> None:
+    seen = scenario(results, "aravis")
+    if "skipped" in seen:
+        pytest.skip(seen["skipped"])
+    assert seen["vendor"] == "Testwerk"
+    assert seen["serial"] == "QEMU-1"
+    assert seen["exposure_us"] == 200.0
+    assert seen["region"] == [0, 0, 320, 240]
+    frames = seen["frames"]
+    assert len(frames) == 20
+    ids = [frame["id"] for frame in frames]
+    assert ids == sorted(set(ids))
+    for frame in frames:
+        assert frame["status"] == "success"
+        assert frame["size"] == 320 * 240
+        start = 7 * frame["id"] % 251  # the camera's sawtooth
+        assert frame["first"] == [(start + index) % 251 for index in range(4)]
+        assert frame["last"] == [(start + 320 * 240 - 2 + index) % 251 for index in range(2)]

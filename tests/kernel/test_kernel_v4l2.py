@@ -1,0 +1,94 @@
+"""The Video4Linux driver against the kernel's own test driver, vivid, in QEMU.
+
+Run by ``make test-kernel``; skipped, with the reason, where QEMU or a kernel can't be had.
+"""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.kernel.boot import Missing, run_in_guest
+
+pytestmark = pytest.mark.kernel
+
+TIME_LIMIT_S = 420.0
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """One boot for all tests; what happened in it is asserted here, outside."""
+    try:
+        return run_in_guest("tests.kernel.guest_v4l2", tmp_path_factory.mktemp("guest"), TIME_LIMIT_S)
+    except Missing as missing:
+        pytest.skip(str(missing))
+
+
+def scenario(results: dict[str, Any], name: str) -> dict[str, Any]:
+    result: dict[str, Any] = results[name]
+    assert "error" not in result, result["error"]
+    return result
+
+
+@pytest.mark.parametrize("reading", ["kernel", "opencv"])
+def test_the_conformance_suite_passes(results: dict[str, Any], reading: str) -> None:
+    seen = scenario(results, reading)
+    assert seen["status"] == 0, seen["tests"]
+    # what this device can't do is skipped with a reason; the formats are not among it
+    passed = [name for name, outcome in seen["tests"].items() if not outcome]
+    assert {"test_pixel_formats", "test_start_and_stop_fifty_times", "test_settings_are_read_back"} <= set(
+        passed
+    )
+    assert len(passed) >= 18
+
+
+def test_devices_are_listed_with_their_modes(results: dict[str, Any]) -> None:
+    found = scenario(results, "devices")["found"]
+    assert [device["name"] for device in found] == ["vivid"]
+    assert "mono12 (Y12) 320 x 180 at 60 Hz" in found[0]["modes"]
+
+
+def test_buffers_that_the_driver_drops_are_counted(results: dict[str, Any]) -> None:
+    seen = scenario(results, "dropped")
+    numbers = seen["numbers"]
+    missing = numbers[-1] + 1 - len(numbers)
+    assert missing > 5, "30 % of 60 were to be dropped"
+    assert seen["dropped_by_bus"] >= missing  # frames that came after the last one read may be gone too
+    assert seen["dropped_by_host"] == 0
+    # The numbers are the driver's: the time between frames is their distance, whatever is missing.
+    period_ms = np.array(seen["ms_per_number"])
+    assert np.median(np.abs(period_ms / np.median(period_ms) - 1)) < 0.05
+    # vivid stamps a frame with the time at which it is due, which may lie a frame ahead
+    assert max(abs(age_ms) for age_ms in seen["age_ms"]) < 100
+
+
+@pytest.mark.parametrize("reading", ["kernel", "opencv"])
+def test_a_start_delivers_nothing_from_before_it(results: dict[str, Any], reading: str) -> None:
+    seen = scenario(results, f"stale_{reading}")
+    assert seen["before_start_ms"] <= 0
+    assert seen["sequence"] == 0
+
+
+@pytest.mark.parametrize(
+    ("what", "words"),
+    [
+        ("exposure", "has no exposure time"),
+        ("gain", "camera.v4l2.gain"),
+        ("offset", "640 x 480"),
+        ("gain range", "0 to 255"),
+        ("no device", "/dev/video0 vivid"),
+    ],
+)
+def test_what_cannot_be_is_refused(results: dict[str, Any], what: str, words: str) -> None:
+    assert words in scenario(results, "refused")[what]
+
+
+def test_gain_is_set_although_automatic_gain_was_on(results: dict[str, Any]) -> None:
+    assert scenario(results, "refused")["gain set"] == "50"
+
+
+def test_unplugging_is_noticed_at_once(results: dict[str, Any]) -> None:
+    seen = scenario(results, "unplugged")
+    assert "plug it in again" in seen["message"]
+    assert seen["noticed_s"] < 0.5
+    assert seen["close_s"] < 1.0

@@ -1,0 +1,106 @@
+"""Frames of a spot as a sensor would see them, made with scipy's error function alone."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import erf
+
+from processing.spot import SensorModel, Spot
+
+GAIN = 39.2
+READ_NOISE_E = 7.0
+BACKGROUND_DN = 6.0
+EIGHT_BIT = SensorModel(GAIN, READ_NOISE_E, 255, pedestal_dn=BACKGROUND_DN)
+TWELVE_BIT = SensorModel(GAIN / 16, READ_NOISE_E, 4095, pedestal_dn=BACKGROUND_DN)
+LIT_EIGHT_BIT = SensorModel(GAIN, READ_NOISE_E, 255)
+LIT_TWELVE_BIT = SensorModel(GAIN / 16, READ_NOISE_E, 4095)
+"""The same where the background is light."""
+
+
+def side_of(sigma_px: float) -> int:
+    """Side of a frame that holds the spot and its surroundings, even."""
+    return 2 * (int(5 * sigma_px) + 8)
+
+
+def profile(count: int, centre: float, sigma: float) -> NDArray[np.float64]:
+    """Gaussian of unit peak density integrated over each pixel."""
+    edges = (np.arange(count + 1) - 0.5 - centre) / (sigma * math.sqrt(2.0))
+    return sigma * math.sqrt(math.pi / 2) * np.diff(erf(edges))
+
+
+def light(
+    shape: tuple[int, int], x: float, y: float, sigma: float, peak: float, sigma_y: float | None = None
+) -> NDArray[np.float64]:
+    """Upright spot's light, DN without noise."""
+    ny, nx = shape
+    return peak * np.outer(profile(ny, y, sigma_y or sigma), profile(nx, x, sigma))
+
+
+def tilted_light(
+    shape: tuple[int, int], x: float, y: float, sigmas: tuple[float, float], angle: float, peak: float
+) -> NDArray[np.float64]:
+    """A tilted spot's light, averaged over 8 x 8 points of each pixel."""
+    fine = 8
+    ny, nx = shape
+    v, u = np.mgrid[0 : ny * fine, 0 : nx * fine]
+    u = (u + 0.5) / fine - 0.5 - x
+    v = (v + 0.5) / fine - 0.5 - y
+    along = math.cos(angle) * u + math.sin(angle) * v
+    across = -math.sin(angle) * u + math.cos(angle) * v
+    density = np.exp(-0.5 * (along / sigmas[0]) ** 2 - 0.5 * (across / sigmas[1]) ** 2)
+    return peak * density.reshape(ny, fine, nx, fine).mean(axis=(1, 3))
+
+
+def exposed(
+    light_dn: NDArray[np.float64],
+    rng: np.random.Generator,
+    *,
+    sensor: SensorModel = EIGHT_BIT,
+    background: float = BACKGROUND_DN,
+    prnu: float = 0.0,
+) -> NDArray[np.uint8] | NDArray[np.uint16]:
+    """Shot noise, uneven pixels, read noise, rounding, clipping; background above the pedestal is light."""
+    gain = sensor.gain_e_per_dn
+    light_dn = light_dn + max(background - sensor.pedestal_dn, 0.0)
+    background = min(background, sensor.pedestal_dn)
+    expected = np.maximum(light_dn * (1.0 + prnu * rng.standard_normal(light_dn.shape)), 0.0)
+    dn = rng.poisson(expected * gain) / gain + background
+    dn += rng.normal(0.0, sensor.read_noise_e / gain, light_dn.shape)
+    kind = np.uint8 if sensor.full_scale_dn < 256 else np.uint16
+    return np.clip(np.rint(dn), 0, sensor.full_scale_dn).astype(kind)
+
+
+def bound_px(
+    shape: tuple[int, int],
+    x: float,
+    y: float,
+    sigma: float,
+    peak: float,
+    sensor: SensorModel = EIGHT_BIT,
+) -> float:
+    """Cramer-Rao bound of x for six unknowns, from numerical derivatives of the frame's light."""
+
+    def seen(p: NDArray[np.float64]) -> NDArray[np.float64]:
+        return (light(shape, p[1], p[2], p[3], p[0], p[4]) + p[5]).ravel()
+
+    p = np.array([peak, x, y, sigma, sigma, BACKGROUND_DN])
+    variance = sensor.dark_variance_dn2 + (seen(p) - sensor.pedestal_dn) / sensor.gain_e_per_dn
+    slopes = []
+    for k in range(6):
+        step = np.zeros(6)
+        step[k] = 1e-4
+        slopes.append((seen(p + step) - seen(p - step)) / 2e-4)
+    jacobian = np.array(slopes)
+    information = (jacobian / variance) @ jacobian.T
+    return math.sqrt(np.linalg.inv(information)[1, 1])
+
+
+def errors_px(spots: list[Spot], truth: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Errors (n, 2) in x and y."""
+    return np.array([(spot.x_px, spot.y_px) for spot in spots]) - truth
+
+
+def rms_tolerance(values: int, deviations: float = 4.0) -> float:
+    """Relative scatter of the RMS of so many independent normal values, times `deviations`."""
+    return deviations / math.sqrt(2.0 * values)

@@ -1,0 +1,216 @@
+"""Decays whose turning points are known: damped sinusoids and the integrated equation of motion."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+
+from processing.swing import Swing, SwingDetector
+
+Floats = NDArray[np.float64]
+ARCSEC_RAD = math.pi / 648000.0
+PX_PER_RAD = 250.0 / (124.0 * ARCSEC_RAD)
+MASS_KG, BALL_RADIUS_M, GRAVITY = 0.406, 6.05e-3, 9.80665
+
+CONTACTS = {
+    # b, p, c, n, T0, gamma, contact radius: the published ones, b with its lost power of ten
+    "glass": (37.33e-4, 0.944, 10.51e-9, 0.092, 4.071, 28.97e6, 66.18e-6),
+    "silicon": (7.06e-4, 0.815, 3.84e-9, 0.552, 4.072, 290.69e6, 59.16e-6),
+    "steel": (7.961e-4, 0.850, 6.601e-9, 0.461, 4.049, 95.46e6, 54.04e-6),
+}
+
+
+@dataclass(frozen=True)
+class Record:
+    """Samples with their noise, and the true turning points."""
+
+    times_ns: NDArray[np.int64]
+    deflection: Floats
+    u_deflection: Floats
+    turn_time_s: Floats
+    turn_amplitude: Floats
+
+    @property
+    def time_s(self) -> Floats:
+        return self.times_ns * 1e-9
+
+    def keep(self, kept: NDArray[np.bool_]) -> "Record":
+        """Only these samples."""
+        return Record(
+            self.times_ns[kept],
+            self.deflection[kept],
+            self.u_deflection[kept],
+            self.turn_time_s,
+            self.turn_amplitude,
+        )
+
+    def plus(self, extra: Floats) -> "Record":
+        """Something added to the deflection."""
+        return Record(
+            self.times_ns,
+            self.deflection + extra,
+            self.u_deflection,
+            self.turn_time_s,
+            self.turn_amplitude,
+        )
+
+
+def sample_times_ns(duration_s: float, frames_per_s: float) -> NDArray[np.int64]:
+    return np.round(np.arange(math.floor(duration_s * frames_per_s)) * (1e9 / frames_per_s)).astype(np.int64)
+
+
+def damped_sinusoid(
+    rng: np.random.Generator,
+    first: float,
+    last: float,
+    half_cycles: int,
+    frames_per_s: float = 100.0,
+    noise: float = 0.02,
+    period_s: float = 4.0,
+    start_s: float = 0.3,
+    centre: float = 12.3,
+) -> Record:
+    """From amplitude `first` to `last` in so many half-cycles; about the first turning point at `start_s`."""
+    rate = 2.0 * math.pi / period_s
+    damping = math.log(first / last) / (half_cycles * period_s / 2.0)
+    times_ns = sample_times_ns((half_cycles + 1) * period_s / 2.0, frames_per_s)
+    t = times_ns * 1e-9 - start_s
+    lag = math.atan(damping / rate)
+    turns = (np.arange(half_cycles + 2) * math.pi - lag) / rate
+    return Record(
+        times_ns,
+        centre + first * np.exp(-damping * t) * np.cos(rate * t) + noise * rng.standard_normal(len(t)),
+        np.full(len(t), noise),
+        turns + start_s,
+        first * np.exp(-damping * turns) * math.cos(lag),
+    )
+
+
+def contact_decay(
+    contact: str,
+    half_cycles: int,
+    first_arcsec: float = 124.0,
+    frames_per_s: float = 100.0,
+    noise: float = 0.0,
+    rng: np.random.Generator | None = None,
+    start_s: float = 0.37,
+    hold: bool = False,
+) -> Record:
+    """Eq. 4 with the moments of Eqs. 1 and 3, integrated from turning point to turning point; in px."""
+    b, p, c, n, period0_s, gamma, radius = CONTACTS[contact]
+    rate2 = (2.0 * math.pi / period0_s) ** 2
+    kappa = 2.0 * gamma * radius**2 / (MASS_KG * GRAVITY)
+    times_ns = sample_times_ns(start_s + (half_cycles + 1) * period0_s * 0.53, frames_per_s)
+    t = times_ns * 1e-9
+    phi = np.full(len(t), np.nan)
+    amplitude, side, turn = first_arcsec * ARCSEC_RAD, 1.0, start_s
+    turns, amplitudes = [turn], [amplitude]
+    phi[t < turn] = amplitude
+
+    def motion(_: float, state: Floats) -> list[float]:
+        # in units of the amplitude, from +1 downwards: friction pushes upwards
+        x, v = state
+        size = abs(x) * amplitude
+        elastic = kappa * size ** (n + 1) * (math.pi / 2.0 - BALL_RADIUS_M / radius * size)
+        return [v, rate2 * (-x + (math.copysign(elastic, x) + c + b * size**p) / amplitude)]
+
+    def crosses_zero(_: float, state: Floats) -> float:
+        return float(state[0])
+
+    def turns_back(_: float, state: Floats) -> float:
+        return float(state[1])
+
+    for event, direction in ((crosses_zero, -1), (turns_back, 1)):
+        event.terminal, event.direction = True, direction  # type: ignore[attr-defined]
+    for _ in range(half_cycles):
+        down = solve_ivp(
+            motion, (0.0, period0_s), [1.0, 0.0], "DOP853", events=crosses_zero, dense_output=True,
+            rtol=1e-11, atol=1e-13,
+        )  # fmt: skip
+        zero_s = down.t[-1]
+        up = solve_ivp(
+            motion, (zero_s, period0_s), [0.0, down.y[1, -1]], "DOP853", events=turns_back, dense_output=True,
+            rtol=1e-11, atol=1e-13,
+        )  # fmt: skip
+        end_s = up.t[-1]
+        i, j = np.searchsorted(t, [turn, turn + end_s])
+        local = t[i:j] - turn
+        value = np.where(
+            local < zero_s, down.sol(np.minimum(local, zero_s))[0], up.sol(np.maximum(local, zero_s))[0]
+        )
+        phi[i:j] = side * amplitude * value
+        amplitude, side, turn = -up.y[0, -1] * amplitude, -side, turn + end_s
+        turns.append(turn)
+        amplitudes.append(amplitude)
+    seen = np.isfinite(phi) & ((t >= start_s) | hold)
+    deflection = phi[seen] * PX_PER_RAD
+    if rng is not None:
+        deflection = deflection + 7.0 + noise * rng.standard_normal(len(deflection))
+    return Record(
+        times_ns[seen],
+        deflection,
+        np.full(len(deflection), noise if noise else 1e-3),
+        np.array(turns),
+        np.array(amplitudes) * PX_PER_RAD,
+    )
+
+
+def detect(record: Record, block: int = 10_000) -> list[Swing]:
+    """All swings of a record."""
+    detector = SwingDetector()
+    swings: list[Swing] = []
+    for i in range(0, len(record.times_ns), block):
+        j = i + block
+        swings += detector.update(record.times_ns[i:j], record.deflection[i:j], record.u_deflection[i:j])
+    return swings + detector.finish()
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Unflagged swings against the truth: errors over claimed uncertainties and over the CRLB."""
+
+    index: NDArray[np.int64]
+    amplitude: Floats
+    time: Floats
+    amplitude_to_crlb: Floats
+    time_to_crlb: Floats
+
+    def __len__(self) -> int:
+        return len(self.index)
+
+
+def errors(record: Record, swings: list[Swing]) -> Errors:
+    """Errors of the unflagged swings.
+
+    The Cramer-Rao bound is that of one half-cycle's own samples with all else known: for noise s and
+    n samples u(A) = s sqrt(2/n), u(t) = u(A) / (A w).
+    """
+    rows = []
+    for swing in swings:
+        if swing.flags:
+            continue
+        k = int(np.argmin(np.abs(record.turn_time_s - swing.turn_time_ns * 1e-9)))
+        neighbour = k + 1 if k + 1 < len(record.turn_time_s) else k - 1
+        half_period = abs(record.turn_time_s[neighbour] - record.turn_time_s[k])
+        inside = np.abs(record.time_s - record.turn_time_s[k]) < half_period / 2.0
+        inside &= np.isfinite(record.deflection)
+        crlb = float(record.u_deflection[inside].mean()) * math.sqrt(2.0 / max(int(inside.sum()), 1))
+        amplitude_error = swing.amplitude - record.turn_amplitude[k]
+        time_error = swing.turn_time_ns * 1e-9 - record.turn_time_s[k]
+        rows.append(
+            (
+                k,
+                amplitude_error / swing.u_amplitude,
+                time_error / swing.u_turn_time_s,
+                amplitude_error / crlb,
+                time_error / (crlb * half_period / (math.pi * record.turn_amplitude[k])),
+            )
+        )
+    table = np.array(rows).reshape(-1, 5)
+    return Errors(table[:, 0].astype(np.int64), *table[:, 1:].T)
+
+
+def rms(values: Floats) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))

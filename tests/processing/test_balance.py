@@ -1,0 +1,148 @@
+"""Balance: values and honest uncertainties, once a period, whatever the blocks."""
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from processing.balance import Balance, BalanceEstimator
+from processing.errors import DataError
+
+RATE, FAST_RATE, ANGLE, WIDTH, TURNING = 1.55, 7.5, 0.03, 0.01, 1e-4
+
+
+def motion(
+    seed: int, seconds: float = 80.0, frames_per_s: float = 100.0, fast: float = 5.0
+) -> list[np.ndarray]:
+    """Times, x, y, u, u."""
+    rng = np.random.default_rng([seed, 51])
+    t = np.arange(round(seconds * frames_per_s)) / frames_per_s
+    angle = ANGLE + TURNING * t
+    long = 200.0 * np.exp(-0.002 * t) * np.cos(RATE * t + 1.0)
+    short = WIDTH * 200.0 * np.exp(-0.002 * t) * np.sin(RATE * t + 1.0)
+    x = long * np.sin(angle) + short * np.cos(angle) + fast * np.exp(-0.005 * t) * np.cos(FAST_RATE * t + 2.0)
+    y = long * np.cos(angle) - short * np.sin(angle)
+    x, y = x + 3.0 + 0.01 * t, y - 2.0 + 0.02 * t
+    noise = 0.02 * rng.standard_normal((2, len(t)))
+    u = np.full(len(t), 0.02)
+    return [np.round(t * 1e9).astype(np.int64), x + noise[0], y + noise[1], u, u]
+
+
+def estimates(columns: list[np.ndarray], block: int = 1000) -> list[Balance]:
+    estimator = BalanceEstimator()
+    found: list[Balance] = []
+    for i in range(0, len(columns[0]), block):
+        found += estimator.update(*(column[i : i + block] for column in columns))
+    return found
+
+
+def deviations(b: Balance) -> list[float]:
+    t = b.time_ns * 1e-9
+    along = 200.0 * math.exp(-0.002 * t)
+    swift = 5.0 * math.exp(-0.005 * t)
+    return [
+        (b.period_s - 2 * math.pi / RATE) / b.u_period_s,
+        (b.transverse_rad - swift) / b.u_transverse_rad,
+        (b.transverse_ratio - swift / along / math.cos(ANGLE + TURNING * t)) / b.u_transverse_ratio,
+        (b.line_angle_rad - ANGLE - TURNING * t) / b.u_line_angle_rad,
+        (b.rotation_rad_per_s - TURNING) / b.u_rotation_rad_per_s,
+        (b.width_ratio - WIDTH) / b.u_width_ratio,
+        (b.rest_x_rad - 3.0 - 0.01 * t) / b.u_rest_x_rad,
+        (b.rest_y_rad + 2.0 - 0.02 * t) / b.u_rest_y_rad,
+        (b.drift_x_rad_per_s - 0.01) / b.u_drift_x_rad_per_s,
+        (b.drift_y_rad_per_s - 0.02) / b.u_drift_y_rad_per_s,
+        (b.period_ratio - FAST_RATE / RATE) / b.u_period_ratio,
+    ]
+
+
+def test_values_and_uncertainties() -> None:
+    runs = 12
+    # every second estimate: neighbours share samples
+    table = np.array([[deviations(b) for b in estimates(motion(seed))[7::2]] for seed in range(runs)])
+    table = table.reshape(-1, table.shape[-1])
+    # rates look back over eight periods, so that only one in five of them is new
+    scatter = np.full(table.shape[1], 1.0 / math.sqrt(2 * len(table)))
+    scatter[[4, 8, 9]] *= 2.0
+    assert np.all(np.abs(np.sqrt((table**2).mean(axis=0)) - 1.0) < 4.5 * scatter)
+    assert np.all(np.abs(table.mean(axis=0)) < 4.5 * math.sqrt(2.0) * scatter)
+
+
+def test_one_estimate_a_period() -> None:
+    found = estimates(motion(1))
+    steps = np.diff([b.time_ns for b in found]) * 1e-9
+    assert steps[1:] == pytest.approx(2 * math.pi / RATE, abs=0.03)
+    assert found[0].time_ns * 1e-9 < 10.0
+    assert math.isnan(found[2].rotation_rad_per_s)
+    assert math.isfinite(found[3].rotation_rad_per_s)
+
+
+def test_no_fast_mode() -> None:
+    found = estimates(motion(2, fast=0.0))
+    assert all(b.transverse_rad == 0.0 for b in found)
+    assert all(0.0 < b.u_transverse_rad < 0.01 for b in found)
+    assert all(math.isnan(b.period_ratio) and math.isnan(b.u_period_ratio) for b in found)
+
+
+MOTION = motion(3, 40.0)
+WHOLE = estimates(MOTION, block=10**6)
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.lists(st.integers(0, len(MOTION[0])), max_size=20))
+def test_blocks_do_not_matter(cuts: list[int]) -> None:
+    edges = [0, *sorted(cuts), len(MOTION[0])]
+    estimator = BalanceEstimator()
+    found: list[Balance] = []
+    for i, j in pairwise(edges):
+        found += estimator.update(*(column[i:j] for column in MOTION))
+    assert repr(found) == repr(WHOLE)
+
+
+def test_single_samples() -> None:
+    assert repr(estimates(MOTION, block=1)) == repr(WHOLE)
+
+
+def test_high_frame_rate_is_as_good() -> None:
+    found = estimates(motion(4, 40.0, 500.0))
+    assert np.abs(np.array([deviations(b)[:4] for b in found])).max() < 5.0
+
+
+def test_rest_then_swing_then_rest() -> None:
+    columns = motion(5, 60.0)
+    for k, resting in ((1, 3.0), (2, -2.0)):
+        still = np.arange(len(columns[0])) % 6000
+        columns[k] = np.where((still < 1500) | (still > 4500), resting, columns[k])
+    times = [b.time_ns * 1e-9 for b in estimates(columns)]
+    assert len(times) > 4
+    assert min(times) > 14.0
+    assert max(times) < 47.0
+
+
+def test_lost_spots() -> None:
+    columns = motion(6, 40.0)
+    columns[1] = columns[1].copy()
+    columns[1][1000:1400] = np.nan
+    found = estimates(columns)
+    assert len(found) >= 7
+    assert np.abs(np.array([deviations(b)[:4] for b in found])).max() < 5.0
+
+
+def test_memory_stays_flat() -> None:
+    estimator = BalanceEstimator()
+    sizes = []
+    for k in range(40):
+        t = (np.arange(2000) + 2000 * k) * 0.01
+        y = 100.0 * np.cos(1.5 * t)
+        times_ns = np.round(t * 1e9).astype(np.int64)
+        noise = 0.01 * np.random.default_rng(k).standard_normal((2, 2000))
+        estimator.update(times_ns, noise[0], y + noise[1], np.full(2000, 0.01), np.full(2000, 0.01))
+        sizes.append(len(estimator._times))
+    assert sizes[-1] == sizes[5]
+
+
+def test_bad_input() -> None:
+    with pytest.raises(DataError, match="of one length"):
+        BalanceEstimator().update(np.arange(3), np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(2))

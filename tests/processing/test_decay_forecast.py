@@ -1,0 +1,45 @@
+"""The forecast of the end of a decay against simulated decays of the paper's three pairs."""
+
+import math
+
+import numpy as np
+import pytest
+
+from acquisition.simulation.settings import ContactTruth, SimulationSettings
+from acquisition.simulation.trajectory import true_turning_points
+from processing.decay_forecast import forecast
+
+ARCSEC = math.pi / 648000
+PAIRS = {
+    "glass": {},
+    "silicon": {"b": 7.06e-4, "p": 0.815, "c": 3.84e-9, "n": 0.552, "period0_s": 4.072, "gamma_pa": 290.69e6},
+    "steel": {"b": 7.961e-4, "p": 0.85, "c": 6.601e-9, "n": 0.461, "period0_s": 4.049, "gamma_pa": 95.46e6},
+}
+
+
+@pytest.mark.parametrize("pair", list(PAIRS))
+def test_the_end_lies_within_three_uncertainties_from_early_on(pair: str) -> None:
+    truth = true_turning_points(SimulationSettings(contact=ContactTruth(**PAIRS[pair])), 2.0)
+    u = np.full(len(truth.time_s), 0.005 * ARCSEC)
+    noise = np.random.default_rng(8).normal(0.0, 0.005 * ARCSEC, len(u))
+    amplitudes = np.abs(truth.angle_rad) + noise
+    end_s = truth.time_s[-1]
+    uncertainties = []
+    for part in (0.05, 0.2, 0.5, 0.9):
+        seen = truth.time_s <= part * end_s
+        found = forecast(truth.time_s[seen], amplitudes[seen], u[seen], 2.0 * ARCSEC)
+        left_s = end_s - truth.time_s[seen][-1]
+        # a period of four seconds is how finely the end itself is known
+        assert abs(found.remaining_s - left_s) < 3 * math.hypot(found.u_remaining_s, 4.0), part
+        assert found.u_remaining_s < 0.2 * left_s + 4.0
+        uncertainties.append(found.u_remaining_s)
+    assert uncertainties[-1] < 0.5 * uncertainties[0]
+
+
+def test_too_little_and_too_late() -> None:
+    t = np.arange(4) * 2.0
+    assert math.isnan(forecast(t, 100 - t, np.ones(4), 2.0).remaining_s)
+    t = np.arange(40) * 2.0
+    assert forecast(t, np.exp(-t), np.full(40, 1e-3), 2.0).remaining_s == 0.0
+    growing = forecast(t, np.exp(0.01 * t) + 5, np.full(40, 1e-3), 2.0)
+    assert math.isnan(growing.remaining_s)

@@ -1,0 +1,123 @@
+"""Two modes in the plane: values, honest uncertainties, and what is no oscillation."""
+
+import math
+
+import numpy as np
+import pytest
+
+from processing.errors import DataError
+from processing.swing.modes import TwoModes, separate_modes
+
+RATE, FAST_RATE, TURNING = 1.55, 7.5, 1e-4
+ANGLE, WIDTH, AMPLITUDE, FAST, FAST_ANGLE = 0.03, 0.01, 200.0, 5.0, 1.5
+SECONDS, NOISE = 8.0, 0.02
+
+Arrays = tuple[np.ndarray, np.ndarray, np.ndarray]
+
+
+def motion(
+    rng: np.random.Generator, frames_per_s: float = 100.0, fast: float = FAST, noise: float = NOISE
+) -> Arrays:
+    """Slow ellipse about a turning line, fast line across, rest position that drifts; reference at t = 0."""
+    t = np.arange(round(SECONDS * frames_per_s)) / frames_per_s - SECONDS / 2.0
+    phase = 0.7
+    long = AMPLITUDE * np.exp(-0.003 * t) * np.cos(RATE * t + phase)
+    short = WIDTH * AMPLITUDE * np.exp(-0.003 * t) * np.sin(RATE * t + phase)
+    angle = ANGLE + TURNING * t
+    swift = fast * np.exp(-0.02 * t) * np.cos(FAST_RATE * t + 2.0)
+    x = long * np.sin(angle) + short * np.cos(angle) + swift * math.sin(FAST_ANGLE) + 3.0 + 0.01 * t
+    y = long * np.cos(angle) - short * np.sin(angle) + swift * math.cos(FAST_ANGLE) - 2.0 + 0.02 * t
+    n = len(t)
+    times_ns = np.round((t - t[0]) * 1e9).astype(np.int64)
+    return times_ns, x + noise * rng.standard_normal(n), y + noise * rng.standard_normal(n)
+
+
+def deviations(modes: TwoModes) -> list[float]:
+    """(estimate - truth) / u of everything, the truth taken at the reference time."""
+    t = modes.time_ns * 1e-9 - SECONDS / 2.0
+    slow, fast = modes.slow, modes.fast
+    assert fast is not None
+    here = AMPLITUDE * math.exp(-0.003 * t)
+    swift = FAST * math.exp(-0.02 * t)
+    return [
+        (slow.period_s - 2 * math.pi / RATE) / slow.u_period_s,
+        (slow.damping_per_s - 0.003) / slow.u_damping_per_s,
+        (slow.amplitude - here) / slow.u_amplitude,
+        (slow.width - WIDTH * here) / slow.u_width,
+        (slow.direction_rad - ANGLE - TURNING * t) / slow.u_direction_rad,
+        (modes.turning_rad_per_s - TURNING) / modes.u_turning_rad_per_s,
+        math.remainder(slow.phase_rad - RATE * t - 0.7, 2 * math.pi) / slow.u_phase_rad,
+        (modes.rest_x - 3.0 - 0.01 * t) / modes.u_rest_x,
+        (modes.drift_y_per_s - 0.02) / modes.u_drift_y_per_s,
+        (fast.period_s - 2 * math.pi / FAST_RATE) / fast.u_period_s,
+        (fast.amplitude - swift) / fast.u_amplitude,
+        (fast.direction_rad - FAST_ANGLE) / fast.u_direction_rad,
+        (fast.x_amplitude - swift * math.sin(FAST_ANGLE)) / fast.u_x_amplitude,
+    ]
+
+
+@pytest.mark.parametrize("given", [True, False], ids=["u given", "u from the scatter"])
+def test_values_and_uncertainties(given: bool) -> None:
+    runs = 60
+    rows = []
+    for seed in range(runs):
+        times_ns, x, y = motion(np.random.default_rng([seed, 41]))
+        u = np.full(len(x), NOISE) if given else None
+        modes = separate_modes(times_ns, x, y, u, u)
+        assert modes is not None
+        rows.append(deviations(modes))
+    table = np.array(rows)
+    # rms of 60 normal deviates: 1 +- 0.09
+    assert np.sqrt((table**2).mean(axis=0)) == pytest.approx(np.ones(table.shape[1]), abs=4.5 * 0.09)
+    assert np.abs(table.mean(axis=0)).max() < 4.5 / math.sqrt(runs)
+
+
+def test_sense_of_the_ellipse() -> None:
+    """Positive width: from +Y towards +X."""
+    t = np.arange(800) * 0.01
+    times_ns = np.round(t * 1e9).astype(np.int64)
+    noise = 0.001 * np.random.default_rng(1).standard_normal((2, 800))
+    for way in (1.0, -1.0):
+        modes = separate_modes(times_ns, way * np.sin(1.5 * t) + noise[0], 10 * np.cos(1.5 * t) + noise[1])
+        assert modes is not None
+        assert modes.slow.width == pytest.approx(way, abs=0.01)
+        assert modes.slow.amplitude == pytest.approx(10.0, abs=0.01)
+
+
+def test_no_fast_mode_is_no_fast_mode() -> None:
+    times_ns, x, y = motion(np.random.default_rng(2), fast=0.0)
+    u = np.full(len(x), NOISE)
+    modes = separate_modes(times_ns, x, y, u, u)
+    assert modes is not None
+    assert modes.fast is None
+    assert 0.0 < modes.fast_limit < 5 * NOISE * math.sqrt(2 / len(x))
+
+
+def test_lost_spots_and_uneven_steps() -> None:
+    rng = np.random.default_rng(3)
+    times_ns, x, y = motion(rng, 200.0)
+    kept = rng.random(len(x)) > 0.3
+    x[rng.random(len(x)) < 0.1] = np.nan
+    u = np.full(len(x), NOISE)
+    modes = separate_modes(times_ns[kept], x[kept], y[kept], u[kept], u[kept])
+    assert modes is not None
+    assert np.abs(deviations(modes)).max() < 4.5
+
+
+@pytest.mark.parametrize("kind", ["noise", "still", "short", "few"])
+def test_no_oscillation(kind: str) -> None:
+    rng = np.random.default_rng(4)
+    n = 10 if kind == "few" else 400
+    times_ns = np.arange(n, dtype=np.int64) * 10_000_000
+    t = times_ns * 1e-9
+    x, y = 0.02 * rng.standard_normal((2, n))
+    if kind == "still":
+        x, y = np.zeros(n), np.ones(n)
+    elif kind == "short":
+        y = 100.0 * np.sin(0.7 * t)
+    assert separate_modes(times_ns, x, y) is None
+
+
+def test_bad_input() -> None:
+    with pytest.raises(DataError, match="of one length"):
+        separate_modes(np.arange(5), np.zeros(5), np.zeros(4))

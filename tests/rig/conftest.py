@@ -1,0 +1,30 @@
+"""Sessions that several tests of reports and exports look at."""
+
+from pathlib import Path
+
+import pytest
+
+from rig.config import load_configuration
+from rig.session import measure_session
+
+CONFIGS = Path(__file__).resolve().parents[2] / "configs"
+APPARATUS = (
+    "lever.arm_m=1.0",
+    "lever.u_arm_m=0.001",
+    "lever.pixel_pitch_m=4.8e-6",
+    "pendulum.mass_kg=0.406",
+    "pendulum.u_mass_kg=0.0002",
+    "pendulum.ball_radius_m=6.05e-3",
+    "pendulum.u_ball_radius_m=2e-6",
+)
+"""The demonstration's own apparatus, with uncertainties stated."""
+
+
+@pytest.fixture(scope="session")
+def measured_series(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A session of two runs of 70 simulated seconds from frames on, as `rig run` leaves it."""
+    folder = tmp_path_factory.mktemp("report") / "series"
+    source = CONFIGS / "demo.toml"
+    wanted = ("session.max_duration_s=70", "session.runs=2", "view.file=false", *APPARATUS)
+    assert measure_session(load_configuration(source, wanted), source, folder) == 0
+    return folder

@@ -1,0 +1,69 @@
+"""Fixtures of the controller's tests: the interpreter, the board, settings for it."""
+
+import shutil
+import subprocess
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from rig.control.settings import ControllerSettings
+from tests.rig.control.wires import FirmwareBoard
+
+PACKAGE = "@micropython/micropython-webassembly-pyscript"
+VERSION = "1.27.0"
+
+
+@pytest.fixture(scope="session")
+def micropython(request: pytest.FixtureRequest) -> Path:
+    """Folder of the MicroPython interpreter for node, installed by npm once into pytest's cache."""
+    if shutil.which("node") is None or shutil.which("npm") is None:
+        pytest.skip("node and npm run the MicroPython interpreter; install them to test the firmware")
+    assert request.config.cache is not None
+    folder = Path(request.config.cache.mkdir("micropython")) / VERSION
+    package = folder / "node_modules" / PACKAGE
+    if not (package / "micropython.mjs").is_file():
+        done = subprocess.run(
+            ["npm", "install", "--no-audit", "--no-fund", "--prefix", str(folder), f"{PACKAGE}@{VERSION}"],
+            capture_output=True,
+            text=True,
+            timeout=120,
+            check=False,
+        )
+        if done.returncode:
+            pytest.skip(f"npm could not install {PACKAGE}: {done.stderr.strip().splitlines()[-1:]}")
+    return package
+
+
+@pytest.fixture
+def make_board(micropython: Path, tmp_path: Path) -> Iterator[Callable[..., FirmwareBoard]]:
+    """Starts boards and ends them with the test."""
+    boards: list[FirmwareBoard] = []
+
+    def make(through_wire: bool = False) -> FirmwareBoard:
+        folder = tmp_path / f"board{len(boards)}"
+        folder.mkdir()
+        boards.append(FirmwareBoard(micropython, folder, through_wire))
+        return boards[-1]
+
+    yield make
+    for board in boards:
+        board.close()
+
+
+@pytest.fixture
+def board(make_board: Callable[..., FirmwareBoard]) -> FirmwareBoard:
+    """A board on a clean wire."""
+    return make_board()
+
+
+def settings_for(port: str, **changes: object) -> ControllerSettings:
+    """Settings as a user would state them, patient enough for a busy test machine."""
+    values: dict[str, object] = {
+        "kind": "serial",
+        "port": port,
+        "timeout_s": 0.3,
+        "watchdog_s": 0.6,
+        **changes,
+    }
+    return ControllerSettings.model_validate(values)

@@ -1,0 +1,259 @@
+"""Laser instruments on a pseudo-terminal, written from their manuals' grammar and not from our drivers.
+
+Each keeps the state of a real one: its limit clamps, its interlock forbids, its errors queue.
+"""
+
+import contextlib
+import os
+import pty
+import select
+import threading
+import tty
+
+
+class Instrument:
+    """Reads commands up to a terminator and answers what `answer` returns, if anything."""
+
+    terminator = b"\n"
+
+    def __init__(self) -> None:
+        self.on = False
+        self.interlock_closed = True
+        self.set_value = 0.0
+        self.highest_lit = 0.0
+        self.received: list[str] = []
+        self.silent = False
+        self.stuck_on = False
+        self._master, self._slave = pty.openpty()
+        tty.setraw(self._slave)
+        self.port = os.ttyname(self._slave)
+        self._wake_out, self._wake_in = os.pipe()
+        self._thread = threading.Thread(target=self._serve, daemon=True)
+        self._thread.start()
+
+    def answer(self, command: str) -> str | None:
+        raise NotImplementedError
+
+    def light(self, on: bool) -> None:
+        self.on = (on and self.interlock_closed) or self.stuck_on
+        self.note()
+
+    def note(self) -> None:
+        if self.on:
+            self.highest_lit = max(self.highest_lit, self.set_value)
+
+    def close(self) -> None:
+        os.write(self._wake_in, b"x")
+        self._thread.join()
+        for fd in (self._master, self._slave, self._wake_in, self._wake_out):
+            with contextlib.suppress(OSError):
+                os.close(fd)
+
+    def _serve(self) -> None:
+        buffer = b""
+        while True:
+            ready, _, _ = select.select([self._master, self._wake_out], [], [])
+            if self._wake_out in ready:
+                return
+            buffer += os.read(self._master, 1024)
+            while self.terminator in buffer:
+                line, buffer = buffer.split(self.terminator, 1)
+                command = line.decode("ascii").strip()
+                self.received.append(command)
+                reply = self.answer(command)
+                if reply is not None and not self.silent:
+                    os.write(self._master, reply.encode("ascii"))
+
+
+class FakeThorlabs(Instrument):
+    """ITC4001: ampere, upper and lower case, long and short mnemonics, an error queue."""
+
+    hardware_limit_a = 1.0
+
+    def __init__(self) -> None:
+        self.limit_a = self.hardware_limit_a
+        self.errors: list[str] = []
+        self.overheated = False
+        super().__init__()
+
+    def answer(self, command: str) -> str | None:
+        header, _, argument = command.partition(" ")
+        # Short forms are the capitals of the manual's spelling.
+        long_to_short = {
+            "SOURCE": "SOUR", "CURRENT": "CURR", "LEVEL": "LEV", "AMPLITUDE": "AMPL", "LIMIT": "LIM",
+            "OUTPUT": "OUTP", "STATE": "STAT", "PROTECTION": "PROT", "INTLOCK": "INTL", "KEYLOCK": "KEYL",
+            "OTEMP": "OTEM", "VOLTAGE": "VOLT", "TRIPPED": "TRIP", "SYSTEM": "SYST", "ERROR": "ERR",
+            "MEASURE": "MEAS", "FUNCTION": "FUNC",
+        }  # fmt: skip
+        query = header.endswith("?")
+        words = [long_to_short.get(word, word) for word in header.rstrip("?").upper().split(":")]
+        key = ":".join(words) + ("?" if query else "")
+        match key:
+            case "*IDN?":
+                return "Thorlabs,ITC4001,M00277475,1.8.0\n"
+            case "*CLS":
+                self.errors.clear()
+            case "SYST:ERR?":
+                return (self.errors.pop(0) if self.errors else '+0,"No error"') + "\n"
+            case "OUTP:STAT?":
+                return f"{int(self.on)}\n"
+            case "OUTP:STAT":
+                if argument == "ON" and not self.interlock_closed:
+                    self.errors.append('-221,"Settings conflict;interlock open"')
+                self.light(argument == "ON")
+            case "OUTP:PROT:INTL:TRIP?":
+                return f"{int(not self.interlock_closed)}\n"
+            case "OUTP:PROT:OTEM:TRIP?":
+                return f"{int(self.overheated)}\n"
+            case "OUTP:PROT:KEYL:TRIP?" | "OUTP:PROT:VOLT:TRIP?":
+                return "0\n"
+            case "SOUR:CURR:LIM:AMPL":
+                self.limit_a = min(float(argument), self.hardware_limit_a)
+            case "SOUR:CURR:LIM:AMPL?":
+                return f"{self.limit_a:.8E}\n"
+            case "SOUR:CURR:LEV:AMPL":
+                if float(argument) > self.limit_a:
+                    self.errors.append('-222,"Data out of range"')
+                else:
+                    self.set_value = float(argument)
+                    self.note()
+            case "SOUR:CURR:LEV:AMPL?":
+                return f"{self.set_value:.8E}\n"
+            case "MEAS:CURR?":
+                return f"{self.set_value * self.on:.8E}\n"
+            case "SOUR:FUNC:MODE" if argument[:4].upper() == "CURR":
+                pass
+            case _:
+                self.errors.append('-113,"Undefined header"')
+        return None
+
+
+class FakeObis(Instrument):
+    """OBIS LX with handshaking on: a line OK or ERR after everything."""
+
+    terminator = b"\r\n"
+
+    def __init__(self) -> None:
+        self.delay = 2
+        self.faults = 0
+        super().__init__()
+
+    def answer(self, command: str) -> str | None:
+        header, _, argument = command.partition(" ")
+        match header.upper():
+            case "*IDN?":
+                return "Coherent, Inc - OBIS 640nm 100mW C - V1.0.1 - Dec 14 2010\r\nOK\r\n"
+            case "SYSTEM:INFORMATION:MODEL?":
+                return "OBIS 640nm LX 100mW\r\nOK\r\n"
+            case "SYSTEM:INFORMATION:SNUMBER?":
+                return "LX123456\r\nOK\r\n"
+            case "SYSTEM:FAULT?":
+                return f"{self.faults:08X}\r\nOK\r\n"
+            case "SYSTEM:LOCK?":
+                return f"{'ON' if self.interlock_closed else 'OFF'}\r\nOK\r\n"
+            case "SOURCE:AM:STATE?":
+                # The delay that class 3B demands between command and light: a few questions long.
+                if self.on and self.delay:
+                    self.delay -= 1
+                    return "OFF\r\nOK\r\n"
+                return f"{'ON' if self.on else 'OFF'}\r\nOK\r\n"
+            case "SOURCE:AM:STATE":
+                if argument == "ON" and not self.interlock_closed:
+                    return "ERR-221\r\n"
+                self.light(argument == "ON")
+                return "OK\r\n"
+            case "SOURCE:AM:INTERNAL":
+                return "OK\r\n" if argument in ("CWP", "CWC") else "ERR-220\r\n"
+            case "SOURCE:POWER:LEVEL:IMMEDIATE:AMPLITUDE":
+                if not 0.0 <= float(argument) <= 0.110:
+                    return "ERR-222\r\n"
+                self.set_value = float(argument)
+                self.note()
+                return "OK\r\n"
+            case "SOURCE:POWER:LEVEL:IMMEDIATE:AMPLITUDE?":
+                return f"{self.set_value:.5f}\r\nOK\r\n"
+            case "SOURCE:POWER:LEVEL?":
+                return f"{self.set_value * self.on:.5f}\r\nOK\r\n"
+        return "ERR-100\r\n"
+
+
+class FakeLdc500(Instrument):
+    """LDC501: milliampere; the limit clamps and drags the set current down."""
+
+    def __init__(self) -> None:
+        self.limit_ma = 500.0
+        self.lexe = 0
+        self.lcme = 0
+        super().__init__()
+
+    def answer(self, command: str) -> str | None:
+        header, _, argument = command.partition(" ")
+        match header:
+            case "*IDN?":
+                return "Stanford_Research_Systems,LDC501,s/n098023,v1.02\r\n"
+            case "LEXE?":
+                code, self.lexe = self.lexe, 0
+                return f"{code}\r\n"
+            case "LCME?":
+                code, self.lcme = self.lcme, 0
+                return f"{code}\r\n"
+            case "ILOC?":
+                return "CLOSED\r\n" if self.interlock_closed else "OPEN\r\n"
+            case "LDON?":
+                return "ON\r\n" if self.on else "OFF\r\n"
+            case "LDON":
+                self.lexe = 0 if argument != "ON" or self.interlock_closed else 4
+                self.light(argument in ("ON", "1"))
+            case "SILM":
+                self.limit_ma = min(float(argument), 500.0)
+                self.set_value = min(self.set_value, self.limit_ma / 1000)
+            case "SILM?":
+                return f"{self.limit_ma:.3f}\r\n"
+            case "SILD":
+                if float(argument) > self.limit_ma:
+                    self.lexe = 1
+                else:
+                    self.set_value = float(argument) / 1000
+                    self.note()
+            case "SILD?":
+                return f"{self.set_value * 1000:.3f}\r\n"
+            case "RILD?":
+                return f"{self.set_value * 1000 * self.on:.3f}\r\n"
+            case "RWPD?":
+                return "0.00000\r\n"
+            case "SMOD" | "MODU":
+                self.lexe = 0 if argument in ("CC", "CP", "ON", "OFF") else 1
+            case _:
+                self.lcme = 2
+        return None
+
+
+class FakeCobolt(Instrument):
+    """06-01 series: CR in, CR LF out, OK or a syntax error."""
+
+    terminator = b"\r"
+
+    def __init__(self) -> None:
+        self.fault = 0
+        super().__init__()
+
+    def answer(self, command: str) -> str | None:
+        word, _, argument = command.partition(" ")
+        answers = {
+            "sn?": "12345",
+            "l?": str(int(self.on)),
+            "ilk?": str(int(not self.interlock_closed)),
+            "f?": str(self.fault if self.interlock_closed else 3),
+            "pa?": f"{self.set_value * self.on:.6f}",
+            "p?": f"{self.set_value:.6f}",
+        }
+        if word in answers:
+            return answers[word] + "\r\n"
+        if word in ("l1", "l0"):
+            self.light(word == "l1")
+        elif word == "p" and 0.0 <= float(argument) <= 0.05:
+            self.set_value = float(argument)
+            self.note()
+        elif word != "cp":
+            return "Syntax error: illegal command\r\n"
+        return "OK\r\n"

@@ -1,0 +1,334 @@
+"""The host's controller against the very firmware on a real MicroPython interpreter."""
+
+import math
+import time
+from collections.abc import Callable
+
+import pytest
+import serial
+
+from processing.errors import DeviceError
+from rig.control.controller import Controller, Environment, InterlockOpen, PowerLimit
+from rig.control.link import ControllerReset, Refused, ReplyTimeout
+from rig.control.protocol import checksum, encode
+from rig.control.serial_port import PortLost
+from tests.rig.control.conftest import settings_for
+from tests.rig.control.wires import FirmwareBoard
+
+MAX_W = 0.0008
+
+
+def opened(board: FirmwareBoard, **changes: object) -> Controller:
+    controller = Controller(settings_for(board.port, **changes), MAX_W)
+    controller.open()
+    return controller
+
+
+def test_identity_and_stored_limit(board: FirmwareBoard) -> None:
+    controller = Controller(settings_for(board.port), MAX_W)
+    identity = controller.open()
+    assert (identity.serial, identity.firmware, identity.laser_max_w) == ("TEST0001", "1.0", 0.001)
+    controller.close()
+
+
+def test_every_command_reaches_its_output(board: FirmwareBoard) -> None:
+    controller = opened(board, watchdog_s=5.0)
+    controller.set_laser_power_w(0.0005)
+    assert board.outputs()["laser"] == [0, 0]
+    controller.laser_on()
+    assert board.outputs()["laser"] == [1, 0.0005]
+    controller.set_laser_power_w(0.00025)
+    assert board.outputs()["laser"] == [1, 0.00025]
+    controller.hold()
+    assert board.outputs()["magnet"] == [1]
+    controller.clamp(True)
+    assert board.outputs()["clamp"] == [1]
+    controller.brake(True)
+    assert board.outputs()["brake"] == [1]
+    status = controller.heartbeat()
+    assert status.laser_on
+    assert status.magnet_on
+    assert status.clamp_closed
+    assert status.brake_on
+    assert status.interlock_closed
+    assert (status.laser_power_w, status.trip) == (0.00025, "NONE")
+    assert controller.environment() == Environment(20.125, 45.5, 101325.0)
+    controller.release()
+    assert board.outputs()["magnet"] == [0]
+    with pytest.raises(Refused, match="holds nothing"):
+        controller.release()
+    controller.laser_off()
+    assert board.outputs()["laser"][0] == 0
+    controller.close()
+    # The end of a session leaves the clamp where it was: moving it could strike the ball.
+    assert board.outputs()["clamp"] == [1]
+
+
+def test_pulse_ends_by_itself_and_brake_has_a_longest_time(board: FirmwareBoard) -> None:
+    controller = opened(board, watchdog_s=5.0)
+    controller.starter_pulse(0.080)
+    controller.brake(True)
+    board.wait_for(lambda: board.outputs()["brake"] == [0], 3.0)
+    began, ended = [row[0] for row in board.events() if row[1] == "starter"][-2:]
+    # The loop turns about every millisecond; the interpreter's machine may be busy.
+    assert 80 <= ended - began < 160
+    with pytest.raises(DeviceError, match="starter_max_s"):
+        controller.starter_pulse(60.0)
+    controller.starter_pulse(0.5)
+    with pytest.raises(Refused, match="pulse is running"):
+        controller.starter_pulse(0.5)
+    controller.close()
+
+
+def test_interlock_is_read_before_enabling_and_trips_while_lit(board: FirmwareBoard) -> None:
+    controller = opened(board, watchdog_s=5.0)
+    board.press(b"o")
+    board.wait_for(lambda: not controller.interlock_closed(), 2.0)
+    with pytest.raises(InterlockOpen, match="interlock is open"):
+        controller.laser_on()
+    assert board.count("laser", 1) == 0
+    board.press(b"c")
+    board.wait_for(controller.interlock_closed, 2.0)
+    controller.laser_on()
+    board.press(b"o")
+    board.wait_for(lambda: board.outputs()["laser"][0] == 0, 2.0)
+    status = controller.heartbeat()
+    assert (status.trip, status.laser_on, status.interlock_closed) == ("INTERLOCK", False, False)
+    assert controller.next_error()[0] == 102
+    assert [event.detail for event in controller.take_events()] == ["INTERLOCK"]
+    # Closing the interlock again lights nothing.
+    board.press(b"c")
+    board.wait_for(controller.interlock_closed, 2.0)
+    assert board.outputs()["laser"][0] == 0
+    controller.close()
+
+
+def test_environment_sensor_gone_is_nan_not_an_old_value(board: FirmwareBoard) -> None:
+    controller = opened(board, watchdog_s=5.0)
+    board.press(b"x")
+    board.wait_for(lambda: math.isnan(controller.environment().pressure_pa), 2.0)
+    assert controller.next_error()[1] == "Hardware error; environment sensor"
+    controller.close()
+
+
+def test_power_above_the_configured_limit_is_not_even_sent(board: FirmwareBoard) -> None:
+    controller = opened(board)
+    for power_w in (MAX_W * 1.000001, -1e-9, math.nan, math.inf):
+        with pytest.raises(PowerLimit, match="max_power_w"):
+            controller.set_laser_power_w(power_w)
+    controller.set_laser_power_w(MAX_W)
+    controller.laser_on()
+    assert board.outputs()["laser"][1] <= MAX_W
+    controller.close()
+
+
+def test_typed_by_hand_one_may_ask_but_not_act(board: FirmwareBoard) -> None:
+    with serial.Serial(board.port, timeout=1.0) as terminal:
+        terminal.write(b"*IDN?\r\n")
+        assert terminal.readline() == b"OK optical-pendulum-rig,controller,TEST0001,1.0\r\n"
+        terminal.write(b"laser:power:limit?\n")
+        assert terminal.readline() == b"OK 0.001\r\n"
+        terminal.write(b"LAS:STAT ON\n")
+        assert terminal.readline().startswith(b"!NAK")
+        terminal.write(b"SYST:ERR?\n")
+        assert terminal.readline() == b'OK -101,"Invalid character or checksum"\r\n'
+    assert board.count("laser", 1) == 0
+
+
+def test_a_repeated_line_is_answered_again_but_done_once(board: FirmwareBoard) -> None:
+    with serial.Serial(board.port, timeout=1.0) as line:
+        line.write(encode(1, "SYST:SESS A,5000"))
+        line.readline()
+        replies = []
+        for _ in range(3):
+            line.write(encode(2, "STAR:PULS 50"))
+            replies.append(line.readline())
+            board.wait_for(lambda: board.outputs()["starter"] == [0], 2.0)
+        assert replies[0].startswith(b"#2 OK")
+        assert replies == replies[:1] * 3
+    assert board.count("starter", 1) == 1
+
+
+def test_no_session_no_action(board: FirmwareBoard) -> None:
+    with serial.Serial(board.port, timeout=1.0) as line:
+        for tag, command in enumerate(("LAS:STAT ON", "MAGN ON", "STAR:PULS 10", "CLAM ON", "BRAK ON"), 1):
+            line.write(encode(tag, command))
+            assert b"ERR -203" in line.readline()
+    assert not any(board.count(name, 1) for name in ("laser", "magnet", "starter", "clamp", "brake"))
+
+
+def test_errors_beyond_the_queue_are_not_silent(board: FirmwareBoard) -> None:
+    with serial.Serial(board.port, timeout=1.0) as line:
+        for tag in range(1, 31):
+            line.write(encode(tag, "NO:SUCH"))
+            assert b"ERR -113" in line.readline()
+        codes = []
+        for tag in range(31, 60):
+            line.write(encode(tag, "SYST:ERR?"))
+            codes.append(int(line.readline().split(b" ")[2].split(b",")[0]))
+        assert codes == [-113] * 15 + [-350] + [0] * 13
+
+
+def test_endless_line_is_cut_and_the_next_one_read(board: FirmwareBoard) -> None:
+    with serial.Serial(board.port, timeout=1.0) as line:
+        line.write(b"x" * 5000 + b"\n")
+        assert line.readline().startswith(b"!NAK")
+        line.write(encode(9, "*IDN?"))
+        assert line.readline().startswith(b"#9 OK")
+
+
+def test_reset_in_mid_command_is_noticed_and_nothing_is_done_twice(
+    make_board: Callable[..., FirmwareBoard],
+) -> None:
+    board = make_board(through_wire=True)
+    assert board.wire is not None
+    controller = opened(board, watchdog_s=5.0)
+    controller.hold()
+    seen: list[bytes] = []
+
+    def reset_when_it_comes(data: bytes) -> bytes:
+        seen.append(data)
+        if len(seen) == 1:
+            # The board does it, its reply is lost and it is reset before the host asks again.
+            board.press(b"r")
+        return data
+
+    board.wire.to_board = reset_when_it_comes
+    board.wire.to_host = lambda data: data if b"!BOOT" in data else b""
+    with pytest.raises((ControllerReset, ReplyTimeout)):
+        controller.starter_pulse(0.02)
+    board.wire.to_host = lambda data: data
+    board.wait_for(lambda: board.count("boot", 1) == 2, 5.0)
+    with pytest.raises(ControllerReset):
+        controller.heartbeat()
+    assert board.count("starter", 1) <= 1
+    controller.open()
+    assert controller.heartbeat().trip == "NONE"
+    assert board.outputs()["magnet"] == [0]
+    controller.close()
+
+
+@pytest.mark.parametrize("direction", ["to_board", "to_host"])
+def test_junk_half_lines_and_losses_are_survived(
+    make_board: Callable[..., FirmwareBoard], direction: str
+) -> None:
+    board = make_board(through_wire=True)
+    assert board.wire is not None
+    controller = opened(board, watchdog_s=5.0, timeout_s=0.15, retries=5)
+    turn = 0
+
+    def spoil(data: bytes) -> bytes:
+        nonlocal turn
+        turn += 1
+        match turn % 7:
+            case 1:
+                return bytes(range(256)) + data
+            case 2:
+                return data[: len(data) // 2]
+            case 3:
+                return data.replace(b"4", b"5")
+            case 4:
+                return b"\x03\x04\x00\xff\n\n" + data
+            case _:
+                return data
+
+    setattr(board.wire, direction, spoil)
+    powers = [1e-6 * (1 + i) for i in range(40)]
+    controller.laser_on()
+    for power_w in powers:
+        controller.set_laser_power_w(power_w)
+    assert controller.line_counts()[2] > 5
+    lit = [row[2][1] for row in board.events() if row[1] == "laser" and row[2][0] == 1][1:]
+    # Each one arrived, once, unspoilt and in order, whatever the line did.
+    assert lit == pytest.approx(powers, rel=2e-6)
+    setattr(board.wire, direction, lambda data: data)
+    controller.close()
+
+
+def test_a_late_reply_is_not_taken_for_a_fresh_one(make_board: Callable[..., FirmwareBoard]) -> None:
+    board = make_board(through_wire=True)
+    assert board.wire is not None
+    controller = opened(board, watchdog_s=5.0, timeout_s=0.5, retries=0)
+    held: list[bytes] = []
+    wire = board.wire
+    wire.to_host = lambda data: held.append(data) or b""  # type: ignore[func-returns-value]
+    with pytest.raises(ReplyTimeout, match="no reply to LAS:POW"):
+        controller.set_laser_power_w(0.0007)
+    wire.to_host = lambda data: data
+    wire.inject(b"".join(held))
+    assert controller.environment() == Environment(20.125, 45.5, 101325.0)
+    assert controller.line_counts()[1] == 1
+    controller.close()
+
+
+def test_slow_replies_are_waited_for(make_board: Callable[..., FirmwareBoard]) -> None:
+    board = make_board(through_wire=True)
+    assert board.wire is not None
+    controller = opened(board, watchdog_s=5.0, timeout_s=0.3)
+
+    def slowly(data: bytes) -> bytes:
+        time.sleep(0.1)
+        return data
+
+    board.wire.to_host = slowly
+    assert controller.heartbeat().interlock_closed
+    assert controller.line_counts() == (0, 0, 0)
+    controller.close()
+
+
+def test_unplugged_is_a_lost_port_on_read_and_on_write(make_board: Callable[..., FirmwareBoard]) -> None:
+    board = make_board(through_wire=True)
+    assert board.wire is not None
+    controller = opened(board)
+    board.wire.unplug()
+    with pytest.raises(PortLost, match="check the cable"):
+        controller.heartbeat()
+    controller.close()
+
+
+def test_missing_port_is_named() -> None:
+    controller = Controller(settings_for("/dev/ttyNoSuchPort"), MAX_W)
+    with pytest.raises(PortLost, match="/dev/ttyNoSuchPort: cannot open"):
+        controller.open()
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [b"THORLABS,ITC4001,M00123,1.8\r\n", b"Syntax error: illegal command\r", b"$GPGGA,123519,4807\r\n", b""],
+)
+def test_wrong_device_is_not_taken_for_the_controller(
+    make_board: Callable[..., FirmwareBoard], answer: bytes
+) -> None:
+    board = make_board(through_wire=True)
+    assert board.wire is not None
+    board.wire.to_board = lambda data: b""
+    wire = board.wire
+    controller = Controller(settings_for(board.port, timeout_s=0.1, retries=1), MAX_W)
+
+    def other_device(data: bytes) -> bytes:
+        if data.strip():
+            wire.inject(answer)
+        return b""
+
+    board.wire.to_board = other_device
+    with pytest.raises(ReplyTimeout, match="check port") as raised:
+        controller.open()
+    if answer.endswith(b"\n"):
+        assert answer.strip().decode()[:10] in str(raised.value)
+
+
+def test_another_instrument_with_our_framing_is_named(make_board: Callable[..., FirmwareBoard]) -> None:
+    board = make_board(through_wire=True)
+    assert board.wire is not None
+    wire = board.wire
+
+    def other(data: bytes) -> bytes:
+        if b"*IDN?" in data:
+            body = b"#" + data.split(b"#")[1].split(b" ")[0] + b" OK somebody,else,1,1.0"
+            wire.inject(body + b"*%04X\n" % checksum(body))
+        return b""
+
+    wire.to_board = other
+    controller = Controller(settings_for(board.port), MAX_W)
+    with pytest.raises(DeviceError, match="'somebody,else,1,1\\.0' answers there"):
+        controller.open()

@@ -1,0 +1,163 @@
+"""The controller's thread: futures, deadlines, order of urgency, reconnection, no leaks."""
+
+import os
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from processing.errors import DeviceError
+from rig.control.controller import Controller, PowerLimit
+from rig.control.serial_port import PortLost
+from rig.control.service import ControlService, ControlState
+from rig.control.worker import Overdue, Worker
+from tests.rig.control.conftest import settings_for
+from tests.rig.control.wires import FirmwareBoard
+
+
+def until(condition: Callable[[], bool], timeout_s: float = 10.0) -> None:
+    end_s = time.monotonic() + timeout_s
+    while not condition():
+        assert time.monotonic() < end_s, "it did not come about"
+        time.sleep(0.005)
+
+
+def test_snapshot_follows_the_board(board: FirmwareBoard) -> None:
+    control = settings_for(board.port, heartbeat_s=0.05)
+    with ControlService(Controller(control, 0.001), control, environment_period_s=0.1) as service:
+        assert service.wait_open(10.0).serial == "TEST0001"
+        service.set_laser_power_w(0.0003).result(5.0)
+        service.laser_on().result(5.0)
+        until(lambda: (s := service.snapshot.status) is not None and s.laser_on and s.laser_power_w == 0.0003)
+        until(lambda: service.snapshot.environment.temperature_c == 20.125)
+        with pytest.raises(PowerLimit):
+            service.set_laser_power_w(1.0).result(5.0)
+        assert service.snapshot.state is ControlState.OPEN
+    assert service.snapshot.state is ControlState.CLOSED
+    assert board.outputs()["laser"][0] == 0
+    with pytest.raises(DeviceError, match="closed"):
+        service.laser_on().result(1.0)
+
+
+def test_reset_board_is_opened_anew_and_stays_dark(board: FirmwareBoard) -> None:
+    control = settings_for(board.port, heartbeat_s=0.05)
+    with ControlService(Controller(control, 0.001), control) as service:
+        service.wait_open(10.0)
+        service.laser_on().result(5.0)
+        board.press(b"r")
+        until(lambda: service.snapshot.reconnects == 1)
+        until(lambda: (s := service.snapshot.status) is not None and not s.laser_on)
+        assert board.outputs()["laser"][0] == 0
+        service.laser_on().result(5.0)
+        assert board.outputs()["laser"][0] == 1
+        assert any("reset" in event.text or "session" in event.text for event in service.take_events())
+
+
+def test_unplugged_and_plugged_in_again(make_board: Callable[..., FirmwareBoard], tmp_path: Path) -> None:
+    first = make_board(through_wire=True)
+    assert first.wire is not None
+    # As udev does: the name stays, the device behind it changes.
+    name = tmp_path / "rig-controller"
+    name.symlink_to(first.port)
+    control = settings_for(str(name), heartbeat_s=0.05, timeout_s=0.1)
+    with ControlService(Controller(control, 0.001), control) as service:
+        service.wait_open(10.0)
+        first.wire.unplug()
+        until(lambda: service.snapshot.state is ControlState.LOST)
+        assert service.snapshot.status is None
+        with pytest.raises(PortLost):
+            service.laser_on().result(5.0)
+        second = make_board()
+        name.unlink()
+        name.symlink_to(second.port)
+        until(lambda: service.snapshot.state is ControlState.OPEN)
+        service.laser_on().result(5.0)
+        assert second.outputs()["laser"][0] == 1
+        assert service.snapshot.reconnects == 1
+
+
+def test_many_callers_at_once(board: FirmwareBoard) -> None:
+    control = settings_for(board.port)
+    with ControlService(Controller(control, 0.001), control) as service:
+        service.wait_open(10.0)
+        failures: list[BaseException] = []
+
+        def call() -> None:
+            try:
+                for _ in range(50):
+                    assert (
+                        service.submit(lambda c: c.environment(), 20.0).result(20.0).temperature_c == 20.125
+                    )
+            except BaseException as error:
+                failures.append(error)
+
+        threads = [threading.Thread(target=call) for _ in range(4)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        assert failures == []
+
+
+def test_no_descriptor_is_left_behind(board: FirmwareBoard) -> None:
+    control = settings_for(board.port)
+    missing = settings_for("/dev/ttyNoSuchPort")
+
+    def open_and_close() -> None:
+        with ControlService(Controller(control, 0.001), control) as service:
+            service.wait_open(10.0)
+        with pytest.raises(PortLost):
+            Controller(missing, 0.001).open()
+
+    open_and_close()
+    before = len(os.listdir("/proc/self/fd"))
+    threads = threading.active_count()
+    for _ in range(40):
+        open_and_close()
+    assert len(os.listdir("/proc/self/fd")) == before
+    assert threading.active_count() == threads
+
+
+def test_urgent_jobs_go_first_and_late_ones_do_not_act() -> None:
+    order: list[str] = []
+    gate, begun = threading.Event(), threading.Event()
+
+    def wait() -> None:
+        begun.set()
+        gate.wait(10.0)
+
+    worker = Worker("test", lambda: 1.0, lambda: order.append("finish"))
+    worker.start()
+    blocked = worker.submit(wait, 10.0)
+    assert begun.wait(10.0)
+    late = worker.submit(lambda: order.append("late"), 0.05)
+    first = worker.submit(lambda: order.append("first"), 10.0)
+    urgent = worker.submit(lambda: order.append("urgent"), 10.0, urgent=True)
+    cancelled = worker.submit(lambda: order.append("cancelled"), 10.0)
+    assert cancelled.cancel()
+    time.sleep(0.1)
+    gate.set()
+    blocked.result(10.0)
+    first.result(10.0)
+    urgent.result(10.0)
+    with pytest.raises(Overdue, match="not given"):
+        late.result(10.0)
+    assert worker.close()
+    assert order == ["urgent", "first", "finish"]
+
+
+def test_an_error_of_ours_ends_the_thread_with_its_reason() -> None:
+    def turn() -> float:
+        raise ZeroDivisionError("a fault of ours")
+
+    finished: list[bool] = []
+    worker = Worker("test", turn, lambda: finished.append(True))
+    future = worker.submit(lambda: None, 10.0)
+    worker.start()
+    with pytest.raises(DeviceError, match="closed"):
+        future.result(10.0)
+    assert worker.close()
+    assert isinstance(worker.failure, ZeroDivisionError)
+    assert finished == [True]

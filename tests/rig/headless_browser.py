@@ -1,0 +1,139 @@
+"""A real Chromium without a screen, driven over its debugging pipe: no further package is needed."""
+
+import base64
+import contextlib
+import json
+import os
+import shutil
+import signal
+import subprocess
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import IO, Any
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+NAMES = ("chromium", "chromium-browser", "google-chrome")
+OPTIONS = (
+    "--headless",
+    "--remote-debugging-pipe",
+    "--no-sandbox",
+    "--no-first-run",
+    "--disable-quic",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--window-size=1500,950",
+)
+
+# The browser takes orders on descriptor 3 and answers on 4.
+REDIRECTED = 'exec "$0" "$@" 3<&0 4>&1 0</dev/null 1>&2'
+
+
+class HeadlessBrowser:
+    """One page of a browser; `requested`: every address it asked for, but for those its policy forbade."""
+
+    def __init__(self, orders: IO[bytes], answers: IO[bytes]) -> None:
+        self._orders = orders
+        self._answers = answers
+        self._number = 0
+        self._session: str | None = None
+        self._requests: dict[str, str] = {}
+        target = self.call("Target.createTarget", url="about:blank")["targetId"]
+        self._session = self.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
+        self.call("Network.enable")
+
+    @property
+    def requested(self) -> list[str]:
+        return list(self._requests.values())
+
+    def open(self, address: str) -> None:
+        """Go to an address; returns before everything is loaded."""
+        self.call("Page.navigate", url=address)
+
+    def picture(self) -> NDArray[np.uint8]:
+        """Photograph the page as (ny, nx, 3) RGB."""
+        data = base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"])
+        picture = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_COLOR)
+        assert picture is not None
+        return np.ascontiguousarray(picture[..., ::-1]).astype(np.uint8)
+
+    def call(self, method: str, **parameters: Any) -> dict[str, Any]:
+        """One call of the DevTools protocol."""
+        self._number += 1
+        order: dict[str, Any] = {"id": self._number, "method": method, "params": parameters}
+        if self._session is not None:
+            order["sessionId"] = self._session
+        self._orders.write(json.dumps(order).encode() + b"\0")
+        self._orders.flush()
+        while True:
+            answer = json.loads(self._next_answer())
+            event, told = answer.get("method"), answer.get("params", {})
+            if event == "Network.requestWillBeSent":
+                self._requests[told["requestId"]] = told["request"]["url"]
+            elif event == "Network.loadingFailed" and told.get("blockedReason") == "csp":
+                self._requests.pop(told["requestId"], None)
+            if answer.get("id") == self._number:
+                if "error" in answer:
+                    raise RuntimeError(f"{method}: {answer['error']['message']}")
+                result: dict[str, Any] = answer["result"]
+                return result
+
+    def _next_answer(self) -> bytes:
+        data = bytearray()
+        while (byte := self._answers.read(1)) != b"\0":
+            if not byte:
+                raise ConnectionError("the browser has ended")
+            data += byte
+        return bytes(data)
+
+
+@contextlib.contextmanager
+def headless_browser() -> Iterator[HeadlessBrowser]:
+    """A browser with an empty profile; skips the test where none is installed."""
+    executable = next((found for name in NAMES if (found := shutil.which(name))), None)
+    if executable is None or os.name != "posix":
+        pytest.skip(f"no browser: none of {', '.join(NAMES)} is installed (Debian: chromium)")
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
+        process = subprocess.Popen(
+            ["sh", "-c", REDIRECTED, executable, *OPTIONS, f"--user-data-dir={profile}"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+        )
+        assert process.stdin is not None
+        assert process.stdout is not None
+        try:
+            yield HeadlessBrowser(process.stdin, process.stdout)
+        finally:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+            process.stdin.close()
+            process.stdout.close()
+
+
+def wait_for_picture(
+    browser: HeadlessBrowser, good: Callable[[NDArray[np.uint8]], bool], limit_s: float, keep: Path
+) -> NDArray[np.uint8]:
+    """Photograph until `good` says so; the last picture is kept as a file, good or not."""
+    deadline = time.monotonic() + limit_s
+    while True:
+        try:
+            picture = browser.picture()
+        except RuntimeError:  # the page has not begun to load
+            if time.monotonic() > deadline:
+                raise
+        else:
+            if good(picture) or time.monotonic() > deadline:
+                cv2.imwrite(str(keep), picture[..., ::-1])
+                return picture
+        time.sleep(1.0)

@@ -1,0 +1,134 @@
+"""The Rerun viewer without a screen: drawn by Mesa's software Vulkan, driven and photographed."""
+
+import contextlib
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from rerun.experimental import ViewerClient, ViewerState
+
+from rig.view.ports import LOOPBACK, free_port
+from rig.view.process_group import own_group
+from rig.view.rerun_program import program, quiet_environment
+
+ICD_FOLDERS = ("/usr/share/vulkan/icd.d", "/usr/local/share/vulkan/icd.d", "/etc/vulkan/icd.d")
+TOASTS_GONE_S = 9.0
+"""The viewer's start-up messages cover a corner for so long."""
+
+
+def software_vulkan() -> Path | None:
+    """Description of Mesa's software Vulkan driver, where it is installed."""
+    found = [path for folder in ICD_FOLDERS for path in sorted(Path(folder).glob("lvp_icd*.json"))]
+    return found[0] if found else None
+
+
+def require_software_vulkan() -> None:
+    """Skip the test where no picture can be drawn."""
+    if not sys.platform.startswith("linux"):
+        pytest.skip("the headless viewer is tested on Linux, with Mesa's software Vulkan")
+    if software_vulkan() is None:
+        pytest.skip("Mesa's software Vulkan is not installed (Debian: mesa-vulkan-drivers, libvulkan1)")
+
+
+class HeadlessViewer:
+    """A running viewer without a window."""
+
+    def __init__(self, process: subprocess.Popen[bytes], client: ViewerClient, started_s: float) -> None:
+        self.process = process
+        self.client = client
+        self._started_s = started_s
+
+    def wait_loaded(self, limit_s: float = 40.0) -> ViewerState:
+        """The viewer's state once a recording and its layout have arrived."""
+        deadline = time.monotonic() + limit_s
+        while True:
+            state = self.client.get_state()
+            if state.views and state.recordings and state.recordings[0].timelines and not state.loading:
+                return state
+            if time.monotonic() > deadline:
+                raise TimeoutError(f"the viewer shows nothing: {state}")
+            time.sleep(0.2)
+
+    def rest(self) -> None:
+        """Wait until the start-up messages have gone."""
+        time.sleep(max(0.0, self._started_s + TOASTS_GONE_S - time.monotonic()))
+
+    def picture(self, path: Path, view: str | None = None) -> NDArray[np.uint8]:
+        """Photograph the window, or one view by its name, as (ny, nx, 3) RGB."""
+        view_id = None
+        if view is not None:
+            view_id = next(known.view_id for known in self.client.get_state().views if known.name == view)
+        self.client.save_screenshot(str(path), view_id)
+        deadline = time.monotonic() + 10.0
+        while not path.exists() and time.monotonic() < deadline:
+            time.sleep(0.1)
+        picture = cv2.imread(str(path), cv2.IMREAD_COLOR)
+        assert picture is not None, f"no picture at {path}"
+        return np.ascontiguousarray(picture[..., ::-1]).astype(np.uint8)
+
+    def problems(self) -> list[str]:
+        """Warnings and errors that the viewer logged, but for those about drawing in software."""
+        entries = (entry for entry in self.client.get_logs() if entry.level in {"WARN", "ERROR"})
+        return [entry.message for entry in entries if "Software rasterizer" not in entry.message]
+
+
+@contextlib.contextmanager
+def headless_viewer(*arguments: str, size: str = "1500x950") -> Iterator[HeadlessViewer]:
+    """A viewer with these arguments (files, ``--connect URL``), ended with the block."""
+    with tempfile.TemporaryDirectory() as runtime:
+        port = free_port(0)
+        process = subprocess.Popen(
+            [
+                *(program(), "--headless", "--bind", LOOPBACK, "--port", str(port)),
+                *("--window-size", size, "--hide-welcome-screen", *arguments),
+            ],
+            env=headless_environment(runtime),
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            **own_group(),
+        )
+        try:
+            started_s = time.monotonic()
+            yield HeadlessViewer(process, connected(port, started_s + 40.0), started_s)
+        finally:
+            process.kill()
+            process.wait()
+
+
+def headless_environment(runtime: str) -> dict[str, str]:
+    """What the viewer needs to draw in software; `runtime` is a folder of its own."""
+    return {
+        **quiet_environment(),
+        "VK_ICD_FILENAMES": str(software_vulkan()),
+        "WGPU_BACKEND": "vulkan",
+        "XDG_RUNTIME_DIR": os.environ.get("XDG_RUNTIME_DIR", runtime),
+    }
+
+
+def connected(port: int, deadline: float) -> ViewerClient:
+    """A viewer's remote control, as soon as it answers on its port."""
+    while True:
+        try:
+            client = ViewerClient.connect(f"rerun+http://{LOOPBACK}:{port}/proxy")
+            client.get_state()
+        except (RuntimeError, OSError):
+            if time.monotonic() > deadline:
+                raise
+            time.sleep(0.2)
+        else:
+            return client
+
+
+def pixels_of(picture: NDArray[np.uint8], colour: str, tolerance: int = 40) -> int:
+    """How many pixels of an RGB picture have the ``#RRGGBB`` colour, within a tolerance a channel."""
+    wanted = np.array([int(colour[i : i + 2], 16) for i in (1, 3, 5)])
+    return int(np.count_nonzero((np.abs(picture.astype(int) - wanted) <= tolerance).all(axis=2)))

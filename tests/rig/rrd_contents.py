@@ -1,0 +1,35 @@
+"""What an .rrd file holds, read with Rerun's own reader."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from rerun.chunk import RrdReader
+
+
+def entities(path: Path) -> set[str]:
+    """Paths of all entities."""
+    return {str(chunk.entity_path) for chunk in RrdReader(path).stream()}
+
+
+def column(path: Path, entity: str, component: str) -> tuple[np.ndarray[Any, Any], list[Any]]:
+    """Times in s, ascending, and values of one component of an entity."""
+    times: list[np.ndarray[Any, Any]] = []
+    values: list[Any] = []
+    for chunk in RrdReader(path).stream():
+        batch = chunk.to_record_batch()
+        if str(chunk.entity_path) == entity and component in batch.schema.names and not chunk.is_static:
+            times.append(batch.column("run_time").cast(pa.int64()).to_numpy() * 1e-9)
+            values.extend(batch.column(component).to_pylist())
+    if not times:
+        return np.empty(0), []
+    joined = np.concatenate(times)
+    order = np.argsort(joined, kind="stable")
+    return joined[order], [values[row] for row in order]
+
+
+def scalars(path: Path, entity: str) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
+    """Times in s and values of a curve."""
+    times_s, values = column(path, entity, "Scalars:scalars")
+    return times_s, np.array([value[0] for value in values])

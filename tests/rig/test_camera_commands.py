@@ -1,0 +1,141 @@
+"""`rig devices`, `rig camera` and what stands behind them, on the simulated rig."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from acquisition.camera import CameraSettings
+from acquisition.cameras.simulated import SimulatedCamera
+from acquisition.cameras.usb3vision.discovery import FoundCamera
+from acquisition.frame import Frame
+from acquisition.simulation.settings import SimulationSettings
+from processing.errors import DeviceError
+from rig import camera_picture
+from rig.auto_exposure import find_exposure
+from rig.camera_checks import check_usb_camera, check_usb_memory
+from rig.cli import app
+
+DEMO = str(Path(__file__).resolve().parents[2] / "configs" / "demo.toml")
+
+
+def spot(sigma_px: float, peak_dn: float) -> np.ndarray:
+    y, x = np.mgrid[:120, :160]
+    light = peak_dn * np.exp(-((x - 80.3) ** 2 + (y - 60.7) ** 2) / (2 * sigma_px**2))
+    return np.rint(light + 40).astype(np.uint16)
+
+
+@pytest.mark.parametrize("sigma_px", [4.0, 7.0, 12.0])
+def test_sharpness_is_one_over_the_spot_size_whatever_the_brightness(sigma_px: float) -> None:
+    for peak_dn in (800.0, 3000.0):
+        seen = camera_picture.figures(spot(sigma_px, peak_dn), 4095)
+        assert seen.sharpness_per_px * sigma_px == pytest.approx(1.0, rel=0.04)
+
+
+def test_peak_and_saturation() -> None:
+    image = spot(6.0, 2000.0)
+    image[3, 3] = 4095  # one hot pixel is no peak, but it is saturated
+    seen = camera_picture.figures(image, 4095)
+    # the median of 3 x 3 lies about 1.2 px beside the top: exp(-1.2^2 / 72) = 0.98 of the light
+    assert seen.peak == pytest.approx((40 + 0.98 * 2000) / 4095, rel=0.01)
+    assert seen.saturated_px == 1
+    assert seen.background == pytest.approx(40 / 4095)
+
+
+def test_an_average_brings_noise_down_with_the_root_of_the_number() -> None:
+    random = np.random.default_rng(3)
+    frames = [
+        Frame(random.normal(2000, 20, (100, 100)).round().astype(np.uint16), number, number, number)
+        for number in range(25)
+    ]
+    assert camera_picture.average(frames).std() == pytest.approx(20 / 5, rel=0.05)
+
+
+@pytest.mark.parametrize("exposure_us", [1.0, 20.0, 5000.0])
+def test_exposure_is_found_from_far_too_dark_and_far_too_bright(exposure_us: float) -> None:
+    camera = SimulatedCamera(SimulationSettings())
+    info = camera.open()
+    start = camera.configure(CameraSettings(exposure_us=exposure_us))
+    found = find_exposure(camera, info, start, 0.7)
+    assert found.peak == pytest.approx(0.7, rel=0.03)
+    assert found.applied.exposure_us == found.exposure_us
+    camera.start()
+    frame = camera.read(5.0)
+    assert frame is not None
+    assert camera_picture.figures(frame.image, info.full_scale_dn).peak == pytest.approx(0.7, rel=0.06)
+    camera.close()
+
+
+def test_a_dark_camera_says_what_to_look_at() -> None:
+    dark = SimulationSettings.model_validate({"optics": {"peak_dn": 0.0}})
+    camera = SimulatedCamera(dark)
+    info = camera.open()
+    with pytest.raises(DeviceError, match="laser power"):
+        find_exposure(camera, info, camera.configure(CameraSettings(exposure_us=100.0)))
+    camera.close()
+
+
+def test_devices_lists_and_says_nothing_is_there_where_it_is_so() -> None:
+    done = CliRunner().invoke(app, ["devices"])
+    assert done.exit_code == 0
+    assert "camera" in done.output
+
+
+def test_show_set_snap_focus_expose(tmp_path: Path) -> None:
+    run = CliRunner().invoke
+    shown = run(app, ["camera", "show", DEMO])
+    assert shown.exit_code == 0
+    assert "camera.exposure_us = " in shown.output
+    done = run(app, ["camera", "set", DEMO, "exposure_us=50"])
+    assert "camera.exposure_us = 50" in done.output
+    assert run(app, ["camera", "set", DEMO, "nonsense=1"]).exit_code != 0
+    png = tmp_path / "one.png"
+    done = run(
+        app, ["camera", "snap", DEMO, "-o", str(png), "--average", "4", "--set", "camera.pixel_format=mono12"]
+    )
+    assert done.exit_code == 0
+    image = cv2.imread(str(png), cv2.IMREAD_UNCHANGED)
+    assert image is not None
+    assert image.dtype == np.uint16, "a PNG keeps all bits"
+    assert image.max() > 255
+    assert "DN" in done.output
+    again = run(app, ["camera", "snap", DEMO, "-o", str(png)])
+    assert "not written over" in str(again.exception)
+    done = run(app, ["camera", "focus", DEMO, "--seconds", "0.5"])
+    assert "sharpness" in done.output
+    done = run(app, ["camera", "expose", DEMO])
+    assert "camera.exposure_us = " in done.output
+
+
+def test_checks_name_the_rule_and_the_port() -> None:
+    found = FoundCamera("Testwerk", "T1", "7", "high speed", False, None)
+    allowed, speed = check_usb_camera(found)
+    assert not allowed.ok
+    assert ".rules" in allowed.remedy
+    assert not speed.ok
+    assert "USB 3" in speed.remedy
+
+
+def test_usb_memory_is_compared_with_the_frames(tmp_path: Path) -> None:
+    limit = tmp_path / "usbfs_memory_mb"
+    limit.write_text("16\n")
+    (small,) = check_usb_memory(640 * 480, limit)
+    assert small.ok
+    (large,) = check_usb_memory(5_000_000, limit)
+    assert not large.ok
+    assert "tee" in large.remedy
+
+
+def test_the_commands_of_the_guide_run_as_they_stand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    root = Path(DEMO).parents[1]
+    lines = (root / "docs" / "cameras.md").read_text(encoding="utf-8").splitlines()
+    commands = [line.split()[1:] for line in lines if line.startswith("    rig ")]
+    assert len(commands) >= 6
+    (tmp_path / "configs").symlink_to(root / "configs")
+    monkeypatch.chdir(tmp_path)
+    for words in commands:
+        done = CliRunner().invoke(app, words)
+        assert done.exit_code == 0, f"{words}: {done.output} {done.exception}"
+    assert (tmp_path / "one-frame.png").is_file()

@@ -1,0 +1,68 @@
+"""The commands of README and docs, run as they stand there."""
+
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+DOCUMENTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+SHORT = ["--set", "session.max_duration_s=70"]
+
+
+def indented(document: Path) -> list[str]:
+    """Command lines: indented by four spaces, in or out of a fence, comments cut off."""
+    lines = re.findall(r"^ {4}(?:\$ )?((?:rig|make) .*)$", document.read_text(encoding="utf-8"), re.MULTILINE)
+    return [line.split("  #")[0].strip() for line in lines]
+
+
+def test_make_targets_that_are_named_exist() -> None:
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    targets = set(re.findall(r"^([\w-]+):", makefile, re.MULTILINE))
+    named = {
+        line.split()[1] for document in DOCUMENTS for line in indented(document) if line.startswith("make ")
+    }
+    assert {"demo", "test"} <= named
+    assert named <= targets
+
+
+def test_commands_that_are_named_exist() -> None:
+    listing = subprocess.run(
+        [sys.executable, "-m", "rig", "--help"], capture_output=True, text=True, check=True
+    )
+    known = set(re.findall(r"^  (\w+) ", listing.stdout, re.MULTILINE))
+    for document in DOCUMENTS:
+        named = set(re.findall(r"`rig (\w+)", document.read_text(encoding="utf-8")))
+        assert named <= known, f"{document.name}: {named - known}"
+
+
+def test_pictures_and_pages_that_are_linked_exist() -> None:
+    for document in DOCUMENTS:
+        for target in re.findall(r"\]\(([^)#]+)", document.read_text(encoding="utf-8")):
+            if "://" not in target:
+                assert (document.parent / target).exists(), f"{document.name}: {target}"
+
+
+@pytest.mark.slow
+def test_the_readme_from_top_to_bottom(tmp_path: Path) -> None:
+    (tmp_path / "configs").symlink_to(ROOT / "configs")
+    commands = [line for line in indented(ROOT / "README.md") if line.startswith("rig ")]
+    assert len(commands) >= 6
+    for line in commands:
+        words = shlex.split(line)[1:]
+        # two minutes of swings instead of twenty
+        extra = SHORT if words[0] == "run" else []
+        done = subprocess.run(
+            [sys.executable, "-m", "rig", *words, *extra],
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            stdin=subprocess.DEVNULL,
+            check=False,
+        )
+        assert done.returncode == 0, f"{line}: {done.stderr[-500:]}"
+    assert (tmp_path / "first.rrd").stat().st_size > 0
+    assert (tmp_path / "runs" / "first" / "report.html").exists()

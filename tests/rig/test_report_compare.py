@@ -1,0 +1,69 @@
+"""`rig compare`: series beside each other."""
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from processing.errors import RecordError
+from rig.report.comparison import compare
+
+
+def session(folder: Path, changed: str = "", by: float = 0.0) -> Path:
+    """A session of three runs whose combined parameters are stated; one moved by some uncertainties."""
+    values = {"b": 3.7e-3, "p": 0.94, "c": 1.05e-8, "n": 0.092, "period0_s": 4.071, "gamma_pa": 2.9e7}
+    exact: dict[str, Any] = {}
+    for name, value in values.items():
+        u = 1e-3 * value
+        middle = value + by * u * (name == changed)
+        exact[name] = {
+            "value": middle, "standard_uncertainty": u, "expanded_uncertainty_95": 4.3 * u,
+            "degrees_of_freedom": 2, "within_runs": u, "between_runs": 0.0, "p_homogeneous": 0.5,
+            "runs": [{"value": middle, "standard_uncertainty": 1.7 * u}] * 3,
+        }  # fmt: skip
+    folder.mkdir()
+    tree = {"schema": 1, "runs": [{"record": f"run-{k}.mcap"} for k in (1, 2, 3)], "series": {"exact": exact}}
+    (folder / "results.json").write_text(json.dumps(tree))
+    return folder
+
+
+def test_only_what_differs_is_said_to_differ(tmp_path: Path) -> None:
+    """With two degrees of freedom each, 80 uncertainties are needed to be sure among six parameters."""
+    _, differences = compare([session(tmp_path / "dry"), session(tmp_path / "wet", "gamma_pa", 80.0)], None)
+    verdicts = {str(row[2]): str(row[-1]) for row in differences.rows}
+    assert verdicts.pop("gamma_pa") == "differ"
+    assert set(verdicts.values()) == {"no difference seen"}
+    row = next(row for row in differences.rows if row[2] == "gamma_pa")
+    assert float(row[3]) == pytest.approx(-80e-3 * 2.9e7)
+
+
+def test_table_and_plot_of_three_series(tmp_path: Path) -> None:
+    folders = [session(tmp_path / name) for name in ("a", "b", "c")]
+    values, differences = compare(folders, tmp_path / "page.html")
+    assert list(values.head) == ["", "a", "b", "c"]
+    assert len(differences.rows) == 3 * 6
+    page = (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert re.findall(r'src="(\w+:)', page) == ["data:"]
+    assert (tmp_path / "page" / "comparison.svg").stat().st_size > 1000
+    assert len((tmp_path / "page" / "values.csv").read_text().splitlines()) == 7
+
+
+def test_a_measured_series_takes_part(measured_series: Path, tmp_path: Path) -> None:
+    values, _ = compare([measured_series, session(tmp_path / "other")], None)
+    row = next(row for row in values.rows if row[0] == "period0_s")
+    tree = json.loads((measured_series / "results.json").read_text())
+    assert row[1] == tree["series"]["exact"]["period0_s"]["value"]
+
+
+def test_bad_input_is_one_line(tmp_path: Path) -> None:
+    one = session(tmp_path / "one")
+    with pytest.raises(RecordError, match="at least two sessions"):
+        compare([one], None)
+    unfitted = tmp_path / "unfitted"
+    unfitted.mkdir()
+    tree = {"runs": [{"record": "run-1.mcap", "problem": "no [pendulum]"}], "series": {}}
+    (unfitted / "results.json").write_text(json.dumps(tree))
+    with pytest.raises(RecordError, match=r"no run of it was fitted \(no \[pendulum\]\)"):
+        compare([one, unfitted], None)

@@ -1,0 +1,123 @@
+"""A fixed scene for the view: a minute of a decay with every kind of thing that is shown.
+
+The numbers are made up to be seen (a tilted, slowly turning ellipse with some of the fast mode); no
+physics is tested with them.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.view.messages import Curve
+from rig.view.viewer import Viewer
+
+PERIOD_S = 4.07
+SECONDS = 60.0
+RATE_HZ = 100.0
+
+
+def play(viewer: Viewer, *, run: str = "", seed: int = 1, seconds: float = SECONDS, fits: bool = True) -> int:
+    """Hand a whole scene to a viewer; how many samples it has."""
+    random = np.random.default_rng(seed)
+    count = 0
+    for time_s in blocks(seconds):
+        x, y = trajectory(time_s, random)
+        viewer.samples(time_s, x, y, np.zeros(len(time_s), dtype=np.int64), run=run)
+        count += len(time_s)
+        if round(time_s[0] * 10) % 20 == 0:
+            _half_cycle(viewer, float(time_s[0]), random, run)
+        if round(time_s[0] * 10) % 200 == 0:
+            end_s, spot = float(time_s[-1]), (320.0 + 2.2 * x[-1], 160.0 - 1.2 * y[-1])
+            viewer.image(end_s, spot_image(spot, random), spot, run=run)
+            viewer.losses(
+                end_s, {"dropped_frames": round(end_s / 10), "lost_spots": round(end_s / 20)}, run=run
+            )
+            viewer.state(f"**measuring**\n\n- time {end_s:.0f} s\n- 2 frames dropped", time_s=end_s, run=run)
+            viewer.event(end_s, "warning", "gap: 1 frame is missing", run=run)
+    if fits:
+        viewer.fits(
+            curves(), "# steel on K8 glass\n\n| | exact | u |\n|---|---|---|\n| p | 0.50 | 0.01 |", run=run
+        )
+    return count
+
+
+def blocks(seconds: float) -> Iterator[NDArray[np.float64]]:
+    """Times of the samples, a tenth of a second at once."""
+    rows = round(RATE_HZ / 10)
+    for first in range(0, round(seconds * RATE_HZ), rows):
+        yield np.arange(first, first + rows) / RATE_HZ
+
+
+def trajectory(
+    time_s: NDArray[np.float64], random: np.random.Generator
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """X and Y in arcsec."""
+    amplitude = 120 * np.exp(-time_s / 900)
+    phase = 2 * np.pi * time_s / PERIOD_S
+    fast = 2.5 * np.exp(-time_s / 200) * np.cos(5.1 * phase)
+    noise = random.normal(0, 0.02, (2, len(time_s)))
+    return 0.03 * amplitude * np.cos(phase + 0.4) + fast + noise[0], amplitude * np.cos(phase) + noise[1]
+
+
+def spot_image(spot: tuple[float, float], random: np.random.Generator) -> NDArray[np.uint8]:
+    """A camera image of 320 x 640 with a spot."""
+    y, x = np.mgrid[:320, :640]
+    light = 200 * np.exp(-((x - spot[0]) ** 2 + (y - spot[1]) ** 2) / (2 * 12**2))
+    return np.clip(light + random.normal(8, 1.5, x.shape), 0, 255).astype(np.uint8)
+
+
+def curves() -> list[Curve]:
+    """One curve and more for every panel of the analysing layout."""
+    random = np.random.default_rng(2)
+    time_s = np.arange(0, 1180, PERIOD_S / 2)
+    amplitude = 124 * np.exp(-time_s / 300)
+    u = np.full(len(time_s), 0.005)
+    u_period = 0.05 / amplitude
+    period = PERIOD_S * (1 + 3e-5 * amplitude**0.7)
+    phase = np.linspace(0, 2 * np.pi, 400)
+    noise = random.normal(size=(3, len(time_s)))
+    loops = [
+        Curve("loops", f"{a} arcsec", a * np.cos(phase), 4e-3 * a * np.cos(phase) - 0.1 * np.sin(phase))
+        for a in (124, 50)
+    ]
+    return [
+        Curve("decay", "measured", time_s, amplitude + u * noise[0], u, "points"),
+        Curve("decay", "exact fit", time_s, amplitude),
+        Curve("residuals", "exact", time_s, u * noise[0], u, "points"),
+        Curve("residuals", "asymptotic", time_s, u * noise[1] + 0.004 * np.sin(time_s / 200), None, "points"),
+        Curve("period", "measured", amplitude, period + u_period * noise[2], u_period, "points"),
+        Curve("period", "exact fit", amplitude, period),
+        Curve("period_residuals", "exact", amplitude, 1e3 * u_period * noise[2], 1e3 * u_period, "points"),
+        *loops,
+    ]
+
+
+def _half_cycle(viewer: Viewer, time_s: float, random: np.random.Generator, run: str) -> None:
+    amplitude = 120 * np.exp(-time_s / 900)
+    noise = random.normal(size=8)
+    viewer.swings(
+        [time_s],
+        [amplitude + 0.005 * noise[0]],
+        [PERIOD_S * (1 + 2e-5 * amplitude) + 0.03 / amplitude * noise[1]],
+        u_amplitude_arcsec=[0.005],
+        u_period_s=[0.03 / amplitude],
+        run=run,
+    )
+    viewer.balance(
+        time_s,
+        {
+            "transverse_arcsec": (2.5 * np.exp(-time_s / 200) + 0.02 * noise[2], 0.02),
+            "transverse_ratio": (0.02 + 0.0005 * noise[3], 0.0005),
+            "width_ratio": (0.011 + 0.0005 * noise[4], 0.0005),
+            "line_angle_deg": (1.6 + 0.01 * noise[5], 0.01),
+            "rotation_deg_per_min": (0.05 + 0.02 * noise[6], 0.02),
+            "rest_x_arcsec": (0.5 + 0.001 * time_s, 0.01),
+            "rest_y_arcsec": (-1.1 + 0.002 * time_s, 0.01),
+            "drift_x_arcsec_per_min": (0.06, 0.004),
+            "drift_y_arcsec_per_min": (0.12, 0.005),
+            "period_ratio": (5.1 + 0.001 * noise[7], 0.003),
+        },
+        advice="The line is tilted by **1.60°** clockwise.",
+        run=run,
+    )
