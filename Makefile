@@ -1,0 +1,63 @@
+# make demo   a whole simulated measurement, from frames to friction parameters
+# make test   install what tests need and run them all
+PYTHON ?= python3
+VENV   := .venv
+BIN    := $(VENV)/bin
+PIP    := $(BIN)/python -m pip --disable-pip-version-check
+INSTALL = $(PIP) install --quiet
+
+.DELETE_ON_ERROR:
+.PHONY: demo test test-quick test-kernel bench lint format pins clean
+
+demo: $(VENV)/.installed
+	$(BIN)/rig run configs/demo.toml $(ARGS)
+
+test: $(VENV)/.installed-test
+	$(BIN)/python -m pytest -m "not bench and not kernel" $(ARGS)
+
+test-quick: $(VENV)/.installed-test
+	$(BIN)/python -m pytest $(ARGS)
+
+test-kernel: $(VENV)/.installed-test
+	$(BIN)/python -m pytest -m kernel tests/kernel -rs $(ARGS)
+
+lint: $(VENV)/.installed-test
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+format: $(VENV)/.installed-test
+	$(BIN)/ruff format .
+	$(BIN)/ruff check --fix .
+
+bench: $(VENV)/.installed-test
+	-$(PIP) install --quiet ".[bench]"
+	$(BIN)/python -m tests.benchmarks $(ARGS)
+
+# A virtual environment is rebuilt only when what goes into it has changed.
+$(VENV)/bin/python:
+	@$(PYTHON) -c 'import sys; sys.exit("python >= 3.11 is needed, this is " + sys.version.split()[0] + "; try: make PYTHON=python3.12") if sys.version_info < (3, 11) else None'
+	$(PYTHON) -m venv $(VENV)
+
+# Everything is pinned with hashes, which pip checks; then the package itself, with nothing left to resolve.
+$(VENV)/.installed: pyproject.toml constraints.txt | $(VENV)/bin/python
+	$(INSTALL) --requirement constraints.txt
+	$(INSTALL) --no-deps --no-build-isolation --editable .
+	@touch $@
+
+$(VENV)/.installed-test: $(VENV)/.installed constraints-test.txt
+	$(INSTALL) --requirement constraints-test.txt
+	@touch $@
+
+# Pins are made anew by hand, with pip-tools in the environment, when a range in pyproject.toml changes.
+COMPILE = $(BIN)/pip-compile --quiet --generate-hashes --allow-unsafe --strip-extras --no-header --no-emit-index-url \
+  --no-emit-find-links --no-emit-trusted-host --no-emit-options --annotation-style=line
+
+pins: $(VENV)/.installed
+	$(PIP) install --quiet pip-tools
+	$(COMPILE) --extra test --output-file constraints-test.txt pyproject.toml constraints.in
+	$(COMPILE) --output-file constraints.txt pyproject.toml constraints.in
+
+clean:
+	rm -rf build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
