@@ -4,6 +4,7 @@ import logging
 import math
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 
@@ -77,6 +78,7 @@ class Run:
         self._reason = ""
         self._failure: Exception | None = None
         self._snapshot = Snapshot()
+        self._asked: deque[Snapshot] = deque()
         self._lost_before = 0
 
     @property
@@ -102,6 +104,9 @@ class Run:
         while not done:
             try:
                 done = self._done.wait(interval_s)
+                # what the operator is asked to do is shown also where it was asked only between two looks
+                while self._asked:
+                    show(self._asked.popleft())
                 show(self._snapshot)
             except KeyboardInterrupt:
                 self.request_stop("stopped by the user")
@@ -261,7 +266,10 @@ class Run:
             watcher.snapshot(self._snapshot)
 
     def _report(self, snapshot: Snapshot) -> None:
+        asked_before = self._snapshot.instruction
         self._snapshot = self._with_surroundings(snapshot)
+        if snapshot.instruction and snapshot.instruction != asked_before:
+            self._asked.append(self._snapshot)
         for watcher in self._watchers:
             watcher.snapshot(self._snapshot)
 
