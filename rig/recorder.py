@@ -3,7 +3,6 @@
 import logging
 import queue
 import threading
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -15,7 +14,8 @@ from processing.spot import Spot
 from rig.pipeline import Block
 
 _log = logging.getLogger(__name__)
-_FLUSH_INTERVAL_S = 0.8
+_IDLE_S = 0.2
+"""So often it is asked whether to flush, where nothing comes."""
 
 
 class Window(NamedTuple):
@@ -82,10 +82,9 @@ class Recorder:
         self._thread.join()
 
     def _work(self) -> None:
-        flushed_s = time.monotonic()
         while True:
             try:
-                entry = self._entries.get(timeout=_FLUSH_INTERVAL_S)
+                entry = self._entries.get(timeout=_IDLE_S)
             except queue.Empty:
                 entry = Entry()
             try:
@@ -94,9 +93,7 @@ class Recorder:
                     return
                 if self.error is None:
                     self._write(entry)
-                    if time.monotonic() - flushed_s >= _FLUSH_INTERVAL_S:
-                        self._writer.flush()
-                        flushed_s = time.monotonic()
+                    self._writer.flush_if_due()
             except Exception as error:
                 if self.error is None:
                     self.error = error

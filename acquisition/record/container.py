@@ -9,6 +9,7 @@ import errno
 import os
 import struct
 import sys
+import threading
 import zlib
 from collections import Counter
 from collections.abc import Mapping
@@ -33,6 +34,7 @@ from mcap.records import (
     SummaryOffset,
 )
 
+from acquisition.record.background_sync import BackgroundSync
 from acquisition.record.chunk_builder import ChunkBuilder
 from acquisition.record.reserve import Reserve
 
@@ -69,6 +71,8 @@ class McapFile:
         self._start_ns = 0
         self._end_ns = 0
         self._reserve_bytes = reserve_bytes
+        self._reserve_lock = threading.Lock()
+        self._background = BackgroundSync(self._force)
         self._compressor = zstandard.ZstdCompressor(level=_ZSTD_LEVEL)
         self._file = path.open("xb", buffering=0)
         try:
@@ -167,19 +171,28 @@ class McapFile:
         )
         builder.clear()
 
-    def sync(self) -> None:
-        """Force what was appended to the disk, and keep room for the end of the file."""
-        try:
-            if self.full is None:
-                self._reserve.hold(self._reserve_bytes + len(self._chunk_index) + _SPARE_BYTES)
-            _sync_file(self._file.fileno())
-        except OSError as error:
-            if not self._give_reserve_back(error):
-                raise
-            _sync_file(self._file.fileno())
+    def sync(self, wait: bool = True) -> None:
+        """Force what was appended to the disk, and keep room for the end of the file.
+
+        Without `wait` a thread of its own does that: the disk may take its time, and nothing that is
+        appended meanwhile waits for it. What goes wrong there is raised by `raise_failure`.
+        """
+        if wait:
+            self._background.wait()
+            self.raise_failure()
+            self._force()
+        else:
+            self._background.request()
+
+    def raise_failure(self) -> None:
+        """Raise what a `sync` that was not waited for met; once."""
+        failure = self._background.take_failure()
+        if failure is not None:
+            raise failure
 
     def finish(self) -> None:
         """Write the summary, or where there is no room even for that a bare end, and close."""
+        self._background.wait()
         try:
             try:
                 self._append(self._ending())
@@ -188,11 +201,13 @@ class McapFile:
                     raise
                 self._append(serialised(DataEnd(self._crc)) + serialised(Footer(0, 0, 0)) + MAGIC)
             _sync_file(self._file.fileno())
+            self.raise_failure()
         finally:
             self.abandon()
 
     def abandon(self) -> None:
         """Close as it is; never raises."""
+        self._background.wait()
         with contextlib.suppress(OSError):
             self._reserve.release()
         with contextlib.suppress(OSError):
@@ -223,11 +238,25 @@ class McapFile:
             self._file.truncate(self.size)
             self._file.seek(self.size)
 
+    def _force(self) -> None:
+        try:
+            with self._reserve_lock:
+                needed = self._reserve_bytes + len(self._chunk_index) + _SPARE_BYTES
+                if self.full is None and self._reserve.size < needed:
+                    # in steps, since each growth is a write to the disk of its own
+                    self._reserve.hold(needed + _SPARE_BYTES)
+            _sync_file(self._file.fileno())
+        except OSError as error:
+            if not self._give_reserve_back(error):
+                raise
+            _sync_file(self._file.fileno())
+
     def _give_reserve_back(self, error: OSError) -> bool:
         if error.errno not in _FULL_DISK:
             return False
-        self.full = self.full or error
-        return self._reserve.release()
+        with self._reserve_lock:
+            self.full = self.full or error
+            return self._reserve.release()
 
     def _ending(self) -> bytes:
         """DataEnd, summary, footer and magic."""

@@ -56,8 +56,8 @@ class RecordWriter:
 
     The file is made anew under its final name and never overwrites one; as long as it has no
     footer it is a cut one. What was flushed survives a kill or a power cut. Every call that writes
-    flushes by itself when `flush_interval_s` has gone by; `flush` is for the times when nothing is
-    written. When the disk is full a reserve that was set aside at the opening is given back, what
+    flushes by itself when `flush_interval_s` has gone by, and does not wait for the disk;
+    `flush_if_due` is for the times when nothing is written. When the disk is full a reserve that was set aside at the opening is given back, what
     was handed over is written, and the file is closed with its footer.
 
     Parameters
@@ -79,7 +79,8 @@ class RecordWriter:
     ------
     RecordError
         The file exists or cannot be made; later, that it cannot be written any more. The file is
-        then closed already, and `close` does nothing.
+        then closed already, and `close` does nothing. What the disk refuses after a call has
+        returned is raised by the next one that flushes.
     """
 
     def __init__(
@@ -232,9 +233,14 @@ class RecordWriter:
         self._add(self._numbers, topic, time_ns, data)
 
     def flush(self) -> None:
-        """End the open chunks and force everything to the disk."""
+        """End the open chunks and force everything to the disk; returns when it is there."""
         if not self._closed:
             self._guarded(self._flush)
+
+    def flush_if_due(self) -> None:
+        """Flush without waiting for the disk, where `flush_interval_s` has gone by since the last time."""
+        if not self._closed and self._clock() - self._flushed_s >= self._flush_interval_s:
+            self._guarded(lambda: self._flush(wait=False))
 
     def close(self) -> None:
         """Write the summary and close the file; a second call does nothing."""
@@ -292,13 +298,13 @@ class RecordWriter:
     def _added(self, builder: ChunkBuilder) -> None:
         if len(builder.data) >= _CHUNK_BYTES:
             self._guarded(lambda: self._file.add_chunk(builder))
-        if not self._closed and self._clock() - self._flushed_s >= self._flush_interval_s:
-            self._guarded(self._flush)
+        self.flush_if_due()
 
-    def _flush(self) -> None:
+    def _flush(self, wait: bool = True) -> None:
+        self._file.raise_failure()
         self._file.add_chunk(self._numbers)
         self._file.add_chunk(self._pixels)
-        self._file.sync()
+        self._file.sync(wait)
         self._flushed_s = self._clock()
 
     def _guarded(self, action: Callable[[], None]) -> None:

@@ -1,0 +1,142 @@
+"""A disk that takes its time, or fails while nobody waits for it."""
+
+import errno
+import threading
+from pathlib import Path
+
+import pytest
+
+from acquisition.record import container
+from acquisition.record.background_sync import BackgroundSync
+from acquisition.record.check import check_record
+from acquisition.record.reader import RecordReader
+from acquisition.record.reserve import Reserve
+from acquisition.record.writer import RecordWriter
+from processing.errors import RecordError
+
+DEADLINE_S = 60.0
+
+
+class Clock:
+    """A second goes by whenever it is asked."""
+
+    def __init__(self) -> None:
+        self.now_s = 0.0
+
+    def __call__(self) -> float:
+        self.now_s += 1.0
+        return self.now_s
+
+
+def kinds(path: Path) -> list[str]:
+    with RecordReader(path) as reader:
+        return [event.kind for event in reader.events()]
+
+
+def test_writing_does_not_wait_for_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "run.mcap"
+    writer = RecordWriter(path, 0, clock=Clock())
+    real = container._sync_file
+    entered, go_on = threading.Event(), threading.Event()
+    forced: list[int] = []
+
+    def slow(number: int) -> None:
+        entered.set()
+        assert go_on.wait(DEADLINE_S)
+        real(number)
+        forced.append(number)
+
+    monkeypatch.setattr(container, "_sync_file", slow)
+    writer.write_event(1, "a", "")
+    assert entered.wait(DEADLINE_S)
+    for place in range(20):
+        writer.write_event(2 + place, "b", "")
+    assert forced == []
+    # a kill loses none of it: it is in the file, though not yet on the disk
+    assert kinds(path) == ["a", *["b"] * 20]
+    go_on.set()
+    writer.close()
+    assert kinds(path) == ["a", *["b"] * 20]
+    # the one under way, one for all that came meanwhile, and two of closing
+    assert 3 <= len(forced) <= 4
+
+
+def test_what_fails_behind_ones_back_is_said_by_the_next_flush(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "run.mcap"
+    writer = RecordWriter(path, 0, clock=Clock())
+
+    def gone(number: int) -> None:
+        raise OSError(errno.EIO, "Input/output error")
+
+    monkeypatch.setattr(container, "_sync_file", gone)
+    writer.write_event(1, "a", "")
+    writer._file._background.wait()
+    with pytest.raises(RecordError, match=r"run\.mcap: could not be closed properly: Input/output error"):
+        writer.write_event(2, "b", "")
+    with pytest.raises(RecordError, match="is closed"):
+        writer.write_event(3, "c", "")
+    writer.close()
+
+
+def test_a_failure_is_not_lost_when_the_record_is_closed_before_the_next_flush(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "run.mcap"
+    writer = RecordWriter(path, 0, clock=Clock())
+    real = container._sync_file
+    failures = [OSError(errno.EIO, "Input/output error")]
+
+    def once(number: int) -> None:
+        if failures:
+            raise failures.pop()
+        real(number)
+
+    monkeypatch.setattr(container, "_sync_file", once)
+    writer.write_event(1, "a", "")
+    with pytest.raises(RecordError, match="cannot be written: Input/output error; the record is closed"):
+        writer.close()
+    assert kinds(path) == ["a", "record"]
+
+
+def test_a_disk_that_is_full_behind_ones_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "run.mcap"
+    writer = RecordWriter(path, 0, clock=Clock(), reserve_bytes=4096)
+
+    def full(self: Reserve, size: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Reserve, "hold", full)
+    monkeypatch.setattr(container, "_SPARE_BYTES", 10**6)
+    writer.write_event(1, "a", "")
+    writer._file._background.wait()
+    with pytest.raises(RecordError, match=r"No space left on device; the record is closed and readable$"):
+        writer.write_event(2, "b", "")
+    assert kinds(path) == ["a", "b", "record"]
+    assert not [finding for finding in check_record(path) if finding.severity == "error"]
+
+
+def test_requests_that_come_meanwhile_are_one_and_are_not_forgotten() -> None:
+    begun, go_on = threading.Semaphore(0), threading.Semaphore(0)
+    done: list[int] = []
+
+    def action() -> None:
+        begun.release()
+        assert go_on.acquire(timeout=DEADLINE_S)
+        done.append(len(done))
+
+    background = BackgroundSync(action)
+    background.request()
+    assert begun.acquire(timeout=DEADLINE_S)
+    for _ in range(5):
+        background.request()
+    go_on.release(2)
+    background.wait()
+    assert done == [0, 1]
+    background.wait()
+    background.request()
+    go_on.release()
+    background.wait()
+    assert done == [0, 1, 2]
+    assert background.take_failure() is None
