@@ -57,8 +57,9 @@ class RecordWriter:
     The file is made anew under its final name and never overwrites one; as long as it has no
     footer it is a cut one. What was flushed survives a kill or a power cut. Every call that writes
     flushes by itself when `flush_interval_s` has gone by, and does not wait for the disk;
-    `flush_if_due` is for the times when nothing is written. When the disk is full a reserve that was set aside at the opening is given back, what
-    was handed over is written, and the file is closed with its footer.
+    `flush_if_due` is for the times when nothing is written. When the disk is full a reserve that
+    was set aside at the opening is given back, what was handed over is written, and the file is
+    closed with its footer.
 
     Parameters
     ----------
