@@ -103,6 +103,16 @@ class RecordReader:
         return not self.contents.whole
 
     @property
+    def cut_notice(self) -> str:
+        """One line for a person where the file was cut short, with the remedy; empty where it is whole."""
+        if not self.truncated:
+            return ""
+        return (
+            f"{self.path}: was cut short (it has no end); what is there is used, "
+            f"rig recover {self.path} makes a whole file of it"
+        )
+
+    @property
     def metadata(self) -> dict[str, dict[str, str]]:
         """Texts by key, by name."""
         return self.contents.metadata
@@ -188,13 +198,21 @@ class RecordReader:
         """
         return spot_table(self.table(SPOT.topic))
 
-    def spot_blocks(self) -> Iterator[NDArray[Any]]:
-        """The same a chunk at a time, for records larger than memory."""
+    def spot_blocks(self, start_ns: int | None = None) -> Iterator[NDArray[Any]]:
+        """The same a chunk at a time, for records larger than memory.
+
+        With `start_ns` (the frames' clock) from the first spot at or after it, without reading what
+        lies before.
+        """
         kind = self._type(SPOT.topic)
         if kind is None:
             return
-        for messages in self._by_chunk(frozenset([SPOT.topic])):
-            yield spot_table(kind.decode_table([message.data for message in messages]))
+        for messages in self._by_chunk(frozenset([SPOT.topic]), start_ns):
+            table = spot_table(kind.decode_table([message.data for message in messages]))
+            if start_ns is not None:
+                table = table[table["time_ns"] >= start_ns]
+            if len(table):
+                yield table
 
     def swings(self) -> list[Swing]:
         """All half-cycles; amplitudes in `deflection_unit`."""
@@ -204,17 +222,20 @@ class RecordReader:
         """All events."""
         return self.values(EVENT.topic, RecordedEvent)
 
-    def windows(self) -> Iterator[RecordedWindow]:
-        """Windows around the spot, in order."""
+    def windows(self, start_ns: int | None = None) -> Iterator[RecordedWindow]:
+        """Windows around the spot, in order; `start_ns` as in `spot_blocks`."""
         kind = self._type(WINDOW.topic)
         if kind is None:
             return
-        for message in self.messages(WINDOW.topic):
+        for message in self._since(WINDOW.topic, start_ns):
             yield decode_window(kind, message.data)
 
-    def images(self) -> Iterator[Frame]:
-        """Whole frames; the camera's own clock is not kept with them, the frames' time is."""
-        for message in self.messages(IMAGE_TOPIC):
+    def images(self, start_ns: int | None = None) -> Iterator[Frame]:
+        """Whole frames; the camera's own clock is not kept with them, the frames' time is.
+
+        `start_ns` as in `spot_blocks`.
+        """
+        for message in self._since(IMAGE_TOPIC, start_ns):
             time_ns = message.log_time_ns - self.epoch_offset_ns
             yield Frame(decode_image(message.data), message.sequence, time_ns, time_ns)
 
@@ -229,12 +250,24 @@ class RecordReader:
         for messages in self._by_chunk(topics):
             yield from messages
 
-    def _by_chunk(self, topics: frozenset[str]) -> Iterator[list[RawMessage]]:
+    def _since(self, topic: str, start_ns: int | None) -> Iterator[RawMessage]:
+        """Messages of one topic from a time of the frames' clock on."""
+        from_ns = None if start_ns is None else start_ns + self.epoch_offset_ns
+        for messages in self._by_chunk(frozenset([topic]), start_ns):
+            for message in messages:
+                if from_ns is None or message.log_time_ns >= from_ns:
+                    yield message
+
+    def _by_chunk(self, topics: frozenset[str], start_ns: int | None = None) -> Iterator[list[RawMessage]]:
+        """Messages chunk by chunk; chunks that end before `start_ns` (the frames' clock) are passed over."""
+        from_ns = None if start_ns is None else start_ns + self.epoch_offset_ns
         wanted = None
         if topics:
             channels = self.contents.channels.items()
             wanted = frozenset(number for number, channel in channels if channel.topic in topics)
         for place in self.contents.chunks:
+            if from_ns is not None and place.end_ns < from_ns:
+                continue
             listed = self.contents.indexed and place.channels
             if wanted is not None and listed and not wanted & place.channels:
                 continue
