@@ -12,6 +12,7 @@ import typer
 from processing.errors import ConfigurationError, RigError
 from rig.commands import calibration, camera, instruments, measure, physics, records, reporting
 from rig.commands import session as session_commands
+from rig.interruption import reason_of, terminated_by_signals
 
 app = typer.Typer(
     name="rig",
@@ -43,15 +44,22 @@ def _options(
 
 
 def main() -> None:
-    """Entry point of the ``rig`` script: exit status 2 for wrong usage, 1 for a failed measurement."""
+    """Entry point of the ``rig`` script.
+
+    Exit status 2 for wrong usage, 1 for a failed measurement, 130 where Ctrl-C, SIGTERM or SIGHUP ended it.
+    """
     debug = "--debug" in sys.argv
     if debug:
         # accepted anywhere on the line, because that is where one adds it after an error
         sys.argv = [sys.argv[0], "--debug", *(word for word in sys.argv[1:] if word != "--debug")]
     try:
-        status = app(standalone_mode=False)
-    except (typer.Abort, KeyboardInterrupt):
-        print("rig: stopped by the user", file=sys.stderr)
+        with terminated_by_signals():
+            status = app(standalone_mode=False)
+    except (typer.Abort, KeyboardInterrupt) as ended:
+        # the command-line library makes an Abort of an interrupt
+        interrupt = ended.__cause__ if isinstance(ended, typer.Abort) else ended
+        reason = reason_of(interrupt if isinstance(interrupt, KeyboardInterrupt) else KeyboardInterrupt())
+        print(f"rig: {reason}", file=sys.stderr)
         status = 130
     except BrokenPipeError:
         sys.stderr.close()

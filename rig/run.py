@@ -19,6 +19,7 @@ from processing.angle import ARCSEC_RAD
 from processing.errors import DataError, RigError
 from processing.swing import Swing
 from rig.frame_counts import FrameCounts
+from rig.interruption import reason_of
 from rig.limits import EndOfRun, StartJudge
 from rig.pipeline import Block, Pipeline
 from rig.recorder import Entry, Event, Recorder
@@ -76,6 +77,7 @@ class Run:
         self._stop = threading.Event()
         self._done = threading.Event()
         self._reason = ""
+        self._at_once = False
         self._failure: Exception | None = None
         self._snapshot = Snapshot()
         self._asked: deque[Snapshot] = deque()
@@ -96,22 +98,43 @@ class Run:
     def execute(
         self, show: Callable[[Snapshot], None] = lambda _: None, interval_s: float = 0.1
     ) -> RunOutcome:
-        """Measure until the run ends; returns with the record closed. Ctrl-C ends it as a request does."""
+        """Measure until the run ends; returns with the record closed.
+
+        Ctrl-C and `Terminated` end it as a request does, and at once where the camera waits for us. A
+        screen that has gone (OSError of `show`) is not written to any more; the run goes on.
+        """
         self._camera.start()
         worker = threading.Thread(target=self._process, name="processing", daemon=True)
         worker.start()
+        interrupt: KeyboardInterrupt | None = None
+        try:
+            while not self._done.is_set():
+                try:
+                    show = self._watch(show, interval_s)
+                except KeyboardInterrupt as error:
+                    interrupt = interrupt or error
+                    self._at_once = True
+                    self.request_stop(reason_of(error))
+        finally:
+            # also where an interrupt or an error has left the loop: nothing is left half written
+            self.request_stop("the program has failed")
+            worker.join()
+        return RunOutcome(self._snapshot, self._snapshot.half_cycles, self._failure, interrupt)
+
+    def _watch(self, show: Callable[[Snapshot], None], interval_s: float) -> Callable[[Snapshot], None]:
+        """Show the run until it ends; returns what is to be shown with from then on."""
         done = False
         while not done:
+            done = self._done.wait(interval_s)
             try:
-                done = self._done.wait(interval_s)
                 # what the operator is asked to do is shown also where it was asked only between two looks
                 while self._asked:
                     show(self._asked.popleft())
                 show(self._snapshot)
-            except KeyboardInterrupt:
-                self.request_stop("stopped by the user")
-        worker.join()
-        return RunOutcome(self._snapshot, self._snapshot.half_cycles, self._failure)
+            except OSError as error:
+                _log.warning("the run is not shown any more: %s", error)
+                return _unseen
+        return show
 
     def _process(self) -> None:
         """The processing thread: owns the pipeline from the first frame to the closed record."""
@@ -209,7 +232,7 @@ class Run:
             if reason is not None:
                 self.request_stop(reason)
                 break
-            if self._stop.is_set() and self._reason == "stopped by the user":
+            if self._stop.is_set() and self._at_once:
                 break
         if stream.ended and not rejected:
             self.request_stop(stream.ended)
@@ -305,3 +328,7 @@ class Run:
                 reason=self._reason,
             )
         )
+
+
+def _unseen(_: Snapshot) -> None:
+    """Shows nothing: nobody is there any more."""

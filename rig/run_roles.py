@@ -60,11 +60,15 @@ class Surroundings(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class RunOutcome:
-    """How a run ended. `failure` is the error that ended it, None where it ended as it should."""
+    """How a run ended. `failure` is the error that ended it, None where it ended as it should.
+
+    `interrupt` is what the main thread got from Ctrl-C or a signal: the record is closed all the same.
+    """
 
     snapshot: Snapshot
     swings: int
     failure: Exception | None
+    interrupt: KeyboardInterrupt | None = None
 
 
 @dataclass(frozen=True, slots=True)

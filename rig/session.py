@@ -2,7 +2,9 @@
 
 import datetime
 import sys
+from contextlib import ExitStack
 from pathlib import Path
+from typing import NamedTuple
 
 from acquisition.record.recover import recover
 from processing.errors import ConfigurationError, RecordError, RigError
@@ -10,6 +12,7 @@ from rig.analysis import analyse_record, combine, free_name
 from rig.config import Configuration, validate_configuration
 from rig.devices import Devices
 from rig.instrument import check_materials, complete
+from rig.interruption import Terminated, reason_of
 from rig.measuring import RunPlan, measure_run
 from rig.report.session_report import make_report
 from rig.results import RunResult, results_tree, write_results
@@ -34,12 +37,12 @@ def measure_session(
     config = complete(config)
     check_materials(config)
     folder = session_folder(config, source, output)
-    with Devices(config) as devices:
-        file = SessionFile.made(folder, source, config.session.runs, config.model_dump(mode="json"))
-        try:
-            return _go_on(config, source, file, devices, force=force, json_lines=json_lines)
-        finally:
-            file.close()
+    with ExitStack() as closing:
+        with Devices(config) as devices:
+            file = SessionFile.made(folder, source, config.session.runs, config.model_dump(mode="json"))
+            closing.callback(file.close)
+            made = _make_runs(config, source, file, devices, force=force, json_lines=json_lines)
+        return _report(config, folder, made, json_lines=json_lines)
 
 
 def resume_session(folder: Path, *, force: bool = False, json_lines: bool = False) -> int:
@@ -60,7 +63,10 @@ def resume_session(folder: Path, *, force: bool = False, json_lines: bool = Fals
             say("nothing is missing")
             return 0
         with Devices(config) as devices:
-            return _go_on(config, Path(file.state.source), file, devices, force=force, json_lines=json_lines)
+            made = _make_runs(
+                config, Path(file.state.source), file, devices, force=force, json_lines=json_lines
+            )
+        return _report(config, folder, made, json_lines=json_lines)
     finally:
         file.close()
 
@@ -81,7 +87,15 @@ def _close_interrupted(file: SessionFile, entry: RunEntry) -> None:
     file.note(entry.number, entry.record, "interrupted", reason, name)
 
 
-def _go_on(
+class _Made(NamedTuple):
+    """Records that there are, and how the making of them ended."""
+
+    records: list[Path]
+    failed: bool
+    stopped: bool
+
+
+def _make_runs(
     config: Configuration,
     source: Path,
     file: SessionFile,
@@ -89,15 +103,15 @@ def _go_on(
     *,
     force: bool,
     json_lines: bool,
-) -> int:
-    """Make the runs that are missing, fit all that are complete or just made, write the results."""
+) -> _Made:
+    """Make the runs that are missing. Raises `Terminated`, with everything closed and noted."""
     folder = file.folder
     records = [folder / entry.record for entry in file.state.complete]
-    failed = False
+    failed = stopped = False
     lit = devices.light() if len(records) < file.state.runs_wanted else ""
     if lit:
         say(lit)
-    while len(records) < file.state.runs_wanted:
+    while len(records) < file.state.runs_wanted and not (failed or stopped):
         number = file.state.next_number
         record = folder / f"run-{number}.mcap"
         file.note(number, record.name, "recording")
@@ -111,26 +125,29 @@ def _go_on(
         )
         outcome = measure_run(plan, devices)
         reason = outcome.snapshot.reason
-        stopped = reason == "stopped by the user"
+        interrupt = outcome.interrupt
+        stopped = interrupt is not None and reason == reason_of(interrupt)
         state: RunState = "failed" if outcome.failure is not None else "stopped" if stopped else "complete"
         file.note(number, record.name, state, str(outcome.failure or reason))
         if outcome.failure is not None:
             failed = True
             say(f"run {number} failed: {outcome.failure}", error=True)
-        if not record.exists():
-            break
-        if stopped and not _wants_fit():
-            say(f"record {record}; rig fit {record} fits it later")
-            break
-        records.append(record)
-        if stopped or outcome.failure is not None:
-            break
-    return _report(config, folder, records, failed=failed, json_lines=json_lines)
+        if record.exists():
+            records.append(record)
+        else:
+            failed = True
+        if isinstance(interrupt, Terminated):
+            say(f"{reason}; rig run --resume {folder} goes on, rig fit fits what there is")
+            raise interrupt
+    return _Made(records, failed, stopped)
 
 
-def _report(
-    config: Configuration, folder: Path, records: list[Path], *, failed: bool, json_lines: bool
-) -> int:
+def _report(config: Configuration, folder: Path, made: _Made, *, json_lines: bool) -> int:
+    """Fit all that are complete or just made, write the results; the laser is dark by now."""
+    records, failed = made.records, made.failed
+    if made.stopped and records and not _wants_fit():
+        say(f"record {records[-1]}; rig fit {records[-1]} fits it later")
+        records = records[:-1]
     results = [analyse_record(record) for record in records]
     if not results:
         return 1
@@ -169,6 +186,8 @@ def simulate_record(config: Configuration, source: Path, record: Path) -> int:
     if outcome.failure is not None:
         say(f"simulation failed: {outcome.failure}", error=True)
         return 1
+    if outcome.interrupt is not None:
+        raise outcome.interrupt
     print(record)
     return 0
 
