@@ -14,10 +14,10 @@ from calibration.axes import Axes
 from processing.angle import ARCSEC_RAD
 from processing.errors import ConfigurationError
 from processing.spot import SpotTracker
-from processing.swing import prepare
 from rig.config import Configuration
 from rig.devices import Devices, OpenCamera
 from rig.instrument import camera_settings, sensor_model
+from rig.kernels import prepare_kernels
 from rig.limits import EndOfRun, StartJudge
 from rig.phases import Preparation, preflight_wanted
 from rig.pipeline import Deflector, Pipeline
@@ -145,8 +145,7 @@ def _execute(plan: RunPlan, devices: Devices, camera: OpenCamera, view: LiveView
         preparation.learn(judges[-1].first_amplitude)
         plan.set_aside(aside, reason)
 
-    # a live camera would lose frames while the kernels are compiled at the first swing
-    prepare()
+    prepare_kernels(sensor, say)
     prepared = config.start.way != "at once"
     watchers: list[Watcher] = [display] if view is None else [display, view]
     run = Run(
