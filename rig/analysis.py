@@ -82,34 +82,38 @@ def analyse_record(path: Path, overrides: Sequence[str] = ()) -> RunResult:
     """Fit one closed record; `overrides` change its configuration (fit settings, pendulum) for this fit."""
     with RecordReader(path) as reader:
         config = recorded_configuration(reader, overrides)
-        swings = reader.swings()
         spots = reader.spots()
-        sequences = spots["sequence"]
-        began, ended = (
-            _utc(reader, spots["time_ns"][at]) if len(spots) else _utc(reader, 0) for at in (0, -1)
+        samples = Samples(
+            spots["time_ns"], spots["x_rad"], spots["y_rad"], spots["u_x_rad"], spots["u_y_rad"]
         )
-        calibration, doubts = judge_calibration(config, reader.attachments, began, ended)
-        truncated, damages = reader.truncated, reader.damages
-        samples, air = recorded_samples(reader), recorded_air(reader, config)
-    result = analyse_swings(path, swings, config, samples, air)
+        missing = int(spots["sequence"][-1]) + 1 - len(spots) if len(spots) else 0
+        return analyse_run(reader, config, reader.swings(), samples, dropped_frames=missing)
+
+
+def analyse_run(
+    reader: RecordReader,
+    config: Configuration,
+    swings: Sequence[Swing],
+    samples: Samples,
+    *,
+    dropped_frames: int,
+) -> RunResult:
+    """Fit half-cycles and deflections that came from a record: those in it, or what a replay made of it."""
+    times_ns = samples.times_ns
+    began, ended = (_utc(reader, times_ns[at]) if len(times_ns) else _utc(reader, 0) for at in (0, -1))
+    calibration, doubts = judge_calibration(config, reader.attachments, began, ended)
+    result = _analyse_swings(reader.path, swings, config, samples, recorded_air(reader, config))
     warnings = [*result.warnings, *doubts]
-    if truncated:
-        warnings.append("the record was cut short; rig recover makes a whole file of it")
-    warnings += [f"damaged chunk: {damage.what}" for damage in damages]
-    dropped = int(sequences[-1]) + 1 - len(sequences) if len(sequences) else 0
+    if reader.truncated:
+        warnings.append(reader.cut_notice)
+    warnings += [f"damaged chunk: {damage.what}" for damage in reader.damages]
     return replace(
         result,
-        frames=len(sequences),
-        dropped_frames=dropped,
+        frames=len(times_ns),
+        dropped_frames=dropped_frames,
         warnings=tuple(warnings),
         calibration=calibration,
     )
-
-
-def recorded_samples(reader: RecordReader) -> Samples:
-    """The deflections of a record."""
-    table = reader.spots()
-    return Samples(table["time_ns"], table["x_rad"], table["y_rad"], table["u_x_rad"], table["u_y_rad"])
 
 
 def recorded_air(reader: RecordReader, config: Configuration) -> Air:
@@ -126,19 +130,15 @@ def recorded_air(reader: RecordReader, config: Configuration) -> Air:
     return Air(*means)
 
 
-def analyse_swings(
-    path: Path,
-    swings: Sequence[Swing],
-    config: Configuration,
-    samples: Samples | None = None,
-    air: Air | None = None,
+def _analyse_swings(
+    path: Path, swings: Sequence[Swing], config: Configuration, samples: Samples, air: Air
 ) -> RunResult:
     """Reduce the half-cycles of one run as its kind of pendulum asks.
 
     `path` is the record that they come from, `samples` and `air` what it holds beside them.
     """
     if config.instrument.description().report != "contact" and config.lever is not None:
-        return _reduced(path, swings, config, samples, air or Air())
+        return _reduced(path, swings, config, samples, air)
     calibrated = config.lever is not None
     unit_rad = ARCSEC_RAD if calibrated else 1.0
     good = [swing for swing in swings if swing.flags == 0]
@@ -175,10 +175,11 @@ def analyse_swings(
 
 
 def _reduced(
-    path: Path, swings: Sequence[Swing], config: Configuration, samples: Samples | None, air: Air
+    path: Path, swings: Sequence[Swing], config: Configuration, samples: Samples, air: Air
 ) -> RunResult:
     """A run of a pendulum that is not described by the contact's laws."""
-    reduction = reduce_run(config.instrument, swings, samples, air)
+    u_scale = config.lever.u_scale_relative if config.lever is not None else 0.0
+    reduction = reduce_run(config.instrument, swings, samples, air, u_scale)
     points = reduction.points
     return RunResult(
         record=path,

@@ -20,6 +20,7 @@ from processing.instruments.descriptions import DEGREE_RAD, Description
 from processing.instruments.friction_law import FrictionLaw, fit_friction_law
 from processing.instruments.hardness import herbert_hardness
 from processing.instruments.rolling import rolling_friction
+from processing.instruments.scale import with_scale
 from processing.instruments.swing_plane import along_plane, swing_plane
 from processing.instruments.turning import refined
 from processing.swing import Swing, SwingDetector, SwingFlag, TurningPoints, turning_points
@@ -64,7 +65,11 @@ class Reduction:
 
 
 def reduce_run(
-    settings: InstrumentSettings, swings: Sequence[Swing], samples: Samples | None, air: Air
+    settings: InstrumentSettings,
+    swings: Sequence[Swing],
+    samples: Samples | None,
+    air: Air,
+    u_scale_relative: float = 0.0,
 ) -> Reduction:
     """Reduce the half-cycles of one run of a pendulum that swings by degrees.
 
@@ -75,6 +80,8 @@ def reduce_run(
     samples
         The deflections that they were detected in. With them the turning points are fitted again by a
         waveform that holds at degrees, and a plane that turns is followed; None: swings as they are.
+    u_scale_relative
+        Relative standard uncertainty of the lever's scale, which all amplitudes share.
     """
     description = settings.description()
     values: dict[str, Any] = {"kind": description.kind}
@@ -92,7 +99,7 @@ def reduce_run(
     points = turning_points(swings)
     found: Damping | None = None
     try:
-        found = _reduce(description, settings, points, values, lines)
+        found = _reduce(description, settings, points, values, lines, u_scale_relative)
     except DataError as error:
         problems.append(str(error))
         _what_is_left(points, values, lines)
@@ -123,9 +130,10 @@ def _reduce(
     points: TurningPoints,
     values: dict[str, Any],
     lines: list[str],
+    u_scale: float,
 ) -> Damping | None:
     if description.report == "hardness":
-        hardness = herbert_hardness(points, settings.scale_divisions)
+        hardness = with_scale(lambda at: herbert_hardness(at, settings.scale_divisions), points, u_scale)
         values["first_amplitude_deg"] = hardness.first_amplitude_rad / DEGREE_RAD
         values["time_hardness_first_swing_s"] = estimate_tree(*hardness.first_swing_times_ten_s)
         values["scale_hardness"] = estimate_tree(*hardness.scale_hardness)
@@ -141,7 +149,7 @@ def _reduce(
         )
         return None
     if description.report == "circular":
-        law = circular_error(points)
+        law = with_scale(circular_error, points, u_scale)
         values["period0_s"] = estimate_tree(*law.period0_s)
         values["circular_factor"] = estimate_tree(*law.factor)
         values["chi2_per_dof"] = law.chi2_per_dof
@@ -155,11 +163,15 @@ def _reduce(
         lines += [f"period at vanishing amplitude {with_uncertainty(*law.period0_s)} s", law.sentence]
         return None
     if description.report == "rolling":
-        _roll(description, settings, points, values, lines)
+        _roll(description, settings, points, values, lines, u_scale)
         return None
     if description.report == "decay":
         _decrements(points, values, lines)
-    found = damping(points, description.start_amplitude_rad, description.end_amplitude_rad)
+    found = with_scale(
+        lambda at: damping(at, description.start_amplitude_rad, description.end_amplitude_rad),
+        points,
+        u_scale,
+    )
     values["damping"] = {
         "start_amplitude_deg": found.start_rad / DEGREE_RAD,
         "end_amplitude_deg": found.end_rad / DEGREE_RAD,
@@ -180,12 +192,13 @@ def _roll(
     points: TurningPoints,
     values: dict[str, Any],
     lines: list[str],
+    u_scale: float,
 ) -> None:
     lever = description.lever_m and Estimate(description.lever_m, settings.u_lever_m)
     radius = description.support_radius_m and Estimate(
         description.support_radius_m, settings.u_support_radius_m
     )
-    found = rolling_friction(points, lever or None, radius or None)
+    found = with_scale(lambda at: rolling_friction(at, lever or None, radius or None), points, u_scale)
     _law(found.law, values)
     values["log_decrement"] = estimate_tree(*found.decrement)
     values["constant_decrement"] = found.constant_decrement

@@ -34,12 +34,23 @@ class CircularError(NamedTuple):
     period0_s: Estimate
     factor: Estimate
     chi2_per_dof: float
-    sentence: str
     amplitude_rad: NDArray[np.float64]
     period_s: NDArray[np.float64]
     u_period_s: NDArray[np.float64]
     law_s: NDArray[np.float64]
     sixteenth_s: NDArray[np.float64]
+
+    @property
+    def sentence(self) -> str:
+        """The factor compared with 1."""
+        f, u = self.factor
+        if abs(f - 1) <= 2 * u:
+            return f"the period follows the circular-error law: {f:.4g} ± {u:.2g} times alpha^2/16"
+        faster = "faster" if f > 1 else "more slowly"
+        return (
+            f"the period falls with the amplitude {faster} than the circular-error law: "
+            f"{f:.4g} ± {u:.2g} times alpha^2/16"
+        )
 
 
 def ideal_excess(amplitude_rad: ArrayLike) -> NDArray[np.float64]:
@@ -85,21 +96,9 @@ def circular_error(points: TurningPoints) -> CircularError:
         period0,
         factor,
         chi2_per_dof,
-        _sentence(factor),
         at,
         periods.period_s,
         periods.u_period_s,
         period0.value * (1 + ideal_excess(at)),
         period0.value * (1 + at**2 / 16),
-    )
-
-
-def _sentence(factor: Estimate) -> str:
-    f, u = factor
-    if abs(f - 1) <= 2 * u:
-        return f"the period follows the circular-error law: {f:.4g} ± {u:.2g} times alpha^2/16"
-    faster = "faster" if f > 1 else "more slowly"
-    return (
-        f"the period falls with the amplitude {faster} than the circular-error law: "
-        f"{f:.4g} ± {u:.2g} times alpha^2/16"
     )
