@@ -4,8 +4,12 @@ import importlib.util
 import sys
 from typing import NamedTuple
 
-from acquisition.cameras.drivers import DRIVERS
 from processing.errors import DeviceError
+
+_OPTIONAL = {
+    "pylon": ("pypylon", "pip install 'optical-pendulum-rig[pylon]'"),
+    "aravis": ("gi", "Debian: apt install gir1.2-aravis-0.8 python3-gi"),
+}
 
 
 class CameraLine(NamedTuple):
@@ -23,18 +27,16 @@ def list_cameras() -> tuple[list[CameraLine], list[str]]:
     """Cameras that are plugged in, and one line for each driver that can't look for them."""
     cameras: list[CameraLine] = []
     notes: list[str] = []
-    for look in (_usb3vision, _video, _pylon):
+    for look in (_usb3vision, _video, _pylon, _aravis):
         try:
             cameras += look()
         except DeviceError as error:
             notes.append(str(error))
     if sys.platform != "linux":
         notes.append("v4l2: OpenCV can't list devices; try camera.v4l2.device = '0', '1', ...")
-    for driver, module in (("pylon", "pypylon"),):
-        if driver in DRIVERS and importlib.util.find_spec(module) is None:
-            notes.append(
-                f"{driver}: the package {module} is not installed; this driver is not looked through"
-            )
+    for driver, (module, remedy) in _OPTIONAL.items():
+        if importlib.util.find_spec(module) is None:
+            notes.append(f"{driver}: {module} is not installed, this driver is not looked through; {remedy}")
     return cameras, notes
 
 
@@ -73,3 +75,14 @@ def _pylon() -> list[CameraLine]:
     from acquisition.cameras.pylon import list_cameras as listed
 
     return [CameraLine("pylon", model, serial, place, ()) for model, serial, place in listed()]
+
+
+def _aravis() -> list[CameraLine]:
+    if importlib.util.find_spec("gi") is None:
+        return []
+    from acquisition.cameras.aravis.library import find_cameras
+
+    return [
+        CameraLine("aravis", f"{found.vendor} {found.model}", found.serial, found.place, ())
+        for found in find_cameras()
+    ]

@@ -14,6 +14,7 @@ from pydantic import BaseModel, Field, ValidationError, model_validator
 from pydantic_core import ErrorDetails
 
 from acquisition.camera import CameraSettings
+from acquisition.cameras.aravis.library import AravisSettings
 from acquisition.cameras.files import FilesSettings
 from acquisition.cameras.pylon import PylonSettings
 from acquisition.cameras.usb3vision.camera import Usb3VisionSettings
@@ -66,6 +67,7 @@ class CameraSection(CameraSettings, frozen=True, extra="forbid"):
     usb3vision: Usb3VisionSettings = Usb3VisionSettings()
     v4l2: V4l2Settings = V4l2Settings()
     pylon: PylonSettings = PylonSettings()
+    aravis: AravisSettings = AravisSettings()
 
 
 class SensorSettings(Section, frozen=True):

@@ -53,15 +53,10 @@ def make_camera(config: Configuration) -> Camera:
                 "camera.driver = 'files' needs [camera.files] with a path: --set camera.files.path=FOLDER"
             )
         return drivers.make_camera(camera.driver, camera.files)
-    if camera.driver == "usb3vision":
-        serial = camera.usb3vision.serial or camera.serial
-        return drivers.make_camera(camera.driver, camera.usb3vision.model_copy(update={"serial": serial}))
-    if camera.driver == "v4l2":
-        serial = camera.v4l2.serial or camera.serial
-        return drivers.make_camera(camera.driver, camera.v4l2.model_copy(update={"serial": serial}))
-    if camera.driver == "pylon":
-        serial = camera.pylon.serial or camera.serial
-        return drivers.make_camera(camera.driver, camera.pylon.model_copy(update={"serial": serial}))
+    if camera.driver in {"usb3vision", "v4l2", "pylon", "aravis"}:
+        settings = getattr(camera, camera.driver)
+        serial = settings.serial or camera.serial
+        return drivers.make_camera(camera.driver, settings.model_copy(update={"serial": serial}))
     return drivers.make_camera(camera.driver)
 
 

@@ -47,6 +47,12 @@ DRIVERS: dict[str, Driver] = {
         0,
         "Basler cameras through the vendor's pypylon, an optional package",
     ),
+    "aravis": Driver(
+        "acquisition.cameras.aravis.camera:AravisCamera",
+        ("acquisition.cameras.aravis.library:AravisSettings",),
+        0,
+        "GigE Vision and USB3 Vision cameras through libaravis and PyGObject, which are optional",
+    ),
     "v4l2": Driver(
         "acquisition.cameras.v4l2.camera:V4l2Camera",
         ("acquisition.cameras.v4l2.source:V4l2Settings",),

@@ -8,7 +8,7 @@ do is skipped with the reason, never silently.
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import ClassVar
 
 import numpy as np
@@ -302,7 +302,8 @@ def _take(camera: Camera, count: int) -> list[Frame]:
 def _read_for(camera: Camera, duration_s: float) -> None:
     deadline_s = time.monotonic() + duration_s
     while time.monotonic() < deadline_s:
-        camera.read(1.0)
+        with suppress(FrameTimeout):  # silence may come before the loss is certain
+            camera.read(1.0)
 
 
 def _wait_of_timeout(camera: Camera, timeout_s: float) -> float:

@@ -10,8 +10,8 @@ import pytest
 
 from acquisition.camera import Camera, CameraLost, CameraSettings, FrameTimeout, PixelFormat
 from acquisition.cameras.drivers import make_camera
+from acquisition.cameras.pixel_formats import BY_CODE
 from acquisition.cameras.usb3vision.camera import Usb3VisionCamera, Usb3VisionSettings
-from acquisition.cameras.usb3vision.unpack import BY_CODE
 from processing.errors import DeviceError
 from tests.acquisition.camera_conformance import CameraConformance, Unplug
 from tests.acquisition.usb3vision import description

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from acquisition.camera import CameraLost, CameraSettings, PixelFormat
+from acquisition.cameras.pixel_formats import BY_NAME, FORMATS, Format
 from acquisition.cameras.usb3vision.genapi.choice_nodes import Enumeration
 from acquisition.cameras.usb3vision.genapi.node import Access
 from acquisition.cameras.usb3vision.genapi.node_map import NodeMap
-from acquisition.cameras.usb3vision.unpack import BY_NAME, FORMATS, Format
 from processing.errors import DeviceError
 
 logger = logging.getLogger(__name__)

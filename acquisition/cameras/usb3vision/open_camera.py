@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Self
 
 from acquisition.camera import CameraInfo, CameraLost
+from acquisition.cameras.pixel_formats import BY_NAME
 from acquisition.cameras.usb3vision.features import Features
 from acquisition.cameras.usb3vision.genapi.node_map import NodeMap
 from acquisition.cameras.usb3vision.gencp import GenCpChannel
@@ -19,7 +20,6 @@ from acquisition.cameras.usb3vision.registers import (
     read_identity,
     silence_events,
 )
-from acquisition.cameras.usb3vision.unpack import BY_NAME
 from processing.errors import DeviceError
 
 logger = logging.getLogger(__name__)

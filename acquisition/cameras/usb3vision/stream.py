@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.camera import CameraLost, CameraStatus
+from acquisition.cameras.pixel_formats import Format
 from acquisition.cameras.usb3vision.link import StreamHalted, UsbLink
 from acquisition.cameras.usb3vision.packets import (
     TRAILER_MAGIC,
@@ -23,7 +24,6 @@ from acquisition.cameras.usb3vision.packets import (
 )
 from acquisition.cameras.usb3vision.registers import TransferPlan
 from acquisition.cameras.usb3vision.transfers import Transfers
-from acquisition.cameras.usb3vision.unpack import Format
 from acquisition.frame import Frame
 from acquisition.frame_queue import FrameQueue
 from processing.errors import DeviceError, RigError
@@ -281,7 +281,8 @@ class FrameStream:
                 self._lose_frame()
                 self._resume_at(-1)
             return
-        image_bytes = self._expected.image_bytes
+        wanted = self._expected
+        image_bytes = wanted.pixel_format.byte_count(wanted.width_px, wanted.height_px, leader.x_padding)
         whole = trailer.status == 0 and trailer.valid_bytes >= image_bytes and self._received >= image_bytes
         if trailer.block != leader.block or not whole or not self._fits(leader):
             self._lose_frame()
@@ -292,8 +293,9 @@ class FrameStream:
 
     def _fits(self, leader: Leader) -> bool:
         wanted = self._expected
-        size = (leader.width_px, leader.height_px, leader.pixel_format, leader.x_padding)
-        if size == (wanted.width_px, wanted.height_px, wanted.pixel_format.code, 0):
+        size = (leader.width_px, leader.height_px, leader.pixel_format)
+        can_be_cut = not leader.x_padding or wanted.pixel_format.rows_end_with_bytes(wanted.width_px)
+        if can_be_cut and size == (wanted.width_px, wanted.height_px, wanted.pixel_format.code):
             return True
         self._misfits += 1
         if self._misfits >= _MOST_MISFITS:
@@ -326,8 +328,10 @@ class FrameStream:
         self._lost_parts, self._disturbed, self._trouble_since_s = 0, False, None
         self._last_block = leader.block
         self._last_sequence += step
-        raw = self._whole_payload()[: self._expected.image_bytes]
-        image = self._expected.pixel_format.image(raw, self._expected.width_px, self._expected.height_px)
+        wanted = self._expected
+        image = wanted.pixel_format.image(
+            self._whole_payload(), wanted.width_px, wanted.height_px, leader.x_padding
+        )
         image.flags.writeable = False
         tick_ns = self._expected.tick_ns
         device_time_ns = leader.timestamp * tick_ns if tick_ns else -1

@@ -87,12 +87,23 @@ class Format:
         if self.kernel is not None:
             self.kernel(np.zeros(2, np.uint8), np.zeros(1, np.uint16))
 
-    def byte_count(self, width_px: int, height_px: int) -> int:
-        """Bytes of an image on the bus."""
-        return -(-width_px * height_px * self.transport_bits // 8)
+    def rows_end_with_bytes(self, width_px: int) -> bool:
+        """Whether each row is a whole number of bytes: only then can bytes follow each row."""
+        return width_px * self.transport_bits % 8 == 0
 
-    def image(self, raw: Bytes, width_px: int, height_px: int) -> Image:
-        """The image in these bytes, shape (height, width): a view where nothing is packed."""
+    def byte_count(self, width_px: int, height_px: int, x_padding: int = 0) -> int:
+        """Bytes of an image on the bus, where `x_padding` bytes follow each row."""
+        return -(-width_px * height_px * self.transport_bits // 8) + x_padding * height_px
+
+    def image(self, raw: Bytes, width_px: int, height_px: int, x_padding: int = 0) -> Image:
+        """The image in these bytes, shape (height, width): a view where nothing is packed or padded.
+
+        With padding, `rows_end_with_bytes` must hold.
+        """
+        raw = raw[: self.byte_count(width_px, height_px, x_padding)]
+        if x_padding:
+            rows = raw.reshape(height_px, -1)
+            raw = np.ascontiguousarray(rows[:, : rows.shape[1] - x_padding]).reshape(-1)
         if self.kernel is None:
             whole = raw if self.transport_bits == 8 else raw.view(np.uint16)
             return whole.reshape(height_px, width_px)

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from acquisition.cameras.usb3vision.unpack import BY_NAME, FORMATS
+from acquisition.cameras.pixel_formats import BY_NAME, FORMATS
 from tests.acquisition.usb3vision.description import FORMATS as CODES
 from tests.acquisition.usb3vision.device import pack
 

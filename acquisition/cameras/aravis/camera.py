@@ -1,0 +1,372 @@
+"""Cameras through libaravis as a `Camera`."""
+
+import logging
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any, Final
+
+import numpy as np
+
+from acquisition.camera import CameraInfo, CameraLost, CameraSettings, CameraStatus, FrameTimeout
+from acquisition.cameras.aravis.features import AravisFeatures
+from acquisition.cameras.aravis.library import (
+    AravisSettings,
+    FoundCamera,
+    Library,
+    find_camera,
+    load_library,
+)
+from acquisition.cameras.aravis.numbering import FrameNumbering
+from acquisition.cameras.pixel_formats import Format
+from acquisition.frame import Frame
+from processing.errors import DeviceError
+
+logger = logging.getLogger(__name__)
+
+_POLL_US: Final = 50_000
+_MOST_BYTES: Final = 256 * 1024 * 1024
+# `stop` and `close` return within a second; libaravis waits 2.5 s for each reply of a camera that is gone
+_PATIENCE_S: Final = 0.6
+_LEAVING_S: Final = 15.0
+# libaravis itself takes 6 s to notice that a GigE camera has gone; silence makes us ask sooner
+_ASK_AFTER_S: Final = 1.0
+_CONTROL_REGISTER: Final = 0x0A00
+_TICKS_REGISTERS: Final = (0x093C, 0x0940)
+
+
+class AravisCamera:
+    """A GigE Vision or USB3 Vision camera that libaravis reads. Thin: libaravis grabs and queues.
+
+    Parameters
+    ----------
+    settings
+        Which camera and how.
+
+    Notes
+    -----
+    The host's time of a frame is that at which its first bytes came, as libaravis noted it. A GigE
+    camera that falls silent is asked whether it is still there; one that does not answer is lost.
+    """
+
+    def __init__(self, settings: AravisSettings | None = None) -> None:
+        self._settings = settings or AravisSettings()
+        self._lock = threading.RLock()
+        self._library: Library | None = None
+        self._features: AravisFeatures | None = None
+        self._stream: Any = None
+        self._name = "aravis camera"
+        self._has_clock = self._started = self._was_lost = False
+        self._closings = 0
+        self._gone = threading.Event()
+        self._halted = threading.Event()
+        self._leaving: list[threading.Thread] = []
+        self._asking: threading.Thread | None = None
+        self._heard_s = 0.0
+        self._host_time_ns = 0
+        self._format: Format | None = None
+        self._size = (0, 0)
+        self._numbering = FrameNumbering(short_ids=False)
+        self._before = CameraStatus()
+
+    # ---- life cycle
+
+    def open(self) -> CameraInfo:
+        """Find the camera and take control of it.
+
+        Raises
+        ------
+        DeviceError
+            libaravis or PyGObject is missing, no camera, several and none is named, in use.
+        """
+        self.close()
+        with self._lock:
+            self._wait_for_leaving()
+            closings = self._closings
+            self._library = load_library()
+            found = find_camera(self._settings.serial)
+            self._name = found.name
+            self._gone = threading.Event()
+            self._started = False
+            with self._translated():
+                info, features = self._take_control(self._library, found)
+            if closings != self._closings:
+                self._leave(_nothing, features.give_up())
+                raise DeviceError(f"{self._name}: was closed while it was opened")
+            self._features = features
+            return info
+
+    def _take_control(self, library: Library, found: FoundCamera) -> tuple[CameraInfo, AravisFeatures]:
+        camera = library.aravis.Camera.new(found.identity)
+        # its own event, so that the signal's handler holds nothing of this object
+        gone = self._gone
+        camera.get_device().connect("control-lost", lambda *_: gone.set())
+        camera.stop_acquisition()  # a program that died may have left it running
+        features = AravisFeatures(camera, library.aravis, found.name)
+        pixel_format = features.choose_usable_format()
+        if camera.is_gv_device():
+            self._set_packet_size(library, camera)
+            device = camera.get_device()
+            self._has_clock = any(device.read_register(address) for address in _TICKS_REGISTERS)
+        else:
+            self._has_clock = True
+        width_px, height_px = features.sensor_size()
+        info = CameraInfo(
+            driver="aravis",
+            vendor=found.vendor,
+            model=found.model,
+            serial=found.serial,
+            width_px=width_px,
+            height_px=height_px,
+            full_scale_dn=pixel_format.full_scale_dn,
+            has_clock=self._has_clock,
+        )
+        return info, features
+
+    def _set_packet_size(self, library: Library, camera: Any) -> None:
+        wanted = self._settings.packet_bytes
+        if wanted is not None:
+            camera.gv_set_packet_size(wanted)
+            return
+        try:
+            camera.gv_auto_packet_size()
+        except library.error as refused:
+            logger.info("%s: its packets stay as they are: %s", self._name, refused)
+
+    def configure(self, settings: CameraSettings) -> CameraSettings:
+        """Apply settings; what is returned was read from the camera afterwards."""
+        with self._lock, self._translated():
+            features = self._opened()
+            if self._stream is not None:
+                raise DeviceError(f"{self._name}: is running; stop it before settings are changed")
+            return features.apply(settings)
+
+    def start(self) -> None:
+        """Begin to grab into fresh buffers, every frame in order."""
+        with self._lock, self._translated():
+            features = self._opened()
+            if self._stream is not None:
+                raise DeviceError(f"{self._name}: is running already; stop it first")
+            self._wait_for_leaving()
+            camera, library = features.camera, self._library
+            assert library is not None
+            self._format = features.pixel_format()
+            _, _, width_px, height_px = features.region()
+            self._size = (width_px, height_px)
+            features.run_freely()
+            stream = camera.create_stream(None, None)
+            payload = camera.get_payload()
+            for _ in range(min(self._settings.buffers, max(_MOST_BYTES // payload, 2))):
+                stream.push_buffer(library.aravis.Buffer.new_allocate(payload))
+            self._begin_counting(short_ids=bool(camera.is_gv_device()))
+            self._halted.clear()
+            self._started = True
+            self._heard_s = time.monotonic()
+            self._stream = stream
+            try:
+                camera.start_acquisition()
+            except BaseException:
+                self.stop()
+                raise
+
+    def _begin_counting(self, short_ids: bool) -> None:
+        before = self.status
+        self._before = CameraStatus()
+        if self._was_lost:
+            self._before = CameraStatus(
+                before.delivered,
+                before.dropped_by_camera,
+                before.dropped_by_bus,
+                before.dropped_by_host,
+                before.incomplete,
+                before.reconnects + 1,
+            )
+        self._was_lost = False
+        self._numbering = FrameNumbering(short_ids)
+
+    def read(self, timeout_s: float) -> Frame | None:
+        """Next frame; see `acquisition.camera.Camera.read`."""
+        if not self._started:
+            raise DeviceError(f"{self._name}: is not started; call start before read")
+        deadline_s = time.monotonic() + timeout_s
+        while not self._halted.is_set():
+            stream, features = self._stream, self._features
+            if stream is None or features is None:
+                return None
+            left_us = round((deadline_s - time.monotonic()) * 1e6)
+            buffer = stream.timeout_pop_buffer(max(min(left_us, _POLL_US), 1))
+            if self._gone.is_set():
+                self._was_lost = True
+                raise CameraLost(f"{self._name}: has gone; plug it in again")
+            if buffer is not None:
+                self._heard_s = time.monotonic()
+                try:
+                    frame = self._frame(buffer, stream)
+                finally:
+                    stream.push_buffer(buffer)
+                if frame is not None:
+                    return frame
+            elif left_us <= 0:
+                raise FrameTimeout(f"{self._name}: no frame within {timeout_s:g} s; is its trigger on?")
+            else:
+                self._ask_whether_there(features)
+        return None
+
+    def _frame(self, buffer: Any, stream: Any) -> Frame | None:
+        library, pixel_format = self._library, self._format
+        assert library is not None
+        assert pixel_format is not None
+        if self._halted.is_set():
+            return None  # buffers that were given up come back empty
+        aravis = library.aravis
+        if buffer.get_status() != aravis.BufferStatus.SUCCESS:
+            self._numbering.damaged()
+            return None
+        kinds = aravis.BufferPayloadType
+        if buffer.get_payload_type() not in (kinds.IMAGE, kinds.EXTENDED_CHUNK_DATA):
+            sent = buffer.get_payload_type().value_nick
+            raise DeviceError(
+                f"{self._name}: sends payload of the type {sent}, no image; switch that off in the camera"
+            )
+        width_px, height_px = self._size
+        x_padding, _ = buffer.get_image_padding()
+        if x_padding and not pixel_format.rows_end_with_bytes(width_px):
+            raise DeviceError(
+                f"{self._name}: pads rows of {width_px} px in {pixel_format.name}; set a width that is even, "
+                "or another pixel format"
+            )
+        data = buffer.get_data()
+        if len(data) < pixel_format.byte_count(width_px, height_px, x_padding):
+            self._numbering.damaged()
+            return None
+        number = self._numbering.number(buffer.get_frame_id(), stream.get_info_uint64_by_name("n_underruns"))
+        if number is None:
+            return None
+        image = pixel_format.image(np.frombuffer(data, np.uint8), width_px, height_px, x_padding)
+        image.flags.writeable = False
+        device_time_ns = buffer.get_timestamp() if self._has_clock else -1
+        return Frame(image, number, device_time_ns, self._arrived_ns(buffer.get_system_timestamp()))
+
+    def _arrived_ns(self, wall_time_ns: int) -> int:
+        """libaravis notes the wall clock; its distance from now is put on the monotonic one."""
+        now_ns = time.monotonic_ns()
+        age_ns = min(max(time.time_ns() - wall_time_ns, 0), now_ns)
+        self._host_time_ns = max(self._host_time_ns, now_ns - age_ns)
+        return self._host_time_ns
+
+    def _ask_whether_there(self, features: AravisFeatures) -> None:
+        """Read a register of a silent camera in a thread; without an answer it is gone."""
+        camera, library, gone = features.camera, self._library, self._gone
+        now_s = time.monotonic()
+        is_asking = self._asking is not None and self._asking.is_alive()
+        if is_asking or camera is None or library is None or now_s - self._heard_s < _ASK_AFTER_S:
+            return
+        if not camera.is_gv_device():
+            return
+
+        def ask() -> None:
+            try:
+                camera.get_device().read_register(_CONTROL_REGISTER)
+            except library.error:
+                gone.set()
+
+        self._heard_s = now_s
+        self._asking = threading.Thread(target=ask, name=f"asks {self._name}", daemon=True)
+        self._asking.start()
+
+    def stop(self) -> None:
+        """No more frames; within a second, whatever the camera does."""
+        self._halted.set()
+        features, gone = self._features, self._gone
+        held, self._stream = [self._stream], None
+        camera = None if features is None else features.camera
+        if held[0] is None or camera is None:
+            return
+        action = _nothing if gone.is_set() else camera.stop_acquisition
+        del camera
+        self._leave(action, held)
+
+    def close(self) -> None:
+        """Stop and give the camera back."""
+        self._closings += 1
+        self.stop()
+        features, self._features = self._features, None
+        if features is not None:
+            self._leave(_nothing, features.give_up())
+
+    def _leave(self, action: Callable[[], None], held: list[Any]) -> None:
+        """Do the action, then let go of what is held; a camera that is gone makes either take seconds."""
+        assert self._library is not None
+        thread = threading.Thread(
+            target=_leave,
+            args=(action, held, self._library.error, list(self._leaving)),
+            name="leaves camera",
+            daemon=True,
+        )
+        del action
+        self._leaving = [*(other for other in self._leaving if other.is_alive()), thread]
+        thread.start()
+        thread.join(_PATIENCE_S)
+
+    def _wait_for_leaving(self) -> None:
+        """A camera that is still being given back must not be taken again."""
+        deadline_s = time.monotonic() + _LEAVING_S
+        for thread in list(self._leaving):
+            thread.join(max(deadline_s - time.monotonic(), 0.0))
+            if thread.is_alive():
+                raise DeviceError(f"{self._name}: does not answer, and is still being given back; wait")
+        self._leaving = []
+
+    # ---- beyond the protocol
+
+    @property
+    def status(self) -> CameraStatus:
+        """Counts since `start`; they go on over a reconnection."""
+        now, before = self._numbering.status, self._before
+        return CameraStatus(
+            delivered=before.delivered + now.delivered,
+            dropped_by_camera=0,
+            dropped_by_bus=before.dropped_by_bus + now.dropped_by_bus,
+            dropped_by_host=before.dropped_by_host + now.dropped_by_host,
+            incomplete=before.incomplete + now.incomplete,
+            reconnects=before.reconnects,
+        )
+
+    def _opened(self) -> AravisFeatures:
+        if self._features is None:
+            raise DeviceError(f"{self._name}: is not open; call open first")
+        return self._features
+
+    @contextmanager
+    def _translated(self) -> Iterator[None]:
+        """libaravis's errors become ours; those of a camera that has gone become CameraLost."""
+        try:
+            yield
+        except Exception as refused:
+            library = self._library
+            if isinstance(refused, DeviceError) or library is None or not isinstance(refused, library.error):
+                raise
+            text = " ".join(str(getattr(refused, "message", refused)).split())
+            if self._gone.is_set():
+                self._was_lost = True
+                raise CameraLost(f"{self._name}: has gone; plug it in again ({text})") from None
+            raise DeviceError(
+                f"{self._name}: {text}; is it in use by another program, or has it lost its cable?"
+            ) from None
+
+
+def _nothing() -> None:
+    pass
+
+
+def _leave(
+    action: Callable[[], None], held: list[Any], error: type[Exception], before: list[threading.Thread]
+) -> None:
+    for other in before:
+        other.join()
+    try:
+        action()
+    except error as refused:
+        logger.info("%s", refused)
+    held.clear()

@@ -1,0 +1,140 @@
+"""What the rig sets on a camera, through libaravis's own names for it."""
+
+from typing import Any
+
+from acquisition.camera import CameraSettings, PixelFormat
+from acquisition.cameras.pixel_formats import BY_NAME, FORMATS, Format
+from processing.errors import DeviceError
+
+
+class AravisFeatures:
+    """Settings of one open camera, `camera` in libaravis's sense.
+
+    Methods raise DeviceError for what can't be had, and let libaravis's own errors through.
+    """
+
+    def __init__(self, camera: Any, aravis: Any, name: str) -> None:
+        self.camera = camera
+        self._aravis = aravis
+        self._name = name
+
+    def give_up(self) -> list[Any]:
+        """The camera, which this object then no longer holds: the last to let go of it may wait long."""
+        camera, self.camera = self.camera, None
+        return [camera]
+
+    def sensor_size(self) -> tuple[int, int]:
+        """(width, height) of the sensor."""
+        width_px, height_px = self.camera.get_sensor_size()
+        return int(width_px), int(height_px)
+
+    def region(self) -> tuple[int, int, int, int]:
+        """(x, y, width, height) of the frames."""
+        x, y, width_px, height_px = self.camera.get_region()
+        return int(x), int(y), int(width_px), int(height_px)
+
+    def apply(self, settings: CameraSettings) -> CameraSettings:
+        """Apply what is asked for; return all as read back."""
+        if settings.pixel_format is not None:
+            self._set_format(settings.pixel_format)
+        self._set_region(settings)
+        camera, off = self.camera, self._aravis.Auto.OFF
+        if settings.exposure_us is not None:
+            self._need(camera.is_exposure_time_available(), "exposure_us")
+            if camera.is_exposure_auto_available():
+                camera.set_exposure_time_auto(off)
+            self._check("exposure_us", settings.exposure_us, camera.get_exposure_time_bounds())
+            camera.set_exposure_time(settings.exposure_us)
+        if settings.gain_db is not None:
+            self._need(camera.is_gain_available(), "gain_db")
+            if camera.is_gain_auto_available():
+                camera.set_gain_auto(off)
+            self._check("gain_db", settings.gain_db, camera.get_gain_bounds())
+            camera.set_gain(settings.gain_db)
+        if settings.frame_rate_hz is not None:
+            self._need(camera.is_frame_rate_available(), "frame_rate_hz")
+            self._check("frame_rate_hz", settings.frame_rate_hz, camera.get_frame_rate_bounds())
+            camera.set_frame_rate(settings.frame_rate_hz)
+        return self.read_back()
+
+    def read_back(self) -> CameraSettings:
+        """The camera's settings now; None where it has no such."""
+        camera = self.camera
+        x, y, width_px, height_px = self.region()
+        exposure_us = camera.get_exposure_time() if camera.is_exposure_time_available() else 0.0
+        rate_hz = camera.get_frame_rate() if camera.is_frame_rate_available() else 0.0
+        return CameraSettings(
+            exposure_us=exposure_us if exposure_us > 0 else None,
+            gain_db=max(camera.get_gain(), 0.0) if camera.is_gain_available() else None,
+            frame_rate_hz=rate_hz if rate_hz > 0 else None,
+            pixel_format=self.pixel_format().pixel_format,
+            width_px=width_px,
+            height_px=height_px,
+            offset_x_px=x,
+            offset_y_px=y,
+        )
+
+    def run_freely(self) -> None:
+        """Frames one after the other without an end, none of them waiting for a trigger."""
+        self.camera.clear_triggers()
+        self.camera.set_acquisition_mode(self._aravis.AcquisitionMode.CONTINUOUS)
+
+    def pixel_format(self) -> Format:
+        """The present pixel format; DeviceError where the rig can't use it."""
+        name = self.camera.get_pixel_format_as_string()
+        if name not in BY_NAME:
+            raise DeviceError(
+                f"{self._name}: pixel format {name} can't be used; there are {', '.join(self._depths())}"
+            )
+        return BY_NAME[name]
+
+    def choose_usable_format(self) -> Format:
+        """The present pixel format, or the first that the rig can use."""
+        if self.camera.get_pixel_format_as_string() not in BY_NAME:
+            self._set_format(next(iter(self._depths())))
+        return self.pixel_format()
+
+    def _depths(self) -> dict[PixelFormat, str]:
+        """The depths that can be had, with the camera's name of each."""
+        there = set(self.camera.dup_available_pixel_formats_as_strings())
+        usable: dict[PixelFormat, str] = {}
+        for one in FORMATS:
+            if one.name in there:
+                usable.setdefault(one.pixel_format, one.name)
+        if not usable:
+            raise DeviceError(f"{self._name}: has no grey pixel format, only {', '.join(sorted(there))}")
+        return usable
+
+    def _set_format(self, wanted: PixelFormat) -> None:
+        depths = self._depths()
+        if wanted not in depths:
+            raise DeviceError(
+                f"{self._name}: pixel format {wanted} is not supported; there are {', '.join(depths)}"
+            )
+        self.camera.set_pixel_format_from_string(depths[wanted])
+
+    def _set_region(self, asked: CameraSettings) -> None:
+        wanted = (asked.offset_x_px, asked.offset_y_px, asked.width_px, asked.height_px)
+        if all(value is None for value in wanted):
+            return
+        x, y, width_px, height_px = (
+            now if value is None else value for value, now in zip(wanted, self.region(), strict=True)
+        )
+        for key, end, size in zip(
+            ("width_px", "height_px"), (x + width_px, y + height_px), self.sensor_size(), strict=True
+        ):
+            if end > size:
+                raise DeviceError(f"{self._name}: {key} with its offset reaches {end}; the sensor has {size}")
+        self.camera.set_region(x, y, width_px, height_px)
+
+    def _need(self, available: bool, key: str) -> None:
+        if not available:
+            raise DeviceError(f"{self._name}: does not let it be set; leave camera.{key} out")
+
+    def _check(self, key: str, wanted: float, bounds: tuple[float, float]) -> None:
+        # libaravis cuts what is out of range without a word
+        low, high = bounds
+        if not low <= wanted <= high:
+            raise DeviceError(
+                f"{self._name}: {key} = {wanted:g} is out of range; {low:g} to {high:g} are possible"
+            )

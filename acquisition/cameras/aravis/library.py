@@ -1,0 +1,101 @@
+"""libaravis through PyGObject: loaded when a camera is asked for, and what it finds."""
+
+import warnings
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from pydantic import BaseModel, Field
+
+from processing.errors import DeviceError
+
+
+class AravisSettings(BaseModel, frozen=True, extra="forbid"):
+    """Which camera, and how it is talked to."""
+
+    serial: str | None = Field(
+        default=None, description="serial number or libaravis's id; needed only where there are several"
+    )
+    buffers: int = Field(default=64, ge=2, le=4096, description="frames kept for a reader that is late")
+    packet_bytes: int | None = Field(
+        default=None, ge=576, le=16114, description="GigE packets; left out: the largest that passes"
+    )
+
+
+class Library(NamedTuple):
+    """What is used of PyGObject: libaravis, and the class of its errors."""
+
+    aravis: Any
+    error: type[Exception]
+
+
+@dataclass(frozen=True, slots=True)
+class FoundCamera:
+    """A camera that libaravis finds; `place` is its address or USB identity."""
+
+    identity: str
+    vendor: str
+    model: str
+    serial: str
+    place: str
+    protocol: str
+
+    @property
+    def name(self) -> str:
+        """How messages call the camera."""
+        return f"{self.protocol} camera {self.vendor} {self.model} (serial {self.serial or 'unknown'})"
+
+
+def load_library() -> Library:
+    """PyGObject's view of libaravis 0.8; DeviceError says what is missing."""
+    try:
+        with warnings.catch_warnings():
+            # its importer has an old form, of which Python warns
+            warnings.simplefilter("ignore")
+            import gi
+
+            gi.require_version("Aravis", "0.8")
+            from gi.repository import Aravis, GLib
+    except (ImportError, ValueError) as missing:
+        raise DeviceError(
+            "camera.driver = 'aravis' needs libaravis 0.8 and PyGObject (Debian: apt install "
+            "gir1.2-aravis-0.8 python3-gi, and an environment made with --system-site-packages); "
+            f"here: {missing}"
+        ) from None
+    return Library(Aravis, GLib.Error)
+
+
+def find_cameras() -> tuple[FoundCamera, ...]:
+    """All cameras that libaravis finds; the search takes about a second."""
+    aravis = load_library().aravis
+    aravis.update_device_list()
+    return tuple(
+        FoundCamera(
+            identity=aravis.get_device_id(index),
+            vendor=aravis.get_device_vendor(index) or "",
+            model=aravis.get_device_model(index) or "",
+            serial=aravis.get_device_serial_nbr(index) or "",
+            place=aravis.get_device_address(index) or aravis.get_device_physical_id(index) or "",
+            protocol=aravis.get_device_protocol(index) or "",
+        )
+        for index in range(aravis.get_n_devices())
+    )
+
+
+def find_camera(wanted: str | None) -> FoundCamera:
+    """The camera with this serial number or id, or the only one there is.
+
+    Raises DeviceError, which lists the cameras, where there is none, or not one alone.
+    """
+    there = find_cameras()
+    chosen = [camera for camera in there if wanted in (None, camera.serial, camera.identity)]
+    listed = "; ".join(camera.name for camera in there)
+    if not there:
+        raise DeviceError("aravis: no camera answers; check cable, power and network, then: rig devices")
+    if not chosen:
+        raise DeviceError(f"aravis: no camera has the serial number {wanted!r}; there are: {listed}")
+    if len(chosen) > 1:
+        raise DeviceError(
+            f"aravis: several cameras: {listed}; set camera.serial to the one that is meant "
+            "(where two share one, to its id: rig devices)"
+        )
+    return chosen[0]

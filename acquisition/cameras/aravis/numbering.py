@@ -1,0 +1,79 @@
+"""Frame ids of GigE Vision and USB3 Vision made into numbers without a break, and what is missing."""
+
+from typing import Final
+
+from acquisition.camera import CameraStatus
+
+# Ids of 16 bits go from 65535 to 1: zero is left out (GigE Vision 1.x).
+_SHORT_IDS: Final = 65535
+# A jump by more than this is a camera that began to count anew, not lost frames.
+_LARGEST_GAP: Final = _SHORT_IDS // 2
+
+
+class FrameNumbering:
+    """Numbers frames from 0 and counts those that are missing, by who lost them.
+
+    Frames that came damaged are incomplete. Of the others that are missing, we lost those that
+    found no free buffer, the bus the rest: no camera says which it lost itself.
+    """
+
+    def __init__(self, short_ids: bool) -> None:
+        self._short_ids = short_ids
+        self._last_id: int | None = None
+        self._last_number = -1
+        self._damaged = 0
+        self._underruns = 0
+        self._delivered = self._by_bus = self._by_host = self._incomplete = 0
+
+    def damaged(self) -> None:
+        """A frame came that is not whole."""
+        self._damaged += 1
+
+    def number(self, frame_id: int, underruns: int) -> int | None:
+        """Number of a whole frame; None for one that came before.
+
+        Parameters
+        ----------
+        frame_id
+            The camera's id.
+        underruns
+            libaravis's count of events without a free buffer so far; it may count packets.
+        """
+        step = self._step(frame_id)
+        if step is None:
+            return None
+        missing = step - 1
+        incomplete = min(self._damaged, missing)
+        self._incomplete += incomplete
+        unseen = missing - incomplete
+        if unseen and underruns > self._underruns:
+            # frames that were waiting already come first: the count rises before the gap is seen
+            self._underruns = underruns
+            self._by_host += unseen
+        else:
+            self._by_bus += unseen
+        self._damaged, self._last_id = 0, frame_id
+        self._last_number += step
+        self._delivered += 1
+        return self._last_number
+
+    def _step(self, frame_id: int) -> int | None:
+        after_damaged = 1 + self._damaged
+        if self._last_id is None:
+            return after_damaged  # those that came damaged before the first whole one are missing, too
+        step = frame_id - self._last_id
+        if step == 0:
+            return None
+        if self._short_ids and max(frame_id, self._last_id) <= _SHORT_IDS:
+            step %= _SHORT_IDS
+        return step if 0 < step <= _LARGEST_GAP else after_damaged
+
+    @property
+    def status(self) -> CameraStatus:
+        """Counts so far."""
+        return CameraStatus(
+            delivered=self._delivered,
+            dropped_by_bus=self._by_bus,
+            dropped_by_host=self._by_host,
+            incomplete=self._incomplete + self._damaged,
+        )

@@ -1,0 +1,75 @@
+"""Frame ids made into numbers: roll-over, gaps, damaged frames, and who lost what."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from acquisition.cameras.aravis.numbering import FrameNumbering
+
+
+def next_id(frame_id: int) -> int:
+    """The id after this one, as GigE Vision counts: zero is left out."""
+    return frame_id % 65_535 + 1
+
+
+def test_numbers_go_on_where_short_ids_roll_over() -> None:
+    numbering = FrameNumbering(short_ids=True)
+    assert [numbering.number(frame_id, 0) for frame_id in (65_534, 65_535, 1, 2)] == [0, 1, 2, 3]
+    assert numbering.status.dropped == 0
+
+
+def test_long_ids_do_not_roll_over() -> None:
+    numbering = FrameNumbering(short_ids=False)
+    assert [numbering.number(frame_id, 0) for frame_id in (65_534, 65_535, 65_536, 65_538)] == [0, 1, 2, 4]
+    assert numbering.status.dropped_by_bus == 1
+
+
+def test_a_frame_that_comes_twice_is_given_once() -> None:
+    numbering = FrameNumbering(short_ids=True)
+    assert [numbering.number(frame_id, 0) for frame_id in (7, 7, 8)] == [0, None, 1]
+
+
+@pytest.mark.parametrize("short_ids", [True, False])
+def test_a_camera_that_counts_anew_loses_nothing(short_ids: bool) -> None:
+    numbering = FrameNumbering(short_ids)
+    assert [numbering.number(frame_id, 0) for frame_id in (500, 501, 1, 2)] == [0, 1, 2, 3]
+    assert numbering.status.dropped == 0
+
+
+def test_losses_are_told_apart() -> None:
+    numbering = FrameNumbering(short_ids=True)
+    numbering.damaged()
+    assert numbering.number(2, 0) == 1  # the damaged one was the first
+    assert numbering.number(5, 0) == 4
+    assert numbering.number(6, 90) == 5  # it waited while others found no buffer
+    assert numbering.number(16, 90) == 15
+    numbering.damaged()
+    assert numbering.number(18, 90) == 17
+    status = numbering.status
+    assert (status.incomplete, status.dropped_by_bus, status.dropped_by_host) == (2, 2, 9)
+    assert status.delivered == 5
+
+
+@given(
+    st.integers(1, 65_535),
+    st.lists(st.sampled_from(["whole", "lost", "damaged"]), min_size=1, max_size=300),
+)
+def test_numbers_and_losses_always_agree(first: int, fates: list[str]) -> None:
+    numbering = FrameNumbering(short_ids=True)
+    frame_id = first
+    expected: list[int] = []
+    numbers: list[int | None] = []
+    for place, fate in enumerate(fates):
+        if fate == "whole":
+            numbers.append(numbering.number(frame_id, 0))
+            expected.append(place)
+        elif fate == "damaged":
+            numbering.damaged()
+        frame_id = next_id(frame_id)
+    if not expected:
+        return
+    before = fates[: expected[0]].count("damaged")
+    assert numbers == [place - expected[0] + before for place in expected]
+    assert numbering.status.delivered == len(expected)
+    after = fates[expected[-1] :].count("damaged")
+    assert numbering.status.dropped - after == expected[-1] - expected[0] + before + 1 - len(expected)
