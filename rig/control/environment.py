@@ -1,22 +1,18 @@
 """Temperature, humidity and pressure from any sensor that writes lines to a serial port."""
 
 import contextlib
-import logging
 import math
 import re
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from types import TracebackType
-from typing import Self
 
 from processing.errors import DeviceError
 from rig.control.controller import Environment
+from rig.control.device_thread import DeviceThread
 from rig.control.serial_port import Line, LineReader, PortLost, SerialPort
 from rig.control.settings import EnvironmentSettings
-from rig.control.worker import Worker
 
-_log = logging.getLogger(__name__)
 _REOPEN_S = 1.0
 _READ_S = 0.1
 
@@ -52,7 +48,7 @@ def parse_environment(pattern: re.Pattern[str], line: str) -> Environment | None
     )
 
 
-class EnvironmentService:
+class EnvironmentService(DeviceThread):
     """Reads the sensor in a thread of its own from `start` to `close`; opens it again when it was lost."""
 
     def __init__(self, settings: EnvironmentSettings, open_line: Callable[[], Line] | None = None) -> None:
@@ -63,24 +59,7 @@ class EnvironmentService:
         self._reader: LineReader | None = None
         self._asked_s = 0.0
         self._latest = EnvironmentReading(Environment())
-        self._worker = Worker("rig-environment", self._turn, self._give_back)
-
-    def start(self) -> None:
-        """Begin."""
-        self._worker.start()
-
-    def close(self) -> bool:
-        """Give the port back and end the thread; False if it hangs."""
-        return self._worker.close()
-
-    def __enter__(self) -> Self:
-        self.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
+        super().__init__("rig-environment")
 
     @property
     def latest(self) -> EnvironmentReading:
@@ -90,11 +69,6 @@ class EnvironmentService:
         if age_s > self._settings.stale_after_s:
             return replace(latest, environment=Environment())
         return latest
-
-    @property
-    def failure(self) -> BaseException | None:
-        """What ended the service against our will."""
-        return self._worker.failure
 
     def _turn(self) -> float:
         try:
@@ -106,9 +80,9 @@ class EnvironmentService:
             self._read(self._line, self._reader)
         except DeviceError as error:
             if str(error) != self._latest.last_error:
-                _log.warning("%s", error)
+                self._say(str(error))
             self._latest = replace(self._latest, last_error=str(error))
-            self._give_back()
+            self._finish()
             return _REOPEN_S
         return 0.0
 
@@ -131,7 +105,7 @@ class EnvironmentService:
                 self._latest, environment=environment, time_ns=time.monotonic_ns(), last_line=text[:80]
             )
 
-    def _give_back(self) -> None:
+    def _finish(self) -> None:
         line, self._line, self._reader = self._line, None, None
         if line is not None:
             with contextlib.suppress(PortLost):

@@ -1,24 +1,21 @@
 """A laser with its own port in a thread of its own: its silence delays neither frames nor heartbeats."""
 
-import logging
 import time
-from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
-from types import TracebackType
-from typing import Self, TypeVar
+from typing import TypeVar
 
 from processing.errors import DeviceError
-from rig.control.lasers.laser import Laser, LaserIdentity, LaserState
+from rig.control.device_thread import DeviceThread
+from rig.control.lasers.laser import ON_WITHIN_S, Laser, LaserIdentity, LaserState
 from rig.control.link import ReplyTimeout
 from rig.control.serial_port import PortLost
-from rig.control.service import ControlEvent
-from rig.control.worker import Worker
 
-_log = logging.getLogger(__name__)
 _REOPEN_S = 1.0
-_EVENTS_KEPT = 256
+
+LONGEST_JOB_S = 2.0 * ON_WITHIN_S
+"""Lighting, with the delay that a safety class demands and questions that are asked again."""
 
 T = TypeVar("T")
 
@@ -33,7 +30,7 @@ class LaserSnapshot:
     last_error: str = ""
 
 
-class LaserService:
+class LaserService(DeviceThread):
     """Owns a `Laser` from `start` to `close`; commands return futures, as in `ControlService`.
 
     A laser that was lost is opened again with its light off.
@@ -44,42 +41,12 @@ class LaserService:
         self._period_s = period_s
         self._is_open = False
         self._snapshot = LaserSnapshot()
-        self._events: deque[ControlEvent] = deque(maxlen=_EVENTS_KEPT)
-        self._worker = Worker("rig-laser", self._turn, self._finish)
-
-    def start(self) -> None:
-        """Begin."""
-        self._worker.start()
-
-    def close(self) -> bool:
-        """Light off, port back, thread ended; False if it hangs."""
-        return self._worker.close()
-
-    def __enter__(self) -> Self:
-        self.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
+        super().__init__("rig-laser", LONGEST_JOB_S)
 
     @property
     def snapshot(self) -> LaserSnapshot:
         """Latest state; never blocks."""
         return self._snapshot
-
-    @property
-    def failure(self) -> BaseException | None:
-        """What ended the service against our will."""
-        return self._worker.failure
-
-    def take_events(self) -> tuple[ControlEvent, ...]:
-        """Events since the last call, oldest first; never blocks."""
-        events = []
-        while self._events:
-            events.append(self._events.popleft())
-        return tuple(events)
 
     def enable(self) -> "Future[None]":
         """Light on, interlock permitting; a family may take seconds."""
@@ -140,10 +107,6 @@ class LaserService:
         self._is_open = False
         self._snapshot = replace(self._snapshot, state=None, last_error=str(error))
         self._laser.close()
-
-    def _say(self, text: str) -> None:
-        _log.info("%s", text)
-        self._events.append(ControlEvent(time.monotonic_ns(), text))
 
     def _finish(self) -> None:
         self._laser.close()

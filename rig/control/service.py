@@ -4,26 +4,21 @@ Frames are never delayed by the serial line: the threads that handle frames only
 snapshot, and nothing here holds a lock while it waits for the device.
 """
 
-import logging
 import time
-from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from types import TracebackType
-from typing import Self, TypeVar
+from typing import TypeVar
 
 from processing.errors import DeviceError
 from rig.control.controller import Controller, ControllerIdentity, ControllerStatus, Environment
+from rig.control.device_thread import DeviceThread
 from rig.control.link import ControllerReset, ReplyTimeout
 from rig.control.serial_port import PortLost
 from rig.control.settings import ControllerSettings
-from rig.control.worker import Worker
 
-_log = logging.getLogger(__name__)
 _REOPEN_S = 0.5
-_EVENTS_KEPT = 1024
 _NO_READING = Environment()
 
 T = TypeVar("T")
@@ -36,14 +31,6 @@ class ControlState(StrEnum):
     OPEN = "open"
     LOST = "lost"
     CLOSED = "closed"
-
-
-@dataclass(frozen=True, slots=True)
-class ControlEvent:
-    """Something worth recording: lost, opened, tripped, reset, an entry of the board's error queue."""
-
-    host_time_ns: int
-    text: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,8 +53,8 @@ class ControlSnapshot:
     last_error: str = ""
 
 
-class ControlService:
-    """Owns a `Controller` from `start` to `close`; usable as a context manager.
+class ControlService(DeviceThread):
+    """Owns a `Controller` from `start` to `close`, which puts every output into its safe state.
 
     Every command returns a future at once. Its error is a DeviceError: what the controller
     refused, that it is lost, or `Overdue` when the command waited longer than its time limit,
@@ -82,17 +69,12 @@ class ControlService:
         self._settings = settings
         self._environment_period_s = environment_period_s
         self._snapshot = ControlSnapshot()
-        self._events: deque[ControlEvent] = deque(maxlen=_EVENTS_KEPT)
         self._is_open = False
         self._was_open = False
         self._heard_s = 0.0
         self._environment_due_s = 0.0
         self._counts_before = (0, 0, 0)
-        self._worker = Worker("rig-control", self._turn, self._finish)
-
-    def start(self) -> None:
-        """Begin; the first `snapshot` that is OPEN says that the controller answered."""
-        self._worker.start()
+        super().__init__("rig-control")
 
     def wait_open(self, timeout_s: float = 5.0) -> ControllerIdentity:
         """Block until the controller has answered; raises DeviceError with the reason when it does not."""
@@ -106,35 +88,10 @@ class ControlService:
             self._snapshot.last_error or f"{self._controller.name} did not answer in {timeout_s:g} s"
         )
 
-    def close(self) -> bool:
-        """Put every output into its safe state, give the port back, end the thread; False if it hangs."""
-        return self._worker.close()
-
-    def __enter__(self) -> Self:
-        self.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
     @property
     def snapshot(self) -> ControlSnapshot:
         """Latest state; never blocks."""
         return self._snapshot
-
-    @property
-    def failure(self) -> BaseException | None:
-        """What ended the service against our will."""
-        return self._worker.failure
-
-    def take_events(self) -> tuple[ControlEvent, ...]:
-        """Events since the last call, oldest first; never blocks. One thread takes them."""
-        events = []
-        while self._events:
-            events.append(self._events.popleft())
-        return tuple(events)
 
     def submit(
         self, call: Callable[[Controller], T], timeout_s: float = 2.0, urgent: bool = False
@@ -268,10 +225,6 @@ class ControlService:
             last_error=str(error),
         )
         self._controller.close()
-
-    def _say(self, text: str) -> None:
-        _log.info("%s", text)
-        self._events.append(ControlEvent(time.monotonic_ns(), text))
 
     def _finish(self) -> None:
         self._controller.close()

@@ -75,12 +75,23 @@ class Worker:
         return future
 
     def close(self, timeout_s: float = 5.0) -> bool:
-        """Fail the calls still queued, run `finish`, end the thread; False when it did not end in time."""
+        """Fail the calls still queued, run `finish`, end the thread; False when it did not end in time.
+
+        An impatient Ctrl-C does not break it off: it is raised when the device is safe.
+        """
         self._stopping.set()
         self.submit(_nothing, 0.0, urgent=True)  # wakes the thread
         if self._thread.ident is None or self._thread is threading.current_thread():
             return True
-        self._thread.join(timeout_s)
+        interrupt: KeyboardInterrupt | None = None
+        deadline_s = time.monotonic() + timeout_s
+        while self._thread.is_alive() and time.monotonic() < deadline_s:
+            try:
+                self._thread.join(max(deadline_s - time.monotonic(), 0.0))
+            except KeyboardInterrupt as error:
+                interrupt = error
+        if interrupt is not None:
+            raise interrupt
         return not self._thread.is_alive()
 
     @property

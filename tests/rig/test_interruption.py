@@ -30,9 +30,13 @@ def test_a_second_signal_does_not_break_off_the_closing() -> None:
         signal.raise_signal(signal.SIGTERM)
         closed.append("laser")
 
-    with pytest.raises(Terminated), terminated_by_signals(), ExitStack() as closing:
-        closing.callback(close)
-        signal.raise_signal(signal.SIGTERM)
+    def work() -> None:
+        with terminated_by_signals(), ExitStack() as closing:
+            closing.callback(close)
+            signal.raise_signal(signal.SIGTERM)
+
+    with pytest.raises(Terminated):
+        work()
     assert closed
 
 

@@ -13,6 +13,7 @@ class Cobolt(SerialLaser):
     """Constant power, regulated by the laser's own photodiode."""
 
     terminator = b"\r"
+    step = 1e-5
 
     def identify(self) -> LaserIdentity:
         """Serial number; the family has no identification string beyond it."""

@@ -5,6 +5,9 @@ from typing import Protocol
 
 from processing.errors import DeviceError
 
+ON_WITHIN_S = 10.0
+"""A laser that is told to light does so within this time, whatever its safety class demands."""
+
 
 class LaserRefused(DeviceError):
     """The laser did not do what it was told: it answered an error, or read back another value."""
@@ -78,5 +81,5 @@ class Laser(Protocol):
         ...
 
     def close(self) -> None:
-        """Light off where the laser still answers; give the port back."""
+        """Light off, said in the log where that is not sure; give the port back. Raises nothing."""
         ...

@@ -17,6 +17,7 @@ class Obis(SerialLaser):
     """Continuous wave at constant power, regulated by the laser's own photodiode."""
 
     terminator = b"\r\n"
+    step = 1e-5
 
     def identify(self) -> LaserIdentity:
         """Vendor, model and serial number."""

@@ -1,6 +1,7 @@
 """What the serial laser drivers share: question and answer, limits, the order of safe switching."""
 
 import contextlib
+import logging
 import math
 import time
 from abc import ABC, abstractmethod
@@ -8,13 +9,13 @@ from collections.abc import Callable
 
 from processing.errors import DeviceError
 from rig.control.controller import InterlockOpen, PowerLimit
-from rig.control.lasers.laser import LaserIdentity, LaserRefused, LaserState
+from rig.control.lasers.laser import ON_WITHIN_S, LaserIdentity, LaserRefused, LaserState
 from rig.control.link import ReplyTimeout
 from rig.control.serial_port import Line, LineReader, PortLost, SerialPort
 from rig.control.settings import LaserSettings
 
+_log = logging.getLogger(__name__)
 _RETRIES = 2
-_ON_WITHIN_S = 10.0
 _POLL_S = 0.1
 
 
@@ -26,6 +27,8 @@ class SerialLaser(ABC):
 
     terminator = b"\n"
     unit = "w"
+    step = 1e-6
+    """What the device can tell apart, in its unit: so much less than was asked is no refusal."""
 
     def __init__(self, settings: LaserSettings, open_line: Callable[[], Line] | None = None) -> None:
         self._settings = settings
@@ -101,12 +104,12 @@ class SerialLaser(ABC):
             )
         self._switch(True)
         # Some families light only after a delay that their safety class demands.
-        deadline_s = time.monotonic() + _ON_WITHIN_S
+        deadline_s = time.monotonic() + ON_WITHIN_S
         while not self.state().on:
             if time.monotonic() > deadline_s:
                 self._switch(False)
                 raise LaserRefused(
-                    f"{self.name}: told to light, still dark after {_ON_WITHIN_S:g} s; see its panel"
+                    f"{self.name}: told to light, still dark after {ON_WITHIN_S:g} s; see its panel"
                 )
             time.sleep(_POLL_S)
 
@@ -117,17 +120,27 @@ class SerialLaser(ABC):
             raise LaserRefused(f"{self.name}: told to go dark, still lit; open the interlock by hand")
 
     def close(self) -> None:
-        """Light off where the laser still answers; give the port back."""
+        """Light off, told again where it is not confirmed; give the port back."""
         if self._line is None:
             return
-        with contextlib.suppress(DeviceError):
-            self._switch(False)
-        self._give_back()
+        try:
+            self._off_at_last()
+        except DeviceError as error:
+            _log.error("%s: it is not sure that it is dark (%s); switch it off by hand", self.name, error)
+        finally:
+            self._give_back()
 
     @property
     def name(self) -> str:
         """How messages call it."""
         return f"{self._settings.kind} laser on {self._settings.port}"
+
+    def _off_at_last(self) -> None:
+        for _ in range(_RETRIES):
+            with contextlib.suppress(LaserRefused, ReplyTimeout):
+                self.off()
+                return
+        self.off()
 
     # -- for the families -----------------------------------------------------
 
@@ -169,7 +182,7 @@ class SerialLaser(ABC):
                 f" 0 to {limit:g} is allowed by {limit_name}"
             )
         applied = self._set(value)
-        if not math.isclose(applied, value, rel_tol=0.02, abs_tol=1e-6):
+        if not math.isclose(applied, value, rel_tol=0.02, abs_tol=1.001 * self.step):
             self._switch(False)
             raise LaserRefused(
                 f"{self.name}: told {value:g} {self.unit.upper()}, set {applied:g}; it was turned off"

@@ -62,8 +62,8 @@ def settings_for(port: str, **changes: object) -> ControllerSettings:
     values: dict[str, object] = {
         "kind": "serial",
         "port": port,
-        "timeout_s": 0.3,
-        "watchdog_s": 0.6,
+        "timeout_s": 0.5,
+        "watchdog_s": 2.5,
         **changes,
     }
     return ControllerSettings.model_validate(values)

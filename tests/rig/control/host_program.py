@@ -10,7 +10,7 @@ from rig.control.settings import ControllerSettings
 
 
 def main(port: str, ending: str) -> None:
-    settings = ControllerSettings(kind="serial", port=port, timeout_s=0.3, heartbeat_s=0.1, watchdog_s=0.6)
+    settings = ControllerSettings(kind="serial", port=port, timeout_s=0.5, heartbeat_s=0.1, watchdog_s=1.5)
     service = ControlService(Controller(settings, 0.001), settings)
     service.start()
     service.wait_open(10.0)

@@ -1,4 +1,4 @@
-"""`rig run` with the laser lit is killed, told to end, loses its terminal: dark, magnet free, record closed."""
+"""`rig run` with the laser lit is killed, told to end, loses its terminal: dark, magnet off, record whole."""
 
 import json
 import os

@@ -116,6 +116,8 @@ def test_never_above_the_limit_whatever_is_asked(pair: Pair) -> None:
     @settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck), database=None)
     @given(st.one_of(st.floats(), st.floats(0.0, 2 * LIMIT), st.floats(LIMIT * 0.999999, LIMIT * 1.000001)))
     @example(LIMIT)
+    @example(1.5e-5)
+    @example(1.99e-5)
     def check(value: float) -> None:
         if 0.0 <= value <= LIMIT:
             pair.set(value)

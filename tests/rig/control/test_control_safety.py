@@ -20,8 +20,8 @@ from tests.rig.control.conftest import settings_for
 from tests.rig.control.wires import FirmwareBoard
 
 # The watchdog's time, a turn of the loop, and a machine that is busy with other tests.
-DARK_WITHIN_S = 5.0
-WATCHDOG_MS = 600
+DARK_WITHIN_S = 30.0
+WATCHDOG_S = 1.5
 
 
 @contextmanager
@@ -49,7 +49,7 @@ def dark(board: FirmwareBoard) -> bool:
 def test_killed_with_signal_9(board: FirmwareBoard) -> None:
     with lit_by_another_program(board, "waits") as program:
         # Alive, it stays lit for longer than the watchdog waits: the heartbeat does its work.
-        time.sleep(3 * WATCHDOG_MS / 1000)
+        time.sleep(2 * WATCHDOG_S)
         assert board.outputs()["laser"] == [1, 0.0005]
         program.send_signal(signal.SIGKILL)
         program.wait()
@@ -78,7 +78,7 @@ def test_every_other_way_to_end(board: FirmwareBoard, ending: str) -> None:
 def test_cable_pulled_while_the_program_lives(make_board: Callable[..., FirmwareBoard]) -> None:
     board = make_board(through_wire=True)
     assert board.wire is not None
-    control = settings_for(board.port, timeout_s=0.1, heartbeat_s=0.1)
+    control = settings_for(board.port, timeout_s=0.2, heartbeat_s=0.1, watchdog_s=1.5)
     with ControlService(Controller(control, 0.001), control) as service:
         service.wait_open(10.0)
         service.laser_on().result(5.0)
@@ -88,7 +88,7 @@ def test_cable_pulled_while_the_program_lives(make_board: Callable[..., Firmware
         board.wait_for(lambda: dark(board), DARK_WITHIN_S)
         board.wire.connected = True
         # Plugged in again: the service finds the controller, reports it, and lights nothing.
-        board.wait_for(lambda: service.snapshot.reconnects >= 1, 10.0)
+        board.wait_for(lambda: service.snapshot.reconnects >= 1, 30.0)
         assert dark(board)
         said = " / ".join(event.text for event in service.take_events())
         assert "no reply" in said or "no session" in said

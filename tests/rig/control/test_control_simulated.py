@@ -75,7 +75,7 @@ def test_simulated_rig_is_driven_through_the_real_protocol() -> None:
 
 def test_simulated_watchdog_needs_nobody() -> None:
     rig = Rig()
-    control = simulated(heartbeat_s=0.05, watchdog_s=0.2)
+    control = simulated(heartbeat_s=0.05, watchdog_s=1.5)
     controller = simulated_controller(control, 0.001, rig.outputs())
     controller.open()
     controller.set_laser_power_w(0.001)
@@ -102,10 +102,10 @@ def test_serial_junk_by_setting_is_survived() -> None:
 
 
 def test_reset_and_unplug_by_setting() -> None:
-    control = simulated(faults=SerialFaults(reset_at_s=0.3, unplug_at_s=1.0))
+    control = simulated(faults=SerialFaults(reset_at_s=0.5, unplug_at_s=4.0))
     with ControlService(simulated_controller(control, 0.001), control) as service:
         service.wait_open()
-        until(lambda: service.snapshot.reconnects == 1)
+        until(lambda: service.snapshot.reconnects >= 1)
         until(lambda: service.snapshot.state is ControlState.LOST)
         assert "simulated controller" in service.snapshot.last_error
 
@@ -127,12 +127,12 @@ def test_sensor_that_writes_lines(sensor: tuple[int, str]) -> None:
     pattern = r"T=(?P<temperature_c>[-\d.]+) (?:H=(?P<humidity_percent>[\d.]+) )?P=(?P<pressure_hpa>[\d.]+)"
     with EnvironmentService(EnvironmentSettings(kind="serial", port=port, pattern=pattern)) as service:
         assert math.isnan(service.latest.environment.temperature_c)
-        time.sleep(0.1)
-        os.write(master, b"garbage\xff\r\nT=21.5 H=40.25 P=1013.")
+        # what comes before the port is open is lost, as with any sensor
+        until(lambda: os.write(master, b"garbage\xff\r\n") > 0 and service.latest.unread_lines > 0)
+        os.write(master, b"T=21.5 H=40.25 P=1013.")
         time.sleep(0.05)
         os.write(master, b"25\r\n")
         until(lambda: service.latest.environment == Environment(21.5, 40.25, 101325.0))
-        assert service.latest.unread_lines == 1
         os.write(master, b"T=22.0 P=1000\n")
         until(lambda: service.latest.environment.temperature_c == 22.0)
         assert math.isnan(service.latest.environment.humidity_percent)
@@ -141,7 +141,7 @@ def test_sensor_that_writes_lines(sensor: tuple[int, str]) -> None:
 def test_sensor_that_must_be_asked_and_falls_silent(sensor: tuple[int, str]) -> None:
     master, port = sensor
     settings = EnvironmentSettings(
-        kind="serial", port=port, request="READ?", period_s=0.05, stale_after_s=0.4
+        kind="serial", port=port, request="READ?", period_s=0.05, stale_after_s=2.0
     )
     with EnvironmentService(settings) as service:
         for _ in range(3):
@@ -216,9 +216,16 @@ def test_a_laser_without_watchdog_is_no_go() -> None:
 
 def test_environment_check_names_the_line_that_does_not_match(sensor: tuple[int, str]) -> None:
     master, port = sensor
-    writer = threading.Timer(0.1, lambda: os.write(master, b"hello\n"))
+    ended = threading.Event()
+
+    def write() -> None:
+        while not ended.wait(0.05):
+            os.write(master, b"hello\n")
+
+    writer = threading.Thread(target=write)
     writer.start()
-    (check,) = check_environment(EnvironmentSettings(kind="serial", port=port), patience_s=0.4)
+    (check,) = check_environment(EnvironmentSettings(kind="serial", port=port), patience_s=1.0)
+    ended.set()
     writer.join()
     assert not check.ok
     assert "'hello' does not match" in check.reason

@@ -1,0 +1,80 @@
+"""A device that a thread of its own owns from `start` to `close`, and what it has to say."""
+
+import logging
+import time
+from abc import ABC, abstractmethod
+from collections import deque
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Self
+
+from rig.control.worker import Worker
+
+_log = logging.getLogger(__name__)
+_EVENTS_KEPT = 1024
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceEvent:
+    """Something worth recording: lost, opened, tripped, an error of the device's own."""
+
+    host_time_ns: int
+    text: str
+
+
+class DeviceThread(ABC):
+    """Base of what owns one device in one thread; usable as a context manager.
+
+    Parameters
+    ----------
+    name
+        Of the thread, and in messages.
+    longest_job_s
+        How long the device may keep one job; `close` waits for so long, that the device is left safe.
+    """
+
+    def __init__(self, name: str, longest_job_s: float = 5.0) -> None:
+        self._longest_job_s = longest_job_s
+        self._events: deque[DeviceEvent] = deque(maxlen=_EVENTS_KEPT)
+        self._worker = Worker(name, self._turn, self._finish)
+
+    @abstractmethod
+    def _turn(self) -> float:
+        """Look after the device; the time in s until the next turn."""
+
+    @abstractmethod
+    def _finish(self) -> None:
+        """Leave the device safe and give it back."""
+
+    def start(self) -> None:
+        """Begin."""
+        self._worker.start()
+
+    def close(self) -> bool:
+        """Leave the device safe, give it back, end the thread; False if it hangs."""
+        return self._worker.close(self._longest_job_s)
+
+    def __enter__(self) -> Self:
+        self.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    @property
+    def failure(self) -> BaseException | None:
+        """What ended the thread against our will."""
+        return self._worker.failure
+
+    def take_events(self) -> tuple[DeviceEvent, ...]:
+        """Events since the last call, oldest first; never blocks. One thread takes them."""
+        events = []
+        while self._events:
+            events.append(self._events.popleft())
+        return tuple(events)
+
+    def _say(self, text: str) -> None:
+        _log.info("%s", text)
+        self._events.append(DeviceEvent(time.monotonic_ns(), text))
