@@ -12,23 +12,19 @@ from numpy.typing import NDArray
 
 from acquisition.simulation.weights import TrimmedPendulum, TrimWeight, imperfect_weights
 from calibration.axes import Axes
-from processing.angle import ARCSEC_RAD
 from processing.balance import Balance
 from processing.balance_advice import (
-    BalanceLimits,
     Fault,
     Turn,
     WeightResponses,
     find_faults,
-    mass_centre_height_m,
 )
-from processing.contact.half_swing import stiffness_ratio
-from processing.contact.period import frequency_drop
 from processing.errors import ConfigurationError, DataError
 from processing.spot import SpotTracker
+from rig.balance_state import DIRECTIONS, WEIGHTS, height_of, limits_of, nominal_effects
 from rig.config import Configuration
 from rig.devices import Devices
-from rig.instrument import camera_settings, complete, pendulum_on_ball, sensor_model
+from rig.instrument import camera_settings, complete, sensor_model
 from rig.measuring import frame_policy
 from rig.pipeline import Pipeline
 from rig.stream import FrameStream
@@ -36,57 +32,6 @@ from rig.view.balance_screen import print_advice, print_faults
 from rig.view.terminal import say
 
 Floats = NDArray[np.float64]
-_U_NOMINAL = 0.2
-WEIGHTS = ("x", "y", "height")
-_DIRECTIONS = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "height": (0.0, 0.0, 1.0)}
-
-
-def limits_of(config: Configuration) -> BalanceLimits:
-    """The limits as the advice takes them."""
-    return BalanceLimits(**{name: getattr(config.balance, name) for name in BalanceLimits._fields})
-
-
-def nominal_effects(config: Configuration) -> dict[str, tuple[Floats, Floats] | None]:
-    """What a turn of each weight should do by its mass and thread, (arcsec, arcsec, m), with uncertainty.
-
-    A fifth of the shift is doubted, in every direction, since no screw lies quite along its axis. None:
-    not known.
-    """
-    pendulum = config.pendulum
-    effects: dict[str, tuple[Floats, Floats] | None] = {}
-    for name in WEIGHTS:
-        weight = getattr(config.balance, f"weight_{name}")
-        if pendulum is None or weight.mass_kg == 0 or weight.sense == 0:
-            effects[name] = None
-            continue
-        shift_m = weight.sense * weight.mass_kg / pendulum.mass_kg * weight.pitch_m
-        tilt_arcsec = shift_m / pendulum.ball_radius_m / ARCSEC_RAD
-        # the height weight moves down: the mass centre is then less too high
-        turn = np.array([tilt_arcsec, tilt_arcsec, -shift_m])
-        effects[name] = (np.array(_DIRECTIONS[name]) * turn, _U_NOMINAL * np.abs(turn))
-    return effects
-
-
-def elastic_drop(config: Configuration, amplitude_rad: float) -> float:
-    """How much of the frequency the contact's elasticity takes at an amplitude (Eq. 6)."""
-    pendulum = pendulum_on_ball(config)
-    if pendulum is None or config.balance.gamma_pa == 0:
-        return 0.0
-    kappa = stiffness_ratio(config.balance.gamma_pa, pendulum)
-    rho = pendulum.ball_radius_m / pendulum.contact_radius_m
-    return float(frequency_drop(amplitude_rad, config.balance.n, kappa, rho))
-
-
-def height_of(config: Configuration, balance: Balance) -> tuple[float, float]:
-    """How much too high the mass centre is, in m, with its uncertainty from the period; NaN: not known."""
-    pendulum, inertia = config.pendulum, config.balance.inertia_kg_m2
-    if pendulum is None or inertia is None:
-        return math.nan, math.nan
-    period0_s = balance.period_s * (1.0 - elastic_drop(config, balance.amplitude_rad))
-    height_m = mass_centre_height_m(
-        period0_s, inertia, pendulum.mass_kg, pendulum.ball_radius_m, pendulum.gravity_m_per_s2
-    )
-    return height_m, 2.0 * pendulum.ball_radius_m * balance.u_period_s / balance.period_s
 
 
 def look(config: Configuration, devices: Devices, show: Callable[[Balance], None]) -> Balance:
@@ -201,7 +146,7 @@ def balance_rig(config: Configuration, history: Path | None, follow: int, seed: 
             name: TrimWeight(
                 getattr(config.balance, f"weight_{name}").mass_kg,
                 getattr(config.balance, f"weight_{name}").pitch_m,
-                _DIRECTIONS[name],
+                DIRECTIONS[name],
             )
             for name in WEIGHTS
         }

@@ -11,7 +11,7 @@ from acquisition.simulation.weights import TrimmedPendulum, TrimWeight, imperfec
 from processing.angle import ARCSEC_RAD
 from processing.balance import Balance, BalanceEstimator
 from processing.balance_advice import BalanceLimits, WeightResponses, mass_centre_height_m
-from rig.balancing import elastic_drop, nominal_effects
+from rig.balance_state import elastic_drop, nominal_effects
 from rig.config import Configuration
 from rig.instrument import complete
 

@@ -7,6 +7,7 @@ from rich.console import Console
 from rich.table import Table
 
 from processing.balance_advice import Fault, Turn
+from rig.balance_state import turn_text
 from rig.view.terminal import say
 
 
@@ -34,12 +35,4 @@ def print_faults(faults: Sequence[Fault], before: Sequence[Fault], *, live: bool
 
 def print_advice(turn: Turn | None, faults: Sequence[Fault]) -> None:
     """One line: which weight, how many turns, which way."""
-    if turn is not None:
-        way = "clockwise" if turn.turns > 0 else "anticlockwise"
-        text = f"turn weight {turn.weight}: {abs(turn.turns):.2f} turns {way} ({turn.why})"
-    else:
-        rest = ", ".join(fault.name for fault in faults if not fault.ok)
-        text = (
-            f"the weights are right; still out of limits: {rest}" if rest else "balanced: within all limits"
-        )
-    Console().print(text, highlight=False, markup=False, soft_wrap=True)
+    Console().print(turn_text(turn, faults), highlight=False, markup=False, soft_wrap=True)

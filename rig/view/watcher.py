@@ -1,20 +1,23 @@
 """A run's watcher that hands everything on to the viewer's process."""
 
+import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from acquisition.frame import Frame
 from processing.angle import ARCSEC_RAD
-from processing.spot import SpotFlag
+from processing.balance import Balance
+from processing.spot import Spot, SpotFlag
+from rig.balance_state import advice_text
 from rig.config import Configuration
 from rig.pipeline import Block
 from rig.recorder import Event
 from rig.snapshot import Snapshot
 from rig.view.balance_quantities import balance_quantities
-from rig.view.messages import EventLevel
+from rig.view.messages import EventLevel, LayoutName, Mode
 from rig.view.viewer import ViewCounts, Viewer
 
 _STATE_INTERVAL_S = 0.5
@@ -24,14 +27,24 @@ _WARNINGS = {"gap", "spot lost", "camera lost"}
 class LiveView:
     """Draws a run while it goes; never waits, drops when the viewer is behind.
 
-    Images are sent at most every `image_interval_s` of the host's time, whatever the frame rate.
+    Images of a run are sent at most every `image_interval_s` of the host's time, whatever the frame
+    rate. `advise` says what is to be done about a balance, in Markdown.
     """
 
-    def __init__(self, viewer: Viewer, unit_rad: float, image_interval_s: float, full_scale_dn: int) -> None:
+    def __init__(
+        self,
+        viewer: Viewer,
+        unit: str,
+        image_interval_s: float,
+        full_scale_dn: int,
+        advise: Callable[[Balance], str] = lambda _: "",
+    ) -> None:
         self._viewer = viewer
-        self._unit_rad = unit_rad
+        self._unit = unit
+        self._unit_rad = ARCSEC_RAD if unit == "arcsec" else 1.0
         self._image_interval_s = image_interval_s
         self._full_scale_dn = full_scale_dn
+        self._advise = advise
         self._next_image_s = 0.0
         self._next_state_s = 0.0
 
@@ -51,21 +64,27 @@ class LiveView:
             )
         for balance in block.balances:
             self._viewer.balance(
-                (balance.time_ns - start_ns) * 1e-9, balance_quantities(balance, self._unit_rad)
+                (balance.time_ns - start_ns) * 1e-9,
+                balance_quantities(balance, self._unit_rad),
+                advice=self._advise(balance),
             )
         now_s = time.monotonic()
         if frames and now_s >= self._next_image_s:
             self._next_image_s = now_s + self._image_interval_s
-            spot = block.spots[-1]
-            position = (spot.x_px, spot.y_px)
-            if spot.flags & SpotFlag.LOST:
-                position = (float("nan"), float("nan"))
-            self._viewer.image(
-                (frames[-1].time_ns - start_ns) * 1e-9,
-                frames[-1].image,
-                position,
-                full_scale_dn=self._full_scale_dn,
-            )
+            self.picture(start_ns, frames[-1], block.spots[-1])
+
+    def picture(self, start_ns: int, frame: Frame, spot: Spot) -> None:
+        """A whole frame and the spot in it."""
+        position = (spot.x_px, spot.y_px)
+        if spot.flags & SpotFlag.LOST:
+            position = (math.nan, math.nan)
+        time_s = (frame.time_ns - start_ns) * 1e-9
+        self._viewer.image(time_s, frame.image, position, full_scale_dn=self._full_scale_dn)
+
+    def jump(self, time_s: float) -> None:
+        """What follows begins at another time: no line is drawn to it."""
+        self._viewer.samples([time_s], [math.nan], [math.nan], [0])
+        self._viewer.event(time_s, "info", f"replay: begun anew at {time_s:.1f} s")
 
     def event(self, start_ns: int, event: Event) -> None:
         """One line of the log."""
@@ -78,11 +97,15 @@ class LiveView:
         if now_s < self._next_state_s:
             return
         self._next_state_s = now_s + _STATE_INTERVAL_S
-        self._viewer.state(_markdown(snapshot), time_s=snapshot.elapsed_s)
+        self._viewer.state(_markdown(snapshot, self._unit), time_s=snapshot.elapsed_s)
         self._viewer.losses(
             snapshot.elapsed_s,
             {"dropped_frames": snapshot.dropped_frames, "lost_spots": snapshot.lost_spots},
         )
+
+    def wait_room(self) -> None:
+        """Wait for a viewer that is behind; for a replay that need not keep a pace."""
+        self._viewer.wait_room()
 
     def close(self) -> ViewCounts:
         """Complete the .rrd file and end the viewer's process."""
@@ -94,23 +117,33 @@ def open_view(config: Configuration, record: Path, title: str, full_scale_dn: in
     settings = config.view
     if settings.mode == "none" and not settings.file:
         return None
+    rrd = record.with_suffix(".rrd") if settings.file else None
+    return start_view(config, rrd, settings.mode, settings.layout, title, full_scale_dn)
+
+
+def start_view(
+    config: Configuration, rrd: Path | None, mode: Mode, layout: LayoutName, title: str, full_scale_dn: int
+) -> LiveView:
+    """A view of a run that goes on, or is replayed: a Rerun file, a live stream, or both."""
+    unit = "px" if config.lever is None else "arcsec"
     viewer = Viewer(
-        record.with_suffix(".rrd") if settings.file else None,
-        settings.mode,
-        settings.layout,
-        title,
-        amplitude_arcsec=config.session.initial_amplitude_arcsec,
+        rrd, mode, layout, title, amplitude_arcsec=config.session.initial_amplitude_arcsec, unit=unit
     )
     viewer.start()
-    unit_rad = ARCSEC_RAD if config.lever is not None else 1.0
-    return LiveView(viewer, unit_rad, settings.image_interval_s, full_scale_dn)
+    return LiveView(
+        viewer,
+        unit,
+        config.view.image_interval_s,
+        full_scale_dn,
+        lambda balance: advice_text(config, balance),
+    )
 
 
-def _markdown(snapshot: Snapshot) -> str:
+def _markdown(snapshot: Snapshot, unit: str) -> str:
     return (
         f"**{snapshot.phase}**\n\n"
         f"- time {snapshot.elapsed_s:.1f} s\n"
-        f"- amplitude {snapshot.amplitude:.2f} arcsec, period {snapshot.period_s:.4f} s\n"
+        f"- amplitude {snapshot.amplitude:.2f} {unit}, period {snapshot.period_s:.4f} s\n"
         f"- {snapshot.frames} frames, {snapshot.dropped_frames} dropped, {snapshot.lost_spots} spots lost\n"
         f"- {snapshot.half_cycles} half-cycles\n"
     )

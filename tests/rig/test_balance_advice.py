@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from processing.balance_advice import BalanceLimits, WeightResponses, mass_centre_height_m
-from rig.balancing import nominal_effects
+from rig.balance_state import nominal_effects
 from tests.balancing_cases import CONFIG, follow_advice, seen, state_of, trimmed_pendulum
 
 ROOT = Path(__file__).resolve().parents[2]
