@@ -3,13 +3,13 @@
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 from processing.errors import DataError
 from processing.fit.result import Estimate
 from processing.swing.swing import TurningPoints
 
-Found = TypeVar("Found", bound=tuple[object, ...])
+Found = TypeVar("Found", bound=NamedTuple)
 
 
 def with_scale(reduce: Callable[[TurningPoints], Found], points: TurningPoints, u_relative: float) -> Found:
@@ -46,8 +46,8 @@ def with_scale(reduce: Callable[[TurningPoints], Found], points: TurningPoints, 
             )
         except DataError:
             continue
-        widened = (_widened(a, b) for a, b in zip(found, shifted, strict=True))
-        return type(found)(*widened)
+        widened = [_widened(a, b) for a, b in zip(found, shifted, strict=True)]
+        return found._replace(**dict(zip(found._fields, widened, strict=True)))
     return found
 
 

@@ -20,6 +20,7 @@ from rig.report.numbers import plain, symbol, with_uncertainty
 from rig.report.session_report import save_figures, save_tables
 from rig.report.source import read_results
 from rig.report.table import Cell, Table
+from rig.report.verdicts import determined_text, series_verdicts
 
 DIFFERENT = 0.05
 """Chance, shared between all pairs and parameters, below which series are said to differ."""
@@ -35,7 +36,8 @@ def compare(folders: Sequence[Path], output: Path | None) -> list[Table]:
     if len(folders) < 2:
         raise RecordError(f"{len(folders)} folder: a comparison needs at least two sessions")
     series = {_label(folder, folders): series_of(folder) for folder in folders}
-    tables = [values_table(series), differences_table(compare_series(series))]
+    verdicts = [verdicts_of(folder) for folder in folders]
+    tables = [values_table(series, verdicts), differences_table(compare_series(series))]
     if output is not None:
         files = output.parent / output.stem
         names = [name for name in CONTACT_NAMES if all(name in s.parameters for s in series.values())]
@@ -84,6 +86,16 @@ def series_of(folder: Path) -> SeriesResult:
     return SeriesResult(parameters, (), together)
 
 
+def verdicts_of(folder: Path) -> dict[str, Mapping[str, Any]]:
+    """By parameter, whether a session's data determine it, as its report says it."""
+    tree = read_results(folder)
+    combined = (tree.get("series") or {}).get("exact")
+    if combined:
+        return dict(series_verdicts(combined))
+    fitted: Mapping[str, Any] = next((run for run in tree["runs"] if run.get("fits")), {})
+    return {item["name"]: item for item in fitted.get("identifiability") or []}
+
+
 def _combined(name: str, item: Mapping[str, Any]) -> Combined:
     return Combined(
         name,
@@ -110,8 +122,10 @@ def _single(fit: Mapping[str, Any]) -> dict[str, Combined]:
     return found
 
 
-def values_table(series: Mapping[str, SeriesResult]) -> Table:
-    """One row a parameter, one column a series."""
+def values_table(
+    series: Mapping[str, SeriesResult], verdicts: Sequence[Mapping[str, Mapping[str, Any]]]
+) -> Table:
+    """One row a parameter, one column a series; what is not determined as interval or bound."""
     names = [name for name in CONTACT_NAMES if any(name in found.parameters for found in series.values())]
     rows: list[list[Cell]] = []
     shown = []
@@ -125,8 +139,10 @@ def values_table(series: Mapping[str, SeriesResult]) -> Table:
             )
         rows.append(cells)
         texts = [
-            "–" if item is None else with_uncertainty(item.value * scale, item.standard_uncertainty * scale)
-            for item in items
+            "–"
+            if item is None
+            else determined_text(name, (item.value, item.standard_uncertainty), scale, known)
+            for item, known in zip(items, verdicts, strict=True)
         ]
         shown.append([f"{label} / {unit}" if unit != "1" else label, *texts])
     columns = [f"{label}_{what}" for label in series for what in ("value", "u", "expanded_95")]

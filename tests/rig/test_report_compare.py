@@ -50,6 +50,18 @@ def test_table_and_plot_of_three_series(tmp_path: Path) -> None:
     assert len((tmp_path / "page" / "values.csv").read_text().splitlines()) == 7
 
 
+def test_what_a_series_does_not_determine_is_a_bound(tmp_path: Path) -> None:
+    """c is 1.05e-8 with an uncertainty of 0.9e-8: no number with digits, but less than something."""
+    vague = session(tmp_path / "vague")
+    tree = json.loads((vague / "results.json").read_text())
+    tree["series"]["exact"]["c"] |= {"standard_uncertainty": 0.9e-8, "expanded_uncertainty_95": 3.9e-8}
+    (vague / "results.json").write_text(json.dumps(tree))
+    values, _ = compare([session(tmp_path / "clear"), vague], None)
+    row = next(row for row, cells in zip(values.shown, values.rows, strict=True) if cells[0] == "c")
+    assert "±" in row[1]
+    assert row[2] == "< 5.0 × 10⁻⁸ (95 %)"
+
+
 def test_a_measured_series_takes_part(measured_series: Path, tmp_path: Path) -> None:
     values, _ = compare([measured_series, session(tmp_path / "other")], None)
     row = next(row for row in values.rows if row[0] == "period0_s")
