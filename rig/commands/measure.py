@@ -1,5 +1,6 @@
 """Commands that make, replay and show records."""
 
+import math
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -64,15 +65,43 @@ def run(
 def replay(
     record: Record,
     output: Output = None,
+    speed: Annotated[
+        str, typer.Option(metavar="1|10|max", help="Seconds of the record in a second, any number.")
+    ] = "max",
+    from_s: Annotated[float, typer.Option("--from", help="Begin so many seconds after the start.")] = 0.0,
+    to_s: Annotated[
+        float | None, typer.Option("--to", help="End so many seconds after the start.", show_default=False)
+    ] = None,
     retrack: Annotated[
         bool, typer.Option("--retrack", help="Track again, from the recorded windows.")
     ] = False,
+    view: Annotated[bool, typer.Option("--view", help="Open the live view.")] = False,
+    mode: Annotated[
+        Literal["spawn", "web"], typer.Option(help="With --view: a window, or a page on loopback.")
+    ] = "spawn",
+    rrd: Annotated[Path | None, typer.Option(help="Draw into a Rerun file.")] = None,
     set_: Set = None,
 ) -> None:
-    """Put a record through the pipeline again and compare with what was recorded."""
-    from rig.replay import replay_record
+    """Put a record through the pipeline again and compare with what was recorded.
 
-    raise typer.Exit(replay_record(record, output, retrack=retrack, overrides=set_ or []))
+    In a terminal: space pauses, → or n goes on by a frame, h by a half-cycle, + and - by 10 s, g to a
+    time, q ends.
+    """
+    from rig.replaying import replay_record
+
+    raise typer.Exit(
+        replay_record(
+            record,
+            output,
+            retrack=retrack,
+            overrides=set_ or [],
+            speed=speed,
+            from_s=from_s,
+            to_s=math.inf if to_s is None else to_s,
+            mode=mode if view else "none",
+            rrd=rrd,
+        )
+    )
 
 
 def view(

@@ -16,7 +16,7 @@ from rig.preflight import Verdict
 from rig.reduction_series import reduce_series
 from rig.results import RunResult, plain_values
 
-_DISPLAY = {
+DISPLAY = {
     "b": ("b", "rad^-p", 1.0),
     "p": ("p", "", 1.0),
     "c": ("c", "", 1.0),
@@ -24,6 +24,7 @@ _DISPLAY = {
     "period0_s": ("T0", "s", 1.0),
     "gamma_pa": ("gamma", "MPa", 1e-6),
 }
+"""How a parameter is printed: symbol, unit, and the factor to that unit."""
 
 
 def say(text: str, *, error: bool = False) -> None:
@@ -42,12 +43,13 @@ def print_preflight(console: Console, verdicts: Sequence[Verdict]) -> None:
     for name in ("", "check", "measured", "limit"):
         table.add_column(name, overflow="fold")
     for verdict in verdicts:
-        mark = "[green]go[/]" if verdict.ok else "[bold red]NO[/]"
+        mark = _mark(verdict, "go")
         table.add_row(mark, verdict.name, verdict.measured, verdict.limit)
     console.print(table, highlight=False)
     for verdict in verdicts:
-        if not verdict.ok:
-            text = f"NO-GO {verdict.name}: {verdict.reason}; {verdict.remedy}"
+        if verdict.remedy:
+            kind = "warning" if verdict.ok else "NO-GO"
+            text = f"{kind} {verdict.name}: {verdict.reason}; {verdict.remedy}"
             console.print(text, highlight=False, markup=False)
 
 
@@ -56,10 +58,17 @@ def print_checks(checks: Sequence[Check]) -> None:
     console = Console()
     table = Table(box=None, pad_edge=False, show_header=False)
     for check in checks:
-        table.add_row("[green]ok[/]" if check.ok else "[bold red]NO[/]", check.name, check.reason)
+        table.add_row(_mark(check, "ok"), check.name, check.reason)
         if check.remedy:
             table.add_row("", "", f"-> {check.remedy}")
     console.print(table, highlight=False)
+
+
+def _mark(line: Verdict | Check, well: str) -> str:
+    """A warning is ok and has a remedy all the same."""
+    if not line.ok:
+        return "[bold red]NO[/]"
+    return "[yellow]warn[/]" if line.remedy else f"[green]{well}[/]"
 
 
 def print_results(results: Sequence[RunResult], paths: Sequence[tuple[str, Path]]) -> None:
@@ -117,7 +126,7 @@ def parameter_table(fits: Mapping[str, FitResult], energy: Mapping[str, Any]) ->
         estimates = [fit.estimate(name) if name in fit.names else None for fit in fits.values()]
         if not any(estimates):
             continue
-        symbol, unit, scale = _DISPLAY.get(name, ("drag", "s", 1.0))
+        symbol, unit, scale = DISPLAY.get(name, ("drag", "s", 1.0))
         cells = ["" if e is None else value_with_uncertainty(e, scale) for e in estimates]
         table.add_row(symbol, *cells, unit)
     if energy:
