@@ -39,3 +39,17 @@ def test_extreme_pixels_do_not_touch_their_neighbours() -> None:
             pixels[0, lit] = item.full_scale_dn
             image = item.image(np.frombuffer(pack(pixels, item.code), np.uint8), 8, 1)
             assert np.array_equal(image, pixels)
+
+
+@pytest.mark.parametrize(
+    ("name", "width_px", "whole"),
+    [
+        ("Mono8", 3, True),
+        ("Mono12p", 4, True),
+        ("Mono12p", 5, False),
+        ("Mono10p", 6, False),
+        ("Mono16", 5, True),
+    ],
+)
+def test_rows_are_padded_only_where_they_end_with_a_byte(name: str, width_px: int, whole: bool) -> None:
+    assert BY_NAME[name].rows_end_with_bytes(width_px) is whole

@@ -5,12 +5,15 @@ import time
 from collections.abc import Iterator
 from typing import ClassVar
 
+import libusb_package
 import numpy as np
 import pytest
+import usb.backend.libusb1
 
 from acquisition.camera import Camera, CameraLost, CameraSettings, FrameTimeout, PixelFormat
 from acquisition.cameras.drivers import make_camera
 from acquisition.cameras.pixel_formats import BY_CODE
+from acquisition.cameras.usb3vision import discovery
 from acquisition.cameras.usb3vision.camera import Usb3VisionCamera, Usb3VisionSettings
 from processing.errors import DeviceError
 from tests.acquisition.camera_conformance import CameraConformance, Unplug
@@ -83,6 +86,21 @@ class TestConformanceOfASimpleCamera(TestConformance):
         camera = camera_on(VisionDevice(xml=xml, packing="plain", max_packet=64, first_block=1))
         yield camera
         camera.close()
+
+
+def test_libusb_of_the_package_serves_where_the_system_has_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    library = usb.backend.libusb1
+    real = library.get_backend
+    monkeypatch.setattr(library, "_lib", None)
+    monkeypatch.setattr(library, "_lib_object", None)
+    monkeypatch.setattr(
+        library, "get_backend", lambda find_library=None: real(find_library) if find_library else None
+    )
+    libusb_package.get_libusb1_backend.cache_clear()
+    try:
+        assert "libusb_package" in discovery._libusb().lib._name
+    finally:
+        libusb_package.get_libusb1_backend.cache_clear()
 
 
 def test_driver_is_registered() -> None:

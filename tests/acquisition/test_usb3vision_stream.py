@@ -11,7 +11,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from acquisition.camera import CameraLost, CameraSettings, FrameTimeout
+from acquisition.camera import CameraLost, CameraSettings, FrameTimeout, PixelFormat
 from acquisition.cameras.usb3vision.camera import Usb3VisionCamera, Usb3VisionSettings
 from acquisition.frame import Frame
 from processing.errors import DeviceError
@@ -29,12 +29,16 @@ def patient(**more: int) -> VisionDevice:
 
 
 @contextmanager
-def streaming(device: VisionDevice, **more: int) -> Iterator[Usb3VisionCamera]:
+def streaming(
+    device: VisionDevice, settings: CameraSettings | None = None, **more: int
+) -> Iterator[Usb3VisionCamera]:
     """A camera that delivers small frames quickly."""
     options = Usb3VisionSettings.model_validate({"transfer_bytes": 1 << 14, "buffers": 512} | more)
     camera = Usb3VisionCamera(options, InProcessBackend(device))
     camera.open()
     camera.configure(CameraSettings(width_px=200, height_px=102, frame_rate_hz=1000.0, exposure_us=50.0))
+    if settings is not None:
+        camera.configure(settings)
     camera.start()
     try:
         yield camera
@@ -123,6 +127,59 @@ def test_with_reads_under_way_damage_spreads_no_further_than_they_reach(
     missing = set(range(numbers[-1] + 1)) - set(numbers)
     assert status.dropped == len(missing)
     assert all(any(block <= number < block + 12 for block in (10, 40)) for number in missing), missing
+
+
+class PaddingCamera(VisionDevice):
+    """Sends some bytes that mean nothing behind each row, and says so in its leader."""
+
+    PADDING = 6
+
+    def __init__(self) -> None:
+        super().__init__(frames_inside=100_000)
+        self.faults.units = lambda kind, block, data: [
+            data[:48] + struct.pack("<H", self.PADDING) + data[50:] if kind == "leader" else data
+        ]
+
+    @property
+    def frame_bytes(self) -> int:
+        return super().frame_bytes + self.PADDING * self.shape[0]
+
+    def image_bytes(self, block: int) -> bytes:
+        plain = super().image_bytes(block).ljust(super().frame_bytes, b"\0")
+        height = self.shape[0]
+        rows = [plain[len(plain) * row // height : len(plain) * (row + 1) // height] for row in range(height)]
+        return b"".join(row + b"\xee" * self.PADDING for row in rows)
+
+
+@pytest.mark.parametrize("pixel_format", ["mono8", "mono10", "mono12", "mono16"])
+def test_padding_behind_the_rows_is_cut_off(pixel_format: PixelFormat) -> None:
+    device = PaddingCamera()
+    with streaming(device, settings=CameraSettings(pixel_format=pixel_format)) as camera:
+        frames = read_until(camera, device, 5)
+    check_images(frames, device)
+
+
+@pytest.mark.parametrize("payload_type", [0x4000, 0x0005])
+def test_payload_that_is_no_image_is_refused_in_words(payload_type: int) -> None:
+    device = patient()
+    device.faults.units = lambda kind, block, data: [
+        data[:18] + struct.pack("<H", payload_type) + data[20:] if kind == "leader" else data
+    ]
+    with (
+        streaming(device) as camera,
+        pytest.raises(DeviceError, match=f"0x{payload_type:04X}.*ChunkModeActive"),
+    ):
+        read_until(camera, device, 50)
+
+
+def test_chunks_behind_an_image_are_left_out() -> None:
+    device = patient()
+    device.faults.units = lambda kind, block, data: [
+        data[:18] + struct.pack("<H", 0x4001) + data[20:] if kind == "leader" else data
+    ]
+    with streaming(device) as camera:
+        frames = read_until(camera, device, 5)
+    check_images(frames, device)
 
 
 def test_blocks_that_the_camera_dropped_are_counted_as_its_own() -> None:

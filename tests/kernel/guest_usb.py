@@ -12,6 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import libusb_package
 import numpy as np
 import usb.backend.libusb1
 
@@ -33,7 +34,7 @@ def cameras() -> int:
 
     libusb hears of new devices from udev's daemon, which the guest has not: it must look afresh.
     """
-    usb.backend.libusb1._lib_object = None
+    usb.backend.libusb1._lib = usb.backend.libusb1._lib_object = None
     return len(find_cameras())
 
 
@@ -77,9 +78,18 @@ def pull_out(child: int) -> None:
         time.sleep(0.1)
 
 
-def opened(reading: str) -> Usb3VisionCamera:
+def packaged_libusb() -> usb.backend.IBackend:
+    """libusb from its package, although this machine has one of its own."""
+    usb.backend.libusb1._lib = usb.backend.libusb1._lib_object = None
+    libusb_package.get_libusb1_backend.cache_clear()
+    backend = libusb_package.get_libusb1_backend()
+    assert "libusb_package" in backend.lib._name
+    return backend
+
+
+def opened(reading: str, backend: usb.backend.IBackend | None = None) -> Usb3VisionCamera:
     options = Usb3VisionSettings.model_validate({"reading": reading, "control_timeout_s": 2.0})
-    camera = Usb3VisionCamera(options)
+    camera = Usb3VisionCamera(options, backend)
     camera.open()
     camera.configure(
         CameraSettings(width_px=WIDTH, height_px=HEIGHT, frame_rate_hz=RATE_HZ, exposure_us=100.0)
@@ -87,10 +97,12 @@ def opened(reading: str) -> Usb3VisionCamera:
     return camera
 
 
-def frames_are_right(reading: str, count: int, damaged: bool = False) -> dict[str, Any]:
+def frames_are_right(
+    reading: str, count: int, damaged: bool = False, packaged: bool = False
+) -> dict[str, Any]:
     """Frames in order and byte for byte, or all but those that are damaged."""
     child = plug_in(damaged=damaged)
-    camera = opened(reading)
+    camera = opened(reading, packaged_libusb() if packaged else None)
     twin = VisionDevice()
     twin.poke(0x20000, WIDTH.to_bytes(4, "little") + HEIGHT.to_bytes(4, "little"))
     camera.start()
@@ -169,6 +181,7 @@ def main() -> None:
     scenarios: dict[str, Callable[[], dict[str, Any]]] = {
         "queued": lambda: frames_are_right("auto", 60),
         "blocking": lambda: frames_are_right("blocking", 30),
+        "packaged": lambda: frames_are_right("auto", 30, packaged=True),
         "damaged_queued": lambda: frames_are_right("auto", 35, damaged=True),
         "damaged_blocking": lambda: frames_are_right("blocking", 35, damaged=True),
         "unplugged_queued": lambda: unplugged("auto"),

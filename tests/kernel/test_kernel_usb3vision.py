@@ -31,10 +31,10 @@ def scenario(results: dict[str, Any], name: str) -> dict[str, Any]:
     return result
 
 
-@pytest.mark.parametrize("name", ["queued", "blocking"])
+@pytest.mark.parametrize("name", ["queued", "blocking", "packaged"])
 def test_frames_come_whole_and_in_order(results: dict[str, Any], name: str) -> None:
     seen = scenario(results, name)
-    assert seen["uses_queue"] is (name == "queued")
+    assert seen["uses_queue"] is (name != "blocking")
     assert seen["numbers"] == list(range(len(seen["numbers"])))
     assert seen["equal"]
     assert seen["dropped"] == 0

@@ -100,9 +100,9 @@ def _libusb() -> usb.backend.IBackend:
     backend = usb.backend.libusb1.get_backend()
     if backend is None:
         try:
-            import libusb_package  # ships libusb as a wheel, where the system has none
+            import libusb_package
         except ImportError:
-            pass
+            pass  # a distribution may leave it out
         else:
             backend = libusb_package.get_libusb1_backend()
     if backend is None:

@@ -8,6 +8,7 @@ LEADER_MAGIC: Final = 0x4C563355  # "U3VL"
 TRAILER_MAGIC: Final = 0x54563355  # "U3VT"
 _MAGIC: Final = struct.Struct("<I")
 _LEADER: Final = struct.Struct("<IHHQHHQIIIIIHH")
+_MAGIC_TO_TYPE: Final = struct.Struct("<IHHQHH")
 _TRAILER: Final = struct.Struct("<IHHQHHQI")
 _TRAILER_MIN: Final = struct.Struct("<IHHQHHQ")
 # Payload types that begin with a plain image; the second has chunk data behind it
@@ -45,6 +46,14 @@ def parse_leader(raw: bytes) -> Leader | None:
     if magic != LEADER_MAGIC or size < _LEADER.size or size > len(raw) or kind not in _IMAGE_TYPES:
         return None
     return Leader(block, timestamp, pixel_format, width, height, padding)
+
+
+def announced_type(raw: bytes) -> int | None:
+    """Payload type that a whole leader announces, image or not; None where these bytes are no leader."""
+    if len(raw) < _MAGIC_TO_TYPE.size:
+        return None
+    magic, _, size, _, _, kind = _MAGIC_TO_TYPE.unpack_from(raw)
+    return int(kind) if magic == LEADER_MAGIC and _MAGIC_TO_TYPE.size <= size <= len(raw) else None
 
 
 def parse_trailer(raw: bytes) -> Trailer | None:

@@ -18,6 +18,7 @@ from acquisition.cameras.usb3vision.link import StreamHalted, UsbLink
 from acquisition.cameras.usb3vision.packets import (
     TRAILER_MAGIC,
     Leader,
+    announced_type,
     begins_like,
     parse_leader,
     parse_trailer,
@@ -240,6 +241,7 @@ class FrameStream:
         leader = parse_leader(data[:256].tobytes()) if data.size <= self._plan.leader else None
         self._pieces, self._received = [], 0
         if leader is None:
+            self._refuse_other_payload(data[:256].tobytes())
             self._disturbed = True
             if in_rhythm:
                 self._lost_parts += 1
@@ -252,6 +254,17 @@ class FrameStream:
             if self._next_part != 1:
                 self._lose_frame()
                 self._disturbed = True
+
+    def _refuse_other_payload(self, leader: bytes) -> None:
+        kind = announced_type(leader)
+        if kind is None:
+            return
+        self._misfits += 1
+        if self._misfits >= _MOST_MISFITS:
+            raise DeviceError(
+                f"{self._link.name}: sends payload of type 0x{kind:04X}, no image; switch chunks and "
+                "compression off (rig camera set CONFIGURATION ChunkModeActive=0)"
+            )
 
     def _take_payload(self, data: NDArray[np.uint8], planned: int) -> None:
         if data.size < planned and data.size <= max(self._plan.leader, self._plan.trailer):
