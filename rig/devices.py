@@ -2,17 +2,16 @@
 
 import logging
 import math
-import time
 from collections.abc import Iterator
-from concurrent.futures import Future
 from contextlib import ExitStack, contextmanager
 from types import TracebackType
-from typing import Any, NamedTuple, Self
+from typing import NamedTuple, Self
 
 from acquisition.camera import Camera, CameraInfo
 from acquisition.cameras.simulated import SimulatedCamera
 from acquisition.simulation.inputs import RigInputs
-from processing.errors import ConfigurationError, DeviceError
+from processing.errors import ConfigurationError
+from rig import lighting
 from rig.config import Configuration
 from rig.control.controller import Controller
 from rig.control.environment import EnvironmentService
@@ -23,7 +22,6 @@ from rig.control.simulated import SimulatedOutputs, simulated_controller
 from rig.instrument import camera_settings, make_camera, setting_differences
 
 _log = logging.getLogger(__name__)
-_COMMAND_S = 5.0
 
 
 class OpenCamera(NamedTuple):
@@ -120,26 +118,14 @@ class Devices:
         )
 
     def light(self) -> str:
-        """Switch the laser on; what was done, in words. Raises DeviceError: refused, interlock open."""
-        settings = self._config.laser
-        if settings.kind == "controller":
-            control = self.required_control("laser.kind = 'controller'")
-            if settings.power_w <= 0:
-                raise ConfigurationError("laser.power_w = 0: state the power that the laser shall have")
-            done(control.set_laser_power_w(settings.power_w))
-            done(control.laser_on())
-            return f"laser on, {settings.power_w * 1e3:g} mW"
-        if self.laser is None:
-            return ""
-        deadline_s = time.monotonic() + _COMMAND_S
-        while self.laser.snapshot.state is None and time.monotonic() < deadline_s:
-            time.sleep(0.01)
-        if settings.power_w > 0:
-            done(self.laser.set_power_w(settings.power_w))
-        if settings.current_a > 0:
-            done(self.laser.set_current_a(settings.current_a))
-        done(self.laser.enable())
-        return "laser on"
+        """Switch the laser on; what was done, in words. Raises as `rig.lighting.light`."""
+        return lighting.light(self._config.laser, self.control, self.laser)
+
+    def laser_now(self) -> lighting.LaserNow | None:
+        """How the laser stands; None without one that is ours. Never blocks."""
+        if self._config.laser.kind == "none":
+            return None
+        return lighting.laser_now(self._config.laser, self.control, self.laser)
 
     def required_control(self, who: str) -> ControlService:
         """The controller; ConfigurationError where `who` needs one and there is none."""
@@ -152,6 +138,8 @@ class Devices:
         found = [("controller", event.text) for event in self.control.take_events()] if self.control else []
         if self.laser is not None:
             found += [("laser", event.text) for event in self.laser.take_events()]
+        if self.sensor is not None:
+            found += [("sensor", event.text) for event in self.sensor.take_events()]
         return found
 
     def environment(self) -> tuple[float, float, float]:
@@ -165,14 +153,15 @@ class Devices:
         return math.nan, math.nan, math.nan
 
     def describe(self) -> str:
-        """The controller's state in a few words; empty without one."""
+        """Laser and controller in a few words; empty without them."""
+        laser = self.laser_now()
+        words = [] if laser is None else ["laser on" if laser.on else f"laser {laser.words}"]
         if self.control is None:
-            return ""
+            return ", ".join(words)
         snapshot = self.control.snapshot
         if snapshot.state is not ControlState.OPEN or snapshot.status is None:
             return str(snapshot.state)
         status = snapshot.status
-        words = ["laser on" if status.laser_on else "laser off"] if self._config.laser.kind != "none" else []
         words += [
             name
             for name, on in (
@@ -185,14 +174,6 @@ class Devices:
         ]
         words.append("interlock closed" if status.interlock_closed else "INTERLOCK OPEN")
         return ", ".join(words)
-
-
-def done(command: "Future[Any]") -> None:
-    """Wait for a command; raises its DeviceError."""
-    try:
-        command.result(_COMMAND_S)
-    except TimeoutError:
-        raise DeviceError(f"a command was not carried out within {_COMMAND_S:g} s") from None
 
 
 def _unwired(_: float) -> None:

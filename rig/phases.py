@@ -14,7 +14,8 @@ from processing.errors import DataError, DeviceError
 from processing.spot import SensorModel, SpotTracker
 from rig import preflight
 from rig.config import Configuration
-from rig.devices import Devices, done
+from rig.devices import Devices
+from rig.lighting import done, goes_dark_by_itself
 from rig.lookout import Lookout
 from rig.phase_watch import PhaseWatch, Stopped
 from rig.pipeline import Deflector
@@ -175,6 +176,7 @@ class Preparation:
                 shutil.disk_usage(self._folder).free,
             ),
             preflight.controller(self._devices.describe(), config.controller.kind != "none"),
+            preflight.laser(self._devices.laser_now(), goes_dark_by_itself(config.laser)),
             preflight.air(self._devices.environment(), config.environment_sensor.kind != "none", limits),
         ]
         self._show_table(self.verdicts)

@@ -14,6 +14,7 @@ from processing.angle import ARCSEC_RAD
 from processing.errors import DataError
 from processing.spot import Spot, SpotFlag
 from rig.config import Configuration
+from rig.lighting import STAYS_LIT, WIRE_IT, LaserNow
 from rig.phase_settings import PreflightSettings
 
 Floats = NDArray[np.float64]
@@ -22,7 +23,10 @@ _SPOT_BYTES = 260
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """One line of the table. A check that was not made is ok and says why."""
+    """One line of the table. A check that was not made is ok and says why.
+
+    One that is ok and has a remedy all the same is a warning.
+    """
 
     name: str
     measured: str
@@ -234,6 +238,18 @@ def controller(words: str, wanted: bool) -> Verdict:
         "" if ok else "it does not answer, or its interlock is open",
         "" if ok else "see rig doctor; close the cover",
     )
+
+
+def laser(now: LaserNow | None, goes_dark_by_itself: bool) -> Verdict:
+    """Whether a laser that is ours is lit; a warning where nothing but this program switches it off."""
+    if now is None:
+        return Verdict("laser", "not ours", "lit", True)
+    if not now.on:
+        remedy = "see rig doctor; close the interlock, turn its key"
+        return Verdict("laser", now.words, "lit", False, "there is no light to measure with", remedy)
+    if goes_dark_by_itself:
+        return Verdict("laser", now.words, "lit", True)
+    return Verdict("laser", now.words, "lit", True, STAYS_LIT, WIRE_IT)
 
 
 def camera(driver: str, notes: Sequence[str]) -> Verdict:

@@ -108,9 +108,6 @@ def _make_runs(
     folder = file.folder
     records = [folder / entry.record for entry in file.state.complete]
     failed = stopped = False
-    lit = devices.light() if len(records) < file.state.runs_wanted else ""
-    if lit:
-        say(lit)
     while len(records) < file.state.runs_wanted and not (failed or stopped):
         number = file.state.next_number
         record = folder / f"run-{number}.mcap"
@@ -123,7 +120,18 @@ def _make_runs(
         plan = RunPlan(
             _numbered(config, number), source, record, f"run {number}", force, json_lines, set_aside
         )
-        outcome = measure_run(plan, devices)
+        try:
+            # dark again after a run in which an interlock opened or the controller was lost
+            if lit := devices.light():
+                say(lit)
+            outcome = measure_run(plan, devices)
+        except RigError as error:
+            file.note(number, record.name, "failed", str(error))
+            if not records:
+                raise
+            say(f"run {number} failed: {error}", error=True)
+            failed = True
+            break
         reason = outcome.snapshot.reason
         interrupt = outcome.interrupt
         stopped = interrupt is not None and reason == reason_of(interrupt)

@@ -3,6 +3,7 @@
 import contextlib
 import re
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 from serial.tools import list_ports
@@ -28,7 +29,10 @@ class SerialPortInfo:
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One line of a go / no-go table; `remedy` is empty where all is well."""
+    """One line of a go / no-go table; `remedy` is empty where all is well.
+
+    One that is ok and has a remedy all the same is a warning.
+    """
 
     name: str
     ok: bool
@@ -104,7 +108,7 @@ def check_controller(
 
 
 def check_laser(settings: LaserSettings, controller: ControllerSettings) -> tuple[Check, ...]:
-    """Open the laser, look at it and close it again; it stays dark."""
+    """Open the laser, look at it and close it again; it stays dark, and the controller's relay open."""
     laser = make_laser(settings)
     if laser is None:
         return ()
@@ -117,24 +121,37 @@ def check_laser(settings: LaserSettings, controller: ControllerSettings) -> tupl
         laser.close()
     checks = [
         Check("laser", True, f"{identity.vendor} {identity.model} {identity.serial}".replace("  ", " ")),
-        Check(
-            "laser interlock",
-            state.interlock_closed,
-            "closed" if state.interlock_closed else "open: the laser will stay dark",
-            "" if state.interlock_closed else "close the laser's interlock and turn its key",
-        ),
-        Check(
-            "laser goes dark by itself",
-            controller.kind == "serial",
-            "the controller's relay opens its interlock when the program dies"
-            if controller.kind == "serial"
-            else "this laser has no watchdog of its own: it stays lit when the program is killed",
-            "" if controller.kind == "serial" else "wire its interlock through a controller's enable relay",
-        ),
+        *_interlock(settings, controller, state.interlock_closed),
     ]
     if state.fault:
         checks.append(Check("laser fault", False, state.fault, "see the laser's panel and manual"))
     return tuple(checks)
+
+
+def _interlock(settings: LaserSettings, controller: ControllerSettings, closed: bool) -> Iterator[Check]:
+    """What the laser says of its interlock while the controller's relay is open."""
+    name = "laser goes dark by itself"
+    if settings.interlock == "own":
+        reason = "closed" if closed else "open: the laser will stay dark"
+        remedy = "" if closed else "close the laser's interlock and turn its key"
+        yield Check("laser interlock", closed, reason, remedy)
+        yield Check(
+            name,
+            True,
+            "no: without a watchdog of its own it stays lit when the program is killed",
+            "wire its interlock through a controller's enable relay and set laser.interlock = 'controller'",
+        )
+    elif controller.kind == "none":
+        yield Check(name, False, "no controller is configured", "set controller.kind, or laser.interlock")
+    else:
+        yield Check(
+            name,
+            not closed,
+            "its interlock is closed while the controller's relay is open: it is not wired through it"
+            if closed
+            else "the controller's relay opens its interlock when the program dies",
+            "see the wiring in docs/controller.md" if closed else "",
+        )
 
 
 def check_environment(settings: EnvironmentSettings, patience_s: float = 5.0) -> tuple[Check, ...]:

@@ -59,7 +59,9 @@ class LaserSettings(BaseModel, frozen=True, extra="forbid"):
     """The laser: who drives it, how strong it may and shall be, how long it warms up.
 
     Diode drivers (thorlabs4000, ldc500) are set in amperes, the others in watts. `power_w`
-    or `current_a` above its limit is refused here, before anything is opened.
+    or `current_a` above its limit is refused here, before anything is opened. `interlock` says where the
+    interlock of a laser with a port of its own leads: through the controller's enable relay, whose watchdog
+    then darkens it, or elsewhere.
     """
 
     kind: LaserKind = "none"
@@ -68,6 +70,7 @@ class LaserSettings(BaseModel, frozen=True, extra="forbid"):
     timeout_s: float = Field(default=0.5, gt=0, le=5)
     max_power_w: float = Field(default=0.001, ge=0, le=1, allow_inf_nan=False)
     power_w: float = Field(default=0.0, ge=0, allow_inf_nan=False)
+    interlock: Literal["own", "controller"] = "own"
     max_current_a: float = Field(default=0.0, ge=0, le=20, allow_inf_nan=False)
     current_a: float = Field(default=0.0, ge=0, allow_inf_nan=False)
     warm_up_min_s: float = Field(default=0.0, ge=0)

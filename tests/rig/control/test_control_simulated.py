@@ -204,14 +204,25 @@ def test_checks_say_what_to_do() -> None:
     assert check.remedy
 
 
-def test_a_laser_without_watchdog_is_no_go() -> None:
+def test_a_laser_without_watchdog_is_warned_of_and_its_wiring_tried() -> None:
     instrument = FakeCobolt()
-    laser = LaserSettings(kind="cobolt", port=instrument.port)
-    without = {c.name: c for c in check_laser(laser, ControllerSettings())}
-    assert not without["laser goes dark by itself"].ok
-    wired = {c.name: c for c in check_laser(laser, ControllerSettings(kind="serial", port="x"))}
-    assert all(check.ok for check in wired.values())
-    instrument.close()
+    name = "laser goes dark by itself"
+    board = ControllerSettings(kind="serial", port="x")
+    own = LaserSettings(kind="cobolt", port=instrument.port)
+    wired = LaserSettings(kind="cobolt", port=instrument.port, interlock="controller")
+    try:
+        (warning,) = [check for check in check_laser(own, board) if check.name == name]
+        assert warning.ok
+        assert "stays lit when the program is killed" in warning.reason
+        assert "enable relay" in warning.remedy
+        # said to be wired through the relay, which is open: closed all the same means that it is not
+        (not_wired,) = [check for check in check_laser(wired, board) if check.name == name]
+        assert not not_wired.ok
+        instrument.interlock_closed = False
+        assert all(check.ok and not check.remedy for check in check_laser(wired, board))
+        assert not all(check.ok for check in check_laser(wired, ControllerSettings()))
+    finally:
+        instrument.close()
 
 
 def test_environment_check_names_the_line_that_does_not_match(sensor: tuple[int, str]) -> None:

@@ -1,0 +1,116 @@
+"""The laser of a session: lit in the order that is safe, and what is known of it."""
+
+import time
+from collections.abc import Callable
+from concurrent.futures import Future
+from typing import Any, NamedTuple
+
+from processing.errors import ConfigurationError, DeviceError
+from rig.control.laser_service import LONGEST_JOB_S, LaserService
+from rig.control.lasers import LaserState
+from rig.control.service import ControlService
+from rig.control.settings import LaserSettings
+
+_COMMAND_S = 5.0
+_ANSWERS_WITHIN_S = 10.0
+STAYS_LIT = "it stays lit when this program is killed"
+WIRE_IT = "wire its interlock through the controller's enable relay and set laser.interlock = 'controller'"
+
+
+class LaserNow(NamedTuple):
+    """Whether the laser is lit, and its state in words; `on` False where it does not answer."""
+
+    on: bool
+    words: str
+
+
+def goes_dark_by_itself(settings: LaserSettings) -> bool:
+    """Whether something but this program switches the laser off when this program is killed."""
+    return settings.kind == "controller" or settings.interlock == "controller"
+
+
+def light(settings: LaserSettings, control: ControlService | None, laser: LaserService | None) -> str:
+    """Switch the laser on where it is dark; what was done, in words, nothing where it was lit.
+
+    Raises DeviceError: refused, silent, an interlock is open, or the laser's interlock is not wired
+    through the controller although it is said to be. ConfigurationError: a controller is needed.
+    """
+    if settings.kind == "none" or laser_now(settings, control, laser).on:
+        return ""
+    if settings.kind == "controller":
+        if control is None:
+            raise ConfigurationError(_needs_controller("laser.kind"))
+        if settings.power_w <= 0:
+            raise ConfigurationError("laser.power_w = 0: state the power that the laser shall have")
+        done(control.set_laser_power_w(settings.power_w))
+        done(control.laser_on())
+        return f"laser on, {settings.power_w * 1e3:g} mW"
+    if laser is None:
+        return ""
+    state = _wait(laser, lambda _: True)
+    if settings.interlock == "controller":
+        if control is None:
+            raise ConfigurationError(_needs_controller("laser.interlock"))
+        relay = control.snapshot.status
+        if state.interlock_closed and relay is not None and not relay.laser_on:
+            raise DeviceError(
+                "laser.interlock = 'controller', but the laser's interlock is closed while the controller's "
+                "relay is open: wire it through the relay, or set laser.interlock = 'own'"
+            )
+        # the relay alone: the controller's own power stays 0
+        done(control.laser_on())
+        _wait(laser, lambda state: state.interlock_closed)
+    if settings.power_w > 0:
+        done(laser.set_power_w(settings.power_w))
+    if settings.current_a > 0:
+        done(laser.set_current_a(settings.current_a))
+    done(laser.enable(), LONGEST_JOB_S)
+    return "laser on" if goes_dark_by_itself(settings) else f"laser on; {STAYS_LIT} (docs/controller.md)"
+
+
+def laser_now(
+    settings: LaserSettings, control: ControlService | None, laser: LaserService | None
+) -> LaserNow:
+    """What is known at this moment; never blocks."""
+    if settings.kind == "controller":
+        status = control.snapshot.status if control is not None else None
+        if status is None:
+            return LaserNow(False, "the controller does not answer")
+        return LaserNow(
+            status.laser_on, f"on, {status.laser_power_w * 1e3:g} mW" if status.laser_on else "off"
+        )
+    state = laser.snapshot.state if laser is not None else None
+    if state is None:
+        return LaserNow(False, "does not answer")
+    measured = f", {state.power_w * 1e3:.3g} mW" if state.power_w else ""
+    measured += f", {state.current_a * 1e3:.4g} mA" if state.current_a else ""
+    dark = "off" if state.interlock_closed else "off, its interlock is open"
+    return LaserNow(state.on, f"on{measured}" if state.on else dark)
+
+
+def done(command: "Future[Any]", patience_s: float = _COMMAND_S) -> None:
+    """Wait for a command; raises its DeviceError."""
+    try:
+        command.result(patience_s)
+    except TimeoutError:
+        raise DeviceError(f"a command was not carried out within {patience_s:g} s") from None
+
+
+def _wait(laser: LaserService, reached: Callable[[LaserState], bool]) -> LaserState:
+    deadline_s = time.monotonic() + _ANSWERS_WITHIN_S
+    while True:
+        snapshot = laser.snapshot
+        if snapshot.state is not None and reached(snapshot.state):
+            return snapshot.state
+        if time.monotonic() > deadline_s:
+            if snapshot.state is not None:
+                raise DeviceError(
+                    "the laser's interlock stays open although the controller's relay is closed; "
+                    "see its wiring, cover and key"
+                )
+            raise DeviceError(snapshot.last_error or f"the laser was silent for {_ANSWERS_WITHIN_S:g} s")
+        time.sleep(0.02)
+
+
+def _needs_controller(who: str) -> str:
+    return f"{who} = 'controller' needs a controller: set controller.kind to serial or simulated"
