@@ -12,7 +12,7 @@ from rig.control.service import ControlService
 from rig.control.settings import LaserSettings
 
 _COMMAND_S = 5.0
-_ANSWERS_WITHIN_S = 10.0
+_ANSWERS_WITHIN_S = 5.0
 STAYS_LIT = "it stays lit when this program is killed"
 WIRE_IT = "wire its interlock through the controller's enable relay and set laser.interlock = 'controller'"
 

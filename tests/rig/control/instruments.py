@@ -24,6 +24,7 @@ class Instrument:
         self.received: list[str] = []
         self.silent = False
         self.stuck_on = False
+        self.deaf_to_off = 0
         self._master, self._slave = pty.openpty()
         tty.setraw(self._slave)
         self.port = os.ttyname(self._slave)
@@ -60,6 +61,9 @@ class Instrument:
                 line, buffer = buffer.split(self.terminator, 1)
                 command = line.decode("ascii").strip()
                 self.received.append(command)
+                if self.deaf_to_off and command.upper().endswith(("OFF", "L0")):
+                    self.deaf_to_off -= 1
+                    continue
                 reply = self.answer(command)
                 if reply is not None and not self.silent:
                     os.write(self._master, reply.encode("ascii"))
