@@ -3,7 +3,7 @@
 import datetime
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,16 +13,11 @@ from acquisition.record.digest import sha256_of
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import ENVIRONMENT
 from processing.angle import ARCSEC_RAD
-from processing.contact.moments import surface_energy
-from processing.contact.parameters import PendulumOnBall
-from processing.errors import DataError
-from processing.fit.asymptotic import fit_asymptotic
-from processing.fit.exact import fit_exact
-from processing.fit.least_squares import Loss
 from processing.fit.result import FitResult
-from processing.swing import Swing, TurningPoints, turning_points
+from processing.swing import Swing
 from rig.calibration_use import judge_calibration
-from rig.config import Configuration, FitSettings
+from rig.config import Configuration
+from rig.decay_fit import DecayFits, SlowSamples, fit_decay, settled_swings
 from rig.evaluation import Evaluation, evaluate, rig_quantities
 from rig.evaluation_tree import series_tree
 from rig.instrument import pendulum_on_ball
@@ -30,52 +25,6 @@ from rig.provenance import recorded_configuration
 from rig.reduction import Air, Samples, reduce_run
 from rig.reduction_series import reduce_series
 from rig.results import RunResult, results_tree, write_results
-
-
-@dataclass(frozen=True, slots=True)
-class DecayFits:
-    """Both fits of one decay; `problem` says in one line why they are missing."""
-
-    fits: Mapping[str, FitResult]
-    surface_energy: Mapping[str, Any]
-    problem: str = ""
-
-
-def fit_decay(points: TurningPoints, pendulum: PendulumOnBall | None, settings: FitSettings) -> DecayFits:
-    """Asymptotic and exact fit of turning points; a decay that cannot be fitted is said, not raised."""
-    if pendulum is None:
-        return DecayFits(
-            {}, {}, "no [pendulum] in the configuration: state mass_kg and ball_radius_m to fit the contact"
-        )
-    loss: Loss = "soft_l1" if settings.robust else "linear"
-    try:
-        fits = {
-            "asymptotic": fit_asymptotic(
-                points, pendulum, drag=settings.drag, loss=loss, printed_curvature=settings.printed_055
-            ),
-            "exact": fit_exact(points, pendulum, drag=settings.drag, loss=loss),
-        }
-    except DataError as error:
-        return DecayFits({}, {}, str(error))
-    energies = {name: _energy(fit, pendulum) for name, fit in fits.items()}
-    return DecayFits(fits, {**energies["exact"], "asymptotic": energies["asymptotic"]})
-
-
-def _energy(fit: FitResult, pendulum: PendulumOnBall) -> dict[str, dict[str, float]]:
-    """Both forms of the surface energy; each is proportional to c, and so is its uncertainty."""
-    c = fit.estimate("c")
-    value = surface_energy(c.value, pendulum)
-    unit = surface_energy(1.0, pendulum)
-    return {
-        "table2": {
-            "value": value.table2_j_per_m2,
-            "standard_uncertainty": c.standard_uncertainty * unit.table2_j_per_m2,
-        },
-        "eq2": {
-            "value": value.eq2_j_per_m2,
-            "standard_uncertainty": c.standard_uncertainty * unit.eq2_j_per_m2,
-        },
-    }
 
 
 def analyse_record(path: Path, overrides: Sequence[str] = ()) -> RunResult:
@@ -141,9 +90,11 @@ def _analyse_swings(
         return _reduced(path, swings, config, samples, air)
     calibrated = config.lever is not None
     unit_rad = ARCSEC_RAD if calibrated else 1.0
-    good = [swing for swing in swings if swing.flags == 0]
-    points = _in_true_time(turning_points(swings), config)
     pendulum = pendulum_on_ball(config)
+    slow = SlowSamples(samples.times_ns, samples.y_rad, samples.u_y_rad, _clock_rate(config))
+    settled = settled_swings(swings, slow, pendulum, config.fit) if calibrated else swings
+    good = [swing for swing in settled if swing.flags == 0]
+    points = slow.points(settled)
     if calibrated:
         decay = fit_decay(points, pendulum, config.fit)
     else:
@@ -171,6 +122,7 @@ def _analyse_swings(
         points=points,
         evaluation=evaluation,
         settings=config.fit.model_dump(),
+        measured_again=settled is not swings,
     )
 
 
@@ -198,10 +150,9 @@ def _reduced(
     )
 
 
-def _in_true_time(points: TurningPoints, config: Configuration) -> TurningPoints:
-    """Times of the camera's clock in true seconds, as its calibration has it."""
-    rate = config.timebase.camera_rate if config.timebase is not None else 1.0
-    return replace(points, time_s=points.time_s * rate, u_time_s=points.u_time_s * rate)
+def _clock_rate(config: Configuration) -> float:
+    """True seconds in one of the camera's clock, as its calibration has it."""
+    return config.timebase.camera_rate if config.timebase is not None else 1.0
 
 
 def _utc(reader: RecordReader, time_ns: int) -> datetime.datetime:

@@ -19,7 +19,11 @@ SCHEMA = 1
 
 @dataclass(frozen=True, slots=True)
 class RunResult:
-    """What is reported of one run. Amplitudes in arcsec; `problem` says why a fit is missing."""
+    """What is reported of one run. Amplitudes in arcsec; `problem` says why a fit is missing.
+
+    `measured_again`: the fitted turning points are not those that were detected while the record was
+    made, but the same ones measured once more (see `processing.fit.remeasure`).
+    """
 
     record: Path
     sha256: str
@@ -37,6 +41,7 @@ class RunResult:
     settings: Mapping[str, Any] = field(default_factory=dict)
     calibration: Mapping[str, Any] = field(default_factory=dict)
     reduction: Reduction | None = None
+    measured_again: bool = False
 
 
 def results_tree(runs: Sequence[RunResult], folder: Path, series: Mapping[str, Any]) -> dict[str, Any]:
@@ -81,6 +86,7 @@ def _run_tree(run: RunResult, folder: Path) -> dict[str, Any]:
         "frames": run.frames,
         "dropped_frames": run.dropped_frames,
         "half_cycles": run.half_cycles,
+        "measured_again": run.measured_again,
         "initial_amplitude_arcsec": run.initial_amplitude_arcsec,
         "final_amplitude_arcsec": run.final_amplitude_arcsec,
         "fits": {name: fit_tree(fit) for name, fit in run.fits.items()},

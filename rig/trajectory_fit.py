@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from processing.decay_summary import DecaySummary, summarise_decay
 from processing.errors import DataError
 from processing.swing import Swing, SwingDetector, estimate_noise, turning_points
-from rig.analysis import DecayFits, fit_decay
 from rig.config import Configuration, load_configuration
+from rig.decay_fit import DecayFits, SlowSamples, fit_decay, settled_swings
 from rig.instrument import pendulum_on_ball
 from rig.results import SCHEMA, fit_tree, write_results
 from rig.trajectory import Trajectory, read_trajectory
@@ -53,7 +53,10 @@ def fit_trajectory(
     summary = summarise_decay(points)
     laws = DecayFits({}, {}, _why_no_laws(trajectory, config))
     if config is not None and not laws.problem:
-        laws = fit_decay(points, pendulum_on_ball(config), config.fit)
+        pendulum = pendulum_on_ball(config)
+        samples = SlowSamples(trajectory.times_ns, deflection, np.full(len(deflection), noise))
+        points = samples.points(settled_swings(swings, samples, pendulum, config.fit))
+        laws = fit_decay(points, pendulum, config.fit)
     _print(path, trajectory, swings, summary, noise / scale, laws)
     if output is not None:
         output.mkdir(parents=True, exist_ok=True)

@@ -182,12 +182,12 @@ def fit_arc(
     """Least squares for the state at the first of `halves`, all half-cycles tied by the motion.
 
     `prior_sigma` is the width of the prior around `prior_mean` (inf where there is none), `terms`
-    are the entries of the state in use. Returns None when no solution is found.
+    are the entries of the state that are free; the others stay as in `start`. Returns None when no
+    solution is found.
     """
     active = np.array(sorted(terms), dtype=np.int64)
     prior = np.diag(1.0 / prior_sigma[active] ** 2)
     x = start.copy()
-    x[[i for i in range(STATES) if i not in terms]] = 0.0
     covariance = np.empty_like(prior)
     samples = _joined(halves)
     best_cost, best_x, best_walk = math.inf, x, None

@@ -6,6 +6,7 @@ from numpy.typing import ArrayLike
 
 from processing.swing.follower import Follower
 from processing.swing.judgement import turned
+from processing.swing.known import KnownMotion
 from processing.swing.measurement import Measurement
 from processing.swing.onset import FirstHalfCycle, Onset, OnsetSearch
 from processing.swing.samples import SampleBuffer
@@ -45,9 +46,10 @@ class SwingDetector:
     28
     """
 
-    def __init__(self) -> None:
+    def __init__(self, known: KnownMotion | None = None) -> None:
         self._samples = SampleBuffer()
-        self._search: OnsetSearch | None = OnsetSearch(self._samples, 0)
+        self._known = known
+        self._search: OnsetSearch | None = OnsetSearch(self._samples, 0, known=known)
         self._follower: Follower | None = None
         self._half_period_s = math.nan
         self._last: Swing | None = None
@@ -139,7 +141,9 @@ class SwingDetector:
             if follower.misses:
                 self._broken_off = self._last_good
             self._follower = None
-            self._search = OnsetSearch(self._samples, position, self._half_period_s, half.reference_ns)
+            self._search = OnsetSearch(
+                self._samples, position, self._half_period_s, half.reference_ns, self._known
+            )
         elif not follower.misses:
             self._samples.forget_before(self._samples.position(end_ns))
         return True

@@ -7,7 +7,7 @@ import numpy as np
 
 from processing.swing.arc import Arc, HalfCycleSamples, state_on_arc
 from processing.swing.halfcycle import AMPLITUDE, CENTRE, DRIFT, RATE, SHAPE, TIME, Matrix
-from processing.swing.judgement import judge, shared_widened
+from processing.swing.judgement import judge
 from processing.swing.measurement import Measurement, excess, measure
 from processing.swing.onset import Onset
 from processing.swing.prediction import SLOPE_WANDER, predict
@@ -63,7 +63,9 @@ class Follower:
         self._surprise = 1.0
         self._restlessness = _RESTLESS_AT_FIRST
         self._correction = 1.0
-        self._history: list[HalfCycleSamples] | None = list(onset.halves)
+        # a motion that is known is not learned
+        learns = RATE in arc.active
+        self._history: list[HalfCycleSamples] | None = list(onset.halves) if learns else None
         self._first = arc.states[0].copy()
         self._x, self._covariance = state_on_arc(arc, len(arc.states) - 1)
         self._covariance *= onset.noise_scale**2
@@ -141,8 +143,7 @@ class Follower:
         )
         # a centre that wanders from half-cycle to half-cycle also wanders within one
         wider = math.sqrt(1.0 + (_WITHIN * SLOPE_WANDER) ** 2 * self._restlessness)
-        result = result._replace(u_amplitude=result.u_amplitude * wider, u_time_s=result.u_time_s * wider)
-        return shared_widened(result, float(self._x[RATE]), self._age)
+        return result._replace(u_amplitude=result.u_amplitude * wider, u_time_s=result.u_time_s * wider)
 
     def _measure_restless(self, half: HalfCycleSamples) -> Measurement:
         """Measure with a centre that may have moved anywhere since, and be moving as fast."""

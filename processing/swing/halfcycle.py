@@ -84,6 +84,8 @@ def tabulate_state(
             wanted[count] = column - SHAPE
             count += 1
             bent |= column != SHAPE + DAMPING
+    for k in range(DAMPING + 1, SHAPES):
+        bent |= anchor[SHAPE + k] != 0.0
     if bent:
         # damping alone looks the same at every amplitude, all others do not
         wanted[count] = LOG_RATIO
@@ -124,6 +126,8 @@ def linearise(
     for column in active:
         fast |= column >= FAST
         bent |= SHAPE + DAMPING < column < SHAPE + SHAPES
+    for k in range(DAMPING + 1, SHAPES):
+        bent |= x[SHAPE + k] != 0.0
     for i in range(len(tau)):
         s = (tau[i] - x[TIME]) * rate
         node, f = locate(s)

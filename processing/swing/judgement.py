@@ -1,7 +1,5 @@
 """What a measured half-cycle is worth, and what is wrong with it."""
 
-import math
-
 from processing.swing.arc import HalfCycleSamples
 from processing.swing.measurement import Measurement, excess
 from processing.swing.swing import SwingFlag
@@ -22,9 +20,6 @@ _HOLE_SPACINGS = 3.5
 
 _FEWEST = 7
 _FAINT = 5.0
-
-_REPEATED, _FORGOTTEN = 8.0, 40.0
-"""How many more times a shared error of the time is counted at first, and for how many half-cycles."""
 
 
 def judge(
@@ -52,17 +47,3 @@ def judge(
 def turned(result: Measurement, half: HalfCycleSamples) -> bool:
     """Whether the turning point lies among the samples, so that it was seen and not inferred."""
     return result.valid and len(half.tau_s) > 0 and bool(half.tau_s[0] <= result.time_s <= half.tau_s[-1])
-
-
-def shared_widened(result: Measurement, rate: float, half_cycles_seen: int) -> Measurement:
-    """Widen the time's uncertainty by what its error shares with those of the half-cycles nearby.
-
-    While friction is being learned, the times of many half-cycles are off together. Who fits them
-    takes their errors as independent; each must then count for less than its own scatter says.
-    """
-    if not result.valid:
-        return result
-    alone = (result.resolution / (result.amplitude * rate)) ** 2
-    shared = max(result.u_time_s**2 - alone, 0.0)
-    repeated = _REPEATED * math.exp(-half_cycles_seen / _FORGOTTEN)
-    return result._replace(u_time_s=math.sqrt(result.u_time_s**2 + repeated * shared))

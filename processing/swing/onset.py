@@ -8,7 +8,8 @@ import numpy as np
 
 from processing.swing.arc import Arc, HalfCycleSamples, state_before, state_on_arc
 from processing.swing.halfcycle import AMPLITUDE, RATE, TIME
-from processing.swing.judgement import judge, shared_widened, turned
+from processing.swing.judgement import judge, turned
+from processing.swing.known import KnownMotion
 from processing.swing.measurement import Measurement, measure
 from processing.swing.pivots import SEARCH_STATE, Pivot, regular, search
 from processing.swing.prediction import window
@@ -78,10 +79,16 @@ class OnsetSearch:
     """Goes through the samples until four turning points in a row belong to one oscillation."""
 
     def __init__(
-        self, samples: SampleBuffer, position: int, half_period_s: float = math.nan, lost_ns: int = 0
+        self,
+        samples: SampleBuffer,
+        position: int,
+        half_period_s: float = math.nan,
+        lost_ns: int = 0,
+        known: KnownMotion | None = None,
     ) -> None:
         """Start at a position in the buffer; `half_period_s` of an oscillation that was lost at `lost_ns`."""
         self._samples = samples
+        self._known = known
         self._half_period_s = half_period_s
         self._lost_ns = lost_ns
         self._searched = position + samples.dropped
@@ -142,10 +149,10 @@ class OnsetSearch:
         self._forget()
         pivots = self._pivots
         halves = _cut(self._samples, pivots)
-        arc = choose(first_guess(pivots), halves)
+        arc = choose(first_guess(pivots), halves, self._known)
         if len(pivots) > 2 and (arc is None or arc.chi2 > _DOUBTFUL * arc.samples):
             # the first half-cycle may hold the release or the kick
-            later = choose(first_guess(pivots[1:]), halves[1:])
+            later = choose(first_guess(pivots[1:]), halves[1:], self._known)
             if later is not None and (arc is None or later.reduced_chi2 < 0.5 * arc.reduced_chi2):
                 arc, halves = later, halves[1:]
         if arc is None or not _believable(arc, halves):
@@ -203,7 +210,6 @@ def _measure_one(arc: Arc, k: int, half: HalfCycleSamples, noise_scale: float) -
         half.deflection,
         half.u_deflection,
     )
-    result = shared_widened(result, float(x[RATE]), 0)
     flags = SwingFlag(0)
     if result.valid:
         flags = judge(result, noise_scale, float(x[TIME]), math.pi / float(x[RATE]))

@@ -21,9 +21,11 @@ from processing.swing.halfcycle import (
     linearise,
     tabulate_state,
 )
+from processing.swing.known import KnownMotion
 from processing.swing.pivots import Pivot
 from processing.swing.waveform import BEND, DAMPING, DRY, NODES, RISE, SHAPES, STIFF, N, P
 
+PLACE: tuple[int, ...] = (AMPLITUDE, TIME, CENTRE, DRIFT)
 LINEAR: tuple[int, ...] = (AMPLITUDE, TIME, RATE, SHAPE + DAMPING, CENTRE, DRIFT)
 ANHARMONIC: tuple[int, ...] = tuple(range(SHAPE + 1, SHAPE + SHAPES))
 ANHARMONIC_LINEAR: tuple[int, ...] = (SHAPE + DRY, SHAPE + RISE, SHAPE + STIFF, SHAPE + BEND)
@@ -100,8 +102,13 @@ def relative_loss(x: Vector) -> float:
     return abs(1.0 - float(turn[1, 0]))
 
 
-def choose(start: Vector, halves: Sequence[HalfCycleSamples]) -> Arc | None:
-    """The simplest of the four models (anharmonic or not, fast mode or not) that explains the samples."""
+def choose(start: Vector, halves: Sequence[HalfCycleSamples], known: KnownMotion | None = None) -> Arc | None:
+    """The simplest of the four models (anharmonic or not, fast mode or not) that explains the samples.
+
+    Of a motion that is `known`, only place, drift and fast mode are free.
+    """
+    if known is not None:
+        return _on_known(known, start, halves)
     reference = float(start[AMPLITUDE])
     mean, sigma = prior(start, anharmonic=False)
     linear = fit_arc(start, mean, sigma, halves, reference, LINEAR)
@@ -124,6 +131,15 @@ def choose(start: Vector, halves: Sequence[HalfCycleSamples]) -> Arc | None:
             if found is not None:
                 candidates.append(found)
     return best_of(candidates)
+
+
+def _on_known(known: KnownMotion, start: Vector, halves: Sequence[HalfCycleSamples]) -> Arc | None:
+    mean, sigma = prior(start, anharmonic=False)
+    arc = fit_arc(known.put_into(start), mean, sigma, halves, known.reference, PLACE)
+    if arc is None or not arc.chi2 > _SUSPICIOUS * arc.samples:
+        return arc
+    found = _with_fast_mode(arc, halves)
+    return arc if found is None else best_of((arc, found))
 
 
 def extend(

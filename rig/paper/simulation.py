@@ -20,7 +20,9 @@ from processing.fit.asymptotic import fit_asymptotic
 from processing.fit.exact import fit_exact
 from processing.fit.measurement import Quantity, RigQuantities
 from processing.fit.result import FitResult
-from processing.swing import SwingDetector, TurningPoints, turning_points
+from processing.swing import SwingDetector, TurningPoints
+from rig.config import FitSettings
+from rig.decay_fit import SlowSamples, settled_swings
 from rig.evaluation import evaluate
 from rig.evaluation_tree import evaluation_tree, series_tree
 from rig.paper.printed import (
@@ -79,7 +81,8 @@ def simulate_pair(pair: PrintedPair, b_exponent: int, seed: int) -> PairSeries:
         seen = noisy(motion, noise_rad, noise_rad, seed + number)
         detector = SwingDetector()
         swings = detector.update(seen.times_ns, seen.y_rad, u) + detector.finish()
-        runs.append(turning_points(swings))
+        samples = SlowSamples(seen.times_ns, seen.y_rad, u)
+        runs.append(samples.points(settled_swings(swings, samples, pendulum, FitSettings())))
         if shown is None:
             first_ns = next(swing.turn_time_ns for swing in swings if swing.flags == 0)
             time_s = np.asarray((seen.times_ns - first_ns) * 1e-9, dtype=np.float64)

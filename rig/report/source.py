@@ -3,7 +3,7 @@
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +15,11 @@ from acquisition.record.digest import sha256_of
 from acquisition.record.reader import RecordReader
 from processing.angle import ARCSEC_RAD
 from processing.errors import RecordError, RigError
-from processing.swing import TurningPoints, turning_points
+from processing.fit.remeasure import known_motion
+from processing.swing import Swing, TurningPoints
+from rig.decay_fit import SlowSamples
 from rig.provenance import CONFIGURATION_NAME, recorded_configuration
+from rig.report.curves import number, parameters_of, pendulum_of
 
 Array = NDArray[np.float64]
 RESULTS_NAME = "results.json"
@@ -146,11 +149,23 @@ def _read_run(folder: Path, results: Mapping[str, Any], number: int) -> RunData:
         unit,
     )
     flagged = [((s.turn_time_ns - first_ns) * 1e-9 * rate, s.amplitude / scale) for s in swings if s.flags]
-    points = turning_points(swings)
-    points = replace(points, time_s=points.time_s * rate, u_time_s=points.u_time_s * rate)
+    points = _points(swings, spots, rate, results)
     if results.get("calibration"):
         provenance["calibration"] = _flat(results["calibration"])
     return RunData(f"Run {number}", results, points, motion, picture, flagged, provenance, notes)
+
+
+def _points(
+    swings: Sequence[Swing], spots: NDArray[Any], rate: float, results: Mapping[str, Any]
+) -> TurningPoints:
+    """The turning points that were fitted; without a fit, as they were detected."""
+    samples = SlowSamples(spots["time_ns"], spots["y_rad"], spots["u_y_rad"], rate)
+    pendulum = pendulum_of(results)
+    if pendulum is None or not results.get("measured_again"):
+        return samples.points(swings)
+    exact = results["fits"]["exact"]
+    motion = known_motion(parameters_of(exact), pendulum, number(exact, "initial_amplitude_rad"), rate)
+    return samples.points(samples.again(swings, motion))
 
 
 def _clock_rate(reader: RecordReader, notes: list[str]) -> float:

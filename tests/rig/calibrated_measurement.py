@@ -1,7 +1,6 @@
 """A simulated measurement whose every calibration was made from simulated calibration data alone."""
 
 import datetime
-import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,11 +11,13 @@ from acquisition.simulation.trajectory import true_trajectory
 from calibration.axes import deflections
 from calibration.lever_fit import lever_from_tilts
 from calibration.store import CalibrationFile, Kind, write_calibration
+from processing.angle import ARCSEC_RAD
 from processing.fit.exact import fit_exact
 from processing.fit.measurement import measured
 from processing.fit.uncertainty import budgets
-from processing.swing import SwingDetector, turning_points
+from processing.swing import SwingDetector
 from rig.config import Configuration, validate_configuration
+from rig.decay_fit import SlowSamples, settled_swings
 from rig.evaluation import rig_quantities
 from rig.instrument import complete, pendulum_on_ball
 from tests.calibration.simulated_rig import (
@@ -103,12 +104,12 @@ def measure(seed: int, folder: Path, final_arcsec: float = 4.0) -> dict[str, tup
     stamps_ns = np.rint(times_s * (1 + 1e-6 * rig.settings.clock.drift_ppm) * 1e9).astype(np.int64)
     detector = SwingDetector()
     swings = [*detector.update(stamps_ns, y_rad, u_y_rad), *detector.finish()]
-    points = turning_points([s for s in swings if s.amplitude > final_arcsec * math.pi / 648000])
-    rate = config.timebase.camera_rate
-    points = replace(points, time_s=points.time_s * rate, u_time_s=points.u_time_s * rate)
+    swings = [swing for swing in swings if swing.amplitude > final_arcsec * ARCSEC_RAD]
     pendulum, quantities = pendulum_on_ball(config), rig_quantities(config)
     assert pendulum is not None
     assert quantities is not None
+    samples = SlowSamples(stamps_ns, y_rad, u_y_rad, config.timebase.camera_rate)
+    points = samples.points(settled_swings(swings, samples, pendulum, config.fit))
     table = budgets(measured(fit_exact(points, pendulum)), quantities)
     truth = {name: float(getattr(contact, name)) for name in ("b", "p", "c", "n", "period0_s", "gamma_pa")}
     truth["surface_energy_table2_j_per_m2"] = _surface_energy(contact)
