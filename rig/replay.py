@@ -150,7 +150,8 @@ class Replay:
 
         None where no frame is due, or none is left (`next_s` tells the two apart).
         """
-        if self.next_s > until_s:
+        next_s = self.next_s
+        if next_s > until_s or math.isinf(next_s):
             return None
         limit_ns = self._to_ns
         if until_s < self.length_s:
@@ -177,7 +178,10 @@ class Replay:
         # at a cut the last half-cycle lacks samples that it had when it was recorded
         compared = self._swings if whole_end else self._swings[: len(self._swings) - len(swings)]
         comparison = self._comparison.finish(
-            self._reader.swings(), compared, from_ns=self._begun_ns, to_ns=self._position_ns
+            self._reader.swings(),
+            compared,
+            from_start=self._begun_ns == self.start_ns,
+            to_end=whole_end,
         )
         return Replayed(self._swings, samples, dropped, comparison)
 

@@ -91,21 +91,23 @@ class ReplayComparison:
                 self._largest = (float(in_u[row]), int(rows["sequence"][row]))
 
     def finish(
-        self, recorded: Sequence[Swing], replayed: Sequence[Swing], *, from_ns: int, to_ns: int
+        self, recorded: Sequence[Swing], replayed: Sequence[Swing], *, from_start: bool, to_end: bool
     ) -> Comparison:
-        """Compare the half-cycles too: all replayed ones with those recorded from and up to some times.
+        """Compare the half-cycles too.
 
-        Recorded half-cycles that end after the last replayed one are no part of it where the replay
-        ended before the record did: a half-cycle is known only when it is over.
+        Where the replay did not begin with the record, recorded half-cycles before its first one are no
+        part of it, and where it ended before the record did those behind its last: a half-cycle is
+        known only when it is over.
         """
-        known_ns = max((swing.turn_time_ns for swing in replayed), default=from_ns)
+        reach_ns = _reach_ns(recorded)
+        first_ns = min((swing.turn_time_ns for swing in replayed), default=0) - reach_ns
+        last_ns = max((swing.turn_time_ns for swing in replayed), default=0) + reach_ns
         wanted = [
             swing
             for swing in recorded
-            if from_ns <= swing.turn_time_ns <= to_ns
-            and (to_ns >= recorded[-1].turn_time_ns or swing.turn_time_ns <= known_ns)
+            if (from_start or swing.turn_time_ns >= first_ns) and (to_end or swing.turn_time_ns <= last_ns)
         ]
-        pairs = _pairs(wanted, replayed)
+        pairs = _pairs(wanted, replayed, reach_ns)
         largest, largest_s = 0.0, math.nan
         for old, new in pairs:
             change = _swing_change_u(old, new)
@@ -174,13 +176,19 @@ def _estimates(tree: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, 
             yield from _estimates(value, f"{above}{key}.")
 
 
-def _pairs(recorded: Sequence[Swing], replayed: Sequence[Swing]) -> list[tuple[Swing, Swing]]:
+def _reach_ns(swings: Sequence[Swing]) -> float:
+    """How far apart two turning points may be that are one."""
+    half_s = [swing.half_period_s for swing in swings if math.isfinite(swing.half_period_s)]
+    return _SAME_SWING * 1e9 * float(np.median(half_s)) if half_s else 0.0
+
+
+def _pairs(
+    recorded: Sequence[Swing], replayed: Sequence[Swing], reach_ns: float
+) -> list[tuple[Swing, Swing]]:
     """Half-cycles of the same turning point; their numbers may differ where the count began elsewhere."""
     if not recorded:
         return []
     times_ns = np.array([swing.turn_time_ns for swing in recorded])
-    half_s = [swing.half_period_s for swing in recorded if math.isfinite(swing.half_period_s)]
-    reach_ns = _SAME_SWING * 1e9 * (float(np.median(half_s)) if half_s else math.inf)
     pairs: list[tuple[Swing, Swing]] = []
     taken: set[int] = set()
     for swing in replayed:
