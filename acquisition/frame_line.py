@@ -13,7 +13,8 @@ class FrameLine:
     A camera that is opened again numbers its frames from 0, and its clock may have begun anew. The
     frames after the gap get the numbers that they would have had, so that those which are missing
     are counted, as far as the time that passed tells. A clock that began anew is shifted by a
-    constant so that it goes on with the host's; the shift is stated.
+    constant so that it goes on with the host's; the shift is stated. `missing` counts the frames that
+    would have come while the camera was gone.
     """
 
     def __init__(self) -> None:
@@ -22,6 +23,7 @@ class FrameLine:
         self._offset = 0
         self._shift_ns = 0
         self._anew = False
+        self.missing = 0
 
     def patience_s(self, without_s: float) -> float:
         """How long silence is nothing special: two frame times and a little, `without_s` at first.
@@ -72,4 +74,5 @@ class FrameLine:
         interval_ns = self._interval_ns or passed_ns
         missing = max(round(passed_ns / interval_ns) - 1, 0)
         self._offset = last.sequence + 1 + missing - frame.sequence
+        self.missing += missing
         return f"opened again after {passed_ns * 1e-9:.3f} s without frames, about {missing} of them{shifted}"

@@ -60,6 +60,7 @@ def analyse_run(
         result,
         frames=len(times_ns),
         dropped_frames=dropped_frames,
+        losses=reader.losses(),
         warnings=tuple(warnings),
         calibration=calibration,
     )
@@ -92,9 +93,9 @@ def _analyse_swings(
     unit_rad = ARCSEC_RAD if calibrated else 1.0
     pendulum = pendulum_on_ball(config)
     slow = SlowSamples(samples.times_ns, samples.y_rad, samples.u_y_rad, _clock_rate(config))
-    settled = settled_swings(swings, slow, pendulum, config.fit) if calibrated else swings
-    good = [swing for swing in settled if swing.flags == 0]
-    points = slow.points(settled)
+    settled = settled_swings(swings, slow, pendulum if calibrated else None, config.fit)
+    good = [swing for swing in settled.swings if swing.flags == 0]
+    points = slow.points(settled.swings)
     if calibrated:
         decay = fit_decay(points, pendulum, config.fit)
     else:
@@ -122,7 +123,7 @@ def _analyse_swings(
         points=points,
         evaluation=evaluation,
         settings=config.fit.model_dump(),
-        measured_again=settled is not swings,
+        motion=settled.motion,
     )
 
 

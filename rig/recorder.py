@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from acquisition.frame import Frame, Image
-from acquisition.record.topics import ENVIRONMENT, Environment
+from acquisition.record.topics import ENVIRONMENT, LOSSES_TOPIC, Environment, RecordedLosses
 from acquisition.record.writer import RecordWriter
 from processing.spot import Spot
 from rig.pipeline import Block
@@ -46,6 +46,7 @@ class Entry:
     images: Sequence[Frame] = ()
     events: Sequence[Event] = field(default=())
     environment: Environment | None = None
+    losses: RecordedLosses | None = None
 
 
 class Recorder:
@@ -127,6 +128,8 @@ class Recorder:
             writer.write_image(frame)
         if entry.environment is not None:
             writer.write(ENVIRONMENT.topic, entry.environment, entry.environment.time_ns)
+        if entry.losses is not None:
+            writer.write(LOSSES_TOPIC, entry.losses, entry.losses.time_ns)
         for event in entry.events:
             writer.write_event(event.time_ns, event.kind, event.text)
 

@@ -3,13 +3,14 @@
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from acquisition.frame_losses import FrameLosses
 from processing.errors import RecordError
 from processing.fit.result import FitResult
-from processing.swing import TurningPoints
+from processing.swing import KnownMotion, TurningPoints
 from rig.evaluation import Evaluation
 from rig.evaluation_tree import estimate_tree, evaluation_tree
 from rig.reduction import Reduction
@@ -21,8 +22,9 @@ SCHEMA = 1
 class RunResult:
     """What is reported of one run. Amplitudes in arcsec; `problem` says why a fit is missing.
 
-    `measured_again`: the fitted turning points are not those that were detected while the record was
-    made, but the same ones measured once more (see `processing.fit.remeasure`).
+    `losses` says who lost the frames that are missing; None where an older record does not.
+    `motion` is that on which the fitted turning points were measured again (see `processing.fit.remeasure`);
+    None: they are those that were detected while the record was made.
     """
 
     record: Path
@@ -41,7 +43,8 @@ class RunResult:
     settings: Mapping[str, Any] = field(default_factory=dict)
     calibration: Mapping[str, Any] = field(default_factory=dict)
     reduction: Reduction | None = None
-    measured_again: bool = False
+    losses: FrameLosses | None = None
+    motion: KnownMotion | None = None
 
 
 def results_tree(runs: Sequence[RunResult], folder: Path, series: Mapping[str, Any]) -> dict[str, Any]:
@@ -85,8 +88,9 @@ def _run_tree(run: RunResult, folder: Path) -> dict[str, Any]:
         "sha256": run.sha256,
         "frames": run.frames,
         "dropped_frames": run.dropped_frames,
+        "losses": None if run.losses is None else run.losses._asdict(),
         "half_cycles": run.half_cycles,
-        "measured_again": run.measured_again,
+        "measured_again_on": asdict(run.motion) if run.motion is not None else None,
         "initial_amplitude_arcsec": run.initial_amplitude_arcsec,
         "final_amplitude_arcsec": run.final_amplitude_arcsec,
         "fits": {name: fit_tree(fit) for name, fit in run.fits.items()},

@@ -21,6 +21,7 @@ from processing.swing import Swing
 from rig.frame_counts import FrameCounts
 from rig.interruption import reason_of
 from rig.limits import EndOfRun, StartJudge
+from rig.loss_log import LossLog
 from rig.pipeline import Block, Pipeline
 from rig.recorder import Entry, Event, Recorder
 from rig.run_roles import Attempts, Prelude, RunOutcome, Surroundings, Watcher
@@ -81,7 +82,7 @@ class Run:
         self._failure: Exception | None = None
         self._snapshot = Snapshot()
         self._asked: deque[Snapshot] = deque()
-        self._lost_before = 0
+        self._losses = LossLog(self._stream, from_start=True)
 
     @property
     def snapshot(self) -> Snapshot:
@@ -165,7 +166,7 @@ class Run:
         if first is None:
             raise self._stream.failure or DataError("stopped before the run began; nothing was recorded")
         begun = begun or [first]
-        self._lost_before = self._stream.dropped if self._prelude is not None else 0
+        self._losses = LossLog(self._stream, from_start=self._prelude is None)
         recorder = Recorder(self._open_writer(epoch_offset_ns, first))
         rejected = ""
         try:
@@ -205,6 +206,7 @@ class Run:
         rejected = ""
         while begun or not (stream.drained or (self._stop.is_set() and stream.policy != "wait")):
             taken = begun[:_BLOCK_FRAMES] or stream.take(_BLOCK_FRAMES, 0.1)
+            taken_ns = time.monotonic_ns()
             begun = begun[_BLOCK_FRAMES:]
             if not taken:
                 # a silent camera is named while it is silent
@@ -219,8 +221,17 @@ class Run:
             block = pipeline.process(frames)
             entry = counts.entry(frames, block, pipeline)
             new = [*entry.events, *self._surrounding_events(counts.last_ns)]
-            recorder.put(replace(entry, events=new, environment=self._environment(counts.last_ns)))
-            self._publish("measuring", counts, block.swings, recorder)
+            recorder.put(
+                replace(
+                    entry,
+                    events=new,
+                    environment=self._environment(counts.last_ns),
+                    losses=self._losses.due(counts.last_ns),
+                )
+            )
+            # where the camera waits for us its frames have no age of their own
+            age_s = math.nan if stream.policy == "wait" else (taken_ns - taken[0].host_time_ns) * 1e-9
+            self._publish("measuring", counts, block.swings, recorder, age_s)
             self._tell(counts.start_ns, frames, block, new)
             if recorder.error is not None:
                 raise recorder.error
@@ -242,8 +253,8 @@ class Run:
         last.append(
             Event(counts.last_ns, "stop", f"start not accepted: {rejected}" if rejected else self._reason)
         )
-        recorder.put(Entry(block=empty, events=last))
-        self._publish("closing the record", counts, swings, recorder)
+        recorder.put(Entry(block=empty, events=last, losses=self._losses.last(counts.last_ns)))
+        self._publish("closing the record", counts, swings, recorder, math.nan)
         self._tell(counts.start_ns, [], empty, last)
         return rejected
 
@@ -276,9 +287,14 @@ class Run:
             if self._failure is None:
                 self._failure = stream.failure
             self._reason = self._reason or stream.ended
-        dropped = max(self._snapshot.dropped_frames, stream.dropped - self._lost_before)
+        losses = self._losses.now
         self._snapshot = replace(
-            self._snapshot, phase="done", reason=self._reason, dropped_frames=dropped, instruction=""
+            self._snapshot,
+            phase="done",
+            reason=self._reason,
+            dropped_frames=max(self._snapshot.dropped_frames, losses.total),
+            losses=losses,
+            instruction="",
         )
 
     def _tell(self, start_ns: int, frames: Sequence[Frame], block: Block, events: Iterable[Event]) -> None:
@@ -308,7 +324,9 @@ class Run:
             controller=self._surroundings.describe(),
         )
 
-    def _publish(self, phase: str, counts: FrameCounts, swings: list[Swing], recorder: Recorder) -> None:
+    def _publish(
+        self, phase: str, counts: FrameCounts, swings: list[Swing], recorder: Recorder, age_s: float
+    ) -> None:
         last = swings[-1] if swings else None
         before = self._snapshot
         self._snapshot = self._with_surroundings(
@@ -324,6 +342,8 @@ class Run:
                 if last is None or math.isnan(last.half_period_s)
                 else 2.0 * last.half_period_s,
                 queue_frames=len(self._stream),
+                frame_age_s=age_s,
+                losses=self._losses.now,
                 record_bytes=recorder.bytes_written,
                 reason=self._reason,
             )

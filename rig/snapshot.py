@@ -1,14 +1,19 @@
 """What a run looks like at one moment, for terminal, view and programs."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+
+from acquisition.frame_losses import FrameLosses
 
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
     """State of a run at one moment, frozen. The amplitude is in arcsec (px without calibration).
 
-    `instruction` is what the operator is asked to do; `controller` says how the controller stands.
+    `frame_age_s` is how long ago the oldest of the frames processed last arrived, when their processing
+    began: it grows while we fall behind. `losses` are the dropped frames by who lost them, as the camera
+    counts them now. `instruction` is what the operator is asked to do; `controller` says how the
+    controller stands.
     """
 
     phase: str = "waiting for the first frame"
@@ -20,6 +25,8 @@ class Snapshot:
     amplitude: float = math.nan
     period_s: float = math.nan
     queue_frames: int = 0
+    frame_age_s: float = math.nan
+    losses: FrameLosses = field(default_factory=FrameLosses)
     record_bytes: int = 0
     reason: str = ""
     temperature_c: float = math.nan

@@ -7,6 +7,7 @@ import time
 from acquisition.camera import Camera, CameraLost, CameraSettings, FrameTimeout
 from acquisition.frame import Frame
 from acquisition.frame_line import FrameLine
+from acquisition.frame_losses import FrameLosses
 from acquisition.frame_queue import FrameQueue, Policy
 from processing.errors import DeviceError, RigError
 
@@ -37,6 +38,7 @@ class FrameStream:
         self._reconnect_s = reconnect_s
         self._stop = threading.Event()
         self._queue: FrameQueue | None = None
+        self._line = FrameLine()
         self._thread: threading.Thread | None = None
         self._events: list[tuple[str, str]] = []
         self.ended = ""
@@ -87,9 +89,10 @@ class FrameStream:
         return self._queue is not None and self._queue.drained
 
     @property
-    def dropped(self) -> int:
-        """Frames lost since the start, by the camera, the bus or here."""
-        return self._camera.status.dropped + (self._queue.dropped if self._queue is not None else 0)
+    def losses(self) -> FrameLosses:
+        """Frames lost since the start, by who lost them."""
+        unqueued = 0 if self._queue is None else self._queue.dropped
+        return FrameLosses.of(self._camera.status, unqueued=unqueued, while_unplugged=self._line.missing)
 
     def __len__(self) -> int:
         return 0 if self._queue is None else len(self._queue)
@@ -110,7 +113,7 @@ class FrameStream:
         """Read and hand over, reconnect after an unplugging."""
         queue = self._queue
         assert queue is not None
-        line = FrameLine()
+        line = self._line
         silent_s = 0.0
         try:
             while not self._stop.is_set():

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from acquisition.frame_losses import FrameLosses
 from acquisition.record.contents import Contents
 from acquisition.record.reader import RecordReader
 
@@ -12,9 +13,9 @@ from acquisition.record.reader import RecordReader
 class RecordInfo:
     """A record as its index describes it. Times are UTC in ns, 0 without messages.
 
-    `messages` counts by topic,
-    `attachments` are sizes in bytes by name. `whole` is false for a file that was cut short;
-    `readable_bytes` then is how far its complete records go.
+    `messages` counts by topic, `losses` are the frames that are missing by who lost them (None where an
+    older record does not say), `attachments` are sizes in bytes by name. `whole` is false for a file that
+    was cut short; `readable_bytes` then is how far its complete records go.
     """
 
     path: Path
@@ -29,6 +30,7 @@ class RecordInfo:
     messages: Mapping[str, int]
     metadata: Mapping[str, Mapping[str, str]]
     attachments: Mapping[str, int]
+    losses: FrameLosses | None
     problems: tuple[str, ...]
 
     @property
@@ -57,5 +59,6 @@ def record_info(path: Path) -> RecordInfo:
             messages=reader.counts,
             metadata=reader.metadata,
             attachments=dict(contents.attachments),
+            losses=reader.losses(),
             problems=tuple(contents.damage),
         )

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.frame import Frame
+from acquisition.frame_losses import FrameLosses
 from acquisition.record.chunk_reader import ChunkDamage, RawMessage, messages_in, open_chunk
 from acquisition.record.contents import MAGIC, ChunkPlace, Contents, parse, read_contents, read_record
 from acquisition.record.foxglove import decode_log
@@ -21,6 +22,7 @@ from acquisition.record.topics import (
     EVENT,
     IMAGE_TOPIC,
     LOG_TOPIC,
+    LOSSES_TOPIC,
     SCHEMA_VERSION,
     SPOT,
     SWING,
@@ -28,6 +30,7 @@ from acquisition.record.topics import (
     DeflectionUnit,
     RecordedEvent,
     RecordedLog,
+    RecordedLosses,
     RecordedWindow,
 )
 from processing.errors import RecordError
@@ -221,6 +224,14 @@ class RecordReader:
     def events(self) -> list[RecordedEvent]:
         """All events."""
         return self.values(EVENT.topic, RecordedEvent)
+
+    def losses(self) -> FrameLosses | None:
+        """Frames lost in the record by who lost them; None where an older record does not say.
+
+        Reads no more than the chunks that hold them.
+        """
+        found = self.values(LOSSES_TOPIC, RecordedLosses)
+        return FrameLosses(*found[-1][1:]) if found else None
 
     def windows(self, start_ns: int | None = None) -> Iterator[RecordedWindow]:
         """Windows around the spot, in order; `start_ns` as in `spot_blocks`."""

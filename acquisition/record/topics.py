@@ -16,6 +16,7 @@ IMAGE_TOPIC = "/image"
 LOG_TOPIC = "/log"
 CAMERA_TOPIC = "/camera_calibration"
 BALANCE_TOPIC = "/balance"
+LOSSES_TOPIC = "/losses"
 SENSOR_FRAME = "sensor"
 """Frame of reference of images and camera calibration, for viewers."""
 
@@ -33,6 +34,17 @@ class Environment(NamedTuple):
     temperature_c: float = math.nan
     humidity_percent: float = math.nan
     pressure_pa: float = math.nan
+
+
+class RecordedLosses(NamedTuple):
+    """Frames lost since the record began, by who lost them; see `acquisition.frame_losses.FrameLosses`."""
+
+    time_ns: int
+    by_camera: int
+    by_bus: int
+    by_host: int
+    incomplete: int
+    while_unplugged: int
 
 
 class RecordedWindow(NamedTuple):

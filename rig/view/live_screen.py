@@ -126,7 +126,8 @@ class RunDisplay:
         elif changed or now_s - self._printed_s >= (_JSON_INTERVAL_S if self._json else _PLAIN_INTERVAL_S):
             self._printed_s = now_s
             if self._json:
-                self.line("state", {**asdict(snapshot), **self._numbers()})
+                losses = snapshot.losses._asdict()
+                self.line("state", {**asdict(snapshot), "losses": losses, **self._numbers()})
             else:
                 say(f"{self._title}: {100 * self._fraction(snapshot):.0f} %  {self._plain(snapshot)}")
             if changed and snapshot.instruction and not self._json:
@@ -173,7 +174,7 @@ class RunDisplay:
             ("period", _number(snapshot.period_s, ".5f", "s")),
             ("transverse", self._transverse(balance)),
             ("rest position", self._rest(balance)),
-            ("camera", f"{self._rates.frames_hz:.1f} frames/s, {snapshot.frames} in all"),
+            ("camera", f"{self._rates.frames_hz:.1f} frames/s, {snapshot.frames} in all, {_age(snapshot)}"),
             ("losses", f"{losses}, {snapshot.queue_frames} waiting"),
             ("record", f"{self._rates.bytes_per_s / 1e6:.2f} MB/s, {snapshot.record_bytes / 1e6:.1f} MB"),
             ("disk", f"{shutil.disk_usage(self._folder).free / 1e9:.1f} GB free"),
@@ -282,6 +283,10 @@ def _clock(seconds: float) -> str:
 
 def _number(value: float, shape: str, unit: str) -> str:
     return "-" if math.isnan(value) else f"{value:{shape}} {unit}"
+
+
+def _age(snapshot: Snapshot) -> str:
+    return "age -" if math.isnan(snapshot.frame_age_s) else f"age {snapshot.frame_age_s * 1e3:.0f} ms"
 
 
 def _air(snapshot: Snapshot) -> str:

@@ -20,6 +20,8 @@ def print_info(path: Path) -> None:
         print(f"{_utc(info.start_ns)} to {_utc(info.end_ns)}, {info.duration_s:.1f} s")
     for topic, count in info.messages.items():
         print(f"  {topic:<20} {count}")
+    if info.losses is not None:
+        print(f"frames lost: {info.losses}")
     for section, texts in info.metadata.items():
         filled = {key: text for key, text in texts.items() if text}
         if section not in _HIDDEN and filled:

@@ -145,5 +145,12 @@ def _markdown(snapshot: Snapshot, unit: str) -> str:
         f"- time {snapshot.elapsed_s:.1f} s\n"
         f"- amplitude {snapshot.amplitude:.2f} {unit}, period {snapshot.period_s:.4f} s\n"
         f"- {snapshot.frames} frames, {snapshot.dropped_frames} dropped, {snapshot.lost_spots} spots lost\n"
+        f"{_camera_lines(snapshot)}"
         f"- {snapshot.half_cycles} half-cycles\n"
     )
+
+
+def _camera_lines(snapshot: Snapshot) -> str:
+    age_ms = snapshot.frame_age_s * 1e3
+    age = "" if math.isnan(age_ms) else f"- frames are {age_ms:.0f} ms old\n"
+    return age + (f"- lost: {snapshot.losses}\n" if snapshot.losses.total else "")

@@ -28,6 +28,9 @@ def test_a_camera_that_comes_back_costs_the_frames_between(tmp_path: Path) -> No
     kinds = [kind for kind, _ in events_of(tmp_path / "out" / "run-1.mcap")]
     assert kinds.index("camera lost") < kinds.index("camera back")
     assert "stop" in kinds
+    run = json.loads((tmp_path / "out" / "results.json").read_text())["runs"][0]
+    assert run["losses"]["while_unplugged"] == run["dropped_frames"] > 0
+    assert f"{run['dropped_frames']} while unplugged" in rig("info", tmp_path / "out" / "run-1.mcap").stdout
 
 
 def test_a_laser_that_fades_loses_spots_and_goes_on(tmp_path: Path) -> None:

@@ -1,0 +1,55 @@
+"""Where frames were lost that are missing from a series."""
+
+from typing import NamedTuple, Self
+
+from acquisition.camera import CameraStatus
+
+
+class FrameLosses(NamedTuple):
+    """Counts of frames lost, apart by who lost them.
+
+    Attributes
+    ----------
+    by_camera
+        The camera numbered them and did not send them.
+    by_bus
+        They went missing between camera and driver.
+    by_host
+        We took them too late, in the driver or behind it.
+    incomplete
+        They came damaged, and were thrown away.
+    while_unplugged
+        They would have come while the camera was gone, as far as the time that passed tells.
+    """
+
+    by_camera: int = 0
+    by_bus: int = 0
+    by_host: int = 0
+    incomplete: int = 0
+    while_unplugged: int = 0
+
+    @classmethod
+    def of(cls, status: CameraStatus, *, unqueued: int = 0, while_unplugged: int = 0) -> Self:
+        """From a driver's counts, what our own queue refused, and what the time of a gap tells."""
+        return cls(
+            status.dropped_by_camera,
+            status.dropped_by_bus,
+            status.dropped_by_host + unqueued,
+            status.incomplete,
+            while_unplugged,
+        )
+
+    @property
+    def total(self) -> int:
+        """All of them."""
+        return sum(self)
+
+    def since(self, before: "FrameLosses") -> "FrameLosses":
+        """What was lost after `before`."""
+        return FrameLosses(*(now - then for now, then in zip(self, before, strict=True)))
+
+    def __str__(self) -> str:
+        return (
+            f"{self.by_camera} by the camera, {self.by_bus} by the bus, {self.by_host} by this computer, "
+            f"{self.incomplete} incomplete, {self.while_unplugged} while unplugged"
+        )
