@@ -49,7 +49,6 @@ class FrameLosses(NamedTuple):
         return FrameLosses(*(now - then for now, then in zip(self, before, strict=True)))
 
     def __str__(self) -> str:
-        return (
-            f"{self.by_camera} by the camera, {self.by_bus} by the bus, {self.by_host} by this computer, "
-            f"{self.incomplete} incomplete, {self.while_unplugged} while unplugged"
-        )
+        words = ("by the camera", "by the bus", "by this computer", "incomplete", "while unplugged")
+        named = [f"{count} {word}" for count, word in zip(self, words, strict=True) if count]
+        return ", ".join(named) or "none"

@@ -1,10 +1,11 @@
 """Whether this computer is fit for a USB camera: plain values for a table."""
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator
 from pathlib import Path
 
-from acquisition.cameras.usb3vision.discovery import FoundCamera, udev_rule
+from acquisition.cameras.usb3vision.discovery import FoundCamera, find_cameras, udev_rule
+from processing.errors import DeviceError
 from rig.control.ports import Check
 
 _USBFS_MEMORY = Path("/sys/module/usbcore/parameters/usbfs_memory_mb")
@@ -21,7 +22,8 @@ def check_usb_camera(camera: FoundCamera) -> tuple[Check, ...]:
         camera.name if camera.accessible else f"{camera.name} may not be opened",
         ""
         if camera.accessible
-        else f"copy {rule} to /etc/udev/rules.d, run 'sudo udevadm control --reload', plug it in again",
+        else f"Linux gives USB devices to root alone until a rule says otherwise: sudo cp {rule} "
+        "/etc/udev/rules.d, sudo udevadm control --reload, then plug the camera in again",
     )
     slow = camera.usb_speed.split()[0].lower() in _SLOW if camera.usb_speed else False
     speed = Check(
@@ -33,9 +35,16 @@ def check_usb_camera(camera: FoundCamera) -> tuple[Check, ...]:
     return allowed, speed
 
 
-def check_usb_cameras(cameras: Sequence[FoundCamera]) -> tuple[Check, ...]:
-    """All USB3 Vision cameras that are plugged in; nothing where there are none."""
-    return tuple(check for camera in cameras for check in check_usb_camera(camera))
+def check_usb_cameras(serial: str | None) -> Iterator[Check]:
+    """Every USB3 Vision camera that may be the one with this serial number; nothing where there is none."""
+    try:
+        cameras = find_cameras()
+    except DeviceError as missing:
+        yield Check("libusb", False, str(missing), "pip install libusb-package")
+        return
+    for camera in cameras:
+        if serial is None or not camera.serial or camera.serial == serial:
+            yield from check_usb_camera(camera)
 
 
 def check_usb_memory(frame_bytes: int, memory: Path = _USBFS_MEMORY) -> tuple[Check, ...]:

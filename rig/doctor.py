@@ -8,7 +8,9 @@ from dataclasses import asdict
 from pathlib import Path
 
 from acquisition.camera import FrameTimeout
+from acquisition.frame_losses import FrameLosses
 from processing.errors import RigError
+from rig.camera_checks import check_usb_cameras, check_usb_memory
 from rig.config import Configuration
 from rig.control.ports import Check, check_controller, check_environment, check_laser
 from rig.devices import Devices
@@ -39,6 +41,8 @@ def _checks(config: Configuration) -> Iterator[Check]:
     yield from check_controller(devices.make_controller(), config.controller, config.laser)
     yield from check_laser(config.laser, config.controller)
     yield from check_environment(config.environment_sensor)
+    if config.camera.driver == "usb3vision":
+        yield from check_usb_cameras(config.camera.usb3vision.serial or config.camera.serial)
     yield from check_camera(config, devices)
     yield check_disk(config.session.output)
     yield check_clock(_read(_CLOCK_SOURCE))
@@ -84,11 +88,13 @@ def check_camera(config: Configuration, devices: Devices) -> Iterator[Check]:
             sensor_model(config, info.full_scale_dn)
             camera.camera.start()
             begun_s = time.monotonic()
-            count = 0
+            count = frame_bytes = 0
             for _ in range(_FRAMES):
-                if camera.camera.read(config.camera.timeout_s) is None:
+                frame = camera.camera.read(config.camera.timeout_s)
+                if frame is None:
                     break
                 count += 1
+                frame_bytes = frame.image.nbytes
             seconds = time.monotonic() - begun_s
             status = camera.camera.status
             camera.camera.stop()
@@ -96,9 +102,11 @@ def check_camera(config: Configuration, devices: Devices) -> Iterator[Check]:
             yield Check(
                 "frames",
                 enough,
-                f"{count} in {seconds:.2f} s, {status.dropped} lost",
+                f"{count} in {seconds:.2f} s, lost: {FrameLosses.of(status)}",
                 "" if enough else "another port or cable; a lower frame_rate_hz; a smaller region",
             )
+            if config.camera.driver == "usb3vision" and frame_bytes:
+                yield from check_usb_memory(frame_bytes)
     except FrameTimeout as error:
         yield Check("frames", False, str(error), "is it triggered from outside? see its cable and power")
     except RigError as error:

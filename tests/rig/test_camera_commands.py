@@ -1,5 +1,7 @@
 """`rig devices`, `rig camera` and what stands behind them, on the simulated rig."""
 
+import json
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -9,14 +11,17 @@ from typer.testing import CliRunner
 
 from acquisition.camera import CameraSettings
 from acquisition.cameras.simulated import SimulatedCamera
+from acquisition.cameras.usb3vision import discovery
 from acquisition.cameras.usb3vision.discovery import FoundCamera
 from acquisition.frame import Frame
 from acquisition.simulation.settings import SimulationSettings
 from processing.errors import DeviceError
-from rig import camera_picture
+from rig import camera_checks, camera_picture
 from rig.auto_exposure import find_exposure
 from rig.camera_checks import check_usb_camera, check_usb_memory
 from rig.cli import app
+from tests.acquisition.usb3vision.backend import InProcessBackend
+from tests.acquisition.usb3vision.device import VisionDevice
 
 DEMO = str(Path(__file__).resolve().parents[2] / "configs" / "demo.toml")
 
@@ -116,6 +121,45 @@ def test_checks_name_the_rule_and_the_port() -> None:
     assert ".rules" in allowed.remedy
     assert not speed.ok
     assert "USB 3" in speed.remedy
+
+
+@pytest.fixture
+def usb_camera(monkeypatch: pytest.MonkeyPatch) -> VisionDevice:
+    """A USB3 Vision camera as the only one that libusb finds."""
+    device = VisionDevice("EYE-7", frames_inside=100_000)
+    backend = InProcessBackend(device)
+    monkeypatch.setattr(discovery, "_libusb", lambda: backend)
+    return device
+
+
+USB = ["--set", "camera.driver=usb3vision", "--set", "camera.frame_rate_hz=200"]
+
+
+def test_the_doctor_looks_at_a_usb_camera(usb_camera: VisionDevice, tmp_path: Path) -> None:
+    done = CliRunner().invoke(app, ["doctor", DEMO, *USB, "--json"])
+    checks = {
+        check["name"]: check
+        for check in map(json.loads, done.output.splitlines())
+        if check["kind"] == "check"
+    }
+    assert checks["camera permission"]["ok"]
+    assert "EYE-7" in checks["camera permission"]["reason"]
+    assert {"camera USB speed", "frames", "clock", "processor"} <= set(checks)
+    assert "lost: none" in checks["frames"]["reason"]
+
+
+def test_the_doctor_explains_what_to_do_without_permission(
+    usb_camera: VisionDevice, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (found,) = discovery.find_cameras()
+    forbidden = replace(found, accessible=False)
+    monkeypatch.setattr(discovery, "find_cameras", lambda backend=None: (forbidden,))
+    monkeypatch.setattr(camera_checks, "find_cameras", lambda: (forbidden,))
+    done = CliRunner().invoke(app, ["doctor", DEMO, *USB, "--json"])
+    assert done.exit_code == 1
+    checks = {check["name"]: check for check in map(json.loads, done.output.splitlines())}
+    assert "70-usb3vision.rules" in checks["camera permission"]["remedy"]
+    assert "no permission" in checks["camera"]["reason"]
 
 
 def test_usb_memory_is_compared_with_the_frames(tmp_path: Path) -> None:
