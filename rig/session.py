@@ -6,6 +6,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import NamedTuple
 
+from acquisition.record.reader import RecordReader
 from acquisition.record.recover import recover
 from processing.errors import ConfigurationError, RecordError, RigError
 from rig.analysis import analyse_record, combine, free_name
@@ -57,6 +58,9 @@ def resume_session(folder: Path, *, force: bool = False, json_lines: bool = Fals
         for entry in file.state.entries:
             if entry.state == "recording":
                 _close_interrupted(file, entry)
+        for record in (folder / entry.record for entry in file.state.complete):
+            if record.exists():
+                _notice_cut(record)
         missing = file.state.runs_wanted - len(file.state.complete)
         say(f"{folder}: {len(file.state.complete)} of {file.state.runs_wanted} runs are complete")
         if missing <= 0 and (folder / "results.json").exists():
@@ -69,6 +73,13 @@ def resume_session(folder: Path, *, force: bool = False, json_lines: bool = Fals
         return _report(config, folder, made, json_lines=json_lines)
     finally:
         file.close()
+
+
+def _notice_cut(record: Path) -> None:
+    """A record that was whole when its run was over may have been cut since, by a copy that failed."""
+    with RecordReader(record) as reader:
+        if reader.truncated:
+            say(reader.cut_notice)
 
 
 def _close_interrupted(file: SessionFile, entry: RunEntry) -> None:

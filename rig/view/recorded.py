@@ -19,6 +19,7 @@ from processing.spot import SpotFlag
 from rig.view.balance_quantities import balance_quantities
 from rig.view.messages import EventLevel, LayoutName
 from rig.view.rrd_display import show_rrd
+from rig.view.terminal import say
 from rig.view.viewer import Viewer
 
 logger = logging.getLogger(__name__)
@@ -100,6 +101,8 @@ def write_rrd(
         for path, name, each in zip(paths, names, overviews, strict=True):
             later_s = 0.0 if align_start else (each.start_utc_ns - first_utc_ns) * 1e-9
             with RecordReader(path) as reader:
+                if reader.truncated:
+                    say(reader.cut_notice)
                 spots, swings = _draw(viewer, reader, name, each.start_ns, later_s)
                 start = datetime.fromtimestamp(each.start_utc_ns * 1e-9, UTC)
                 end = "cut short" if reader.truncated else "damaged" if reader.damages else "whole"
