@@ -53,19 +53,22 @@ def devices() -> None:
 
 def show(config: Config, set_: Set = None) -> None:
     """Open the camera and print who it is, its settings and all its features."""
+    from rig.feature_lines import feature_lines
+
     with _opened(config, set_) as (camera, info, applied):
         typer.echo(f"{info.driver}: {info.vendor} {info.model} serial {info.serial or 'unknown'}")
         typer.echo(f"sensor {info.width_px} x {info.height_px} px, full scale {info.full_scale_dn} DN")
         for name, value in applied.model_dump().items():
             typer.echo(f"camera.{name} = {'unknown' if value is None else value}")
         features = getattr(camera, "features", None)
-        for reading in features.readings() if features is not None else ():
-            typer.echo(str(reading))
+        for line in feature_lines(features.readings()) if features is not None else ():
+            typer.echo(line)
 
 
 def set_features(
     config: Config,
     assignments: Annotated[list[str], typer.Argument(metavar="NAME=VALUE...", show_default=False)],
+    set_: Set = None,
 ) -> None:
     """Set features by their GenICam name, or settings by the name they have in [camera].
 
@@ -75,7 +78,7 @@ def set_features(
     from processing.errors import ConfigurationError
     from rig.config import validate_configuration
 
-    with _opened(config, None) as (camera, _, _):
+    with _opened(config, set_) as (camera, _, _):
         for assignment in assignments:
             name, equals, value = assignment.partition("=")
             if not equals:

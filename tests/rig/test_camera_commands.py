@@ -13,6 +13,7 @@ from acquisition.camera import CameraSettings
 from acquisition.cameras.simulated import SimulatedCamera
 from acquisition.cameras.usb3vision import discovery
 from acquisition.cameras.usb3vision.discovery import FoundCamera
+from acquisition.cameras.usb3vision.features import FeatureReading
 from acquisition.frame import Frame
 from acquisition.simulation.settings import SimulationSettings
 from processing.errors import DeviceError
@@ -20,6 +21,7 @@ from rig import camera_checks, camera_picture
 from rig.auto_exposure import find_exposure
 from rig.camera_checks import check_usb_camera, check_usb_memory
 from rig.cli import app
+from rig.feature_lines import feature_lines
 from tests.acquisition.usb3vision.backend import InProcessBackend
 from tests.acquisition.usb3vision.device import VisionDevice
 
@@ -160,6 +162,35 @@ def test_the_doctor_explains_what_to_do_without_permission(
     checks = {check["name"]: check for check in map(json.loads, done.output.splitlines())}
     assert "70-usb3vision.rules" in checks["camera permission"]["remedy"]
     assert "no permission" in checks["camera"]["reason"]
+
+
+def test_features_are_shown_with_unit_range_and_choices_and_can_be_set(usb_camera: VisionDevice) -> None:
+    done = CliRunner().invoke(app, ["camera", "show", DEMO, *USB])
+    assert done.exit_code == 0, done.exception
+    lines = {line.split()[0]: line.split(maxsplit=1)[1] for line in done.output.splitlines()}
+    assert lines["ExposureTime"].split("  ")[0].endswith(" us")
+    assert lines["ExposureTime"].endswith("20 to 1000000 us")
+    assert lines["Width"].endswith("8 to 1440")
+    assert "one of Mono8, Mono10" in lines["PixelFormat"]
+    assert lines["PayloadSize"].endswith("read-only")
+    assert lines["SensorWidth"].split() == ["1440"], "a limit that is the number's own is none"
+    assert lines["AcquisitionStart"] == "command"
+    assert "FeatureReading" not in done.output
+    done = CliRunner().invoke(
+        app, ["camera", "set", DEMO, *USB, "Gain=3.5", "Width=320", "PixelFormat=Mono12"]
+    )
+    assert done.output.splitlines()[-3:] == ["Gain = 3.5", "Width = 320", "PixelFormat = Mono12"], done.output
+    done = CliRunner().invoke(app, ["camera", "set", DEMO, *USB, "Gain=99"])
+    assert "0 to 24" in str(done.exception)
+
+
+def test_a_feature_that_can_not_be_read_says_why() -> None:
+    faulty = FeatureReading(
+        "Odd", "Integer", None, "readable and writable", None, None, "", (), "no register"
+    )
+    raw = FeatureReading("Key", "Register", b"\x01\xff", "read-only", None, None, "", (), "")
+    assert list(feature_lines([faulty, raw])) == ["Odd  -      no register", "Key  01 ff  read-only"]
+    assert list(feature_lines([])) == []
 
 
 def test_usb_memory_is_compared_with_the_frames(tmp_path: Path) -> None:
