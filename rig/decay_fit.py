@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,24 +50,32 @@ class SlowSamples:
         return replace(found, time_s=found.time_s * self.clock, u_time_s=found.u_time_s * self.clock)
 
 
+class Settled(NamedTuple):
+    """Half-cycles, and the motion on which they were measured again; None: they are as detected."""
+
+    swings: Sequence[Swing]
+    motion: KnownMotion | None
+
+
 def settled_swings(
     swings: Sequence[Swing], samples: SlowSamples, pendulum: PendulumOnBall | None, settings: FitSettings
-) -> Sequence[Swing]:
+) -> Settled:
     """The half-cycles as they stand once the motion is known from all of them.
 
     They stay as they were detected where the laws cannot be fitted, or where the fit does not describe
     the samples.
     """
+    as_detected = Settled(swings, None)
     if pendulum is None:
-        return swings
+        return as_detected
     points = samples.points(swings)
     try:
         exact = fit_exact(points, pendulum, drag=settings.drag, loss=_loss(settings))
         motion = known_motion(exact.parameters, pendulum, float(points.amplitude_rad[0]), samples.clock)
     except DataError:
-        return swings
+        return as_detected
     again = samples.again(swings, motion)
-    return again if agree(swings, again) else swings
+    return Settled(again, motion) if agree(swings, again) else as_detected
 
 
 def fit_decay(points: TurningPoints, pendulum: PendulumOnBall | None, settings: FitSettings) -> DecayFits:

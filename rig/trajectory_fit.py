@@ -55,7 +55,7 @@ def fit_trajectory(
     if config is not None and not laws.problem:
         pendulum = pendulum_on_ball(config)
         samples = SlowSamples(trajectory.times_ns, deflection, np.full(len(deflection), noise))
-        points = samples.points(settled_swings(swings, samples, pendulum, config.fit))
+        points = samples.points(settled_swings(swings, samples, pendulum, config.fit).swings)
         laws = fit_decay(points, pendulum, config.fit)
     _print(path, trajectory, swings, summary, noise / scale, laws)
     if output is not None:

@@ -15,11 +15,9 @@ from acquisition.record.digest import sha256_of
 from acquisition.record.reader import RecordReader
 from processing.angle import ARCSEC_RAD
 from processing.errors import RecordError, RigError
-from processing.fit.remeasure import known_motion
-from processing.swing import Swing, TurningPoints
+from processing.swing import KnownMotion, Swing, TurningPoints
 from rig.decay_fit import SlowSamples
 from rig.provenance import CONFIGURATION_NAME, recorded_configuration
-from rig.report.curves import number, parameters_of, pendulum_of
 
 Array = NDArray[np.float64]
 RESULTS_NAME = "results.json"
@@ -160,12 +158,8 @@ def _points(
 ) -> TurningPoints:
     """The turning points that were fitted; without a fit, as they were detected."""
     samples = SlowSamples(spots["time_ns"], spots["y_rad"], spots["u_y_rad"], rate)
-    pendulum = pendulum_of(results)
-    if pendulum is None or not results.get("measured_again"):
-        return samples.points(swings)
-    exact = results["fits"]["exact"]
-    motion = known_motion(parameters_of(exact), pendulum, number(exact, "initial_amplitude_rad"), rate)
-    return samples.points(samples.again(swings, motion))
+    motion = results.get("measured_again_on")
+    return samples.points(samples.again(swings, KnownMotion(**motion)) if motion else swings)
 
 
 def _clock_rate(reader: RecordReader, notes: list[str]) -> float:

@@ -109,7 +109,7 @@ def measure(seed: int, folder: Path, final_arcsec: float = 4.0) -> dict[str, tup
     assert pendulum is not None
     assert quantities is not None
     samples = SlowSamples(stamps_ns, y_rad, u_y_rad, config.timebase.camera_rate)
-    points = samples.points(settled_swings(swings, samples, pendulum, config.fit))
+    points = samples.points(settled_swings(swings, samples, pendulum, config.fit).swings)
     table = budgets(measured(fit_exact(points, pendulum)), quantities)
     truth = {name: float(getattr(contact, name)) for name in ("b", "p", "c", "n", "period0_s", "gamma_pa")}
     truth["surface_energy_table2_j_per_m2"] = _surface_energy(contact)
