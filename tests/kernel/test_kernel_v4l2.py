@@ -62,6 +62,25 @@ def test_buffers_that_the_driver_drops_are_counted(results: dict[str, Any]) -> N
     assert max(abs(age_ms) for age_ms in seen["age_ms"]) < 100
 
 
+def test_buffers_that_the_driver_marks_as_damaged_are_counted_and_not_delivered(
+    results: dict[str, Any],
+) -> None:
+    seen = scenario(results, "damaged")
+    numbers = seen["numbers"]
+    missing = numbers[-1] + 1 - len(numbers)
+    assert seen["incomplete"] == 5
+    assert missing >= 5
+    assert seen["dropped"] >= missing
+
+
+def test_a_region_holds_the_pixels_of_the_whole(results: dict[str, Any]) -> None:
+    seen = scenario(results, "region")
+    assert seen["applied"] == seen["asked"]
+    assert seen["equal"] == [True, True, True]
+    assert seen["levels"] > 3, "a picture without structure proves nothing"
+    assert str(seen["sensor"][0]) in seen["beyond"]
+
+
 @pytest.mark.parametrize("reading", ["kernel", "opencv"])
 def test_a_start_delivers_nothing_from_before_it(results: dict[str, Any], reading: str) -> None:
     seen = scenario(results, f"stale_{reading}")

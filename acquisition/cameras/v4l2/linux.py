@@ -154,7 +154,9 @@ class LinuxSource:
         width_px = settings.width_px or self._layout.width_px
         height_px = settings.height_px or self._layout.height_px
         if self._bounds is not None:
-            self._set_region(self._bounds, settings)
+            region = self._set_region(self._bounds, settings)
+            # a driver makes any size of a region by scaling it; only its own size is pixel for pixel
+            width_px, height_px = region.width, region.height
         elif settings.offset_x_px or settings.offset_y_px:
             raise DeviceError(
                 f"{self._name}: has no region of interest; leave the offsets out; its sizes: "
@@ -163,8 +165,14 @@ class LinuxSource:
         self._layout = kernel.set_layout(self._device, width_px, height_px, fourcc)
         if self._layout.fourcc != fourcc:
             raise DeviceError(f"{self._name}: took {self._layout.fourcc} where {fourcc} was asked")
+        made = (self._layout.width_px, self._layout.height_px)
+        if self._bounds is not None and made != (width_px, height_px):
+            raise DeviceError(
+                f"{self._name}: scales a region of {width_px} x {height_px} to {made[0]} x {made[1]}; "
+                "set camera.width_px and camera.height_px to another size"
+            )
 
-    def _set_region(self, bounds: kernel.Rectangle, settings: CameraSettings) -> None:
+    def _set_region(self, bounds: kernel.Rectangle, settings: CameraSettings) -> kernel.Rectangle:
         now = kernel.get_selection(self._device, kernel.CROP) or bounds
         asked = kernel.Rectangle(
             now.left if settings.offset_x_px is None else settings.offset_x_px,
@@ -180,8 +188,10 @@ class LinuxSource:
                 raise DeviceError(
                     f"{self._name}: {name} with its offset reaches {end}; the sensor has {size}"
                 )
-        if asked != now:
-            kernel.set_selection(self._device, asked)
+        if asked == now:
+            return now
+        kernel.set_selection(self._device, asked)
+        return kernel.get_selection(self._device, kernel.CROP) or asked
 
     def _set_exposure(self, settings: CameraSettings) -> None:
         if settings.exposure_us is None:
