@@ -6,6 +6,7 @@ import signal
 import socket
 import subprocess
 import sys
+import tempfile
 import time
 import traceback
 from collections.abc import Callable
@@ -20,6 +21,7 @@ from acquisition.camera import CameraLost, CameraSettings
 from acquisition.cameras.usb3vision.camera import Usb3VisionCamera, Usb3VisionSettings
 from acquisition.cameras.usb3vision.discovery import find_cameras
 from acquisition.cameras.usb3vision.libusb_transfers import LibusbTransfers
+from tests.acquisition.aravis.namespace import Missing, python_path
 from tests.acquisition.usb3vision.device import VisionDevice
 from tests.acquisition.usb3vision.usbip import UsbIpServer
 from tests.kernel.boot import MARK
@@ -176,6 +178,33 @@ def aravis() -> dict[str, Any]:
     return result
 
 
+def aravis_driver() -> dict[str, Any]:
+    """The same camera through our driver for libaravis, and pulled out under it."""
+    with tempfile.TemporaryDirectory() as folder:
+        try:
+            paths = filter(None, [python_path(Path(folder) / "system"), os.getcwd()])
+        except Missing as missing:
+            return {"skipped": str(missing)}
+        environment = os.environ | {"PYTHONPATH": os.pathsep.join(paths)}
+        child = plug_in()
+        program = subprocess.Popen(
+            [sys.executable, "-m", "tests.kernel.guest_aravis_driver"],
+            env=environment,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        assert program.stdout is not None
+        first = program.stdout.readline()
+        pull_out(child)
+        rest, errors = program.communicate(timeout=120)
+    if program.returncode:
+        return {"skipped" if "needs libaravis" in errors else "error": errors[-2000:]}
+    assert first.strip() == "PULL", first
+    result: dict[str, Any] = json.loads(rest.strip().splitlines()[-1])
+    return result
+
+
 def main() -> None:
     results: dict[str, Any] = {"imported_s": time.clock_gettime(time.CLOCK_BOOTTIME)}
     scenarios: dict[str, Callable[[], dict[str, Any]]] = {
@@ -187,6 +216,7 @@ def main() -> None:
         "unplugged_queued": lambda: unplugged("auto"),
         "unplugged_blocking": lambda: unplugged("blocking"),
         "aravis": aravis,
+        "aravis_driver": aravis_driver,
     }
     wanted = sys.argv[1:] or list(scenarios)
     for name in wanted:

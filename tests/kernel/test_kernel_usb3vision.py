@@ -82,3 +82,19 @@ def test_aravis_reads_the_same_camera(results: dict[str, Any]) -> None:
         start = 7 * frame["id"] % 251  # the camera's sawtooth
         assert frame["first"] == [(start + index) % 251 for index in range(4)]
         assert frame["last"] == [(start + 320 * 240 - 2 + index) % 251 for index in range(2)]
+
+
+def test_our_driver_for_libaravis_reads_the_same_camera_and_notices_that_it_is_gone(
+    results: dict[str, Any],
+) -> None:
+    seen = scenario(results, "aravis_driver")
+    if "skipped" in seen:
+        pytest.skip(seen["skipped"])
+    assert seen["serial"] == "QEMU-1"
+    assert seen["exposure_us"] == 200.0
+    for start in seen["starts"]:
+        assert start["numbers"] == list(range(20))
+        assert start["equal"]
+        assert start["times_rise"]
+        assert start["dropped"] == 0
+    assert "plug it in again" in seen["lost"]

@@ -30,9 +30,10 @@ _MOST_BYTES: Final = 256 * 1024 * 1024
 # `stop` and `close` return within a second; libaravis waits 2.5 s for each reply of a camera that is gone
 _PATIENCE_S: Final = 0.6
 _LEAVING_S: Final = 15.0
-# libaravis itself takes 6 s to notice that a GigE camera has gone; silence makes us ask sooner
+# libaravis takes 6 s to notice that a GigE camera has gone, USB it may not watch: silence makes us ask
 _ASK_AFTER_S: Final = 1.0
-_CONTROL_REGISTER: Final = 0x0A00
+_GIGE_CONTROL_REGISTER: Final = 0x0A00
+_USB_VERSION_REGISTER: Final = 0x0000
 _TICKS_REGISTERS: Final = (0x093C, 0x0940)
 
 
@@ -46,7 +47,7 @@ class AravisCamera:
 
     Notes
     -----
-    The host's time of a frame is that at which its first bytes came, as libaravis noted it. A GigE
+    The host's time of a frame is that at which its first bytes came, as libaravis noted it. A
     camera that falls silent is asked whether it is still there; one that does not answer is lost.
     """
 
@@ -262,12 +263,11 @@ class AravisCamera:
         is_asking = self._asking is not None and self._asking.is_alive()
         if is_asking or camera is None or library is None or now_s - self._heard_s < _ASK_AFTER_S:
             return
-        if not camera.is_gv_device():
-            return
+        address = _GIGE_CONTROL_REGISTER if camera.is_gv_device() else _USB_VERSION_REGISTER
 
         def ask() -> None:
             try:
-                camera.get_device().read_register(_CONTROL_REGISTER)
+                camera.get_device().read_register(address)
             except library.error:
                 gone.set()
 
