@@ -2,8 +2,8 @@
 
     python docs/pictures/make_pictures.py [RECORD.mcap]
 
-With a record, `measuring` and `balancing` show it; without one, and for `analysing`, the fixed scene
-of the tests is drawn. Needs Mesa's software Vulkan (Debian: mesa-vulkan-drivers, libvulkan1).
+With a record every layout shows it, `analysing` with the results beside it; without one the fixed
+scene of the tests is drawn. Needs Mesa's software Vulkan (Debian: mesa-vulkan-drivers, libvulkan1).
 """
 
 import sys
@@ -38,7 +38,7 @@ def main(record: Path | None) -> None:
 
 def draw(rrd: Path, layout: LayoutName, record: Path | None) -> None:
     """The record, or the scene, in a layout."""
-    if record is not None and layout != "analysing":
+    if record is not None:
         write_rrd([record], rrd, layout=layout)
         return
     with Viewer(rrd, layout=layout, title="scene") as viewer:

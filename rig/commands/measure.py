@@ -110,11 +110,15 @@ def view(
         Literal["spawn", "web"], typer.Option(help="A window, or a page on loopback for a browser.")
     ] = "spawn",
     rrd: Annotated[Path | None, typer.Option(help="Write a Rerun file instead of opening anything.")] = None,
+    layout: Annotated[
+        Literal["balancing", "measuring", "analysing"],
+        typer.Option(help="What is laid out; analysing fits what was not fitted yet."),
+    ] = "measuring",
 ) -> None:
     """Show recorded runs in Rerun; several are laid over each other, aligned at their start."""
     from rig.view.recorded import show_records
 
-    show_records(records, mode=mode, rrd=rrd)
+    show_records(records, mode=mode, rrd=rrd, layout=layout)
 
 
 def simulate(

@@ -19,6 +19,10 @@ TITLES: Final[dict[Panel, tuple[str, str]]] = {
 }
 TRIMMED: Final = frozenset({"period", "period_residuals"})
 """Panels whose uncertainty explodes at small amplitudes: a few points there do not set the axes."""
+RISING: Final = frozenset({"period", "loops"})
+"""Panels whose curves rise to the right: their legend is below, where the others have it above."""
+COINCIDING: Final = frozenset({"decay", "period"})
+"""Panels where good fits and their data lie on each other."""
 BARS_AT_MOST: Final = 400
 
 
@@ -41,30 +45,42 @@ def draw_fits(stream: rr.RecordingStream, fits: Fits, unit: str) -> None:
         entries = []
         for number, curve in enumerate(curves):
             colour = palette.curve_colour(curve.name, number)
-            outside = _draw_curve(stream, root, curve, graticule, colour)
+            later = curves[number + 1 :] if panel in COINCIDING else []
+            following = sum(other.style == "line" for other in later)
+            outside = _draw_curve(stream, root, curve, graticule, colour, following)
             entries.append((f"{curve.name} ({outside} outside)" if outside else curve.name, colour))
-        stream.log(f"{root}/legend", _legend(entries, graticule), static=True)
+        legend = _legend(entries, graticule, below=panel in RISING)
+        stream.log(f"{root}/legend", legend, static=True)
     if fits.text:
         document = rr.TextDocument(fits.text, media_type=rr.MediaType.MARKDOWN)
         stream.log(layout.entity(fits.run, layout.REPORT), document, static=True)
 
 
 def _draw_curve(
-    stream: rr.RecordingStream, root: str, curve: Curve, graticule: Graticule, colour: str
+    stream: rr.RecordingStream,
+    root: str,
+    curve: Curve,
+    graticule: Graticule,
+    colour: str,
+    following: int,
 ) -> int:
-    """Draw what lies within the axes; how many points do not."""
+    """Draw what lies within the axes; how many points do not.
+
+    `following` lines come on top of this curve: it is so much thicker that they do not hide it.
+    """
     path = f"{root}/{rr.escape_entity_path_part(curve.name)}"
     points = graticule.place(curve.x, curve.y)
     inside = graticule.inside(curve.x, curve.y)
     if curve.style == "points":
-        radius = rr.Radius.ui_points(1.2)
+        radius = rr.Radius.ui_points(1.2 + 0.7 * following)
         dots = rr.Points2D(points[inside], colors=palette.rgba(colour), radii=radius, draw_order=5.0)
         stream.log(path, dots, static=True)
     else:
         edges = np.flatnonzero(np.diff(np.concatenate(([False], inside, [False])).astype(np.int8)))
         strips = [points[start:stop] for start, stop in edges.reshape(-1, 2)]
-        radius = rr.Radius.ui_points(0.8)
-        line = rr.LineStrips2D(strips, colors=palette.rgba(colour), radii=radius, draw_order=10.0)
+        radius = rr.Radius.ui_points(0.8 + 0.8 * following)
+        order = 20.0 - following
+        line = rr.LineStrips2D(strips, colors=palette.rgba(colour), radii=radius, draw_order=order)
         stream.log(path, line, static=True)
     if curve.u_y is not None:
         rows = np.flatnonzero(inside)[:: max(1, int(inside.sum()) // BARS_AT_MOST)]
@@ -81,12 +97,13 @@ def _draw_curve(
     return int(np.count_nonzero(np.isfinite(curve.x + curve.y) & ~inside)) if curve.style == "points" else 0
 
 
-def _legend(entries: list[tuple[str, str]], graticule: Graticule) -> rr.Points2D:
-    """The curves' names in their colours, in the upper right corner."""
+def _legend(entries: list[tuple[str, str]], graticule: Graticule, *, below: bool) -> rr.Points2D:
+    """The curves' names in their colours, in the upper or the lower right corner."""
     width, height = graticule.size
     corner = graticule.place(np.array([graticule.x_high]), np.array([graticule.y_high]))[0]
+    first = 1.0 - 0.08 * len(entries) - 0.03 if below else 0.03
     places = [
-        (corner[0] - 0.2 * width, corner[1] + (0.03 + 0.08 * row) * height) for row in range(len(entries))
+        (corner[0] - 0.2 * width, corner[1] + (first + 0.08 * row) * height) for row in range(len(entries))
     ]
     return rr.Points2D(
         places,

@@ -14,7 +14,7 @@ MINUS: Final = "\N{MINUS SIGN}"
 
 
 class Quantity(NamedTuple):
-    """How a number of the balance is called, in which unit and colour, and in which panel.
+    """How a number of the balance is called, in which unit and colour, and in which panel ("": in the table alone).
 
     Ratios come as plain numbers and are shown in per cent.
     """
@@ -30,13 +30,15 @@ class Quantity(NamedTuple):
 
 
 BALANCE: Final[Mapping[str, Quantity]] = {
-    "transverse_arcsec": Quantity("transverse amplitude", "arcsec", palette.X_COLOUR, "transverse"),
-    "transverse_ratio": Quantity("transverse / longitudinal", "%", palette.VERMILLION, "ratio"),
-    "width_ratio": Quantity("width (ellipticity)", "%", palette.YELLOW, "ratio"),
+    "period_s": Quantity("period", "s", palette.GREY, ""),
+    "amplitude_arcsec": Quantity("amplitude", "arcsec", palette.GREY, ""),
+    "transverse_arcsec": Quantity("transverse", "arcsec", palette.X_COLOUR, "transverse"),
+    "transverse_ratio": Quantity("transverse ratio", "%", palette.VERMILLION, "ratio"),
+    "width_ratio": Quantity("ellipticity", "%", palette.YELLOW, "ratio"),
     "line_angle_deg": Quantity("tilt of the line", "deg", palette.BLUISH_GREEN, "tilt"),
-    "rotation_deg_per_min": Quantity("rotation of the line", "deg/min", palette.REDDISH_PURPLE, "rotation"),
-    "rest_x_arcsec": Quantity("rest position X", "arcsec", palette.X_COLOUR, "rest_x"),
-    "rest_y_arcsec": Quantity("rest position Y", "arcsec", palette.Y_COLOUR, "rest_y"),
+    "rotation_deg_per_min": Quantity("rotation", "deg/min", palette.REDDISH_PURPLE, "rotation"),
+    "rest_x_arcsec": Quantity("rest X", "arcsec", palette.X_COLOUR, "rest_x"),
+    "rest_y_arcsec": Quantity("rest Y", "arcsec", palette.Y_COLOUR, "rest_y"),
     "drift_x_arcsec_per_min": Quantity("drift X", "arcsec/min", palette.X_COLOUR, "drift"),
     "drift_y_arcsec_per_min": Quantity("drift Y", "arcsec/min", palette.Y_COLOUR, "drift"),
     "period_ratio": Quantity("T_V / T_U", "", palette.BLUISH_GREEN, "period_ratio"),

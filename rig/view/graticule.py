@@ -65,6 +65,7 @@ class Graticule:
     y_zero: float = 0.0
     x_scale: float = 1.0
     y_scale: float = 1.0
+    titles_outside: bool = False
 
     @classmethod
     def boxed(cls, x: Floats, y: Floats, x_title: str, y_title: str, *, trimmed: bool = False) -> Self:
@@ -77,7 +78,7 @@ class Graticule:
         y_low, y_high = _padded(y, 0.02 if trimmed else 0.0)
         width, height = BOX
         scales = width / (x_high - x_low), height / (y_high - y_low)
-        return cls(x_low, x_high, y_low, y_high, x_title, y_title, x_low, y_low, *scales)
+        return cls(x_low, x_high, y_low, y_high, x_title, y_title, x_low, y_low, *scales, titles_outside=True)
 
     def inside(self, x: Floats, y: Floats) -> NDArray[np.bool_]:
         """Which of the values lie within the axes; not those that are NaN."""
@@ -122,9 +123,10 @@ class Graticule:
             self._label(self.x_low, y, tick_label(y, _step(y_ticks)), -0.075 * width, -0.03 * height)
             for y in y_ticks
         ]
-        # The titles lie inside the frame: a panel may be too small for another line below it.
-        labels.append(self._label(self.x_high, self.y_low, self.x_title, -0.17 * width, -0.07 * height))
-        labels.append(self._label(self.x_low, self.y_high, self.y_title, 0.17 * width, 0.03 * height))
+        # Curves begin and end in corners, a trajectory does not: its frame has room for the titles inside.
+        x_down, y_down = (0.105, -0.095) if self.titles_outside else (-0.07, 0.03)
+        labels.append(self._label(self.x_high, self.y_low, self.x_title, -0.17 * width, x_down * height))
+        labels.append(self._label(self.x_low, self.y_high, self.y_title, 0.17 * width, y_down * height))
         return labels
 
     def _label(self, x: float, y: float, text: str, right: float, down: float) -> Label:

@@ -190,12 +190,12 @@ class _Views:
     def balance(self, panel: str, title: str) -> rrb.View:
         names = [name for name, quantity in BALANCE.items() if quantity.panel == panel]
         contents = [line for name in names for line in self._below(f"{BALANCE_ROOT}/{name}")]
-        legend = rrb.PlotLegend(rrb.Corner2D.LeftTop, visible=len(names) > 1 or len(self._runs) > 1)
+        legend = rrb.PlotLegend(rrb.Corner2D.RightTop, visible=len(names) > 1 or len(self._runs) > 1)
         return rrb.TimeSeriesView(name=title, contents=contents, plot_legend=legend)
 
     def losses(self) -> rrb.View:
         return rrb.TimeSeriesView(
-            name="Losses", contents=self._below(LOSSES_ROOT), plot_legend=rrb.Corner2D.LeftTop
+            name="Losses", contents=self._below(LOSSES_ROOT), plot_legend=rrb.Corner2D.RightTop
         )
 
     def camera(self) -> rrb.View:
@@ -206,7 +206,7 @@ class _Views:
             name=title,
             contents=self._below(f"{ANALYSIS_ROOT}/{panel}"),
             visual_bounds=rrb.VisualBounds2D(
-                x_range=(-0.2 * BOX[0], 1.03 * BOX[0]), y_range=(-1.04 * BOX[1], 0.12 * BOX[1])
+                x_range=(-0.2 * BOX[0], 1.03 * BOX[0]), y_range=(-1.11 * BOX[1], 0.19 * BOX[1])
             ),
             background=BACKGROUND,
         )

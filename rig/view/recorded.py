@@ -1,8 +1,9 @@
 """Recorded runs in the live layout: one, or several laid over each other."""
 
+import dataclasses
 import logging
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from itertools import islice
 from pathlib import Path
@@ -14,8 +15,12 @@ from numpy.typing import NDArray
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import BALANCE_TOPIC, SPOT, SPOT_UNCALIBRATED
 from processing.angle import ARCSEC_RAD
+from processing.balance import Balance
 from processing.errors import RecordError
 from processing.spot import SpotFlag
+from rig.balance_state import advice_text
+from rig.provenance import recorded_configuration
+from rig.view.analysis_curves import analysis_curves, overlaid_curves, report_text, run_analysis
 from rig.view.balance_quantities import balance_quantities
 from rig.view.messages import EventLevel, LayoutName
 from rig.view.rrd_display import show_rrd
@@ -108,8 +113,17 @@ def write_rrd(
                 end = "cut short" if reader.truncated else "damaged" if reader.damages else "whole"
             lines.append(f"| {path.stem} | {start:%Y-%m-%d %H:%M:%S} | {spots} | {swings} | {end} |")
         viewer.state("\n".join(lines), time_s=0.0, run=names[0])
+        if layout == "analysing":
+            _draw_analysis(viewer, paths, names)
     if viewer.counts.notes:
         raise RecordError(f"{rrd}: {viewer.counts.notes[0]}")
+
+
+def _draw_analysis(viewer: Viewer, paths: Sequence[Path], names: Sequence[str]) -> None:
+    """Fits of one record, or of several in one set of axes, which the first one's name stands for."""
+    runs = {name: run_analysis(path) for path, name in zip(paths, names, strict=True)}
+    curves = analysis_curves(runs[names[0]]) if len(runs) == 1 else overlaid_curves(runs)
+    viewer.fits(curves, report_text(runs), run=names[0])
 
 
 def run_names(paths: Sequence[Path]) -> list[str]:
@@ -181,18 +195,33 @@ def _draw(viewer: Viewer, reader: RecordReader, run: str, start_ns: int, later_s
             u_period_s=[2.0 * swing.u_half_period_s for swing in swings],
             run=run,
         )
+    advise = _adviser(reader)
     balances = reader.table(BALANCE_TOPIC)
     names = balances.dtype.names or ()
     for row in balances:
         fields = dict(zip(names, row.tolist(), strict=True))
         quantities = balance_quantities(fields, 1.0 / scale)
-        viewer.balance(float(seconds(fields["time_ns"])), quantities, run=run)
+        viewer.balance(float(seconds(fields["time_ns"])), quantities, advice=advise(fields), run=run)
     for event in reader.events():
         level: EventLevel = "warning" if event.kind in WARNINGS else "info"
         viewer.event(float(seconds(event.time_ns)), level, f"{event.kind}: {event.text}", run=run)
     spots = _draw_spots(viewer, reader, run, start_ns, later_s)
     _draw_images(viewer, reader, run, start_ns, later_s, spots)
     return len(spots["sequence"]), len(swings)
+
+
+def _adviser(reader: RecordReader) -> Callable[[Mapping[str, Any]], str]:
+    """What is to be done about a recorded balance; nothing is said where the record does not know its rig."""
+    try:
+        config = recorded_configuration(reader)
+    except RecordError:
+        return lambda _: ""
+    known = {field.name for field in dataclasses.fields(Balance)}
+
+    def advise(fields: Mapping[str, Any]) -> str:
+        return advice_text(config, Balance(**fields)) if fields.keys() == known else ""
+
+    return advise
 
 
 def _draw_spots(

@@ -33,3 +33,13 @@ def scalars(path: Path, entity: str) -> tuple[np.ndarray[Any, Any], np.ndarray[A
     """Times in s and values of a curve."""
     times_s, values = column(path, entity, "Scalars:scalars")
     return times_s, np.array([value[0] for value in values])
+
+
+def static_values(path: Path, entity: str, component: str) -> list[Any]:
+    """Values of a component that holds for all times."""
+    for chunk in RrdReader(path).stream():
+        batch = chunk.to_record_batch()
+        if str(chunk.entity_path) == entity and chunk.is_static and component in batch.schema.names:
+            found: list[Any] = batch.column(component).to_pylist()[0]
+            return found
+    return []

@@ -1,0 +1,132 @@
+"""The analysing layout's content for a record: its fits as curves, and the report's numbers as text."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from acquisition.record.digest import sha256_of
+from acquisition.record.reader import RecordReader
+from processing.angle import ARCSEC_RAD
+from processing.contact.moments import moment_loop
+from processing.errors import RecordError
+from processing.swing import TurningPoints, turning_points
+from rig.analysis import analyse_record
+from rig.replay_comparison import recorded_results
+from rig.report.curves import Curves, curves_of, number, parameters_of, pendulum_of
+from rig.report.source import read_source
+from rig.report.table import Table
+from rig.report.tables import instrument_table, parameter_table, quality_table
+from rig.results import results_tree
+from rig.view.messages import Curve, Floats
+
+
+class RunAnalysis(NamedTuple):
+    """One record with what was fitted to it: a run of results.json, and the turning points behind it."""
+
+    record: Path
+    tree: Mapping[str, Any]
+    points: TurningPoints
+    unit_rad: float
+
+
+def run_analysis(record: Path) -> RunAnalysis:
+    """From the results beside the record where they are of this very file; fitted now where not."""
+    name, known = recorded_results(record, sha256_of(record))
+    if known is not None:
+        runs = read_source(record.parent / name).runs
+        run = next(run for run in runs if run.results.get("sha256") == known["sha256"])
+        return RunAnalysis(record, run.results, run.points, run.unit_rad)
+    found = analyse_record(record)
+    tree = results_tree([found], record.parent, {})["runs"][0]
+    points = found.points if found.points is not None else turning_points(())
+    with RecordReader(record) as reader:
+        return RunAnalysis(record, tree, points, 1.0 if reader.deflection_unit == "px" else ARCSEC_RAD)
+
+
+def analysis_curves(run: RunAnalysis) -> list[Curve]:
+    """Data with both fits, residuals, T(alpha), moment loops; of a run without fits its data alone."""
+    points, unit = run.points, run.unit_rad
+    amplitude = points.amplitude_rad / unit
+    u = points.u_amplitude_rad / unit
+    drawn = [Curve("decay", "measured", points.time_s, amplitude, u, "points")]
+    curves = curves_of(points, run.tree)
+    if curves is None:
+        return drawn
+    decay = {"asymptotic fit": curves.asymptotic_rad, "exact fit": curves.exact_rad}
+    period = {"asymptotic fit": curves.asymptotic_period_s, "exact fit": curves.exact_period_s}
+    at = curves.period_rad / unit
+    for name, model_rad in decay.items():
+        drawn.append(Curve("decay", name, points.time_s, model_rad / unit))
+        u_bars = u if name.startswith("exact") else None
+        drawn.append(Curve("residuals", name, points.time_s, amplitude - model_rad / unit, u_bars, "points"))
+    drawn.append(Curve("period", "measured", at, curves.period_s, curves.u_period_s, "points"))
+    for name, model_s in period.items():
+        drawn.append(Curve("period", name, at, model_s))
+        u_bars = 1e3 * curves.u_period_s if name.startswith("exact") else None
+        residual_ms = 1e3 * (curves.period_s - model_s)
+        drawn.append(Curve("period_residuals", name, at, residual_ms, u_bars, "points"))
+    return [*drawn, *_loops(run, float(amplitude[0]))]
+
+
+def overlaid_curves(runs: Mapping[str, RunAnalysis]) -> list[Curve]:
+    """Several runs in one set of axes: of each its data, the exact fit's residuals and its largest loop."""
+    drawn: list[Curve] = []
+    for name, run in runs.items():
+        points, unit = run.points, run.unit_rad
+        drawn.append(Curve("decay", name, points.time_s, points.amplitude_rad / unit, None, "points"))
+        curves = curves_of(points, run.tree)
+        if curves is None:
+            continue
+        residual = (points.amplitude_rad - curves.exact_rad) / unit
+        at = curves.period_rad / unit
+        drawn += [
+            Curve("residuals", name, points.time_s, residual, None, "points"),
+            Curve("period", name, at, curves.period_s, None, "points"),
+            Curve("period_residuals", name, at, _residual_ms(curves), None, "points"),
+            _loops(run, float(points.amplitude_rad[0]) / unit)[-1]._replace(name=name),
+        ]
+    return drawn
+
+
+def report_text(runs: Mapping[str, RunAnalysis]) -> str:
+    """What the fits say, in Markdown, run after run."""
+    parts: list[str] = []
+    for run in runs.values():
+        tree = run.tree
+        parts.append(f"## {run.record.stem}")
+        first, last = (number(tree, f"{end}_amplitude_arcsec") for end in ("initial", "final"))
+        unit = "arcsec" if run.unit_rad != 1.0 else "px"
+        parts.append(f"{tree.get('half_cycles', 0)} half-cycles, {first:.2f} to {last:.2f} {unit}")
+        if tree.get("problem"):
+            parts.append(f"no fit: {tree['problem']}")
+        tables = [instrument_table(tree)]
+        if tree.get("fits"):
+            tables = [parameter_table(tree), quality_table(tree), *tables]
+        parts += [_markdown(table) for table in tables if table.rows]
+        parts += [f"- {warning}" for warning in tree.get("warnings") or ()]
+    return "\n\n".join(parts)
+
+
+def _loops(run: RunAnalysis, amplitude: float) -> list[Curve]:
+    """Moments over one swing of an amplitude: lost (Eq. 1), elastic (Eq. 3) and their sum."""
+    pendulum = pendulum_of(run.tree)
+    if pendulum is None:
+        raise RecordError(f"{run.record}: its results name no pendulum; rig fit makes them anew")
+    loop = moment_loop(amplitude * run.unit_rad, parameters_of(run.tree["fits"]["exact"]), pendulum)
+    closed = np.append(np.arange(len(loop.phi_rad)), 0)
+    angle = loop.phi_rad[closed] / run.unit_rad
+    moments = {"dissipative": loop.friction_n_m, "elastic": loop.elastic_n_m, "total": loop.total_n_m}
+    return [Curve("loops", name, angle, 1e6 * moment[closed]) for name, moment in moments.items()]
+
+
+def _residual_ms(curves: Curves) -> Floats:
+    return 1e3 * (curves.period_s - curves.exact_period_s)
+
+
+def _markdown(table: Table) -> str:
+    def line(cells: Sequence[str]) -> str:
+        return f"| {' | '.join(cells)} |"
+
+    return "\n".join([line(table.head), line(["---"] * len(table.head)), *map(line, table.shown)])
