@@ -21,7 +21,7 @@ from processing.swing import KnownMotion, Swing, SwingDetector, SwingFlag
 _MOST = 0.95
 """Part of the half-cycles that must be found again ..."""
 
-_SHIFTED = 1.5
+_SHIFTED = 0.75
 """... and the root mean square of their shifts, in standard uncertainties, up to which they agree."""
 
 
@@ -122,8 +122,9 @@ def _nearest(swings: Sequence[Swing], times_ns: NDArray[np.int64], time_ns: int)
 def agree(swings: Sequence[Swing], again: Sequence[Swing]) -> bool:
     """Whether half-cycles measured again lie where they lay, within what was claimed for them.
 
-    They need not where the fitted laws are not those of the motion; what the detector learned from the
-    samples alone is then the better knowledge.
+    Where they do, they differ by what the detector had yet to learn: 0.1 to 0.5 of a standard uncertainty.
+    They do not where the fitted laws are not those of the motion, or leave open what matters within a
+    half-cycle (friction against drag); what the detector learned from the samples is then better knowledge.
     """
     pairs = [(a, b) for a, b in zip(swings, again, strict=True) if a.flags == 0]
     both = [(a, b) for a, b in pairs if b.flags == 0]

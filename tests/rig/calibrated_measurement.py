@@ -29,7 +29,6 @@ from tests.calibration.simulated_rig import (
     swing_for_axes,
 )
 
-RATE_HZ = 25.0
 STATED = {
     "mass_kg": (0.406, 1e-4),
     "ball_radius_m": (6.05e-3, 2e-6),
@@ -64,7 +63,9 @@ def calibrate(rig: Drawn, folder: Path) -> dict[Kind, Path]:
     }
 
 
-def measure(seed: int, folder: Path, final_arcsec: float = 4.0) -> dict[str, tuple[float, float, float]]:
+def measure(
+    seed: int, folder: Path, rate_hz: float = 25.0, final_arcsec: float = 4.0
+) -> dict[str, tuple[float, float, float]]:
     """(found, standard uncertainty with the calibration's, truth) of every parameter."""
     rig = draw_rig(seed)
     files = calibrate(rig, folder)
@@ -91,7 +92,7 @@ def measure(seed: int, folder: Path, final_arcsec: float = 4.0) -> dict[str, tup
     assert config.lever is not None
     assert config.axes is not None
     assert config.timebase is not None
-    motion = true_trajectory(rig.settings, 2400.0, RATE_HZ)
+    motion = true_trajectory(rig.settings, 2400.0, rate_hz)
     times_s = motion.times_ns * 1e-9
     x_px, y_px = spots_of(rig, motion.x_rad, motion.y_rad, times_s)
     u_px = np.full(len(times_s), rig.noise_px)
