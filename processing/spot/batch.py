@@ -19,7 +19,7 @@ def track_run(
     work: Floats,
     tables: NDArray[np.float32],
     bands: Image,
-    counts: Integers,
+    sample: Integers,
     mask: NDArray[np.uint8],
     stack: Integers,
     rows: Floats,
@@ -34,7 +34,7 @@ def track_run(
             found = follow(image, 0, 0, nx, ny, state, work, tables)
             flag = found[10]
         if flag == SEARCH:
-            found = search(image, 0, 0, nx, ny, state, work, tables, bands, counts, mask, stack)
+            found = search(image, 0, 0, nx, ny, state, work, tables, bands, sample, mask, stack)
             flag = found[10]
         flags[k] = flag
         row = rows[k]

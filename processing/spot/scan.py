@@ -4,15 +4,33 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from processing.spot.prefetch import LINE_BYTES, prefetch, prefetch_window
 from processing.spot.spot import Image
 
 BAND_ROWS = 32
+BAND_STEP = 256
+"""Bands are wider than the image, up to a multiple of this and two more: no remainder is done one by one."""
 _SAMPLES_Y = 16
 _SAMPLES_X = 32
 SAMPLES = _SAMPLES_Y * _SAMPLES_X
 
+_BLOCK = 64
+"""Pixels of a row between two looks ahead: the loads then never come in bursts that have to queue."""
+_ROWS_AHEAD = 4
+
 # The loops over a row are written as selections between values of the pixels' own type: a built-in
-# maximum, or a sum, would be widened to 64 bits and no longer become vector code.
+# maximum, or a sum, would be widened to 64 bits and no longer become vector code. They run over slices
+# of a constant length, which spares the compiler the remainder.
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _raise_narrow(image: Image, first: int, last: int, line: Image) -> None:
+    """Raise `line` to the lowest pixel of each column between two rows, for images less than a block wide."""
+    for x in range(image.shape[1]):
+        value = image[first, x]
+        for y in range(first + 1, last + 1):
+            value = image[y, x] if image[y, x] < value else value
+        line[x] = value if value > line[x] else line[x]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -22,34 +40,52 @@ def scan_every_row(image: Image, bands: Image) -> None:
     A hot pixel has neighbours that are not; a spot covers four rows.
     """
     ny, nx = image.shape
+    pixels = image.reshape(ny * nx)
+    in_a_line = LINE_BYTES // image.itemsize
     for band in range((ny + BAND_ROWS - 1) // BAND_ROWS):
         line = bands[band]
-        for i in range(nx):
-            line[i] = 0
+        line[:nx] = 0
         for y in range(band * BAND_ROWS, min(ny, (band + 1) * BAND_ROWS), 4):
             # the last rows of a frame are read twice rather than not at all
-            first = max(0, min(y, ny - 4))
-            row0 = image[first]
-            row1 = image[first + 1]
-            row2 = image[first + 2]
-            row3 = image[first + 3]
-            for i in range(nx):
-                upper = row0[i] if row0[i] < row1[i] else row1[i]
-                lower = row2[i] if row2[i] < row3[i] else row3[i]
-                value = upper if upper < lower else lower
-                line[i] = value if value > line[i] else line[i]
+            top = max(0, min(y, ny - 4))
+            if nx < _BLOCK:
+                _raise_narrow(image, top, top + 3, line)
+                continue
+            start = top * nx
+            # by itself the processor does not see that four rows side by side are one stream
+            ahead = start + 8 * nx
+            for x in range(0, nx, _BLOCK):
+                for place in range(ahead, ahead + 4 * _BLOCK, in_a_line):
+                    prefetch(image, place)
+                ahead += 4 * _BLOCK
+                # the last block overlaps the one before, which changes no highest or lowest value
+                column = min(x, nx - _BLOCK)
+                first = start + column
+                row0 = pixels[first : first + _BLOCK]
+                row1 = pixels[first + nx : first + nx + _BLOCK]
+                row2 = pixels[first + 2 * nx : first + 2 * nx + _BLOCK]
+                row3 = pixels[first + 3 * nx : first + 3 * nx + _BLOCK]
+                part = line[column : column + _BLOCK]
+                for i in range(_BLOCK):
+                    upper = row0[i] if row0[i] < row1[i] else row1[i]
+                    lower = row2[i] if row2[i] < row3[i] else row3[i]
+                    value = upper if upper < lower else lower
+                    part[i] = value if value > part[i] else part[i]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def scan_some_rows(image: Image, row_step: int, bands: Image) -> None:
     """Into each band's row: the highest pixel of a column over every `row_step`-th row."""
     ny, nx = image.shape
+    in_a_line = LINE_BYTES // image.itemsize
     for band in range((ny + BAND_ROWS - 1) // BAND_ROWS):
         line = bands[band]
-        for i in range(nx):
-            line[i] = 0
+        line[:nx] = 0
         first = band * BAND_ROWS
         for y in range(first + (row_step // 2 - first) % row_step, min(ny, first + BAND_ROWS), row_step):
+            ahead = (y + _ROWS_AHEAD * row_step) * nx
+            for place in range(ahead, ahead + nx, in_a_line):
+                prefetch(image, place)
             row = image[y]
             for i in range(nx):
                 value = row[i]
@@ -57,26 +93,19 @@ def scan_some_rows(image: Image, row_step: int, bands: Image) -> None:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _brightest_band(bands: Image, count: int) -> tuple[int, int]:
-    """Highest minimum of three neighbours in the bands' rows, and its band."""
-    nx = bands.shape[1]
-    best = 0
-    best_band = -1
-    for band in range(count):
-        left = bands[band, : nx - 2]
-        middle = bands[band, 1 : nx - 1]
-        right = bands[band, 2:]
-        top = left[0]
-        top = top if top < middle[0] else middle[0]
-        top = top if top < right[0] else right[0]
-        for i in range(nx - 2):
-            value = left[i] if left[i] < middle[i] else middle[i]
-            value = value if value < right[i] else right[i]
-            top = value if value > top else top
-        if best_band < 0 or top > best:
-            best = int(top)
-            best_band = band
-    return best, best_band
+def _highest_of_three(line: Image, first: int, count: int) -> int:
+    """Highest minimum of three neighbours."""
+    left = line[first : first + count]
+    middle = line[first + 1 : first + 1 + count]
+    right = line[first + 2 : first + 2 + count]
+    top = left[0]
+    top = top if top < middle[0] else middle[0]
+    top = top if top < right[0] else right[0]
+    for i in range(count):
+        value = left[i] if left[i] < middle[i] else middle[i]
+        value = value if value < right[i] else right[i]
+        top = value if value > top else top
+    return int(top)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -89,18 +118,26 @@ def of_three(image: Image, x: int, y: int) -> int:
 def brightest(image: Image, bands: Image) -> tuple[int, int, int]:
     """Brightest place after a scan: lowest of three neighbours in the frame itself, x, y."""
     ny, nx = image.shape
-    best, band = _brightest_band(bands, (ny + BAND_ROWS - 1) // BAND_ROWS)
+    width = bands.shape[1] - 2
+    band = 0
+    best = -1
+    for k in range((ny + BAND_ROWS - 1) // BAND_ROWS):
+        top = _highest_of_three(bands[k], 0, width)
+        if top > best:
+            best = top
+            band = k
     line = bands[band]
-    x = nx // 2
-    for i in range(nx - 2):
-        if min(min(line[i], line[i + 1]), line[i + 2]) == best:
-            # the middle of a plateau, as a saturated spot's is
-            stop = i
-            while stop < nx - 2 and min(min(line[stop], line[stop + 1]), line[stop + 2]) == best:
-                stop += 1
-            x = (i + stop) // 2 + 1
-            break
-    x = min(x, nx - 2)
+    first_x = 0
+    while _highest_of_three(line, first_x, BAND_STEP) < best:
+        first_x += BAND_STEP
+    while min(min(line[first_x], line[first_x + 1]), line[first_x + 2]) < best:
+        first_x += 1
+    # the middle of a plateau, as a saturated spot's is
+    stop = first_x
+    while stop < nx - 2 and min(min(line[stop], line[stop + 1]), line[stop + 2]) == best:
+        stop += 1
+    x = min((first_x + stop) // 2 + 1, nx - 2)
+    prefetch_window(image, x - 1, max(0, band * BAND_ROWS - 1), 3, BAND_ROWS + 2)
     peak = -1
     first = last = band * BAND_ROWS
     # a spot of several rows' plateau is met in its middle too; one row on, where a band cuts the spot
@@ -116,43 +153,34 @@ def brightest(image: Image, bands: Image) -> tuple[int, int, int]:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _ranked(sample: NDArray[np.int64], rank: int, wide: bool, histogram: NDArray[np.int64]) -> int:
-    """Value of a rank by counting, high byte first."""
-    high = 0
-    if wide:
-        histogram[:] = 0
+def _ranked(sample: NDArray[np.int64], rank: int, bits: int) -> int:
+    """Value of a rank: the highest of which at most `rank` are lower, found bit by bit."""
+    value = 0
+    for bit in range(bits - 1, -1, -1):
+        trial = value | (1 << bit)
+        lower = 0
         for k in range(sample.size):
-            histogram[sample[k] >> 8] += 1
-        while rank >= histogram[high]:
-            rank -= histogram[high]
-            high += 1
-    histogram[:] = 0
-    for k in range(sample.size):
-        if sample[k] >> 8 == high:
-            histogram[sample[k] & 255] += 1
-    low = 0
-    while rank >= histogram[low]:
-        rank -= histogram[low]
-        low += 1
-    return high * 256 + low
+            lower += 1 if sample[k] < trial else 0
+        if lower <= rank:
+            value = trial
+    return value
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def background_of(
-    image: Image, sample: NDArray[np.int64], histogram: NDArray[np.int64]
-) -> tuple[float, float]:
-    """Median and robust standard deviation of a grid of 512 pixels."""
+def background_of(image: Image, row_step: int, sample: NDArray[np.int64]) -> tuple[float, float]:
+    """Median and robust standard deviation of a grid of 512 pixels, in rows that a scan has read."""
     ny, nx = image.shape
     count = 0
     for j in range(_SAMPLES_Y):
         y = (2 * j + 1) * ny // (2 * _SAMPLES_Y)
+        y = max(0, y - (y - row_step // 2) % row_step)
         for i in range(_SAMPLES_X):
             sample[count] = image[y, (2 * i + 1) * nx // (2 * _SAMPLES_X)]
             count += 1
-    wide = image.itemsize > 1
-    middle = _ranked(sample, count // 2, wide, histogram)
+    bits = 8 * image.itemsize
+    middle = _ranked(sample, count // 2, bits)
     # the lower quantile, since light only adds; 0.8416 standard deviations below the mean
-    low = _ranked(sample, count // 5, wide, histogram)
+    low = _ranked(sample, count // 5, bits)
     return float(middle), max((middle - low) / 0.8416, 0.3)
 
 

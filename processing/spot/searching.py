@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from processing.spot.general import background_variance, cholesky, fit_general, inverse_diagonal
 from processing.spot.outcome import Result, finish, lost, significant
+from processing.spot.prefetch import prefetch_window
 from processing.spot.scan import (
-    SAMPLES,
     background_of,
     brightest,
     brightest_block,
@@ -25,8 +25,7 @@ from processing.spot.upright import fit_upright
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-COUNTS = SAMPLES + 256
-"""Scratch of integers: the sample of the background, then its histogram."""
+_NEAR_PX = 32
 _SMALLEST_SPOT_PX = 0.7
 """Below it a bright place is a cluster of hot pixels."""
 
@@ -86,7 +85,7 @@ def search(
     work: Floats,
     tables: NDArray[np.float32],
     bands: Image,
-    counts: Integers,
+    sample: Integers,
     mask: NDArray[np.uint8],
     stack: Integers,
 ) -> Result:
@@ -101,15 +100,21 @@ def search(
     zero_variance, inverse_gain, full_scale = state[16], state[17], state[18]
     row_step = int(state[19])
     state[15] = 0.0
-    background, spread = background_of(image, counts[:SAMPLES], counts[SAMPLES:])
-    threshold = background + 6.0 * spread
+    background = spread = threshold = 0.0
     peak = x = y = 0
     for attempt in range(1 if row_step == 1 else 2):
         if attempt == 0 and row_step > 1:
             scan_some_rows(image, row_step, bands)
         else:
             scan_every_row(image, bands)
+        if attempt == 0:
+            # after the scan, which has brought these rows nearer
+            background, spread = background_of(image, row_step, sample)
+            threshold = background + 6.0 * spread
         peak, x, y = brightest(image, bands)
+        if attempt == 0 and row_step > 1:
+            # most rows about the place have not been read yet
+            prefetch_window(image, x - _NEAR_PX, y - _NEAR_PX, 2 * _NEAR_PX, 2 * _NEAR_PX)
         peak, y = _climb(image, peak, x, y)
         if peak > threshold and start_on_chords(image, x, y, background, peak, p):
             done, chi2, pixels, outliers, evidence = fit_upright(

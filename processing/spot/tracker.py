@@ -12,8 +12,8 @@ from processing.spot.batch import track_run
 from processing.spot.following import SEARCH, follow
 from processing.spot.general import PARAMETERS
 from processing.spot.outcome import STATE_SIZE, WORK_ROWS
-from processing.spot.scan import BAND_ROWS
-from processing.spot.searching import COUNTS, search
+from processing.spot.scan import BAND_ROWS, BAND_STEP, SAMPLES
+from processing.spot.searching import search
 from processing.spot.sensor import SensorModel
 from processing.spot.spot import SPOT_DTYPE, Image, Spot, SpotFlag
 
@@ -74,7 +74,7 @@ class SpotTracker:
         )
         self._work = np.zeros((WORK_ROWS, PARAMETERS))
         self._tables = np.zeros((6, _TABLE_WIDTH), dtype=np.float32)
-        self._counts = np.zeros(COUNTS, dtype=np.int64)
+        self._sample = np.zeros(SAMPLES, dtype=np.int64)
         self._mask = np.zeros((1, 1), dtype=np.uint8)
         self._stack = np.zeros(1, dtype=np.int64)
         self._bands: Image = np.zeros((1, 1), dtype=np.uint8)
@@ -119,7 +119,7 @@ class SpotTracker:
             self._make_room(image.shape, image.dtype)
         found = search(
             image, x0, y0, nx, ny, self._state, self._work, self._tables,
-            self._bands, self._counts, self._mask, self._stack,
+            self._bands, self._sample, self._mask, self._stack,
         )  # fmt: skip
         return _SPOT(Spot, found)
 
@@ -179,7 +179,7 @@ class SpotTracker:
         flags = np.empty(len(images), dtype=np.int64)
         track_run(
             images, self._state, self._work, self._tables,
-            self._bands, self._counts, self._mask, self._stack, rows, flags,
+            self._bands, self._sample, self._mask, self._stack, rows, flags,
         )  # fmt: skip
         spots = np.empty(len(images), dtype=SPOT_DTYPE)
         for column, name in enumerate(Spot._fields[:-1]):
@@ -192,4 +192,6 @@ class SpotTracker:
             raise DataError(f"image has shape {shape}; at least 5 x 5 pixels are needed")
         self._mask = np.zeros(shape, dtype=np.uint8)
         self._stack = np.zeros(self._mask.size, dtype=np.int64)
-        self._bands = np.zeros(((shape[0] + BAND_ROWS - 1) // BAND_ROWS, shape[1]), dtype=dtype)
+        rows = (shape[0] + BAND_ROWS - 1) // BAND_ROWS
+        columns = (shape[1] + BAND_STEP - 1) // BAND_STEP * BAND_STEP + 2
+        self._bands = np.zeros((rows, columns), dtype=dtype)

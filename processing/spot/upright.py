@@ -7,6 +7,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from processing.spot.general import background_variance, cholesky, inverse_diagonal, solve, window_of
+from processing.spot.prefetch import prefetch_window
 from processing.spot.separable import SMALLEST_SIGMA_PX, information, profile, score
 from processing.spot.spot import Image
 
@@ -45,6 +46,7 @@ def fit_upright(
     gradient = np.empty(7)
     step = np.empty(UNKNOWNS)
     informed = False
+    fetched = False
     gate = math.inf if rough else _GATE
     for _ in range(_PASSES):
         floor = background_variance(p, zero_variance, inverse_gain)
@@ -59,6 +61,9 @@ def fit_upright(
             x0, wx = left, wider
         if min(p[3], p[4]) < SMALLEST_SIGMA_PX or max(wx, wy) > _LARGEST_TABLE or min(wx, wy) < 4:
             return False, 0.0, 0, 0, 0.0
+        if not fetched:
+            prefetch_window(image, x0, y0, wx, wy)
+            fetched = True
         profile(tables[0:3], x0, wx, p[1], p[3])
         profile(tables[3:6], y0, wy, p[2], p[4])
         row_step = max(1, int(0.7 * p[4])) if rough else 1

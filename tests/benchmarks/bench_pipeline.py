@@ -22,6 +22,7 @@ from acquisition.simulation.settings import OpticsTruth, SensorTruth, Simulation
 from calibration.axes import Axes
 from calibration.lever import Lever
 from processing.spot import SensorModel, SpotTracker
+from rig.kernels import prepare_kernels
 from rig.limits import EndOfRun
 from rig.pipeline import Pipeline
 from rig.recorder import Entry, Recorder
@@ -102,7 +103,11 @@ def drawn_frames(width: int, height: int, rate_hz: float, count: int) -> list[np
 
 
 def real_time(width: int, height: int, rate_hz: float, duration_s: float) -> dict[str, Any]:
-    """One run in real time: frames lost, latency from frame to record, share of one core."""
+    """One run in real time: frames lost, latency from frame to record, share of one core.
+
+    The latency runs from the moment the camera hands a frame over to the end of the recorder's write
+    call for it; the kernels are ready before the first frame, as they are in ``rig run``.
+    """
     frames = drawn_frames(width, height, rate_hz, round(min(2.0 * rate_hz, 600)))
     latencies_ms: list[float] = []
     original = Recorder._write
@@ -116,6 +121,7 @@ def real_time(width: int, height: int, rate_hz: float, duration_s: float) -> dic
         camera = MemoryCamera(frames, rate_hz, duration_s)
         camera.open()
         sensor = SensorModel(39.2, 7.0, 255)
+        prepare_kernels(sensor, print)
         lever = Lever(arm_m=1.0, pixel_pitch_m=4.8e-6)
         run = Run(
             camera,
