@@ -3,13 +3,12 @@
 import logging
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any, Final
 
-import numpy as np
-
 from acquisition.camera import CameraInfo, CameraLost, CameraSettings, CameraStatus, FrameTimeout
+from acquisition.cameras.aravis.buffers import BufferReader
 from acquisition.cameras.aravis.features import AravisFeatures
 from acquisition.cameras.aravis.library import (
     AravisSettings,
@@ -19,7 +18,7 @@ from acquisition.cameras.aravis.library import (
     load_library,
 )
 from acquisition.cameras.aravis.numbering import FrameNumbering
-from acquisition.cameras.pixel_formats import Format
+from acquisition.cameras.aravis.parting import Parting, nothing
 from acquisition.frame import Frame
 from processing.errors import DeviceError
 
@@ -27,9 +26,6 @@ logger = logging.getLogger(__name__)
 
 _POLL_US: Final = 50_000
 _MOST_BYTES: Final = 256 * 1024 * 1024
-# `stop` and `close` return within a second; libaravis waits 2.5 s for each reply of a camera that is gone
-_PATIENCE_S: Final = 0.6
-_LEAVING_S: Final = 15.0
 # libaravis takes 6 s to notice that a GigE camera has gone, USB it may not watch: silence makes us ask
 _ASK_AFTER_S: Final = 1.0
 _GIGE_CONTROL_REGISTER: Final = 0x0A00
@@ -62,13 +58,10 @@ class AravisCamera:
         self._closings = 0
         self._gone = threading.Event()
         self._halted = threading.Event()
-        self._leaving: list[threading.Thread] = []
+        self._parting = Parting()
         self._asking: threading.Thread | None = None
         self._heard_s = 0.0
-        self._host_time_ns = 0
-        self._format: Format | None = None
-        self._size = (0, 0)
-        self._numbering = FrameNumbering(short_ids=False)
+        self._buffers: BufferReader | None = None
         self._before = CameraStatus()
 
     # ---- life cycle
@@ -83,7 +76,7 @@ class AravisCamera:
         """
         self.close()
         with self._lock:
-            self._wait_for_leaving()
+            self._parting.wait(self._name)
             closings = self._closings
             self._library = load_library()
             found = find_camera(self._settings.serial)
@@ -93,7 +86,7 @@ class AravisCamera:
             with self._translated():
                 info, features = self._take_control(self._library, found)
             if closings != self._closings:
-                self._leave(_nothing, features.give_up())
+                self._parting.leave(nothing, features.give_up(), self._library.error)
                 raise DeviceError(f"{self._name}: was closed while it was opened")
             self._features = features
             return info
@@ -149,18 +142,26 @@ class AravisCamera:
             features = self._opened()
             if self._stream is not None:
                 raise DeviceError(f"{self._name}: is running already; stop it first")
-            self._wait_for_leaving()
+            self._parting.wait(self._name)
             camera, library = features.camera, self._library
             assert library is not None
-            self._format = features.pixel_format()
+            pixel_format = features.pixel_format()
             _, _, width_px, height_px = features.region()
-            self._size = (width_px, height_px)
             features.run_freely()
             stream = camera.create_stream(None, None)
             payload = camera.get_payload()
             for _ in range(min(self._settings.buffers, max(_MOST_BYTES // payload, 2))):
                 stream.push_buffer(library.aravis.Buffer.new_allocate(payload))
-            self._begin_counting(short_ids=bool(camera.is_gv_device()))
+            self._begin_counting()
+            self._buffers = BufferReader(
+                library.aravis,
+                self._name,
+                pixel_format,
+                width_px,
+                height_px,
+                self._has_clock,
+                FrameNumbering(short_ids=bool(camera.is_gv_device())),
+            )
             self._halted.clear()
             self._started = True
             self._heard_s = time.monotonic()
@@ -171,7 +172,7 @@ class AravisCamera:
                 self.stop()
                 raise
 
-    def _begin_counting(self, short_ids: bool) -> None:
+    def _begin_counting(self) -> None:
         before = self.status
         self._before = CameraStatus()
         if self._was_lost:
@@ -184,7 +185,6 @@ class AravisCamera:
                 before.reconnects + 1,
             )
         self._was_lost = False
-        self._numbering = FrameNumbering(short_ids)
 
     def read(self, timeout_s: float) -> Frame | None:
         """Next frame; see `acquisition.camera.Camera.read`."""
@@ -192,8 +192,8 @@ class AravisCamera:
             raise DeviceError(f"{self._name}: is not started; call start before read")
         deadline_s = time.monotonic() + timeout_s
         while not self._halted.is_set():
-            stream, features = self._stream, self._features
-            if stream is None or features is None:
+            stream, features, buffers = self._stream, self._features, self._buffers
+            if stream is None or features is None or buffers is None:
                 return None
             left_us = round((deadline_s - time.monotonic()) * 1e6)
             buffer = stream.timeout_pop_buffer(max(min(left_us, _POLL_US), 1))
@@ -203,7 +203,9 @@ class AravisCamera:
             if buffer is not None:
                 self._heard_s = time.monotonic()
                 try:
-                    frame = self._frame(buffer, stream)
+                    if self._halted.is_set():
+                        return None  # buffers that were given up come back empty
+                    frame = buffers.frame(buffer, stream.get_info_uint64_by_name("n_underruns"))
                 finally:
                     stream.push_buffer(buffer)
                 if frame is not None:
@@ -213,48 +215,6 @@ class AravisCamera:
             else:
                 self._ask_whether_there(features)
         return None
-
-    def _frame(self, buffer: Any, stream: Any) -> Frame | None:
-        library, pixel_format = self._library, self._format
-        assert library is not None
-        assert pixel_format is not None
-        if self._halted.is_set():
-            return None  # buffers that were given up come back empty
-        aravis = library.aravis
-        if buffer.get_status() != aravis.BufferStatus.SUCCESS:
-            self._numbering.damaged()
-            return None
-        kinds = aravis.BufferPayloadType
-        if buffer.get_payload_type() not in (kinds.IMAGE, kinds.EXTENDED_CHUNK_DATA):
-            sent = buffer.get_payload_type().value_nick
-            raise DeviceError(
-                f"{self._name}: sends payload of the type {sent}, no image; switch that off in the camera"
-            )
-        width_px, height_px = self._size
-        x_padding, _ = buffer.get_image_padding()
-        if x_padding and not pixel_format.rows_end_with_bytes(width_px):
-            raise DeviceError(
-                f"{self._name}: pads rows of {width_px} px in {pixel_format.name}; set a width that is even, "
-                "or another pixel format"
-            )
-        data = buffer.get_data()
-        if len(data) < pixel_format.byte_count(width_px, height_px, x_padding):
-            self._numbering.damaged()
-            return None
-        number = self._numbering.number(buffer.get_frame_id(), stream.get_info_uint64_by_name("n_underruns"))
-        if number is None:
-            return None
-        image = pixel_format.image(np.frombuffer(data, np.uint8), width_px, height_px, x_padding)
-        image.flags.writeable = False
-        device_time_ns = buffer.get_timestamp() if self._has_clock else -1
-        return Frame(image, number, device_time_ns, self._arrived_ns(buffer.get_system_timestamp()))
-
-    def _arrived_ns(self, wall_time_ns: int) -> int:
-        """libaravis notes the wall clock; its distance from now is put on the monotonic one."""
-        now_ns = time.monotonic_ns()
-        age_ns = min(max(time.time_ns() - wall_time_ns, 0), now_ns)
-        self._host_time_ns = max(self._host_time_ns, now_ns - age_ns)
-        return self._host_time_ns
 
     def _ask_whether_there(self, features: AravisFeatures) -> None:
         """Read a register of a silent camera in a thread; without an answer it is gone."""
@@ -281,49 +241,27 @@ class AravisCamera:
         features, gone = self._features, self._gone
         held, self._stream = [self._stream], None
         camera = None if features is None else features.camera
-        if held[0] is None or camera is None:
+        if held[0] is None or camera is None or self._library is None:
             return
-        action = _nothing if gone.is_set() else camera.stop_acquisition
+        action = nothing if gone.is_set() else camera.stop_acquisition
         del camera
-        self._leave(action, held)
+        self._parting.leave(action, held, self._library.error)
 
     def close(self) -> None:
         """Stop and give the camera back."""
         self._closings += 1
         self.stop()
         features, self._features = self._features, None
-        if features is not None:
-            self._leave(_nothing, features.give_up())
-
-    def _leave(self, action: Callable[[], None], held: list[Any]) -> None:
-        """Do the action, then let go of what is held; a camera that is gone makes either take seconds."""
-        assert self._library is not None
-        thread = threading.Thread(
-            target=_leave,
-            args=(action, held, self._library.error, list(self._leaving)),
-            name="leaves camera",
-            daemon=True,
-        )
-        del action
-        self._leaving = [*(other for other in self._leaving if other.is_alive()), thread]
-        thread.start()
-        thread.join(_PATIENCE_S)
-
-    def _wait_for_leaving(self) -> None:
-        """A camera that is still being given back must not be taken again."""
-        deadline_s = time.monotonic() + _LEAVING_S
-        for thread in list(self._leaving):
-            thread.join(max(deadline_s - time.monotonic(), 0.0))
-            if thread.is_alive():
-                raise DeviceError(f"{self._name}: does not answer, and is still being given back; wait")
-        self._leaving = []
+        if features is not None and self._library is not None:
+            self._parting.leave(nothing, features.give_up(), self._library.error)
 
     # ---- beyond the protocol
 
     @property
     def status(self) -> CameraStatus:
         """Counts since `start`; they go on over a reconnection."""
-        now, before = self._numbering.status, self._before
+        buffers, before = self._buffers, self._before
+        now = CameraStatus() if buffers is None else buffers.numbering.status
         return CameraStatus(
             delivered=before.delivered + now.delivered,
             dropped_by_camera=0,
@@ -354,19 +292,3 @@ class AravisCamera:
             raise DeviceError(
                 f"{self._name}: {text}; is it in use by another program, or has it lost its cable?"
             ) from None
-
-
-def _nothing() -> None:
-    pass
-
-
-def _leave(
-    action: Callable[[], None], held: list[Any], error: type[Exception], before: list[threading.Thread]
-) -> None:
-    for other in before:
-        other.join()
-    try:
-        action()
-    except error as refused:
-        logger.info("%s", refused)
-    held.clear()

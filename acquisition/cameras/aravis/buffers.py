@@ -1,0 +1,69 @@
+"""libaravis's buffers made into frames, checked and counted."""
+
+import time
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from acquisition.cameras.aravis.numbering import FrameNumbering
+from acquisition.cameras.pixel_formats import Format
+from acquisition.frame import Frame
+from processing.errors import DeviceError
+
+
+@dataclass(slots=True)
+class BufferReader:
+    """Makes frames of the buffers of one start.
+
+    `aravis` is the library's module, `has_clock` says whether timestamps are the camera's own.
+    """
+
+    aravis: Any
+    name: str
+    pixel_format: Format
+    width_px: int
+    height_px: int
+    has_clock: bool
+    numbering: FrameNumbering
+    _host_time_ns: int = field(default=0, init=False)
+
+    def frame(self, buffer: Any, underruns: int) -> Frame | None:
+        """The frame in a buffer; None for one that is damaged, or came before.
+
+        Raises DeviceError for payload that is no image, and for padding that can't be cut off.
+        """
+        if buffer.get_status() != self.aravis.BufferStatus.SUCCESS:
+            self.numbering.damaged()
+            return None
+        kinds = self.aravis.BufferPayloadType
+        if buffer.get_payload_type() not in (kinds.IMAGE, kinds.EXTENDED_CHUNK_DATA):
+            sent = buffer.get_payload_type().value_nick
+            raise DeviceError(
+                f"{self.name}: sends payload of the type {sent}, no image; switch that off in the camera"
+            )
+        x_padding, _ = buffer.get_image_padding()
+        if x_padding and not self.pixel_format.rows_end_with_bytes(self.width_px):
+            raise DeviceError(
+                f"{self.name}: pads rows of {self.width_px} px in {self.pixel_format.name}; set a width that "
+                "is a multiple of 4, or another pixel format"
+            )
+        data = buffer.get_data()
+        if len(data) < self.pixel_format.byte_count(self.width_px, self.height_px, x_padding):
+            self.numbering.damaged()
+            return None
+        number = self.numbering.number(buffer.get_frame_id(), underruns)
+        if number is None:
+            return None
+        raw = np.frombuffer(data, np.uint8)
+        image = self.pixel_format.image(raw, self.width_px, self.height_px, x_padding)
+        image.flags.writeable = False
+        device_time_ns = buffer.get_timestamp() if self.has_clock else -1
+        return Frame(image, number, device_time_ns, self._arrived_ns(buffer.get_system_timestamp()))
+
+    def _arrived_ns(self, wall_time_ns: int) -> int:
+        """libaravis notes the wall clock; its distance from now is put on the monotonic one."""
+        now_ns = time.monotonic_ns()
+        age_ns = min(max(time.time_ns() - wall_time_ns, 0), now_ns)
+        self._host_time_ns = max(self._host_time_ns, now_ns - age_ns)
+        return self._host_time_ns
