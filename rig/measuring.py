@@ -125,13 +125,19 @@ def _execute(plan: RunPlan, devices: Devices, camera: OpenCamera, view: LiveView
         attachments = configuration_attachments(config, plan.source)
         if preparation.verdicts:
             attachments["preflight.json"] = json.dumps(table_tree(preparation.verdicts), indent=1).encode()
-        return RecordWriter(
+        writer = RecordWriter(
             record,
             epoch_offset_ns,
             metadata=session_metadata(config, camera.info, first),
             attachments=attachments,
             deflection_unit="rad" if calibrated else "px",
         )
+        if config.lever is not None:
+            shape = (first.image.shape[0], first.image.shape[1])
+            distance_px = config.lever.arm_m / config.lever.pixel_pitch_m
+            reference_px = Deflector(config.lever, axes, shape).reference_px
+            writer.write_camera_calibration(first.time_ns, shape, distance_px, reference_px)
+        return writer
 
     judges: list[StartJudge] = []
 

@@ -94,15 +94,18 @@ class Pipeline:
 
 
 class Deflector:
-    """Spots -> tilts, or, without a lever, displacements in px (y upward)."""
+    """Spots -> tilts, or, without a lever, displacements in px (y upward).
+
+    `reference_px` is the spot (x, y) at zero tilt.
+    """
 
     def __init__(self, lever: Lever | None, axes: Axes, sensor_shape: tuple[int, int]) -> None:
         self._lever = lever
         self._axes = axes
         middle_px = (0.5 * (sensor_shape[1] - 1), 0.5 * (sensor_shape[0] - 1))
-        self._reference_px = middle_px
+        self.reference_px = middle_px
         if lever is not None:
-            self._reference_px = (
+            self.reference_px = (
                 middle_px[0] if lever.reference_x_px is None else lever.reference_x_px,
                 middle_px[1] if lever.reference_y_px is None else lever.reference_y_px,
             )
@@ -113,5 +116,5 @@ class Deflector:
         table = np.array([spot[:4] for spot in spots], dtype=np.float64).reshape(-1, 4)
         x_px, y_px, u_x_px, u_y_px = table.T
         if self._lever is None:
-            return x_px - self._reference_px[0], self._reference_px[1] - y_px, u_x_px.copy(), u_y_px.copy()
-        return deflections(self._lever, self._axes, x_px, y_px, u_x_px, u_y_px, self._reference_px)
+            return x_px - self.reference_px[0], self.reference_px[1] - y_px, u_x_px.copy(), u_y_px.copy()
+        return deflections(self._lever, self._axes, x_px, y_px, u_x_px, u_y_px, self.reference_px)
