@@ -1,6 +1,6 @@
 """Speed of the spot tracker in units of cv2.sumElems over a frame that is not in the cache, and of its peers.
 
-Everything is measured in interleaved rounds of one run on one core; the median over the rounds is taken.
+Everything is measured in interleaved rounds of one run on one core; medians over the rounds are taken.
 Run as ``python -m tests.benchmarks.bench_spot_speed [--quick]`` from the repository.
 """
 
@@ -24,7 +24,9 @@ from tests.processing.spot_frames import EIGHT_BIT, exposed, light, side_of
 
 SHAPE = (1024, 1280)
 RING = 64
-"""Frames of 1.3 MB: more than a core's own cache holds."""
+"""Frames of 1.3 MB: more than the caches hold."""
+TURN = 8
+"""Frames that one method reads before the next one's turn, so that all of them meet the same load."""
 SIGMAS = (3, 6, 12)
 PEAK = 180.0
 BLOCK = 20
@@ -64,48 +66,53 @@ def ring(sigma: float, rng: np.random.Generator, hot_pixels: int = 0) -> tuple[F
     return frames, truth
 
 
-def _follow(tracker: SpotTracker, frames: Frames) -> Action:
-    def action() -> None:
-        for frame in frames:
-            tracker.track(frame)
+def _search(tracker: SpotTracker) -> Callable[[NDArray[Any]], object]:
+    def search(frame: NDArray[Any]) -> object:
+        tracker.reset()
+        return tracker.track(frame)
 
-    return action
-
-
-def _search(tracker: SpotTracker, frames: Frames) -> Action:
-    def action() -> None:
-        for frame in frames:
-            tracker.reset()
-            tracker.track(frame)
-
-    return action
-
-
-def _sum(frames: Frames) -> Action:
-    def action() -> None:
-        for frame in frames:
-            cv2.sumElems(frame)
-
-    return action
+    return search
 
 
 def against_sum(sigma: float, hot_pixels: int, rounds: int) -> dict[str, float]:
-    """Ratios to the time cv2.sumElems needs for the same frames."""
+    """Ratios to the time cv2.sumElems needs for as many frames of the same ring.
+
+    The methods take turns, each with the next frames of the ring: no frame is read again before the
+    whole ring has been. The median over the rounds of each round's ratio is taken.
+    """
     frames, _ = ring(sigma, np.random.default_rng(31), hot_pixels)
-    us = interleaved(
-        {
-            "cv2.sumElems": (_sum(frames), RING),
-            "following": (_follow(SpotTracker(EIGHT_BIT), frames), RING),
-            "search, every row": (_search(SpotTracker(EIGHT_BIT, row_step=1), frames), RING),
-            "search, every 8th row first": (_search(SpotTracker(EIGHT_BIT, row_step=8), frames), RING),
-        },
-        rounds,
-    )
-    result: dict[str, float] = {"sigma_px": sigma, "hot_pixels": hot_pixels, "sum_us": us["cv2.sumElems"]}
-    for name, value in us.items():
-        if name != "cv2.sumElems":
-            result[f"{name}, us"] = value
-            result[f"{name}, ratio"] = value / us["cv2.sumElems"]
+    follower = SpotTracker(EIGHT_BIT)
+    actions: dict[str, Callable[[NDArray[Any]], object]] = {
+        "cv2.sumElems": cv2.sumElems,
+        "following": follower.track,
+        "search, every row": _search(SpotTracker(EIGHT_BIT, row_step=1)),
+        "search, every 8th row first": _search(SpotTracker(EIGHT_BIT, row_step=8)),
+    }
+    for action in actions.values():
+        action(frames[0])
+    times: dict[str, list[float]] = {name: [] for name in actions}
+    place = 0
+    for _ in range(rounds):
+        for name, action in actions.items():
+            if name == "following":
+                # two frames before its turn, untimed: where the spot is and how it moves
+                follower.reset()
+                for frame in (frames[place - 2], frames[place - 1]):
+                    follower.track(frame)
+            turn = frames[place : place + TURN]
+            begin_s = time.perf_counter()
+            for frame in turn:
+                action(frame)
+            times[name].append((time.perf_counter() - begin_s) / TURN * 1e6)
+            place = (place + TURN) % RING
+        # so that the next round gives each method other frames
+        place = (place + TURN) % RING
+    sum_us = np.array(times.pop("cv2.sumElems"))
+    result: dict[str, float] = {"sigma_px": sigma, "hot_pixels": hot_pixels}
+    result["sum_us"] = float(np.median(sum_us))
+    for name, values in times.items():
+        result[f"{name}, us"] = median(values)
+        result[f"{name}, ratio"] = float(np.median(np.array(values) / sum_us))
     return result
 
 
@@ -120,12 +127,12 @@ def windows(sigma: float, count: int, seed: int) -> tuple[NDArray[Any], NDArray[
 def two_cores(sigma: float, rounds: int) -> dict[str, float]:
     """Stack on one thread and on two; calls frame by frame beside them."""
     stack = np.tile(windows(sigma, 512, 41)[0], (8, 1, 1))
-    tracker = SpotTracker(EIGHT_BIT)
+    tracker, calls = SpotTracker(EIGHT_BIT), SpotTracker(EIGHT_BIT)
     us = interleaved(
         {
             "one": (lambda: tracker.track_stack(stack), len(stack)),
             "two": (lambda: tracker.track_stack(stack, threads=2), len(stack)),
-            "calls": (_follow(SpotTracker(EIGHT_BIT), list(stack)), len(stack)),
+            "calls": (lambda: [calls.track(image) for image in stack], len(stack)),
         },
         rounds,
     )
@@ -267,7 +274,8 @@ def peers(quick: bool) -> dict[str, Any]:
 
 def run(quick: bool = False) -> dict[str, Any]:
     """All of it; numbers as plain values."""
-    rounds = 5 if quick else 31
+    cv2.setNumThreads(1)
+    rounds = 20 if quick else 200
     ratios = [against_sum(sigma, hot, rounds) for sigma in SIGMAS for hot in (0, 200)]
     cores = [two_cores(sigma, 5 if quick else 15) for sigma in SIGMAS]
     others = peers(quick)

@@ -78,14 +78,19 @@ def bound_px(
     sigma: float,
     peak: float,
     sensor: SensorModel = EIGHT_BIT,
+    prnu: float = 0.0,
 ) -> float:
-    """Cramer-Rao bound of x for six unknowns, from numerical derivatives of the frame's light."""
+    """Cramer-Rao bound of x for six unknowns, from numerical derivatives of the frame's light.
+
+    Uneven pixels are new in every frame, as `exposed` draws them: a variance of (prnu light)^2 more.
+    """
 
     def seen(p: NDArray[np.float64]) -> NDArray[np.float64]:
         return (light(shape, p[1], p[2], p[3], p[0], p[4]) + p[5]).ravel()
 
     p = np.array([peak, x, y, sigma, sigma, BACKGROUND_DN])
-    variance = sensor.dark_variance_dn2 + (seen(p) - sensor.pedestal_dn) / sensor.gain_e_per_dn
+    light_dn = seen(p) - sensor.pedestal_dn
+    variance = sensor.dark_variance_dn2 + light_dn / sensor.gain_e_per_dn + (prnu * light_dn) ** 2
     slopes = []
     for k in range(6):
         step = np.zeros(6)

@@ -54,14 +54,16 @@ def test_scatter_is_the_bound_and_is_what_is_claimed(
     assert abs(errors.mean()) < 4.0 * rms / math.sqrt(errors.size)
 
 
-def test_uneven_pixels_of_one_per_cent_cost_little() -> None:
+@pytest.mark.parametrize("peak", [20, 80, 200])
+def test_uneven_pixels_of_one_per_cent_cost_little(peak: int) -> None:
+    """Beyond the bound that such pixels themselves leave, which is 9 % above even ones' at peak 200."""
     rng = np.random.default_rng(7)
     n = side_of(6)
     truth = n / 2 + rng.uniform(-0.5, 0.5, (1000, 2))
     tracker = SpotTracker(EIGHT_BIT)
-    spots = [tracker.track(exposed(light((n, n), x, y, 6, 200), rng, prnu=0.01)) for x, y in truth]
+    spots = [tracker.track(exposed(light((n, n), x, y, 6, peak), rng, prnu=0.01)) for x, y in truth]
     rms = math.sqrt(np.mean(errors_px(spots, truth) ** 2))
-    assert rms / bound_px((n, n), n / 2, n / 2, 6, 200) < 1.05 + rms_tolerance(2000)
+    assert rms / bound_px((n, n), n / 2, n / 2, 6, peak, prnu=0.01) < 1.05 + rms_tolerance(2000)
 
 
 @pytest.mark.parametrize("sigma", [3, 6, 12])
