@@ -4,6 +4,7 @@ Writes build/bench.json. Speeds are ratios of things measured in the same run; a
 cannot run here says why and the others go on.
 """
 
+import argparse
 import importlib
 import json
 import platform
@@ -17,9 +18,16 @@ FOLDER = Path(__file__).parent
 
 def main() -> int:
     """Run what is asked for (everything, without names) and write the numbers."""
-    quick = "--quick" in sys.argv
-    wanted = [word for word in sys.argv[1:] if not word.startswith("-")]
-    names = wanted or sorted(path.stem.removeprefix("bench_") for path in FOLDER.glob("bench_*.py"))
+    known = sorted(path.stem.removeprefix("bench_") for path in FOLDER.glob("bench_*.py"))
+    parser = argparse.ArgumentParser(prog="python -m tests.benchmarks", description=__doc__)
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"one or more of {', '.join(known)}")
+    parser.add_argument("--quick", action="store_true", help="fewer repetitions, to see that it runs")
+    words = parser.parse_args()
+    quick: bool = words.quick
+    wanted: list[str] = words.names
+    if unknown := set(wanted) - set(known):
+        parser.error(f"no benchmark {', '.join(sorted(unknown))}; there are {', '.join(known)}")
+    names = wanted or known
     results: dict[str, Any] = {
         "machine": platform.platform(),
         "python": platform.python_version(),
