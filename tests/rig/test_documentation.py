@@ -4,9 +4,13 @@ import re
 import shlex
 import subprocess
 import sys
+import textwrap
 from pathlib import Path
+from typing import Any
 
 import pytest
+
+from tests.rig.replay_record import RATE_HZ, make_record
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCUMENTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -44,6 +48,18 @@ def test_pictures_and_pages_that_are_linked_exist() -> None:
         for target in re.findall(r"\]\(([^)#]+)", document.read_text(encoding="utf-8")):
             if "://" not in target:
                 assert (document.parent / target).exists(), f"{document.name}: {target}"
+
+
+def test_the_snippet_about_records_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    text = (ROOT / "docs" / "record.md").read_text(encoding="utf-8")
+    (block,) = re.findall(r"(?:^ {4}.*\n|^\n)*^ {4}from pathlib.*\n(?:^ {4}.*\n|^\n)*", text, re.MULTILINE)
+    monkeypatch.chdir(tmp_path)
+    make_record(tmp_path / "run-1.mcap", 20.0, windows=True)
+    names: dict[str, Any] = {}
+    exec(textwrap.dedent(block), names)
+    assert len(names["spots"]) == 20 * RATE_HZ - 1
+    assert len(names["swings"]) >= 5
+    assert names["window"].image.shape == (84, 84)
 
 
 @pytest.mark.slow
