@@ -52,18 +52,19 @@ class BufferReader:
         if len(data) < self.pixel_format.byte_count(self.width_px, self.height_px, x_padding):
             self.numbering.damaged()
             return None
-        number = self.numbering.number(buffer.get_frame_id(), underruns)
+        now_ns = time.monotonic_ns()
+        arrived_ns = self._arrived_ns(now_ns, buffer.get_system_timestamp())
+        number = self.numbering.number(buffer.get_frame_id(), arrived_ns, now_ns, underruns)
         if number is None:
             return None
         raw = np.frombuffer(data, np.uint8)
         image = self.pixel_format.image(raw, self.width_px, self.height_px, x_padding)
         image.flags.writeable = False
         device_time_ns = buffer.get_timestamp() if self.has_clock else -1
-        return Frame(image, number, device_time_ns, self._arrived_ns(buffer.get_system_timestamp()))
+        return Frame(image, number, device_time_ns, arrived_ns)
 
-    def _arrived_ns(self, wall_time_ns: int) -> int:
+    def _arrived_ns(self, now_ns: int, wall_time_ns: int) -> int:
         """libaravis notes the wall clock; its distance from now is put on the monotonic one."""
-        now_ns = time.monotonic_ns()
         age_ns = min(max(time.time_ns() - wall_time_ns, 0), now_ns)
         self._host_time_ns = max(self._host_time_ns, now_ns - age_ns)
         return self._host_time_ns

@@ -1,5 +1,6 @@
 """Frame ids of GigE Vision and USB3 Vision made into numbers without a break, and what is missing."""
 
+from collections import deque
 from typing import Final
 
 from acquisition.camera import CameraStatus
@@ -13,8 +14,9 @@ _LARGEST_GAP: Final = _SHORT_IDS // 2
 class FrameNumbering:
     """Numbers frames from 0 and counts those that are missing, by who lost them.
 
-    Frames that came damaged are incomplete. Of the others that are missing, we lost those that
-    found no free buffer, the bus the rest: no camera says which it lost itself.
+    Frames that came damaged are incomplete. Others that are missing we have lost where, in the time
+    from which they are missing, some found no free buffer, else the bus has: no camera says which it
+    lost itself.
     """
 
     def __init__(self, short_ids: bool) -> None:
@@ -22,23 +24,32 @@ class FrameNumbering:
         self._last_id: int | None = None
         self._last_number = -1
         self._damaged = 0
-        self._underruns = 0
+        self._last_arrived_ns = -1
+        # libaravis's count of underruns at the times when frames were fetched
+        self._underruns = deque([(-1, 0)])
         self._delivered = self._by_bus = self._by_host = self._incomplete = 0
 
     def damaged(self) -> None:
         """A frame came that is not whole."""
         self._damaged += 1
 
-    def number(self, frame_id: int, underruns: int) -> int | None:
+    def number(self, frame_id: int, arrived_ns: int, fetched_ns: int, underruns: int) -> int | None:
         """Number of a whole frame; None for one that came before.
 
         Parameters
         ----------
         frame_id
             The camera's id.
+        arrived_ns, fetched_ns
+            When it came and when it was fetched, by the same clock.
         underruns
-            libaravis's count of events without a free buffer so far; it may count packets.
+            libaravis's count of events without a free buffer until it was fetched; it may count packets.
         """
+        samples = self._underruns
+        while len(samples) > 1 and samples[1][0] <= self._last_arrived_ns:
+            samples.popleft()
+        was_full = underruns > samples[0][1]
+        samples.append((fetched_ns, underruns))
         step = self._step(frame_id)
         if step is None:
             return None
@@ -46,13 +57,11 @@ class FrameNumbering:
         incomplete = min(self._damaged, missing)
         self._incomplete += incomplete
         unseen = missing - incomplete
-        if unseen and underruns > self._underruns:
-            # frames that were waiting already come first: the count rises before the gap is seen
-            self._underruns = underruns
+        if was_full:
             self._by_host += unseen
         else:
             self._by_bus += unseen
-        self._damaged, self._last_id = 0, frame_id
+        self._damaged, self._last_id, self._last_arrived_ns = 0, frame_id, arrived_ns
         self._last_number += step
         self._delivered += 1
         return self._last_number
