@@ -187,19 +187,23 @@ class Preparation:
 
     def _release(self) -> None:
         """Let go, or ask for it, and see it happen."""
-        start, control = self._config.start, self._devices.control
+        start = self._config.start
         who = f"start.way = {start.way!r}"
         watch = self._watch
         instruction = ""
+        rest, threshold = self._place()
         if start.way == "magnet":
-            control = self._devices.required_control(who)
-            done(control.hold())
+            done(self._devices.required_control(who).hold())
             self._come_to_rest()
-        _, x, y = watch.lookout.since(watch.lookout.now_ns - 1_000_000_000)
-        rest = (float(np.nanmedian(x)), float(np.nanmedian(y)))
-        noise = max(_scatter(x), _scatter(y))
-        threshold = max(start.trigger_arcsec * self._unit_rad, 8.0 * noise)
-        if start.way == "magnet":
+            free = rest
+            rest, threshold = self._place()
+            held = math.hypot(rest[0] - free[0], rest[1] - free[1])
+            if not held > threshold:
+                raise DataError(
+                    f"the magnet holds nothing: the spot is {held / self._unit_rad:.1f} {self._unit} "
+                    "from where it rests freely; see the magnet, its current and its distance"
+                )
+            watch.note("magnet", f"holds the pendulum at {held / self._unit_rad:.1f} {self._unit}")
             done(self._devices.required_control(who).release())
         elif start.way == "starter":
             done(self._devices.required_control(who).starter_pulse(self.starter_pulse_s))
@@ -216,6 +220,13 @@ class Preparation:
             return in_a_row >= 2
 
         watch.phase("release", self._config.phases.release_max_s, moved, instruction)
+
+    def _place(self) -> tuple[tuple[float, float], float]:
+        """Where the spot stands, of the last second, and how far from there is no noise any more."""
+        _, x, y = self._watch.lookout.since(self._watch.lookout.now_ns - 1_000_000_000)
+        noise = max(_scatter(x), _scatter(y))
+        threshold = max(self._config.start.trigger_arcsec * self._unit_rad, 8.0 * noise)
+        return (float(np.nanmedian(x)), float(np.nanmedian(y))), threshold
 
     def _brake(self, on: bool) -> None:
         control = self._devices.control

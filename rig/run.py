@@ -109,9 +109,9 @@ class Run:
         worker.start()
         interrupt: KeyboardInterrupt | None = None
         try:
-            while not self._done.is_set():
+            while worker.is_alive():
                 try:
-                    show = self._watch(show, interval_s)
+                    show = self._watch(show, interval_s, worker.is_alive)
                 except KeyboardInterrupt as error:
                     interrupt = interrupt or error
                     self._at_once = True
@@ -122,11 +122,13 @@ class Run:
             worker.join()
         return RunOutcome(self._snapshot, self._snapshot.half_cycles, self._failure, interrupt)
 
-    def _watch(self, show: Callable[[Snapshot], None], interval_s: float) -> Callable[[Snapshot], None]:
+    def _watch(
+        self, show: Callable[[Snapshot], None], interval_s: float, lives: Callable[[], bool]
+    ) -> Callable[[Snapshot], None]:
         """Show the run until it ends; returns what is to be shown with from then on."""
         done = False
         while not done:
-            done = self._done.wait(interval_s)
+            done = self._done.wait(interval_s) or not lives()
             try:
                 # what the operator is asked to do is shown also where it was asked only between two looks
                 while self._asked:
@@ -150,8 +152,13 @@ class Run:
         except Exception as error:
             self._fail(error, str(error))
         finally:
-            self._shut_down()
-            self._done.set()
+            # whatever fails here too, the one who waits for the end hears of it
+            try:
+                self._shut_down()
+            except Exception as error:
+                self._fail(error, str(error))
+            finally:
+                self._done.set()
 
     def _attempt(self, number: int, epoch_offset_ns: int) -> bool:
         """Prepare, record, judge the start; False where it was not accepted and is to be repeated."""

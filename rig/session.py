@@ -15,7 +15,6 @@ from rig.devices import Devices
 from rig.instrument import check_materials, complete
 from rig.interruption import Terminated, reason_of
 from rig.measuring import RunPlan, measure_run
-from rig.report.session_report import make_report
 from rig.results import RunResult, results_tree, write_results
 from rig.session_state import STATE_NAME, RunEntry, RunState, SessionFile
 from rig.view.terminal import print_json_line, print_results, say
@@ -163,6 +162,9 @@ def _make_runs(
 
 def _report(config: Configuration, folder: Path, made: _Made, *, json_lines: bool) -> int:
     """Fit all that are complete or just made, write the results; the laser is dark by now."""
+    # what draws figures takes a second to load, which the first frame must not wait for
+    from rig.report.session_report import make_report
+
     records, failed = made.records, made.failed
     if made.stopped and records and not _wants_fit():
         say(f"record {records[-1]}; rig fit {records[-1]} fits it later")

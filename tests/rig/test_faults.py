@@ -9,12 +9,13 @@ import pytest
 
 from acquisition.record.reader import RecordReader
 from processing.swing import SwingFlag
-from tests.rig.test_session import CONFIGS, rig
+from tests.rig.test_session import CONFIGS, SMALL, rig, set_words
 
 
 def run_with(folder: Path, **faults: str) -> subprocess.CompletedProcess[str]:
-    words = [word for key, value in faults.items() for word in ("--set", f"{key.replace('__', '.')}={value}")]
-    return rig("run", CONFIGS / "demo.toml", "-o", folder, "--set", "session.max_duration_s=90", *words)
+    values = {key.replace("__", "."): value for key, value in faults.items()}
+    words = set_words({**SMALL, "session.max_duration_s": "90", **values})
+    return rig("run", CONFIGS / "demo.toml", "-o", folder, *words)
 
 
 def events_of(record: Path) -> list[tuple[str, str]]:
@@ -23,7 +24,7 @@ def events_of(record: Path) -> list[tuple[str, str]]:
 
 
 def test_a_camera_that_comes_back_costs_the_frames_between(tmp_path: Path) -> None:
-    done = run_with(tmp_path / "out", faults__camera_unplugged_at_s="30", faults__camera_replugged_at_s="33")
+    done = run_with(tmp_path / "out", faults__camera_unplugged_at_s="20", faults__camera_replugged_at_s="23")
     assert done.returncode == 0, done.stderr
     kinds = [kind for kind, _ in events_of(tmp_path / "out" / "run-1.mcap")]
     assert kinds.index("camera lost") < kinds.index("camera back")
@@ -34,7 +35,7 @@ def test_a_camera_that_comes_back_costs_the_frames_between(tmp_path: Path) -> No
 
 
 def test_a_laser_that_fades_loses_spots_and_goes_on(tmp_path: Path) -> None:
-    done = run_with(tmp_path / "out", faults__laser_fades_at_s="30", faults__laser_fade_duration_s="3")
+    done = run_with(tmp_path / "out", faults__laser_fades_at_s="20", faults__laser_fade_duration_s="3")
     assert done.returncode == 0, done.stderr
     kinds = [kind for kind, _ in events_of(tmp_path / "out" / "run-1.mcap")]
     assert kinds.index("spot lost") < len(kinds) - 1 - kinds[::-1].index("spot found")
@@ -44,14 +45,14 @@ def test_a_laser_that_fades_loses_spots_and_goes_on(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("fault", ["vibration_burst_at_s", "draught_at_s"])
 def test_a_disturbance_flags_half_cycles_and_goes_on(fault: str, tmp_path: Path) -> None:
-    done = run_with(tmp_path / "out", **{f"faults__{fault}": "40"})
+    done = run_with(tmp_path / "out", **{f"faults__{fault}": "30"})
     assert "Traceback" not in done.stderr
     with RecordReader(tmp_path / "out" / "run-1.mcap") as reader:
         swings = reader.swings()
     disturbed = SwingFlag.VIBRATION | SwingFlag.START
     flagged = [swing for swing in swings if swing.flags & disturbed and swing.index > 2]
     assert flagged
-    assert all(30 < swing.turn_time_ns * 1e-9 - 1.0 < 60 for swing in flagged)
+    assert all(20 < swing.turn_time_ns * 1e-9 - 1.0 < 50 for swing in flagged)
 
 
 def test_a_stalled_camera_ends_the_run_with_that_reason_and_the_record_is_whole(tmp_path: Path) -> None:
@@ -61,7 +62,7 @@ def test_a_stalled_camera_ends_the_run_with_that_reason_and_the_record_is_whole(
     assert done.returncode == 1
     with RecordReader(tmp_path / "out" / "run-1.mcap") as reader:
         assert not reader.truncated
-        assert len(reader.spots()) == 2000
+        assert len(reader.spots()) == 1000
     assert "the camera has stalled" in events_of(tmp_path / "out" / "run-1.mcap")[-1][1]
     assert json.loads((tmp_path / "out" / "session.json").read_text())["entries"][0]["state"] == "failed"
 
@@ -70,12 +71,21 @@ def test_a_full_disk_ends_the_run_with_that_reason_and_the_record_is_whole(tmp_p
     # a limit on the size of files stands for the disk's end
     script = (
         "import resource, signal, sys; signal.signal(signal.SIGXFSZ, signal.SIG_IGN); "
-        "resource.setrlimit(resource.RLIMIT_FSIZE, (8_000_000, 8_000_000)); "
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (7_000_000, 7_000_000)); "
         "from rig.cli import main; main()"
     )
     folder = tmp_path / "out"
     done = subprocess.run(
-        [sys.executable, "-c", script, "run", str(CONFIGS / "demo.toml"), "-o", str(folder)],
+        [
+            sys.executable,
+            "-c",
+            script,
+            "run",
+            str(CONFIGS / "demo.toml"),
+            "-o",
+            str(folder),
+            *set_words(SMALL),
+        ],
         capture_output=True,
         text=True,
         check=False,
@@ -86,7 +96,7 @@ def test_a_full_disk_ends_the_run_with_that_reason_and_the_record_is_whole(tmp_p
     assert "cannot be written" in done.stderr
     with RecordReader(folder / "run-1.mcap") as reader:
         assert not reader.truncated
-        assert len(reader.spots()) > 2000
+        assert len(reader.spots()) > 1000
 
 
 @pytest.mark.slow
