@@ -147,15 +147,19 @@ class SpotTracker:
         runs = [images[start : start + _RUN] for start in range(0, len(images), _RUN)]
         if not runs:
             return np.empty(0, dtype=SPOT_DTYPE)
-        # one tracker for each run: what a run leaves behind must not depend on the order they are done in
-        trackers = [self, *(SpotTracker(self._sensor, row_step=self._row_step) for _ in runs[1:])]
+
+        def tracked(number: int) -> tuple[NDArray[np.void], NDArray[np.float64]]:
+            # one tracker for each run: what a run leaves behind must not depend on the order they are done in
+            tracker = self if number == 0 else SpotTracker(self._sensor, row_step=self._row_step)
+            return tracker._track_run(runs[number]), tracker._state
+
         if threads == 1:
-            parts = [tracker._track_run(run) for tracker, run in zip(trackers, runs, strict=True)]
+            parts = [tracked(number) for number in range(len(runs))]
         else:
             with ThreadPoolExecutor(threads) as pool:
-                parts = list(pool.map(SpotTracker._track_run, trackers, runs))
-        self._state[:] = trackers[-1]._state
-        return np.concatenate(parts)
+                parts = list(pool.map(tracked, range(len(runs))))
+        self._state[:] = parts[-1][1]
+        return np.concatenate([spots for spots, _ in parts])
 
     def record_window(self, spot: Spot, shape: tuple[int, int]) -> tuple[int, int, int, int]:
         """Pixels (x0, y0, x1, y1) of a frame from which this spot can be tracked again.
