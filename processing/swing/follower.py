@@ -28,7 +28,7 @@ _JUMP = 100.0
 
 _SURPRISED = 3.0
 _CALM = 100.0
-_RESTLESS_AT_FIRST = 1000.0
+_RESTLESS_AT_FIRST = 30.0
 _WITHIN = 0.15
 """Part of the wandering from one half-cycle to the next that falls on a turning point within one."""
 _ARC_EXCESS = 4.0

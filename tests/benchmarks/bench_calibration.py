@@ -1,4 +1,4 @@
-"""Bias and coverage of every calibrated quantity, on simulated rigs drawn anew for every seed.
+"""Calibrated quantities on simulated rigs drawn anew for every seed, and measurements made with them.
 
 Run as ``python -m tests.benchmarks.bench_calibration [--quick]`` from the repository.
 """
@@ -6,22 +6,28 @@ Run as ``python -m tests.benchmarks.bench_calibration [--quick]`` from the repos
 import json
 import math
 import sys
+import tempfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from tests.calibration.simulated_rig import deviations
+from tests.rig.calibrated_measurement import measure
+from tests.rig.unbudgeted_inputs import shifts
+
+FRAME_RATES_HZ = (25.0, 60.0)
 
 
-def run(quick: bool = False) -> dict[str, Any]:
-    """Mean and spread of the error in standard uncertainties, share within one; 200 seeds (40 quick)."""
-    seeds = 40 if quick else 200
-    rows = [deviations(seed) for seed in range(seeds)]
+def _table(title: str, rows: Sequence[Mapping[str, float]]) -> dict[str, Any]:
+    """Mean and spread of deviations in standard uncertainties, share within one."""
+    seeds = len(rows)
     u_mean, u_inside = 1 / math.sqrt(seeds), math.sqrt(0.6827 * 0.3173 / seeds)
     found: dict[str, Any] = {"seeds": seeds, "u_mean": u_mean, "u_inside": u_inside}
     print(
-        f"{'quantity':22} mean error/u  spread/u  within 1 u   "
-        f"(u of mean {u_mean:.3f}, of share {u_inside:.3f})"
+        f"{title:32} mean error/u  spread/u  within 1 u   "
+        f"({seeds} seeds; u of mean {u_mean:.3f}, of share {u_inside:.3f})"
     )
     for name in rows[0]:
         z = np.array([row[name] for row in rows])
@@ -31,9 +37,35 @@ def run(quick: bool = False) -> dict[str, Any]:
             "within_1u": float(np.mean(np.abs(z) < 1)),
             "largest": float(np.abs(z).max()),
         }
-        print(f"{name:22} {z.mean():+12.3f} {z.std(ddof=1):9.3f} {np.mean(np.abs(z) < 1):11.3f}")
+        print(f"  {name:30} {z.mean():+12.3f} {z.std(ddof=1):9.3f} {np.mean(np.abs(z) < 1):11.3f}")
     return found
 
 
+def end_to_end(rate_hz: float, seeds: int) -> dict[str, Any]:
+    """Measurements whose lever, axes and clock come from simulated calibration records alone."""
+    rows = []
+    with tempfile.TemporaryDirectory() as folder:
+        for seed in range(seeds):
+            found = measure(seed, Path(folder) / str(seed), rate_hz=rate_hz)
+            rows.append({name: (value - truth) / u for name, (value, u, truth) in found.items()})
+    return _table(f"end to end, {rate_hz:g} frames/s", rows)
+
+
+def not_in_the_budget() -> dict[str, Any]:
+    """What the budget leaves out: shift of each parameter, in its standard uncertainty, by one of its own."""
+    found = {}
+    for name, by_parameter in shifts(seed=1).items():
+        found[name] = by_parameter
+        print(f"  {name:58}" + "".join(f" {key} {value:+.3f}" for key, value in by_parameter.items()))
+    return found
+
+
+def run(quick: bool = False) -> dict[str, Any]:
+    """600 and 300 seeds (40 and 12 quick)."""
+    quantities = _table("quantity", [deviations(seed) for seed in range(40 if quick else 600)])
+    measurements = {f"{rate:g}": end_to_end(rate, 12 if quick else 300) for rate in FRAME_RATES_HZ}
+    return {"quantities": quantities, "end_to_end": measurements, "not_in_the_budget": not_in_the_budget()}
+
+
 if __name__ == "__main__":
-    print(json.dumps(run(quick="--quick" in sys.argv), indent=1))
+    json.dumps(run(quick="--quick" in sys.argv))
