@@ -56,7 +56,7 @@ def _found(spots: Spots) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
 
 def shifts(seed: int, rate_hz: float = 60.0, duration_s: float = 2400.0) -> dict[str, dict[str, float]]:
-    """Shift of every parameter in its standard uncertainty, by what was wrong; noise and truth alike."""
+    """Shift of every parameter in the uncertainty claimed, by what was wrong; noise and truth alike."""
     rig = draw_rig(seed)
     truth = rig.settings
     axes = swing_for_axes(rig).axes
@@ -116,9 +116,13 @@ def shifts(seed: int, rate_hz: float = 60.0, duration_s: float = 2400.0) -> dict
                 ),
             ),
         ),
-        "skew of the ladder's u": (
+        f"skew of the ladder's u, {ladder.u_skew:.2f}": (
             base,
             replace(base, lever=true_lever.model_copy(update={"skew": ladder.u_skew})),
+        ),
+        "skew of 0.03, a sensor askew by 1.7 degrees": (
+            base,
+            replace(base, lever=true_lever.model_copy(update={"skew": 0.03})),
         ),
         "gain off by 2 %": (base, replace(base, u_px=1.01 * base.u_px)),
         "pointing drifts by 1 arcsec/min": (
@@ -134,7 +138,8 @@ def shifts(seed: int, rate_hz: float = 60.0, duration_s: float = 2400.0) -> dict
     made = {id(base): _found(base), id(lively): _found(lively)}
     out = {}
     for name, (reference, changed) in wrong.items():
-        value, u = made[id(reference)]
-        moved, _ = _found(changed)
+        value, _ = made[id(reference)]
+        # in the uncertainty that is then claimed: what scatters more claims more
+        moved, u = _found(changed)
         out[name] = dict(zip(CONTACT_NAMES, ((moved - value) / u).tolist(), strict=True))
     return out
