@@ -166,7 +166,8 @@ class RunDisplay:
 
     def _rows(self, snapshot: Snapshot) -> list[tuple[str, str]]:
         unit, balance = self._unit, self._balance
-        losses = f"{snapshot.dropped_frames} frames dropped, {snapshot.lost_spots} spots lost"
+        who = f" ({snapshot.losses})" if snapshot.losses.total else ""
+        losses = f"{snapshot.dropped_frames} frames dropped{who}, {snapshot.lost_spots} spots lost"
         rows = [
             ("elapsed", f"{_clock(snapshot.elapsed_s)}, {snapshot.half_cycles} half-cycles"),
             (f"to {self._final:g} {unit}", self._prediction()),
