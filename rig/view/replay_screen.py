@@ -130,7 +130,7 @@ def print_comparison(comparison: Comparison, *, partial: bool) -> None:
 
 
 def print_changes(changes: Sequence[Change], source: str) -> None:
-    """The fitted parameters, recorded and replayed; one line where none has changed.
+    """The recorded fitted parameters and how far they moved; one line where none did.
 
     Of the contact's two fits the exact one is shown with its values, the other with its changes.
     """
@@ -145,8 +145,8 @@ def print_changes(changes: Sequence[Change], source: str) -> None:
     asymptotic = [change for name, change in by_name.items() if name.startswith(_ASYMPTOTIC)]
     table = Table(box=None, pad_edge=False, header_style="bold")
     table.add_column("")
-    for name in (f"{source}", "replayed", "change / u", *(["asymptotic: / u"] if asymptotic else [])):
-        table.add_column(name, justify="right")
+    for name in (source, "change / u", *(["of the asymptotic fit"] if asymptotic else [])):
+        table.add_column(name, justify="right", no_wrap=True)
     for name, change in by_name.items():
         if name.startswith(_ASYMPTOTIC):
             continue
@@ -158,7 +158,6 @@ def print_changes(changes: Sequence[Change], source: str) -> None:
         table.add_row(
             label,
             value_with_uncertainty(change.recorded, scale),
-            value_with_uncertainty(change.replayed, scale),
             _in_u(change),
             *([_in_u(other) if other else ""] if asymptotic else []),
         )
