@@ -46,12 +46,14 @@ def command() -> list[str]:
     """What begins a command in a network of its own, as root or, where the system allows it, without."""
     if not shutil.which("unshare") or not shutil.which("ip"):
         raise Missing("unshare or ip is not installed (Debian: apt install util-linux iproute2)")
-    alone = ["unshare", "--net"] if os.geteuid() == 0 else ["unshare", "--map-root-user", "--net"]
-    begin = [*alone, "sh", "-c", 'ip link set lo up && exec "$@"', "sh"]
-    tried = subprocess.run([*begin, "true"], capture_output=True, text=True, check=False)
-    if tried.returncode:
-        raise Missing(f"no network namespace can be made here: {tried.stderr.strip()}")
-    return begin
+    said = ""
+    for options in (["--net"], ["--map-root-user", "--net"]):
+        begin = ["unshare", *options, "sh", "-c", 'ip link set lo up && exec "$@"', "sh"]
+        tried = subprocess.run([*begin, "true"], capture_output=True, text=True, check=False)
+        if tried.returncode == 0:
+            return begin
+        said = tried.stderr.strip()
+    raise Missing(f"no network namespace can be made here: {said}")
 
 
 def run_alone(arguments: list[str], folder: Path, timeout_s: float) -> subprocess.CompletedProcess[str]:
