@@ -89,11 +89,11 @@ def _verdict(faults: Sequence[Fault]) -> str:
     return f"out of limits: {rest}" if rest else "balanced: within all limits"
 
 
-def advice_text(config: Configuration, balance: Balance) -> str:
-    """What is wrong with a balance and what to turn, in Markdown; from what the weights should do.
+def advice_text(config: Configuration, balance: Balance, learned: WeightResponses | None = None) -> str:
+    """What is wrong with a balance and what to turn, in Markdown.
 
-    `rig balance` knows more: it learns what each turn has done. Empty without a calibration, when
-    nothing is known in arcsec.
+    From what the weights should do, or from what `rig balance` has `learned` that turns really do.
+    Empty without a calibration, when nothing is known in arcsec.
     """
     if config.lever is None:
         return ""
@@ -102,7 +102,8 @@ def advice_text(config: Configuration, balance: Balance) -> str:
     faults = find_faults(balance, height_m, limits)
     state = np.array([faults[0].value, faults[1].value, height_m[0]])
     effects = {name: effect for name, effect in nominal_effects(config).items() if effect is not None}
-    head = turn_text(WeightResponses(effects, limits).advise(state), faults) if effects else _verdict(faults)
+    responses = learned or (WeightResponses(effects, limits) if effects else None)
+    head = _verdict(faults) if responses is None else turn_text(responses.advise(state), faults)
     lines = [f"**{head}**", ""]
     lines += [
         f"- {fault.name} {fault.value:+.4g} ± {fault.u_value:.2g} {fault.unit} "

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.simulation.weights import TrimmedPendulum, TrimWeight, imperfect_weights
-from calibration.axes import Axes
 from processing.balance import Balance
 from processing.balance_advice import (
     Fault,
@@ -19,59 +18,23 @@ from processing.balance_advice import (
     WeightResponses,
     find_faults,
 )
-from processing.errors import ConfigurationError, DataError
-from processing.spot import SpotTracker
-from rig.balance_state import DIRECTIONS, WEIGHTS, height_of, limits_of, nominal_effects
+from processing.errors import ConfigurationError
+from rig.balance_look import LooksView, look
+from rig.balance_state import (
+    DIRECTIONS,
+    WEIGHTS,
+    advice_text,
+    height_of,
+    limits_of,
+    nominal_effects,
+)
 from rig.config import Configuration
 from rig.devices import Devices
-from rig.instrument import camera_settings, complete, sensor_model
-from rig.measuring import frame_policy
-from rig.pipeline import Pipeline
-from rig.stream import FrameStream
+from rig.instrument import complete
 from rig.view.balance_screen import print_advice, print_faults
 from rig.view.terminal import say
 
 Floats = NDArray[np.float64]
-
-
-def look(config: Configuration, devices: Devices, show: Callable[[Balance], None]) -> Balance:
-    """Some periods of swinging; `show` gets every balance, the last one is returned. Raises DataError."""
-    calibrated = config.lever is not None
-    found: Balance | None = None
-    with devices.camera(config) as camera:
-        sensor = sensor_model(config, camera.info.full_scale_dn)
-        camera.camera.start()
-        stream = FrameStream(
-            camera.camera,
-            camera_settings(config),
-            policy=frame_policy(config),
-            timeout_s=config.camera.timeout_s,
-        )
-        try:
-            first = stream.begin()
-            if first is None:
-                raise DataError("the camera delivered no frame at all")
-            shape = (first.image.shape[0], first.image.shape[1])
-            pipeline = Pipeline(SpotTracker(sensor), config.lever, config.axes or Axes(), shape)
-            end_ns = first.time_ns + round(1e9 * config.balance.seconds)
-            while not stream.drained:
-                frames = stream.take(32, 0.1)
-                if not frames:
-                    continue
-                for balance in pipeline.process(frames).balances:
-                    found = balance
-                    show(balance)
-                if frames[-1].time_ns >= end_ns:
-                    break
-        finally:
-            stream.close()
-    if found is None:
-        raise stream.failure or DataError(
-            f"no swing was seen in {config.balance.seconds:g} s: let the pendulum swing, some arcsec or more"
-        )
-    if not calibrated:
-        raise ConfigurationError("rig balance needs [lever]: without it nothing is known in arcsec")
-    return found
 
 
 class BalancingSession:
@@ -124,19 +87,31 @@ class BalancingSession:
 
     def _relearn(self) -> None:
         pairs = 0
-        for line in self._history.read_text(encoding="utf-8").splitlines():
-            entry = json.loads(line)
-            if entry.get("weight") in WEIGHTS:
+        for number, line in enumerate(self._history.read_text(encoding="utf-8").splitlines(), start=1):
+            try:
+                entry = json.loads(line)
+                if entry.get("weight") not in WEIGHTS:
+                    continue
+                turns = float(entry["turns"])
                 before, after, u = (
                     np.array(entry[key], dtype=np.float64) for key in ("before", "after", "u")
                 )
-                self.responses.learn(entry["weight"], entry["turns"], before, after, np.nan_to_num(u))
-                pairs += 1
+            except (ValueError, TypeError, KeyError, AttributeError):
+                # cut short by a power cut, or written by hand: the others are worth having
+                say(f"{self._history}: line {number} cannot be read and is passed over")
+                continue
+            self.responses.learn(entry["weight"], turns, before, after, np.nan_to_num(u))
+            pairs += 1
         say(f"{self._history}: {pairs} turns of earlier times are known")
 
 
-def balance_rig(config: Configuration, history: Path | None, follow: int, seed: int) -> int:
-    """Look, advise, ask what was turned, until told to end; with `follow` the simulated rig obeys."""
+def balance_rig(
+    config: Configuration, history: Path | None, follow: int, seed: int, rrd: Path | None = None
+) -> int:
+    """Look, advise, ask what was turned, until told to end; with `follow` the simulated rig obeys.
+
+    All looks are drawn into the live view that the configuration asks for, and into `rrd`.
+    """
     config = complete(config)
     trimmed: TrimmedPendulum | None = None
     if follow:
@@ -153,12 +128,18 @@ def balance_rig(config: Configuration, history: Path | None, follow: int, seed: 
         trimmed = TrimmedPendulum(config.simulation, imperfect_weights(nominal, seed), seed=seed)
     session = BalancingSession(config, history or config.session.output / "balance-history.jsonl")
     moves = 0
-    with Devices(config) as devices:
-        devices.light()
+    stated = config
+
+    def advise(balance: Balance) -> str:
+        return advice_text(stated, balance, session.responses)
+
+    with Devices(config) as devices, LooksView(config, rrd, advise) as view:
+        if lit := devices.light():
+            say(lit)
         while True:
             if trimmed is not None:
                 config = config.model_copy(update={"simulation": trimmed.settings})
-            balance = look(config, devices, _shower(config))
+            balance = look(config, devices, _shower(config), view)
             faults, before = session.state(balance)
             print_faults(faults, before)
             turn = session.advice()

@@ -27,13 +27,16 @@ def balance(
         int, typer.Option(help="Simulated rig: follow the advice by itself, at most so many turns.")
     ] = 0,
     seed: Annotated[int, typer.Option(help="Simulated rig: of its weights.")] = 1,
+    view: Annotated[bool, typer.Option("--view", help="Open the balancing view in a window.")] = False,
+    rrd: Annotated[Path | None, typer.Option(help="Draw all looks into a Rerun file.")] = None,
     set_: Set = None,
 ) -> None:
     """Balance the pendulum: what is wrong, which weight to turn, which way and how far."""
     from rig.balancing import balance_rig
     from rig.config import load_configuration
 
-    raise typer.Exit(balance_rig(load_configuration(config, set_ or []), history, follow, seed))
+    overrides = [*(set_ or []), *(['view.mode="spawn"'] if view else [])]
+    raise typer.Exit(balance_rig(load_configuration(config, overrides), history, follow, seed, rrd))
 
 
 def doctor(

@@ -84,7 +84,7 @@ class LiveView:
     def jump(self, time_s: float) -> None:
         """What follows begins at another time: no line is drawn to it."""
         self._viewer.samples([time_s], [math.nan], [math.nan], [0])
-        self._viewer.event(time_s, "info", f"replay: begun anew at {time_s:.1f} s")
+        self._viewer.event(time_s, "info", f"begun anew at {time_s:.1f} s")
 
     def event(self, start_ns: int, event: Event) -> None:
         """One line of the log."""
@@ -122,9 +122,18 @@ def open_view(config: Configuration, record: Path, title: str, full_scale_dn: in
 
 
 def start_view(
-    config: Configuration, rrd: Path | None, mode: Mode, layout: LayoutName, title: str, full_scale_dn: int
+    config: Configuration,
+    rrd: Path | None,
+    mode: Mode,
+    layout: LayoutName,
+    title: str,
+    full_scale_dn: int,
+    advise: Callable[[Balance], str] | None = None,
 ) -> LiveView:
-    """A view of a run that goes on, or is replayed: a Rerun file, a live stream, or both."""
+    """A view of a run that goes on, or is replayed: a Rerun file, a live stream, or both.
+
+    `advise` says what to turn where more is known than what the weights should do.
+    """
     unit = "px" if config.lever is None else "arcsec"
     viewer = Viewer(
         rrd, mode, layout, title, amplitude_arcsec=config.session.initial_amplitude_arcsec, unit=unit
@@ -135,7 +144,7 @@ def start_view(
         unit,
         config.view.image_interval_s,
         full_scale_dn,
-        lambda balance: advice_text(config, balance),
+        advise or (lambda balance: advice_text(config, balance)),
     )
 
 

@@ -1,5 +1,6 @@
 """Advice on the balance: on the simulated rig it leads into the limits, and it learns what a turn does."""
 
+import json
 import math
 import subprocess
 import sys
@@ -10,7 +11,9 @@ import pytest
 
 from processing.balance_advice import BalanceLimits, WeightResponses, mass_centre_height_m
 from rig.balance_state import nominal_effects
+from rig.balancing import BalancingSession
 from tests.balancing_cases import CONFIG, follow_advice, seen, state_of, trimmed_pendulum
+from tests.rig.rrd_contents import column, scalars
 
 ROOT = Path(__file__).resolve().parents[2]
 LIMITS = BalanceLimits()
@@ -83,7 +86,7 @@ def test_balance_follows_its_own_advice_from_frames_on(tmp_path: Path) -> None:
         [
             *(sys.executable, "-m", "rig", "balance", str(ROOT / "configs" / "demo.toml"), "--follow", "7"),
             *("--history", str(tmp_path / "history.jsonl"), "--set", "simulation.axes.rest_fast_arcsec=25"),
-            *("--set", "simulation.axes.rest_slow_arcsec=-20"),
+            *("--set", "simulation.axes.rest_slow_arcsec=-20", "--rrd", str(tmp_path / "looks.rrd")),
         ],
         capture_output=True,
         text=True,
@@ -93,4 +96,22 @@ def test_balance_follows_its_own_advice_from_frames_on(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     assert "turn weight" in done.stdout
     assert "the weights are right" in done.stdout or "balanced" in done.stdout
-    assert len((tmp_path / "history.jsonl").read_text().splitlines()) >= 2
+    looks = len((tmp_path / "history.jsonl").read_text().splitlines())
+    assert looks >= 2
+    # one view of all looks, each behind the other, with the advice of each
+    advice_s, advice = column(tmp_path / "looks.rrd", "/advice", "TextDocument:text")
+    assert "turn weight" in str(advice[0])
+    assert "balanced" in str(advice[-1])
+    _, rest = scalars(tmp_path / "looks.rrd", "/balance/rest_x_arcsec/value")
+    assert abs(rest[0]) > 20 > 10 > abs(rest[-1])
+    assert advice_s[-1] > (looks - 1) * 12.0
+    _, events = column(tmp_path / "looks.rrd", "/events", "TextLog:text")
+    assert sum("begun anew" in str(text) for text in events) == looks - 1
+
+
+def test_a_history_that_was_cut_short_is_read_as_far_as_it_goes(tmp_path: Path) -> None:
+    history = tmp_path / "history.jsonl"
+    turn = {"weight": "x", "turns": 3.0, "before": [30.0, 0, 0], "after": [0.0, 0, 0], "u": [0.01] * 3}
+    history.write_text(json.dumps(turn) + "\n" + json.dumps(turn)[:40] + "\n[]\n")
+    session = BalancingSession(CONFIG, history)
+    assert session.responses.pairs == {"x": 1, "y": 0, "height": 0}
