@@ -1,18 +1,13 @@
 """`rig calibrate`: records and tables in, a calibration file out; none is written where none can be had."""
 
 import datetime
-import getpass
 import math
-import socket
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.record.digest import sha256_of
 from acquisition.record.reader import RecordReader
 from calibration.at_rest import require_rest
 from calibration.axes_fit import Sign, fit_axes
@@ -22,37 +17,16 @@ from calibration.lever_fit import LadderFit, fit_ladder, lever_from_shifts, leve
 from calibration.lever_geometry import lever_from_geometry
 from calibration.sensor import photon_transfer
 from calibration.stability import Stability, stability
-from calibration.store import CalibrationFile, Kind, Source, read_calibration, write_calibration
+from calibration.store import read_calibration
 from calibration.timebase import FRAME_JITTER_LIMIT_S, relate_clocks, unwrap_counter
 from processing.errors import ConfigurationError, DataError
-from processing.spot import SpotFlag
+from rig.calibration_filing import Filing, file_calibration
 from rig.calibration_inputs import LadderFile, frames_of, read_ladder, read_transfer
+from rig.calibration_records import mean_spot, spots_of_record, utc
 from rig.host_clock import ntp_state
-from rig.provenance import recorded_configuration, versions
+from rig.provenance import recorded_configuration
 
 Floats = NDArray[np.float64]
-_SEGMENTS = 16
-
-
-@dataclass(frozen=True, slots=True)
-class Filing:
-    """Where a calibration goes, who made it, how long it holds."""
-
-    folder: Path
-    valid_days: float = 90.0
-    made_by: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class SpotsOfRecord:
-    """Frames of a record with a spot; times in s from the first."""
-
-    times_s: Floats
-    x_px: Floats
-    y_px: Floats
-    u_x_px: Floats
-    u_y_px: Floats
-    began: datetime.datetime
 
 
 def calibrate_lever(ladder: Path, filing: Filing) -> Path:
@@ -75,7 +49,9 @@ def calibrate_lever(ladder: Path, filing: Filing) -> Path:
                 for line in found.budget
             ],
         }
-        return _file("lever", filing, "geometry, traced", _plain_lever(found.lever), details, [ladder])
+        return file_calibration(
+            "lever", filing, "geometry, traced", _plain_lever(found.lever), details, [ladder]
+        )
     fit, sources, began = _climb(ladder, table)
     if table.kind == "tilt":
         lever = lever_from_tilts(fit, table.needed("pixel_pitch_m"))
@@ -83,7 +59,7 @@ def calibrate_lever(ladder: Path, filing: Filing) -> Path:
         lever = lever_from_shifts(fit, table.needed("arm_m"), table.u_arm_m)
     details = {**_ladder_details(fit, table), "u_scale_relative": lever.u_scale_relative}
     method = f"ladder of {len(table.step)} {table.kind}s"
-    return _file("lever", filing, method, _plain_lever(lever), details, sources, fit.notes, began)
+    return file_calibration("lever", filing, method, _plain_lever(lever), details, sources, fit.notes, began)
 
 
 def check_known_angle(ladder: Path, lever: Path, filing: Filing) -> Path:
@@ -107,12 +83,12 @@ def check_known_angle(ladder: Path, lever: Path, filing: Filing) -> Path:
             f"scale off by {100 * (check.ratio - 1):+.3g} %, u = {100 * check.u_both:.2g} %: calibrate again"
         )
     method = f"{len(table.step)} known tilts against {lever.name}"
-    return _file("check", filing, method, {}, details, [*sources, lever], notes, began)
+    return file_calibration("check", filing, method, {}, details, [*sources, lever], notes, began)
 
 
 def calibrate_axes(record: Path, filing: Filing, slow_began: Sign | None, fast_began: Sign | None) -> Path:
     """Directions of both modes from a record in which both swing."""
-    spots = _spots(record)
+    spots = spots_of_record(record)
     with RecordReader(record) as reader:
         before = recorded_configuration(reader).axes
     fit = fit_axes(
@@ -135,7 +111,7 @@ def calibrate_axes(record: Path, filing: Filing, slow_began: Sign | None, fast_b
         *("windows", "chi2_per_dof", "signs_known", "handedness_known"),
     )
     details = {name: getattr(fit, name) for name in names}
-    return _file(
+    return file_calibration(
         "axes", filing, "both modes fitted", fit.axes.model_dump(), details, [record], fit.notes, spots.began
     )
 
@@ -177,7 +153,9 @@ def calibrate_sensor(frames: Path, filing: Filing) -> Path:
     details["variance_dn2"] = [point.variance_dn2 for point in found.points]
     details["u_variance_dn2"] = [point.u_variance_dn2 for point in found.points]
     details["hot_pixels_xy"] = found.hot_pixels.tolist()
-    return _file("sensor", filing, "photon transfer (EMVA 1288)", values, details, sources, found.rejected)
+    return file_calibration(
+        "sensor", filing, "photon transfer (EMVA 1288)", values, details, sources, found.rejected
+    )
 
 
 def calibrate_clock(record: Path, filing: Filing, counter_bits: int | None) -> Path:
@@ -191,7 +169,7 @@ def calibrate_clock(record: Path, filing: Filing, counter_bits: int | None) -> P
         if reader.metadata.get("camera", {}).get("has_clock") == "False":
             raise DataError(f"{record}: its camera has no clock of its own; there is nothing to relate")
         table = reader.spots()
-        began = _utc(reader, int(table["time_ns"][0]) if len(table) else 0)
+        began = utc(reader, int(table["time_ns"][0]) if len(table) else 0)
     device = table["device_time_ns"].astype(np.int64)
     if counter_bits is not None:
         device = unwrap_counter(device, counter_bits)
@@ -225,12 +203,14 @@ def calibrate_clock(record: Path, filing: Filing, counter_bits: int | None) -> P
     details["jumps"] = [{"frame": jump.frame, "step_s": jump.step_s} for jump in relation.jumps]
     details["ntp"] = ntp.text
     details["ntp_synchronised"] = ntp.synchronised
-    return _file("clock", filing, "camera against host, robust line", values, details, [record], notes, began)
+    return file_calibration(
+        "clock", filing, "camera against host, robust line", values, details, [record], notes, began
+    )
 
 
 def calibrate_pointing(record: Path, filing: Filing) -> Path:
     """Noise, drift and lines of a spot that should stand still."""
-    spots = _spots(record)
+    spots = spots_of_record(record)
     require_rest(spots.times_s, spots.x_px, spots.y_px, str(record))
     details: dict[str, Any] = {}
     notes = []
@@ -243,7 +223,7 @@ def calibrate_pointing(record: Path, filing: Filing) -> Path:
         ]
         if not 0.7 < found.claimed_ratio < 1.4:
             notes.append(f"{name}: the tracker claims {found.claimed_ratio:.2f} of the noise that is there")
-    return _file("pointing", filing, "pendulum at rest", {}, details, [record], notes, spots.began)
+    return file_calibration("pointing", filing, "pendulum at rest", {}, details, [record], notes, spots.began)
 
 
 def _climb(path: Path, table: LadderFile) -> tuple[LadderFit, list[Path], datetime.datetime | None]:
@@ -255,47 +235,16 @@ def _climb(path: Path, table: LadderFile) -> tuple[LadderFit, list[Path], dateti
             rows.append((step.x_px, step.y_px, step.u_px, step.u_px))
             continue
         record = path.parent / step.record
-        spots = _spots(record)
+        spots = spots_of_record(record)
         require_rest(spots.times_s, spots.x_px, spots.y_px, f"step {number}, {record}")
         sources.append(record)
         began = spots.began if began is None else max(began, spots.began)
-        rows.append(_mean_spot(spots))
+        rows.append(mean_spot(spots))
     return (
         fit_ladder(table.steps(rows), table.kind, u_reference_relative=table.u_reference_relative),
         sources,
         began,
     )
-
-
-def _mean_spot(spots: SpotsOfRecord) -> tuple[float, float, float, float]:
-    """Mean position; its uncertainty from segments, which feel slow wandering too, or from the spots."""
-    found = []
-    for values, u in ((spots.x_px, spots.u_x_px), (spots.y_px, spots.u_y_px)):
-        means = np.array([part.mean() for part in np.array_split(values, _SEGMENTS)])
-        claimed = float(np.sqrt(np.mean(u**2) / len(u)))
-        found.append((float(values.mean()), max(float(means.std(ddof=1)) / math.sqrt(_SEGMENTS), claimed)))
-    return found[0][0], found[1][0], found[0][1], found[1][1]
-
-
-def _spots(record: Path) -> SpotsOfRecord:
-    with RecordReader(record) as reader:
-        table = reader.spots()
-        began = _utc(reader, int(table["time_ns"][0]) if len(table) else 0)
-    bad = SpotFlag.LOST | SpotFlag.SATURATED | SpotFlag.EDGE
-    good = table[(table["flags"].astype(np.int64) & int(bad)) == 0] if len(table) else table
-    if len(good) < 100:
-        raise DataError(
-            f"{record}: {len(good)} of {len(table)} frames have a whole, unsaturated spot; "
-            "at least 100 are needed"
-        )
-    saturated = np.mean((table["flags"].astype(np.int64) & int(SpotFlag.SATURATED)) != 0)
-    if saturated > 0.1:
-        raise DataError(f"{record}: {100 * saturated:.0f} % of the spots are saturated; use less light")
-    times_s = (good["time_ns"] - good["time_ns"][0]) * 1e-9
-    x_px, y_px, u_x_px, u_y_px = (
-        np.asarray(good[name], dtype=np.float64) for name in ("x_px", "y_px", "u_x_px", "u_y_px")
-    )
-    return SpotsOfRecord(times_s, x_px, y_px, u_x_px, u_y_px, began)
 
 
 def _ladder_details(fit: LadderFit, table: LadderFile) -> dict[str, Any]:
@@ -329,43 +278,3 @@ def _stability_details(found: Stability) -> dict[str, Any]:
 
 def _plain_lever(lever: Lever) -> dict[str, Any]:
     return lever.model_dump(exclude_none=True)
-
-
-def _utc(reader: RecordReader, time_ns: int) -> datetime.datetime:
-    return datetime.datetime.fromtimestamp((time_ns + reader.epoch_offset_ns) * 1e-9, datetime.UTC)
-
-
-def _file(
-    kind: Kind,
-    filing: Filing,
-    method: str,
-    values: Mapping[str, Any],
-    details: Mapping[str, Any],
-    sources: Sequence[Path],
-    notes: Sequence[str] = (),
-    measured_at: datetime.datetime | None = None,
-) -> Path:
-    now = datetime.datetime.now(datetime.UTC).replace(microsecond=0)
-    measured_at = measured_at or now
-    calibration = CalibrationFile(
-        kind=kind,
-        made_by=filing.made_by or _user(),
-        made_at=now,
-        valid_until=(measured_at + datetime.timedelta(days=filing.valid_days)).replace(microsecond=0),
-        measured_at=measured_at,
-        host=socket.gethostname(),
-        software=f"optical-pendulum-rig {versions()['optical-pendulum-rig']}",
-        method=method,
-        sources=tuple(Source(name=path.name, sha256=sha256_of(path)) for path in sources if path.is_file()),
-        notes=tuple(notes),
-        values=dict(values),
-        details=dict(details),
-    )
-    return write_calibration(filing.folder, calibration)
-
-
-def _user() -> str:
-    try:
-        return getpass.getuser()
-    except (KeyError, OSError):
-        return ""

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 if TYPE_CHECKING:
-    from rig.calibrating import Filing
+    from rig.calibration_filing import Filing
 
 Record = Annotated[Path, typer.Argument(help="A record, an MCAP file.", show_default=False)]
 Ladder = Annotated[Path, typer.Argument(help="Steps or geometry, a TOML file.", show_default=False)]
@@ -101,7 +101,7 @@ def check(
 
 
 def _filing(folder: Path, valid_days: float, by: str) -> "Filing":
-    from rig.calibrating import Filing
+    from rig.calibration_filing import Filing
 
     return Filing(folder, valid_days, by)
 

@@ -12,7 +12,6 @@ from calibration.store import read_calibration, write_calibration
 from processing.errors import ConfigurationError, RigError
 from rig.analysis import analyse_record
 from rig.calibrating import (
-    Filing,
     calibrate_axes,
     calibrate_clock,
     calibrate_lever,
@@ -20,6 +19,7 @@ from rig.calibrating import (
     calibrate_sensor,
     check_known_angle,
 )
+from rig.calibration_filing import Filing
 from rig.calibration_use import calibration_attachments, fill_from_files, judge_calibration
 from rig.config import Configuration, validate_configuration
 from rig.session import simulate_record
