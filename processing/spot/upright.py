@@ -47,6 +47,7 @@ def fit_upright(
     step = np.empty(UNKNOWNS)
     informed = False
     fetched = False
+    opened = rough
     gate = math.inf if rough else _GATE
     for _ in range(_PASSES):
         floor = background_variance(p, zero_variance, inverse_gain)
@@ -70,6 +71,13 @@ def fit_upright(
         chi2, kept = score(
             image, x0, y0, wx, wy, row_step, tables, p[0], p[5], floor, inverse_gain, gate, gradient
         )
+        outliers = wx * wy - int(kept)
+        many = outliers > _MOST_OUTLIERS + 0.002 * wx * wy
+        if many and not opened:
+            # the spot has moved further than expected: what the gate keeps would hardly tell where to
+            opened = True
+            gate = math.inf
+            continue
         if not informed:
             # sums over a grid as fine as sigma are exact, but not those that an edge cuts off
             step_x = max(1, int(p[3])) if x0 > 0 and x0 + wx < nx else 1
@@ -102,14 +110,18 @@ def fit_upright(
             p[k] += step[k]
         scatter = chi2 / max(kept, 1.0)
         settled = gate <= _GATE * _LARGEST_SCATTER
-        gate = _GATE * max(1.0, scatter)
+        # what the step takes with it; a long one may take less
+        expected = chi2
+        if others < 0.5 * sigma:
+            for k in range(UNKNOWNS):
+                expected -= gradient[k] * step[k]
+        gate = _GATE * max(1.0, expected / max(kept, 1.0))
         if changed:
             informed = False
         elif rough:
             rough = False
         elif small and settled:
-            outliers = wx * wy - int(kept)
-            if outliers > _MOST_OUTLIERS + 0.002 * wx * wy or scatter > _LARGEST_SCATTER:
+            if many or scatter > _LARGEST_SCATTER:
                 return False, 0.0, 0, 0, 0.0
             # the last step takes this much with it
             for k in range(UNKNOWNS):
