@@ -23,7 +23,7 @@ _SPOT_BYTES = 260
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """One line of the table. A check that was not made is ok and says why.
+    """One line of the table. `made` False: there was nothing to check, which is ok and has its reason.
 
     One that is ok and has a remedy all the same is a warning.
     """
@@ -34,6 +34,7 @@ class Verdict:
     ok: bool
     reason: str = ""
     remedy: str = ""
+    made: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,8 +102,7 @@ def noise_and_vibration(
     noise_limit = f"{limits.max_noise_arcsec:g} arcsec"
     line_limit = f"{limits.max_vibration_arcsec:g} arcsec"
     if x is None or y is None:
-        note = "not measured: the pendulum may be swinging"
-        return [Verdict("noise floor", note, noise_limit, True), Verdict("vibration", note, line_limit, True)]
+        return [_not_at_rest("noise floor", noise_limit), _not_at_rest("vibration", line_limit)]
     noise = max(x.noise, y.noise) / unit_rad
     lines = sorted([*x.lines, *y.lines], key=lambda line: -line.amplitude)
     strongest = lines[0].amplitude / unit_rad if lines else 0.0
@@ -133,7 +133,7 @@ def rest_position(look: Look, unit_rad: float, limits: PreflightSettings) -> Ver
     """Where the spot rests, from the reference of the lever."""
     limit = f"{limits.max_rest_offset_arcsec:g} arcsec"
     if not look.resting:
-        return Verdict("rest position", "not measured: the pendulum may be swinging", limit, True)
+        return _not_at_rest("rest position", limit)
     if not np.isfinite(look.x).any():
         return Verdict("rest position", "no spot", limit, False, "nothing to measure", "find the spot first")
     x, y = np.nanmedian(look.x) / unit_rad, np.nanmedian(look.y) / unit_rad
@@ -215,7 +215,7 @@ def air(environment: tuple[float, float, float], expected: bool, limits: Preflig
     temperature_c, humidity_percent, pressure_pa = environment
     limit = f"{limits.min_temperature_c:g} to {limits.max_temperature_c:g} °C"
     if not expected:
-        return Verdict("environment", "no sensor is configured", limit, True)
+        return Verdict("environment", "no sensor is configured", limit, True, made=False)
     if math.isnan(temperature_c):
         return Verdict("environment", "no reading", limit, False, "the sensor is silent", "see rig doctor")
     ok = limits.min_temperature_c <= temperature_c <= limits.max_temperature_c
@@ -228,7 +228,7 @@ def air(environment: tuple[float, float, float], expected: bool, limits: Preflig
 def controller(words: str, wanted: bool) -> Verdict:
     """Whether the controller answers and its interlock is closed; `words` as `Devices.describe` has them."""
     if not wanted:
-        return Verdict("controller", "none is configured", "answers", True)
+        return Verdict("controller", "none is configured", "answers", True, made=False)
     ok = "interlock closed" in words
     return Verdict(
         "controller",
@@ -243,7 +243,7 @@ def controller(words: str, wanted: bool) -> Verdict:
 def laser(now: LaserNow | None, goes_dark_by_itself: bool) -> Verdict:
     """Whether a laser that is ours is lit; a warning where nothing but this program switches it off."""
     if now is None:
-        return Verdict("laser", "not ours", "lit", True)
+        return Verdict("laser", "none is configured", "lit", True, made=False)
     if not now.on:
         remedy = "see rig doctor; close the interlock, turn its key"
         return Verdict("laser", now.words, "lit", False, "there is no light to measure with", remedy)
@@ -285,6 +285,11 @@ def check_look(
         clock(look.frames, limits),
         disk(free_bytes, bytes_per_frame, rate_hz, config.session.max_duration_s),
     ]
+
+
+def _not_at_rest(name: str, limit: str) -> Verdict:
+    reason = "the pendulum may be swinging (start.way = 'at once')"
+    return Verdict(name, "not measured", limit, True, reason, made=False)
 
 
 def _still(look: Look, axis: str) -> Stability | None:

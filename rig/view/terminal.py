@@ -43,7 +43,7 @@ def print_preflight(console: Console, verdicts: Sequence[Verdict]) -> None:
     for name in ("", "check", "measured", "limit"):
         table.add_column(name, overflow="fold")
     for verdict in verdicts:
-        mark = _mark(verdict, "go")
+        mark = _mark(verdict, "go") if verdict.made else "[dim]-[/]"
         table.add_row(mark, verdict.name, verdict.measured, verdict.limit)
     console.print(table, highlight=False)
     for verdict in verdicts:
@@ -51,6 +51,9 @@ def print_preflight(console: Console, verdicts: Sequence[Verdict]) -> None:
             kind = "warning" if verdict.ok else "NO-GO"
             text = f"{kind} {verdict.name}: {verdict.reason}; {verdict.remedy}"
             console.print(text, highlight=False, markup=False)
+    for reason in dict.fromkeys(v.reason for v in verdicts if not v.made and v.reason):
+        names = ", ".join(v.name for v in verdicts if v.reason == reason)
+        console.print(f"not measured: {names}: {reason}", highlight=False, markup=False)
 
 
 def print_checks(checks: Sequence[Check]) -> None:

@@ -1,19 +1,24 @@
 """Each check of the preflight: go and no-go from plain values, with a reason and a remedy for each no."""
 
 import math
+from io import StringIO
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 from acquisition.frame import Frame
 from calibration.stability import stability
 from processing.angle import ARCSEC_RAD
 from processing.spot import Spot, SpotFlag
 from rig import preflight
+from rig.lighting import LaserNow
 from rig.phase_settings import PreflightSettings
 from rig.preflight import Look, Verdict
+from rig.view.terminal import print_preflight
 
 LIMITS = PreflightSettings()
+NAMES = ("noise floor", "vibration", "spot found", "laser", "disk space")
 
 
 def spots(count: int, *, amplitude_dn: float = 150.0, flags: int = 0) -> list[Spot]:
@@ -73,7 +78,31 @@ def test_a_line_of_vibration_is_named_with_its_frequency() -> None:
 
 def test_a_swinging_pendulum_has_no_noise_floor_and_that_is_no_fault() -> None:
     verdicts = preflight.noise_and_vibration(None, None, ARCSEC_RAD, LIMITS)
-    assert all(verdict.ok and "not measured" in verdict.measured for verdict in verdicts)
+    assert all(v.ok and not v.made and v.measured == "not measured" and v.reason for v in verdicts)
+
+
+def test_what_was_not_checked_and_what_is_a_warning_is_not_called_go() -> None:
+    verdicts = [
+        *preflight.noise_and_vibration(None, None, ARCSEC_RAD, LIMITS),
+        preflight.spot_found(spots(100), LIMITS),
+        preflight.laser(LaserNow(True, "on, 0.5 mW"), goes_dark_by_itself=False),
+        preflight.disk(1, 5000.0, 500.0, 3600.0),
+    ]
+    text = StringIO()
+    print_preflight(Console(file=text, width=100), verdicts)
+    marks: dict[str, str] = {}
+    for line in text.getvalue().splitlines():
+        for name in NAMES:
+            if name in line[:24]:
+                marks.setdefault(name, line.split()[0])
+    assert marks == {
+        "noise floor": "-",
+        "vibration": "-",
+        "spot found": "go",
+        "laser": "warn",
+        "disk space": "NO",
+    }
+    assert "not measured: noise floor, vibration: the pendulum may be swinging" in text.getvalue()
 
 
 def test_rest_position_far_from_the_reference() -> None:
