@@ -10,6 +10,7 @@ from scipy.optimize import least_squares
 from scipy.stats import chi2
 
 from calibration.lever import Lever
+from processing.angle import ARCSEC_RAD
 from processing.errors import DataError
 
 Floats = NDArray[np.float64]
@@ -208,8 +209,8 @@ def _check(steps: LadderSteps, kind: str) -> None:
         )
     if kind == "tilt" and not (np.any(steps.reference > 0) and np.any(steps.reference < 0)):
         raise DataError(
-            f"lever: the tilts are all of one sign ({steps.reference.min():.4g} to "
-            f"{steps.reference.max():.4g} rad); climb to both sides of zero"
+            f"lever: the tilts are all of one sign ({steps.reference.min() / ARCSEC_RAD:.4g} to "
+            f"{steps.reference.max() / ARCSEC_RAD:.4g} arcsec); climb to both sides of zero"
         )
 
 

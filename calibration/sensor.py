@@ -118,7 +118,7 @@ def photon_transfer(
         signal = 0.5 * (a.mean() + b.mean()) - dark_level
         if clipped > 1e-4:
             saturated_level = max(saturated_level, signal)
-            rejected.append(f"{name}: {100 * clipped:.2g} % of the pixels at full scale")
+            rejected.append(f"{name}: {100 * clipped:.3g} % of the pixels at full scale")
             continue
         difference = a - b
         shift = float(difference.mean())

@@ -115,7 +115,8 @@ def relate_clocks(
         if len(backwards):
             raise DataError(
                 f"clock: the {name}'s clock does not advance after frame {sequence[backwards[0]]} "
-                f"({stamps[backwards[0]]} ns, then {stamps[backwards[0] + 1]} ns)"
+                f"({stamps[backwards[0]]} ns, then {stamps[backwards[0] + 1]} ns); record again, or say how "
+                "wide the counter is if it rolls over (--counter-bits)"
             )
     # the clocks differ by ppm: fitting the difference keeps all digits
     since_s = (device_ns - device_ns[0]) * 1e-9

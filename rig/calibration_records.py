@@ -14,6 +14,8 @@ from processing.spot import SpotFlag
 
 Floats = NDArray[np.float64]
 _SEGMENTS = 16
+_SATURATED = 0.1
+"""Part of the spots up to which the others are taken without them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,14 +47,16 @@ def spots_of_record(record: Path) -> SpotsOfRecord:
         began = utc(reader, int(table["time_ns"][0]) if len(table) else 0)
     bad = SpotFlag.LOST | SpotFlag.SATURATED | SpotFlag.EDGE
     good = table[(table["flags"].astype(np.int64) & int(bad)) == 0] if len(table) else table
+    saturated = 0.0
+    if len(table):
+        saturated = float(np.mean((table["flags"].astype(np.int64) & int(SpotFlag.SATURATED)) != 0))
+    if saturated > _SATURATED:
+        raise DataError(f"{record}: {100 * saturated:.0f} % of the spots are saturated; use less light")
     if len(good) < 100:
         raise DataError(
             f"{record}: {len(good)} of {len(table)} frames have a whole, unsaturated spot; "
             "at least 100 are needed"
         )
-    saturated = np.mean((table["flags"].astype(np.int64) & int(SpotFlag.SATURATED)) != 0)
-    if saturated > 0.1:
-        raise DataError(f"{record}: {100 * saturated:.0f} % of the spots are saturated; use less light")
     times_s = (good["time_ns"] - good["time_ns"][0]) * 1e-9
     x_px, y_px, u_x_px, u_y_px = (
         np.asarray(good[name], dtype=np.float64) for name in ("x_px", "y_px", "u_x_px", "u_y_px")

@@ -164,7 +164,7 @@ def test_what_cannot_serve_leaves_no_file(records: dict[str, Path], tmp_path: Pa
         ("one sign", lambda: calibrate_lever(tilts(tmp_path / "b.toml", [1.0, 2, 3, 4, 5]), filing)),
         ("pendulum swings", lambda: calibrate_lever(write(tmp_path / "d.toml", swinging), filing)),
         ("pendulum swings", lambda: calibrate_pointing(records["swing"], filing)),
-        ("unsaturated", lambda: calibrate_pointing(records["burnt"], filing)),
+        ("100 % of the spots are saturated", lambda: calibrate_pointing(records["burnt"], filing)),
         ("does not swing|fast mode", lambda: calibrate_axes(records["rest"], filing, None, None)),
         ("on demand", lambda: calibrate_clock(records["rest"], filing, None)),
         ("darks", lambda: calibrate_sensor(write(tmp_path / "e.toml", "level = []\n"), filing)),
