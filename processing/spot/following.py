@@ -33,13 +33,13 @@ def follow(
     p = work[0]
     matrix = work[1:11]
     factor = work[11:21]
-    zero_variance, inverse_gain, full_scale = state[16], state[17], state[18]
+    zero_variance, inverse_gain, full_scale, uneven = state[16], state[17], state[18], state[20]
     _expected(state, origin_x, origin_y, p)
     tilted = state[13] > 0.0
     two = state[14] > 0.0
     if not (tilted or two):
         done, chi2, pixels, outliers, evidence = fit_upright(
-            image, p, False, zero_variance, inverse_gain, full_scale, tables, matrix, factor
+            image, p, False, zero_variance, inverse_gain, uneven, full_scale, tables, matrix, factor
         )
         if done:
             # three frames in a row must say so before the spot is taken for tilted
@@ -52,7 +52,7 @@ def follow(
             )  # fmt: skip
         _expected(state, origin_x, origin_y, p)
     done, chi2, pixels, saturated, outliers = fit_general(
-        image, p, tilted, two, zero_variance, inverse_gain, full_scale, REACH, matrix, factor
+        image, p, tilted, two, zero_variance, inverse_gain, uneven, full_scale, REACH, matrix, factor
     )
     if not done or not _plausible(
         p, state, background_variance(p, zero_variance, inverse_gain), outliers, pixels

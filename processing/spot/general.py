@@ -46,6 +46,7 @@ def score_general(
     two: bool,
     zero_variance: float,
     inverse_gain: float,
+    uneven: float,
     full_scale: float,
     gate: float,
     gradient: Floats,
@@ -53,6 +54,7 @@ def score_general(
 ) -> tuple[float, int, int, int]:
     """Gradient and Fisher information over a window.
 
+    `uneven` is the squared relative spread of the pixels' response.
     Pixels that the MODEL expects within three standard deviations of full scale are left out (a mask
     from the data would bias), and those whose squared residual exceeds `gate` variances.
 
@@ -111,7 +113,8 @@ def score_general(
                 derivative[7] = f2
                 derivative[8] = light2 * qx2
                 derivative[9] = light2 * qy2
-            variance = floor + max(light, 0.0) * inverse_gain
+            lit = max(light, 0.0)
+            variance = floor + lit * (inverse_gain + lit * uneven)
             mu = p[5] + light
             if mu + 3.0 * math.sqrt(variance) >= full_scale:
                 saturated += 1
@@ -206,6 +209,7 @@ def fit_general(
     two: bool,
     zero_variance: float,
     inverse_gain: float,
+    uneven: float,
     full_scale: float,
     reach: float,
     matrix: Floats,
@@ -228,7 +232,7 @@ def fit_general(
         if x1 - x0 < 3 or y1 - y0 < 3:
             return False, chi2, pixels, saturated, outliers
         chi2, pixels, saturated, outliers = score_general(
-            image, x0, y0, x1, y1, p, tilted, two, zero_variance, inverse_gain, full_scale, gate,
+            image, x0, y0, x1, y1, p, tilted, two, zero_variance, inverse_gain, uneven, full_scale, gate,
             gradient, matrix,
         )  # fmt: skip
         if pixels < 12 or not cholesky(matrix, size, factor):

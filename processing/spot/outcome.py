@@ -21,9 +21,10 @@ from processing.spot.upright import UNKNOWNS
 Floats = NDArray[np.float64]
 Result = tuple[float, float, float, float, float, float, float, float, float, float, int]
 
-STATE_SIZE = 20
+STATE_SIZE = 21
 """State: 0 follows, 1 to 10 parameters on the sensor, 11 and 12 step of the position, 13 tilted,
-14 two spots, 15 frames that hint at a tilt; 16 dark variance, 17 inverse gain, 18 full scale, 19 row step."""
+14 two spots, 15 frames that hint at a tilt; 16 dark variance, 17 inverse gain, 18 full scale, 19 row step,
+20 squared PRNU."""
 WORK_ROWS = 21
 """Scratch of PARAMETERS columns: parameters, information, its factor."""
 
@@ -103,7 +104,21 @@ def _information(
     gate = _GATE * max(1.0, chi2 / max(pixels - 6, 1))
     gradient = np.empty(PARAMETERS)
     score_general(
-        image, x0, y0, x1, y1, p, tilted, two, state[16], state[17], state[18], gate, gradient, matrix
+        image,
+        x0,
+        y0,
+        x1,
+        y1,
+        p,
+        tilted,
+        two,
+        state[16],
+        state[17],
+        state[20],
+        state[18],
+        gate,
+        gradient,
+        matrix,
     )
 
 

@@ -56,7 +56,7 @@ def _fit_any(image: Image, state: Floats, work: Floats) -> tuple[bool, bool, flo
     factor = work[11:21]
     tilted = False
     done, chi2, pixels, saturated, outliers = fit_general(
-        image, p, True, False, state[16], state[17], state[18], REACH, matrix, factor
+        image, p, True, False, state[16], state[17], state[20], state[18], REACH, matrix, factor
     )
     if done and cholesky(matrix, 7, factor):
         u_c = math.sqrt(inverse_diagonal(factor, 7, 6)) * math.sqrt(max(1.0, chi2 / max(pixels - 7, 1)))
@@ -64,7 +64,7 @@ def _fit_any(image: Image, state: Floats, work: Floats) -> tuple[bool, bool, flo
     if done and not tilted:
         p[6] = 0.0
         done, chi2, pixels, saturated, outliers = fit_general(
-            image, p, False, False, state[16], state[17], state[18], REACH, matrix, factor
+            image, p, False, False, state[16], state[17], state[20], state[18], REACH, matrix, factor
         )
     done = (
         done
@@ -97,7 +97,7 @@ def search(
     p = work[0]
     matrix = work[1:11]
     factor = work[11:21]
-    zero_variance, inverse_gain, full_scale = state[16], state[17], state[18]
+    zero_variance, inverse_gain, full_scale, uneven = state[16], state[17], state[18], state[20]
     row_step = int(state[19])
     state[15] = 0.0
     background = spread = threshold = 0.0
@@ -118,7 +118,7 @@ def search(
         peak, y = _climb(image, peak, x, y)
         if peak > threshold and start_on_chords(image, x, y, background, peak, p):
             done, chi2, pixels, outliers, evidence = fit_upright(
-                image, p, True, zero_variance, inverse_gain, full_scale, tables, matrix, factor
+                image, p, True, zero_variance, inverse_gain, uneven, full_scale, tables, matrix, factor
             )
             if (
                 done

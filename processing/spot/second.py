@@ -15,7 +15,9 @@ REACH = 4.5
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def find_second(image: Image, p: Floats, floor: float, inverse_gain: float, full_scale: float) -> bool:
+def find_second(
+    image: Image, p: Floats, floor: float, inverse_gain: float, uneven: float, full_scale: float
+) -> bool:
     """Where the residuals of a fit hold a second spot, put a start for it into `p`.
 
     Residuals are averaged over blocks of about one sigma; one must stand out by eight standard
@@ -39,7 +41,7 @@ def find_second(image: Image, p: Floats, floor: float, inverse_gain: float, full
                     f = p[0] * math.exp(-0.5 * (pxx * u * u + 2 * pxy * u * v + pyy * v * v))
                     if p[5] + f < 0.9 * full_scale:
                         total += image[j, i] - p[5] - f
-                        variance += floor + f * inverse_gain
+                        variance += floor + f * (inverse_gain + f * uneven)
             u = bx + 0.5 * block - 0.5 - p[1]
             v = by + 0.5 * block - 0.5 - p[2]
             if variance > 0.0 and pxx * u * u + 2 * pxy * u * v + pyy * v * v > 2.25:
@@ -67,10 +69,21 @@ def try_second(
     """Joint fit of two spots; taken where it explains at least half of what one spot leaves over."""
     p = work[0]
     trial = p.copy()
-    if not find_second(image, trial, background_variance(p, state[16], state[17]), state[17], state[18]):
+    floor = background_variance(p, state[16], state[17])
+    if not find_second(image, trial, floor, state[17], state[20], state[18]):
         return False, chi2, pixels, saturated, outliers
     ok, chi2_two, pixels_two, saturated_two, outliers_two = fit_general(
-        image, trial, tilted, True, state[16], state[17], state[18], REACH + 1.0, work[1:11], work[11:21]
+        image,
+        trial,
+        tilted,
+        True,
+        state[16],
+        state[17],
+        state[20],
+        state[18],
+        REACH + 1.0,
+        work[1:11],
+        work[11:21],
     )
     if not ok:
         return False, chi2, pixels, saturated, outliers

@@ -14,24 +14,27 @@ class SensorModel:
 
     The variance of a pixel is ``(read_noise_e / gain_e_per_dn)^2 + 1/12 + light_dn / gain_e_per_dn``
     in DN^2: read noise, quantisation, shot noise. Light is everything above `pedestal_dn`, the level
-    of a pixel in the dark; with the default 0 the whole background counts as light.
+    of a pixel in the dark; with the default 0 the whole background counts as light. `prnu` is the
+    relative spread of the pixels' response; it adds ``(prnu * spot_dn)^2``, of the spot's own light.
 
     Raises
     ------
     DataError
-        A gain or full scale that is not positive, a negative read noise or pedestal.
+        A gain or full scale that is not positive, a negative read noise, pedestal or PRNU.
     """
 
     gain_e_per_dn: float
     read_noise_e: float
     full_scale_dn: float
     pedestal_dn: float = 0.0
+    prnu: float = 0.0
 
     def __post_init__(self) -> None:
         for name, value in (("gain_e_per_dn", self.gain_e_per_dn), ("full_scale_dn", self.full_scale_dn)):
             if not value > 0:
                 raise DataError(f"sensor model: {name} = {value!r} must be positive")
-        for name, value in (("read_noise_e", self.read_noise_e), ("pedestal_dn", self.pedestal_dn)):
+        for name in ("read_noise_e", "pedestal_dn", "prnu"):
+            value = getattr(self, name)
             if not value >= 0:
                 raise DataError(f"sensor model: {name} = {value!r} must not be negative")
 

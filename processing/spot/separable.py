@@ -75,6 +75,7 @@ def score(
     background: float,
     dark_variance: float,
     inverse_gain: float,
+    uneven: float,
     gate: float,
     gradient: Floats,
 ) -> tuple[float, float]:
@@ -89,6 +90,7 @@ def score(
     level = np.float32(background)
     dark = np.float32(dark_variance)
     shot = np.float32(inverse_gain)
+    spread = np.float32(uneven)
     limit = np.float32(gate)
     # plain slices and counts instead of a maximum: the loop below must become vector code
     ex = table[0, :nx]
@@ -109,7 +111,7 @@ def score(
         for i in range(nx):
             m = light * ex[i]
             r = np.float32(row[i]) - level - m
-            d = r / (dark + m * shot)
+            d = r / (dark + m * (shot + m * spread))
             z = d * r
             keep = one if z <= limit else zero
             d *= keep
@@ -146,6 +148,7 @@ def information(
     amplitude: float,
     dark_variance: float,
     inverse_gain: float,
+    uneven: float,
     step_x: int,
     step_y: int,
     matrix: Floats,
@@ -170,7 +173,8 @@ def information(
             e = table[0, i]
             d = table[1, i]
             w = table[2, i]
-            weight = 1.0 / (dark_variance + amplitude * e * table[3, j] * inverse_gain)
+            light = amplitude * e * table[3, j]
+            weight = 1.0 / (dark_variance + light * (inverse_gain + light * uneven))
             we = weight * e
             wd = weight * d
             ww = weight * w

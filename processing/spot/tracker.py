@@ -71,6 +71,7 @@ class SpotTracker:
             1.0 / sensor.gain_e_per_dn,
             sensor.full_scale_dn,
             row_step,
+            sensor.prnu**2,
         )
         self._work = np.zeros((WORK_ROWS, PARAMETERS))
         self._tables = np.zeros((6, _TABLE_WIDTH), dtype=np.float32)

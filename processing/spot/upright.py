@@ -32,6 +32,7 @@ def fit_upright(
     rough: bool,
     zero_variance: float,
     inverse_gain: float,
+    uneven: float,
     full_scale: float,
     tables: NDArray[np.float32],
     matrix: Floats,
@@ -51,7 +52,7 @@ def fit_upright(
     gate = math.inf if rough else _GATE
     for _ in range(_PASSES):
         floor = background_variance(p, zero_variance, inverse_gain)
-        if p[0] + p[5] + 3.0 * math.sqrt(floor + p[0] * inverse_gain) >= full_scale:
+        if p[0] + p[5] + 3.0 * math.sqrt(floor + p[0] * (inverse_gain + p[0] * uneven)) >= full_scale:
             return False, 0.0, 0, 0, 0.0
         x0, y0, x1, y1 = window_of(p, nx, ny, _REACH)
         wx, wy = x1 - x0, y1 - y0
@@ -69,7 +70,7 @@ def fit_upright(
         profile(tables[3:6], y0, wy, p[2], p[4])
         row_step = max(1, int(0.7 * p[4])) if rough else 1
         chi2, kept = score(
-            image, x0, y0, wx, wy, row_step, tables, p[0], p[5], floor, inverse_gain, gate, gradient
+            image, x0, y0, wx, wy, row_step, tables, p[0], p[5], floor, inverse_gain, uneven, gate, gradient
         )
         outliers = wx * wy - int(kept)
         many = outliers > _MOST_OUTLIERS + 0.002 * wx * wy
@@ -82,7 +83,7 @@ def fit_upright(
             # sums over a grid as fine as sigma are exact, but not those that an edge cuts off
             step_x = max(1, int(p[3])) if x0 > 0 and x0 + wx < nx else 1
             step_y = max(1, int(p[4])) if y0 > 0 and y0 + wy < ny else 1
-            information(wx, wy, tables, p[0], floor, inverse_gain, step_x, step_y, matrix)
+            information(wx, wy, tables, p[0], floor, inverse_gain, uneven, step_x, step_y, matrix)
             if not cholesky(matrix, UNKNOWNS, factor):
                 return False, 0.0, 0, 0, 0.0
             informed = True

@@ -7,6 +7,7 @@ import json
 import math
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -29,16 +30,19 @@ from tests.processing.spot_frames import (
 Make = Callable[[float, float, np.random.Generator], NDArray[Any]]
 
 
-def point(sigma: float, peak: float, bits: int, frames: int, prnu: float = 0.0) -> dict[str, Any]:
+def point(
+    sigma: float, peak: float, bits: int, frames: int, prnu: float = 0.0, told: bool = False
+) -> dict[str, Any]:
     """RMS over the bound, claimed over actual, mean error of one kind of frame.
 
     The bound is that of such frames, uneven pixels included; the one of even pixels stands beside it.
+    `told`: the tracker's sensor model has the PRNU.
     """
     sensor, scale = (EIGHT_BIT, 1) if bits == 8 else (TWELVE_BIT, 16)
     rng = np.random.default_rng([int(10 * sigma), int(peak), bits, int(1000 * prnu)])
     n = side_of(sigma)
     truth = n / 2 + rng.uniform(-0.5, 0.5, (frames, 2))
-    tracker = SpotTracker(sensor)
+    tracker = SpotTracker(replace(sensor, prnu=prnu) if told else sensor)
     spots = [
         tracker.track(exposed(light((n, n), x, y, sigma, scale * peak), rng, sensor=sensor, prnu=prnu))
         for x, y in truth
@@ -54,6 +58,7 @@ def point(sigma: float, peak: float, bits: int, frames: int, prnu: float = 0.0) 
         "peak_8bit_dn": peak,
         "bits": bits,
         "prnu": prnu,
+        "told": told,
         "frames": frames,
         "rms_mpx": 1e3 * rms,
         "bound_mpx": 1e3 * bound,
@@ -132,7 +137,9 @@ def run(quick: bool = False) -> dict[str, Any]:
     points = [
         point(sigma, peak, bits, frames) for bits in (8, 12) for sigma in (3, 6, 12) for peak in (20, 80, 200)
     ]
-    points += [point(6, peak, 8, frames, prnu=0.01) for peak in (20, 80, 200)]
+    points += [
+        point(6, peak, 8, frames, prnu=0.01, told=told) for told in (False, True) for peak in (20, 80, 200)
+    ]
     rows = [disturbed(name, cold, 0.05 if quick else 1.0) for name in DISTURBED for cold in (False, True)]
     console = Console()
     table = Table(title=f"spot: {frames} frames a point")
@@ -141,7 +148,8 @@ def run(quick: bool = False) -> dict[str, Any]:
         table.add_column(column, justify="right")
     for p in points:
         table.add_row(
-            f"{p['sigma_px']:g}", f"{p['peak_8bit_dn']:g}", f"{p['bits']}", f"{p['prnu']:g}",
+            f"{p['sigma_px']:g}", f"{p['peak_8bit_dn']:g}", f"{p['bits']}",
+            f"{p['prnu']:g}{' known' if p['told'] else ''}",
             f"{p['rms_mpx']:.2f}", f"{p['rms_over_bound']:.3f}", f"{p['rms_over_bound_of_even_pixels']:.3f}",
             f"{p['claimed_over_actual']:.3f}", f"{p['bias_mpx']:+.3f}",
         )  # fmt: skip

@@ -215,6 +215,15 @@ def _lmfit() -> Callable[[NDArray[Any]], tuple[float, float]]:
     return locate
 
 
+def _cv2_moments() -> Callable[[NDArray[Any]], tuple[float, float]]:
+    def locate(image: NDArray[Any]) -> tuple[float, float]:
+        # the background is subtracted, and what then is negative stays so
+        m = cv2.moments(image.astype(np.float32) - 6.0)
+        return m["m10"] / m["m00"], m["m01"] / m["m00"]
+
+    return locate
+
+
 PEERS = {
     "picasso gaussmle": _picasso,
     "photutils centroid_2dg": _photutils,
@@ -222,6 +231,7 @@ PEERS = {
     "laserbeamsize": _laserbeamsize,
     "astropy Gaussian2D": _astropy,
     "lmfit Gaussian2d": _lmfit,
+    "cv2.moments": _cv2_moments,
 }
 
 

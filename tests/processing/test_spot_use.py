@@ -142,6 +142,8 @@ def test_bad_settings_are_refused() -> None:
         SensorModel(gain_e_per_dn=0, read_noise_e=1, full_scale_dn=255)
     with pytest.raises(DataError, match="read_noise_e"):
         SensorModel(gain_e_per_dn=1, read_noise_e=-1, full_scale_dn=255)
+    with pytest.raises(DataError, match="prnu"):
+        SensorModel(gain_e_per_dn=1, read_noise_e=1, full_scale_dn=255, prnu=-0.01)
     with pytest.raises(DataError, match="threads"):
         SpotTracker(EIGHT_BIT).track_stack(np.zeros((2, 20, 20), dtype=np.uint8), threads=0)
     with pytest.raises(DataError, match="n, ny, nx"):
