@@ -25,8 +25,10 @@ class SwingDetector:
     Period, centre, damping, dry friction and anharmonic elasticity, a drift of the rest position
     and a second, faster mode are learned as it runs. Each turning point is fitted to the samples of
     its own half-cycle, from zero crossing to zero crossing; what several cycles share comes from the
-    others. Errors of neighbouring half-cycles are therefore nearly independent. The first four
-    half-cycles come together, each later one with the first sample after its end.
+    others. Errors of neighbouring half-cycles are therefore nearly independent; what those before them
+    got wrong about friction and stiffness shifts times of many together, though, by less than their
+    uncertainties. A motion that is `known` has no such shifts (see `processing.fit.remeasure`). The first
+    four half-cycles come together, each later one with the first sample after its end.
 
     A release or kick begins a new count only in time: `Swing.index` goes on in half periods. Half-cycles
     without enough samples are missing, doubtful ones flagged (`SwingFlag`). After three disturbed

@@ -5,18 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from processing.contact.parameters import ContactParameters, PendulumOnBall
 from processing.errors import DataError
-from processing.fit.exact import fit_exact
 from processing.fit.remeasure import agree, known_motion, measured_again
-from processing.swing import KnownMotion, Swing, turning_points
+from processing.swing import KnownMotion, Swing
+from tests.processing.measured_again import again_with_fit, contact_truth, in_rad, noisy
 from tests.processing.swing_truth import (
     ARCSEC_RAD,
-    BALL_RADIUS_M,
-    CONTACTS,
-    GRAVITY,
-    MASS_KG,
-    PX_PER_RAD,
     Errors,
     Record,
     contact_decay,
@@ -25,42 +19,7 @@ from tests.processing.swing_truth import (
     rms,
 )
 
-NOISE_RAD = 0.02 / PX_PER_RAD
 EARLY = 40
-
-
-def truth(contact: str) -> tuple[ContactParameters, PendulumOnBall]:
-    b, p, c, n, period0_s, gamma, radius = CONTACTS[contact]
-    return ContactParameters(b, p, c, n, period0_s, gamma), PendulumOnBall(
-        MASS_KG, BALL_RADIUS_M, radius, GRAVITY
-    )
-
-
-def in_rad(record: Record) -> Record:
-    return Record(
-        record.times_ns,
-        record.deflection / PX_PER_RAD,
-        record.u_deflection / PX_PER_RAD,
-        record.turn_time_s,
-        record.turn_amplitude / PX_PER_RAD,
-    )
-
-
-def noisy(clean: Record, seed: int) -> Record:
-    rng = np.random.default_rng([seed, 404])
-    n = len(clean.deflection)
-    return replace(
-        clean,
-        deflection=clean.deflection + NOISE_RAD * rng.standard_normal(n),
-        u_deflection=np.full(n, NOISE_RAD),
-    )
-
-
-def again_with_fit(record: Record, swings: list[Swing], contact: str) -> list[Swing]:
-    pendulum = truth(contact)[1]
-    exact = fit_exact(turning_points(swings), pendulum)
-    motion = known_motion(exact.parameters, pendulum, swings[0].amplitude)
-    return measured_again(swings, record.times_ns, record.deflection, record.u_deflection, motion)
 
 
 @pytest.fixture(scope="module")
@@ -73,7 +32,7 @@ def glass() -> Record:
 def test_known_motion_is_that_of_the_integrated_equation(contact: str, reference_arcsec: float) -> None:
     """Of samples without noise nothing is left: whatever the amplitude that it is written down about."""
     record = in_rad(contact_decay(contact, 30))
-    motion = known_motion(*truth(contact), reference_arcsec * ARCSEC_RAD)
+    motion = known_motion(*contact_truth(contact), reference_arcsec * ARCSEC_RAD)
     found = errors(record, measured_again_from_nothing(record, motion))
     assert len(found) >= 29
     # stated noise 1e-3 px, bound 1e-4 px of 250; the waveform's table and a centre to be found leave less
@@ -126,7 +85,7 @@ def test_flagged_ones_stay_and_those_that_are_gone_are_flagged(glass: Record) ->
     hidden = record.deflection.copy()
     turn_s = swings[50].turn_time_ns * 1e-9
     hidden[np.abs(record.time_s - turn_s) < 0.6] = np.nan
-    motion = known_motion(*truth("glass"), swings[0].amplitude)
+    motion = known_motion(*contact_truth("glass"), swings[0].amplitude)
     again = measured_again(swings, record.times_ns, hidden, record.u_deflection, motion)
     assert [swing.index for swing in again] == [swing.index for swing in swings]
     assert again[20] == swings[20]
@@ -136,7 +95,7 @@ def test_flagged_ones_stay_and_those_that_are_gone_are_flagged(glass: Record) ->
 
 
 def test_laws_that_are_not_those_of_the_motion_do_not_agree(glass: Record) -> None:
-    parameters, pendulum = truth("glass")
+    parameters, pendulum = contact_truth("glass")
     record = noisy(glass, 5)
     swings = detect(record)
     # the same loss at 60 arcsec, but constant: the turning times of every half-cycle would shift
@@ -147,6 +106,6 @@ def test_laws_that_are_not_those_of_the_motion_do_not_agree(glass: Record) -> No
 
 
 def test_a_pendulum_that_would_not_swing_is_refused() -> None:
-    parameters, pendulum = truth("glass")
+    parameters, pendulum = contact_truth("glass")
     with pytest.raises(DataError, match="no swing"):
         known_motion(replace(parameters, gamma_pa=100 * parameters.gamma_pa), pendulum, 124 * ARCSEC_RAD)
