@@ -79,6 +79,9 @@ class SensorSettings(Section, frozen=True):
     pedestal_dn: float = Field(
         default=0.0, ge=0, description="level of a pixel in the dark; above it is light"
     )
+    prnu: float = Field(
+        default=0.0, ge=0, lt=0.2, description="relative spread of the pixels' response to light"
+    )
 
 
 class MaterialSettings(Section, frozen=True):
