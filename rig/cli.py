@@ -39,8 +39,18 @@ def _options(
     logging.basicConfig(
         level=logging.DEBUG if debug else logging.WARNING,
         format="%(levelname)s %(name)s: %(message)s" if debug else "%(message)s",
-        stream=sys.stderr,
+        handlers=[_PresentStderr()],
     )
+
+
+class _PresentStderr(logging.Handler):
+    """Writes to the standard error of the moment: above a live screen, not into the middle of it."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        try:
+            print(self.format(record), file=sys.stderr)
+        except Exception:
+            self.handleError(record)
 
 
 def main() -> None:

@@ -34,6 +34,7 @@ class DeviceThread(ABC):
     """
 
     def __init__(self, name: str, longest_job_s: float = 5.0) -> None:
+        self._name = name
         self._longest_job_s = longest_job_s
         self._events: deque[DeviceEvent] = deque(maxlen=_EVENTS_KEPT)
         self._worker = Worker(name, self._turn, self._finish)
@@ -76,5 +77,5 @@ class DeviceThread(ABC):
         return tuple(events)
 
     def _say(self, text: str) -> None:
-        _log.info("%s", text)
+        _log.info("%s: %s", self._name, text)
         self._events.append(DeviceEvent(time.monotonic_ns(), text))

@@ -75,7 +75,9 @@ class LaserService(DeviceThread):
                 identity = self._laser.open()
                 self._is_open = True
                 self._snapshot = replace(self._snapshot, identity=identity, last_error="")
-                self._say(f"laser {identity.vendor} {identity.model} {identity.serial} open, dark")
+                self._say(
+                    f"{identity.vendor} {identity.model} {identity.serial} open, dark".replace("  ", " ")
+                )
             self._read()
         except DeviceError as error:
             self._lose(error)
@@ -86,9 +88,9 @@ class LaserService(DeviceThread):
         before, state = self._snapshot.state, self._laser.state()
         self._snapshot = replace(self._snapshot, state=state, state_time_ns=time.monotonic_ns())
         if before is not None and before.interlock_closed and not state.interlock_closed:
-            self._say("laser: interlock opened")
+            self._say("interlock opened")
         if state.fault and (before is None or before.fault != state.fault):
-            self._say(f"laser: {state.fault}")
+            self._say(state.fault)
 
     def _guarded(self, call: Callable[[Laser], T]) -> T:
         if not self._is_open:

@@ -161,7 +161,7 @@ class ControlService(DeviceThread):
         self._snapshot = replace(
             self._snapshot, state=ControlState.OPEN, identity=identity, reconnects=reconnects, last_error=""
         )
-        self._say(f"controller {identity.serial} open, firmware {identity.firmware}")
+        self._say(f"{identity.serial} open, firmware {identity.firmware}")
 
     def _beat(self) -> None:
         controller = self._controller
@@ -181,10 +181,10 @@ class ControlService(DeviceThread):
             retried=retried,
         )
         for event in controller.take_events():
-            self._say(f"controller: {event.name} {event.detail}".rstrip())
+            self._say(f"{event.name} {event.detail}".rstrip())
         if status.errors_waiting:
             code, text = controller.next_error()
-            self._say(f"controller error {code}: {text}")
+            self._say(f"error {code}: {text}")
         if now_s >= self._environment_due_s:
             self._environment_due_s = now_s + self._environment_period_s
             environment = controller.environment()

@@ -1,7 +1,9 @@
 """The live screen of a run: one screen on a terminal, a line every few seconds elsewhere, or JSON lines."""
 
 import math
+import os
 import shutil
+import sys
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -107,8 +109,13 @@ class RunDisplay:
         show(self._console)
 
     def line(self, kind: str, values: dict[str, Any]) -> None:
-        """One line of JSON on stdout."""
-        print_json_line(kind, {"run": self._title, **values})
+        """One line of JSON on stdout; to nobody once its reader has gone, for the measurement goes on."""
+        try:
+            print_json_line(kind, {"run": self._title, **values})
+        except BrokenPipeError:
+            nowhere = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(nowhere, sys.stdout.fileno())
+            os.close(nowhere)
 
     def show(self, snapshot: Snapshot) -> None:
         """Bring the display up to date; cheap enough for ten times a second."""

@@ -210,3 +210,19 @@ def test_resume_wants_a_session(tmp_path: Path) -> None:
     done = rig("run", "--resume", tmp_path)
     assert done.returncode == 2
     assert "holds no session" in done.stderr
+
+
+def test_a_reader_of_json_lines_that_goes_away_ends_no_measurement(tmp_path: Path) -> None:
+    folder = tmp_path / "out"
+    command = [sys.executable, "-m", "rig", "run", str(CONFIGS / "demo.toml"), "-o", str(folder), "--json"]
+    with (tmp_path / "errors").open("wb") as errors:
+        process = subprocess.Popen([*command, *words()], stdout=subprocess.PIPE, stderr=errors)
+    assert process.stdout is not None
+    assert process.stdout.readline().startswith(b'{"kind"')
+    process.stdout.close()
+    process.wait(120)
+    said = (tmp_path / "errors").read_text()
+    assert "Traceback" not in said
+    assert "BrokenPipe" not in said
+    assert events_of(folder / "run-1.mcap")[-1][1].startswith("time limit")
+    assert (folder / "results.json").exists()
