@@ -6,6 +6,7 @@ With a record every layout shows it, `analysing` with the results beside it; wit
 scene of the tests is drawn. Needs Mesa's software Vulkan (Debian: mesa-vulkan-drivers, libvulkan1).
 """
 
+import math
 import sys
 import tempfile
 from pathlib import Path
@@ -14,6 +15,8 @@ from typing import get_args
 import cv2
 
 BAR_PX = 36
+MOMENT_S = {"balancing": 60.0, "measuring": 240.0}
+"""When each layout is photographed; the end where that comes before, or where nothing is said."""
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parents[1]))
 
@@ -33,7 +36,7 @@ def main(record: Path | None) -> None:
         for layout in get_args(LayoutName):
             rrd = Path(folder) / f"{layout}.rrd"
             draw(rrd, layout, record)
-            photograph(rrd, HERE / f"rerun-{layout}.png")
+            photograph(rrd, HERE / f"rerun-{layout}.png", MOMENT_S.get(layout, math.inf))
 
 
 def draw(rrd: Path, layout: LayoutName, record: Path | None) -> None:
@@ -45,14 +48,15 @@ def draw(rrd: Path, layout: LayoutName, record: Path | None) -> None:
         view_scene.play(viewer)
 
 
-def photograph(rrd: Path, picture: Path) -> None:
-    """Save how the file looks."""
+def photograph(rrd: Path, picture: Path, moment_s: float) -> None:
+    """Save how the file looks at a moment."""
     with headless_viewer(str(rrd)) as shown:
         state = shown.wait_loaded()
         timeline = next(line for line in state.recordings[0].timelines if line.name == TIMELINE)
         # A little before the end, where every panel has something to show.
         end_s = (timeline.end or 0) * 1e-9
-        shown.client.set_time(TIMELINE, duration=end_s - min(2.0, 0.02 * end_s), play_state="paused")
+        at_s = min(moment_s, end_s - min(2.0, 0.02 * end_s))
+        shown.client.set_time(TIMELINE, duration=at_s, play_state="paused")
         shown.rest()
         window = shown.picture(picture)
     # Without the viewer's own bar, whose warnings are about this way of drawing.

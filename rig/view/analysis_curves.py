@@ -101,10 +101,14 @@ def report_text(runs: Mapping[str, RunAnalysis]) -> str:
         parts.append(f"{tree.get('half_cycles', 0)} half-cycles, {first:.2f} to {last:.2f} {unit}")
         if tree.get("problem"):
             parts.append(f"no fit: {tree['problem']}")
-        tables = [instrument_table(tree)]
         if tree.get("fits"):
-            tables = [parameter_table(tree), quality_table(tree), *tables]
-        parts += [_markdown(table) for table in tables if table.rows]
+            parameters = parameter_table(tree)
+            # one fit below the other: a panel is narrow
+            parts += [_markdown(parameters, column) for column in (2, 1)]
+            parts.append(_markdown(quality_table(tree)))
+        instrument = instrument_table(tree)
+        if instrument.rows:
+            parts.append(_markdown(instrument))
         parts += [f"- {warning}" for warning in tree.get("warnings") or ()]
     return "\n\n".join(parts)
 
@@ -125,8 +129,16 @@ def _residual_ms(curves: Curves) -> Floats:
     return 1e3 * (curves.period_s - curves.exact_period_s)
 
 
-def _markdown(table: Table) -> str:
+def _markdown(table: Table, column: int | None = None) -> str:
+    """The table, or one column of it; units go into the names before them."""
+    head, rows = list(table.head), [list(row) for row in table.shown]
+    if head[-1] == "unit":
+        head = head[:-1]
+        rows = [[f"{row[0]} / {row[-1]}" if row[-1] not in ("", "1") else row[0], *row[1:-1]] for row in rows]
+    if column is not None:
+        head, rows = [head[0], head[column]], [[row[0], row[column]] for row in rows]
+
     def line(cells: Sequence[str]) -> str:
         return f"| {' | '.join(cells)} |"
 
-    return "\n".join([line(table.head), line(["---"] * len(table.head)), *map(line, table.shown)])
+    return "\n".join([line(head), line(["---"] * len(head)), *map(line, rows)])

@@ -63,7 +63,11 @@ class Drawing:
         self._setup = setup
         self._gathered = Gathering(stream, gather_s, gather_rows)
         self._lissajous = Lissajous(
-            stream, self._gathered, setup.unit, setup.amplitude_arcsec, follows=len(setup.runs) < 2
+            stream,
+            self._gathered,
+            setup.unit,
+            setup.amplitude_arcsec,
+            setup.period_s if len(setup.runs) < 2 else None,
         )
         self._picture_interval_s = picture_interval_s
         self._last_picture_s: dict[str, float] = {}
@@ -105,6 +109,7 @@ class Drawing:
         self._gather(message.run, layout.Y, time_s, y, f"Y / {self._setup.unit}", palette.Y_COLOUR)
         colour = self._run_colour(message.run, palette.TRAJECTORY_COLOUR)
         self._lissajous.draw(message.run, time_s, x, y, colour)
+        self._lissajous.follow(message.time_s, message.x_arcsec, message.y_arcsec)
 
     def _draw_swings(self, message: Swings) -> None:
         for path, value, u, colour, unit in (
@@ -122,9 +127,6 @@ class Drawing:
                 self._gather_uncertain(
                     message.run, path, message.time_s[good], value[good], u[good], path, unit, colour
                 )
-
-        if len(message.time_s) and np.isfinite(message.amplitude_arcsec[-1]):
-            self._lissajous.follow(float(message.time_s[-1]), float(message.amplitude_arcsec[-1]))
 
     def _draw_balance(self, message: Balance) -> None:
         at = np.array([message.time_s])

@@ -1,5 +1,7 @@
 """The trajectory in its own axes: trails, present position, and axes that follow the amplitude."""
 
+from collections import deque
+
 import numpy as np
 import rerun as rr
 
@@ -11,6 +13,7 @@ from rig.view.messages import Floats
 from rig.view.trail import Trail
 
 BRIGHTNESS = {"recent": 1.0, "older": 0.5, "oldest": 0.22}
+FOLLOWED_PERIODS = 2.0
 HYSTERESIS = 0.9
 """The axes step down when the amplitude is so much below where they would step up again."""
 
@@ -26,22 +29,29 @@ class Lissajous:
         Unit of the deflections, for the labels.
     amplitude
         Expected at the start: the axes reach beyond it.
-    follows
-        Whether the axes follow the amplitude. Runs laid over each other have one set of axes.
+    period_s
+        Of the slow mode: the axes follow how far the last two periods reach, rest position and all.
+        None: they stay, since runs laid over each other have one set of axes.
     """
 
     def __init__(
-        self, stream: rr.RecordingStream, gathered: Gathering, unit: str, amplitude: float, follows: bool
+        self,
+        stream: rr.RecordingStream,
+        gathered: Gathering,
+        unit: str,
+        amplitude: float,
+        period_s: float | None,
     ) -> None:
         self._stream = stream
         self._gathered = gathered
         self._unit = unit
-        self._follows = follows
+        self._period_s = period_s
+        self._extents: deque[tuple[float, float]] = deque()
         self._reach = reach_beyond(amplitude)
         self._trails: dict[str, Trail] = {}
         stretch = rr.Transform3D(scale=[layout.X_STRETCH, 1.0, 1.0])
         stream.log(layout.EQUAL, stretch, static=True)
-        if not follows:
+        if period_s is None:
             self._draw_axes(static=True)
         else:
             stream.set_time(layout.TIMELINE, duration=0.0)
@@ -59,14 +69,26 @@ class Lissajous:
             layout.trail_entity(run, layout.POSITION), ends, [piece[-1] for piece in pieces]
         )
 
-    def follow(self, time_s: float, amplitude: float) -> None:
-        """Choose the axes anew for the amplitude at this time."""
-        reach = reach_beyond(amplitude / HYSTERESIS)
-        outgrown = 1.02 * amplitude > self._reach
-        if not self._follows or not (outgrown or reach < self._reach):
+    def follow(self, time_s: Floats, x: Floats, y: Floats) -> None:
+        """Choose the axes anew for where the trajectory has been of late."""
+        far = np.fmax(np.abs(x), np.abs(y))
+        if self._period_s is None or not np.isfinite(far).any():
+            return
+        # a replay may have gone back
+        while self._extents and self._extents[-1][0] > time_s[-1]:
+            self._extents.pop()
+        self._extents.append((float(time_s[-1]), float(np.nanmax(far))))
+        while self._extents[0][0] < time_s[0] - FOLLOWED_PERIODS * self._period_s:
+            self._extents.popleft()
+        extent = max(most for _, most in self._extents)
+        # what lies before the first two periods is not known yet: nothing is made smaller for it
+        seen = time_s[-1] - self._extents[0][0] >= (FOLLOWED_PERIODS - 1) * self._period_s
+        reach = reach_beyond(extent / HYSTERESIS)
+        outgrown = 1.02 * extent > self._reach
+        if not (outgrown or (seen and reach < self._reach)):
             return
         self._reach = reach
-        self._stream.set_time(layout.TIMELINE, duration=time_s)
+        self._stream.set_time(layout.TIMELINE, duration=float(time_s[0]))
         self._draw_axes(static=False)
 
     def _trail(self, run: str, colour: str) -> Trail:
