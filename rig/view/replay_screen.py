@@ -66,7 +66,8 @@ class ReplayLine:
         text = self._text(snapshot, length_s, remaining_s, prompt)
         if not self._terminal:
             self._shown_s = now_s
-            say(text)
+            self._stream.write(f"{text}\n")
+            self._stream.flush()
         elif text != self._shown:
             self._shown_s, self._shown = now_s, text
             self._stream.write(_ERASE + text)

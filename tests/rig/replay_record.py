@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from acquisition.record.topics import DeflectionUnit
 from acquisition.record.writer import RecordWriter
 from acquisition.simulation.trajectory import true_trajectory
 from calibration.axes import Axes
@@ -23,8 +24,17 @@ LOST_FRAME, GAP_FRAME = 400, 700
 U_PX = 0.01
 
 
-def make_record(path: Path, seconds: float = 60.0, *, windows: bool = False, seed: int = 1) -> Path:
+def make_record(
+    path: Path,
+    seconds: float = 60.0,
+    *,
+    windows: bool = False,
+    calibrated: bool = True,
+    seed: int = 1,
+) -> Path:
     """Record `seconds` at 50 frames a second; one frame is missing, the spot of another one is lost.
+
+    Not `calibrated`: deflections are px.
 
     With `windows` there are pixels for every tenth frame, and for one more that has no spot message.
     """
@@ -38,6 +48,8 @@ def make_record(path: Path, seconds: float = 60.0, *, windows: bool = False, see
     px_per_rad = 2.0 * lever.arm_m / lever.pixel_pitch_m
     y_px = 511.5 - px_per_rad * truth.y_rad[sequences] + random.normal(0, U_PX, len(sequences))
     x_px = 639.5 + px_per_rad * truth.x_rad[sequences] + random.normal(0, U_PX, len(sequences))
+    if not calibrated:
+        config = config.model_copy(update={"lever": None})
     spots = [
         Spot(x, y, U_PX, U_PX, 9.0, 9.0, 0.0, 200.0, 8.0, 1.0, 0)
         for x, y in zip(x_px.tolist(), y_px.tolist(), strict=True)
@@ -51,7 +63,10 @@ def make_record(path: Path, seconds: float = 60.0, *, windows: bool = False, see
         "camera": {"full_scale_dn": "255"},
     }
     attachments = configuration_attachments(config, CONFIG)
-    with RecordWriter(path, EPOCH_NS, metadata=metadata, attachments=attachments) as writer:
+    unit: DeflectionUnit = "rad" if calibrated else "px"
+    with RecordWriter(
+        path, EPOCH_NS, metadata=metadata, attachments=attachments, deflection_unit=unit
+    ) as writer:
         writer.write_event(START_NS, "start", "first frame")
         for first in range(0, len(spots), 25):
             part = slice(first, first + 25)

@@ -1,5 +1,6 @@
 """Replays: the same whatever the pace, parts, steering by keys, and what is said of the differences."""
 
+import io
 import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -19,6 +20,7 @@ from rig.replay_player import Player
 from rig.replaying import replay_record, speed_of
 from rig.snapshot import Snapshot
 from rig.view.keys import KeyParser, Keys
+from rig.view.replay_screen import ReplayLine
 from tests.rig.replay_record import GAP_FRAME, LOST_FRAME, RATE_HZ, make_record
 
 SECONDS = 60.0
@@ -123,6 +125,32 @@ def test_what_is_analysed_is_what_the_record_says_itself(
     assert (run.frames, run.dropped_frames) == (FRAMES, 1)
     assert f"{FRAMES} frames, 1 dropped" in said
     assert "equal bit for bit" in said
+
+
+def test_a_record_without_a_calibration_is_replayed_in_px(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = make_record(tmp_path / "px.mcap", 20.0, calibrated=False)
+    # that nothing can be fitted is no failure of the replay
+    assert replay_record(path, None, retrack=False, overrides=[]) == 0
+    said = capsys.readouterr().out
+    assert "equal bit for bit" in said
+    assert "no fit: the record has no calibration" in said
+
+
+def test_the_line_says_how_long_it_will_take() -> None:
+    now_s = 0.0
+    written = io.StringIO()
+    with ReplayLine("arcsec", "keys", stream=written, clock=lambda: now_s) as line:
+        for step in range(1, 14):
+            now_s = float(step)
+            shown = Snapshot(phase="replaying", elapsed_s=10.0 * step, frames=step, amplitude=80.0)
+            line.show(shown, 200.0, 20.0 - now_s, None)
+    # no terminal: a line every five seconds and no help for keys
+    lines = written.getvalue().splitlines()
+    assert len(lines) == 2
+    assert lines[0].startswith("replaying  50.00 of 200.0 s  25 %  5 frames  0 half-cycles  80.00 arcsec")
+    assert lines[0].endswith("about 0:15 left")
 
 
 def test_keys_pause_step_and_go_on(record: Path) -> None:
