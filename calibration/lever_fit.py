@@ -17,6 +17,8 @@ Floats = NDArray[np.float64]
 FEWEST_STEPS = 5
 _IMPROBABLE = 0.01
 _STANDS_OUT = 3.5
+_ASKEW = 0.1
+"""Skew that shifts friction and period of a quiet rig by about their uncertainty; 0.03 by a tenth of it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,6 +110,11 @@ def fit_ladder(
         )
     if nonlinear:
         notes.append(f"not linear: skew {bent.values[4]:.3g} +- {bent.u(4):.2g} is part of the lever")
+    elif kind == "tilt" and bent.u(4) > _ASKEW:
+        notes.append(
+            f"whether the sensor stands askew is known to {math.degrees(math.atan(bent.u(4))):.0f} degrees "
+            f"only (skew {bent.values[4]:.2g} +- {bent.u(4):.2g}, taken as 0): set it square to the beam within 2"
+        )
     worst = int(np.nanargmax(np.abs(loo)))
     if abs(loo[worst]) > _STANDS_OUT:
         notes.append(

@@ -61,9 +61,9 @@ def not_in_the_budget() -> dict[str, Any]:
 
 
 def run(quick: bool = False) -> dict[str, Any]:
-    """600 and 300 seeds (40 and 12 quick)."""
+    """600 and 200 seeds (40 and 12 quick)."""
     quantities = _table("quantity", [deviations(seed) for seed in range(40 if quick else 600)])
-    measurements = {f"{rate:g}": end_to_end(rate, 12 if quick else 300) for rate in FRAME_RATES_HZ}
+    measurements = {f"{rate:g}": end_to_end(rate, 12 if quick else 200) for rate in FRAME_RATES_HZ}
     return {"quantities": quantities, "end_to_end": measurements, "not_in_the_budget": not_in_the_budget()}
 
 

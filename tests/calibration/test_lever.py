@@ -82,6 +82,13 @@ def test_a_bent_ladder_is_found_out_and_corrected() -> None:
     assert not straight.nonlinear
 
 
+def test_a_ladder_that_cannot_tell_a_sensor_askew_says_so() -> None:
+    quiet = ladder(np.linspace(-120, 120, 9).tolist())
+    coarse = replace(quiet, u_reference=np.full(9, 0.1 * ARCSEC_RAD))
+    assert not any("askew" in note for note in fit_ladder(quiet, "tilt").notes)
+    assert any("askew is known to" in note for note in fit_ladder(coarse, "tilt").notes)
+
+
 def test_a_wrong_step_is_named() -> None:
     steps = ladder(np.linspace(-120, 120, 9).tolist())
     y_px = steps.y_px.copy()
