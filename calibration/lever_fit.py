@@ -113,7 +113,7 @@ def fit_ladder(
     elif kind == "tilt" and bent.u(4) > _ASKEW:
         notes.append(
             f"whether the sensor stands askew is known to {math.degrees(math.atan(bent.u(4))):.0f} degrees "
-            f"only (skew {bent.values[4]:.2g} +- {bent.u(4):.2g}, taken as 0): set it square to the beam within 2"
+            f"only (skew {bent.values[4]:.2g} +- {bent.u(4):.2g}, taken as 0): set it square to the beam"
         )
     worst = int(np.nanargmax(np.abs(loo)))
     if abs(loo[worst]) > _STANDS_OUT:
