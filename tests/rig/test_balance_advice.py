@@ -91,7 +91,7 @@ def test_balance_follows_its_own_advice_from_frames_on(tmp_path: Path) -> None:
         capture_output=True,
         text=True,
         check=False,
-        timeout=120,
+        timeout=300,
     )
     assert done.returncode == 0, done.stderr
     assert "turn weight" in done.stdout

@@ -89,7 +89,7 @@ def test_a_full_disk_ends_the_run_with_that_reason_and_the_record_is_whole(tmp_p
         capture_output=True,
         text=True,
         check=False,
-        timeout=120,
+        timeout=300,
         stdin=subprocess.DEVNULL,
     )
     assert done.returncode == 1

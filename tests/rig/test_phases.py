@@ -220,7 +220,7 @@ def test_a_reader_of_json_lines_that_goes_away_ends_no_measurement(tmp_path: Pat
     assert process.stdout is not None
     assert process.stdout.readline().startswith(b'{"kind"')
     process.stdout.close()
-    process.wait(120)
+    process.wait(300)
     said = (tmp_path / "errors").read_text()
     assert "Traceback" not in said
     assert "BrokenPipe" not in said

@@ -20,8 +20,8 @@ from tests.rig.control.wires import FirmwareBoard
 from tests.rig.test_session import CONFIGS
 
 # For a machine that is busy with other tests.
-BEGUN_WITHIN_S = 120.0
-ENDED_WITHIN_S = 60.0
+BEGUN_WITHIN_S = 300.0
+ENDED_WITHIN_S = 120.0
 POWER_W = 0.0005
 # An own session whose terminal is standard input, as a login shell has it.
 IN_A_TERMINAL = (
@@ -100,7 +100,7 @@ def test_killed_while_the_magnet_holds(board: FirmwareBoard, tmp_path: Path) -> 
         tmp_path / "out",
         board,
         start__way='"magnet"',
-        controller__watchdog_s="1.0",
+        controller__watchdog_s="3.0",
         phases__rest_window_s="3",
         phases__warm_up_window_s="2.5",
         phases__warm_up_drift_arcsec_per_min="1e6",

@@ -174,7 +174,7 @@ def measuring_with(
         laser__port=json.dumps(instrument.port),
         laser__timeout_s="2.0",
         laser__interlock=f'"{interlock}"',
-        controller__watchdog_s="1.5",
+        controller__watchdog_s="5.0",
     )
     record = folder / "out" / "run-1.mcap"
     with (folder / "said").open("wb") as said:
