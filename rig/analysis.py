@@ -124,6 +124,7 @@ def _analyse_swings(
         evaluation=evaluation,
         settings=config.fit.model_dump(),
         motion=settled.motion,
+        unit="arcsec" if calibrated else "px",
     )
 
 

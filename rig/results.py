@@ -20,8 +20,9 @@ SCHEMA = 1
 
 @dataclass(frozen=True, slots=True)
 class RunResult:
-    """What is reported of one run. Amplitudes in arcsec; `problem` says why a fit is missing.
+    """What is reported of one run; `problem` says why a fit is missing.
 
+    Amplitudes are in `unit`: arcsec, as their names say, or px where nothing is calibrated.
     `losses` says who lost the frames that are missing; None where an older record does not.
     `motion` is that on which the fitted turning points were measured again (see `processing.fit.remeasure`);
     None: they are those that were detected while the record was made.
@@ -45,6 +46,7 @@ class RunResult:
     reduction: Reduction | None = None
     losses: FrameLosses | None = None
     motion: KnownMotion | None = None
+    unit: str = "arcsec"
 
 
 def results_tree(runs: Sequence[RunResult], folder: Path, series: Mapping[str, Any]) -> dict[str, Any]:

@@ -80,7 +80,7 @@ def print_results(results: Sequence[RunResult], paths: Sequence[tuple[str, Path]
     for number, run in enumerate(results, start=1):
         head = (
             f"run {number}: {run.half_cycles} half-cycles, {run.initial_amplitude_arcsec:.2f} to "
-            f"{run.final_amplitude_arcsec:.2f} arcsec, {run.frames} frames, {run.dropped_frames} dropped"
+            f"{run.final_amplitude_arcsec:.2f} {run.unit}, {run.frames} frames, {run.dropped_frames} dropped"
         )
         console.print(head, highlight=False, markup=False)
         if run.problem:

@@ -2,6 +2,7 @@
 
 import io
 import math
+import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -136,6 +137,7 @@ def test_a_record_without_a_calibration_is_replayed_in_px(
     said = capsys.readouterr().out
     assert "equal bit for bit" in said
     assert "no fit: the record has no calibration" in said
+    assert re.search(r"run 1: \d+ half-cycles, \d+\.\d\d to \d+\.\d\d px, 999 frames, 1 dropped", said)
 
 
 def test_the_line_says_how_long_it_will_take() -> None:
