@@ -82,7 +82,8 @@ class SpotTracker:
 
     def reset(self) -> None:
         """Forget the last frame: the next one is searched as a whole."""
-        self._state[:16] = 0.0
+        # the rest of the state is not read before a search has set it
+        self._state[0] = 0.0
 
     def track(
         self, image: Image, origin_px: tuple[int, int] = (0, 0), sensor_shape: tuple[int, int] | None = None

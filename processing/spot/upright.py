@@ -49,7 +49,11 @@ def fit_upright(
     informed = False
     fetched = False
     opened = rough
-    gate = math.inf if rough else _GATE
+    gate = _GATE
+    if rough:
+        # half the amplitude on a dark pixel is no poor start but a hot pixel
+        floor = background_variance(p, zero_variance, inverse_gain)
+        gate = max(4.0 * _GATE, 0.25 * p[0] * p[0] / floor)
     for _ in range(_PASSES):
         floor = background_variance(p, zero_variance, inverse_gain)
         if p[0] + p[5] + 3.0 * math.sqrt(floor + p[0] * (inverse_gain + p[0] * uneven)) >= full_scale:
