@@ -70,8 +70,8 @@ def test_pulse_ends_by_itself_and_brake_has_a_longest_time(board: FirmwareBoard)
     controller.brake(True)
     board.wait_for(lambda: board.outputs()["brake"] == [0], 20.0)
     began, ended = [row[0] for row in board.events() if row[1] == "starter"][-2:]
-    # Nobody told it to end; how much later it did is a matter of this machine.
-    assert ended - began >= 80
+    # Nobody told it to end; how much later it did is a matter of this machine. Both times are whole ms.
+    assert ended - began >= 80 - 1
     with pytest.raises(DeviceError, match="starter_max_s"):
         controller.starter_pulse(60.0)
     controller.starter_pulse(5.0)
