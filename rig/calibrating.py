@@ -143,6 +143,8 @@ def calibrate_sensor(frames: Path, filing: Filing) -> Path:
         "read_noise_e": found.read_noise_e,
         "full_scale_dn": float(table.full_scale_dn or full_scale),
         "pedestal_dn": found.dark_level_dn,
+        # a spread that is not seen for sure would only blunt the tracker's weights
+        "prnu": found.prnu if found.prnu > 2.0 * found.u_prnu else 0.0,
     }
     names = (
         *("u_gain_e_per_dn", "u_read_noise_e", "u_dark_level_dn", "read_noise_resolved", "full_well_e"),

@@ -143,6 +143,7 @@ def _simulated_sensor(truth: SimulationSettings, camera: CameraSettings) -> Sens
         read_noise_e=state.read_noise_e,
         full_scale_dn=state.full_scale_dn,
         pedestal_dn=state.black_level_dn,
+        prnu=truth.sensor.prnu,
     )
 
 

@@ -14,7 +14,7 @@ MINUS: Final = "\N{MINUS SIGN}"
 
 
 class Quantity(NamedTuple):
-    """How a number of the balance is called, in which unit, colour and panel ("": in the table alone).
+    """How a number of the balance is called, its unit, colour and panel ("": in the table alone).
 
     Ratios come as plain numbers and are shown in per cent.
     """

@@ -193,6 +193,8 @@ def test_a_sensor_from_stacks_of_frames_feeds_the_tracker(tmp_path: Path) -> Non
     assert sensor is not None
     assert abs(sensor.gain_e_per_dn - truth.gain_e_per_dn) < 4 * found.details["u_gain_e_per_dn"]
     assert sensor.pedestal_dn == pytest.approx(truth.black_level_dn, abs=6 * found.details["u_dark_level_dn"])
+    assert truth.prnu > 4 * found.details["u_prnu"]
+    assert sensor.prnu == pytest.approx(truth.prnu, abs=4 * found.details["u_prnu"])
 
 
 def test_a_clock_from_a_record_in_real_time_fills_the_timebase(tmp_path: Path) -> None:
