@@ -4,8 +4,7 @@ import logging
 import math
 import threading
 import time
-from collections import deque
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +12,6 @@ import numpy as np
 from acquisition.camera import Camera, CameraSettings
 from acquisition.frame import Frame
 from acquisition.frame_queue import Policy
-from acquisition.record.topics import Environment
 from acquisition.record.writer import RecordWriter
 from processing.angle import ARCSEC_RAD
 from processing.errors import DataError, RigError
@@ -22,7 +20,8 @@ from rig.frame_counts import FrameCounts
 from rig.interruption import reason_of
 from rig.limits import EndOfRun, StartJudge
 from rig.loss_log import LossLog
-from rig.pipeline import Block, Pipeline
+from rig.pipeline import Pipeline
+from rig.public_state import PublicState
 from rig.recorder import Entry, Event, Recorder
 from rig.run_roles import Attempts, Prelude, RunOutcome, Surroundings, Watcher
 from rig.snapshot import Snapshot
@@ -67,27 +66,21 @@ class Run:
         self._make_pipeline = make_pipeline
         self._open_writer = open_writer
         self._end = end
-        self._amplitude_unit_rad = amplitude_unit_rad
         self._full_frame_interval_ns = round(full_frame_interval_s * 1e9)
-        self._watchers = tuple(watchers)
+        self._public = PublicState(watchers, surroundings, amplitude_unit_rad, environment_period_s)
         self._prelude = prelude
         self._attempts = attempts
-        self._surroundings = surroundings
-        self._environment_period_ns = round(environment_period_s * 1e9)
-        self._environment_due_ns = 0
         self._stop = threading.Event()
         self._done = threading.Event()
         self._reason = ""
         self._at_once = False
         self._failure: Exception | None = None
-        self._snapshot = Snapshot()
-        self._asked: deque[Snapshot] = deque()
         self._losses = LossLog(self._stream, from_start=True)
 
     @property
     def snapshot(self) -> Snapshot:
         """State of the run; may be read from any thread."""
-        return self._snapshot
+        return self._public.snapshot
 
     def request_stop(self, reason: str) -> None:
         """End the run soon; the first reason given is the one that is recorded."""
@@ -120,7 +113,7 @@ class Run:
             # also where an interrupt or an error has left the loop: nothing is left half written
             self.request_stop("the program has failed")
             worker.join()
-        return RunOutcome(self._snapshot, self._snapshot.half_cycles, self._failure, interrupt)
+        return RunOutcome(self.snapshot, self.snapshot.half_cycles, self._failure, interrupt)
 
     def _watch(
         self, show: Callable[[Snapshot], None], interval_s: float, lives: Callable[[], bool]
@@ -130,10 +123,9 @@ class Run:
         while not done:
             done = self._done.wait(interval_s) or not lives()
             try:
-                # what the operator is asked to do is shown also where it was asked only between two looks
-                while self._asked:
-                    show(self._asked.popleft())
-                show(self._snapshot)
+                for asked in self._public.take_asked():
+                    show(asked)
+                show(self.snapshot)
             except OSError as error:
                 _log.warning("the run is not shown any more: %s", error)
                 return _unseen
@@ -165,7 +157,7 @@ class Run:
         begun: list[Frame] = []
         events: list[Event] = []
         if self._prelude is not None:
-            begun, events = self._prelude(self._stream, self._report, self._stop.is_set)
+            begun, events = self._prelude(self._stream, self._public.prepare, self._stop.is_set)
             if not begun:
                 why = self._reason or self._stream.ended or "stopped"
                 raise self._stream.failure or DataError(f"{why} before the run began; nothing was recorded")
@@ -204,12 +196,10 @@ class Run:
         first, stream = begun[0], self._stream
         pipeline = self._make_pipeline((first.image.shape[0], first.image.shape[1]))
         counts = FrameCounts(first, self._full_frame_interval_ns)
-        self._snapshot = replace(self._snapshot, half_cycles=0, amplitude=math.nan, period_s=math.nan)
+        self._public.begin_record()
         events = [*events, Event(first.time_ns, "start", "first frame")]
         recorder.put(Entry(events=events))
-        for watcher in self._watchers:
-            for event in events:
-                watcher.event(counts.start_ns, event)
+        self._public.tell_events(counts.start_ns, events)
         rejected = ""
         while begun or not (stream.drained or (self._stop.is_set() and stream.policy != "wait")):
             taken = begun[:_BLOCK_FRAMES] or stream.take(_BLOCK_FRAMES, 0.1)
@@ -220,9 +210,7 @@ class Run:
                 new = self._surrounding_events(counts.last_ns)
                 if new:
                     recorder.put(Entry(events=new))
-                    for watcher in self._watchers:
-                        for event in new:
-                            watcher.event(counts.start_ns, event)
+                    self._public.tell_events(counts.start_ns, new)
                 continue
             frames = counts.numbered(taken)
             block = pipeline.process(frames)
@@ -232,14 +220,14 @@ class Run:
                 replace(
                     entry,
                     events=new,
-                    environment=self._environment(counts.last_ns),
+                    environment=self._public.environment(counts.last_ns),
                     losses=self._losses.due(counts.last_ns),
                 )
             )
             # where the camera waits for us its frames have no age of their own
             age_s = math.nan if stream.policy == "wait" else (taken_ns - taken[0].host_time_ns) * 1e-9
             self._publish("measuring", counts, block.swings, recorder, age_s)
-            self._tell(counts.start_ns, frames, block, new)
+            self._public.tell(counts.start_ns, frames, block, new)
             if recorder.error is not None:
                 raise recorder.error
             if judge is not None:
@@ -262,22 +250,12 @@ class Run:
         )
         recorder.put(Entry(block=empty, events=last, losses=self._losses.last(counts.last_ns)))
         self._publish("closing the record", counts, swings, recorder, math.nan)
-        self._tell(counts.start_ns, [], empty, last)
+        self._public.tell(counts.start_ns, [], empty, last)
         return rejected
 
     def _surrounding_events(self, time_ns: int) -> list[Event]:
-        happened = self._stream.take_events()
-        if self._surroundings is not None:
-            happened += self._surroundings.take_events()
+        happened = self._stream.take_events() + self._public.take_events()
         return [Event(time_ns, kind, text) for kind, text in happened]
-
-    def _environment(self, time_ns: int) -> Environment | None:
-        """The laboratory's air, once a period, where anything is known of it."""
-        if self._surroundings is None or time_ns < self._environment_due_ns:
-            return None
-        self._environment_due_ns = time_ns + self._environment_period_ns
-        reading = self._surroundings.environment()
-        return None if all(map(math.isnan, reading)) else Environment(time_ns, *reading)
 
     def _fail(self, error: Exception, reason: str) -> None:
         if self._failure is None:
@@ -295,65 +273,32 @@ class Run:
                 self._failure = stream.failure
             self._reason = self._reason or stream.ended
         losses = self._losses.now
-        self._snapshot = replace(
-            self._snapshot,
+        self._public.snapshot = replace(
+            self.snapshot,
             phase="done",
             reason=self._reason,
-            dropped_frames=max(self._snapshot.dropped_frames, losses.total),
+            dropped_frames=max(self.snapshot.dropped_frames, losses.total),
             losses=losses,
             instruction="",
-        )
-
-    def _tell(self, start_ns: int, frames: Sequence[Frame], block: Block, events: Iterable[Event]) -> None:
-        for watcher in self._watchers:
-            watcher.block(start_ns, frames, block)
-            for event in events:
-                watcher.event(start_ns, event)
-            watcher.snapshot(self._snapshot)
-
-    def _report(self, snapshot: Snapshot) -> None:
-        asked_before = self._snapshot.instruction
-        self._snapshot = self._with_surroundings(snapshot)
-        if snapshot.instruction and snapshot.instruction != asked_before:
-            self._asked.append(self._snapshot)
-        for watcher in self._watchers:
-            watcher.snapshot(self._snapshot)
-
-    def _with_surroundings(self, snapshot: Snapshot) -> Snapshot:
-        if self._surroundings is None:
-            return snapshot
-        temperature_c, humidity_percent, pressure_pa = self._surroundings.environment()
-        return replace(
-            snapshot,
-            temperature_c=temperature_c,
-            humidity_percent=humidity_percent,
-            pressure_pa=pressure_pa,
-            controller=self._surroundings.describe(),
         )
 
     def _publish(
         self, phase: str, counts: FrameCounts, swings: list[Swing], recorder: Recorder, age_s: float
     ) -> None:
-        last = swings[-1] if swings else None
-        before = self._snapshot
-        self._snapshot = self._with_surroundings(
+        self._public.publish(
             Snapshot(
                 phase=phase,
                 elapsed_s=counts.elapsed_s,
                 frames=counts.frames,
                 dropped_frames=counts.missing,
                 lost_spots=counts.lost_spots,
-                half_cycles=before.half_cycles + len(swings),
-                amplitude=before.amplitude if last is None else last.amplitude / self._amplitude_unit_rad,
-                period_s=before.period_s
-                if last is None or math.isnan(last.half_period_s)
-                else 2.0 * last.half_period_s,
                 queue_frames=len(self._stream),
                 frame_age_s=age_s,
                 losses=self._losses.now,
                 record_bytes=recorder.bytes_written,
                 reason=self._reason,
-            )
+            ),
+            swings,
         )
 
 
