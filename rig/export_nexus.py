@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from processing.errors import ConfigurationError
-from rig.export import ExportedRun, columns_of, flat_results, unit_of
+from rig.export_run import ExportedRun, columns_of, flat_results, unit_of
 
 
 def write_nexus(path: Path, runs: Sequence[ExportedRun]) -> None:

@@ -8,7 +8,7 @@ import pyarrow as pa
 from pyarrow import csv, parquet
 
 from processing.errors import RecordError
-from rig.export import ExportedRun, columns_of, flat_results, unit_of
+from rig.export_run import ExportedRun, columns_of, flat_results, unit_of
 
 
 def write_csv(folder: Path, run: ExportedRun) -> list[Path]:

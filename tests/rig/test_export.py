@@ -12,7 +12,8 @@ from pyarrow import csv, parquet
 
 from acquisition.record.reader import RecordReader
 from processing.errors import ConfigurationError, RecordError
-from rig.export import export_session, flat_results, unit_of
+from rig.export import export_session
+from rig.export_run import flat_results, unit_of
 
 h5py = pytest.importorskip("h5py")
 
