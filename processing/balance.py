@@ -5,7 +5,7 @@ width and where it rests say what is wrong.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -28,6 +28,8 @@ _LOOK_GROWTH = 1.5
 _RESTING = 4.0
 """Chi-square per sample below which the pendulum rests."""
 _FIRST_SIZE = 4096
+_OVERTONE = 1e-3
+"""Part of the amplitude that the waveform of a decay by friction departs from a sine by, at most."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,6 +156,7 @@ class BalanceEstimator:
         if modes is None or modes.slow.period_s * _WINDOW_PERIODS > span_s * 1.05:
             self._look_again(until_ns)
             return None
+        modes = _without_overtone(modes)
         self._period_s = modes.slow.period_s
         self._fast_period_s = modes.fast.period_s if modes.fast is not None else math.nan
         self._next_ns = until_ns + round(self._period_s * 1e9)
@@ -261,3 +264,20 @@ class BalanceEstimator:
         lever = time * np.sqrt(weight)
         shared = 2.0 * _OVERLAP_CORRELATION * float(lever[1:] @ lever[:-1])
         return slope, math.sqrt(max(misfit, 1.0) * (spread + shared)) / spread
+
+
+def _without_overtone(modes: TwoModes) -> TwoModes:
+    """Takes for no fast mode what is the slow one's waveform, at a whole multiple of its rate.
+
+    Friction makes the waveform depart from a sine by some 5e-4, which is the strongest that is left when
+    the fast mode is gone. A fast mode weaker than that may be hidden by it, and the limit says so.
+    """
+    slow, fast = modes.slow, modes.fast
+    if fast is None:
+        return modes
+    ratio = slow.period_s / fast.period_s
+    u_ratio = ratio * math.hypot(slow.u_period_s / slow.period_s, fast.u_period_s / fast.period_s)
+    size = math.hypot(fast.x_amplitude, fast.y_amplitude)
+    if size > _OVERTONE * slow.amplitude or abs(ratio - round(ratio)) > 3.0 * u_ratio:
+        return modes
+    return replace(modes, fast=None, fast_limit=max(modes.fast_limit, size))

@@ -146,3 +146,15 @@ def test_memory_stays_flat() -> None:
 def test_bad_input() -> None:
     with pytest.raises(DataError, match="of one length"):
         BalanceEstimator().update(np.arange(3), np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(2))
+
+
+def test_the_waveform_of_a_decay_by_friction_is_no_fast_mode() -> None:
+    """A third harmonic of 5e-4, as friction leaves it, once the fast mode has gone."""
+    times, x, y, u_x, u_y = motion(4, fast=0.0)
+    t = times * 1e-9
+    y = y + 5e-4 * 200.0 * np.exp(-0.002 * t) * np.cos(3.0 * (RATE * t + 1.0))
+    for b in estimates([times, x, y, u_x, u_y])[2:]:
+        assert math.isnan(b.period_ratio)
+        assert b.transverse_rad == 0.0
+        # a fast mode weaker than the harmonic would not be seen beside it
+        assert b.u_transverse_rad > 0.9 * 5e-4 * b.amplitude_rad
