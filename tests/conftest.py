@@ -2,7 +2,9 @@
 
 import os
 import signal
+from collections.abc import Generator
 from pathlib import Path
+from types import FrameType
 
 import pytest
 from hypothesis import settings
@@ -15,6 +17,33 @@ settings.load_profile("ci" if os.environ.get("CI") else "here")
 
 # A background job of a shell ignores Ctrl-C, and every process that is started from it would, too.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+LONGEST_TEST_S = 900
+LONGEST_KERNEL_TEST_S = 1500
+
+
+class HangsError(Exception):
+    """A test waits for what will not come; it fails where it stands, and the others go on."""
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
+    """No test, with what it needs, takes longer than a quarter of an hour; booting a kernel may."""
+    if not hasattr(signal, "setitimer"):
+        return (yield)
+    limit_s = LONGEST_KERNEL_TEST_S if item.get_closest_marker("kernel") else LONGEST_TEST_S
+
+    def give_up(number: int, frame: FrameType | None) -> None:
+        raise HangsError(f"{item.nodeid}: not done after {limit_s} s")
+
+    before = signal.signal(signal.SIGALRM, give_up)
+    signal.setitimer(signal.ITIMER_REAL, limit_s)
+    try:
+        return (yield)
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
 
 
 @pytest.fixture(scope="session")

@@ -4,6 +4,7 @@ import base64
 import contextlib
 import json
 import os
+import select
 import shutil
 import signal
 import subprocess
@@ -33,6 +34,8 @@ OPTIONS = (
     "--window-size=1500,950",
 )
 
+LONGEST_SILENCE_S = 60.0
+
 # The browser takes orders on descriptor 3 and answers on 4.
 REDIRECTED = 'exec "$0" "$@" 3<&0 4>&1 0</dev/null 1>&2'
 
@@ -43,6 +46,7 @@ class HeadlessBrowser:
     def __init__(self, orders: IO[bytes], answers: IO[bytes]) -> None:
         self._orders = orders
         self._answers = answers
+        self._unread = bytearray()
         self._number = 0
         self._session: str | None = None
         self._requests: dict[str, str] = {}
@@ -87,12 +91,17 @@ class HeadlessBrowser:
                 return result
 
     def _next_answer(self) -> bytes:
-        data = bytearray()
-        while (byte := self._answers.read(1)) != b"\0":
-            if not byte:
+        while (end := self._unread.find(b"\0")) < 0:
+            ready, _, _ = select.select([self._answers], [], [], LONGEST_SILENCE_S)
+            if not ready:
+                raise RuntimeError(f"the browser has said nothing for {LONGEST_SILENCE_S:g} s")
+            data = os.read(self._answers.fileno(), 1 << 20)
+            if not data:
                 raise ConnectionError("the browser has ended")
-            data += byte
-        return bytes(data)
+            self._unread += data
+        answer = bytes(self._unread[:end])
+        del self._unread[: end + 1]
+        return answer
 
 
 @contextlib.contextmanager
@@ -107,6 +116,7 @@ def headless_browser() -> Iterator[HeadlessBrowser]:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
+            bufsize=0,
             start_new_session=True,
         )
         assert process.stdin is not None
@@ -129,7 +139,7 @@ def wait_for_picture(
     while True:
         try:
             picture = browser.picture()
-        except RuntimeError:  # the page has not begun to load
+        except RuntimeError:  # the page has not begun to load, or the browser is silent
             if time.monotonic() > deadline:
                 raise
         else:
