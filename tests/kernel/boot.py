@@ -68,6 +68,8 @@ def fetch_kernel(folder: Path) -> None:
 
 def check_tools() -> None:
     """Raise `Missing` where a program is not installed."""
+    if PROJECT.is_relative_to("/tmp"):
+        raise Missing(f"{PROJECT}: the guest has a /tmp of its own; put the checkout elsewhere")
     for program, package in (
         ("qemu-system-x86_64", "qemu-system-x86"),
         ("busybox", "busybox-static"),
