@@ -5,6 +5,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import Any, Final
 
 from acquisition.camera import CameraInfo, CameraLost, CameraSettings, CameraStatus, FrameTimeout
@@ -174,16 +175,7 @@ class AravisCamera:
 
     def _begin_counting(self) -> None:
         before = self.status
-        self._before = CameraStatus()
-        if self._was_lost:
-            self._before = CameraStatus(
-                before.delivered,
-                before.dropped_by_camera,
-                before.dropped_by_bus,
-                before.dropped_by_host,
-                before.incomplete,
-                before.reconnects + 1,
-            )
+        self._before = replace(before, reconnects=before.reconnects + 1) if self._was_lost else CameraStatus()
         self._was_lost = False
 
     def read(self, timeout_s: float) -> Frame | None:

@@ -4,6 +4,7 @@ import logging
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import Final, Literal
 
 import usb.backend
@@ -171,16 +172,7 @@ class Usb3VisionCamera:
 
     def _begin_counting(self) -> None:
         before = self.status
-        self._before = CameraStatus()
-        if self._was_lost:
-            self._before = CameraStatus(
-                before.delivered,
-                before.dropped_by_camera,
-                before.dropped_by_bus,
-                before.dropped_by_host,
-                before.incomplete,
-                before.reconnects + 1,
-            )
+        self._before = replace(before, reconnects=before.reconnects + 1) if self._was_lost else CameraStatus()
         self._was_lost = False
         self._delivered = 0
 
