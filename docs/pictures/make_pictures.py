@@ -25,7 +25,7 @@ from rig.view.messages import LayoutName  # noqa: E402
 from rig.view.recorded import write_rrd  # noqa: E402
 from rig.view.viewer import Viewer  # noqa: E402
 from tests.rig import view_scene  # noqa: E402
-from tests.rig.headless_viewer import headless_viewer, software_vulkan  # noqa: E402
+from tests.rig.view.headless_viewer import headless_viewer, software_vulkan  # noqa: E402
 
 
 def main(record: Path | None) -> None:

@@ -17,7 +17,7 @@ def register(app: typer.Typer) -> None:
 
 def info(record: Record) -> None:
     """Print what is in a record: times, counts, who, what, with which settings."""
-    from rig.view.record_text import print_info
+    from rig.commands.record_screen import print_info
 
     print_info(record)
 
@@ -29,7 +29,7 @@ def check(
     ] = None,
 ) -> None:
     """Verify a record: checksums, sequence, gaps, times, schemas, hash."""
-    from rig.view.record_text import print_check
+    from rig.commands.record_screen import print_check
 
     raise typer.Exit(print_check(record, results))
 
@@ -41,6 +41,6 @@ def recover(
     ] = None,
 ) -> None:
     """Make a whole file of one that was cut short; the cut one stays as it is."""
-    from rig.view.record_text import recover_record
+    from rig.commands.record_screen import recover_record
 
     recover_record(record, output)

@@ -55,7 +55,7 @@ def export(
     ] = "csv",
 ) -> None:
     """Write spots, half-cycles and results for other programs, with the provenance inside."""
-    from rig.export import export_session
+    from rig.export.session import export_session
 
     for path in export_session(source, format_, output):
         print(path)
@@ -68,7 +68,7 @@ def compare(
     ] = None,
 ) -> None:
     """Compare series (samples, days, humidities): parameters beside each other, and their differences."""
+    from rig.presentation.terminal import print_tables
     from rig.report.comparison import compare as compare_sessions
-    from rig.report.terminal import print_tables
 
     print_tables(compare_sessions(folders, output))

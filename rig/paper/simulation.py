@@ -21,10 +21,11 @@ from processing.fit.exact import fit_exact
 from processing.fit.measurement import Quantity, RigQuantities
 from processing.fit.result import FitResult
 from processing.swing import SwingDetector, TurningPoints
-from rig.config import FitSettings
-from rig.decay_fit import SlowSamples, settled_swings
-from rig.evaluation import evaluate
-from rig.evaluation_tree import evaluation_tree, series_tree
+from rig.analysis.contact_laws import SlowSamples, settled_swings
+from rig.analysis.contact_tree import evaluation_tree, series_tree
+from rig.analysis.contact_verdicts import evaluate
+from rig.analysis.results import fit_tree
+from rig.analysis.results_file import Motion
 from rig.paper.printed import (
     BALL,
     BALL_RADIUS_M,
@@ -35,8 +36,7 @@ from rig.paper.printed import (
     RUNS,
     PrintedPair,
 )
-from rig.report.source import Motion
-from rig.results import fit_tree
+from rig.settings.configuration import FitSettings
 
 NOISE_ARCSEC = 0.0027
 """Standard uncertainty of one tracked position of the demonstration, 0.0055 px at an arm of 1 m."""

@@ -12,15 +12,15 @@ from processing.errors import RecordError
 from processing.fit.measurement import Measured
 from processing.fit.result import CONTACT_NAMES, Estimate
 from processing.fit.series import Combined, Comparison, SeriesResult, compare_series
+from rig.analysis.curves import number
+from rig.analysis.results_file import read_results
+from rig.presentation.determined import determined_text, series_verdicts
+from rig.presentation.numbers import plain, symbol, with_uncertainty
+from rig.presentation.table import Cell, Table
 from rig.report import html
-from rig.report.curves import number
 from rig.report.drawing import styled
 from rig.report.figures_contact import comparison_figure
-from rig.report.numbers import plain, symbol, with_uncertainty
 from rig.report.session_report import save_figures, save_tables
-from rig.report.source import read_results
-from rig.report.table import Cell, Table
-from rig.report.verdicts import determined_text, series_verdicts
 
 DIFFERENT = 0.05
 """Chance, shared between all pairs and parameters, below which series are said to differ."""

@@ -13,7 +13,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from rig.view import palette
+from rig.presentation import palette
 
 Array = NDArray[np.float64]
 WIDTH_IN: Final = 7.1

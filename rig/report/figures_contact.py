@@ -8,10 +8,10 @@ import numpy as np
 from processing.angle import ARCSEC_RAD
 from processing.contact.moments import cycle_work, moment_loop, weight_moment
 from processing.contact.parameters import ContactParameters, PendulumOnBall
-from rig.report.curves import number
+from rig.analysis.curves import number
+from rig.presentation import palette
+from rig.presentation.numbers import plain, symbol
 from rig.report.drawing import ASYMPTOTIC, DATA, EXACT, INK, Drawing, canvas
-from rig.report.numbers import plain, symbol
-from rig.view import palette
 
 
 def loop_figure(

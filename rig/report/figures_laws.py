@@ -8,7 +8,8 @@ from processing.contact.losses import measured_losses, model_losses
 from processing.contact.parameters import ContactParameters, PendulumOnBall
 from processing.errors import DataError
 from processing.swing import TurningPoints
-from rig.report.curves import Curves
+from rig.analysis.curves import Curves
+from rig.presentation import palette
 from rig.report.drawing import (
     ASYMPTOTIC,
     DATA,
@@ -21,7 +22,6 @@ from rig.report.drawing import (
     span,
     thinned,
 )
-from rig.view import palette
 
 _DOTS = 700
 _BARS = 150

@@ -4,8 +4,8 @@ import base64
 import html
 from collections.abc import Sequence
 
+from rig.presentation.table import Table
 from rig.report.drawing import Drawing
-from rig.report.table import Table
 
 STYLE = """
 :root { --ink: #1f2630; --soft: #5b6675; --line: #d9dee5; --tint: #f5f7fa; --accent: #0072b2; }

@@ -6,16 +6,16 @@ from typing import Any
 
 from processing.errors import RecordError
 from processing.fit.result import CONTACT_NAMES
+from rig.analysis.curves import Curves, curves_of, number, parameters_of, pendulum_of
+from rig.analysis.results_file import ReportSource, RunData, read_source, results_path
+from rig.presentation.determined import determined_text, series_verdicts
+from rig.presentation.numbers import plain, symbol, with_uncertainty
+from rig.presentation.table import Table
 from rig.report import figures_contact, figures_laws, figures_motion, html
-from rig.report.curves import Curves, curves_of, number, parameters_of, pendulum_of
 from rig.report.drawing import Drawing, png, styled, svg
 from rig.report.figures_instruments import instrument_figures
-from rig.report.numbers import plain, symbol, with_uncertainty
-from rig.report.source import ReportSource, RunData, read_source, results_path
-from rig.report.table import Table
 from rig.report.tables import run_tables
 from rig.report.tables_uncertainty import budget_table, series_table
-from rig.report.verdicts import determined_text, series_verdicts
 
 _DEFAULT_PERIOD_S = 4.0
 

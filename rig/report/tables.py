@@ -5,12 +5,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from processing.fit.result import CONTACT_NAMES
-from rig.report.curves import Curves, number
-from rig.report.numbers import plain, symbol, with_uncertainty
-from rig.report.source import RunData
-from rig.report.table import Cell, Table
+from rig.analysis.curves import Curves, number
+from rig.analysis.results_file import RunData
+from rig.presentation.determined import determined_text
+from rig.presentation.numbers import plain, symbol, with_uncertainty
+from rig.presentation.table import Cell, Table
 from rig.report.tables_uncertainty import budget_table, identifiability_table, monte_carlo_table
-from rig.report.verdicts import determined_text
 
 
 def run_tables(run: RunData, curves: Curves | None) -> list[Table]:

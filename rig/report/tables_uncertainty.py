@@ -4,10 +4,10 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from rig.report.curves import number
-from rig.report.numbers import SOURCES, plain, power, symbol, with_uncertainty
-from rig.report.table import Cell, Table
-from rig.report.verdicts import determined_text, series_verdicts
+from rig.analysis.curves import number
+from rig.presentation.determined import determined_text, series_verdicts
+from rig.presentation.numbers import SOURCES, plain, power, symbol, with_uncertainty
+from rig.presentation.table import Cell, Table
 
 _NEGLIGIBLE = 0.005
 """Share of the variance below which a source is shown with others in one line."""

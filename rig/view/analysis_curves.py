@@ -12,13 +12,13 @@ from processing.angle import ARCSEC_RAD
 from processing.contact.moments import moment_loop
 from processing.errors import RecordError
 from processing.swing import TurningPoints, turning_points
-from rig.analysis import analyse_record
-from rig.replay_comparison import recorded_results
-from rig.report.curves import Curves, curves_of, number, parameters_of, pendulum_of
-from rig.report.source import read_source
-from rig.report.table import Table
+from rig.analysis.curves import Curves, curves_of, number, parameters_of, pendulum_of
+from rig.analysis.record_fit import analyse_record
+from rig.analysis.results import results_tree
+from rig.analysis.results_file import read_source
+from rig.presentation.table import Table
+from rig.replay.comparison import recorded_results
 from rig.report.tables import instrument_table, parameter_table, quality_table
-from rig.results import results_tree
 from rig.view.messages import Curve, Floats
 
 

@@ -5,7 +5,8 @@ from typing import Final
 import numpy as np
 import rerun as rr
 
-from rig.view import layout, palette
+from rig.presentation import palette
+from rig.view import layout
 from rig.view.graticule import Graticule
 from rig.view.marks import faded, graticule_marks
 from rig.view.messages import Curve, Fits, Panel

@@ -4,9 +4,10 @@ import cv2
 import numpy as np
 import rerun as rr
 
-from rig.view import layout, palette
+from rig.presentation import palette
+from rig.presentation.balance_quantities import balance_quantity, balance_table
+from rig.view import layout
 from rig.view.analysis_panels import draw_fits
-from rig.view.balance_quantities import balance_quantity, balance_table
 from rig.view.decimation import Decimator
 from rig.view.gathering import Gathering
 from rig.view.lissajous import Lissajous

@@ -16,7 +16,7 @@ from typing import Final
 import rerun as rr
 import rerun.blueprint as rrb
 
-from rig.view.balance_quantities import BALANCE, PANELS
+from rig.presentation.balance_quantities import BALANCE, PANELS
 from rig.view.graticule import BOX, PLANE_REACH
 from rig.view.marks import BACKGROUND
 from rig.view.messages import LayoutName

@@ -4,7 +4,7 @@ from typing import Final
 
 import rerun as rr
 
-from rig.view import palette
+from rig.presentation import palette
 from rig.view.graticule import Graticule
 
 BACKGROUND: Final = (18, 20, 24)

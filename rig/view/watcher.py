@@ -11,12 +11,12 @@ from acquisition.frame import Frame
 from processing.angle import ARCSEC_RAD
 from processing.balance import Balance
 from processing.spot import Spot, SpotFlag
-from rig.balance_state import advice_text
-from rig.config import Configuration
-from rig.pipeline import Block
-from rig.recorder import Event
-from rig.snapshot import Snapshot
-from rig.view.balance_quantities import balance_quantities
+from rig.instrument.balance import advice_text
+from rig.instrument.pipeline import Block
+from rig.instrument.snapshot import Snapshot
+from rig.measure.recorder import Event
+from rig.presentation.balance_quantities import balance_quantities
+from rig.settings.configuration import Configuration
 from rig.view.messages import EventLevel, LayoutName, Mode
 from rig.view.viewer import ViewCounts, Viewer
 

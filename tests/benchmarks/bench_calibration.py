@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from tests.calibration.simulated_rig import deviations
-from tests.rig.calibrated_measurement import measure
-from tests.rig.unbudgeted_inputs import shifts
+from tests.rig.calibrate.calibrated_measurement import measure
+from tests.rig.calibrate.unbudgeted_inputs import shifts
 
 FRAME_RATES_HZ = (25.0, 60.0)
 

@@ -24,7 +24,7 @@ from processing.fit.identifiability import identifiability
 from processing.fit.measurement import Quantity, RigQuantities, measured
 from processing.fit.result import CONTACT_NAMES, DRAG_NAME
 from processing.fit.uncertainty import monte_carlo
-from tests.processing.decays import ARCSEC, PAIRS, decay, paper_pair
+from tests.processing.fit.decays import ARCSEC, PAIRS, decay, paper_pair
 
 COVERAGES = (0.6827, 0.95)
 

@@ -6,7 +6,7 @@ import time
 
 import numpy as np
 
-from tests.processing.simulated_instruments import MEASUREMENTS
+from tests.processing.instruments.simulated_instruments import MEASUREMENTS
 
 SEEDS = 50
 

@@ -20,16 +20,16 @@ from acquisition.simulation.settings import OpticsTruth, SensorTruth, Simulation
 from calibration.axes import Axes
 from calibration.lever import Lever
 from processing.spot import SensorModel, SpotTracker
-from rig.config import Configuration
 from rig.control.service import ControlService
 from rig.control.settings import ControllerSettings, SerialFaults
 from rig.control.simulated import simulated_controller
-from rig.devices import Devices
-from rig.limits import EndOfRun
-from rig.pipeline import Pipeline
-from rig.run import Run
-from tests.balancing_cases import follow_advice
+from rig.devices.devices import Devices
+from rig.instrument.pipeline import Pipeline
+from rig.measure.run import Run
+from rig.measure.start_and_end import EndOfRun
+from rig.settings.configuration import Configuration
 from tests.benchmarks.bench_pipeline import MemoryCamera, drawn_frames
+from tests.rig.balance.cases import follow_advice
 
 _SENSOR = SensorModel(39.2, 7.0, 255)
 

@@ -22,11 +22,11 @@ from acquisition.simulation.settings import OpticsTruth, SensorTruth, Simulation
 from calibration.axes import Axes
 from calibration.lever import Lever
 from processing.spot import SensorModel, SpotTracker
-from rig.kernels import prepare_kernels
-from rig.limits import EndOfRun
-from rig.pipeline import Pipeline
-from rig.recorder import Entry, Recorder
-from rig.run import Run
+from rig.instrument.kernels import prepare_kernels
+from rig.instrument.pipeline import Pipeline
+from rig.measure.recorder import Entry, Recorder
+from rig.measure.run import Run
+from rig.measure.start_and_end import EndOfRun
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -30,7 +30,7 @@ from acquisition.record.schemas import MessageType
 from acquisition.record.topics import SPOT, SWING, WINDOW
 from acquisition.record.writer import RecordWriter
 from processing.spot import Spot
-from rig.recorder import Entry, Recorder
+from rig.measure.recorder import Entry, Recorder
 
 BLOCK = 64
 WINDOW_PX = 84

@@ -16,7 +16,7 @@ from rich.console import Console
 from rich.table import Table
 
 from processing.spot import Spot, SpotFlag, SpotTracker
-from tests.processing.spot_frames import (
+from tests.processing.spot.frames import (
     EIGHT_BIT,
     TWELVE_BIT,
     bound_px,

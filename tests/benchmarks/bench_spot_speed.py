@@ -20,7 +20,7 @@ from rich.console import Console
 from rich.table import Table
 
 from processing.spot import SpotTracker
-from tests.processing.spot_frames import EIGHT_BIT, exposed, light, side_of
+from tests.processing.spot.frames import EIGHT_BIT, exposed, light, side_of
 
 SHAPE = (1024, 1280)
 RING = 64

@@ -16,8 +16,8 @@ from scipy.signal import find_peaks
 
 from processing.balance import BalanceEstimator
 from processing.swing import SwingDetector
-from tests.processing.measured_again import again_with_fit, in_rad, noisy
-from tests.processing.swing_truth import Record, contact_decay, damped_sinusoid, detect, errors, rms
+from tests.processing.fit.measured_again import again_with_fit, in_rad, noisy
+from tests.processing.swing.truth import Record, contact_decay, damped_sinusoid, detect, errors, rms
 
 FRAMES_PER_S = (30.0, 60.0, 100.0, 200.0, 500.0)
 BANDS_PX = ((300.0, 100.0), (100.0, 30.0), (30.0, 10.0), (10.0, 3.0))

@@ -15,8 +15,8 @@ from acquisition.cameras.usb3vision.registers import plan_transfers
 from acquisition.cameras.usb3vision.stream import Expected, FrameStream
 from acquisition.cameras.usb3vision.transfers import Arrived, Bytes
 from acquisition.frame_queue import FrameQueue
-from tests.acquisition.usb3vision.backend import InProcessBackend
-from tests.acquisition.usb3vision.device import VisionDevice, pack
+from tests.acquisition.cameras.usb3vision.backend import InProcessBackend
+from tests.acquisition.cameras.usb3vision.device import VisionDevice, pack
 
 WIDTH, HEIGHT = 640, 480
 

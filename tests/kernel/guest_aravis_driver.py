@@ -10,7 +10,7 @@ import numpy as np
 from acquisition.camera import CameraLost, CameraSettings, FrameTimeout
 from acquisition.cameras.aravis.camera import AravisCamera
 from processing.errors import DeviceError
-from tests.acquisition.usb3vision.device import VisionDevice
+from tests.acquisition.cameras.usb3vision.device import VisionDevice
 
 WIDTH, HEIGHT = 320, 240
 

@@ -21,9 +21,9 @@ from acquisition.camera import CameraLost, CameraSettings
 from acquisition.cameras.usb3vision.camera import Usb3VisionCamera, Usb3VisionSettings
 from acquisition.cameras.usb3vision.discovery import find_cameras
 from acquisition.cameras.usb3vision.libusb_transfers import LibusbTransfers
-from tests.acquisition.aravis.namespace import Missing, python_path
-from tests.acquisition.usb3vision.device import VisionDevice
-from tests.acquisition.usb3vision.usbip import UsbIpServer
+from tests.acquisition.cameras.aravis.namespace import Missing, python_path
+from tests.acquisition.cameras.usb3vision.device import VisionDevice
+from tests.acquisition.cameras.usb3vision.usbip import UsbIpServer
 from tests.kernel.boot import MARK
 
 VHCI = Path("/sys/devices/platform/vhci_hcd.0")

@@ -22,7 +22,7 @@ from acquisition.cameras.v4l2.camera import V4l2Camera
 from acquisition.cameras.v4l2.devices import list_devices
 from acquisition.cameras.v4l2.source import V4l2Settings
 from processing.errors import DeviceError
-from tests.acquisition.camera_conformance import CameraConformance
+from tests.acquisition.cameras.conformance import CameraConformance
 from tests.kernel.boot import MARK
 
 SET_INPUT = 3 << 30 | 4 << 16 | ord("V") << 8 | 39  # VIDIOC_S_INPUT

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from rig.config import load_configuration
-from rig.session import measure_session
+from rig.measure.session import measure_session
+from rig.settings.configuration import load_configuration
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 APPARATUS = (

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from tests.rig.replay_record import RATE_HZ, make_record
+from tests.rig.replay.replay_record import RATE_HZ, make_record
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCUMENTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]

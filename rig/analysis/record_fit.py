@@ -1,0 +1,218 @@
+"""From a closed record to fits: the record alone is read, results stand beside it."""
+
+import datetime
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from acquisition.record.digest import sha256_of
+from acquisition.record.reader import RecordReader
+from acquisition.record.topics import ENVIRONMENT
+from processing.angle import ARCSEC_RAD
+from processing.fit.result import FitResult
+from processing.swing import Swing
+from rig.analysis.contact_laws import DecayFits, SlowSamples, fit_decay, settled_swings
+from rig.analysis.contact_tree import series_tree
+from rig.analysis.contact_verdicts import Evaluation, evaluate, rig_quantities
+from rig.analysis.other_instruments import Air, Samples, reduce_run
+from rig.analysis.other_instruments_series import reduce_series
+from rig.analysis.results import RunResult, results_tree, write_results
+from rig.instrument.calibration import judge_calibration
+from rig.instrument.configured import pendulum_on_ball
+from rig.instrument.provenance import recorded_configuration
+from rig.settings.configuration import Configuration
+
+
+def analyse_record(path: Path, overrides: Sequence[str] = ()) -> RunResult:
+    """Fit one closed record; `overrides` change its configuration (fit settings, pendulum) for this fit."""
+    with RecordReader(path) as reader:
+        config = recorded_configuration(reader, overrides)
+        spots = reader.spots()
+        samples = Samples(
+            spots["time_ns"], spots["x_rad"], spots["y_rad"], spots["u_x_rad"], spots["u_y_rad"]
+        )
+        missing = int(spots["sequence"][-1]) + 1 - len(spots) if len(spots) else 0
+        return analyse_run(reader, config, reader.swings(), samples, dropped_frames=missing)
+
+
+def analyse_run(
+    reader: RecordReader,
+    config: Configuration,
+    swings: Sequence[Swing],
+    samples: Samples,
+    *,
+    dropped_frames: int,
+) -> RunResult:
+    """Fit half-cycles and deflections that came from a record: those in it, or what a replay made of it."""
+    times_ns = samples.times_ns
+    began, ended = (_utc(reader, times_ns[at]) if len(times_ns) else _utc(reader, 0) for at in (0, -1))
+    calibration, doubts = judge_calibration(config, reader.attachments, began, ended)
+    result = _analyse_swings(reader.path, swings, config, samples, recorded_air(reader, config))
+    warnings = [*result.warnings, *doubts]
+    if reader.truncated:
+        warnings.append(reader.cut_notice)
+    warnings += [f"damaged chunk: {damage.what}" for damage in reader.damages]
+    return replace(
+        result,
+        frames=len(times_ns),
+        dropped_frames=dropped_frames,
+        losses=reader.losses(),
+        warnings=tuple(warnings),
+        calibration=calibration,
+    )
+
+
+def recorded_air(reader: RecordReader, config: Configuration) -> Air:
+    """Means over a record of what its sensor read; what it did not read, as the user stated it."""
+    stated = config.environment
+    table = reader.table(ENVIRONMENT.topic)
+    means = []
+    for name, value in (
+        ("temperature_c", stated.temperature_c),
+        ("humidity_percent", stated.humidity_percent),
+    ):
+        read = table[name][np.isfinite(table[name])] if len(table) else np.empty(0)
+        means.append(float(np.mean(read)) if len(read) else math.nan if value is None else value)
+    return Air(*means)
+
+
+def _analyse_swings(
+    path: Path, swings: Sequence[Swing], config: Configuration, samples: Samples, air: Air
+) -> RunResult:
+    """Reduce the half-cycles of one run as its kind of pendulum asks.
+
+    `path` is the record that they come from, `samples` and `air` what it holds beside them.
+    """
+    if config.instrument.description().report != "contact" and config.lever is not None:
+        return _reduced(path, swings, config, samples, air)
+    calibrated = config.lever is not None
+    unit_rad = ARCSEC_RAD if calibrated else 1.0
+    pendulum = pendulum_on_ball(config)
+    slow = SlowSamples(samples.times_ns, samples.y_rad, samples.u_y_rad, _clock_rate(config))
+    settled = settled_swings(swings, slow, pendulum if calibrated else None, config.fit)
+    good = [swing for swing in settled.swings if swing.flags == 0]
+    points = slow.points(settled.swings)
+    if calibrated:
+        decay = fit_decay(points, pendulum, config.fit)
+    else:
+        decay = DecayFits(
+            {}, {}, "the record has no calibration (no [lever]): amplitudes are in px, the laws need rad"
+        )
+    warnings = _fit_warnings(decay.fits)
+    sha256 = sha256_of(path)
+    evaluation: Evaluation | None = None
+    if decay.fits and pendulum is not None:
+        seed = int(sha256[:12], 16)
+        evaluation = evaluate(points, pendulum, decay.fits["exact"], rig_quantities(config), seed)
+    return RunResult(
+        record=path,
+        sha256=sha256,
+        frames=0,
+        dropped_frames=0,
+        half_cycles=len(good),
+        initial_amplitude_arcsec=good[0].amplitude / unit_rad if good else math.nan,
+        final_amplitude_arcsec=good[-1].amplitude / unit_rad if good else math.nan,
+        fits=decay.fits,
+        surface_energy_j_per_m2=decay.surface_energy,
+        problem=decay.problem,
+        warnings=tuple(dict.fromkeys(warnings)),
+        points=points,
+        evaluation=evaluation,
+        settings=config.fit.model_dump(),
+        motion=settled.motion,
+        unit="arcsec" if calibrated else "px",
+    )
+
+
+def _reduced(
+    path: Path, swings: Sequence[Swing], config: Configuration, samples: Samples, air: Air
+) -> RunResult:
+    """A run of a pendulum that is not described by the contact's laws."""
+    u_scale = config.lever.u_scale_relative if config.lever is not None else 0.0
+    reduction = reduce_run(config.instrument, swings, samples, air, u_scale)
+    points = reduction.points
+    return RunResult(
+        record=path,
+        sha256=sha256_of(path),
+        frames=0,
+        dropped_frames=0,
+        half_cycles=len(points),
+        initial_amplitude_arcsec=float(points.amplitude_rad[0]) / ARCSEC_RAD if len(points) else math.nan,
+        final_amplitude_arcsec=float(points.amplitude_rad[-1]) / ARCSEC_RAD if len(points) else math.nan,
+        fits={},
+        surface_energy_j_per_m2={},
+        problem=reduction.problem,
+        points=points,
+        settings=config.instrument.model_dump(mode="json"),
+        reduction=reduction,
+    )
+
+
+def _clock_rate(config: Configuration) -> float:
+    """True seconds in one of the camera's clock, as its calibration has it."""
+    return config.timebase.camera_rate if config.timebase is not None else 1.0
+
+
+def _utc(reader: RecordReader, time_ns: int) -> datetime.datetime:
+    return datetime.datetime.fromtimestamp((int(time_ns) + reader.epoch_offset_ns) * 1e-9, datetime.UTC)
+
+
+def _fit_warnings(fits: Mapping[str, FitResult]) -> list[str]:
+    """What every fit says once; what only one of them says with its name."""
+    found: dict[str, list[str]] = {}
+    for name, fit in fits.items():
+        for warning in fit.warnings:
+            found.setdefault(warning, []).append(name)
+    return [
+        warning if len(names) == len(fits) else f"{names[0]} fit: {warning}"
+        for warning, names in found.items()
+    ]
+
+
+def combine(runs: Sequence[RunResult]) -> dict[str, Any]:
+    """Parameters of a series: see `processing.fit.series`; empty for fewer than two fitted runs.
+
+    Of other instruments, what their runs say together: places on the sample, the reference.
+    """
+    reductions = [run.reduction for run in runs if run.reduction is not None]
+    if reductions:
+        values, _ = reduce_series(reductions)
+        return {"instrument": values} if values else {}
+    fitted = [run for run in runs if run.fits and run.points is not None and run.evaluation is not None]
+    first = fitted[0].evaluation if fitted else None
+    if len(fitted) < 2 or first is None:
+        return {}
+    return series_tree(
+        {name: [run.fits[name] for run in fitted] for name in fitted[0].fits},
+        [run.points for run in fitted if run.points is not None],
+        first.pendulum,
+        first.rig,
+        printed_curvature=bool(fitted[0].settings.get("printed_055")),
+    )
+
+
+def fit_records(paths: Sequence[Path], output: Path | None, overrides: Sequence[str]) -> int:
+    """`rig fit` on records: results.json in `output` or beside the first record; exit status."""
+    from rig.analysis.screen import print_results
+
+    results = [analyse_record(path, overrides) for path in paths]
+    folder = output or paths[0].parent
+    target = folder / "results.json"
+    if target.exists() and output is None:
+        target = free_name(folder, "results", ".json")
+    folder.mkdir(parents=True, exist_ok=True)
+    write_results(target, results_tree(results, folder, combine(results)))
+    print_results(results, [("results", target)])
+    return 1 if any(result.problem for result in results) else 0
+
+
+def free_name(folder: Path, stem: str, suffix: str) -> Path:
+    """First of stem-2, stem-3... that does not exist: a fit made again stands beside the earlier one."""
+    number = 2
+    while (folder / f"{stem}-{number}{suffix}").exists():
+        number += 1
+    return folder / f"{stem}-{number}{suffix}"

@@ -1,0 +1,138 @@
+"""`rig fit` on a table: swings, decay and period of any instrument, the contact's laws where they apply."""
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from processing.decay_summary import DecaySummary, summarise_decay
+from processing.errors import DataError
+from processing.swing import Swing, SwingDetector, estimate_noise, turning_points
+from rig.analysis.contact_laws import DecayFits, SlowSamples, fit_decay, settled_swings
+from rig.analysis.position_table import Trajectory, read_trajectory
+from rig.analysis.results import SCHEMA, fit_tree, write_results
+from rig.analysis.screen import parameter_table, print_table, value_with_uncertainty
+from rig.instrument.configured import pendulum_on_ball
+from rig.settings.configuration import Configuration, load_configuration
+
+_USABLE = 4
+
+
+def fit_trajectory(
+    path: Path,
+    output: Path | None,
+    config_path: Path | None,
+    time: str | None,
+    positions: list[str],
+    unit: str,
+    overrides: Sequence[str],
+) -> int:
+    """Detect the swings of a trajectory, print decay and period, fit the laws where unit and pendulum allow.
+
+    Two positions are first turned onto the direction of the larger motion. Returns the exit status.
+    Raises DataError where no decay can be had, with the reason.
+    """
+    trajectory = read_trajectory(path, time, positions, unit)
+    config = load_configuration(config_path, overrides) if config_path else None
+    scale = trajectory.scale_rad or 1.0
+    deflection = along_motion(trajectory.positions) * scale
+    noise = estimate_noise(trajectory.times_ns, deflection)
+    detector = SwingDetector()
+    swings = detector.update(trajectory.times_ns, deflection, np.full(len(deflection), noise))
+    swings += detector.finish()
+    points = turning_points(swings)
+    if len(points) < _USABLE:
+        flagged = len(swings) - len(points)
+        raise DataError(
+            f"{path}: {len(points)} usable half-cycles ({flagged} more are flagged), at least {_USABLE} are "
+            "needed: the samples hold no free decay, or too little of one"
+        )
+    summary = summarise_decay(points)
+    laws = DecayFits({}, {}, _why_no_laws(trajectory, config))
+    if config is not None and not laws.problem:
+        pendulum = pendulum_on_ball(config)
+        samples = SlowSamples(trajectory.times_ns, deflection, np.full(len(deflection), noise))
+        points = samples.points(settled_swings(swings, samples, pendulum, config.fit).swings)
+        laws = fit_decay(points, pendulum, config.fit)
+    _print(path, trajectory, swings, summary, noise / scale, laws)
+    if output is not None:
+        output.mkdir(parents=True, exist_ok=True)
+        write_results(output / "results.json", _tree(path, trajectory, summary, laws))
+        print(f"results      {output / 'results.json'}")
+    return 0
+
+
+def along_motion(positions: tuple[NDArray[np.float64], ...]) -> NDArray[np.float64]:
+    """One position as it is; of two the component along their direction of largest variance."""
+    if len(positions) == 1:
+        return positions[0]
+    both = np.column_stack(positions)
+    centred = both - np.nanmean(both, axis=0)
+    good = np.isfinite(centred).all(axis=1)
+    if not good.any():
+        raise DataError("the two positions are never both there; name other columns with --position")
+    _, _, axes = np.linalg.svd(centred[good], full_matrices=False)
+    along: NDArray[np.float64] = centred @ axes[0]
+    return along
+
+
+def _why_no_laws(trajectory: Trajectory, config: Configuration | None) -> str:
+    if trajectory.scale_rad is None:
+        return f"the unit {trajectory.unit!r} is no angle; the contact's laws need one (--unit arcsec)"
+    if config is None:
+        return "no pendulum is known; --config FILE with [pendulum] gives mass and ball"
+    return ""
+
+
+def _print(
+    path: Path,
+    trajectory: Trajectory,
+    swings: list[Swing],
+    summary: DecaySummary,
+    noise: float,
+    laws: DecayFits,
+) -> None:
+    scale = trajectory.scale_rad or 1.0
+    unit = trajectory.unit
+    print(f"{path}: {len(trajectory.times_ns)} samples, {', '.join(trajectory.names)} in {unit}")
+    if trajectory.skipped_rows:
+        print(f"  {trajectory.skipped_rows} rows without the right number of columns were left out")
+    print(f"  noise of a sample {noise:.3g} {unit}, from the scatter about a smooth curve")
+    flagged = len(swings) - summary.half_cycles
+    print(
+        f"  {summary.half_cycles} half-cycles ({flagged} more flagged and left out), amplitude "
+        f"{summary.initial_amplitude / scale:.4g} to {summary.final_amplitude / scale:.4g} {unit}"
+    )
+    period = value_with_uncertainty((summary.period_s, summary.u_period_s))
+    decrement = value_with_uncertainty((summary.decrement, summary.u_decrement))
+    print(f"  period {period} s (chi2/dof of a constant one {summary.period_chi2_per_dof:.3g})")
+    print(f"  log decrement {decrement} (chi2/dof of a constant one {summary.decrement_chi2_per_dof:.3g})")
+    if math.pi < summary.decrement:
+        print("  the decay is faster than a swing: no quality factor")
+    else:
+        q = math.pi / summary.decrement
+        print(f"  quality factor {value_with_uncertainty((q, q * summary.u_decrement / summary.decrement))}")
+    if laws.fits:
+        print_table(parameter_table(laws.fits, laws.surface_energy))
+    if laws.problem:
+        print(f"  contact: {laws.problem}")
+
+
+def _tree(path: Path, trajectory: Trajectory, summary: DecaySummary, laws: DecayFits) -> dict[str, Any]:
+    scale = trajectory.scale_rad or 1.0
+    return {
+        "schema": SCHEMA,
+        "trajectory": path.as_posix(),
+        "unit": trajectory.unit,
+        "half_cycles": summary.half_cycles,
+        "initial_amplitude": summary.initial_amplitude / scale,
+        "final_amplitude": summary.final_amplitude / scale,
+        "period_s": {"value": summary.period_s, "standard_uncertainty": summary.u_period_s},
+        "log_decrement": {"value": summary.decrement, "standard_uncertainty": summary.u_decrement},
+        "fits": {name: fit_tree(fit) for name, fit in laws.fits.items()},
+        "surface_energy_j_per_m2": dict(laws.surface_energy),
+        "problem": laws.problem,
+    }

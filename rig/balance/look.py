@@ -1,0 +1,114 @@
+"""One look at the balance: some periods of swinging, tracked and seen; and the view that shows all looks."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from acquisition.frame import Frame
+from calibration.axes import Axes
+from processing.balance import Balance
+from processing.errors import ConfigurationError, DataError
+from processing.spot import SpotTracker
+from rig.analysis.screen import say
+from rig.devices.devices import Devices
+from rig.devices.frame_stream import FrameStream
+from rig.instrument.configured import camera_settings, sensor_model
+from rig.instrument.kernels import prepare_kernels
+from rig.instrument.pipeline import Block, Pipeline
+from rig.measure.assembly import frame_policy
+from rig.settings.configuration import Configuration
+from rig.view.watcher import LiveView, start_view
+
+_PAUSE_NS = 2_000_000_000
+
+
+class LooksView:
+    """The balancing layout over all looks of a session, one behind the other in its time.
+
+    Nothing is opened before the first frame, nor at all where neither a live view nor a Rerun file is
+    wanted. A context manager.
+    """
+
+    def __init__(self, config: Configuration, rrd: Path | None, advise: Callable[[Balance], str]) -> None:
+        self._config = config
+        self._rrd = rrd
+        self._advise = advise
+        self._view: LiveView | None = None
+        self._shift_ns = 0
+        self._shown_ns = 0
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._view is not None:
+            for note in self._view.close().notes:
+                say(f"view: {note}")
+
+    def begin(self, first: Frame, full_scale_dn: int) -> None:
+        """A look begins; its frames' clock may have begun anew."""
+        mode = self._config.view.mode
+        if mode == "none" and self._rrd is None:
+            return
+        if self._view is None:
+            self._view = start_view(
+                self._config, self._rrd, mode, "balancing", "balancing", full_scale_dn, self._advise
+            )
+        else:
+            self._shown_ns += _PAUSE_NS
+            self._view.jump(self._shown_ns * 1e-9)
+        self._shift_ns = first.time_ns - self._shown_ns
+
+    def block(self, frames: Sequence[Frame], block: Block) -> None:
+        """Some frames were processed."""
+        if self._view is not None and frames:
+            self._view.block(self._shift_ns, frames, block)
+            self._shown_ns = frames[-1].time_ns - self._shift_ns
+
+
+def look(
+    config: Configuration, devices: Devices, show: Callable[[Balance], None], view: LooksView
+) -> Balance:
+    """Some periods of swinging; `show` gets every balance, the last one is returned. Raises DataError."""
+    if config.lever is None:
+        raise ConfigurationError("rig balance needs [lever]: without it nothing is known in arcsec")
+    found: Balance | None = None
+    with devices.camera(config) as camera:
+        sensor = sensor_model(config, camera.info.full_scale_dn)
+        prepare_kernels(sensor, say)
+        camera.camera.start()
+        stream = FrameStream(
+            camera.camera,
+            camera_settings(config),
+            policy=frame_policy(config),
+            timeout_s=config.camera.timeout_s,
+        )
+        try:
+            first = stream.begin()
+            if first is None:
+                raise DataError("the camera delivered no frame at all")
+            shape = (first.image.shape[0], first.image.shape[1])
+            pipeline = Pipeline(SpotTracker(sensor), config.lever, config.axes or Axes(), shape)
+            view.begin(first, camera.info.full_scale_dn)
+            end_ns = first.time_ns + round(1e9 * config.balance.seconds)
+            while not stream.drained:
+                frames = stream.take(32, 0.1)
+                if not frames:
+                    continue
+                block = pipeline.process(frames)
+                view.block(frames, block)
+                for balance in block.balances:
+                    found = balance
+                    show(balance)
+                if frames[-1].time_ns >= end_ns:
+                    break
+        finally:
+            stream.close()
+    if found is None:
+        raise stream.failure or DataError(
+            f"no swing was seen in {config.balance.seconds:g} s: let the pendulum swing, some arcsec or more"
+        )
+    return found

@@ -1,0 +1,38 @@
+"""What `rig balance` prints: every number with its direction, before and after, and the advice."""
+
+import math
+from collections.abc import Sequence
+
+from rich.console import Console
+from rich.table import Table
+
+from processing.balance_advice import Fault, Turn
+from rig.analysis.screen import say
+from rig.instrument.balance import turn_text
+
+
+def print_faults(faults: Sequence[Fault], before: Sequence[Fault], *, live: bool = False) -> None:
+    """A table of the balance; `live`: one line on stderr."""
+    if live:
+        parts = [f"{f.name} {f.value:+.3g} {f.unit}".rstrip() for f in faults[:2] if math.isfinite(f.value)]
+        say("  ".join(parts))
+        return
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for name in ("", "number", "now"):
+        table.add_column(name)
+    if before:
+        table.add_column("before")
+    for name in ("limit", "what it means"):
+        table.add_column(name)
+    for k, fault in enumerate(faults):
+        now = "-" if math.isnan(fault.value) else f"{fault.value:+.4g} ± {fault.u_value:.2g} {fault.unit}"
+        row = ["ok" if fault.ok else "NO", fault.name, now]
+        if before:
+            row.append("-" if math.isnan(before[k].value) else f"{before[k].value:+.4g}")
+        table.add_row(*row, f"{fault.limit:g}", "" if fault.ok else fault.meaning)
+    Console().print(table, highlight=False)
+
+
+def print_advice(turn: Turn | None, faults: Sequence[Fault]) -> None:
+    """One line: which weight, how many turns, which way."""
+    Console().print(turn_text(turn, faults), highlight=False, markup=False, soft_wrap=True)

@@ -1,0 +1,63 @@
+"""Where a calibration goes and what stands in its file beside the values: who, when, from what."""
+
+import datetime
+import getpass
+import socket
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from acquisition.record.digest import sha256_of
+from calibration.store import CalibrationFile, Kind, Source, write_calibration
+from rig.instrument.provenance import versions
+
+
+@dataclass(frozen=True, slots=True)
+class Filing:
+    """Where a calibration goes, who made it, how long it holds."""
+
+    folder: Path
+    valid_days: float = 90.0
+    made_by: str = ""
+
+
+def file_calibration(
+    kind: Kind,
+    filing: Filing,
+    method: str,
+    values: Mapping[str, Any],
+    details: Mapping[str, Any],
+    sources: Sequence[Path],
+    notes: Sequence[str] = (),
+    measured_at: datetime.datetime | None = None,
+) -> Path:
+    """Write one calibration, valid from when it was `measured_at` (None: now) on; returns the file.
+
+    `values` are those that fill a configuration, `details` what a report shows, `sources` the files
+    that it rests on, whose hashes are kept.
+    """
+    now = datetime.datetime.now(datetime.UTC).replace(microsecond=0)
+    measured_at = measured_at or now
+    calibration = CalibrationFile(
+        kind=kind,
+        made_by=filing.made_by or _user(),
+        made_at=now,
+        valid_until=(measured_at + datetime.timedelta(days=filing.valid_days)).replace(microsecond=0),
+        measured_at=measured_at,
+        host=socket.gethostname(),
+        software=f"optical-pendulum-rig {versions()['optical-pendulum-rig']}",
+        method=method,
+        sources=tuple(Source(name=path.name, sha256=sha256_of(path)) for path in sources if path.is_file()),
+        notes=tuple(notes),
+        values=dict(values),
+        details=dict(details),
+    )
+    return write_calibration(filing.folder, calibration)
+
+
+def _user() -> str:
+    try:
+        return getpass.getuser()
+    except (KeyError, OSError):
+        return ""

@@ -1,0 +1,180 @@
+"""The instrument's devices: opened in order, closed in reverse, always."""
+
+import logging
+import math
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from types import TracebackType
+from typing import NamedTuple, Self
+
+from acquisition.camera import Camera, CameraInfo
+from acquisition.cameras.simulated import SimulatedCamera
+from acquisition.simulation.inputs import RigInputs
+from processing.errors import ConfigurationError
+from rig.control.controller import Controller
+from rig.control.environment import EnvironmentService
+from rig.control.laser_service import LaserService
+from rig.control.lasers import make_laser
+from rig.control.service import ControlService, ControlState
+from rig.control.simulated import SimulatedOutputs, simulated_controller
+from rig.devices import lighting
+from rig.instrument.configured import camera_settings, make_camera, setting_differences
+from rig.settings.configuration import Configuration
+
+_log = logging.getLogger(__name__)
+
+
+class OpenCamera(NamedTuple):
+    """A camera that is configured; `notes` are the settings that it did not take as asked."""
+
+    camera: Camera
+    info: CameraInfo
+    notes: tuple[str, ...]
+
+
+class Devices:
+    """Controller, sensor and laser of one session, and the camera of each run; a context manager.
+
+    Opened in the order controller, sensor, laser, camera and closed in reverse, whatever happens.
+    What is not configured is not opened. Laser and controller stay on between the runs of a series.
+    """
+
+    def __init__(self, config: Configuration) -> None:
+        self._config = config
+        self._closing = ExitStack()
+        self._inputs: RigInputs | None = None
+        self.control: ControlService | None = None
+        self.laser: LaserService | None = None
+        self.sensor: EnvironmentService | None = None
+        if config.controller.kind == "simulated":
+            if config.camera.driver != "simulated" or not config.simulation.real_time:
+                raise ConfigurationError(
+                    "controller.kind = 'simulated' moves the simulated rig in real time: "
+                    "set camera.driver = 'simulated' and simulation.real_time = true"
+                )
+            self._inputs = RigInputs()
+
+    def __enter__(self) -> Self:
+        try:
+            self._open()
+        except BaseException:
+            self._closing.close()
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._closing.close()
+
+    def _open(self) -> None:
+        config = self._config
+        if config.controller.kind != "none":
+            self.control = self._closing.enter_context(
+                ControlService(self.make_controller(), config.controller, config.environment_sensor.period_s)
+            )
+            self.control.wait_open()
+        if config.environment_sensor.kind == "serial":
+            self.sensor = self._closing.enter_context(EnvironmentService(config.environment_sensor))
+        laser = make_laser(config.laser)
+        if laser is not None:
+            self.laser = self._closing.enter_context(LaserService(laser))
+
+    @contextmanager
+    def camera(self, config: Configuration) -> Iterator[OpenCamera]:
+        """The camera of one run, opened and configured; closed on the way out."""
+        camera: Camera
+        if self._inputs is not None:
+            camera = SimulatedCamera(config.simulation, config.faults, self._inputs)
+        else:
+            camera = make_camera(config)
+        try:
+            info = camera.open()
+            asked = camera_settings(config)
+            yield OpenCamera(camera, info, tuple(setting_differences(asked, camera.configure(asked))))
+        finally:
+            camera.close()
+
+    def make_controller(self) -> Controller:
+        """The configured controller, not opened yet; a simulated one acts on the simulated rig."""
+        config = self._config
+        limit_w = config.laser.max_power_w
+        if config.controller.kind == "serial":
+            return Controller(config.controller, limit_w)
+        inputs = self._inputs or RigInputs()
+        if config.laser.kind != "controller":
+            # a laser that nobody drives is simply on
+            inputs.laser(config.simulation.optics.laser_w)
+        return simulated_controller(
+            config.controller,
+            limit_w,
+            SimulatedOutputs(
+                laser=inputs.laser if config.laser.kind == "controller" else _unwired,
+                magnet=inputs.magnet,
+                starter=inputs.starter,
+                clamp=inputs.clamp,
+                brake=inputs.brake,
+            ),
+        )
+
+    def light(self) -> str:
+        """Switch the laser on; what was done, in words. Raises as `rig.lighting.light`."""
+        return lighting.light(self._config.laser, self.control, self.laser)
+
+    def laser_now(self) -> lighting.LaserNow | None:
+        """How the laser stands; None without one that is ours. Never blocks."""
+        if self._config.laser.kind == "none":
+            return None
+        return lighting.laser_now(self._config.laser, self.control, self.laser)
+
+    def required_control(self, who: str) -> ControlService:
+        """The controller; ConfigurationError where `who` needs one and there is none."""
+        if self.control is None:
+            raise ConfigurationError(f"{who} needs a controller: set controller.kind to serial or simulated")
+        return self.control
+
+    def take_events(self) -> list[tuple[str, str]]:
+        """(kind, text) of what the devices did since the last call; never blocks."""
+        found = [("controller", event.text) for event in self.control.take_events()] if self.control else []
+        if self.laser is not None:
+            found += [("laser", event.text) for event in self.laser.take_events()]
+        if self.sensor is not None:
+            found += [("sensor", event.text) for event in self.sensor.take_events()]
+        return found
+
+    def environment(self) -> tuple[float, float, float]:
+        """Temperature in °C, humidity in %, pressure in Pa: sensor, controller, else what the user states."""
+        if self.sensor is not None:
+            air = self.sensor.latest.environment
+            return air.temperature_c, air.humidity_percent, air.pressure_pa
+        if self.control is not None and self._config.environment_sensor.kind == "controller":
+            air = self.control.snapshot.environment
+            return air.temperature_c, air.humidity_percent, air.pressure_pa
+        return math.nan, math.nan, math.nan
+
+    def describe(self) -> str:
+        """Laser and controller in a few words; empty without them."""
+        laser = self.laser_now()
+        words = [] if laser is None else ["laser on" if laser.on else f"laser {laser.words}"]
+        if self.control is None:
+            return ", ".join(words)
+        snapshot = self.control.snapshot
+        if snapshot.state is not ControlState.OPEN or snapshot.status is None:
+            return str(snapshot.state)
+        status = snapshot.status
+        words += [
+            name
+            for name, on in (
+                ("magnet", status.magnet_on),
+                ("starter", status.starter_on),
+                ("clamp", status.clamp_closed),
+                ("brake", status.brake_on),
+            )
+            if on
+        ]
+        words.append("interlock closed" if status.interlock_closed else "INTERLOCK OPEN")
+        return ", ".join(words)
+
+
+def _unwired(_: float) -> None:
+    """The laser's pin of a rig whose laser is another's."""

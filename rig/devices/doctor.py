@@ -1,0 +1,158 @@
+"""`rig doctor`: the whole rig looked over, without switching anything on."""
+
+import os
+import shutil
+import time
+from collections.abc import Iterator
+from dataclasses import asdict
+from pathlib import Path
+
+from acquisition.camera import FrameTimeout
+from acquisition.frame_losses import FrameLosses
+from processing.errors import RigError
+from rig.analysis.screen import print_checks, print_json_line
+from rig.control.ports import Check, check_controller, check_environment, check_laser
+from rig.devices.devices import Devices
+from rig.devices.usb_checks import check_usb_cameras, check_usb_memory
+from rig.instrument.configured import check_materials, complete, sensor_model
+from rig.settings.configuration import Configuration
+
+_FRAMES = 60
+_GOVERNOR = Path("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor")
+_CLOCK_SOURCE = Path("/sys/devices/system/clocksource/clocksource0/current_clocksource")
+_STEADY_CLOCKS = {"tsc", "kvm-clock", "hyperv_clocksource_tsc_page", "arch_sys_counter", "hpet"}
+
+
+def examine(config: Configuration, *, json_lines: bool = False) -> int:
+    """Every check in turn; exit status 1 where one says no."""
+    checks = []
+    for check in _checks(complete(config)):
+        checks.append(check)
+        if json_lines:
+            print_json_line("check", asdict(check))
+    if not json_lines:
+        print_checks(checks)
+    return 0 if all(check.ok for check in checks) else 1
+
+
+def _checks(config: Configuration) -> Iterator[Check]:
+    yield from check_settings(config)
+    devices = Devices(config)
+    yield from check_controller(devices.make_controller(), config.controller, config.laser)
+    yield from check_laser(config.laser, config.controller)
+    yield from check_environment(config.environment_sensor)
+    if config.camera.driver == "usb3vision":
+        yield from check_usb_cameras(config.camera.usb3vision.serial or config.camera.serial)
+    yield from check_camera(config, devices)
+    yield check_disk(config.session.output)
+    yield check_clock(_read(_CLOCK_SOURCE))
+    yield check_governor(_read(_GOVERNOR), os.cpu_count() or 1)
+
+
+def check_settings(config: Configuration) -> Iterator[Check]:
+    """Whether the configuration says what a fit needs."""
+    try:
+        check_materials(config)
+        pendulum = config.pendulum is not None
+        yield Check(
+            "pendulum",
+            pendulum,
+            "stated" if pendulum else "not stated: nothing can be fitted",
+            "" if pendulum else "state mass_kg and ball_radius_m under [pendulum]",
+        )
+    except RigError as error:
+        yield Check("pendulum", False, str(error), "correct the material")
+    lever = config.lever is not None
+    yield Check(
+        "light lever",
+        lever,
+        "stated" if lever else "no calibration: amplitudes will be in px",
+        "" if lever else "state arm_m and pixel_pitch_m under [lever]",
+    )
+    known = config.sensor is not None
+    yield Check("sensor's noise", True, "stated" if known else "not stated: a typical sensor is assumed")
+
+
+def check_camera(config: Configuration, devices: Devices) -> Iterator[Check]:
+    """Open the camera, take some frames, close it."""
+    try:
+        with devices.camera(config) as camera:
+            info = camera.info
+            yield Check("camera", True, f"{info.vendor} {info.model} {info.serial}".strip())
+            yield Check(
+                "camera settings",
+                not camera.notes,
+                "; ".join(camera.notes) or "taken as asked",
+                "ask for what the camera can do" if camera.notes else "",
+            )
+            sensor_model(config, info.full_scale_dn)
+            camera.camera.start()
+            begun_s = time.monotonic()
+            count = frame_bytes = 0
+            for _ in range(_FRAMES):
+                frame = camera.camera.read(config.camera.timeout_s)
+                if frame is None:
+                    break
+                count += 1
+                frame_bytes = frame.image.nbytes
+            seconds = time.monotonic() - begun_s
+            status = camera.camera.status
+            camera.camera.stop()
+            enough = count == _FRAMES and status.dropped == 0
+            yield Check(
+                "frames",
+                enough,
+                f"{count} in {seconds:.2f} s, lost: {FrameLosses.of(status)}",
+                "" if enough else "another port or cable; a lower frame_rate_hz; a smaller region",
+            )
+            if config.camera.driver == "usb3vision" and frame_bytes:
+                yield from check_usb_memory(frame_bytes)
+    except FrameTimeout as error:
+        yield Check("frames", False, str(error), "is it triggered from outside? see its cable and power")
+    except RigError as error:
+        yield Check("camera", False, str(error), "see camera.driver and camera.serial, its cable and power")
+
+
+def check_disk(output: Path) -> Check:
+    """Room where the sessions go, and whether it can be written."""
+    place = output
+    while not place.exists():
+        place = place.parent if place.parent != place else Path()
+    free_bytes = shutil.disk_usage(place).free
+    writable = os.access(place, os.W_OK)
+    ok = writable and free_bytes > 2e9
+    reason = f"{free_bytes / 1e9:.1f} GB free at {place.resolve()}"
+    return Check(
+        "disk",
+        ok,
+        reason if writable else f"{reason}, not writable",
+        "" if ok else "free space, or set session.output",
+    )
+
+
+def check_clock(source: str) -> Check:
+    """The kernel's clock source; a slow one makes arrival times uneven."""
+    if not source:
+        return Check("clock", True, "this system does not name its clock source")
+    ok = source in _STEADY_CLOCKS
+    return Check("clock", ok, source, "" if ok else "boot with clocksource=tsc where the processor has it")
+
+
+def check_governor(governor: str, processors: int) -> Check:
+    """Whether the processor slows itself down while frames come."""
+    if not governor:
+        return Check("processor", True, f"{processors} cores; nothing governs their frequency here")
+    ok = governor not in {"powersave", "conservative"}
+    return Check(
+        "processor",
+        ok,
+        f"{processors} cores, governor {governor}",
+        "" if ok else "cpupower frequency-set -g performance",
+    )
+
+
+def _read(path: Path) -> str:
+    try:
+        return path.read_text(encoding="ascii").strip()
+    except OSError:
+        return ""

@@ -1,0 +1,106 @@
+"""What of a run is exported: spots, half-cycles, results and provenance as plain values with units."""
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.record.digest import sha256_of
+from acquisition.record.reader import RecordReader
+from acquisition.record.topics import SPOT, SWING
+from processing.errors import RecordError
+from rig.analysis.results_file import RESULTS_NAME, read_results
+from rig.instrument.provenance import CONFIGURATION_NAME
+
+_UNITS = {
+    "px": "px",
+    "rad": "rad",
+    "arcsec": "arcsec",
+    "s": "s",
+    "ns": "ns",
+    "dn": "count",
+    "pa": "Pa",
+    "kg": "kg",
+    "m": "m",
+    "j": "J",
+    "m2": "J/m^2",
+}
+
+
+@dataclass(frozen=True)
+class ExportedRun:
+    """One run: structured arrays by the record's own field names, results as (name, value) rows.
+
+    `results` is empty where the run was not fitted. `provenance` is text by name, among it the
+    record's hash and its whole configuration.
+    """
+
+    name: str
+    spots: NDArray[Any]
+    swings: NDArray[Any]
+    results: Mapping[str, Any]
+    provenance: Mapping[str, str]
+
+
+def read_runs(source: Path) -> list[ExportedRun]:
+    """Runs of a folder with results.json, or of one record (with the results beside it, if any)."""
+    if source.is_dir():
+        tree = read_results(source)
+        return [_read_run(source / str(run.get("record", "")), run) for run in tree["runs"]]
+    results: Mapping[str, Any] = {}
+    if (source.parent / RESULTS_NAME).exists():
+        runs = read_results(source.parent)["runs"]
+        results = next((run for run in runs if run.get("record") == source.name), {})
+    return [_read_run(source, results)]
+
+
+def _read_run(path: Path, results: Mapping[str, Any]) -> ExportedRun:
+    with RecordReader(path) as reader:
+        provenance = {"record": path.name, "deflection_unit": reader.deflection_unit}
+        for section, texts in reader.metadata.items():
+            provenance |= {f"{section}.{key}": text for key, text in texts.items() if text}
+        configuration = reader.attachments.get(CONFIGURATION_NAME)
+        if configuration is not None:
+            provenance["configuration"] = json.dumps(json.loads(configuration))
+        spots, swings = reader.table(SPOT.topic), reader.table(SWING.topic)
+    provenance["sha256"] = sha256_of(path)
+    if results and results.get("sha256") != provenance["sha256"]:
+        raise RecordError(
+            f"{path}: is not the record that {RESULTS_NAME} was made from (another hash); "
+            "rig fit makes new results"
+        )
+    return ExportedRun(path.stem, spots, swings, results, provenance)
+
+
+def unit_of(name: str) -> str:
+    """Unit by the end of a name, empty for a number without one."""
+    word = name.rsplit("_", 1)[-1]
+    if "_" not in name or (word == "m2" and "_per_" not in name):
+        return ""
+    return _UNITS.get(word, "")
+
+
+def flat_results(tree: Mapping[str, Any], above: str = "") -> list[tuple[str, float | str]]:
+    """Results as dotted names and values; what is not determined is NaN, lists are numbered from 0."""
+    rows: list[tuple[str, float | str]] = []
+    for key, value in tree.items():
+        name = f"{above}{key}"
+        if isinstance(value, Mapping):
+            rows += flat_results(value, f"{name}.")
+        elif isinstance(value, Sequence) and not isinstance(value, str):
+            rows += flat_results({str(place): item for place, item in enumerate(value)}, f"{name}.")
+        elif value is None:
+            rows.append((name, math.nan))
+        else:
+            rows.append((name, value if isinstance(value, str) else float(value)))
+    return rows
+
+
+def columns_of(table: NDArray[Any]) -> dict[str, NDArray[Any]]:
+    """The fields of a structured array as contiguous arrays, in order."""
+    return {name: np.ascontiguousarray(table[name]) for name in table.dtype.names or ()}

@@ -1,0 +1,34 @@
+"""`rig export`: spots, half-cycles and results for other programs, with the provenance inside each file."""
+
+from pathlib import Path
+from typing import Literal
+
+from processing.errors import RecordError
+from rig.export.nexus import write_nexus
+from rig.export.run import read_runs
+from rig.export.tables import write_csv, write_parquet
+
+Format = Literal["csv", "parquet", "hdf5"]
+
+
+def export_session(source: Path, kind: Format, output: Path) -> list[Path]:
+    """Export a session's folder or one record; returns the files made.
+
+    CSV and Parquet: `output` is a folder, three files a run. HDF5: `output` is the file, one
+    NXentry a run. Nothing that exists is written over.
+
+    Raises RecordError for a source without records, a file that exists, a library that is missing.
+    """
+    runs = read_runs(source)
+    try:
+        if kind == "hdf5":
+            if output.exists():
+                raise RecordError(f"{output}: exists already and is not overwritten; choose another name")
+            output.parent.mkdir(parents=True, exist_ok=True)
+            write_nexus(output, runs)
+            return [output]
+        output.mkdir(parents=True, exist_ok=True)
+        write = write_csv if kind == "csv" else write_parquet
+        return [path for run in runs for path in write(output, run)]
+    except OSError as error:
+        raise RecordError(f"{output}: cannot be written: {error.strerror or error}") from None

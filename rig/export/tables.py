@@ -1,0 +1,62 @@
+"""CSV and Parquet: three files a run, spots, swings, results."""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import pyarrow as pa
+from pyarrow import csv, parquet
+
+from processing.errors import RecordError
+from rig.export.run import ExportedRun, columns_of, flat_results, unit_of
+
+
+def write_csv(folder: Path, run: ExportedRun) -> list[Path]:
+    """Comma-separated, one header line; lines that begin with ``#`` before it hold the provenance."""
+    head = "".join(f"# {name}: {' '.join(text.split())}\n" for name, text in run.provenance.items())
+    made = []
+    for path, table in _tables(folder, run, "csv"):
+        with path.open("wb") as file:
+            file.write(head.encode())
+            csv.write_csv(table, file)
+        made.append(path)
+    return made
+
+
+def write_parquet(folder: Path, run: ExportedRun) -> list[Path]:
+    """Provenance as the schema's metadata under ``provenance`` (JSON), units as the fields'."""
+    metadata = {b"provenance": json.dumps(dict(run.provenance)).encode()}
+    made = []
+    for path, table in _tables(folder, run, "parquet"):
+        parquet.write_table(table.replace_schema_metadata(metadata), path, compression="zstd")
+        made.append(path)
+    return made
+
+
+def _tables(folder: Path, run: ExportedRun, suffix: str) -> Iterator[tuple[Path, pa.Table]]:
+    tables = {"spots": columns_of(run.spots), "swings": columns_of(run.swings)}
+    for name, columns in tables.items():
+        fields = [
+            pa.field(key, pa.from_numpy_dtype(values.dtype), metadata={"unit": unit_of(key)})
+            for key, values in columns.items()
+        ]
+        yield _free(folder, run, name, suffix), pa.table(list(columns.values()), schema=pa.schema(fields))
+    if run.results:
+        rows = flat_results(run.results)
+        yield (
+            _free(folder, run, "results", suffix),
+            pa.table(
+                {
+                    "name": [name for name, _ in rows],
+                    "value": pa.array([v if isinstance(v, float) else None for _, v in rows], pa.float64()),
+                    "text": [v if isinstance(v, str) else "" for _, v in rows],
+                }
+            ),
+        )
+
+
+def _free(folder: Path, run: ExportedRun, what: str, suffix: str) -> Path:
+    path = folder / f"{run.name}-{what}.{suffix}"
+    if path.exists():
+        raise RecordError(f"{path}: exists already and is not overwritten; choose another folder")
+    return path

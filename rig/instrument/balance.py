@@ -1,0 +1,114 @@
+"""The balance in the terms of one rig: its limits, its weights, its height, and the advice for a moment."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from processing.angle import ARCSEC_RAD
+from processing.balance import Balance
+from processing.balance_advice import (
+    BalanceLimits,
+    Fault,
+    Turn,
+    WeightResponses,
+    find_faults,
+    mass_centre_height_m,
+)
+from processing.contact.half_swing import stiffness_ratio
+from processing.contact.period import frequency_drop
+from rig.instrument.configured import pendulum_on_ball
+from rig.settings.configuration import Configuration
+
+Floats = NDArray[np.float64]
+_U_NOMINAL = 0.2
+WEIGHTS = ("x", "y", "height")
+DIRECTIONS = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "height": (0.0, 0.0, 1.0)}
+
+
+def limits_of(config: Configuration) -> BalanceLimits:
+    """The limits as the advice takes them."""
+    return BalanceLimits(**{name: getattr(config.balance, name) for name in BalanceLimits._fields})
+
+
+def nominal_effects(config: Configuration) -> dict[str, tuple[Floats, Floats] | None]:
+    """What a turn of each weight should do by its mass and thread, (arcsec, arcsec, m), with uncertainty.
+
+    A fifth of the shift is doubted, in every direction, since no screw lies quite along its axis. None:
+    not known.
+    """
+    pendulum = config.pendulum
+    effects: dict[str, tuple[Floats, Floats] | None] = {}
+    for name in WEIGHTS:
+        weight = getattr(config.balance, f"weight_{name}")
+        if pendulum is None or weight.mass_kg == 0 or weight.sense == 0:
+            effects[name] = None
+            continue
+        shift_m = weight.sense * weight.mass_kg / pendulum.mass_kg * weight.pitch_m
+        tilt_arcsec = shift_m / pendulum.ball_radius_m / ARCSEC_RAD
+        # the height weight moves down: the mass centre is then less too high
+        turn = np.array([tilt_arcsec, tilt_arcsec, -shift_m])
+        effects[name] = (np.array(DIRECTIONS[name]) * turn, _U_NOMINAL * np.abs(turn))
+    return effects
+
+
+def elastic_drop(config: Configuration, amplitude_rad: float) -> float:
+    """How much of the frequency the contact's elasticity takes at an amplitude (Eq. 6)."""
+    pendulum = pendulum_on_ball(config)
+    if pendulum is None or config.balance.gamma_pa == 0:
+        return 0.0
+    kappa = stiffness_ratio(config.balance.gamma_pa, pendulum)
+    rho = pendulum.ball_radius_m / pendulum.contact_radius_m
+    return float(frequency_drop(amplitude_rad, config.balance.n, kappa, rho))
+
+
+def height_of(config: Configuration, balance: Balance) -> tuple[float, float]:
+    """How much too high the mass centre is, in m, with its uncertainty from the period; NaN: not known."""
+    pendulum, inertia = config.pendulum, config.balance.inertia_kg_m2
+    if pendulum is None or inertia is None:
+        return math.nan, math.nan
+    period0_s = balance.period_s * (1.0 - elastic_drop(config, balance.amplitude_rad))
+    height_m = mass_centre_height_m(
+        period0_s, inertia, pendulum.mass_kg, pendulum.ball_radius_m, pendulum.gravity_m_per_s2
+    )
+    return height_m, 2.0 * pendulum.ball_radius_m * balance.u_period_s / balance.period_s
+
+
+def turn_text(turn: Turn | None, faults: Sequence[Fault]) -> str:
+    """One line: which weight, how many turns, which way."""
+    if turn is not None:
+        way = "clockwise" if turn.turns > 0 else "anticlockwise"
+        return f"turn weight {turn.weight}: {abs(turn.turns):.2f} turns {way} ({turn.why})"
+    verdict = _verdict(faults)
+    return verdict if all(fault.ok for fault in faults) else f"the weights are right; still {verdict}"
+
+
+def _verdict(faults: Sequence[Fault]) -> str:
+    rest = ", ".join(fault.name for fault in faults if not fault.ok)
+    return f"out of limits: {rest}" if rest else "balanced: within all limits"
+
+
+def advice_text(config: Configuration, balance: Balance, learned: WeightResponses | None = None) -> str:
+    """What is wrong with a balance and what to turn, in Markdown.
+
+    From what the weights should do, or from what `rig balance` has `learned` that turns really do.
+    Empty without a calibration, when nothing is known in arcsec.
+    """
+    if config.lever is None:
+        return ""
+    limits = limits_of(config)
+    height_m = height_of(config, balance)
+    faults = find_faults(balance, height_m, limits)
+    state = np.array([faults[0].value, faults[1].value, height_m[0]])
+    effects = {name: effect for name, effect in nominal_effects(config).items() if effect is not None}
+    responses = learned or (WeightResponses(effects, limits) if effects else None)
+    head = _verdict(faults) if responses is None else turn_text(responses.advise(state), faults)
+    lines = [f"**{head}**", ""]
+    lines += [
+        f"- {fault.name} {fault.value:+.4g} ± {fault.u_value:.2g} {fault.unit} "
+        f"(limit {fault.limit:g}): {fault.meaning}"
+        for fault in faults
+        if not fault.ok
+    ]
+    return "\n".join(lines)

@@ -1,0 +1,170 @@
+"""Calibration files in use: they fill the configuration, go into the record, are judged in the results."""
+
+import datetime
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ValidationError
+
+from calibration.axes import Axes
+from calibration.known_angle import moved_between
+from calibration.lever import Lever
+from calibration.store import CalibrationFile, Kind, parse_calibration, sha256_bytes
+from processing.errors import ConfigurationError
+from rig.settings.calibration import TimebaseSettings
+from rig.settings.configuration import Configuration, SensorSettings
+
+PREFIX = "calibration/"
+_SECTIONS: Mapping[Kind, tuple[str, type[BaseModel]]] = {
+    "sensor": ("sensor", SensorSettings),
+    "lever": ("lever", Lever),
+    "axes": ("axes", Axes),
+    "clock": ("timebase", TimebaseSettings),
+}
+
+
+def fill_from_files(config: Configuration) -> Configuration:
+    """The configuration with the sections that its calibration files give.
+
+    Raises ConfigurationError: a file that is missing, of another kind or no calibration; a section
+    that is stated and calibrated with different values. An expired file fills too: the results say so.
+    """
+    update: dict[str, Any] = {}
+    for kind, (section, model) in _SECTIONS.items():
+        path: Path | None = getattr(config.calibration, kind)
+        if path is None:
+            continue
+        found = parse_calibration(_read(path), str(path), kind)
+        try:
+            values = model.model_validate(found.values)
+        except ValidationError as error:
+            fault = error.errors()[0]
+            place = ".".join(str(part) for part in fault["loc"])
+            raise ConfigurationError(f"{path}: values.{place}: {fault['msg']}") from None
+        stated = getattr(config, section)
+        if stated not in (None, values):
+            raise ConfigurationError(
+                f"[{section}] is stated and calibration.{kind} = {str(path)!r} gives other values; "
+                "leave one of them out"
+            )
+        update[section] = values
+    for path in (config.calibration.pointing, *config.calibration.checks):
+        if path is not None:
+            parse_calibration(_read(path), str(path))
+    return config.model_copy(update=update)
+
+
+def calibration_attachments(config: Configuration) -> dict[str, bytes]:
+    """The files in use, as they are, by their names in a record."""
+    paths = {kind: getattr(config.calibration, kind) for kind in (*_SECTIONS, "pointing")}
+    found = {f"{PREFIX}{kind}.toml": _read(path) for kind, path in paths.items() if path is not None}
+    for number, path in enumerate(config.calibration.checks, 1):
+        found[f"{PREFIX}check-{number}.toml"] = _read(path)
+    return found
+
+
+def judge_calibration(
+    config: Configuration,
+    attachments: Mapping[str, bytes],
+    began: datetime.datetime,
+    ended: datetime.datetime,
+) -> tuple[dict[str, Any], list[str]]:
+    """What the results say of the calibration of one run, and what is to be warned of.
+
+    Parameters
+    ----------
+    config, attachments
+        Of the record. Checks that `config` names and the record does not hold are read from their
+        files, since the check after a series comes when its records are closed.
+    began, ended
+        Of the run.
+    """
+    tree: dict[str, Any] = {}
+    warnings: list[str] = []
+    missing = []
+    for kind, (section, _) in _SECTIONS.items():
+        data = attachments.get(f"{PREFIX}{kind}.toml")
+        if data is not None:
+            found = parse_calibration(data, f"{PREFIX}{kind}.toml", kind)
+            tree[kind] = _entry(found, data, began)
+            if tree[kind]["validity"] != "valid":
+                warnings.append(f"the calibration of the {kind} had expired on {found.valid_until:%Y-%m-%d}")
+        elif config.camera.driver == "simulated":
+            tree[kind] = {
+                "validity": "simulated",
+                "text": "what the simulated rig knows of itself, or was told",
+            }
+        elif getattr(config, section) is not None:
+            tree[kind] = {
+                "validity": "stated",
+                "text": "stated in the configuration, without a calibration file",
+            }
+        else:
+            tree[kind] = {"validity": "missing", "text": "no calibration"}
+            missing.append(kind)
+    if missing:
+        warnings.append(f"not calibrated: {', '.join(missing)} (rig calibrate)")
+    data = attachments.get(f"{PREFIX}pointing.toml")
+    if data is not None:
+        tree["pointing"] = _entry(parse_calibration(data, "pointing.toml", "pointing"), data, began)
+    checks, lines = _checks(config, attachments, began, ended)
+    if checks:
+        tree["checks"] = checks
+    return tree, [*warnings, *lines]
+
+
+def _entry(found: CalibrationFile, data: bytes, at: datetime.datetime) -> dict[str, Any]:
+    validity = "expired" if found.expired(at) else "valid"
+    return {
+        "validity": validity,
+        "text": f"{found.method}; by {found.made_by or '?'}, valid until {found.valid_until:%Y-%m-%d}",
+        "sha256": sha256_bytes(data),
+        **found.model_dump(mode="json", exclude={"details", "schema_version"}),
+    }
+
+
+def _checks(
+    config: Configuration,
+    attachments: Mapping[str, bytes],
+    began: datetime.datetime,
+    ended: datetime.datetime,
+) -> tuple[list[dict[str, Any]], list[str]]:
+    """Known-angle checks around the run, in order of time; a scale that moved is a warning."""
+    raw = [data for name, data in sorted(attachments.items()) if name.startswith(f"{PREFIX}check-")]
+    raw += [_read(path) for path in config.calibration.checks if path.is_file()]
+    found = [(parse_calibration(data, "check", "check"), data) for data in dict.fromkeys(raw)]
+    found.sort(key=lambda item: item[0].measured_at)
+    warnings = []
+    if len(found) < len(config.calibration.checks):
+        gone = [str(path) for path in config.calibration.checks if not path.is_file()]
+        warnings.append(f"known-angle checks that cannot be read: {', '.join(gone)}")
+    for check, _ in found:
+        if check.details.get("moved"):
+            ratio, u = check.details["ratio"], check.details["u_both"]
+            warnings.append(
+                f"known angles on {check.measured_at:%Y-%m-%d %H:%M}: the lever's scale is off by "
+                f"{100 * (ratio - 1):+.3g} % (u = {100 * u:.2g} %)"
+            )
+    before = [check for check, _ in found if check.measured_at <= began]
+    after = [check for check, _ in found if check.measured_at >= ended]
+    if before and after:
+        first, last = before[-1].details, after[0].details
+        change, u_change, moved = moved_between(
+            (first["ratio"], first["u_ratio"]),
+            (last["ratio"], last["u_ratio"]),
+            max(first.get("u_reference_relative", 0.0), last.get("u_reference_relative", 0.0)),
+        )
+        if moved:
+            warnings.append(
+                f"the lever's scale moved by {100 * change:+.3g} % (u = {100 * u_change:.2g} %) between the "
+                "checks before and after this run"
+            )
+    return [_entry(check, data, began) | {"found": check.details} for check, data in found], warnings
+
+
+def _read(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise ConfigurationError(f"{path}: no calibration can be read: {error.strerror or error}") from None

@@ -1,0 +1,98 @@
+"""Where a record comes from: configuration, versions, host; and reading it back."""
+
+import importlib.metadata
+import platform
+import socket
+from collections.abc import Sequence
+from pathlib import Path
+
+from pydantic import ValidationError
+
+from acquisition.camera import CameraInfo
+from acquisition.frame import Frame
+from acquisition.record.reader import RecordReader
+from processing.errors import RecordError
+from rig.instrument.calibration import calibration_attachments
+from rig.settings.configuration import Configuration, apply_overrides, validate_configuration
+
+CONFIGURATION_NAME = "configuration.json"
+SOURCE_NAME = "configuration.toml"
+_PACKAGES = ("optical-pendulum-rig", "numpy", "scipy", "numba", "opencv-python-headless", "mcap", "rerun-sdk")
+
+
+def versions() -> dict[str, str]:
+    """Versions of what has a part in the numbers."""
+    found = {"python": platform.python_version(), "platform": platform.platform()}
+    for name in _PACKAGES:
+        try:
+            found[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            found[name] = "not installed"
+    return found
+
+
+def session_metadata(config: Configuration, info: CameraInfo, first: Frame) -> dict[str, dict[str, str]]:
+    """Metadata of a record, by section: who, what, with which camera and versions, frames of which shape."""
+    session = config.session
+    environment = config.environment.model_dump(exclude_none=True)
+    camera = {
+        "driver": info.driver,
+        "vendor": info.vendor,
+        "model": info.model,
+        "serial": info.serial,
+        "width_px": str(info.width_px),
+        "height_px": str(info.height_px),
+        "full_scale_dn": str(info.full_scale_dn),
+        "has_clock": str(info.has_clock),
+    }
+    return {
+        "session": {
+            "operator": session.operator,
+            "sample": session.sample,
+            "contact_history": session.contact_history,
+            "notes": session.notes,
+            "host": socket.gethostname(),
+        },
+        "environment": {key: f"{value:g}" for key, value in environment.items()},
+        "camera": camera,
+        "frame": {"width_px": str(first.image.shape[1]), "height_px": str(first.image.shape[0])},
+        "versions": versions(),
+    }
+
+
+def configuration_attachments(config: Configuration, source: Path) -> dict[str, bytes]:
+    """The complete configuration, the user's own file as it was, the calibration files in use."""
+    attachments = {CONFIGURATION_NAME: config.model_dump_json(indent=1).encode()}
+    if source.is_file() and source.suffix == ".toml":
+        attachments[SOURCE_NAME] = source.read_bytes()
+    return {**attachments, **calibration_attachments(config)}
+
+
+def frame_shape(reader: RecordReader) -> tuple[int, int]:
+    """(ny, nx) of the frames of a record."""
+    frame = reader.metadata.get("frame")
+    if frame is None:
+        raise RecordError(
+            f"{reader.path}: does not say how large its frames were; it was not made by rig run"
+        )
+    return int(frame["height_px"]), int(frame["width_px"])
+
+
+def recorded_configuration(reader: RecordReader, overrides: Sequence[str] = ()) -> Configuration:
+    """The configuration that a record was made with, with ``KEY=VALUE`` overrides applied."""
+    attachment = reader.attachments.get(CONFIGURATION_NAME)
+    if attachment is None:
+        raise RecordError(f"{reader.path}: holds no configuration; it was not made by rig run")
+    try:
+        config = Configuration.model_validate_json(attachment)
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(str(part) for part in first["loc"])
+        raise RecordError(
+            f"{reader.path}: its configuration is of another version ({place}: {first['msg']})"
+        ) from None
+    if not overrides:
+        return config
+    tree = config.model_dump(mode="json", exclude_none=True)
+    apply_overrides(tree, overrides)
+    return validate_configuration(tree, str(reader.path))

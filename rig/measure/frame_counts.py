@@ -1,0 +1,77 @@
+"""Frames, gaps and losses of a run, and which frames are kept whole."""
+
+from collections.abc import Sequence
+
+from acquisition.frame import Frame
+from processing.spot import SpotFlag
+from rig.instrument.pipeline import Block, Pipeline
+from rig.measure.recorder import Entry, Event, cut_window
+
+_LOST_IMAGE_INTERVAL_S = 1.0
+
+
+class FrameCounts:
+    """Counts from the first frame on; frames are numbered from it, whatever number the camera gives."""
+
+    def __init__(self, first: Frame, full_frame_interval_ns: int) -> None:
+        self.start_ns = first.time_ns
+        self.last_ns = first.time_ns
+        self.frames = 0
+        self.missing = 0
+        self.lost_spots = 0
+        self._first_number = first.sequence
+        self._interval_ns = full_frame_interval_ns
+        self._next_image_ns = first.time_ns
+        self._next_lost_image_ns = first.time_ns
+        self._sequence = -1
+        self._lost = False
+
+    @property
+    def elapsed_s(self) -> float:
+        """From the first frame to the last one counted."""
+        return (self.last_ns - self.start_ns) * 1e-9
+
+    def numbered(self, frames: Sequence[Frame]) -> list[Frame]:
+        """The frames with numbers counted from the first frame of the run."""
+        if not self._first_number:
+            return list(frames)
+        return [frame._replace(sequence=frame.sequence - self._first_number) for frame in frames]
+
+    def entry(self, frames: Sequence[Frame], block: Block, pipeline: Pipeline) -> Entry:
+        """What of these (numbered) frames goes into the record."""
+        events: list[Event] = []
+        images: list[Frame] = []
+        windows = []
+        for frame, spot in zip(frames, block.spots, strict=True):
+            time_ns = frame.time_ns
+            gap = frame.sequence - self._sequence - 1
+            if gap > 0:
+                self.missing += gap
+                events.append(Event(time_ns, "gap", f"{gap} frames missing before frame {frame.sequence}"))
+            self._sequence = frame.sequence
+            lost = bool(spot.flags & SpotFlag.LOST)
+            if lost != self._lost:
+                events.append(
+                    Event(time_ns, "spot lost" if lost else "spot found", f"at frame {frame.sequence}")
+                )
+            self._lost = lost
+            self.lost_spots += lost
+            if time_ns >= self._next_image_ns:
+                images.append(frame)
+                self._next_image_ns = time_ns + self._interval_ns
+            elif lost and time_ns >= self._next_lost_image_ns:
+                images.append(frame)
+                self._next_lost_image_ns = time_ns + round(_LOST_IMAGE_INTERVAL_S * 1e9)
+            bounds = None if lost else pipeline.tracker.record_window(spot, frame.image.shape)
+            windows.append(cut_window(frame, spot, bounds))
+        self.frames += len(frames)
+        self.last_ns = frames[-1].time_ns
+        return Entry(
+            sequences=[frame.sequence for frame in frames],
+            device_times_ns=[frame.device_time_ns for frame in frames],
+            host_times_ns=[frame.host_time_ns for frame in frames],
+            block=block,
+            windows=windows,
+            images=images,
+            events=events,
+        )

@@ -1,0 +1,119 @@
+"""What a run shows of itself: its newest snapshot, its events, and what is known beside the frames."""
+
+import math
+from collections import deque
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+
+from acquisition.frame import Frame
+from acquisition.record.topics import Environment
+from processing.swing import Swing
+from rig.instrument.pipeline import Block
+from rig.instrument.snapshot import Snapshot
+from rig.measure.recorder import Event
+from rig.measure.roles import Surroundings, Watcher
+
+
+class PublicState:
+    """Written by the processing thread; `snapshot` and `take_asked` may be read from any other.
+
+    Parameters
+    ----------
+    watchers
+        Hear of every block, event and snapshot, in the processing thread.
+    surroundings
+        Laboratory air and controller; None where nothing is known of them.
+    amplitude_unit_rad
+        Unit in which snapshots show the amplitude, in the unit of the swings.
+    environment_period_s
+        Time between two readings of the air that are recorded.
+    """
+
+    def __init__(
+        self,
+        watchers: Iterable[Watcher],
+        surroundings: Surroundings | None,
+        amplitude_unit_rad: float,
+        environment_period_s: float,
+    ) -> None:
+        self._watchers = tuple(watchers)
+        self._surroundings = surroundings
+        self._amplitude_unit_rad = amplitude_unit_rad
+        self._environment_period_ns = round(environment_period_s * 1e9)
+        self._environment_due_ns = 0
+        self._asked: deque[Snapshot] = deque()
+        self.snapshot = Snapshot()
+
+    def take_asked(self) -> Iterable[Snapshot]:
+        """Snapshots that ask something of the operator and have not been taken yet, oldest first.
+
+        What was asked only between two looks at `snapshot` is not missed."""
+        while self._asked:
+            yield self._asked.popleft()
+
+    def begin_record(self) -> None:
+        """Forget the half-cycles of a start that was not accepted."""
+        self.snapshot = replace(self.snapshot, half_cycles=0, amplitude=math.nan, period_s=math.nan)
+
+    def prepare(self, snapshot: Snapshot) -> None:
+        """The state while no record is open, as the prelude tells it."""
+        asked_before = self.snapshot.instruction
+        self.snapshot = self._with_surroundings(snapshot)
+        if snapshot.instruction and snapshot.instruction != asked_before:
+            self._asked.append(self.snapshot)
+        for watcher in self._watchers:
+            watcher.snapshot(self.snapshot)
+
+    def publish(self, snapshot: Snapshot, swings: Sequence[Swing]) -> None:
+        """The state while a record is open; what swings tell is filled in, or kept from before."""
+        before, last = self.snapshot, swings[-1] if swings else None
+        amplitude, period_s = before.amplitude, before.period_s
+        if last is not None:
+            amplitude = last.amplitude / self._amplitude_unit_rad
+            period_s = before.period_s if math.isnan(last.half_period_s) else 2.0 * last.half_period_s
+        self.snapshot = self._with_surroundings(
+            replace(
+                snapshot,
+                half_cycles=before.half_cycles + len(swings),
+                amplitude=amplitude,
+                period_s=period_s,
+            )
+        )
+
+    def tell(self, start_ns: int, frames: Sequence[Frame], block: Block, events: Iterable[Event]) -> None:
+        """A block with its events, and the state after it."""
+        for watcher in self._watchers:
+            watcher.block(start_ns, frames, block)
+        self.tell_events(start_ns, events)
+        for watcher in self._watchers:
+            watcher.snapshot(self.snapshot)
+
+    def tell_events(self, start_ns: int, events: Iterable[Event]) -> None:
+        """Events alone."""
+        for event in events:
+            for watcher in self._watchers:
+                watcher.event(start_ns, event)
+
+    def take_events(self) -> list[tuple[str, str]]:
+        """(kind, text) of what controller, laser and sensors did since the last call."""
+        return [] if self._surroundings is None else self._surroundings.take_events()
+
+    def environment(self, time_ns: int) -> Environment | None:
+        """The laboratory's air, once a period, where anything is known of it."""
+        if self._surroundings is None or time_ns < self._environment_due_ns:
+            return None
+        self._environment_due_ns = time_ns + self._environment_period_ns
+        reading = self._surroundings.environment()
+        return None if all(map(math.isnan, reading)) else Environment(time_ns, *reading)
+
+    def _with_surroundings(self, snapshot: Snapshot) -> Snapshot:
+        if self._surroundings is None:
+            return snapshot
+        temperature_c, humidity_percent, pressure_pa = self._surroundings.environment()
+        return replace(
+            snapshot,
+            temperature_c=temperature_c,
+            humidity_percent=humidity_percent,
+            pressure_pa=pressure_pa,
+            controller=self._surroundings.describe(),
+        )

@@ -1,0 +1,311 @@
+"""Go or no-go: each check a function from plain values to one line with reason and remedy."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.frame import Frame
+from calibration.stability import Stability, stability
+from calibration.timebase import relate_clocks
+from processing.angle import ARCSEC_RAD
+from processing.errors import DataError
+from processing.spot import Spot, SpotFlag
+from rig.devices.lighting import STAYS_LIT, WIRE_IT, LaserNow
+from rig.settings.configuration import Configuration
+from rig.settings.phases import PreflightSettings
+
+Floats = NDArray[np.float64]
+_SPOT_BYTES = 260
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """One line of the table. `made` False: there was nothing to check, which is ok and has its reason.
+
+    One that is ok and has a remedy all the same is a warning.
+    """
+
+    name: str
+    measured: str
+    limit: str
+    ok: bool
+    reason: str = ""
+    remedy: str = ""
+    made: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """Some seconds of frames and what the tracker made of them; arrays of one length, deflections in
+    rad (px without a lever). `resting` False: the pendulum may be swinging."""
+
+    frames: Sequence[Frame]
+    spots: Sequence[Spot]
+    times_s: Floats
+    x: Floats
+    y: Floats
+    u_x: Floats
+    u_y: Floats
+    resting: bool
+
+
+def spot_found(spots: Sequence[Spot], limits: PreflightSettings) -> Verdict:
+    """Whether there is a spot in nearly every frame."""
+    lost = float(np.mean([bool(spot.flags & SpotFlag.LOST) for spot in spots])) if spots else 1.0
+    ok = lost <= limits.max_lost_fraction
+    return Verdict(
+        "spot found",
+        f"{100 * (1 - lost):.1f} % of {len(spots)} frames",
+        f"{100 * (1 - limits.max_lost_fraction):g} %",
+        ok,
+        "" if ok else "no spot in too many frames",
+        "" if ok else "laser on? beam on the sensor? raise exposure_us",
+    )
+
+
+def exposure(spots: Sequence[Spot], full_scale_dn: float, limits: PreflightSettings) -> Verdict:
+    """The spot's peak against the sensor's full scale."""
+    peaks = [s.amplitude_dn + s.background_dn for s in spots if not s.flags & SpotFlag.LOST]
+    limit = f"{100 * limits.min_peak_fraction:g} to {100 * limits.max_peak_fraction:g} % of full scale"
+    if not peaks:
+        return Verdict(
+            "exposure", "no spot", limit, False, "there is nothing to measure", "find the spot first"
+        )
+    peak = float(np.median(peaks)) / full_scale_dn
+    dark, bright = peak < limits.min_peak_fraction, peak > limits.max_peak_fraction
+    reason = "too dark: noisy" if dark else "too bright: saturates" if bright else ""
+    remedy = "raise exposure_us or the laser" if dark else "lower exposure_us or the laser" if bright else ""
+    return Verdict("exposure", f"peak {100 * peak:.0f} %", limit, not reason, reason, remedy)
+
+
+def saturation(spots: Sequence[Spot], limits: PreflightSettings) -> Verdict:
+    """Frames with pixels at full scale."""
+    part = float(np.mean([bool(spot.flags & SpotFlag.SATURATED) for spot in spots])) if spots else 0.0
+    ok = part <= limits.max_saturated_fraction
+    return Verdict(
+        "saturation",
+        f"{100 * part:.1f} % of frames",
+        f"{100 * limits.max_saturated_fraction:g} %",
+        ok,
+        "" if ok else "pixels at full scale are lost to the fit",
+        "" if ok else "lower exposure_us or the laser's power",
+    )
+
+
+def noise_and_vibration(
+    x: Stability | None, y: Stability | None, unit_rad: float, limits: PreflightSettings
+) -> list[Verdict]:
+    """Noise floor of one frame and the strongest line of the spectrum, of a spot at rest."""
+    noise_limit = f"{limits.max_noise_arcsec:g} arcsec"
+    line_limit = f"{limits.max_vibration_arcsec:g} arcsec"
+    if x is None or y is None:
+        return [_not_at_rest("noise floor", noise_limit), _not_at_rest("vibration", line_limit)]
+    noise = max(x.noise, y.noise) / unit_rad
+    lines = sorted([*x.lines, *y.lines], key=lambda line: -line.amplitude)
+    strongest = lines[0].amplitude / unit_rad if lines else 0.0
+    named = f" ({lines[0].name})" if lines and lines[0].name else ""
+    words = f"{strongest:.3f} arcsec at {lines[0].frequency_hz:.1f} Hz{named}" if lines else "no line"
+    quiet, still = noise <= limits.max_noise_arcsec, strongest <= limits.max_vibration_arcsec
+    return [
+        Verdict(
+            "noise floor",
+            f"{noise:.4f} arcsec a frame",
+            noise_limit,
+            quiet,
+            "" if quiet else "the spot jumps more than it should",
+            "" if quiet else "more light, a smaller gain; shield the beam from air",
+        ),
+        Verdict(
+            "vibration",
+            words,
+            line_limit,
+            still,
+            "" if still else "the base shakes",
+            "" if still else "find what runs at this frequency; decouple the table",
+        ),
+    ]
+
+
+def rest_position(look: Look, unit_rad: float, limits: PreflightSettings) -> Verdict:
+    """Where the spot rests, from the reference of the lever."""
+    limit = f"{limits.max_rest_offset_arcsec:g} arcsec"
+    if not look.resting:
+        return _not_at_rest("rest position", limit)
+    if not np.isfinite(look.x).any():
+        return Verdict("rest position", "no spot", limit, False, "nothing to measure", "find the spot first")
+    x, y = np.nanmedian(look.x) / unit_rad, np.nanmedian(look.y) / unit_rad
+    ok = math.hypot(x, y) <= limits.max_rest_offset_arcsec
+    return Verdict(
+        "rest position",
+        f"X {x:+.1f}, Y {y:+.1f} arcsec",
+        limit,
+        ok,
+        "" if ok else "the swing will leave the middle of the sensor",
+        "" if ok else "rig balance says which weight to turn; or move the camera",
+    )
+
+
+def clock(frames: Sequence[Frame], limits: PreflightSettings) -> Verdict:
+    """The camera's clock against the host's, and how even the frames come."""
+    limit = f"jitter {limits.max_clock_jitter_us:g} us"
+    if frames and frames[0].device_time_ns < 0:
+        return Verdict("clock", "the camera has none; the host's is used", limit, True)
+    try:
+        relation = relate_clocks(
+            np.array([frame.device_time_ns for frame in frames]),
+            np.array([frame.host_time_ns for frame in frames]),
+            np.array([frame.sequence for frame in frames]),
+        )
+    except DataError as error:
+        return Verdict("clock", "not measured", limit, False, str(error), "restart the camera")
+    jitter_us = relation.frame_jitter_s * 1e6
+    ok = jitter_us <= limits.max_clock_jitter_us
+    return Verdict(
+        "clock",
+        f"jitter {jitter_us:.1f} us, {relation.drift_ppm:+.0f} ± {relation.u_drift_ppm:.0f} ppm",
+        limit,
+        ok,
+        "" if ok else "frames come unevenly; turning times suffer",
+        "" if ok else "a fixed frame_rate_hz, the camera's own clock, no free-running trigger",
+    )
+
+
+def frame_rate(frames: Sequence[Frame], asked_hz: float | None, limits: PreflightSettings) -> Verdict:
+    """Measured rate against what was asked, and frames lost."""
+    limit = f"{100 * limits.max_frame_rate_error:g} %, losses {100 * limits.max_dropped_fraction:g} %"
+    span_s = (frames[-1].time_ns - frames[0].time_ns) * 1e-9 if len(frames) > 1 else 0.0
+    if span_s <= 0:
+        return Verdict(
+            "frame rate", "too few frames", limit, False, "the camera hardly delivers", "see the camera"
+        )
+    numbers = frames[-1].sequence - frames[0].sequence
+    rate_hz = numbers / span_s
+    lost = 1.0 - (len(frames) - 1) / numbers
+    wrong = asked_hz is not None and abs(rate_hz / asked_hz - 1.0) > limits.max_frame_rate_error
+    lossy = lost > limits.max_dropped_fraction
+    return Verdict(
+        "frame rate",
+        f"{rate_hz:.2f} Hz, {100 * lost:.2f} % lost",
+        limit,
+        not (wrong or lossy),
+        f"{asked_hz:g} Hz was asked" if wrong else "frames are being lost" if lossy else "",
+        "exposure too long, or the bus too slow" if wrong else "another port or cable" if lossy else "",
+    )
+
+
+def disk(free_bytes: int, bytes_per_frame: float, rate_hz: float, duration_s: float) -> Verdict:
+    """Room for the longest run that the configuration allows."""
+    need = bytes_per_frame * rate_hz * duration_s
+    ok = free_bytes >= need
+    return Verdict(
+        "disk space",
+        f"{free_bytes / 1e9:.1f} GB free",
+        f"{need / 1e9:.1f} GB for {duration_s:g} s",
+        ok,
+        "" if ok else "a run of full length does not fit",
+        "" if ok else "free space, another -o, or record.windows = false",
+    )
+
+
+def air(environment: tuple[float, float, float], expected: bool, limits: PreflightSettings) -> Verdict:
+    """Temperature within limits, where a sensor is configured."""
+    temperature_c, humidity_percent, pressure_pa = environment
+    limit = f"{limits.min_temperature_c:g} to {limits.max_temperature_c:g} °C"
+    if not expected:
+        return Verdict("environment", "no sensor is configured", limit, True, made=False)
+    if math.isnan(temperature_c):
+        return Verdict("environment", "no reading", limit, False, "the sensor is silent", "see rig doctor")
+    ok = limits.min_temperature_c <= temperature_c <= limits.max_temperature_c
+    words = f"{temperature_c:.1f} °C, {humidity_percent:.0f} %, {pressure_pa / 100:.0f} hPa"
+    return Verdict(
+        "environment", words, limit, ok, "" if ok else "out of range", "" if ok else "wait, or widen"
+    )
+
+
+def controller(words: str, wanted: bool) -> Verdict:
+    """Whether the controller answers and its interlock is closed; `words` as `Devices.describe` has them."""
+    if not wanted:
+        return Verdict("controller", "none is configured", "answers", True, made=False)
+    ok = "interlock closed" in words
+    return Verdict(
+        "controller",
+        words,
+        "answers, interlock closed",
+        ok,
+        "" if ok else "it does not answer, or its interlock is open",
+        "" if ok else "see rig doctor; close the cover",
+    )
+
+
+def laser(now: LaserNow | None, goes_dark_by_itself: bool) -> Verdict:
+    """Whether a laser that is ours is lit; a warning where nothing but this program switches it off."""
+    if now is None:
+        return Verdict("laser", "none is configured", "lit", True, made=False)
+    if not now.on:
+        remedy = "see rig doctor; close the interlock, turn its key"
+        return Verdict("laser", now.words, "lit", False, "there is no light to measure with", remedy)
+    if goes_dark_by_itself:
+        return Verdict("laser", now.words, "lit", True)
+    return Verdict("laser", now.words, "lit", True, STAYS_LIT, WIRE_IT)
+
+
+def camera(driver: str, notes: Sequence[str]) -> Verdict:
+    """Settings that the camera took."""
+    return Verdict(
+        "camera",
+        driver,
+        "settings as asked",
+        not notes,
+        "; ".join(notes),
+        "ask for what the camera can do" if notes else "",
+    )
+
+
+def check_look(
+    look: Look, config: Configuration, full_scale_dn: float, window_bytes: float, free_bytes: int
+) -> list[Verdict]:
+    """Everything that some seconds of frames can tell."""
+    limits = config.preflight
+    unit_rad = ARCSEC_RAD if config.lever is not None else 1.0
+    still = {"x": None, "y": None} if not look.resting else {"x": _still(look, "x"), "y": _still(look, "y")}
+    span_s = max(float(look.times_s[-1] - look.times_s[0]), 1e-9) if len(look.times_s) else 1.0
+    rate_hz = len(look.frames) / span_s
+    bytes_per_frame = _SPOT_BYTES + (window_bytes if config.record.windows else 0.0)
+    bytes_per_frame += look.frames[0].image.nbytes / (config.record.full_frame_interval_s * rate_hz)
+    return [
+        spot_found(look.spots, limits),
+        exposure(look.spots, full_scale_dn, limits),
+        saturation(look.spots, limits),
+        *noise_and_vibration(still["x"], still["y"], unit_rad, limits),
+        rest_position(look, unit_rad, limits),
+        frame_rate(look.frames, config.camera.frame_rate_hz, limits),
+        clock(look.frames, limits),
+        disk(free_bytes, bytes_per_frame, rate_hz, config.session.max_duration_s),
+    ]
+
+
+def _not_at_rest(name: str, limit: str) -> Verdict:
+    reason = "the pendulum may be swinging (start.way = 'at once')"
+    return Verdict(name, "not measured", limit, True, reason, made=False)
+
+
+def _still(look: Look, axis: str) -> Stability | None:
+    values, u = (look.x, look.u_x) if axis == "x" else (look.y, look.u_y)
+    try:
+        return stability(look.times_s, values, u)
+    except DataError:
+        return None
+
+
+def failures(verdicts: Sequence[Verdict]) -> str:
+    """What stands against the run, in one line; empty for go."""
+    bad = [f"{v.name}: {v.measured} (limit {v.limit}); {v.remedy}" for v in verdicts if not v.ok]
+    return "; ".join(bad)
+
+
+def table_tree(verdicts: Sequence[Verdict]) -> list[dict[str, object]]:
+    """The table as plain values."""
+    return [asdict(verdict) for verdict in verdicts]

@@ -1,0 +1,142 @@
+"""The thread that owns the record."""
+
+import logging
+import queue
+import threading
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from acquisition.frame import Frame, Image
+from acquisition.record.topics import ENVIRONMENT, LOSSES_TOPIC, Environment, RecordedLosses
+from acquisition.record.writer import RecordWriter
+from processing.spot import Spot
+from rig.instrument.pipeline import Block
+
+_log = logging.getLogger(__name__)
+_IDLE_S = 0.2
+"""So often it is asked whether to flush, where nothing comes."""
+
+
+class Window(NamedTuple):
+    """Raw pixels around the spot; (x0, y0) is the first pixel's place on the sensor."""
+
+    image: Image
+    x0_px: int
+    y0_px: int
+
+
+class Event(NamedTuple):
+    """Something that happened to the measurement, as it goes into the record."""
+
+    time_ns: int
+    kind: str
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """What the recorder is handed for some consecutive frames."""
+
+    sequences: Sequence[int] = ()
+    device_times_ns: Sequence[int] = ()
+    host_times_ns: Sequence[int] = ()
+    block: Block | None = None
+    windows: Sequence[Window | None] = ()
+    images: Sequence[Frame] = ()
+    events: Sequence[Event] = field(default=())
+    environment: Environment | None = None
+    losses: RecordedLosses | None = None
+
+
+class Recorder:
+    """Writes entries in order, flushes by itself, keeps the first error.
+
+    `put` waits when the disk is behind: nothing that was measured is dropped here. After an error
+    (a full disk, a pulled drive) entries are thrown away and `error` says why; the session looks.
+    """
+
+    def __init__(self, writer: RecordWriter, capacity: int = 16) -> None:
+        self._writer = writer
+        self._entries: queue.Queue[Entry | None] = queue.Queue(capacity)
+        self._thread = threading.Thread(target=self._work, name="recorder", daemon=True)
+        self.error: Exception | None = None
+        self._thread.start()
+
+    @property
+    def waiting(self) -> int:
+        """Entries not yet written."""
+        return self._entries.qsize()
+
+    @property
+    def bytes_written(self) -> int:
+        """Size of the record so far."""
+        return self._writer.bytes_written
+
+    def put(self, entry: Entry) -> None:
+        """Hand an entry over."""
+        self._entries.put(entry)
+
+    def close(self) -> None:
+        """Write what is waiting and close the file; `error` holds what went wrong, if anything."""
+        self._entries.put(None)
+        self._thread.join()
+
+    def _work(self) -> None:
+        while True:
+            try:
+                entry = self._entries.get(timeout=_IDLE_S)
+            except queue.Empty:
+                entry = Entry()
+            try:
+                if entry is None:
+                    self._writer.close()
+                    return
+                if self.error is None:
+                    self._write(entry)
+                    self._writer.flush_if_due()
+            except Exception as error:
+                if self.error is None:
+                    self.error = error
+                    _log.error("the record cannot be written: %s", error)
+                if entry is None:
+                    return
+
+    def _write(self, entry: Entry) -> None:
+        writer = self._writer
+        block = entry.block
+        if block is not None:
+            writer.write_spots(
+                entry.sequences,
+                entry.device_times_ns,
+                entry.host_times_ns,
+                block.times_ns,
+                block.spots,
+                block.x_rad,
+                block.y_rad,
+                block.u_x_rad,
+                block.u_y_rad,
+            )
+            for sequence, time_ns, window in zip(entry.sequences, block.times_ns, entry.windows, strict=True):
+                if window is not None:
+                    writer.write_window(sequence, int(time_ns), window.image, window.x0_px, window.y0_px)
+            for swing in block.swings:
+                writer.write_swing(swing)
+            for balance in block.balances:
+                writer.write_balance(balance)
+        for frame in entry.images:
+            writer.write_image(frame)
+        if entry.environment is not None:
+            writer.write(ENVIRONMENT.topic, entry.environment, entry.environment.time_ns)
+        if entry.losses is not None:
+            writer.write(LOSSES_TOPIC, entry.losses, entry.losses.time_ns)
+        for event in entry.events:
+            writer.write_event(event.time_ns, event.kind, event.text)
+
+
+def cut_window(frame: Frame, spot: Spot, bounds_px: tuple[int, int, int, int] | None) -> Window | None:
+    """Copy of the pixels that tracking can be repeated from; None where there is no spot."""
+    if bounds_px is None:
+        return None
+    x0, y0, x1, y1 = bounds_px
+    return Window(frame.image[y0:y1, x0:x1].copy(), x0, y0)

@@ -1,0 +1,306 @@
+"""The live screen of a run: one screen on a terminal, a line every few seconds elsewhere, or JSON lines."""
+
+import math
+import os
+import shutil
+import sys
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+from rich.console import Console, Group, RenderableType
+from rich.live import Live
+from rich.panel import Panel
+from rich.table import Table
+from rich.text import Text
+
+from acquisition.frame import Frame
+from processing.balance import Balance
+from processing.decay_forecast import Forecast, forecast
+from rig.analysis.screen import print_json_line, say
+from rig.instrument.pipeline import Block
+from rig.instrument.snapshot import Snapshot
+from rig.measure.recorder import Event
+
+_PLAIN_INTERVAL_S = 5.0
+_JSON_INTERVAL_S = 1.0
+_FORECAST_INTERVAL_S = 2.0
+_SWINGS_KEPT = 20_000
+_NO_FORECAST = Forecast(math.nan, math.nan)
+
+
+class RunDisplay:
+    """Shows one run; a watcher of the run that only takes notes, and a screen that the main thread draws.
+
+    The bar counts the logarithm of the amplitude from where the run began to where it ends, since
+    that is what a decay does evenly.
+    """
+
+    def __init__(
+        self,
+        title: str,
+        final_amplitude: float,
+        unit: str,
+        unit_rad: float,
+        folder: Path,
+        *,
+        json_lines: bool = False,
+        console: Console | None = None,
+    ) -> None:
+        self._title = title
+        self._final = final_amplitude
+        self._unit = unit
+        self._unit_rad = unit_rad
+        self._folder = folder
+        self._json = json_lines
+        self._initial = math.nan
+        self._console = console or Console(stderr=True)
+        self._live: Live | None = None
+        self._printed_s = 0.0
+        self._phase = ""
+        self._swings: deque[tuple[float, float, float]] = deque(maxlen=_SWINGS_KEPT)
+        self._balance: Balance | None = None
+        self._notes: deque[str] = deque(maxlen=12)
+        self._rates = _Rates()
+        self._forecast = _NO_FORECAST
+        self._forecast_s = 0.0
+
+    def __enter__(self) -> Self:
+        if self._console.is_terminal and not self._json:
+            self._live = Live(console=self._console, auto_refresh=False, transient=False)
+            self._live.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._live is not None:
+            self._live.stop()
+
+    # -- as a watcher, in the run's thread -----------------------------------
+
+    def block(self, start_ns: int, frames: Sequence[Frame], block: Block) -> None:
+        """Keep the numbers of half-cycles and balance."""
+        for swing in block.swings:
+            if not swing.flags:
+                self._swings.append((swing.turn_time_ns * 1e-9, swing.amplitude, swing.u_amplitude))
+        if block.balances:
+            self._balance = block.balances[-1]
+
+    def event(self, start_ns: int, event: Event) -> None:
+        """Keep a line of the log."""
+        self._notes.append(f"{(event.time_ns - start_ns) * 1e-9:8.1f} s  {event.kind}: {event.text}")
+        if self._json:
+            elapsed_s = (event.time_ns - start_ns) * 1e-9
+            self.line("event", {"elapsed_s": elapsed_s, "event": event.kind, "text": event.text})
+
+    def snapshot(self, snapshot: Snapshot) -> None:
+        """Nothing: the main thread shows snapshots."""
+
+    # -- in the main thread --------------------------------------------------
+
+    def above(self, show: Callable[[Console], None]) -> None:
+        """Print something that stays, above the screen."""
+        show(self._console)
+
+    def line(self, kind: str, values: dict[str, Any]) -> None:
+        """One line of JSON on stdout; to nobody once its reader has gone, for the measurement goes on."""
+        try:
+            print_json_line(kind, {"run": self._title, **values})
+        except BrokenPipeError:
+            nowhere = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(nowhere, sys.stdout.fileno())
+            os.close(nowhere)
+
+    def show(self, snapshot: Snapshot) -> None:
+        """Bring the display up to date; cheap enough for ten times a second."""
+        if math.isnan(self._initial) and not math.isnan(snapshot.amplitude):
+            self._initial = snapshot.amplitude
+        self._rates.take(snapshot)
+        now_s = time.monotonic()
+        if now_s - self._forecast_s >= _FORECAST_INTERVAL_S and len(self._swings) >= 8:
+            self._forecast_s = now_s
+            self._forecast = self._predicted()
+        first_word = snapshot.phase.split(":")[0]
+        changed = first_word != self._phase
+        if self._live is not None:
+            self._live.update(self.screen(snapshot), refresh=True)
+        elif changed or now_s - self._printed_s >= (_JSON_INTERVAL_S if self._json else _PLAIN_INTERVAL_S):
+            self._printed_s = now_s
+            if self._json:
+                losses = snapshot.losses._asdict()
+                self.line("state", {**asdict(snapshot), "losses": losses, **self._numbers()})
+            else:
+                say(f"{self._title}: {100 * self._fraction(snapshot):.0f} %  {self._plain(snapshot)}")
+            if changed and snapshot.instruction and not self._json:
+                say(f"{self._title}: {snapshot.instruction.upper()}")
+        self._phase = first_word
+
+    def screen(self, snapshot: Snapshot) -> RenderableType:
+        """The whole screen, no wider and no higher than the terminal."""
+        width, height = self._console.size
+        table = Table.grid(padding=(0, 1))
+        wide = width >= 120
+        for _ in range(4 if wide else 2):
+            table.add_column(style="dim", no_wrap=True)
+            table.add_column(no_wrap=True, overflow="ellipsis")
+        rows = self._rows(snapshot)
+        if wide:
+            half = (len(rows) + 1) // 2
+            left, right = rows[:half], [*rows[half:], ("", "")]
+            for k in range(half):
+                table.add_row(*left[k], *right[k])
+        else:
+            for row in rows:
+                table.add_row(*row)
+        parts: list[RenderableType] = [
+            Text.assemble((f"{self._title}  ", "bold"), (snapshot.phase, "bold cyan"), no_wrap=True),
+            self._bar(snapshot, width - 4),
+            table,
+        ]
+        if snapshot.instruction:
+            parts.append(Text(f">>> {snapshot.instruction.upper()} <<<", style="bold reverse"))
+        used = 4 + (len(rows) + 1) // 2 if wide else 4 + len(rows)
+        room = max(1, min(10, height - used - 3 - bool(snapshot.instruction)))
+        notes = list(self._notes)[-room:]
+        parts += [Text(note, style="dim", no_wrap=True, overflow="ellipsis") for note in notes]
+        return Panel(Group(*parts), width=width - 1, padding=(0, 1))
+
+    def _rows(self, snapshot: Snapshot) -> list[tuple[str, str]]:
+        unit, balance = self._unit, self._balance
+        who = f" ({snapshot.losses})" if snapshot.losses.total else ""
+        losses = f"{snapshot.dropped_frames} frames dropped{who}, {snapshot.lost_spots} spots lost"
+        rows = [
+            ("elapsed", f"{_clock(snapshot.elapsed_s)}, {snapshot.half_cycles} half-cycles"),
+            (f"to {self._final:g} {unit}", self._prediction()),
+            ("amplitude", _number(snapshot.amplitude, ".3f", unit)),
+            ("period", _number(snapshot.period_s, ".5f", "s")),
+            ("transverse", self._transverse(balance)),
+            ("rest position", self._rest(balance)),
+            ("camera", f"{self._rates.frames_hz:.1f} frames/s, {snapshot.frames} in all, {_age(snapshot)}"),
+            ("losses", f"{losses}, {snapshot.queue_frames} waiting"),
+            ("record", f"{self._rates.bytes_per_s / 1e6:.2f} MB/s, {snapshot.record_bytes / 1e6:.1f} MB"),
+            ("disk", f"{shutil.disk_usage(self._folder).free / 1e9:.1f} GB free"),
+            ("environment", _air(snapshot)),
+        ]
+        if snapshot.controller:
+            rows.append(("controller", snapshot.controller))
+        return rows
+
+    def _transverse(self, balance: Balance | None) -> str:
+        if balance is None:
+            return "-"
+        return (
+            f"{balance.transverse_rad / self._unit_rad:.3f} {self._unit} "
+            f"({100 * balance.transverse_ratio:.2f} %), line {math.degrees(balance.line_angle_rad):+.3f}°"
+        )
+
+    def _rest(self, balance: Balance | None) -> str:
+        if balance is None:
+            return "-"
+        x, y = balance.rest_x_rad / self._unit_rad, balance.rest_y_rad / self._unit_rad
+        return f"X {x:+.3f}, Y {y:+.3f} {self._unit}"
+
+    def _prediction(self) -> str:
+        left_s, u_s = self._forecast
+        if math.isnan(left_s):
+            return "too early to say"
+        end = time.strftime("%H:%M", time.localtime(time.time() + left_s))
+        return f"{_clock(left_s)} ± {_clock(u_s)}, in real time at {end}"
+
+    def _predicted(self) -> Forecast:
+        table = np.array(list(self._swings))
+        final = self._final * self._unit_rad
+        return forecast(table[:, 0], table[:, 1], table[:, 2], final)
+
+    def _numbers(self) -> dict[str, Any]:
+        balance = self._balance
+        found: dict[str, Any] = {
+            "frames_hz": self._rates.frames_hz,
+            "record_bytes_per_s": self._rates.bytes_per_s,
+            "remaining_s": self._forecast.remaining_s,
+            "u_remaining_s": self._forecast.u_remaining_s,
+            "disk_free_bytes": shutil.disk_usage(self._folder).free,
+        }
+        if balance is not None:
+            found["transverse_ratio"] = balance.transverse_ratio
+            found["line_angle_rad"] = balance.line_angle_rad
+            found["rest_x"] = balance.rest_x_rad / self._unit_rad
+            found["rest_y"] = balance.rest_y_rad / self._unit_rad
+        return found
+
+    def _fraction(self, snapshot: Snapshot) -> float:
+        if math.isnan(self._initial) or self._initial <= self._final or math.isnan(snapshot.amplitude):
+            return 0.0
+        done = math.log(self._initial / max(snapshot.amplitude, self._final))
+        return max(0.0, min(1.0, done / math.log(self._initial / self._final)))
+
+    def _bar(self, snapshot: Snapshot, width: int) -> Text:
+        part = self._fraction(snapshot)
+        room = max(width - 8, 10)
+        full = round(part * room)
+        rest = ("━" * (room - full), "bright_black")
+        return Text.assemble(("━" * full, "green"), rest, f" {100 * part:3.0f} %")
+
+    def _plain(self, snapshot: Snapshot) -> str:
+        amplitude = "" if math.isnan(snapshot.amplitude) else f"{snapshot.amplitude:7.2f} {self._unit}  "
+        losses = f"{snapshot.dropped_frames} dropped, {snapshot.lost_spots} lost"
+        tail = f"  {snapshot.reason}" if snapshot.reason else ""
+        phase = "" if snapshot.phase == "measuring" else f"{snapshot.phase}  "
+        return f"{phase}t {snapshot.elapsed_s:7.1f} s  {amplitude}{snapshot.frames} frames ({losses}){tail}"
+
+
+class _Rates:
+    """Frames and bytes per second over the last few seconds of the host's time."""
+
+    def __init__(self) -> None:
+        self._points: deque[tuple[float, int, int]] = deque(maxlen=50)
+
+    def take(self, snapshot: Snapshot) -> None:
+        if self._points and snapshot.frames < self._points[-1][1]:
+            self._points.clear()
+        self._points.append((time.monotonic(), snapshot.frames, snapshot.record_bytes))
+
+    @property
+    def frames_hz(self) -> float:
+        return self._rate(1)
+
+    @property
+    def bytes_per_s(self) -> float:
+        return self._rate(2)
+
+    def _rate(self, column: int) -> float:
+        if len(self._points) < 2:
+            return 0.0
+        first, last = self._points[0], self._points[-1]
+        return float(last[column] - first[column]) / max(last[0] - first[0], 1e-9)
+
+
+def _clock(seconds: float) -> str:
+    if not math.isfinite(seconds):
+        return "?"
+    minutes, rest = divmod(max(seconds, 0.0), 60.0)
+    hours, minutes = divmod(int(minutes), 60)
+    return f"{hours}:{minutes:02d}:{int(rest):02d}" if hours else f"{minutes}:{rest:04.1f}"
+
+
+def _number(value: float, shape: str, unit: str) -> str:
+    return "-" if math.isnan(value) else f"{value:{shape}} {unit}"
+
+
+def _age(snapshot: Snapshot) -> str:
+    return "age -" if math.isnan(snapshot.frame_age_s) else f"age {snapshot.frame_age_s * 1e3:.0f} ms"
+
+
+def _air(snapshot: Snapshot) -> str:
+    if math.isnan(snapshot.temperature_c):
+        return "not measured"
+    return (
+        f"{snapshot.temperature_c:.2f} °C, {snapshot.humidity_percent:.1f} %, "
+        f"{snapshot.pressure_pa / 100:.1f} hPa"
+    )

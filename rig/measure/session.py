@@ -1,0 +1,263 @@
+"""A session: one or more runs of one contact pair, each recorded, then fitted from its record."""
+
+import datetime
+import sys
+from contextlib import ExitStack
+from pathlib import Path
+from typing import NamedTuple
+
+from acquisition.record.reader import RecordReader
+from acquisition.record.recover import recover
+from processing.errors import ConfigurationError, RecordError, RigError
+from rig.analysis.record_fit import analyse_record, combine, free_name
+from rig.analysis.results import RunResult, results_tree, write_results
+from rig.analysis.screen import print_json_line, print_results, say
+from rig.devices.devices import Devices
+from rig.instrument.configured import check_materials, complete
+from rig.interruption import Terminated, reason_of
+from rig.measure.assembly import RunPlan, measure_run
+from rig.measure.session_file import STATE_NAME, RunEntry, RunState, SessionFile
+from rig.settings.configuration import Configuration, validate_configuration
+
+
+def measure_session(
+    config: Configuration,
+    source: Path,
+    output: Path | None,
+    *,
+    force: bool = False,
+    json_lines: bool = False,
+) -> int:
+    """Measure `session.runs` runs, fit each from its closed record, write results.json.
+
+    `force` passes over a preflight's no-go. With `json_lines` stdout carries one JSON object a
+    line instead of a table. Returns the exit status: 0 where every run ended as it should and was
+    fitted, 1 otherwise. Raises ConfigurationError for an output folder that holds a run already.
+    """
+    config = complete(config)
+    check_materials(config)
+    folder = session_folder(config, source, output)
+    with ExitStack() as closing:
+        with Devices(config) as devices:
+            file = SessionFile.made(folder, source, config.session.runs, config.model_dump(mode="json"))
+            closing.callback(file.close)
+            made = _make_runs(config, source, file, devices, force=force, json_lines=json_lines)
+        return _report(config, folder, made, json_lines=json_lines)
+
+
+def resume_session(folder: Path, *, force: bool = False, json_lines: bool = False) -> int:
+    """Go on with a session that was interrupted: complete runs are kept, the missing ones made.
+
+    A record that was cut stays as it is; a whole copy of it is made beside it. New runs get new
+    numbers. Returns the exit status as `measure_session`.
+    """
+    file = SessionFile.opened(folder)
+    try:
+        config = validate_configuration(file.state.configuration, str(folder / STATE_NAME))
+        for entry in file.state.entries:
+            if entry.state == "recording":
+                _close_interrupted(file, entry)
+        for record in (folder / entry.record for entry in file.state.complete):
+            if record.exists():
+                _notice_cut(record)
+        missing = file.state.runs_wanted - len(file.state.complete)
+        say(f"{folder}: {len(file.state.complete)} of {file.state.runs_wanted} runs are complete")
+        if missing <= 0 and (folder / "results.json").exists():
+            say("nothing is missing")
+            return 0
+        with Devices(config) as devices:
+            made = _make_runs(
+                config, Path(file.state.source), file, devices, force=force, json_lines=json_lines
+            )
+        return _report(config, folder, made, json_lines=json_lines)
+    finally:
+        file.close()
+
+
+def _notice_cut(record: Path) -> None:
+    """A record that was whole when its run was over may have been cut since, by a copy that failed."""
+    with RecordReader(record) as reader:
+        if reader.truncated:
+            say(reader.cut_notice)
+
+
+def _close_interrupted(file: SessionFile, entry: RunEntry) -> None:
+    """Make a whole copy of a record that was cut short; the cut one is only read."""
+    record = file.folder / entry.record
+    whole = record.with_name(f"{record.stem}-recovered{record.suffix}")
+    name, reason = "", "the session was interrupted"
+    if record.exists():
+        try:
+            if not whole.exists():
+                recover(record, whole)
+            name = whole.name
+            say(f"{entry.record} was cut short and stays as it is; {whole.name} is a whole copy")
+        except RecordError as error:
+            reason = f"{reason}; {error}"
+    file.note(entry.number, entry.record, "interrupted", reason, name)
+
+
+class _Made(NamedTuple):
+    """Records that there are, and how the making of them ended."""
+
+    records: list[Path]
+    failed: bool
+    stopped: bool
+
+
+def _make_runs(
+    config: Configuration,
+    source: Path,
+    file: SessionFile,
+    devices: Devices,
+    *,
+    force: bool,
+    json_lines: bool,
+) -> _Made:
+    """Make the runs that are missing. Raises `Terminated`, with everything closed and noted."""
+    folder = file.folder
+    records = [folder / entry.record for entry in file.state.complete]
+    failed = stopped = False
+    while len(records) < file.state.runs_wanted and not (failed or stopped):
+        number = file.state.next_number
+        record = folder / f"run-{number}.mcap"
+        file.note(number, record.name, "recording")
+
+        def set_aside(path: Path, reason: str, number: int = number) -> None:
+            file.note(number, path.name, "rejected", reason)
+            say(f"run {number}: start not accepted: {reason}")
+
+        plan = RunPlan(
+            _numbered(config, number), source, record, f"run {number}", force, json_lines, set_aside
+        )
+        try:
+            # dark again after a run in which an interlock opened or the controller was lost
+            if lit := devices.light():
+                say(lit)
+            outcome = measure_run(plan, devices)
+        except RigError as error:
+            file.note(number, record.name, "failed", str(error))
+            if not records:
+                raise
+            say(f"run {number} failed: {error}", error=True)
+            failed = True
+            break
+        reason = outcome.snapshot.reason
+        interrupt = outcome.interrupt
+        stopped = interrupt is not None and reason == reason_of(interrupt)
+        state: RunState = "failed" if outcome.failure is not None else "stopped" if stopped else "complete"
+        file.note(number, record.name, state, str(outcome.failure or reason))
+        if outcome.failure is not None:
+            failed = True
+            say(f"run {number} failed: {outcome.failure}", error=True)
+        if record.exists():
+            records.append(record)
+        else:
+            failed = True
+        if isinstance(interrupt, Terminated):
+            say(f"{reason}; rig run --resume {folder} goes on, rig fit fits what there is")
+            raise interrupt
+    return _Made(records, failed, stopped)
+
+
+def _report(config: Configuration, folder: Path, made: _Made, *, json_lines: bool) -> int:
+    """Fit all that are complete or just made, write the results; the laser is dark by now."""
+    # what draws figures takes a second to load, which the first frame must not wait for
+    from rig.report.session_report import make_report
+
+    records, failed = made.records, made.failed
+    if made.stopped and records and not _wants_fit():
+        say(f"record {records[-1]}; rig fit {records[-1]} fits it later")
+        records = records[:-1]
+    results = [analyse_record(record) for record in records]
+    if not results:
+        return 1
+    # without a calibration there is nothing to fit, which is no failure
+    failed = failed or (any(result.problem for result in results) and config.lever is not None)
+    path = folder / "results.json"
+    if path.exists():
+        path = free_name(folder, "results", ".json")
+    tree = results_tree(results, folder, combine(results))
+    write_results(path, tree)
+    paths = _paths(folder, results, path)
+    try:
+        paths.append(("report", make_report(path)))
+    except RigError as error:
+        # records and results are what counts, and they are there
+        say(f"no report: {error}", error=True)
+    if json_lines:
+        print_json_line("results", {"path": str(path), "failed": failed})
+    else:
+        print_results(results, paths)
+    return 1 if failed else 0
+
+
+def simulate_record(config: Configuration, source: Path, record: Path) -> int:
+    """Record one run of the simulated rig, without viewer and fits; returns the exit status."""
+    if config.camera.driver != "simulated":
+        raise ConfigurationError(
+            f"camera.driver = {config.camera.driver!r}: rig simulate needs the simulated camera; "
+            "use rig run for a real one"
+        )
+    quiet = config.view.model_copy(update={"mode": "none", "file": False})
+    record.parent.mkdir(parents=True, exist_ok=True)
+    config = complete(config.model_copy(update={"view": quiet}))
+    with Devices(config) as devices:
+        outcome = measure_run(RunPlan(config, source, record, "simulation"), devices)
+    if outcome.failure is not None:
+        say(f"simulation failed: {outcome.failure}", error=True)
+        return 1
+    if outcome.interrupt is not None:
+        raise outcome.interrupt
+    print(record)
+    return 0
+
+
+def session_folder(config: Configuration, source: Path, output: Path | None) -> Path:
+    """Folder of this session, made; one that holds a run already is refused, never written over."""
+    if output is None:
+        now = datetime.datetime.now().astimezone()
+        name = f"{now:%Y-%m-%dT%H-%M-%S}-{source.stem}"
+        folder = config.session.output / name
+        number = 2
+        while folder.exists():
+            folder = config.session.output / f"{name}-{number}"
+            number += 1
+    else:
+        folder = output
+    if folder.exists() and not folder.is_dir():
+        raise ConfigurationError(f"{folder}: is a file; name a folder for the session")
+    if folder.is_dir() and (list(folder.glob("run-*.mcap")) or (folder / "results.json").exists()):
+        raise ConfigurationError(f"{folder}: holds a run already, which is never overwritten; name another")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigurationError(f"{folder}: cannot be made: {error.strerror or error}") from None
+    return folder
+
+
+def _numbered(config: Configuration, number: int) -> Configuration:
+    """Run `number` of a simulated series has draws of its own."""
+    if config.camera.driver != "simulated" or number == 1:
+        return config
+    seed = (config.simulation.seed + 1_000_003 * (number - 1)) % 2**63
+    return config.model_copy(update={"simulation": config.simulation.model_copy(update={"seed": seed})})
+
+
+def _wants_fit() -> bool:
+    """After Ctrl-C: offer the fit of what there is; without a terminal to ask at, it is made."""
+    if not (sys.stdin.isatty() and sys.stderr.isatty()):
+        return True
+    try:
+        answer = input("The record is closed. Fit what there is? [Y/n] ")
+    except (EOFError, KeyboardInterrupt):
+        return False
+    return answer.strip().lower() in {"", "y", "yes"}
+
+
+def _paths(folder: Path, results: list[RunResult], path: Path) -> list[tuple[str, Path]]:
+    paths = []
+    for run in results:
+        paths.append(("record", run.record))
+        paths += [("Rerun file", rrd) for rrd in sorted(folder.glob(f"{run.record.stem}*.rrd"))]
+    return [*paths, ("results", path)]

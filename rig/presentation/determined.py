@@ -1,0 +1,49 @@
+"""How a parameter is shown that the data may not determine: value, interval or bound."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from processing.fit.checks import WELL_DETERMINED
+from rig.analysis.curves import number
+from rig.presentation.numbers import plain, with_uncertainty
+
+
+def determined_text(
+    name: str, pair: tuple[float, float], scale: float, verdicts: Mapping[str, Mapping[str, Any]]
+) -> str:
+    """Value and uncertainty where the data determine the parameter, else its interval or bound.
+
+    A surface energy is c times what is known of the apparatus, and shares c's verdict.
+    """
+    verdict = verdicts.get("c" if name.startswith("surface_energy") else name)
+    if verdict is None or verdict["verdict"] == "determined":
+        return with_uncertainty(pair[0] * scale, pair[1] * scale)
+    if name.startswith("surface_energy"):
+        scale *= pair[0] / number(verdict, "value")
+    return bound_text(verdict, scale)
+
+
+def series_verdicts(combined: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """Verdicts on a series' parameters by their 95 % intervals, in the form of a run's."""
+    found = {}
+    for name, item in combined.items():
+        value, half = number(item, "value"), number(item, "expanded_uncertainty_95")
+        low, high = value - half, value + half
+        kind = "determined"
+        if number(item, "standard_uncertainty") > WELL_DETERMINED * abs(value):
+            kind = "upper bound" if low <= 0 and name in ("b", "c", "gamma_pa") else "interval"
+        found[name] = {"verdict": kind, "value": value, "lower_95": low, "upper_95": high}
+    return found
+
+
+def bound_text(verdict: Mapping[str, Any], scale: float = 1.0) -> str:
+    """`between ... and ...` or a bound, 95 %."""
+    low, high = number(verdict, "lower_95") * scale, number(verdict, "upper_95") * scale
+    kind = verdict["verdict"]
+    if kind in ("interval", "determined"):
+        return f"{plain(low, 3)} … {plain(high, 3)} (95 %)"
+    if kind == "upper bound":
+        return f"< {plain(high, 2)} (95 %)"
+    if kind == "lower bound":
+        return f"> {plain(low, 2)} (95 %)"
+    return "not determined"

@@ -1,0 +1,137 @@
+"""`rig replay`: play a record, compare what comes out with what was recorded, fit it."""
+
+import math
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+from typing import Literal
+
+from acquisition.record.reader import RecordReader
+from processing.angle import ARCSEC_RAD
+from processing.errors import ConfigurationError
+from rig.analysis.record_fit import analyse_record, analyse_run
+from rig.analysis.results import RunResult, results_tree, write_results
+from rig.analysis.screen import print_results, say
+from rig.instrument.provenance import recorded_configuration
+from rig.replay.comparison import parameter_changes, recorded_results
+from rig.replay.keys import Keys
+from rig.replay.player import HELP, Player
+from rig.replay.replay import Replay, Replayed
+from rig.replay.screen import ReplayLine, print_changes, print_comparison
+from rig.settings.configuration import Configuration
+from rig.view.watcher import LiveView, start_view
+
+ViewMode = Literal["none", "spawn", "web"]
+
+
+def speed_of(text: str) -> float:
+    """``1``, ``10`` or any other number above 0; ``max`` is infinite. Raises ConfigurationError."""
+    try:
+        speed = math.inf if text == "max" else float(text)
+    except ValueError:
+        speed = math.nan
+    if not speed > 0:
+        raise ConfigurationError(f"--speed {text}: is neither a number above 0 nor max")
+    return speed
+
+
+def replay_record(
+    record: Path,
+    output: Path | None,
+    *,
+    retrack: bool,
+    overrides: Sequence[str],
+    speed: str = "max",
+    from_s: float = 0.0,
+    to_s: float = math.inf,
+    mode: ViewMode = "none",
+    rrd: Path | None = None,
+) -> int:
+    """Replay, compare, fit what came out; results.json where a folder is named. Returns the exit status.
+
+    Raises ConfigurationError for a speed or times that make no sense, RecordError for a file that
+    cannot be replayed; nothing has been written then.
+    """
+    pace = speed_of(speed)
+    if not 0 <= from_s < to_s:
+        raise ConfigurationError(
+            f"--from {from_s:g} --to {to_s:g}: the part must begin before it ends, from 0 on"
+        )
+    with RecordReader(record) as reader:
+        config = recorded_configuration(reader, overrides)
+        if reader.truncated:
+            say(reader.cut_notice)
+        wants_view = mode != "none" or rrd is not None
+        replay = Replay(reader, config, retrack=retrack, from_s=from_s, to_s=to_s, pictures=wants_view)
+        unit = "px" if config.lever is None else "arcsec"
+        with ExitStack() as stack:
+            view = _view(stack, reader, config, record, rrd, mode) if wants_view else None
+            keys = stack.enter_context(Keys())
+            line = stack.enter_context(ReplayLine(unit, HELP if keys.there else ""))
+            player = Player(
+                replay,
+                pace,
+                keys,
+                line,
+                retrack=retrack,
+                unit_rad=ARCSEC_RAD if unit == "arcsec" else 1.0,
+                view=view,
+                events=reader.events() if wants_view else [],
+            )
+            player.play()
+        result = replay.finish()
+        partial = replay.partial or replay.sought or player.ended_by_user
+        run = analyse_run(reader, config, result.swings, result.samples, dropped_frames=result.dropped_frames)
+        if partial:
+            part = f"replayed from {replay.begun_s:.2f} s to {replay.position_s:.2f} s of the record"
+            run = replace(run, warnings=(part, *run.warnings))
+    _say_differences(record, replay, result, run, partial=partial)
+    print_results([run], [])
+    if output is not None:
+        output.mkdir(parents=True, exist_ok=True)
+        write_results(output / "results.json", results_tree([run], output, {}))
+        print(f"results      {output / 'results.json'}")
+    return 1 if run.problem and config.lever is not None and not partial else 0
+
+
+def _view(
+    stack: ExitStack,
+    reader: RecordReader,
+    config: Configuration,
+    record: Path,
+    rrd: Path | None,
+    mode: ViewMode,
+) -> LiveView:
+    full_scale_dn = int(reader.metadata.get("camera", {}).get("full_scale_dn", "255"))
+    view = start_view(config, rrd, mode, "measuring", f"replay of {record.stem}", full_scale_dn)
+
+    def close() -> None:
+        counts = view.close()
+        for note in counts.notes:
+            say(f"view: {note}")
+        if counts.dropped:
+            say(f"view: {counts.dropped} things were dropped, because the viewer was behind")
+
+    stack.callback(close)
+    return view
+
+
+def _say_differences(
+    record: Path, replay: Replay, result: Replayed, run: RunResult, *, partial: bool
+) -> None:
+    """Spots and half-cycles against the record, fitted numbers against the results of the whole record."""
+    if replay.sought:
+        print(
+            f"begun anew at {replay.begun_s:.2f} s by going back: "
+            "the results are not compared with the recorded ones"
+        )
+        return
+    print_comparison(result.comparison, partial=partial)
+    if partial:
+        return
+    source, known = recorded_results(record, run.sha256)
+    if known is None and not result.comparison.identical:
+        source, known = "fitted", results_tree([analyse_record(record)], record.parent, {})["runs"][0]
+    if known is not None:
+        print_changes(parameter_changes(known, results_tree([run], record.parent, {})["runs"][0]), source)

@@ -1,0 +1,219 @@
+"""What a replay made of a record against what had been recorded: spots, half-cycles, fitted parameters."""
+
+import json
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import astuple, dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from processing.fit.result import CONTACT_NAMES
+from processing.spot import Spot
+from processing.swing import Swing
+from rig.analysis.results import plain_values
+
+_SAME_SWING = 0.25
+"""Two turning points are one where they are no further apart than this part of a half period."""
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """Replayed against recorded, differences in the recorded standard uncertainties.
+
+    A spot or half-cycle has changed where any bit has, and where only one of both has it.
+    `largest_spot_frame` and `largest_swing_s` say where the largest changes are: a frame's number, a time
+    from the record's first frame.
+    """
+
+    spots: int
+    spots_found_recorded: int
+    spots_found_replayed: int
+    spots_changed: int
+    largest_spot_change_u: float
+    largest_spot_frame: int
+    swings_recorded: int
+    swings_replayed: int
+    swings_changed: int
+    largest_swing_change_u: float
+    largest_swing_s: float
+
+    @property
+    def identical(self) -> bool:
+        """Bit for bit."""
+        return self.spots_changed == 0 and self.swings_changed == 0
+
+
+class Change(NamedTuple):
+    """One parameter, recorded and replayed, each a value with its standard uncertainty."""
+
+    name: str
+    recorded: tuple[float, float]
+    replayed: tuple[float, float]
+
+    @property
+    def in_u(self) -> float:
+        """The difference in recorded standard uncertainties; NaN where there is none."""
+        difference, u = self.replayed[0] - self.recorded[0], self.recorded[1]
+        return 0.0 if difference == 0.0 else difference / u if u > 0 else math.nan
+
+
+class ReplayComparison:
+    """Gathers differences while a replay goes. `start_ns` is the time of the record's first frame."""
+
+    def __init__(self, start_ns: int) -> None:
+        self._start_ns = start_ns
+        self._spots = 0
+        self._found = [0, 0]
+        self._changed = 0
+        self._largest: tuple[float, int] = (0.0, -1)
+
+    def spots(self, rows: NDArray[Any], spots: Sequence[Spot]) -> None:
+        """Recorded spots (rows of the record's table) and what became of the same frames now."""
+        x_px = np.array([spot.x_px for spot in spots])
+        y_px = np.array([spot.y_px for spot in spots])
+        changed = ~(_same(rows["x_px"], x_px) & _same(rows["y_px"], y_px))
+        self._spots += len(spots)
+        self._found[0] += int(np.isfinite(rows["x_px"]).sum())
+        self._found[1] += int(np.isfinite(x_px).sum())
+        self._changed += int(changed.sum())
+        if changed.any():
+            with np.errstate(invalid="ignore", divide="ignore"):
+                in_u = np.maximum(
+                    np.abs(x_px - rows["x_px"]) / rows["u_x_px"],
+                    np.abs(y_px - rows["y_px"]) / rows["u_y_px"],
+                )
+            in_u = np.where(np.isfinite(in_u), in_u, 0.0)
+            row = int(np.argmax(in_u))
+            if in_u[row] > self._largest[0]:
+                self._largest = (float(in_u[row]), int(rows["sequence"][row]))
+
+    def finish(
+        self, recorded: Sequence[Swing], replayed: Sequence[Swing], *, from_start: bool, to_end: bool
+    ) -> Comparison:
+        """Compare the half-cycles too.
+
+        Where the replay did not begin with the record, recorded half-cycles before its first one are no
+        part of it, and where it ended before the record did those behind its last: a half-cycle is
+        known only when it is over.
+        """
+        reach_ns = _reach_ns(recorded)
+        first_ns = min((swing.turn_time_ns for swing in replayed), default=0) - reach_ns
+        last_ns = max((swing.turn_time_ns for swing in replayed), default=0) + reach_ns
+        wanted = [
+            swing
+            for swing in recorded
+            if (from_start or swing.turn_time_ns >= first_ns) and (to_end or swing.turn_time_ns <= last_ns)
+        ]
+        pairs = _pairs(wanted, replayed, reach_ns)
+        largest, largest_s = 0.0, math.nan
+        for old, new in pairs:
+            change = _swing_change_u(old, new)
+            if change > largest:
+                largest, largest_s = change, (old.turn_time_ns - self._start_ns) * 1e-9
+        unpaired = len(wanted) + len(replayed) - 2 * len(pairs)
+        return Comparison(
+            spots=self._spots,
+            spots_found_recorded=self._found[0],
+            spots_found_replayed=self._found[1],
+            spots_changed=self._changed,
+            largest_spot_change_u=self._largest[0],
+            largest_spot_frame=self._largest[1],
+            swings_recorded=len(wanted),
+            swings_replayed=len(replayed),
+            swings_changed=sum(not _equal(old, new) for old, new in pairs) + unpaired,
+            largest_swing_change_u=largest,
+            largest_swing_s=largest_s,
+        )
+
+
+def recorded_results(record: Path, sha256: str) -> tuple[str, Mapping[str, Any] | None]:
+    """Name of the newest results file beside a record that knows it, and what it says of it, if any."""
+    files = sorted(record.parent.glob("results*.json"), key=lambda path: path.stat().st_mtime, reverse=True)
+    for path in files:
+        try:
+            runs = json.loads(path.read_text(encoding="utf-8"))["runs"]
+            found: Mapping[str, Any] | None = next((r for r in runs if r.get("sha256") == sha256), None)
+        except (OSError, ValueError, KeyError, TypeError, AttributeError):
+            continue
+        if found is not None:
+            return path.name, found
+    return "", None
+
+
+def parameter_changes(recorded: Mapping[str, Any], replayed: Mapping[str, Any]) -> list[Change]:
+    """What was fitted to a run, from two trees of its results that both hold it, in their order.
+
+    Contact parameters are named ``fits.exact.b`` and so on, those of other pendulums ``instrument...``.
+    """
+    old, new = (
+        {**_contact(tree), **dict(_estimates(tree.get("instrument") or {}, "instrument."))}
+        for tree in (plain_values(recorded), plain_values(replayed))
+    )
+    return [Change(name, old[name], new[name]) for name in new if name in old]
+
+
+def _contact(tree: Mapping[str, Any]) -> dict[str, tuple[float, float]]:
+    fits = tree.get("fits") or {}
+    return {
+        f"fits.{fit}.{name}": estimate
+        for fit in ("exact", "asymptotic")
+        for name, estimate in _estimates(fits.get(fit) or {})
+        if name in (*CONTACT_NAMES, "drag_s")
+    }
+
+
+def _estimates(tree: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, tuple[float, float]]]:
+    for key, value in tree.items():
+        if not isinstance(value, Mapping):
+            continue
+        u = value.get("standard_uncertainty")
+        if isinstance(value.get("value"), int | float) and isinstance(u, int | float):
+            yield f"{above}{key}", (float(value["value"]), float(u))
+        else:
+            yield from _estimates(value, f"{above}{key}.")
+
+
+def _reach_ns(swings: Sequence[Swing]) -> float:
+    """How far apart two turning points may be that are one."""
+    half_s = [swing.half_period_s for swing in swings if math.isfinite(swing.half_period_s)]
+    return _SAME_SWING * 1e9 * float(np.median(half_s)) if half_s else 0.0
+
+
+def _pairs(
+    recorded: Sequence[Swing], replayed: Sequence[Swing], reach_ns: float
+) -> list[tuple[Swing, Swing]]:
+    """Half-cycles of the same turning point; their numbers may differ where the count began elsewhere."""
+    if not recorded:
+        return []
+    times_ns = np.array([swing.turn_time_ns for swing in recorded])
+    pairs: list[tuple[Swing, Swing]] = []
+    taken: set[int] = set()
+    for swing in replayed:
+        row = int(np.argmin(np.abs(times_ns - swing.turn_time_ns)))
+        if row not in taken and abs(int(times_ns[row]) - swing.turn_time_ns) <= reach_ns:
+            taken.add(row)
+            pairs.append((recorded[row], swing))
+    return pairs
+
+
+def _swing_change_u(old: Swing, new: Swing) -> float:
+    return max(
+        abs(new.amplitude - old.amplitude) / old.u_amplitude,
+        abs(new.turn_time_ns - old.turn_time_ns) * 1e-9 / old.u_turn_time_s,
+    )
+
+
+def _same(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.bool_]:
+    same: NDArray[np.bool_] = (a == b) | (np.isnan(a) & np.isnan(b))
+    return same
+
+
+def _equal(old: Swing, new: Swing) -> bool:
+    """Equal bit for bit, NaN being equal to NaN."""
+    return all(
+        a == b or (isinstance(a, float) and isinstance(b, float) and math.isnan(a) and math.isnan(b))
+        for a, b in zip(astuple(old), astuple(new), strict=True)
+    )

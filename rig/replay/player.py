@@ -1,0 +1,227 @@
+"""Plays a record through the pipeline at a pace, with pause, step and seek from the terminal."""
+
+import math
+import time
+from collections.abc import Callable
+from typing import Final, Protocol
+
+from acquisition.record.topics import RecordedEvent
+from processing.angle import ARCSEC_RAD
+from processing.spot import SpotFlag
+from rig.instrument.snapshot import Snapshot
+from rig.measure.recorder import Event
+from rig.replay.keys import Keys
+from rig.replay.replay import Replay, Step
+from rig.view.watcher import LiveView
+
+HELP: Final = "space pause  → frame  h half-cycle  + - 10 s  g go to  q end"
+SEEK_S: Final = 10.0
+_TICK_S = 0.05
+_LATEST_S = 0.5
+_MOST_FRAMES = {False: 10_000, True: 64}
+"""Frames put through at once, with their spots as recorded and tracked again: keys wait for no longer."""
+
+
+class Display(Protocol):
+    """Shows where a replay stands."""
+
+    def show(self, snapshot: Snapshot, length_s: float, remaining_s: float, prompt: str | None) -> None:
+        """State, end of the record, host's time that is left (NaN: not known), text being typed."""
+        ...
+
+
+class Player:
+    """One replay, watched and steered.
+
+    Parameters
+    ----------
+    speed
+        Seconds of the record in a second; infinite: as fast as it goes. A replay that cannot keep up
+        goes as fast as it can and leaves nothing out.
+    events
+        Of the record, for the view's log.
+    clock
+        Seconds of the host.
+    """
+
+    def __init__(
+        self,
+        replay: Replay,
+        speed: float,
+        keys: Keys,
+        display: Display,
+        *,
+        retrack: bool = False,
+        unit_rad: float = ARCSEC_RAD,
+        view: LiveView | None = None,
+        events: list[RecordedEvent] | None = None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._replay = replay
+        self._speed = speed
+        self._keys = keys
+        self._display = display
+        self._most = _MOST_FRAMES[retrack]
+        self._unit_rad = unit_rad
+        self._view = view
+        self._events = sorted(events or [], key=lambda event: event.time_ns)
+        self._clock = clock
+        self._typed: str | None = None
+        self._wanted_s = -math.inf
+        self._step: str = ""
+        self._last_sequence = -1
+        self.paused = False
+        self.ended_by_user = False
+        self._forget()
+
+    def play(self) -> None:
+        """Until the end of what is to be replayed, or until the user ends it."""
+        wait_s = 0.0
+        while not self.ended_by_user:
+            for key in self._keys.pressed(wait_s):
+                self._take(key)
+            if self.ended_by_user or math.isinf(self._replay.next_s):
+                break
+            self._show()
+            wait_s = self._go_on()
+        self._show()
+
+    def _go_on(self) -> float:
+        """Put through what is due; how long to wait for the next."""
+        if self._replay.next_s <= self._wanted_s:
+            self._through(self._wanted_s, self._most)
+            if self._replay.next_s > self._wanted_s:
+                self._resume()
+            return 0.0
+        if self._step:
+            self._one_step()
+            return 0.0
+        if self.paused:
+            return _LATEST_S
+        if math.isinf(self._speed):
+            self._through(math.inf, self._most)
+            return 0.0
+        due_s = self._base_s + (self._clock() - self._base_clock_s) * self._speed
+        self._through(due_s, self._most)
+        behind = self._replay.next_s <= due_s
+        return 0.0 if behind else min(_LATEST_S, max(_TICK_S, (self._replay.next_s - due_s) / self._speed))
+
+    def _one_step(self) -> None:
+        """One frame; for a half-cycle as many as it takes until one is over."""
+        for _ in range(1 if self._step == "frame" else self._most):
+            step = self._through(math.inf, 1)
+            if step is None or self._step == "frame" or step.block.swings:
+                self._step = ""
+                self._resume()
+                return
+
+    def _through(self, until_s: float, most: int) -> Step | None:
+        step = self._replay.advance(until_s, most)
+        if step is None:
+            return None
+        block = step.block
+        self._frames += len(step.sequences)
+        self._missing += int(step.sequences[-1]) - self._last_sequence - len(step.sequences)
+        self._last_sequence = int(step.sequences[-1])
+        self._lost += sum(bool(spot.flags & SpotFlag.LOST) for spot in block.spots)
+        for swing in block.swings:
+            self._half_cycles += 1
+            if not swing.flags:
+                self._amplitude = swing.amplitude / self._unit_rad
+                self._period_s = 2.0 * swing.half_period_s
+        self._draw(step)
+        return step
+
+    def _draw(self, step: Step) -> None:
+        if self._view is None:
+            return
+        start_ns = self._replay.start_ns
+        self._view.block(start_ns, (), step.block)
+        for frame, spot in step.pictures:
+            self._view.picture(start_ns, frame, spot)
+        position_ns = start_ns + round(self._replay.position_s * 1e9)
+        while self._next_event < len(self._events) and (
+            self._events[self._next_event].time_ns <= position_ns or math.isinf(self._replay.next_s)
+        ):
+            event = self._events[self._next_event]
+            self._view.event(start_ns, Event(event.time_ns, event.kind, event.text))
+            self._next_event += 1
+        if math.isinf(self._speed):
+            self._view.wait_room()
+
+    def _take(self, key: str) -> None:
+        """Do what a key asks for."""
+        if self._typed is not None:
+            self._type(key)
+        elif key == "space":
+            self.paused = not self.paused
+            self._resume()
+        elif key in ("right", "n", "h"):
+            self.paused, self._step = True, "half-cycle" if key == "h" else "frame"
+        elif key in ("+", "=", "-"):
+            self._seek(self._replay.position_s + (-SEEK_S if key == "-" else SEEK_S))
+        elif key == "g":
+            self._typed = ""
+        elif key == "q":
+            self.ended_by_user = True
+
+    def _type(self, key: str) -> None:
+        """The time to go to, digit by digit."""
+        typed = self._typed or ""
+        if key in "0123456789." and len(key) == 1:
+            self._typed = typed + key
+        elif key == "backspace":
+            self._typed = typed[:-1]
+        elif key == "enter":
+            self._typed = None
+            if typed.strip(".") and typed.count(".") <= 1:
+                self._seek(float(typed))
+        elif key in ("escape", "q", "g"):
+            self._typed = None
+
+    def _seek(self, time_s: float) -> None:
+        """Forwards every frame goes through, only faster; backwards the pipeline begins anew."""
+        replay = self._replay
+        time_s = min(max(time_s, 0.0), replay.length_s)
+        if time_s > replay.position_s:
+            self._wanted_s = time_s
+            return
+        self._wanted_s = -math.inf
+        replay.restart(time_s)
+        if self._view is not None:
+            self._view.jump(time_s)
+        self._forget()
+
+    def _forget(self) -> None:
+        """Counts begin anew where the pipeline does."""
+        start_ns, begun_s = self._replay.start_ns, self._replay.begun_s
+        begun_ns = start_ns + round(begun_s * 1e9)
+        self._frames = self._missing = self._lost = self._half_cycles = 0
+        self._amplitude = self._period_s = math.nan
+        self._last_sequence = self._replay.next_sequence - 1
+        self._next_event = sum(event.time_ns < begun_ns for event in self._events) if begun_s > 0 else 0
+        self._resume()
+
+    def _resume(self) -> None:
+        """The pace counts from here."""
+        self._base_clock_s, self._base_s = self._clock(), self._replay.position_s
+
+    def _show(self) -> None:
+        replay = self._replay
+        position_s = replay.position_s
+        gone_s, host_s = position_s - self._base_s, self._clock() - self._base_clock_s
+        known = gone_s > 0 and host_s > 0 and not self.paused
+        remaining_s = (replay.length_s - position_s) * host_s / gone_s if known else math.nan
+        snapshot = Snapshot(
+            phase="paused" if self.paused else "replaying",
+            elapsed_s=position_s,
+            frames=self._frames,
+            dropped_frames=self._missing,
+            lost_spots=self._lost,
+            half_cycles=self._half_cycles,
+            amplitude=self._amplitude,
+            period_s=self._period_s,
+        )
+        self._display.show(snapshot, replay.length_s, remaining_s, self._typed)
+        if self._view is not None:
+            self._view.snapshot(snapshot)

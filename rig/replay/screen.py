@@ -1,0 +1,181 @@
+"""What the terminal says of a replay: one line that follows it, and the comparison at its end."""
+
+import math
+import sys
+import time
+from collections.abc import Callable, Sequence
+from types import TracebackType
+from typing import IO, Self
+
+from rich.console import Console
+from rich.table import Table
+
+from rig.analysis.screen import DISPLAY, say, value_with_uncertainty
+from rig.instrument.snapshot import Snapshot
+from rig.replay.comparison import Change, Comparison
+
+_PLAIN_INTERVAL_S = 5.0
+_LINE_INTERVAL_S = 0.1
+_ERASE = "\r\x1b[K"
+_EXACT, _ASYMPTOTIC = "fits.exact.", "fits.asymptotic."
+
+
+class ReplayLine:
+    """One line that is written over on a terminal; elsewhere a line every few seconds.
+
+    `help_text` is shown on a terminal before anything else.
+    """
+
+    def __init__(
+        self,
+        unit: str,
+        help_text: str = "",
+        *,
+        stream: IO[str] | None = None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._stream = sys.stderr if stream is None else stream
+        self._terminal = self._stream.isatty()
+        self._unit = unit
+        self._help = help_text
+        self._clock = clock
+        self._shown_s = clock() if not self._terminal else -math.inf
+        self._shown = ""
+
+    def __enter__(self) -> Self:
+        if self._terminal and self._help:
+            self._stream.write(f"keys: {self._help}\n")
+            self._stream.flush()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._terminal and self._shown:
+            self._stream.write("\n")
+            self._stream.flush()
+
+    def show(self, snapshot: Snapshot, length_s: float, remaining_s: float, prompt: str | None) -> None:
+        """Bring the line up to date."""
+        now_s = self._clock()
+        interval_s = _LINE_INTERVAL_S if self._terminal else _PLAIN_INTERVAL_S
+        # what a key has done is shown at once
+        moving = snapshot.phase != "paused" and prompt is None and snapshot.elapsed_s < length_s
+        if (moving or not self._terminal) and now_s - self._shown_s < interval_s:
+            return
+        text = self._text(snapshot, length_s, remaining_s, prompt)
+        if not self._terminal:
+            self._shown_s = now_s
+            self._stream.write(f"{text}\n")
+            self._stream.flush()
+        elif text != self._shown:
+            self._shown_s, self._shown = now_s, text
+            self._stream.write(_ERASE + text)
+            self._stream.flush()
+
+    def _text(self, snapshot: Snapshot, length_s: float, remaining_s: float, prompt: str | None) -> str:
+        if prompt is not None:
+            return f"go to (seconds from the start, Enter): {prompt}"
+        part = 100 * snapshot.elapsed_s / length_s if length_s > 0 else 100.0
+        amplitude = "" if math.isnan(snapshot.amplitude) else f"  {snapshot.amplitude:.2f} {self._unit}"
+        left = "" if math.isnan(remaining_s) else f"  about {_clock(remaining_s)} left"
+        return (
+            f"{snapshot.phase}  {snapshot.elapsed_s:.2f} of {length_s:.1f} s  {part:.0f} %  "
+            f"{snapshot.frames} frames  {snapshot.half_cycles} half-cycles{amplitude}{left}"
+        )
+
+
+def print_comparison(comparison: Comparison, *, partial: bool) -> None:
+    """One line where nothing differs, else a short table of spots and half-cycles."""
+    console = Console()
+    if comparison.identical:
+        console.print(
+            f"{comparison.spots} spots and {comparison.swings_replayed} half-cycles, "
+            "equal bit for bit to the recorded ones",
+            highlight=False,
+            soft_wrap=True,
+        )
+        return
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for name in ("", "recorded", "replayed", "changed"):
+        table.add_column(name, justify="right" if name else "left")
+    table.add_column("largest change")
+    table.add_row(
+        "spots",
+        str(comparison.spots_found_recorded),
+        str(comparison.spots_found_replayed),
+        str(comparison.spots_changed),
+        _largest(
+            comparison.largest_spot_change_u,
+            f"frame {comparison.largest_spot_frame}",
+            comparison.spots_changed,
+        ),
+    )
+    table.add_row(
+        "half-cycles",
+        str(comparison.swings_recorded),
+        str(comparison.swings_replayed),
+        str(comparison.swings_changed),
+        _largest(
+            comparison.largest_swing_change_u,
+            f"{comparison.largest_swing_s:.1f} s",
+            comparison.swings_changed,
+        ),
+    )
+    console.print(table)
+    if partial:
+        say(
+            "half-cycles of a part differ of themselves: they are numbered from its beginning, "
+            "and the pipeline learns as it goes"
+        )
+
+
+def print_changes(changes: Sequence[Change], source: str) -> None:
+    """The recorded fitted parameters and how far they moved; one line where none did.
+
+    Of the contact's two fits the exact one is shown with its values, the other with its changes.
+    """
+    console = Console()
+    if not changes:
+        return
+    if all(change.in_u == 0.0 for change in changes):
+        text = f"{len(changes)} fitted numbers, equal to those of {source}"
+        console.print(text, highlight=False, markup=False, soft_wrap=True)
+        return
+    by_name = {change.name: change for change in changes}
+    asymptotic = [change for name, change in by_name.items() if name.startswith(_ASYMPTOTIC)]
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    table.add_column("")
+    for name in (source, "change / u", *(["of the asymptotic fit"] if asymptotic else [])):
+        table.add_column(name, justify="right", no_wrap=True)
+    for name, change in by_name.items():
+        if name.startswith(_ASYMPTOTIC):
+            continue
+        other = by_name.get(name.replace(_EXACT, _ASYMPTOTIC))
+        label, scale = name.removeprefix(_EXACT), 1.0
+        if label != name:
+            symbol, unit, scale = DISPLAY.get(label, (label, "", 1.0))
+            label = f"{symbol} / {unit}" if unit else symbol
+        table.add_row(
+            label,
+            value_with_uncertainty(change.recorded, scale),
+            _in_u(change),
+            *([_in_u(other) if other else ""] if asymptotic else []),
+        )
+    console.print(table)
+
+
+def _in_u(change: Change) -> str:
+    return "?" if math.isnan(change.in_u) else f"{change.in_u:+.2g}"
+
+
+def _largest(change_u: float, where: str, changed: int) -> str:
+    if not changed:
+        return ""
+    return f"{change_u:.2g} u, {where}" if change_u > 0 else "in the uncertainties alone"
+
+
+def _clock(seconds: float) -> str:
+    minutes, rest = divmod(round(max(seconds, 0.0)), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"

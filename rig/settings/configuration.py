@@ -1,0 +1,276 @@
+"""One TOML file -> frozen models. Unknown key, missing file, wrong unit: one clear line.
+
+A file may begin with ``extends = "other.toml"`` (relative to itself) and then states only what
+differs. On the command line ``--set a.b.c=value`` replaces any key by its dotted path.
+"""
+
+import difflib
+import tomllib
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, Literal, Self, get_args
+
+from pydantic import BaseModel, Field, ValidationError, model_validator
+from pydantic_core import ErrorDetails
+
+from acquisition.camera import CameraSettings
+from acquisition.cameras.aravis.library import AravisSettings
+from acquisition.cameras.files import FilesSettings
+from acquisition.cameras.pylon import PylonSettings
+from acquisition.cameras.usb3vision.camera import Usb3VisionSettings
+from acquisition.cameras.v4l2.source import V4l2Settings
+from acquisition.simulation.faults import FaultSettings
+from acquisition.simulation.settings import SimulationSettings
+from calibration.axes import Axes
+from calibration.lever import Lever
+from processing.errors import ConfigurationError
+from rig.control.settings import ControllerSettings, EnvironmentSettings, LaserSettings
+from rig.settings.balance import BalanceSettings
+from rig.settings.calibration import CalibrationSettings, TimebaseSettings
+from rig.settings.instrument import InstrumentSettings
+from rig.settings.phases import PhaseSettings, PreflightSettings, StartSettings
+
+
+class Section(BaseModel, frozen=True, extra="forbid"):
+    """A table of the configuration; a key it does not know is an error."""
+
+
+class SessionSettings(Section, frozen=True):
+    """What is measured, by whom, and when a run ends."""
+
+    operator: str = ""
+    sample: str = ""
+    notes: str = ""
+    contact_history: str = Field(default="", description="age, cleaning, earlier loads of the contact")
+    runs: int = Field(default=1, ge=1, le=1000)
+    initial_amplitude_arcsec: float = Field(default=124.0, gt=0, description="start of the fitted range")
+    final_amplitude_arcsec: float = Field(default=2.0, gt=0, description="a run ends below this")
+    max_duration_s: float = Field(default=7200.0, gt=0, description="a run ends after this, reached or not")
+    output: Path = Field(default=Path("runs"), description="folder in which each session makes its own")
+
+
+class EnvironmentConditions(Section, frozen=True):
+    """What the laboratory was like, as the user states it; copied into the record."""
+
+    temperature_c: float | None = Field(default=None, gt=-100, lt=200)
+    humidity_percent: float | None = Field(default=None, ge=0, le=100)
+    pressure_pa: float | None = Field(default=None, gt=1e3, lt=2e5)
+
+
+class CameraSection(CameraSettings, frozen=True, extra="forbid"):
+    """Which camera, and what is asked of it."""
+
+    driver: str = "simulated"
+    serial: str | None = Field(default=None, description="needed only where several are plugged in")
+    timeout_s: float = Field(default=5.0, gt=0, description="no frame for so long means a stall")
+    files: FilesSettings | None = None
+    usb3vision: Usb3VisionSettings = Usb3VisionSettings()
+    v4l2: V4l2Settings = V4l2Settings()
+    pylon: PylonSettings = PylonSettings()
+    aravis: AravisSettings = AravisSettings()
+
+
+class SensorSettings(Section, frozen=True):
+    """Noise model of the sensor, for the tracker's weights and uncertainties."""
+
+    gain_e_per_dn: float = Field(gt=0)
+    read_noise_e: float = Field(ge=0)
+    full_scale_dn: float = Field(gt=1)
+    pedestal_dn: float = Field(
+        default=0.0, ge=0, description="level of a pixel in the dark; above it is light"
+    )
+    prnu: float = Field(
+        default=0.0, ge=0, lt=0.2, description="relative spread of the pixels' response to light"
+    )
+
+
+class MaterialSettings(Section, frozen=True):
+    """Elastic constants of one body of the contact, with standard uncertainties."""
+
+    youngs_modulus_pa: float = Field(gt=1e6)
+    u_youngs_modulus_pa: float = Field(default=0.0, ge=0)
+    poisson_ratio: float = Field(gt=-1, lt=0.5)
+    u_poisson_ratio: float = Field(default=0.0, ge=0)
+
+
+class PendulumSettings(Section, frozen=True):
+    """The pendulum, its ball and what it stands on. `u_` are standard uncertainties."""
+
+    mass_kg: float = Field(gt=0)
+    u_mass_kg: float = Field(default=0.0, ge=0)
+    ball_radius_m: float = Field(gt=0, lt=1)
+    u_ball_radius_m: float = Field(default=0.0, ge=0)
+    ball_material: str = "steel"
+    flat_material: str = "glass_k8"
+    contact_radius_m: float | None = Field(
+        default=None, gt=0, lt=1e-2, description="of the contact spot; None: Hertz, from the materials"
+    )
+    gravity_m_per_s2: float = Field(default=9.80665, gt=0)
+    u_gravity_m_per_s2: float = Field(default=0.0, ge=0)
+
+
+class RecordSettings(Section, frozen=True):
+    """What of the frames is kept."""
+
+    windows: bool = Field(default=True, description="raw pixels around the spot, every frame, lossless")
+    full_frame_interval_s: float = Field(default=10.0, gt=0)
+
+
+class ViewSettings(Section, frozen=True):
+    """Rerun. `mode` of a live view; the .rrd file is written beside the record where `file` is true."""
+
+    mode: Literal["none", "spawn", "web"] = "none"
+    layout: Literal["balancing", "measuring", "analysing"] = "measuring"
+    file: bool = True
+    image_interval_s: float = Field(default=1.0, gt=0)
+
+
+class FitSettings(Section, frozen=True):
+    """How the laws are fitted."""
+
+    printed_055: bool = Field(
+        default=False, description="Eq. 6 with the printed 0.55, not the computed factor"
+    )
+    robust: bool = Field(default=False, description="a loss that does not follow outlying half-cycles")
+    drag: bool = Field(default=False, description="report the fits with a linear drag term")
+
+
+class Configuration(Section, frozen=True):
+    """Everything one session is told."""
+
+    session: SessionSettings = SessionSettings()
+    environment: EnvironmentConditions = EnvironmentConditions()
+    camera: CameraSection = CameraSection()
+    sensor: SensorSettings | None = None
+    lever: Lever | None = None
+    axes: Axes | None = None
+    timebase: TimebaseSettings | None = None
+    calibration: CalibrationSettings = CalibrationSettings()
+    instrument: InstrumentSettings = InstrumentSettings()
+    pendulum: PendulumSettings | None = None
+    materials: dict[str, MaterialSettings] = Field(default_factory=dict)
+    record: RecordSettings = RecordSettings()
+    view: ViewSettings = ViewSettings()
+    fit: FitSettings = FitSettings()
+    controller: ControllerSettings = ControllerSettings()
+    laser: LaserSettings = LaserSettings()
+    environment_sensor: EnvironmentSettings = EnvironmentSettings()
+    preflight: PreflightSettings = PreflightSettings()
+    phases: PhaseSettings = PhaseSettings()
+    start: StartSettings = StartSettings()
+    balance: BalanceSettings = BalanceSettings()
+    simulation: SimulationSettings = SimulationSettings()
+    faults: FaultSettings = FaultSettings()
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if self.session.final_amplitude_arcsec >= self.session.initial_amplitude_arcsec:
+            raise ValueError(
+                f"session.final_amplitude_arcsec = {self.session.final_amplitude_arcsec:g} must be below "
+                f"session.initial_amplitude_arcsec = {self.session.initial_amplitude_arcsec:g}"
+            )
+        return self
+
+
+def load_configuration(path: Path, overrides: Iterable[str] = ()) -> Configuration:
+    """Read a configuration file and apply ``KEY=VALUE`` overrides.
+
+    Raises ConfigurationError in one line: no such file, no TOML, unknown key (with the nearest
+    known one), value of the wrong type or out of range.
+    """
+    tree = read_toml_tree(path)
+    apply_overrides(tree, overrides)
+    return validate_configuration(tree, str(path))
+
+
+def read_toml_tree(path: Path, seen: tuple[Path, ...] = ()) -> dict[str, Any]:
+    """The file as nested dictionaries, with what it extends merged below it."""
+    if path.resolve() in seen:
+        raise ConfigurationError(f"{path}: extends itself; remove one of the 'extends' lines")
+    try:
+        tree = tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise ConfigurationError(f"{path}: no such configuration file") from None
+    except IsADirectoryError:
+        raise ConfigurationError(f"{path}: is a folder; name a TOML file") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigurationError(f"{path}: cannot be read: {error}") from None
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigurationError(f"{path}: is not TOML: {error}") from None
+    base = tree.pop("extends", None)
+    if base is None:
+        return tree
+    if not isinstance(base, str):
+        raise ConfigurationError(f"{path}: extends = {base!r} must be the name of a file")
+    return _merged(read_toml_tree(path.parent / base, (*seen, path.resolve())), tree)
+
+
+def validate_configuration(tree: Mapping[str, Any], source: str) -> Configuration:
+    """Nested dictionaries -> frozen models; ConfigurationError names the first fault and counts the rest."""
+    try:
+        return Configuration.model_validate(tree)
+    except ValidationError as error:
+        faults = error.errors()
+        more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
+        raise ConfigurationError(f"{source}: {_one_line(faults[0])}{more}") from None
+
+
+def _merged(below: dict[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
+    result = dict(below)
+    for key, value in above.items():
+        under = result.get(key)
+        result[key] = _merged(under, value) if isinstance(under, dict) and isinstance(value, dict) else value
+    return result
+
+
+def apply_overrides(tree: dict[str, Any], overrides: Iterable[str]) -> None:
+    """Set ``KEY=VALUE`` (dotted path, TOML value or bare word) in nested dictionaries, in place."""
+    for override in overrides:
+        _apply_override(tree, override)
+
+
+def _apply_override(tree: dict[str, Any], override: str) -> None:
+    key, equals, text = override.partition("=")
+    if not equals or not key.strip():
+        raise ConfigurationError(f"--set {override}: must read KEY=VALUE, for example --set session.runs=3")
+    try:
+        value = tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        value = text.strip()
+    parts = key.strip().split(".")
+    place = tree
+    for part in parts[:-1]:
+        place = place.setdefault(part, {})
+        if not isinstance(place, dict):
+            raise ConfigurationError(f"--set {override}: {part} is a value, not a table")
+    place[parts[-1]] = value
+
+
+def _one_line(fault: ErrorDetails) -> str:
+    path = ".".join(str(part) for part in fault["loc"])
+    if fault["type"] == "extra_forbidden":
+        known = _known_keys(fault["loc"][:-1])
+        near = difflib.get_close_matches(str(fault["loc"][-1]), known, n=1, cutoff=0.5)
+        hint = f"did you mean {near[0]}?" if near else f"known here: {', '.join(sorted(known))}"
+        return f"{path}: unknown key; {hint}"
+    if fault["type"] == "missing":
+        return f"{path}: is missing; state a value"
+    message = fault["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
+    if not path:
+        return message
+    expected = message if fault["type"].startswith("value_error") else f"should be {message}"
+    return f"{path} = {fault['input']!r}: {expected}"
+
+
+def _known_keys(place: tuple[int | str, ...]) -> list[str]:
+    model: type[BaseModel] = Configuration
+    for part in place:
+        field = model.model_fields.get(str(part))
+        if field is None:
+            break
+        candidates = [field.annotation, *get_args(field.annotation)]
+        inner = [c for c in candidates if isinstance(c, type) and issubclass(c, BaseModel)]
+        if not inner:
+            break
+        model = inner[0]
+    return list(model.model_fields)

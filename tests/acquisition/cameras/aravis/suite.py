@@ -1,0 +1,316 @@
+"""The aravis driver against Aravis's fake GigE camera; run by test_camera_aravis in a network of its own."""
+
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from typing import ClassVar
+
+import numpy as np
+import pytest
+
+from acquisition.camera import Camera, CameraLost, CameraSettings, FrameTimeout, PixelFormat
+from acquisition.cameras.aravis.camera import AravisCamera
+from acquisition.cameras.aravis.library import AravisSettings, find_cameras, load_library
+from acquisition.cameras.aravis.numbering import FrameNumbering
+from acquisition.frame import Frame
+from processing.errors import DeviceError
+from rig.devices.finding import list_cameras
+from rig.devices.frame_stream import FrameStream
+from tests.acquisition.cameras.aravis.fake_camera import SERIAL, FakeCamera
+from tests.acquisition.cameras.conformance import CameraConformance, Unplug
+
+# At this exposure and gain the fake camera's ramp is not stretched: pixel (x, y) is x + y + id, modulo 255.
+PLAIN = CameraSettings(width_px=64, height_px=48, exposure_us=10_000.0, gain_db=0.0, frame_rate_hz=100.0)
+PATIENCE_S = 60.0
+
+
+def wait_for_camera() -> None:
+    """Until the fake camera answers."""
+    deadline_s = time.monotonic() + PATIENCE_S
+    while not find_cameras():
+        assert time.monotonic() < deadline_s, "the fake camera does not answer"
+
+
+@pytest.fixture(scope="module")
+def fake() -> Iterator[FakeCamera]:
+    """A camera for all tests that leave it whole."""
+    fake = FakeCamera()
+    wait_for_camera()
+    yield fake
+    fake.pull_out()
+
+
+@pytest.fixture
+def camera(fake: FakeCamera) -> Iterator[AravisCamera]:
+    camera = AravisCamera()
+    yield camera
+    camera.close()
+
+
+class Triggered(AravisCamera):
+    """Waits for a software trigger that does not come."""
+
+    def configure(self, settings: CameraSettings) -> CameraSettings:
+        applied = super().configure(settings)
+        features = self._opened()
+        features.run_freely = lambda: features.camera.set_trigger("Software")  # type: ignore[method-assign]
+        return applied
+
+
+class TestConformance(CameraConformance):
+    PIXEL_FORMATS: ClassVar[tuple[PixelFormat, ...]] = ("mono8", "mono16")
+    WRONG_FORMAT: ClassVar[PixelFormat | None] = "mono12"
+    APPLIES: ClassVar[dict[str, float]] = {
+        "exposure_us": 2000.0,
+        "gain_db": 2.0,
+        "frame_rate_hz": 50.0,
+        "width_px": 320,
+    }
+    SKIPS_WHEN_SLOW = True
+
+    @pytest.fixture
+    def camera(self, camera: AravisCamera) -> Camera:
+        return camera
+
+    @pytest.fixture
+    def blocked_camera(self, fake: FakeCamera) -> Iterator[Camera]:
+        camera = Triggered()
+        yield camera
+        camera.close()
+
+    @pytest.fixture
+    def unplugged(self, fake: FakeCamera) -> Iterator[tuple[Camera, Unplug]]:
+        camera = AravisCamera()
+        yield camera, fake.pull_out
+        camera.close()
+        fake.plug_in()
+        wait_for_camera()
+
+
+def check_ramps(frames: list[Frame]) -> None:
+    """Every pixel is as the fake camera draws it, every frame one step further."""
+    rows, columns = np.indices(frames[0].image.shape)
+    start = int(frames[0].image[0, 0]) - frames[0].sequence
+    for frame in frames:
+        assert np.array_equal(frame.image, (rows + columns + start + frame.sequence) % 255)
+
+
+def test_frames_come_whole_while_their_ids_roll_over(
+    fake: FakeCamera, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fake.pull_out()
+    fake.plug_in()  # its ids begin anew, some hundred frames before they roll over
+    wait_for_camera()
+    ids: list[int] = []
+    number = FrameNumbering.number
+
+    def noted(self: FrameNumbering, frame_id: int, *rest: int) -> int | None:
+        ids.append(frame_id)
+        return number(self, frame_id, *rest)
+
+    monkeypatch.setattr(FrameNumbering, "number", noted)
+    camera = AravisCamera()
+    camera.open()
+    camera.configure(PLAIN)
+    camera.start()
+    frames: list[Frame] = []
+    while not ids or ids[-1] > 60_000 or ids[-1] < 50:
+        frame = camera.read(5.0)
+        assert frame is not None
+        frames.append(frame)
+    status = camera.status
+    camera.close()
+    assert 65_000 < ids[0] < 65_535
+    numbers = [frame.sequence for frame in frames]
+    assert numbers[-1] - numbers[0] == 65_535 - ids[0] + ids[-1]
+    assert numbers[-1] + 1 - len(frames) == status.dropped
+    check_ramps(frames)
+
+
+def test_packets_that_are_lost_make_frames_that_are_counted(fake: FakeCamera) -> None:
+    fake.pull_out()
+    lossy = FakeCamera(lost_per_thousand=20)
+    wait_for_camera()
+    camera = AravisCamera()
+    try:
+        camera.open()
+        camera.configure(PLAIN)
+        camera.start()
+        frames = []
+        while not frames or frames[-1].sequence < 200:
+            frame = camera.read(10.0)
+            assert frame is not None
+            frames.append(frame)
+        status = camera.status
+    finally:
+        camera.close()
+        lossy.pull_out()
+        fake.plug_in()
+        wait_for_camera()
+    # six packets a frame, each lost with 2 %: one frame in nine
+    assert status.dropped == frames[-1].sequence + 1 - len(frames)
+    assert status.dropped > 5
+    assert status.dropped_by_camera == 0
+    check_ramps(frames)
+
+
+def test_frames_that_a_late_reader_loses_are_ours(fake: FakeCamera) -> None:
+    camera = AravisCamera(AravisSettings(buffers=2))
+    camera.open()
+    camera.configure(PLAIN)
+    camera.start()
+    assert camera.read(5.0) is not None
+    deadline_s = time.monotonic() + PATIENCE_S
+    while camera._stream.get_info_uint64_by_name("n_underruns") < 100:
+        assert time.monotonic() < deadline_s, "two buffers are never too few"
+        time.sleep(0.05)
+    frames = [camera.read(5.0) for _ in range(5)]
+    status = camera.status
+    camera.close()
+    assert all(frames)
+    assert status.dropped_by_host > 0
+
+
+def test_the_run_goes_on_when_the_camera_comes_back(fake: FakeCamera) -> None:
+    camera = AravisCamera()
+    camera.open()
+    camera.configure(PLAIN)
+    camera.start()
+    stream = FrameStream(camera, PLAIN, timeout_s=20.0)
+    assert stream.begin() is not None
+    events: list[tuple[str, str]] = []
+    frames: list[Frame] = []
+
+    def take_until(done: Callable[[], bool], what: str) -> None:
+        deadline_s = time.monotonic() + PATIENCE_S
+        while not done():
+            assert time.monotonic() < deadline_s, f"{what} did not happen: {events}, {stream.ended}"
+            frames.extend(stream.take(64, 0.1))
+            events.extend(stream.take_events())
+
+    take_until(lambda: len(frames) > 20, "frames")
+    events.clear()
+    fake.pull_out()
+    take_until(lambda: "camera lost" in dict(events), "the loss")
+    before = len(frames)
+    fake.plug_in()
+    take_until(lambda: "camera back" in dict(events) and len(frames) > before + 20, "the return")
+    stream.close()
+    camera.close()
+    kinds = [kind for kind, _ in events]
+    assert kinds.index("camera silent") < kinds.index("camera lost") < kinds.index("camera back")
+    numbers = [frame.sequence for frame in frames]
+    assert numbers == sorted(set(numbers))
+    assert numbers[-1] + 1 - len(numbers) > 50  # more than half a second was lost, whoever was quick
+    assert camera.status.reconnects >= 1
+
+
+def test_a_silent_camera_that_is_there_is_not_taken_for_lost(fake: FakeCamera) -> None:
+    camera = Triggered()
+    camera.open()
+    camera.configure(PLAIN)
+    camera.start()
+    for _ in range(4):
+        with pytest.raises(FrameTimeout):
+            camera.read(1.0)
+    camera.close()
+
+
+def test_stop_and_close_return_at_once_although_the_camera_is_dead(fake: FakeCamera) -> None:
+    camera = AravisCamera()
+    camera.open()
+    camera.configure(PLAIN)
+    camera.start()
+    assert camera.read(5.0) is not None
+    fake.pull_out()
+    try:
+        begin_s = time.monotonic()
+        camera.stop()
+        camera.close()
+        # libaravis alone takes 2.5 s for the one and 5 s for the other
+        assert time.monotonic() - begin_s < 2.0
+    finally:
+        fake.plug_in()
+        wait_for_camera()
+    camera.open()
+    camera.close()
+
+
+def test_a_dead_camera_can_not_be_opened_or_set(fake: FakeCamera) -> None:
+    camera = AravisCamera()
+    camera.open()
+    fake.pull_out()
+    try:
+        with pytest.raises(DeviceError, match=SERIAL):
+            camera.configure(PLAIN)
+        camera.close()
+        with pytest.raises(DeviceError, match="no camera answers"):
+            camera.open()
+    finally:
+        fake.plug_in()
+        wait_for_camera()
+
+
+def test_a_wrong_serial_number_lists_what_is_there(fake: FakeCamera) -> None:
+    with pytest.raises(DeviceError, match=f"'none'.*{SERIAL}"):
+        AravisCamera(AravisSettings(serial="none")).open()
+
+
+def test_two_cameras_and_no_serial_number_are_listed(fake: FakeCamera) -> None:
+    aravis = load_library().aravis
+    aravis.enable_interface("Fake")
+    try:
+        with pytest.raises(DeviceError, match=f"several.*{SERIAL}"):
+            AravisCamera().open()
+        camera = AravisCamera(AravisSettings(serial=SERIAL))
+        assert camera.open().serial == SERIAL
+        camera.close()
+    finally:
+        aravis.disable_interface("Fake")
+        aravis.update_device_list()
+
+
+@pytest.mark.parametrize(
+    ("asked", "words"),
+    [
+        (CameraSettings(exposure_us=1e12), r"exposure_us = 1e\+12.*10 to 1e\+07"),
+        (CameraSettings(gain_db=90.0), "gain_db = 90.*0 to 10"),
+        (CameraSettings(frame_rate_hz=1e6), r"frame_rate_hz = 1e\+06.*0.1 to 1000"),
+    ],
+)
+def test_a_value_out_of_range_says_the_range(camera: AravisCamera, asked: CameraSettings, words: str) -> None:
+    camera.open()
+    with pytest.raises(DeviceError, match=words):
+        camera.configure(asked)
+
+
+def test_a_camera_that_another_program_controls_is_refused(fake: FakeCamera, camera: AravisCamera) -> None:
+    camera.open()
+    program = (
+        "from acquisition.cameras.aravis.camera import AravisCamera\n"
+        "from acquisition.camera import CameraSettings\n"
+        "camera = AravisCamera(); camera.open()\n"
+        "camera.configure(CameraSettings(width_px=64)); camera.start()"
+    )
+    other = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert other.returncode
+    assert "in use by another program" in other.stderr
+
+
+def test_rig_devices_lists_it(fake: FakeCamera) -> None:
+    cameras, notes = list_cameras()
+    found = [camera for camera in cameras if camera.driver == "aravis"]
+    assert [(camera.serial, camera.place) for camera in found] == [(SERIAL, "127.0.0.1")], notes
+
+
+def test_a_camera_that_is_closed_gives_no_frames_and_no_crash(camera: AravisCamera) -> None:
+    camera.open()
+    camera.configure(PLAIN)
+    camera.start()
+    camera.close()
+    assert camera.read(0.1) is None
+    with pytest.raises(DeviceError, match="not open"):
+        camera.start()
+    with pytest.raises((CameraLost, DeviceError)):
+        camera.configure(PLAIN)

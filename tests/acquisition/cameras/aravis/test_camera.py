@@ -1,0 +1,43 @@
+"""Runs the aravis driver's suite in a network of its own; says what is missing where that can't be."""
+
+import sys
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+
+from acquisition.cameras.aravis.camera import AravisCamera
+from processing.errors import DeviceError
+from tests.acquisition.cameras.aravis.namespace import PROJECT, Missing, run_alone
+
+TIME_LIMIT_S = 420.0
+SUITE = PROJECT / "tests" / "acquisition" / "aravis" / "suite.py"
+
+
+@pytest.mark.slow
+def test_the_suite_passes_against_the_fake_gige_camera(tmp_path: Path) -> None:
+    report = tmp_path / "report.xml"
+    options = ["-q", "-p", "no:cacheprovider", "-m", "", f"--junitxml={report}"]
+    try:
+        done = run_alone(["-m", "pytest", str(SUITE), *options], tmp_path, TIME_LIMIT_S)
+    except Missing as missing:
+        pytest.skip(str(missing))
+    assert done.returncode == 0, done.stdout[-6000:] + done.stderr[-2000:]
+    outcomes = {
+        case.get("name"): [part.tag for part in case] for case in ElementTree.parse(report).iter("testcase")
+    }
+    passed = {name for name, parts in outcomes.items() if not parts}
+    assert {
+        "test_unplugging_is_noticed_and_survived",
+        "test_start_and_stop_fifty_times",
+        "test_frames_come_whole_while_their_ids_roll_over",
+        "test_the_run_goes_on_when_the_camera_comes_back",
+    } <= passed
+    assert len(passed) >= 35
+
+
+def test_what_is_missing_is_said_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "gi", None)  # as if it were not installed
+    with pytest.raises(DeviceError, match=r"apt install gir1\.2-aravis-0\.8 python3-gi") as refused:
+        AravisCamera().open()
+    assert "\n" not in str(refused.value)

@@ -1,0 +1,350 @@
+"""The files camera: the conformance suite, every container, timestamps, what is wrong with files."""
+
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, ClassVar
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from pydantic import ValidationError
+
+from acquisition.camera import Camera, CameraLost, CameraSettings, PixelFormat
+from acquisition.cameras.files.camera import FilesCamera
+from acquisition.cameras.files.settings import FilesSettings
+from acquisition.cameras.files.sources import natural_key
+from acquisition.frame import Frame
+from processing.errors import DeviceError
+from tests.acquisition.cameras.conformance import CameraConformance, Unplug
+
+COUNT, NY, NX = 24, 48, 64
+
+
+def frames_of(bits: int, count: int = COUNT) -> NDArray[Any]:
+    generator = np.random.default_rng(bits)
+    values = generator.integers(0, 2**bits, (count, NY, NX))
+    return values.astype(np.uint8 if bits <= 8 else np.uint16)
+
+
+def write_folder(folder: Path, frames: NDArray[Any], ending: str) -> Path:
+    folder.mkdir()
+    for i, frame in enumerate(frames):
+        assert cv2.imwrite(str(folder / f"frame{i}{ending}"), frame)
+    return folder
+
+
+def write_video(path: Path, frames: NDArray[Any]) -> Path:
+    depth = cv2.CV_8U if frames.dtype == np.uint8 else cv2.CV_16U
+    options = [cv2.VIDEOWRITER_PROP_IS_COLOR, 0, cv2.VIDEOWRITER_PROP_DEPTH, depth]
+    codec = cv2.VideoWriter.fourcc(*"FFV1")
+    writer = cv2.VideoWriter(str(path), cv2.CAP_FFMPEG, codec, 100.0, (NX, NY), options)
+    for frame in frames:
+        writer.write(frame)
+    writer.release()
+    return path
+
+
+def play(path: Path, **settings: Any) -> tuple[FilesCamera, list[Frame]]:
+    settings.setdefault("frame_rate_hz", 100.0)
+    camera = FilesCamera(FilesSettings(path=path, **settings))
+    camera.open()
+    camera.configure(CameraSettings())
+    camera.start()
+    frames = []
+    while (frame := camera.read(1.0)) is not None:
+        frames.append(frame)
+    return camera, frames
+
+
+def refusal(path: Path, **settings: Any) -> str:
+    """The one line with which the frames are refused."""
+    with pytest.raises(DeviceError) as caught:
+        play(path, **settings)
+    message = str(caught.value)
+    assert "\n" not in message
+    return message
+
+
+class FilesConformance(CameraConformance):
+    @pytest.fixture
+    def source(self, tmp_path: Path) -> Path:
+        raise NotImplementedError
+
+    @pytest.fixture
+    def camera(self, source: Path) -> Iterator[Camera]:
+        camera = FilesCamera(FilesSettings(path=source, frame_rate_hz=100.0))
+        yield camera
+        camera.close()
+
+
+class TestFolderConformance(FilesConformance):
+    @pytest.fixture
+    def source(self, tmp_path: Path) -> Path:
+        return write_folder(tmp_path / "images", frames_of(8), ".png")
+
+    @pytest.fixture
+    def unplugged(self, source: Path, camera: Camera) -> tuple[Camera, Unplug]:
+        return camera, lambda: shutil.rmtree(source)
+
+
+class TestDeepVideoConformance(FilesConformance):
+    PIXEL_FORMATS: ClassVar[tuple[PixelFormat, ...]] = ("mono16",)
+
+    @pytest.fixture
+    def source(self, tmp_path: Path) -> Path:
+        return write_video(tmp_path / "video.mkv", frames_of(16))
+
+
+class TestStackConformance(FilesConformance):
+    PIXEL_FORMATS: ClassVar[tuple[PixelFormat, ...]] = ("mono16",)
+
+    @pytest.fixture
+    def source(self, tmp_path: Path) -> Path:
+        np.save(tmp_path / "stack.npy", frames_of(16))
+        return tmp_path / "stack.npy"
+
+
+@pytest.mark.parametrize("ending", [".png", ".pgm", ".tif", ".TIFF"])
+@pytest.mark.parametrize("bits", [8, 10, 12, 16])
+def test_images_come_back_bit_for_bit(tmp_path: Path, ending: str, bits: int) -> None:
+    wanted = frames_of(bits)
+    folder = write_folder(tmp_path / "images", wanted, ending)
+    (folder / "notes.txt").write_text("no image")
+    camera, frames = play(folder, bit_depth=bits)
+    assert camera.open().full_scale_dn == 2**bits - 1
+    assert np.array_equal([frame.image for frame in frames], wanted)
+    assert [frame.sequence for frame in frames] == list(range(COUNT))
+    assert [frame.device_time_ns for frame in frames] == [i * 10_000_000 for i in range(COUNT)]
+
+
+@pytest.mark.parametrize("bits", [8, 16])
+@pytest.mark.parametrize("ending", [".mkv", ".avi"])
+def test_lossless_video_comes_back_bit_for_bit(tmp_path: Path, ending: str, bits: int) -> None:
+    wanted = frames_of(bits)
+    camera, frames = play(write_video(tmp_path / f"video{ending}", wanted))
+    assert np.array_equal([frame.image for frame in frames], wanted)
+    camera.stop()
+    camera.start()
+    again = camera.read(1.0)
+    assert again is not None
+    assert np.array_equal(again.image, wanted[0])
+
+
+def test_tiff_stack_and_npy_stack_come_back_bit_for_bit(tmp_path: Path) -> None:
+    wanted = frames_of(16)
+    np.save(tmp_path / "stack.npy", wanted)
+    cv2.imwritemulti(str(tmp_path / "stack.tif"), list(wanted))
+    for name in ("stack.npy", "stack.tif"):
+        _, frames = play(tmp_path / name)
+        assert np.array_equal([frame.image for frame in frames], wanted), name
+
+
+def test_stack_is_mapped_not_loaded(tmp_path: Path) -> None:
+    path = tmp_path / "large.npy"
+    stack = np.lib.format.open_memmap(path, mode="w+", dtype=np.uint8, shape=(20_000, 480, 640))
+    stack[-1, 3, 4] = 77
+    del stack
+    camera = FilesCamera(FilesSettings(path=path, frame_rate_hz=1000.0))
+    # 6 GB: reading it would take far more memory and time than a test has
+    assert camera.open().width_px == 640
+    camera.start()
+    assert camera.read(1.0) is not None
+    camera.close()
+
+
+@pytest.mark.parametrize("largest", [100, 255, 1000, 4095])
+@pytest.mark.parametrize("kind", ["P5", "P2"])
+def test_pgm_with_any_largest_value_keeps_its_numbers(tmp_path: Path, kind: str, largest: int) -> None:
+    values = np.random.default_rng(1).integers(0, largest + 1, (NY, NX))
+    if kind == "P5":
+        raster = values.astype(">u2" if largest > 255 else "u1").tobytes()
+    else:
+        raster = " ".join(str(value) for value in values.ravel()).encode()
+    folder = tmp_path / "images"
+    folder.mkdir()
+    (folder / "a.pgm").write_bytes(f"{kind}\n# made by hand\n{NX} {NY}\n{largest}\n".encode() + raster)
+    camera, frames = play(folder)
+    assert np.array_equal(frames[0].image, values)
+    assert camera.open().full_scale_dn == {100: 255, 255: 255, 1000: 1023, 4095: 4095}[largest]
+
+
+def test_natural_order() -> None:
+    names = ["b10.png", "b9.png", "a100.png", "a20.png", "b9a.png", "7.png"]
+    wanted = ["7.png", "a20.png", "a100.png", "b9.png", "b9a.png", "b10.png"]
+    assert sorted(names, key=natural_key) == wanted
+
+
+def test_unreadable_images_are_skipped_counted_and_leave_gaps(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    wanted = frames_of(8)
+    folder = write_folder(tmp_path / "images", wanted, ".png")
+    (folder / "frame3.png").write_bytes(b"no image at all")
+    (folder / "frame4.png").write_bytes(b"")
+    whole = (folder / "frame9.png").read_bytes()
+    (folder / "frame9.png").write_bytes(whole[: len(whole) // 2])
+    camera, frames = play(folder)
+    good = [i for i in range(COUNT) if i not in (3, 4, 9)]
+    assert [frame.sequence for frame in frames] == good
+    assert [frame.device_time_ns for frame in frames] == [i * 10_000_000 for i in good]
+    assert np.array_equal([frame.image for frame in frames], wanted[good])
+    assert camera.status.incomplete == 3
+    assert camera.status.delivered == COUNT - 3
+    for name in ("frame3.png", "frame4.png", "frame9.png"):
+        assert name in caplog.text
+
+
+def test_truncated_pgm_is_skipped(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path / "images", frames_of(16), ".pgm")
+    whole = (folder / "frame1.pgm").read_bytes()
+    (folder / "frame1.pgm").write_bytes(whole[:-1])
+    camera, frames = play(folder)
+    assert camera.status.incomplete == 1
+    assert len(frames) == COUNT - 1
+
+
+def test_images_of_different_size_keep_their_shapes(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path / "images", frames_of(8, 2), ".png")
+    cv2.imwrite(str(folder / "frame2.png"), frames_of(8)[0, :20, :30])
+    _, frames = play(folder)
+    assert [frame.image.shape for frame in frames] == [(NY, NX), (NY, NX), (20, 30)]
+
+
+def test_mixed_depths_are_refused_or_brought_to_one_scale(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path / "images", frames_of(8, 1), ".png")
+    cv2.imwrite(str(folder / "frame1.png"), frames_of(16)[0])
+    assert "common_depth" in refusal(folder)
+    camera, frames = play(folder, common_depth=True)
+    assert camera.open().full_scale_dn == 65535
+    assert np.array_equal(frames[0].image, frames_of(8)[0].astype(np.uint16) * 257)
+    assert np.array_equal(frames[1].image, frames_of(16)[0])
+
+
+def test_colour_is_refused_unless_stated_and_grey_saved_as_colour_is_grey(tmp_path: Path) -> None:
+    grey = frames_of(8)[0]
+    folder = tmp_path / "images"
+    folder.mkdir()
+    cv2.imwrite(str(folder / "a.png"), np.dstack([grey, grey, grey]))
+    _, frames = play(folder)
+    assert np.array_equal(frames[0].image, grey)
+    colours = np.dstack([grey, grey // 2, grey // 4])
+    cv2.imwrite(str(folder / "a.png"), colours)
+    assert "camera.files.colour" in refusal(folder)
+    for name, wanted in (("blue", grey), ("green", grey // 2), ("red", grey // 4)):
+        assert np.array_equal(play(folder, colour=name)[1][0].image, wanted), name
+    mean = play(folder, colour="mean")[1][0].image
+    assert np.abs(mean - colours.mean(axis=2)).max() <= 0.5
+
+
+def test_region_is_cut_and_smaller_images_are_skipped(tmp_path: Path) -> None:
+    wanted = frames_of(8)
+    folder = write_folder(tmp_path / "images", wanted, ".png")
+    cv2.imwrite(str(folder / "frame5.png"), wanted[5, :10, :10])
+    camera = FilesCamera(FilesSettings(path=folder, frame_rate_hz=100.0))
+    camera.open()
+    camera.configure(CameraSettings(width_px=20, height_px=12, offset_x_px=3, offset_y_px=5))
+    camera.start()
+    frames = []
+    while (frame := camera.read(1.0)) is not None:
+        frames.append(frame)
+    assert np.array_equal(frames[0].image, wanted[0, 5:17, 3:23])
+    assert [frame.sequence for frame in frames] == [i for i in range(COUNT) if i != 5]
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    return write_folder(tmp_path / "images", frames_of(8, 4), ".png")
+
+
+def timestamps(path: Path, text: str) -> dict[str, Any]:
+    path.write_text(text)
+    return {"timestamps_csv": path, "frame_rate_hz": None}
+
+
+def test_times_from_csv_are_exact_to_the_nanosecond(folder: Path) -> None:
+    rows = ["7,1700000000.123456789", "8,1700000000.133456789", "10,1700000001", "11,1700000001.000000001"]
+    (folder / "timestamps.csv").write_text("\n".join(["sequence,time_s", *rows, ""]))
+    camera, frames = play(folder, frame_rate_hz=None)
+    assert [frame.device_time_ns for frame in frames] == [
+        1700000000123456789,
+        1700000000133456789,
+        1700000001000000000,
+        1700000001000000001,
+    ]
+    assert [frame.sequence for frame in frames] == [0, 1, 3, 4]
+    assert camera.status.dropped_by_camera == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        ("time_ns\n1\n2\n3\n", "3 rows of times for 4 frames"),
+        ("time_ns\n1\n2\n3\n4\n5\n", "5 rows of times for 4 frames"),
+        ("time_ns\n1\n3\n3\n4\n", "line 4: time_ns does not rise"),
+        ("time_s\n1\n2\nthree\n4\n", "line 4: time_s = 'three'"),
+        ("time_ns\n1.5\n2\n3\n4\n", "line 2: time_ns = '1.5'"),
+        ("time_ns\n-1\n2\n3\n4\n", "negative"),
+        ("time_s\nnan\n2\n3\n4\n", "line 2: time_s = 'nan'"),
+        ("t\n1\n2\n3\n4\n", "no column time_ns or time_s"),
+        ("", "is empty"),
+        (
+            "time_ns,file\n1,frame0.png\n2,frame1.png\n3,frame3.png\n4,frame2.png\n",
+            "line 4 names 'frame3.png'",
+        ),
+    ],
+)
+def test_timestamps_that_do_not_fit_are_refused(folder: Path, tmp_path: Path, text: str, named: str) -> None:
+    assert named in refusal(folder, **timestamps(tmp_path / "times.csv", text))
+
+
+def test_no_times_at_all_names_both_ways(folder: Path) -> None:
+    message = refusal(folder, frame_rate_hz=None)
+    assert "frame_rate_hz" in message
+    assert "timestamps.csv" in message
+    with pytest.raises(ValidationError, match="not both"):
+        FilesSettings(path=folder, timestamps_csv=folder / "timestamps.csv", frame_rate_hz=1.0)
+
+
+def test_video_without_times_tells_what_its_container_says(tmp_path: Path) -> None:
+    path = write_video(tmp_path / "video.mkv", frames_of(8))
+    assert "100 frames/s" in refusal(path, frame_rate_hz=None)
+
+
+def test_what_is_no_source_is_refused_in_one_line(tmp_path: Path) -> None:
+    assert "no such file" in refusal(tmp_path / "absent")
+    (tmp_path / "empty").mkdir()
+    assert "holds no image" in refusal(tmp_path / "empty")
+    (tmp_path / "text.mkv").write_text("no video")
+    assert "no video" in refusal(tmp_path / "text.mkv")
+    np.save(tmp_path / "flat.npy", np.zeros((3, 4)))
+    assert "(n, ny, nx)" in refusal(tmp_path / "flat.npy")
+    (tmp_path / "broken.npy").write_bytes(b"\x93NUMPY")
+    assert "no .npy stack" in refusal(tmp_path / "broken.npy")
+    np.save(tmp_path / "pickled.npy", np.array([{}], dtype=object), allow_pickle=True)
+    assert "no .npy stack" in refusal(tmp_path / "pickled.npy")
+    cv2.imwrite(str(tmp_path / "one.png"), frames_of(8)[0])
+    assert "folder" in refusal(tmp_path / "one.png")
+    folder = tmp_path / "bad"
+    folder.mkdir()
+    (folder / "a.png").write_bytes(b"x")
+    assert "none of the 1 frames" in refusal(folder)
+
+
+def test_folder_that_goes_away_is_a_lost_camera(folder: Path) -> None:
+    camera = FilesCamera(FilesSettings(path=folder, frame_rate_hz=100.0))
+    camera.open()
+    camera.start()
+    assert camera.read(1.0) is not None
+    shutil.rmtree(folder)
+    with pytest.raises(CameraLost, match="gone"):
+        camera.read(1.0)
+
+
+def test_real_beams_run_through(shared_data: Path) -> None:
+    settings = {"frame_rate_hz": 10.0, "common_depth": True}
+    camera, frames = play(shared_data / "beams", **settings)
+    assert camera.status.incomplete == 0
+    assert {frame.image.shape for frame in frames} == {(960, 1280), (800, 800)}
+    assert len(frames) == 7

@@ -1,0 +1,136 @@
+"""The pylon driver against Basler's own camera emulation; skipped where pypylon is not installed."""
+
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, ClassVar
+
+import cv2
+import numpy as np
+import pytest
+
+from acquisition.camera import Camera, CameraSettings, FrameTimeout, PixelFormat
+from acquisition.cameras.pylon import PylonCamera, PylonSettings
+from processing.errors import DeviceError
+from tests.acquisition.cameras.conformance import CameraConformance
+
+with warnings.catch_warnings():
+    # its binary part is made by SWIG, whose types warn as they are made
+    warnings.simplefilter("ignore")
+    pytest.importorskip("pypylon.pylon", reason="pypylon is not installed (optional extra 'pylon')")
+
+
+@pytest.fixture(autouse=True)
+def _emulation(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PYLON_CAMEMU", "1")
+
+
+class TestConformance(CameraConformance):
+    PIXEL_FORMATS: ClassVar[tuple[PixelFormat, ...]] = ("mono8", "mono10", "mono12", "mono16")
+    APPLIES: ClassVar[dict[str, float]] = {"exposure_us": 2000.0, "frame_rate_hz": 50.0, "width_px": 320}
+    SKIPS_WHEN_SLOW = True
+
+    @pytest.fixture
+    def camera(self) -> Iterator[Camera]:
+        camera = PylonCamera()
+        yield camera
+        camera.close()
+
+    @pytest.fixture
+    def blocked_camera(self) -> Iterator[Camera]:
+        camera = Triggered()
+        yield camera
+        camera.close()
+
+
+class Triggered(PylonCamera):
+    """Waits for a software trigger that does not come."""
+
+    def configure(self, settings: CameraSettings) -> CameraSettings:
+        applied = super().configure(settings)
+        self._camera.TriggerSelector.Value = "FrameStart"
+        self._camera.TriggerMode.Value = "On"
+        self._camera.TriggerSource.Value = "Software"
+        return applied
+
+
+def pictures(folder: Path, count: int) -> list[np.ndarray[Any, Any]]:
+    random = np.random.default_rng(11)
+    made = [random.integers(0, 256, (48, 64), np.uint8) for _ in range(count)]
+    for number, image in enumerate(made):
+        cv2.imwrite(str(folder / f"{number:04}.png"), image)
+    return made
+
+
+def showing(folder: Path, camera: PylonCamera) -> PylonCamera:
+    camera.open()
+    camera._camera.ImageFilename.Value = str(folder)
+    camera._camera.ImageFileMode.Value = "On"
+    camera._camera.TestImageSelector.Value = "Off"
+    camera.configure(CameraSettings(width_px=64, height_px=48, frame_rate_hz=200.0, pixel_format="mono8"))
+    return camera
+
+
+def test_two_hundred_pictures_come_byte_for_byte(tmp_path: Path) -> None:
+    made = pictures(tmp_path, 200)
+    camera = showing(tmp_path, PylonCamera())
+    camera.start()
+    for number, image in enumerate(made):
+        frame = camera.read(5.0)
+        assert frame is not None
+        assert frame.sequence == number
+        assert np.array_equal(frame.image, image)
+    assert camera.status.dropped == 0
+    camera.close()
+
+
+def test_a_software_trigger_gives_one_frame_each() -> None:
+    camera = Triggered()
+    camera.open()
+    camera.configure(CameraSettings(width_px=64, height_px=48))
+    camera.start()
+    for number in range(3):
+        with pytest.raises(FrameTimeout):
+            camera.read(0.1)
+        camera._camera.TriggerSoftware.Execute()
+        frame = camera.read(5.0)
+        assert frame is not None
+        assert frame.sequence == number
+    camera.close()
+
+
+def test_failed_buffers_are_counted_and_never_delivered(tmp_path: Path) -> None:
+    made = pictures(tmp_path, 60)
+    camera = showing(tmp_path, PylonCamera())
+    camera._camera.ForceFailedBufferCount.Value = 5
+    camera.start()
+    numbers = []
+    for step in range(40):
+        if step == 10:
+            camera._camera.ForceFailedBuffer.Execute()
+        frame = camera.read(5.0)
+        assert frame is not None
+        numbers.append(frame.sequence)
+        assert any(np.array_equal(frame.image, image) for image in made)
+    assert camera.status.incomplete == 5
+    assert numbers[-1] - numbers[0] + 1 - len(numbers) == 5
+    camera.close()
+
+
+def test_a_wrong_serial_lists_what_is_there() -> None:
+    with pytest.raises(DeviceError, match="0815-0000"):
+        PylonCamera(PylonSettings(serial="none")).open()
+
+
+def test_two_cameras_and_no_serial(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PYLON_CAMEMU", "2")
+    with pytest.raises(DeviceError, match=r"0815-0000.*0815-0001"):
+        PylonCamera().open()
+
+
+def test_a_value_out_of_range_says_the_range() -> None:
+    camera = PylonCamera()
+    camera.open()
+    with pytest.raises(DeviceError, match="are possible"):
+        camera.configure(CameraSettings(exposure_us=1e12))
+    camera.close()

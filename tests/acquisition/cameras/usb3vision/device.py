@@ -1,0 +1,480 @@
+"""A USB3 Vision camera at the level of its endpoints: bytes in, bytes out.
+
+Written from the standard's layouts, without the driver's constants, so that an error in the driver
+is not repeated here. It has no thread: frames fall due by the clock and are made when the host asks.
+"""
+
+import io
+import struct
+import threading
+import time
+import zipfile
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from tests.acquisition.cameras.usb3vision import description as layout
+from tests.acquisition.cameras.usb3vision.descriptors import (
+    CONTROL_IN,
+    CONTROL_OUT,
+    EVENT_IN,
+    PACKET,
+    STREAM_IN,
+)
+
+SBRM, SIRM, EIRM, MANIFEST, XML = 0x10000, 0x10400, 0x10800, 0x11000, 0x100000
+
+
+# Bits of a pixel by the format's number (not the same as what it takes on the bus)
+DEPTHS = {code: int("".join(filter(str.isdigit, name))) for name, code in layout.FORMATS.items()}
+
+
+def pack(pixels: np.ndarray, pixel_format: int) -> bytes:
+    """An image's bytes on the bus."""
+    name = {code: name for name, code in layout.FORMATS.items()}[pixel_format]
+    values = pixels.ravel()
+    if name.endswith("Packed"):
+        values = np.append(values, 0) if values.size % 2 else values
+        one, two = values[0::2].astype(np.uint16), values[1::2].astype(np.uint16)
+        triple = np.stack([one >> 4, (one & 15) | (two & 15) << 4, two >> 4], axis=1).astype(np.uint8)
+        return triple.tobytes()[: -(-pixels.size * 12 // 8)]
+    if name.endswith("p"):
+        bits = DEPTHS[pixel_format]
+        spread = np.unpackbits(values.astype("<u2").view(np.uint8).reshape(-1, 2), axis=1, bitorder="little")
+        return np.packbits(spread[:, :bits].ravel(), bitorder="little").tobytes()
+    return values.astype(np.uint8 if layout.BITS[name] == 8 else "<u2").tobytes()
+
+
+class UnpluggedError(Exception):
+    """The device is no longer there."""
+
+
+class StalledError(Exception):
+    """The endpoint is halted."""
+
+
+class OverrunError(Exception):
+    """A packet was longer than what the host's buffer had left."""
+
+
+@dataclass
+class Faults:
+    """What shall go wrong; every hook gets what would be sent and returns what is sent instead."""
+
+    replies: Callable[[int, bytes], list[bytes]] = field(default=lambda command, reply: [reply])
+    units: Callable[[str, int, bytes], list[bytes]] = field(default=lambda kind, block, data: [data])
+    refuse: Callable[[int, int], int] = field(default=lambda command, address: 0)
+    reply_delay_s: Callable[[int], float] = field(default=lambda command: 0.0)
+    unplug_after_stream_bytes: int | None = None
+
+
+class VisionDevice:
+    """One camera.
+
+    Parameters
+    ----------
+    serial
+        Its serial number.
+    packing
+        The description is stored ``"zip"`` or ``"plain"``; ``prefix`` precedes it.
+    picture
+        Image of a block, as the bytes that go over the bus; None draws a pattern from the block id.
+    clock
+        Seconds; frames fall due by it.
+    frames_inside
+        The camera's own memory: older frames are lost when the host is slow.
+    """
+
+    def __init__(
+        self,
+        serial: str = "U3V-0001",
+        *,
+        packing: str = "zip",
+        xml: str | None = None,
+        prefix: bytes = b"",
+        max_packet: int = 1024,
+        alignment_bits: int = 2,
+        picture: Callable[[int], bytes] | None = None,
+        clock: Callable[[], float] = time.monotonic,
+        first_block: int = 0,
+        frame_rate_hz: float = 100.0,
+        frames_inside: int = 8,
+    ) -> None:
+        self.serial = serial
+        self.faults = Faults()
+        self.changed = threading.Condition()
+        self.unplugged = False
+        self.configuration = 0
+        self.owner: object | None = None
+        self.commands = 0
+        self._picture = picture
+        self._clock = clock
+        self._t0 = clock()
+        self._first_block = first_block
+        self._frames_inside = frames_inside
+        self._replies: deque[tuple[float, bytes]] = deque()
+        self._units: deque[tuple[memoryview, bool]] = deque()
+        self._events: deque[bytes] = deque()
+        self._halted: set[int] = set()
+        self._streamed = 0
+        self._running_since: float | None = None
+        self._next_frame = 0
+        self.frames_lost_inside = 0
+        self._sawtooth: dict[tuple[int, int], np.ndarray] = {}
+        text = (xml if xml is not None else layout.description()).encode()
+        self._segments = self._memory(prefix + text, packing, max_packet, alignment_bits, frame_rate_hz)
+
+    # ---- registers
+
+    def _memory(
+        self, text: bytes, packing: str, max_packet: int, alignment: int, frame_rate_hz: float
+    ) -> dict[int, bytearray]:
+        abrm = bytearray(0x1000)
+
+        def put(where: bytearray, at: int, layout: str, *values: float) -> None:
+            struct.pack_into("<" + layout, where, at, *values)
+
+        put(abrm, 0x0, "HH", 0, 1)
+        for at, name in (
+            (0x4, "Testwerk"),
+            (0x44, "Pendulum Eye"),
+            (0x84, "Test family"),
+            (0x144, self.serial),
+        ):
+            abrm[at : at + len(name)] = name.encode()
+        put(abrm, 0x1C4, "Q", 0x8 | 0x200 | 0x800)
+        put(abrm, 0x1CC, "I", 100)
+        put(abrm, 0x1D0, "QQ", MANIFEST, SBRM)
+        put(abrm, 0x1FC, "Q", 8)  # ns a tick
+        sbrm = bytearray(0x100)
+        put(sbrm, 0x0, "I", 0x00010000)
+        put(sbrm, 0x4, "Q", 3)
+        put(sbrm, 0x14, "III", max_packet, max_packet, 1)
+        put(sbrm, 0x20, "QIQI", SIRM, 0x30, EIRM, 0x10)
+        put(sbrm, 0x40, "I", 8)
+        sirm = bytearray(0x30)
+        put(sirm, 0x0, "I", alignment << 24)
+        stored, schema = text, 0
+        if packing == "zip":
+            buffer = io.BytesIO()
+            with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+                archive.writestr("eye.xml", text)
+            stored, schema = buffer.getvalue(), 1 << 10
+        manifest = bytearray(8 + 64)
+        put(manifest, 0, "Q", 1)
+        put(manifest, 8, "HBBIQQ", 0, 0, 1, schema, XML, len(stored))
+        own = bytearray(layout.END - layout.BASE)
+        segments = {0: abrm, SBRM: sbrm, SIRM: sirm, EIRM: bytearray(0x10), MANIFEST: manifest}
+        segments |= {layout.BASE: own, XML: bytearray(stored)}
+        self._segments = segments
+        for at, value in (
+            (layout.WIDTH, 640), (layout.HEIGHT, 480), (layout.PIXEL_FORMAT, layout.FORMATS["Mono8"]),
+        ):  # fmt: skip
+            self.poke(at, struct.pack("<I", value))
+        self.poke(layout.EXPOSURE_TICKS, struct.pack(">I", 10000))
+        self.poke(layout.FRAME_RATE, struct.pack("<d", frame_rate_hz))
+        self.poke(layout.FRAME_RATE_ENABLE, b"\0\0\0\1")
+        self._update()
+        return segments
+
+    def _find(self, address: int, length: int) -> tuple[bytearray, int] | None:
+        for base, segment in self._segments.items():
+            if base <= address and address + length <= base + len(segment):
+                return segment, address - base
+        return None
+
+    def peek(self, address: int, length: int = 4) -> bytes:
+        """Registers as they are, without a command."""
+        found = self._find(address, length)
+        assert found is not None, hex(address)
+        return bytes(found[0][found[1] : found[1] + length])
+
+    def poke(self, address: int, data: bytes) -> None:
+        """Set registers without a command."""
+        found = self._find(address, len(data))
+        assert found is not None, hex(address)
+        found[0][found[1] : found[1] + len(data)] = data
+
+    def number(self, address: int) -> int:
+        """A little-endian 32-bit register."""
+        return int(struct.unpack("<I", self.peek(address))[0])
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(height, width) of the frames."""
+        return self.number(layout.HEIGHT), self.number(layout.WIDTH)
+
+    @property
+    def pixel_format(self) -> int:
+        """The format's number."""
+        return self.number(layout.PIXEL_FORMAT)
+
+    @property
+    def frame_bytes(self) -> int:
+        """Bytes of one image."""
+        height, width = self.shape
+        return -(-height * width * ((self.pixel_format >> 16) & 0xFF) // 8)
+
+    @property
+    def frame_rate_hz(self) -> float:
+        """Frames a second: as set, or as many as the exposure leaves."""
+        if self.peek(layout.FRAME_RATE_ENABLE)[3] & 1:
+            return float(struct.unpack("<d", self.peek(layout.FRAME_RATE, 8))[0])
+        exposure_s = struct.unpack(">I", self.peek(layout.EXPOSURE_TICKS))[0] * 1e-7
+        return min(1000.0, 1.0 / max(exposure_s, 1e-5))
+
+    def ticks(self) -> int:
+        """The camera's clock, 8 ns a tick."""
+        return int((self._clock() - self._t0) * 1.25e8) + 1000
+
+    def _update(self) -> None:
+        self.poke(layout.PAYLOAD_SIZE, struct.pack("<I", self.frame_bytes))
+        self.poke(SIRM + 8, struct.pack("<QII", self.frame_bytes, 52, 32))
+
+    def _written(self, address: int) -> int:
+        """Act on a register that has just been written; a status other than 0 refuses."""
+        if address == 0x1F8:
+            self.poke(0x1F0, struct.pack("<Q", self.ticks()))
+        elif address == layout.START:
+            if not self.number(SIRM + 4) & 1:
+                return 0x8007
+            self.poke(layout.LOCKED, struct.pack("<I", 1))
+            self._running_since, self._next_frame = self._clock(), 0
+        elif address in (layout.STOP, SIRM + 4):
+            if address == layout.STOP or not self.number(SIRM + 4) & 1:
+                self._running_since = None
+                self._units.clear()
+                self.poke(layout.LOCKED, struct.pack("<I", 0))
+        elif layout.BASE <= address < layout.END:
+            self._update()
+        return 0
+
+    # ---- control endpoint
+
+    def control_out(self, packet: bytes) -> None:
+        """A command from the host; its reply is queued."""
+        with self.changed:
+            self._alive()
+            self.commands += 1
+            magic, _flags, command, length, identity = struct.unpack_from("<IHHHH", packet)
+            status, payload = 0, b""
+            if magic != 0x43563355 or length != len(packet) - 12:
+                status = 0x800E
+            elif command == 0x0800:
+                address, _, count = struct.unpack_from("<QHH", packet, 12)
+                status, payload = self._read(address, count)
+            elif command == 0x0802:
+                (address,) = struct.unpack_from("<Q", packet, 12)
+                status = self._write(address, packet[20:])
+                payload = struct.pack("<HH", 0, length - 8)
+            else:
+                status = 0x8001
+            if status:
+                payload = b""
+            reply = struct.pack("<IHHHH", 0x43563355, status, command + 1, len(payload), identity) + payload
+            due = self._clock() + self.faults.reply_delay_s(command)
+            self._replies.extend((due, part) for part in self.faults.replies(command, reply))
+            self.changed.notify_all()
+
+    def _read(self, address: int, count: int) -> tuple[int, bytes]:
+        refused = self.faults.refuse(0x0800, address)
+        found = self._find(address, count)
+        if refused or found is None:
+            return refused or 0x8003, b""
+        if address in (layout.START, layout.STOP):
+            return 0x8006, b""
+        if count + 12 > self.number(SBRM + 0x18):
+            return 0x8002, b""
+        return 0, bytes(found[0][found[1] : found[1] + count])
+
+    def _write(self, address: int, data: bytes) -> int:
+        refused = self.faults.refuse(0x0802, address)
+        found = self._find(address, len(data))
+        if refused or found is None:
+            return refused or 0x8003
+        if address in (layout.PAYLOAD_SIZE,) or address >= XML:
+            return 0x8004
+        found[0][found[1] : found[1] + len(data)] = data
+        return self._written(address)
+
+    def control_in(self, room: int, timeout_s: float) -> bytes:
+        """The next reply; TimeoutError when there is none in time."""
+        deadline = time.monotonic() + timeout_s
+        with self.changed:
+            while True:
+                self._alive()
+                now = self._clock()
+                if self._replies and self._replies[0][0] <= now:
+                    return self._replies.popleft()[1][:room]
+                left = deadline - time.monotonic()
+                if left <= 0:
+                    raise TimeoutError
+                until_due = self._replies[0][0] - now if self._replies else left
+                self.changed.wait(max(min(left, until_due), 1e-4))
+
+    # ---- stream endpoint
+
+    def stream_in(self, target: memoryview, timeout_s: float) -> int:
+        """Fill the host's buffer as a bulk transfer would: until it is full or a packet is short."""
+        deadline = time.monotonic() + timeout_s
+        filled = 0
+        with self.changed:
+            while filled < len(target):
+                self._alive()
+                if STREAM_IN in self._halted:
+                    raise StalledError
+                if not self._units and not self._make_frame():
+                    left = deadline - time.monotonic()
+                    if left <= 0:
+                        if filled:
+                            return filled
+                        raise TimeoutError
+                    self.changed.wait(min(left, self._wait_s()))
+                    continue
+                unit, ends_short = self._units[0]
+                space = len(target) - filled
+                if len(unit) > space and space % PACKET:
+                    self._units.popleft()
+                    raise OverrunError
+                count = min(len(unit), space)
+                target[filled : filled + count] = unit[:count]
+                filled += count
+                self._count(count)
+                if count < len(unit):
+                    self._units[0] = (unit[count:], ends_short)
+                    break
+                self._units.popleft()
+                if ends_short:
+                    break
+        return filled
+
+    def give_back(self, data: bytes, ended_short: bool) -> None:
+        """The host has let go of its buffer before it was filled: on a real bus nothing was sent."""
+        with self.changed:
+            self._units.appendleft((memoryview(data), ended_short))
+
+    def _count(self, count: int) -> None:
+        self._streamed += count
+        limit = self.faults.unplug_after_stream_bytes
+        if limit is not None and self._streamed >= limit:
+            self.unplug()
+            raise UnpluggedError
+
+    def _wait_s(self) -> float:
+        if self._running_since is None:
+            return 0.2
+        due = self._running_since + (self._next_frame + 1) / self.frame_rate_hz
+        return max(due - self._clock(), 1e-4)
+
+    def _make_frame(self) -> bool:
+        """Queue the next frame's units where one is due."""
+        if self._running_since is None:
+            return False
+        due = int((self._clock() - self._running_since) * self.frame_rate_hz)
+        if due <= self._next_frame:
+            return False
+        if due - self._next_frame > self._frames_inside:
+            self.frames_lost_inside += due - self._frames_inside - self._next_frame
+            self._next_frame = due - self._frames_inside
+        taken_s = self._running_since + self._next_frame / self.frame_rate_hz
+        block = self._next_frame + self._first_block
+        self._next_frame += 1
+        height, width = self.shape
+        image = self.image_bytes(block)
+        sizes = struct.unpack("<6I", self.peek(SIRM + 0x18, 24))
+        leader = struct.pack(
+            "<IHHQHHQIIIIIHH", 0x4C563355, 0, 52, block, 0, 1, int((taken_s - self._t0) * 1.25e8) + 1000,
+            self.pixel_format, width, height, self.number(layout.OFFSET_X), self.number(layout.OFFSET_Y),
+            0, 0,
+        )  # fmt: skip
+        room = sizes[1] * sizes[2] + sizes[3] + sizes[4]
+        status = 0 if room >= len(image) else 0xA005
+        sent = min(room, len(image))
+        trailer = struct.pack("<IHHQHHQI", 0x54563355, 0, 32, block, status, 0, sent, height)
+        self._queue("leader", block, leader, sizes[0])
+        at = 0
+        for planned in [sizes[1]] * sizes[2] + [sizes[3], sizes[4]]:
+            if at < sent and planned:
+                piece = image[at : at + planned]
+                self._queue("payload", block, piece, planned)
+                at += len(piece)
+        self._queue("trailer", block, trailer, sizes[5])
+        return bool(self._units)
+
+    def _queue(self, kind: str, block: int, data: bytes, planned: int) -> None:
+        for part in self.faults.units(kind, block, data):
+            # A short or empty packet ends a transfer that the host has planned longer.
+            self._units.append((memoryview(part), len(part) % PACKET != 0 or len(part) < planned))
+
+    def image_bytes(self, block: int) -> bytes:
+        """The image of a block as it goes over the bus."""
+        if self._picture is not None:
+            return self._picture(block)
+        return pack(self.pixels(block), self.pixel_format)
+
+    def pixels(self, block: int) -> np.ndarray:
+        """The image of a block as numbers: a sawtooth that begins elsewhere in every frame."""
+        height, width = self.shape
+        period = {8: 251, 10: 1021, 12: 4093, 16: 65521}[DEPTHS[self.pixel_format]]
+        key = (height * width, period)
+        if key not in self._sawtooth:
+            self._sawtooth = {key: np.arange(height * width + period) % period}
+            if period < 256:
+                self._sawtooth[key] = self._sawtooth[key].astype(np.uint8)
+        start = 7 * block % period
+        return self._sawtooth[key][start : start + height * width].reshape(height, width)
+
+    # ---- events, and the rest of a device's life
+
+    def event_in(self, timeout_s: float) -> bytes:
+        """An event packet where events are on."""
+        with self.changed:
+            self._alive()
+            if not self.number(EIRM) & 1:
+                raise TimeoutError
+            return struct.pack("<IHHHHHHQ", 0x45563355, 0x4000, 0x0C00, 12, 1, 0, 0x9001, self.ticks())
+
+    def clear_halt(self, endpoint: int) -> None:
+        """The host's request to continue after a stall."""
+        with self.changed:
+            self._alive()
+            self._halted.discard(endpoint)
+            if endpoint == STREAM_IN:
+                self._units.clear()
+
+    def halt(self, endpoint: int) -> None:
+        """Stall an endpoint: the host has asked for it, or something went wrong inside."""
+        with self.changed:
+            self._alive()
+            self._halted.add(endpoint)
+            self.changed.notify_all()
+
+    def unplug(self) -> None:
+        """Take the device from the bus."""
+        with self.changed:
+            self.unplugged = True
+            self.changed.notify_all()
+
+    def plug(self) -> None:
+        """Put the device on the bus again, in its state after power-up."""
+        with self.changed:
+            self.unplugged = False
+            self.configuration = 0
+            self.owner = None
+            self.faults.unplug_after_stream_bytes = None
+            self._replies.clear()
+            self._units.clear()
+            self._halted.clear()
+            self._running_since = None
+            self._streamed = 0
+            self.poke(SIRM + 4, bytes(4))
+            self.poke(layout.LOCKED, bytes(4))
+
+    def _alive(self) -> None:
+        if self.unplugged:
+            raise UnpluggedError
+
+
+__all__ = ["CONTROL_IN", "CONTROL_OUT", "EVENT_IN", "STREAM_IN", "VisionDevice"]

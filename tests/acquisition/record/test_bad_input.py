@@ -1,0 +1,110 @@
+"""What is no record of ours gets one clear line, and nothing is written beside it."""
+
+from pathlib import Path
+
+import pytest
+from mcap.writer import Writer
+
+from acquisition.record.check import check_record
+from acquisition.record.info import record_info
+from acquisition.record.reader import RecordReader
+from acquisition.record.recover import recover
+from acquisition.record.topics import SCHEMA_VERSION
+from acquisition.record.writer import RecordWriter
+from processing.errors import RecordError
+from tests.acquisition.record.samples import write_sample
+
+
+def foreign(path: Path) -> None:
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        schema = writer.register_schema("Pose", "jsonschema", b"{}")
+        channel = writer.register_channel("/robot/pose", "json", schema)
+        writer.add_message(channel, 1, b"{}", 1)
+        writer.finish()
+
+
+def empty_mcap(path: Path) -> None:
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        writer.finish()
+
+
+def newer(path: Path) -> None:
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        writer.add_metadata("record", {"schema_version": str(SCHEMA_VERSION + 1), "epoch_offset_ns": "0"})
+        writer.finish()
+
+
+def nameless(path: Path) -> None:
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        writer.add_metadata("record", {"schema_version": "one"})
+        writer.finish()
+
+
+def cut_in_its_head(path: Path) -> None:
+    write_sample(path, 16)
+    path.write_bytes(path.read_bytes()[:40])
+
+
+CASES = {
+    "no such file": (lambda path: None, "no such record"),
+    "folder": (Path.mkdir, "cannot be read"),
+    "empty": (Path.touch, "is empty"),
+    "text": (lambda path: path.write_text("t,x\n1,2\n"), "is no MCAP file"),
+    "magic alone": (lambda path: path.write_bytes(b"\x89MCAP0\r\n"), "cut before anything was recorded"),
+    "foreign": (foreign, r"another program \(topics: /robot/pose\)"),
+    "empty MCAP": (empty_mcap, r"another program \(topics: none\)"),
+    "newer": (newer, f"schema version {SCHEMA_VERSION + 1}, this program reads up to {SCHEMA_VERSION}"),
+    "own description damaged": (nameless, "its own description is damaged"),
+    "cut in its head": (cut_in_its_head, "cut before anything was recorded"),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_one_clear_line(tmp_path: Path, case: str) -> None:
+    make, expected = CASES[case]
+    path = tmp_path / "file.mcap"
+    make(path)
+    before = sorted(tmp_path.iterdir())
+    copy = tmp_path / "whole.mcap"
+    for use in (RecordReader, record_info, check_record, lambda path: recover(path, copy)):
+        with pytest.raises(RecordError, match=expected) as caught:
+            use(path)
+        assert "\n" not in str(caught.value)
+        assert str(path) in str(caught.value)
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def test_a_file_is_never_overwritten(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    write_sample(path, 16)
+    before = path.read_bytes()
+    with pytest.raises(RecordError, match="never overwritten"):
+        RecordWriter(path, 0)
+    with pytest.raises(RecordError, match="never overwritten"):
+        recover(path, path)
+    assert path.read_bytes() == before
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_folder_that_does_not_exist_is_said(tmp_path: Path) -> None:
+    with pytest.raises(RecordError, match="cannot be made: No such file"):
+        RecordWriter(tmp_path / "missing" / "run.mcap", 0)
+
+
+def test_results_that_are_none_are_said(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    write_sample(path, 16)
+    results = tmp_path / "results.json"
+    with pytest.raises(RecordError, match="cannot be read"):
+        check_record(path, results)
+    results.write_text("[1]")
+    with pytest.raises(RecordError, match=r"is no results\.json"):
+        check_record(path, results)

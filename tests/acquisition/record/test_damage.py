@@ -1,0 +1,244 @@
+"""Changed bytes and cut files: found, named, and everything else is read."""
+
+import contextlib
+import json
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+
+from acquisition.record.check import Finding, check_record
+from acquisition.record.contents import read_contents
+from acquisition.record.digest import sha256_of
+from acquisition.record.info import record_info
+from acquisition.record.reader import RecordReader
+from acquisition.record.recover import recover
+from acquisition.record.writer import RecordWriter
+from processing.errors import RecordError
+from processing.spot import Spot
+from tests.acquisition.record.samples import EPOCH_OFFSET_NS, write_sample
+
+FRAMES = 64
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    path = tmp_path_factory.mktemp("whole") / "run.mcap"
+    write_sample(path, FRAMES)
+    return path.read_bytes()
+
+
+def errors(findings: list[Finding]) -> list[str]:
+    return [finding.text for finding in findings if finding.severity == "error"]
+
+
+def flipped(data: bytes, place: int, bit: int = 0) -> bytes:
+    changed = bytearray(data)
+    changed[place] ^= 1 << bit
+    return bytes(changed)
+
+
+def test_a_whole_record_has_no_findings(tmp_path: Path, whole: bytes) -> None:
+    path = tmp_path / "run.mcap"
+    path.write_bytes(whole)
+    assert check_record(path) == []
+
+
+def test_a_flipped_byte_in_a_chunk_is_named_and_the_rest_is_read(tmp_path: Path, whole: bytes) -> None:
+    path = tmp_path / "run.mcap"
+    path.write_bytes(whole)
+    with path.open("rb") as file:
+        contents = read_contents(file)
+    spot = next(number for number, channel in contents.channels.items() if channel.topic == "/spot")
+    place = [chunk for chunk in contents.chunks if spot in chunk.channels][1]
+    path.write_bytes(flipped(whole, place.offset + place.length // 2))
+    with RecordReader(path) as reader:
+        assert len(reader.spots()) == FRAMES - 16
+        (damage,) = reader.damages
+        assert "/spot" in damage.topics
+        assert "/swing" in damage.topics
+        assert damage.start_ns == EPOCH_OFFSET_NS + 16 * 10_000_000
+        assert sum(1 for _ in reader.windows()) == FRAMES
+    (first, *_) = errors(check_record(path))
+    assert "/spot" in first
+    assert "2026-09-21T" in first
+    assert f"byte {place.offset}" in first
+
+
+def flip_everywhere(tmp_path: Path, whole: bytes, places: list[int]) -> None:
+    """Each flip alone: `check` finds it, and at most one chunk cannot be read."""
+    path = tmp_path / "run.mcap"
+    for place in places:
+        path.write_bytes(flipped(whole, place, place % 8))
+        if place < 8:
+            with pytest.raises(RecordError, match="is no MCAP file"):
+                RecordReader(path)
+            continue
+        assert errors(check_record(path)), f"byte {place} of {len(whole)} was flipped and not found"
+        with RecordReader(path) as reader:
+            windows = sum(1 for _ in reader.windows())
+            assert FRAMES - 16 <= windows <= FRAMES
+            assert FRAMES - 16 <= len(reader.spots()) <= FRAMES
+            assert reader.epoch_offset_ns == EPOCH_OFFSET_NS
+
+
+def test_any_flipped_byte_is_found(tmp_path: Path, whole: bytes) -> None:
+    rng = np.random.default_rng(3)
+    flip_everywhere(tmp_path, whole, rng.choice(len(whole), 250, replace=False).tolist())
+
+
+@pytest.mark.slow
+def test_any_flipped_byte_is_found_everywhere(tmp_path: Path, whole: bytes) -> None:
+    flip_everywhere(tmp_path, whole, list(range(0, len(whole), 11)))
+
+
+def test_many_changes_at_once_never_break_the_reader(tmp_path: Path, whole: bytes) -> None:
+    rng = np.random.default_rng(4)
+    path = tmp_path / "run.mcap"
+    for _ in range(60):
+        changed = np.frombuffer(whole, np.uint8).copy()
+        changed[rng.integers(8, len(whole), 40)] = rng.integers(0, 256, 40)
+        path.write_bytes(changed.tobytes())
+        with contextlib.suppress(RecordError):
+            check_record(path)
+        with contextlib.suppress(RecordError), RecordReader(path) as reader:
+            reader.spots()
+            reader.events()
+
+
+def cut_places(whole: bytes, count: int) -> list[int]:
+    rng = np.random.default_rng(5)
+    return [
+        *rng.integers(1500, len(whole) - 1, count).tolist(),
+        len(whole) - 1,
+        len(whole) - 8,
+        len(whole) - 37,
+    ]
+
+
+def test_a_cut_file_is_read_up_to_its_last_whole_chunk_and_recovered(tmp_path: Path, whole: bytes) -> None:
+    for number, length in enumerate(cut_places(whole, 40)):
+        path, copy = tmp_path / f"cut-{number}.mcap", tmp_path / f"whole-{number}.mcap"
+        path.write_bytes(whole[:length])
+        with RecordReader(path) as reader:
+            assert reader.truncated
+            spots = reader.spots()
+            assert spots["sequence"].tolist() == list(range(len(spots)))
+            windows = [window.sequence for window in reader.windows()]
+            assert windows == list(range(len(windows)))
+        assert any("cut short" in text for text in errors(check_record(path)))
+        found = recover(path, copy)
+        assert path.read_bytes() == whole[:length]
+        assert found.messages.get("/spot", 0) == len(spots)
+        assert found.lost == ()
+        assert errors(check_record(copy)) == []
+        with RecordReader(copy) as reader:
+            assert not reader.truncated
+            assert reader.spots().tobytes() == spots.tobytes()
+            assert reader.metadata["recovery"]["source_sha256"] == sha256_of(path)
+            assert reader.metadata["session"]["operator"] == "Ä. Tester"
+        with copy.open("rb") as file:
+            independent = make_reader(file, validate_crcs=True)
+            assert sum(1 for _ in independent.iter_messages(topics=["/spot"])) == len(spots)
+
+
+def test_a_damaged_record_is_recovered_without_the_damaged_chunk(tmp_path: Path, whole: bytes) -> None:
+    path, copy = tmp_path / "run.mcap", tmp_path / "whole.mcap"
+    path.write_bytes(whole)
+    with path.open("rb") as file:
+        place = read_contents(file).chunks[2]
+    path.write_bytes(flipped(whole, place.offset + place.length - 20))
+    found = recover(path, copy)
+    assert len(found.lost) == 1
+    assert found.lost[0].start_ns == place.start_ns
+    with RecordReader(copy) as reader:
+        assert reader.metadata["recovery"]["lost_chunks"] == "1"
+        assert reader.damages == []
+        assert len(reader.attachments) == 2
+    assert errors(check_record(copy)) == []
+
+
+def test_a_record_whose_summary_is_damaged_is_read_by_walking_through_it(
+    tmp_path: Path, whole: bytes
+) -> None:
+    path = tmp_path / "run.mcap"
+    path.write_bytes(flipped(whole, len(whole) - 200))
+    with RecordReader(path) as reader:
+        assert not reader.truncated
+        assert len(reader.spots()) == FRAMES
+        assert any("summary" in text for text in reader.contents.damage)
+
+
+def test_info_reads_no_chunk(tmp_path: Path, whole: bytes) -> None:
+    path = tmp_path / "run.mcap"
+    path.write_bytes(whole)
+    expected = record_info(path)
+    with path.open("rb") as file:
+        chunks = read_contents(file).chunks
+    scrambled = bytearray(whole)
+    for chunk in chunks:
+        scrambled[chunk.offset : chunk.offset + chunk.length] = bytes(chunk.length)
+    path.write_bytes(scrambled)
+    assert record_info(path) == expected
+    assert expected.messages["/spot"] == FRAMES
+    assert expected.schema_version == 1
+    assert expected.duration_s == pytest.approx(0.64)
+    assert expected.whole
+    path.write_bytes(whole[: len(whole) - 9])
+    cut = record_info(path)
+    assert not cut.whole
+    assert dict(cut.messages) == dict(expected.messages)
+    assert cut.chunks == expected.chunks
+
+
+def test_gaps_and_repeated_frames_are_told(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    sequences = [0, 1, 2, 5, 6, 9, 9, 8]
+    with RecordWriter(path, EPOCH_OFFSET_NS) as writer:
+        times = np.array(sequences) * 1000
+        ones = np.ones(len(sequences))
+        spots = [Spot(*[1.0] * 10, flags=0)] * len(sequences)
+        zeros = [0] * len(sequences)
+        writer.write_spots(sequences, zeros, zeros, times, spots, ones, ones, ones, ones)
+        writer.write_window(7, 7000, np.zeros((2, 2), np.uint8), 0, 0)
+    findings = check_record(path)
+    assert Finding("warning", "/spot: 4 frames are missing: 3-4, 7-8") in findings
+    assert any("time runs backwards 1 times" in text for text in errors(findings))
+    assert any("do not rise in 2 places" in text for text in errors(findings))
+    assert any("1 windows belong to no spot, first frame 7" in finding.text for finding in findings)
+
+
+def test_the_hash_is_compared_with_the_results(tmp_path: Path, whole: bytes) -> None:
+    path, results = tmp_path / "run-1.mcap", tmp_path / "results.json"
+    path.write_bytes(whole)
+    results.write_text(json.dumps({"runs": [{"record": "run-1.mcap", "sha256": sha256_of(path)}]}))
+    assert check_record(path, results) == [Finding("note", "SHA-256 is the one in results.json")]
+    results.write_text(json.dumps({"runs": [{"record": "run-1.mcap", "sha256": "0" * 64}]}))
+    assert "not the one that was fitted" in errors(check_record(path, results))[0]
+    results.write_text(json.dumps({"runs": []}))
+    assert "says nothing of run-1.mcap" in check_record(path, results)[0].text
+
+
+def test_the_digest_tells_how_far_it_is(tmp_path: Path, whole: bytes) -> None:
+    path = tmp_path / "run.mcap"
+    path.write_bytes(whole)
+    seen: list[tuple[int, int]] = []
+    sha256_of(path, lambda done, total: seen.append((done, total)))
+    assert seen == [(len(whole), len(whole))]
+
+
+def test_a_length_that_claims_the_world_takes_no_memory(tmp_path: Path, whole: bytes) -> None:
+    path = tmp_path / "run.mcap"
+    path.write_bytes(whole)
+    with path.open("rb") as file:
+        place = read_contents(file).chunks[0]
+    changed = bytearray(whole)
+    size_at = place.offset + 9 + 16
+    changed[size_at : size_at + 8] = struct.pack("<Q", 2**40)
+    path.write_bytes(changed)
+    with RecordReader(path) as reader:
+        reader.spots()
+        reader.events()
+        assert any("head has changed" in damage.what for damage in reader.damages)

@@ -1,0 +1,197 @@
+"""A disk that fills up: the record is closed with its footer, and the writer says why."""
+
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+
+from acquisition.record.check import check_record
+from acquisition.record.container import McapFile
+from acquisition.record.reader import RecordReader
+from acquisition.record.recover import recover
+from acquisition.record.reserve import Reserve
+from acquisition.record.writer import RecordWriter
+from processing.errors import RecordError
+from processing.spot import Spot
+from tests.acquisition.record.samples import EPOCH_OFFSET_NS, write_sample
+
+SPOT = Spot(*[1.0] * 10, flags=0)
+DISK_BYTES = 3 * 1024 * 1024
+
+
+@pytest.fixture(params=["tmpfs", "ext4"])
+def small_disk(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Path]:
+    """A file system of 3 MiB of its own; needs the right to mount."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    if request.param == "tmpfs":
+        command = ["mount", "-t", "tmpfs", "-o", f"size={DISK_BYTES}", "tmpfs", str(folder)]
+    else:
+        image = tmp_path / "disk.img"
+        image.write_bytes(bytes(DISK_BYTES))
+        formatted = _run(["mkfs.ext4", "-q", "-O", "^has_journal", str(image)])
+        if formatted:
+            pytest.skip(f"no ext4 can be made here: {formatted}")
+        command = ["mount", "-o", "loop", str(image), str(folder)]
+    refused = _run(command)
+    if refused:
+        pytest.skip(f"nothing can be mounted here: {refused}")
+    yield folder
+    _run(["umount", str(folder)])
+
+
+def _run(command: list[str]) -> str:
+    """What went wrong, empty where nothing did."""
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=20, check=False)
+    except OSError as error:
+        return str(error)
+    return "" if done.returncode == 0 else done.stderr.strip() or f"status {done.returncode}"
+
+
+def record_until_full(writer: RecordWriter) -> tuple[int, str]:
+    """Frames handed over before the error, and what it says."""
+    rng = np.random.default_rng(0)
+    for first in range(0, 100_000, 8):
+        sequences = list(range(first, first + 8))
+        times = np.array(sequences) * 1_000_000
+        values = rng.normal(size=(4, 8))
+        try:
+            writer.write_spots(sequences, times.tolist(), times.tolist(), times, [SPOT] * 8, *values)
+            for sequence in sequences:
+                pixels = rng.integers(0, 255, (48, 48), dtype=np.uint8)
+                writer.write_window(sequence, sequence * 1_000_000, pixels, 0, 0)
+            if first % 64 == 0:
+                writer.flush()
+        except RecordError as error:
+            return first, str(error)
+    raise AssertionError("the disk never filled up")
+
+
+def test_the_record_is_closed_and_whole(small_disk: Path) -> None:
+    path = small_disk / "run.mcap"
+    writer = RecordWriter(path, EPOCH_OFFSET_NS, reserve_bytes=512 * 1024)
+    frames, message = record_until_full(writer)
+    assert "No space left on device" in message
+    assert "closed and readable" in message
+    assert "\n" not in message
+    writer.close()
+    writer.flush()
+    with pytest.raises(RecordError, match="is closed"):
+        writer.write_event(0, "late", "")
+    assert list(small_disk.glob("*.mcap")) == [path]
+    with RecordReader(path) as reader:
+        assert not reader.truncated
+        assert len(reader.spots()) >= frames
+        assert frames - 8 <= sum(1 for _ in reader.windows()) <= frames + 8
+        assert reader.events()[-1].kind == "record"
+        assert "No space left on device" in reader.events()[-1].text
+    assert not [finding for finding in check_record(path) if finding.severity == "error"]
+    with path.open("rb") as file:
+        summary = make_reader(file, validate_crcs=True).get_summary()
+        assert summary is not None
+        assert summary.statistics is not None
+
+
+def test_what_others_write_in_the_meantime_cannot_take_the_reserve(small_disk: Path) -> None:
+    path = small_disk / "run.mcap"
+    writer = RecordWriter(path, EPOCH_OFFSET_NS, reserve_bytes=512 * 1024)
+    with (small_disk / "other").open("wb", buffering=0) as other:
+        try:
+            while True:
+                other.write(os.urandom(4096))
+        except OSError:
+            pass
+    _, message = record_until_full(writer)
+    assert "closed and readable" in message
+    with RecordReader(path) as reader:
+        assert not reader.truncated
+
+
+def test_no_room_for_the_reserve_is_said_at_the_opening(small_disk: Path) -> None:
+    path = small_disk / "run.mcap"
+    with pytest.raises(RecordError, match="cannot be made: No space left on device"):
+        RecordWriter(path, 0, reserve_bytes=2 * DISK_BYTES)
+    assert list(small_disk.glob("*.mcap")) == []
+
+
+def test_recovering_onto_a_full_disk_leaves_nothing_behind(small_disk: Path, tmp_path: Path) -> None:
+    source, copy = tmp_path / "run.mcap", small_disk / "whole.mcap"
+    write_sample(source, 1024, window_px=96)
+    assert source.stat().st_size > DISK_BYTES
+    with pytest.raises(RecordError, match="cannot be written: No space left on device"):
+        recover(source, copy)
+    assert not copy.exists()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="file size limits are of POSIX systems")
+def test_a_limit_that_the_reserve_does_not_help_against(tmp_path: Path) -> None:
+    """RLIMIT_FSIZE stops the file itself: what does not fit is counted, a bare end is written."""
+    path = tmp_path / "run.mcap"
+    program = f"""
+import resource
+from pathlib import Path
+from acquisition.record.writer import RecordWriter
+from processing.errors import RecordError
+from tests.acquisition.record.test_full_disk import record_until_full
+writer = RecordWriter(Path({str(path)!r}), {EPOCH_OFFSET_NS}, reserve_bytes=65536)
+resource.setrlimit(resource.RLIMIT_FSIZE, (1_000_000, 1_000_000))
+print(*record_until_full(writer))
+writer.close()
+"""
+    root = Path(__file__).resolve().parents[3]
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True, cwd=root
+    )
+    frames, _, message = done.stdout.partition(" ")
+    assert "File too large; the record is closed and readable; the last" in message
+    assert path.stat().st_size <= 1_000_000
+    with RecordReader(path) as reader:
+        assert not reader.truncated
+        lost = int(message.split("the last ")[1].split()[0])
+        assert int(frames) - lost <= len(reader.spots()) <= int(frames) + 8
+    assert not [finding for finding in check_record(path) if finding.severity == "error"]
+
+
+def test_a_piece_written_in_parts_is_whole(tmp_path: Path) -> None:
+    """Raw files may take less than they are given."""
+    path = tmp_path / "run.mcap"
+    file = McapFile(path, "test", 4096)
+    taken: list[int] = []
+    raw = file._file
+
+    class Slow:
+        def __getattr__(self, name: str) -> object:
+            return getattr(raw, name)
+
+        def write(self, data: memoryview) -> int:
+            taken.append(len(data))
+            return raw.write(data[:7]) or 0
+
+    file._file = Slow()  # type: ignore[assignment]
+    file.add_metadata("session", {"a": "b" * 100})
+    file.finish()
+    assert len(taken) > 20
+    with path.open("rb") as whole:
+        (metadata,) = make_reader(whole, validate_crcs=True).iter_metadata()
+    assert metadata.metadata == {"a": "b" * 100}
+
+
+def test_the_reserve_is_nameless_and_given_back_once(tmp_path: Path) -> None:
+    reserve = Reserve(tmp_path, 3_000_000)
+    if os.name == "posix":
+        assert list(tmp_path.iterdir()) == []
+    assert reserve.size == 3_000_000
+    reserve.hold(1_000_000)
+    assert reserve.size == 3_000_000
+    reserve.hold(4_000_000)
+    assert reserve.size == 4_000_000
+    assert reserve.release()
+    assert not reserve.release()
+    reserve.hold(1)
+    assert reserve.size == 0

@@ -1,0 +1,68 @@
+"""Memory of a writer over a long run does not grow with it."""
+
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[3]
+DAY_SPOTS = 5_000_000
+FLUSH_SPOTS = 46
+"""Spots between two flushes, 0.8 s, when 5 million are spread over 24 h."""
+ALLOWED_BYTES_PER_SPOT = 8.0
+"""The index of two chunks a flush is about 230 bytes, 5 bytes a spot: 25 MB a day. The rest is slack."""
+
+PROGRAM = """
+import resource, sys, gc
+from pathlib import Path
+import numpy as np
+from acquisition.record.writer import RecordWriter
+from processing.swing import Swing
+path, spots, block = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
+rng = np.random.default_rng(0)
+writer = RecordWriter(path, 0, flush_interval_s=1e9)
+pixels = rng.integers(0, 255, (8, 8), dtype=np.uint8)
+table = [(1.0,) * 10 + (0,)] * block
+def record(first, last):
+    for start in range(first, last, block):
+        times = np.arange(start, start + block) * 17_000_000
+        sequences = range(start, start + block)
+        noise = rng.normal(size=(4, block))
+        writer.write_spots(sequences, times, times, times, table, *noise)
+        writer.write_swing(Swing(start, start, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 1, 0))
+        writer.write_window(start, int(times[0]), pixels, 0, 0)
+        writer.flush()
+def resident():
+    gc.collect()
+    with open('/proc/self/statm') as statm:
+        return int(statm.read().split()[1]) * resource.getpagesize()
+record(0, spots // 10)
+before = resident()
+record(spots // 10, spots)
+print((resident() - before) / (spots - spots // 10))
+writer.close()
+"""
+
+
+def bytes_per_spot(path: Path, spots: int, block: int) -> float:
+    """Growth of resident memory over the last nine tenths of a recording, flushed after every block."""
+    arguments = [sys.executable, "-c", PROGRAM, str(path), str(spots), str(block)]
+    done = subprocess.run(arguments, capture_output=True, text=True, check=True, cwd=ROOT, timeout=300)
+    return float(done.stdout)
+
+
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="resident memory is read from /proc")
+def test_memory_grows_by_the_chunk_index_alone(tmp_path: Path) -> None:
+    """In a folder of memory where there is one: thousands of flushes to a busy disk take minutes."""
+    shared = Path("/dev/shm")
+    with tempfile.TemporaryDirectory(dir=shared if shared.is_dir() else tmp_path) as folder:
+        growth = bytes_per_spot(Path(folder) / "run.mcap", 4000 * FLUSH_SPOTS, FLUSH_SPOTS)
+    assert growth < ALLOWED_BYTES_PER_SPOT
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="resident memory is read from /proc")
+def test_memory_over_the_spots_of_a_day(tmp_path: Path) -> None:
+    assert bytes_per_spot(tmp_path / "run.mcap", DAY_SPOTS, 20_000) < 1.0

@@ -1,0 +1,162 @@
+"""Records through readers that are not ours: Foxglove's in TypeScript, Rerun's in Rust, the mcap package."""
+
+import base64
+import json
+import os
+import shutil
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import rerun_cli
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
+from rerun.chunk import RrdReader
+
+from acquisition.record.reader import RecordReader
+from acquisition.record.topics import SPOT
+from tests.acquisition.record.samples import EPOCH_OFFSET_NS, FRAME_NS, write_sample
+
+PACKAGES = ("@mcap/core@2.2.2", "@mcap/support@1.1.0")
+SCRIPT = Path(__file__).parent / "node" / "read.mjs"
+FRAMES = 128
+
+
+@pytest.fixture(scope="module")
+def record(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("record") / "run.mcap"
+    write_sample(path, FRAMES, dtype="u2")
+    return path
+
+
+@pytest.fixture(scope="session")
+def mcap_packages(request: pytest.FixtureRequest) -> Path:
+    """Folder with Foxglove's reader, installed by npm once into pytest's cache."""
+    if shutil.which("node") is None or shutil.which("npm") is None:
+        pytest.skip("node and npm run Foxglove's MCAP reader; install them for this test")
+    assert request.config.cache is not None
+    folder = Path(request.config.cache.mkdir("mcap-typescript")) / "-".join(PACKAGES).replace("/", "_")
+    if not (folder / "node_modules" / "@mcap" / "support").is_dir():
+        command = ["npm", "install", "--no-audit", "--no-fund", "--ignore-scripts", "--prefix", str(folder)]
+        done = subprocess.run([*command, *PACKAGES], capture_output=True, text=True, timeout=120, check=False)
+        if done.returncode:
+            pytest.skip(f"npm could not install {PACKAGES}: {done.stderr.strip().splitlines()[-1:]}")
+    return folder
+
+
+def read_with_node(folder: Path, path: Path, mode: str) -> dict[str, Any]:
+    done = subprocess.run(
+        ["node", str(SCRIPT), str(folder), str(path), mode],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    found: dict[str, Any] = json.loads(done.stdout)
+    return found
+
+
+@pytest.mark.parametrize("mode", ["indexed", "stream"])
+def test_foxgloves_reader_sees_the_same(mcap_packages: Path, record: Path, mode: str) -> None:
+    found = read_with_node(mcap_packages, record, mode)
+    with RecordReader(record) as reader:
+        spots, counts = reader.spots(), reader.counts
+        assert found["counts"] == {topic: count for topic, count in counts.items() if count}
+        for name in SPOT.names:
+            ours = spots[name]
+            theirs = [spot[name] for spot in found["spots"]]
+            if ours.dtype.kind == "i":
+                assert theirs == [str(value) for value in ours.tolist()]
+            else:
+                assert theirs == [value.tobytes().hex() for value in ours]
+        assert found["times"]["/spot"] == [str(EPOCH_OFFSET_NS + i * FRAME_NS) for i in range(FRAMES)]
+        for (width, height, encoding, data), frame in zip(found["images"], reader.images(), strict=True):
+            assert encoding == "mono16"
+            pixels = np.frombuffer(base64.b64decode(data), "<u2").reshape(height, width)
+            np.testing.assert_array_equal(pixels, frame.image)
+        assert found["logs"] == [line.text for line in reader.log()]
+        assert found["metadata"] == reader.metadata
+        assert found["attachments"] == {name: len(data) for name, data in reader.attachments.items()}
+    if mode == "indexed":
+        assert found["stated"] == sum(found["counts"].values())
+    else:
+        assert found["done"] is True
+
+
+def test_foxgloves_reader_sees_the_whole_chunks_of_a_cut_file(
+    mcap_packages: Path, record: Path, tmp_path: Path
+) -> None:
+    path = tmp_path / "cut.mcap"
+    path.write_bytes(record.read_bytes()[: record.stat().st_size * 2 // 3])
+    found = read_with_node(mcap_packages, path, "stream")
+    with RecordReader(path) as reader:
+        assert len(found["spots"]) == len(reader.spots())
+    assert found["done"] is False
+
+
+def run_rerun(folder: Path, *arguments: str) -> str:
+    """Rerun's own program, with its usage reports switched off in a settings folder of its own."""
+    name = "rerun.exe" if os.name == "nt" else "rerun"
+    program = Path(rerun_cli.__file__).parent / name
+    if not program.exists():
+        pytest.skip(f"no Rerun program at {program}")
+    environment = {**os.environ, "XDG_CONFIG_HOME": str(folder / "settings"), "NO_COLOR": "1"}
+    subprocess.run([program, "analytics", "disable"], check=True, capture_output=True, env=environment)
+    done = subprocess.run(
+        [program, *arguments], capture_output=True, text=True, timeout=60, check=False, env=environment
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def test_rerun_finds_nothing_wrong(record: Path, tmp_path: Path) -> None:
+    report = run_rerun(tmp_path, "mcap", "check", "--full", str(record))
+    rows = [line.split() for line in report.splitlines() if " /" in line and not line.startswith("/")]
+    with RecordReader(record) as reader:
+        assert {row[3]: row[0] for row in rows} == {topic: "ok" for topic, n in reader.counts.items() if n}
+    assert "embedded" in run_rerun(tmp_path, "mcap", "info", str(record))
+
+
+def test_reruns_conversion_has_every_number_as_a_column_that_plots(record: Path, tmp_path: Path) -> None:
+    converted = tmp_path / "run.rrd"
+    run_rerun(tmp_path, "mcap", "convert", str(record), "-o", str(converted))
+    rows: list[dict[str, Any]] = []
+    times: list[int] = []
+    components: dict[str, set[str]] = {}
+    for chunk in RrdReader(converted).stream():
+        batch = chunk.to_record_batch()
+        components.setdefault(str(chunk.entity_path), set()).update(batch.schema.names)
+        if str(chunk.entity_path) == "/spot" and not chunk.is_static:
+            column = batch.column("optical_pendulum.Spot:message")
+            fields = column.type.value_type
+            assert {str(fields.field(name).type) for name in ("x_px", "y_arcsec", "u_y_rad")} == {"double"}
+            rows += [entry[0] for entry in column.to_pylist()]
+            times += batch.column("message_log_time").cast("int64").to_pylist()
+    with RecordReader(record) as reader:
+        spots = reader.spots()
+    order = np.argsort(times)
+    assert np.array(times)[order].tolist() == [EPOCH_OFFSET_NS + i * FRAME_NS for i in range(FRAMES)]
+    for name in ("x_px", "y_rad", "y_arcsec", "u_x_px"):
+        assert np.array([rows[i][name] for i in order]).tobytes() == spots[name].tobytes()
+    assert [rows[i]["sequence"] for i in order] == spots["sequence"].tolist()
+    assert {"Image:buffer", "Image:format"} <= components["/image"]
+    assert "TextLog:text" in components["/log"]
+    assert "Pinhole:image_from_camera" in components["/camera_calibration"]
+    assert "optical_pendulum.Swing:message" in components["/swing"]
+
+
+def test_the_mcap_package_sees_the_same(record: Path) -> None:
+    with record.open("rb") as file, RecordReader(record) as ours:
+        reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        spots = ours.spots()
+        decoded = [item.decoded_message for item in reader.iter_decoded_messages(topics=["/spot"])]
+        assert np.array([spot.y_rad for spot in decoded]).tobytes() == spots["y_rad"].tobytes()
+        assert [spot.flags for spot in decoded] == spots["flags"].tolist()
+        times = [message.log_time for _, _, message in reader.iter_messages()]
+        assert times == sorted(times)
+        middle = EPOCH_OFFSET_NS + FRAMES // 2 * FRAME_NS
+        later = list(reader.iter_messages(topics=["/window"], starting_at=middle))
+        assert len(later) == FRAMES // 2

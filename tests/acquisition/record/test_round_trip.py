@@ -1,0 +1,291 @@
+"""What is written comes back, to the last bit."""
+
+import math
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as npst
+
+from acquisition.frame import Frame
+from acquisition.record.pixels import decode_image, decode_window, encode_image, encode_window
+from acquisition.record.reader import RecordReader
+from acquisition.record.schemas import MessageType, conform, message_type_of, parse_message_type
+from acquisition.record.topics import (
+    ENVIRONMENT,
+    EVENT,
+    SPOT,
+    SPOT_UNCALIBRATED,
+    SWING,
+    SWING_UNCALIBRATED,
+    WINDOW,
+    Environment,
+    RecordedEvent,
+    RecordedLog,
+)
+from acquisition.record.writer import RecordWriter
+from processing.angle import ARCSEC_RAD
+from processing.errors import RecordError
+from processing.spot import Spot
+from processing.swing import Swing
+from tests.acquisition.record.samples import EPOCH_OFFSET_NS, FRAME_NS, SampleBalance, same_bits, write_sample
+
+ALL_TYPES = [SPOT, SPOT_UNCALIBRATED, SWING, SWING_UNCALIBRATED, WINDOW, EVENT, ENVIRONMENT]
+ANY_DOUBLE = st.floats(allow_nan=True, allow_infinity=True, allow_subnormal=True, width=64)
+ANY_INT = st.integers(-(2**63), 2**63 - 1)
+VALUES = {"double": ANY_DOUBLE, "int": ANY_INT, "text": st.text(), "bytes": st.binary()}
+
+
+def generated_class(kind: MessageType) -> Any:
+    """The class that protobuf itself makes of the embedded descriptor."""
+    pool = descriptor_pool.DescriptorPool()
+    for file in descriptor_pb2.FileDescriptorSet.FromString(kind.descriptor).file:
+        pool.Add(file)
+    return message_factory.GetMessageClass(pool.FindMessageTypeByName(kind.full_name))
+
+
+def bits(values: tuple[Any, ...]) -> list[Any]:
+    return [struct.pack("<d", value) if isinstance(value, float) else value for value in values]
+
+
+@pytest.mark.parametrize("kind", ALL_TYPES, ids=lambda kind: kind.full_name)
+@given(data=st.data())
+@settings(max_examples=60, deadline=None)
+def test_our_encoding_and_protobufs_own_agree(kind: MessageType, data: st.DataObject) -> None:
+    values = tuple(data.draw(VALUES[sort]) for _, sort in (*kind.numbers, *kind.tail))
+    encoded = kind.encode(*values)
+    theirs = generated_class(kind).FromString(encoded)
+    assert bits(tuple(getattr(theirs, name) for name in kind.names)) == bits(values)
+    assert bits(kind.decode(encoded)) == bits(values)
+    # Their encoding leaves zeros out, ours never does: both are read.
+    again = kind.decode(theirs.SerializeToString(deterministic=True))
+    assert bits(again) == bits(values)
+
+
+@given(rows=st.lists(st.tuples(*[VALUES[sort] for _, sort in SPOT.numbers]), max_size=5))
+@settings(max_examples=40, deadline=None)
+def test_a_table_of_many_is_the_same_as_one_by_one(rows: list[tuple[Any, ...]]) -> None:
+    messages = [SPOT.encode(*row) for row in rows]
+    theirs = [generated_class(SPOT).FromString(message).SerializeToString() for message in messages]
+    for table in (SPOT.decode_table(messages), SPOT.decode_table(theirs)):
+        assert [bits(tuple(row)) for row in table.tolist()] == [bits(row) for row in rows]
+
+
+def test_encoded_rows_are_the_encoded_messages() -> None:
+    rng = np.random.default_rng(0)
+    rows = SPOT.wire_rows(3)
+    values = [tuple(rng.integers(0, 9, len(SPOT.numbers)).tolist()) for _ in range(3)]
+    for place, (name, _) in enumerate(SPOT.numbers):
+        rows[name] = [row[place] for row in values]
+    assert rows.tobytes() == b"".join(SPOT.encode(*row) for row in values)
+
+
+@pytest.mark.parametrize("kind", ALL_TYPES, ids=lambda kind: kind.full_name)
+def test_a_type_is_read_back_from_its_descriptor(kind: MessageType) -> None:
+    assert parse_message_type(kind.full_name, kind.topic, kind.descriptor) == kind
+
+
+@given(data=st.binary(max_size=60))
+@settings(max_examples=300, deadline=None)
+def test_any_bytes_decode_or_raise_value_error(data: bytes) -> None:
+    for kind in (SPOT, EVENT):
+        try:
+            kind.decode(data)
+        except ValueError:
+            continue
+
+
+@given(
+    image=npst.arrays(
+        st.sampled_from([np.uint8, np.uint16]), st.tuples(st.integers(1, 9), st.integers(1, 9))
+    ),
+    origin=st.tuples(st.integers(0, 5000), st.integers(0, 5000)),
+    transposed=st.booleans(),
+)
+@settings(max_examples=100, deadline=None)
+def test_pixels_come_back(image: np.ndarray, origin: tuple[int, int], transposed: bool) -> None:
+    image = image.T if transposed else image
+    window = decode_window(WINDOW, encode_window(7, 8, image, *origin))
+    assert (window.sequence, window.time_ns, window.origin_px) == (7, 8, origin)
+    assert window.image.dtype == image.dtype
+    np.testing.assert_array_equal(window.image, image)
+    whole = decode_image(b"".join(encode_image(Frame(image, 0, 0, 0), EPOCH_OFFSET_NS)))
+    assert whole.dtype == image.dtype
+    np.testing.assert_array_equal(whole, image)
+
+
+@pytest.mark.parametrize("dtype", ["u1", "u2"])
+def test_a_whole_record_comes_back(tmp_path: Path, dtype: str) -> None:
+    path = tmp_path / "run.mcap"
+    wrote = write_sample(path, dtype=dtype)
+    with RecordReader(path) as reader:
+        table = reader.spots()
+        for name in Spot._fields:
+            assert same_bits(table[name], np.array([getattr(spot, name) for spot in wrote.spots]))
+        for name, column in zip(("x_rad", "y_rad", "u_x_rad", "u_y_rad"), wrote.deflections, strict=True):
+            assert same_bits(table[name], column)
+        assert same_bits(table["y_arcsec"], wrote.deflections[1] / ARCSEC_RAD)
+        assert table["sequence"].tolist() == list(range(128))
+        assert table["time_ns"].tolist() == [i * FRAME_NS for i in range(128)]
+        assert table["host_time_ns"].tolist() == [i * FRAME_NS + 123 for i in range(128)]
+        assert reader.swings() == wrote.swings
+        windows = list(reader.windows())
+        for window, (sequence, pixels, origin) in zip(windows, wrote.windows, strict=True):
+            assert (window.sequence, window.origin_px) == (sequence, origin)
+            assert window.time_ns == sequence * FRAME_NS
+            np.testing.assert_array_equal(window.image, pixels)
+        for image, frame in zip(reader.images(), wrote.images, strict=True):
+            assert (image.sequence, image.time_ns) == (frame.sequence, frame.time_ns)
+            np.testing.assert_array_equal(image.image, frame.image)
+        assert reader.events() == [
+            RecordedEvent(0, "start", "first frame"),
+            RecordedEvent(128 * FRAME_NS, "stop", "amplitude below 2 arcsec"),
+        ]
+        log = reader.log()
+        assert [line.text for line in log if line.source == "session"] == [
+            f"block {first}" for first in range(0, 128, 16)
+        ]
+        assert log[0] == RecordedLog(0, 2, "event", "start: first frame")
+        blocks = list(reader.spot_blocks())
+        assert len(blocks) == 8
+        assert np.concatenate(blocks).tobytes() == table.tobytes()
+        assert reader.values("/balance", SampleBalance) == wrote.balances
+        environment = reader.values("/environment", Environment)
+        assert environment[0].temperature_c == 21.5
+        assert math.isnan(environment[0].humidity_percent)
+        assert reader.attachments == {"configuration.toml": b"[session]\n", "any.bin": bytes(range(256))}
+        assert reader.metadata["session"] == {"operator": "Ä. Tester", "notes": "line 1\nline 2"}
+        assert reader.epoch_offset_ns == EPOCH_OFFSET_NS
+        assert not reader.truncated
+        assert reader.damages == []
+        first = next(reader.messages("/spot"))
+        assert first.log_time_ns == EPOCH_OFFSET_NS
+
+
+def test_without_calibration_the_file_says_px(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    wrote = write_sample(path, unit="px")
+    with RecordReader(path) as reader:
+        assert reader.deflection_unit == "px"
+        names = reader.table("/spot").dtype.names or ()
+        assert "y_deflection_px" in names
+        assert not any(name.endswith("arcsec") or name == "y_rad" for name in names)
+        assert same_bits(reader.spots()["y_rad"], wrote.deflections[1])
+        assert np.isnan(reader.spots()["y_arcsec"]).all()
+        assert reader.swings() == wrote.swings
+        assert "amplitude_px" in (reader.table("/swing").dtype.names or ())
+
+
+def test_a_record_without_frames_is_a_record(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    RecordWriter(path, 0).close()
+    with RecordReader(path) as reader:
+        assert len(reader.spots()) == 0
+        assert reader.spots().dtype == SPOT.table_dtype
+        assert reader.swings() == []
+        assert list(reader.windows()) == []
+        assert not reader.truncated
+
+
+def test_a_cameras_missing_clock_and_negative_times_are_kept(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    spot = Spot(*[1.0] * 10, flags=0)
+    with RecordWriter(path, EPOCH_OFFSET_NS) as writer:
+        one = np.ones(1)
+        writer.write_spots([4], [-1], [-5], np.array([-5]), [spot], one, one, one, one)
+    with RecordReader(path) as reader:
+        row = reader.spots()[0]
+        assert (row["device_time_ns"], row["host_time_ns"], row["time_ns"]) == (-1, -5, -5)
+
+
+def test_fields_that_an_older_record_lacks_are_nan_or_zero() -> None:
+    older = np.array([(3, 1.5)], dtype=[("sequence", "<i8"), ("x_px", "<f8")])
+    row = conform(older, SPOT.table_dtype)[0]
+    assert (row["sequence"], row["x_px"], row["flags"]) == (3, 1.5, 0)
+    assert math.isnan(row["y_px"])
+
+
+@dataclass(frozen=True)
+class Older:
+    time_ns: int
+    ratio: float
+
+
+@dataclass(frozen=True)
+class Newer:
+    time_ns: int
+    ratio: float
+    width_arcsec: float
+    turns: int
+    advice: str
+
+
+def test_a_value_that_has_grown_since_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    with RecordWriter(path, 0) as writer:
+        writer.write_balance(Older(5, 0.25))
+    with RecordReader(path) as reader:
+        (value,) = reader.values("/balance", Newer)
+    assert (value.time_ns, value.ratio, value.turns, value.advice) == (5, 0.25, 0, "")
+    assert math.isnan(value.width_arcsec)
+
+
+def test_only_flat_values_have_a_place() -> None:
+    class Nested(NamedTuple):
+        parts: list[int]
+
+    with pytest.raises(TypeError, match="parts"):
+        message_type_of(Nested, "x.Nested", "/nested")
+    with pytest.raises(TypeError, match="dataclass or a NamedTuple"):
+        message_type_of(int, "x.int", "/int")
+
+
+def test_nothing_is_written_after_the_end(tmp_path: Path) -> None:
+    writer = RecordWriter(tmp_path / "run.mcap", 0)
+    writer.close()
+    writer.close()
+    writer.flush()
+    swing = Swing(0, 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1, 0)
+    for write in (
+        lambda: writer.write_event(0, "late", ""),
+        lambda: writer.write_swing(swing),
+        lambda: writer.write_balance(Older(5, 0.25)),
+    ):
+        with pytest.raises(RecordError, match="closed"):
+            write()
+
+
+def test_the_writer_flushes_by_its_own_clock(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    now_s = [0.0]
+    writer = RecordWriter(path, 0, flush_interval_s=0.8, clock=lambda: now_s[0])
+    writer.write_event(1, "a", "")
+    with RecordReader(path) as reader:
+        assert reader.events() == []
+    now_s[0] = 0.81
+    writer.write_event(2, "b", "")
+    with RecordReader(path) as reader:
+        assert [event.kind for event in reader.events()] == ["a", "b"]
+        assert reader.truncated
+    writer.close()
+
+
+@given(times=st.lists(st.integers(0, 10**15), min_size=1, max_size=30), texts=st.lists(st.text(), max_size=5))
+@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_any_events_in_any_order_come_back(
+    tmp_path_factory: pytest.TempPathFactory, times: list[int], texts: list[str]
+) -> None:
+    path = tmp_path_factory.mktemp("events") / "run.mcap"
+    texts = [text.encode("utf-8", "replace").decode() for text in texts] or ["x"]
+    with RecordWriter(path, EPOCH_OFFSET_NS, reserve_bytes=4096) as writer:
+        for place, time_ns in enumerate(times):
+            writer.write_event(time_ns, texts[place % len(texts)], texts[-1])
+    with RecordReader(path) as reader:
+        assert [event.time_ns for event in reader.events()] == times
+        assert [event.kind for event in reader.events()] == [texts[i % len(texts)] for i in range(len(times))]

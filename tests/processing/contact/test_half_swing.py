@@ -1,0 +1,160 @@
+"""The half-swing map against an integration of the equation of motion that shares nothing with it."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+
+from processing.contact.half_swing import scaled_contact, turning_points_of
+from processing.contact.half_swing_kernel import half_swing_map
+from processing.contact.parameters import ContactParameters, PendulumOnBall
+from processing.contact.quarter_nodes import quarter_nodes
+from processing.errors import DataError
+from tests.processing.fit.decays import ARCSEC, PAIRS, paper_pair
+
+
+def integrated(
+    parameters: ContactParameters, pendulum: PendulumOnBall, amplitude_rad: float, half_cycles: int
+) -> NDArray[np.float64]:
+    """Turning points (amplitude, time) of Eq. 4 with Eqs. 1 and 3, each stretch without a kink.
+
+    A stretch ends at the zero crossing or at the turning point, where friction and the powers of
+    |phi| have no derivative and no integrator keeps its order.
+    """
+    w2 = (2 * np.pi / parameters.period0_s) ** 2
+    a, radius = pendulum.contact_radius_m, pendulum.ball_radius_m
+    weight = pendulum.mass_kg * pendulum.gravity_m_per_s2
+
+    def motion(_: float, y: NDArray[np.float64]) -> list[float]:
+        phi, speed = y[0] * amplitude_rad, y[1] * amplitude_rad
+        size = abs(phi)
+        elastic = (
+            2 * parameters.gamma_pa * a**2 * size ** (parameters.n + 1) * (np.pi / 2 - radius / a * size)
+        )
+        friction = parameters.c + parameters.b * size**parameters.p
+        # moving down from a positive turning point: friction pushes up
+        acceleration = -phi + np.sign(phi) * elastic / weight + friction - parameters.drag_s * speed
+        return [y[1], w2 * acceleration / amplitude_rad]
+
+    def crossing(_: float, y: NDArray[np.float64]) -> float:
+        return float(y[0])
+
+    def turning(_: float, y: NDArray[np.float64]) -> float:
+        return float(y[1])
+
+    crossing.terminal = turning.terminal = True  # type: ignore[attr-defined]
+    out = [(amplitude_rad, 0.0)]
+    x, time = 1.0, 0.0
+    # left to itself the integrator takes steps over which its interpolation finds events to 1e-10
+    options = {"method": "DOP853", "rtol": 1e-13, "atol": 1e-16, "max_step": 0.02}
+    for _ in range(half_cycles):
+        first = solve_ivp(motion, (0, 10), [x, -0.0], events=crossing, **options)
+        speed = first.y_events[0][0][1]
+        second = solve_ivp(motion, (0, 10), [-0.0, speed], events=turning, **options)
+        time += first.t_events[0][0] + second.t_events[0][0]
+        x = -second.y_events[0][0][0]
+        out.append((x * amplitude_rad, time))
+    return np.array(out)
+
+
+@pytest.mark.parametrize("drag_s", [0.0, 1e-3])
+@pytest.mark.parametrize("flat", PAIRS)
+def test_agrees_with_integration_over_some_half_cycles(flat: str, drag_s: float) -> None:
+    parameters, pendulum = paper_pair(flat, drag_s)
+    expected = integrated(parameters, pendulum, 124 * ARCSEC, 25)
+    amplitude, time = turning_points_of(parameters, pendulum, 124 * ARCSEC, 25)
+    np.testing.assert_allclose(amplitude, expected[:, 0], rtol=1e-10)
+    np.testing.assert_allclose(time, expected[:, 1], rtol=1e-10)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("drag_s", [0.0, 1e-4])
+def test_agrees_with_integration_over_a_thousand_half_cycles(drag_s: float) -> None:
+    parameters, pendulum = paper_pair("steel", drag_s)
+    expected = integrated(parameters, pendulum, 124 * ARCSEC, 1000)
+    amplitude, time = turning_points_of(parameters, pendulum, 124 * ARCSEC, 1000)
+    np.testing.assert_allclose(amplitude, expected[:, 0], rtol=1e-9)
+    np.testing.assert_allclose(time, expected[:, 1], rtol=1e-9)
+
+
+@pytest.mark.parametrize(("p", "n"), [(0.0, 0.0), (0.02, 0.3), (1.0, 1.0), (1.7, 0.01), (0.3, 1.5)])
+def test_agrees_with_integration_at_other_exponents(p: float, n: float) -> None:
+    printed, pendulum = paper_pair("glass_k8")
+    size = 124 * ARCSEC
+    parameters = ContactParameters(
+        printed.b * size ** (printed.p - p),
+        p,
+        printed.c,
+        n,
+        2.5,
+        printed.gamma_pa * size ** (printed.n - n),
+        2e-3,
+    )
+    expected = integrated(parameters, pendulum, size, 10)
+    amplitude, time = turning_points_of(parameters, pendulum, size, 10)
+    np.testing.assert_allclose(amplitude, expected[:, 0], rtol=1e-9)
+    np.testing.assert_allclose(time, expected[:, 1], rtol=1e-9)
+
+
+def test_a_free_pendulum_keeps_its_amplitude_and_period() -> None:
+    _, pendulum = paper_pair("steel")
+    amplitude, time = turning_points_of(ContactParameters(0.0, 1.0, 0.0, 0.5, 3.0, 0.0), pendulum, 1e-3, 40)
+    np.testing.assert_allclose(amplitude, 1e-3, rtol=1e-13)
+    np.testing.assert_allclose(time, 1.5 * np.arange(41), rtol=1e-13)
+
+
+def test_linear_drag_alone_is_the_damped_oscillator() -> None:
+    _, pendulum = paper_pair("steel")
+    drag_s, w0 = 0.03, 2 * np.pi / 3.0
+    amplitude, time = turning_points_of(
+        ContactParameters(0.0, 1.0, 0.0, 0.5, 3.0, 0.0, drag_s), pendulum, 1e-3, 30
+    )
+    damping = 0.5 * w0 * drag_s  # of phi'' + 2 damping w0 phi' + w0^2 phi = 0
+    half_period = np.pi / (w0 * np.sqrt(1 - damping**2))
+    np.testing.assert_allclose(time, half_period * np.arange(31), rtol=1e-11)
+    fall = np.exp(-np.pi * damping / np.sqrt(1 - damping**2))
+    np.testing.assert_allclose(amplitude, 1e-3 * fall ** np.arange(31), rtol=1e-11)
+
+
+def test_constant_friction_takes_the_same_from_every_swing_until_it_holds() -> None:
+    _, pendulum = paper_pair("steel")
+    c = 1e-6
+    amplitude, time = turning_points_of(ContactParameters(0.0, 1.0, c, 0.5, 3.0, 0.0), pendulum, 9.5e-6, 8)
+    np.testing.assert_allclose(amplitude[:5], 9.5e-6 - 2 * c * np.arange(5), rtol=1e-12)
+    np.testing.assert_allclose(time[:5], 1.5 * np.arange(5), rtol=1e-12)
+    assert np.all(np.isnan(amplitude[6:])), "friction of 1e-6 holds a pendulum that turns below it"
+    assert np.all(np.isnan(time[6:]))
+
+
+@pytest.mark.parametrize("drag_s", [0.0, 1e-3])
+def test_derivatives_are_those_of_the_map(drag_s: float) -> None:
+    parameters, pendulum = paper_pair("glass_k8", drag_s)
+    q = np.array([*scaled_contact(parameters, pendulum, 50 * ARCSEC), 2.4])
+    index = np.array([0, 1, 2, 10, 57, 200], dtype=np.int64)
+    nodes = quarter_nodes()
+    _, _, by_amplitude, by_time, state = half_swing_map(q, index, *nodes)
+    assert state == 0
+    for i in range(len(q)):
+        step = np.zeros_like(q)
+        step[i] = 1e-6 * max(abs(q[i]), 1e-3)
+        up = half_swing_map(q + step, index, *nodes)
+        down = half_swing_map(q - step, index, *nodes)
+        for analytic, k in ((by_amplitude[:, i], 0), (by_time[:, i], 1)):
+            numeric = (up[k] - down[k]) / (2 * step[i])
+            # a central difference over 1e-6 of the value leaves the rounding of times of 200
+            np.testing.assert_allclose(analytic, numeric, rtol=1e-5, atol=1e-5 * np.abs(numeric).max())
+
+
+def test_gaps_are_run_over_exactly() -> None:
+    parameters, pendulum = paper_pair("silicon")
+    q = np.array([*scaled_contact(parameters, pendulum, 50 * ARCSEC), 2.4])
+    every = half_swing_map(q, np.arange(101, dtype=np.int64), *quarter_nodes())
+    some = half_swing_map(q, np.array([0, 3, 50, 100], dtype=np.int64), *quarter_nodes())
+    for whole, part in zip(every[:4], some[:4], strict=True):
+        assert np.array_equal(whole[[0, 3, 50, 100]], part)
+
+
+def test_an_amplitude_that_is_none_is_refused() -> None:
+    parameters, pendulum = paper_pair("silicon")
+    with pytest.raises(DataError, match="must be positive"):
+        turning_points_of(parameters, pendulum, 0.0, 10)

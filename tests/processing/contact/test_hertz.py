@@ -1,0 +1,106 @@
+"""Hertz, the paper's Table 1 and surface energies."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from processing.contact.hertz import MATERIALS, Material, hertz_contact, material, pendulum_on_ball
+from processing.contact.moments import surface_energy
+from processing.contact.parameters import STANDARD_GRAVITY_M_PER_S2
+from processing.errors import ConfigurationError
+from tests.processing.fit.decays import PAIRS, paper_pair
+
+FORCE = 0.406 * STANDARD_GRAVITY_M_PER_S2
+TABLE1 = {"steel": (54, 0.50, 31), "silicon": (59, 0.60, 34), "glass_k8": (66, 0.70, 38)}
+CALCULATED = {
+    "steel": (54.04, 0.483, 30.7),
+    "silicon": (59.16, 0.579, 33.6),
+    "glass_k8": (66.18, 0.724, 37.6),
+}
+SURFACE_ENERGY = {
+    "steel": (27.22e-3, 0.243e-3),
+    "silicon": (13.21e-3, 0.129e-3),
+    "glass_k8": (28.90e-3, 0.316e-3),
+}
+
+
+@pytest.mark.parametrize("flat", PAIRS)
+def test_table_1(flat: str) -> None:
+    contact = hertz_contact(FORCE, 6.05e-3, MATERIALS["steel"], MATERIALS[flat])
+    found = (contact.radius_m * 1e6, contact.depth_m * 1e6, np.degrees(contact.angle_rad) * 60)
+    for value, printed, calculated, digits in zip(
+        found, TABLE1[flat], CALCULATED[flat], (0.5, 0.05, 0.5), strict=True
+    ):
+        assert abs(value - printed) <= digits, "Table 1 as printed, to its own rounding"
+        assert value == pytest.approx(calculated, rel=2e-3)
+
+
+@pytest.mark.parametrize("flat", PAIRS)
+def test_both_forms_of_surface_energy(flat: str) -> None:
+    parameters, pendulum = paper_pair(flat)
+    found = surface_energy(parameters.c, pendulum)
+    assert found.table2_j_per_m2 == pytest.approx(SURFACE_ENERGY[flat][0], rel=1e-3)
+    assert found.eq2_j_per_m2 == pytest.approx(SURFACE_ENERGY[flat][1], rel=3e-3)
+    printed = {"steel": 27.3e-3, "silicon": 13.2e-3, "glass_k8": 28.9e-3}[flat]
+    assert found.table2_j_per_m2 == pytest.approx(printed, rel=5e-3), "Table 2 as printed"
+
+
+def test_uncertainty_is_that_of_drawn_inputs() -> None:
+    steel = replace(MATERIALS["steel"], u_youngs_modulus_pa=4e9, u_poisson_ratio=0.01)
+    glass = replace(MATERIALS["glass_k8"], u_youngs_modulus_pa=2e9, u_poisson_ratio=0.01)
+    stated = hertz_contact(FORCE, 6.05e-3, steel, glass, u_force_n=0.03, u_ball_radius_m=2e-5)
+    rng = np.random.default_rng(5)
+    draws = 20_000
+    drawn = [
+        hertz_contact(
+            FORCE + 0.03 * rng.standard_normal(),
+            6.05e-3 + 2e-5 * rng.standard_normal(),
+            Material("a", 2.11e11 + 4e9 * rng.standard_normal(), 0.28 + 0.01 * rng.standard_normal()),
+            Material("b", 0.82e11 + 2e9 * rng.standard_normal(), 0.206 + 0.01 * rng.standard_normal()),
+        )
+        for _ in range(draws)
+    ]
+    # a standard deviation from N draws scatters by 1/sqrt(2 N); three of those, and 0.5 % nonlinearity
+    tolerance = 3 / np.sqrt(2 * draws) + 0.005
+    for name in ("radius_m", "depth_m", "angle_rad"):
+        scatter = np.std([getattr(contact, name) for contact in drawn])
+        assert getattr(stated, f"u_{name}") == pytest.approx(scatter, rel=tolerance)
+
+
+def test_one_material_on_both_sides_errs_once() -> None:
+    steel = replace(MATERIALS["steel"], u_youngs_modulus_pa=4e9)
+    contact = hertz_contact(FORCE, 6.05e-3, steel, steel)
+    # a goes as E^(-1/3) if both moduli are the same number
+    assert contact.u_radius_m / contact.radius_m == pytest.approx(4e9 / 2.11e11 / 3, rel=1e-12)
+
+
+def test_two_balls_carry_half_each() -> None:
+    one = pendulum_on_ball(1.2, 5e-3, MATERIALS["steel"], MATERIALS["glass_k8"])
+    two = pendulum_on_ball(0.6, 5e-3, MATERIALS["steel"], MATERIALS["glass_k8"])
+    assert two.contact_radius_m / one.contact_radius_m == pytest.approx(2 ** (-1 / 3), rel=1e-12)
+
+
+def test_own_materials_come_first_and_unknown_ones_are_named() -> None:
+    sapphire = Material("sapphire", 4e11, 0.27)
+    assert material("sapphire", {"sapphire": sapphire}) is sapphire
+    assert material("steel") is MATERIALS["steel"]
+    with pytest.raises(
+        ConfigurationError, match="unknown material 'stel': take one of glass_k8, silicon, steel"
+    ):
+        material("stel")
+
+
+@pytest.mark.parametrize(
+    ("modulus", "ratio", "u", "word"),
+    [(0.0, 0.3, 0.0, "positive"), (1e11, 0.6, 0.0, "poisson_ratio"), (1e11, 0.3, -1.0, "negative")],
+)
+def test_impossible_materials_are_refused(modulus: float, ratio: float, u: float, word: str) -> None:
+    with pytest.raises(ConfigurationError, match=word):
+        Material("odd", modulus, ratio, u_youngs_modulus_pa=u)
+
+
+@pytest.mark.parametrize(("force", "radius"), [(0.0, 6e-3), (4.0, -1.0), (float("nan"), 6e-3)])
+def test_impossible_loads_are_refused(force: float, radius: float) -> None:
+    with pytest.raises(ConfigurationError, match="must be positive"):
+        hertz_contact(force, radius, MATERIALS["steel"], MATERIALS["steel"])

@@ -1,0 +1,154 @@
+"""Drag verdict, profile likelihood, and what is said of parameters that data do not determine."""
+
+import numpy as np
+import pytest
+
+from processing.errors import DataError
+from processing.fit.asymptotic import fit_asymptotic
+from processing.fit.drag import drag_verdict
+from processing.fit.exact import fit_exact
+from processing.fit.exact_model import ExactModel
+from processing.fit.identifiability import _Held, identifiability, profile_likelihood, strong_correlations
+from processing.fit.result import CONTACT_NAMES
+from tests.processing.fit.decays import decay, paper_pair
+
+
+@pytest.mark.parametrize("flat", ["glass_k8", "silicon"])
+def test_drag_is_seen_where_it_is_and_not_where_it_is_not(flat: str) -> None:
+    for drag_s in (0.0, 1e-3):
+        parameters, pendulum = paper_pair(flat, drag_s)
+        points = decay(parameters, pendulum, noise_arcsec=0.0005, seed=3)
+        verdict = drag_verdict(points, pendulum)
+        assert verdict.significant == (drag_s > 0)
+        assert verdict.preferred.has_drag == verdict.significant
+        assert abs(verdict.drag_s.value - drag_s) < 4 * verdict.drag_s.standard_uncertainty
+        if drag_s:
+            assert verdict.text.startswith("a linear drag is in the data")
+            # what leaving it out would have done; b absorbs the drag
+            assert verdict.shift_b < -0.2
+            assert verdict.aic_difference < -100
+        else:
+            assert verdict.text.startswith("no linear drag is seen")
+            assert verdict.p_value > 0.003
+
+
+def test_drag_of_a_fifth_of_the_loss_spoils_b_and_c_but_not_the_relative_errors() -> None:
+    """The reason for the verdict: 20 % of the initial loss, unseen by Eqs. 8 and 9."""
+    parameters, pendulum = paper_pair("silicon", 7e-5)
+    points = decay(parameters, pendulum, noise_arcsec=0.0005, seed=5)
+    verdict = drag_verdict(points, pendulum)
+    assert verdict.significant
+    assert verdict.without.arae_decay < 4e-4
+    assert abs(verdict.without.parameters.b / parameters.b - 1) > 0.05
+    assert abs(verdict.with_drag.parameters.b / parameters.b - 1) < 0.02
+
+
+@pytest.mark.slow
+def test_false_alarms_of_the_verdict_are_as_rare_as_stated() -> None:
+    parameters, pendulum = paper_pair("silicon")
+    chances = [
+        drag_verdict(
+            decay(parameters, pendulum, noise_arcsec=0.005, seed=70 + k, last_arcsec=5), pendulum
+        ).p_value
+        for k in range(25)
+    ]
+    # uniform chances: their mean over 25 is 0.5 +- 0.058
+    assert np.mean(chances) == pytest.approx(0.5, abs=3.5 * 0.058)
+    assert np.min(chances) > 0.0005
+
+
+def test_a_verdict_needs_a_fit_without_drag() -> None:
+    parameters, pendulum = paper_pair("silicon", 1e-3)
+    points = decay(parameters, pendulum, noise_arcsec=0.005, seed=1, last_arcsec=20)
+    with pytest.raises(DataError, match="without drag"):
+        drag_verdict(points, pendulum, without=fit_exact(points, pendulum, drag=True))
+    with pytest.raises(DataError, match="without drag"):
+        drag_verdict(points, pendulum, without=fit_asymptotic(points, pendulum))
+
+
+@pytest.mark.parametrize("drag_s", [0.0, 1e-3])
+def test_held_parameters_have_the_right_derivatives(drag_s: float) -> None:
+    parameters, pendulum = paper_pair("glass_k8", drag_s)
+    points = decay(parameters, pendulum, noise_arcsec=0.005, seed=3, last_arcsec=60)
+    result = fit_exact(points, pendulum, drag=drag_s > 0)
+    model = ExactModel(points, pendulum, drag=drag_s > 0)
+    best = model.columns_of(result)
+    for name in result.names[:-2]:
+        held = _Held(model, name, best)
+        value, free = result.estimate(name).value, best[held.free]
+        np.testing.assert_allclose(held.full(value, free)[0], best, rtol=1e-6)
+        _, jacobian = held.at(value)(free)
+        for k in range(len(free)):
+            step = np.zeros(len(free))
+            step[k] = 1e-5 * max(abs(free[k]), 1e-3)
+            numeric = (held.at(value)(free + step)[0] - held.at(value)(free - step)[0]) / (2 * step[k])
+            np.testing.assert_allclose(jacobian[:, k], numeric, atol=1e-4 * np.abs(numeric).max(), rtol=1e-4)
+
+
+def test_profile_of_a_well_determined_parameter_is_its_symmetric_interval() -> None:
+    parameters, pendulum = paper_pair("silicon")
+    points = decay(parameters, pendulum, noise_arcsec=0.005, seed=2)
+    result = fit_exact(points, pendulum)
+    for name in CONTACT_NAMES:
+        lower, upper = result.interval(name)
+        profile = profile_likelihood(points, pendulum, result, name)
+        # 1 % of the half-width is where the search stops, 3 % what the likelihood bends
+        tolerance = 0.04 * (upper - lower) / 2
+        assert profile.lower == pytest.approx(lower, abs=tolerance)
+        assert profile.upper == pytest.approx(upper, abs=tolerance)
+        assert np.all(np.diff(profile.trace[:, 0]) > 0)
+
+
+def test_at_the_rigs_noise_every_parameter_is_determined() -> None:
+    parameters, pendulum = paper_pair("steel")
+    points = decay(parameters, pendulum, noise_arcsec=0.005, seed=2)
+    for item in identifiability(points, pendulum, fit_exact(points, pendulum)):
+        assert item.verdict == "determined"
+        assert "+-" in item.text
+
+
+def test_what_noise_hides_is_an_interval_or_a_bound() -> None:
+    parameters, pendulum = paper_pair("silicon")
+    points = decay(parameters, pendulum, noise_arcsec=0.5, seed=3, last_arcsec=10)
+    items = {i.name: i for i in identifiability(points, pendulum, fit_exact(points, pendulum))}
+    c = items["c"]
+    assert c.verdict in ("interval", "upper bound")
+    assert c.lower <= parameters.c <= c.upper
+    assert c.profiled
+    assert "+-" not in c.text
+    assert "95 %" in c.text
+
+
+def test_a_short_run_without_adhesion_gives_bounds_not_numbers() -> None:
+    """Thirty half-cycles at large amplitude: nothing of c, and little of n."""
+    parameters, pendulum = paper_pair("steel")
+    points = decay(parameters, pendulum, noise_arcsec=0.05, seed=4, last_arcsec=110)
+    result = fit_exact(points, pendulum)
+    items = {i.name: i for i in identifiability(points, pendulum, result)}
+    assert items["c"].verdict in ("upper bound", "undetermined")
+    if items["c"].verdict == "upper bound":
+        assert items["c"].lower == 0.0
+        assert items["c"].upper > parameters.c
+    assert items["n"].verdict != "determined"
+    for item in items.values():
+        low = -np.inf if np.isnan(item.lower) else item.lower
+        high = np.inf if np.isnan(item.upper) else item.upper
+        # six 95 % intervals of one seeded run, allowed half their width beyond
+        truth = getattr(parameters, item.name)
+        margin = 0.5 * (high - low) if np.isfinite(high - low) else 0.0
+        assert low - margin <= truth <= high + margin, item.text
+
+
+def test_period0_and_n_are_named_as_hard_to_tell_apart() -> None:
+    parameters, pendulum = paper_pair("glass_k8")
+    result = fit_exact(decay(parameters, pendulum, noise_arcsec=0.005, seed=2), pendulum)
+    pairs = {frozenset(pair[:2]) for pair in strong_correlations(result)}
+    assert frozenset(("period0_s", "n")) in pairs
+    assert all(abs(pair[2]) >= 0.99 for pair in strong_correlations(result))
+
+
+def test_a_profile_belongs_to_an_exact_fit() -> None:
+    parameters, pendulum = paper_pair("silicon")
+    points = decay(parameters, pendulum, noise_arcsec=0.05, seed=2, last_arcsec=60)
+    with pytest.raises(DataError, match="exact fit"):
+        profile_likelihood(points, pendulum, fit_asymptotic(points, pendulum), "c")

@@ -1,0 +1,147 @@
+"""Series of runs: combined, averaged, compared; the stray run named."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from processing.errors import DataError
+from processing.fit.asymptotic import fit_asymptotic
+from processing.fit.exact import fit_exact
+from processing.fit.result import CONTACT_NAMES, Estimate, FitResult
+from processing.fit.series import average_curves, combine, combine_runs, compare_series
+from processing.fit.uncertainty import budgets
+from tests.processing.fit.decays import decay, paper_pair, without
+from tests.processing.fit.test_uncertainty import rig
+
+
+def runs(flat: str, seeds: range, noise: float = 0.005, **changes: float) -> list[FitResult]:
+    parameters, pendulum = paper_pair(flat)
+    parameters = replace(parameters, **changes)
+    return [
+        fit_exact(decay(parameters, pendulum, noise_arcsec=noise, seed=seed, last_arcsec=5), pendulum)
+        for seed in seeds
+    ]
+
+
+def test_runs_that_agree_are_averaged_by_their_weights() -> None:
+    combined = combine("c", [Estimate(1.0, 0.1), Estimate(1.05, 0.1), Estimate(0.97, 0.2)])
+    weights = np.array([100, 100, 25])
+    assert combined.between == 0
+    assert combined.value == pytest.approx(np.sum(weights * [1.0, 1.05, 0.97]) / 225)
+    assert combined.standard_uncertainty == pytest.approx(1 / 15)
+    assert combined.within == pytest.approx(1 / 15)
+    assert combined.dof == 2
+    assert combined.expanded == pytest.approx(4.302653 / 15, rel=1e-6)  # t for 2 degrees of freedom
+    assert combined.p_homogeneous > 0.5
+
+
+def test_runs_that_scatter_count_alike() -> None:
+    x = [1.0, 2.0, 4.0]
+    combined = combine("c", [Estimate(v, 0.01 * (k + 1)) for k, v in enumerate(x)])
+    assert combined.value == pytest.approx(np.mean(x), rel=1e-3)
+    assert combined.standard_uncertainty == pytest.approx(np.std(x, ddof=1) / np.sqrt(3), rel=1e-3)
+    assert combined.between == pytest.approx(np.std(x, ddof=1), rel=1e-3)
+    assert combined.p_homogeneous < 1e-10
+
+
+@pytest.mark.parametrize("between", [0.0, 3.0])
+def test_intervals_of_three_runs_cover(between: float) -> None:
+    """With Student's t for two degrees of freedom, 95 % means at least 95 %."""
+    rng = np.random.default_rng(7)
+    u = np.array([1.0, 1.3, 0.8])
+    inside = 0
+    trials = 2000
+    for _ in range(trials):
+        x = between * rng.standard_normal(3) + u * rng.standard_normal(3)
+        combined = combine("c", [Estimate(float(v), float(s)) for v, s in zip(x, u, strict=True)])
+        inside += abs(combined.value) <= combined.expanded
+    assert inside / trials > 0.95 - 4 * np.sqrt(0.95 * 0.05 / trials)
+    if between:
+        assert inside / trials < 0.985, "not wider than needed where the scatter is real"
+
+
+def test_a_series_is_better_than_its_runs_and_goes_on_into_the_budget() -> None:
+    results = runs("glass_k8", range(3))
+    series = combine_runs(results)
+    parameters, _ = paper_pair("glass_k8")
+    assert not series.disagreements
+    for name in CONTACT_NAMES:
+        combined = series.parameters[name]
+        assert abs(combined.value - getattr(parameters, name)) < 4 * combined.standard_uncertainty
+        assert len(combined.runs) == 3
+    assert series.estimates()["c"] == series.parameters["c"].estimate
+    table = budgets(series.measured, rig())
+    swings = next(line for line in table["c"].lines if line.kind == "A")
+    assert swings.u_source == pytest.approx(series.parameters["c"].standard_uncertainty)
+
+
+def test_the_run_that_disagrees_is_named() -> None:
+    results = [*runs("glass_k8", range(2)), *runs("glass_k8", range(2, 3), c=15e-9)]
+    series = combine_runs(results)
+    assert {item.run for item in series.disagreements} == {2}
+    c = next(item for item in series.disagreements if item.name == "c")
+    assert c.deviation > 5
+    assert series.parameters["c"].p_homogeneous < 1e-6
+    assert series.parameters["c"].between > 10 * series.parameters["c"].within
+    shuffled = combine_runs([results[0], results[2], results[1]])
+    assert {item.run for item in shuffled.disagreements} == {1}
+
+
+def test_of_two_runs_that_disagree_both_are_named() -> None:
+    results = [*runs("glass_k8", range(1)), *runs("glass_k8", range(2, 3), c=15e-9)]
+    assert {item.run for item in combine_runs(results).disagreements} == {0, 1}
+
+
+@pytest.mark.slow
+def test_false_alarms_are_rare() -> None:
+    """Sixty series of runs that differ by their noise alone."""
+    results = runs("glass_k8", range(60), noise=0.05)
+    named = sum(bool(combine_runs(results[k : k + 3]).disagreements) for k in range(0, 60, 3))
+    assert named <= 1
+
+
+def test_curves_averaged_then_fitted_agree_with_the_runs() -> None:
+    parameters, pendulum = paper_pair("silicon")
+    curves = [
+        decay(parameters, pendulum, noise_arcsec=0.05, seed=seed, first_arcsec=first, last_arcsec=5)
+        for seed, first in ((1, 124.0), (2, 123.1), (3, 125.7))
+    ]
+    curves[1] = without(curves[1], np.array([50, 51]))
+    average = average_curves(curves)
+    assert len(average) <= min(len(curve) for curve in curves)
+    assert average.amplitude_rad[0] == pytest.approx(curves[1].amplitude_rad[0], rel=5e-3)
+    np.testing.assert_allclose(np.median(average.u_amplitude_rad), curves[0].u_amplitude_rad[0] / np.sqrt(3))
+    fitted = fit_exact(average, pendulum)
+    assert abs(fitted.chi2_per_dof - 1) < 6 * np.sqrt(2 / fitted.dof)
+    for name in CONTACT_NAMES:
+        estimate = fitted.estimate(name)
+        assert abs(estimate.value - getattr(parameters, name)) < 5 * estimate.standard_uncertainty, name
+    assert fit_asymptotic(average, pendulum).arae_decay < 0.004
+
+
+def test_series_are_compared_pair_by_pair() -> None:
+    series = {
+        "monday": combine_runs(runs("glass_k8", range(3))),
+        "tuesday": combine_runs(runs("glass_k8", range(10, 13))),
+        "humid": combine_runs(runs("glass_k8", range(20, 23), c=13e-9)),
+    }
+    table = compare_series(series)
+    assert len(table) == 3 * len(CONTACT_NAMES)
+    by = {(row.first, row.second, row.name): row for row in table}
+    assert by["monday", "tuesday", "c"].p_value > 0.01
+    assert by["monday", "humid", "c"].p_value < 0.01
+    assert by["monday", "humid", "c"].difference == pytest.approx(10.51e-9 - 13e-9, rel=0.1)
+
+
+def test_one_run_is_no_series() -> None:
+    results = runs("glass_k8", range(1))
+    for call in (
+        lambda: combine_runs(results),
+        lambda: combine("c", [Estimate(1.0, 0.1)]),
+        lambda: average_curves([]),
+    ):
+        with pytest.raises(DataError, match="run"):
+            call()
+    with pytest.raises(DataError, match="run 2 does not determine c"):
+        combine("c", [Estimate(1.0, 0.1), Estimate(1.0, float("inf"))])

@@ -1,0 +1,200 @@
+"""The budget and the Monte Carlo against doing it all again with other inputs."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from processing.contact.hertz import MATERIALS
+from processing.contact.moments import cycle_work, surface_energy
+from processing.errors import ConfigurationError, DataError
+from processing.fit.exact import fit_exact
+from processing.fit.measurement import (
+    Measured,
+    Quantity,
+    RigQuantities,
+    draw_fitted,
+    measured,
+    report,
+    work_per_cycle_j,
+)
+from processing.fit.uncertainty import FIT, budgets, monte_carlo
+from processing.swing.swing import TurningPoints
+from tests.processing.fit.decays import ARCSEC, decay, paper_pair
+
+STEEL = replace(MATERIALS["steel"], u_youngs_modulus_pa=3e9, u_poisson_ratio=0.01)
+GLASS = replace(MATERIALS["glass_k8"], u_youngs_modulus_pa=2e9, u_poisson_ratio=0.005)
+
+
+def rig(**changes: Quantity) -> RigQuantities:
+    quantities = RigQuantities(
+        mass_kg=Quantity(0.406, 1e-4),
+        ball_radius_m=Quantity(6.05e-3, 2e-6),
+        ball=STEEL,
+        flat=GLASS,
+        arm_m=Quantity(1.0, 1e-3),
+        pitch_m=Quantity(3.45e-6, 1e-9, "rectangular"),
+        gravity_m_per_s2=Quantity(9.80665, 1e-4),
+        clock=Quantity(1.0, 1e-5),
+    )
+    return replace(quantities, **changes)
+
+
+@pytest.fixture(scope="module")
+def points() -> TurningPoints:
+    parameters, _ = paper_pair("glass_k8")
+    return decay(parameters, rig().pendulum(), noise_arcsec=0.005, seed=3)
+
+
+@pytest.fixture(scope="module")
+def found(points: TurningPoints) -> Measured:
+    return measured(fit_exact(points, rig().pendulum()))
+
+
+def at(value: float, source: str) -> dict[str, np.ndarray]:
+    inputs = {name: np.array([quantity.value]) for name, quantity in rig().inputs().items()}
+    inputs[source] = np.array([value])
+    return inputs
+
+
+@pytest.mark.parametrize(
+    ("source", "factor"), [("arm_m", 1.01), ("pitch_m", 0.99), ("clock", 1.001), ("mass_kg", 1.02)]
+)
+def test_another_input_gives_what_fitting_again_gives(
+    points: TurningPoints, found: Measured, source: str, factor: float
+) -> None:
+    """One per cent off in arm, pitch, clock or mass: the shortcut against the whole analysis."""
+    nominal = rig().inputs()[source].value
+    reported = report(found, found.values[:, None], at(nominal * factor, source), rig())
+    scale = {"arm_m": 1 / factor, "pitch_m": factor}.get(source, 1.0)
+    second = factor if source == "clock" else 1.0
+    again = TurningPoints(
+        points.index,
+        points.time_s * second,
+        points.u_time_s * second,
+        points.amplitude_rad * scale,
+        points.u_amplitude_rad * scale,
+    )
+    changed = rig(mass_kg=Quantity(0.406 * factor)) if source == "mass_kg" else rig()
+    fit = fit_exact(again, changed.pendulum())
+    u = np.sqrt(np.diag(found.covariance))
+    for k, name in enumerate(found.names):
+        value, expected = float(reported[name][0]), fit.estimate(name).value
+        # linear in R/a to 1 % of its own effect, and never worth a fifth of the fit's uncertainty
+        effect = abs(expected - found.values[k])
+        assert abs(value - expected) < 0.02 * effect + 0.2 * u[k], name
+    energy = surface_energy(fit.parameters.c, changed.pendulum())
+    assert float(reported["surface_energy_table2_j_per_m2"][0]) == pytest.approx(
+        energy.table2_j_per_m2, rel=2e-4
+    )
+    assert float(reported["surface_energy_eq2_j_per_m2"][0]) == pytest.approx(energy.eq2_j_per_m2, rel=2e-4)
+
+
+def test_the_budget_adds_up_and_puts_the_largest_first(found: Measured) -> None:
+    table = budgets(found, rig())
+    for budget in table.values():
+        parts = np.array([line.contribution for line in budget.lines])
+        assert budget.standard_uncertainty == pytest.approx(np.sqrt(np.sum(parts**2)), rel=1e-12)
+        assert np.all(np.diff(parts) <= 0)
+        assert sum(line.share for line in budget.lines) == pytest.approx(1.0)
+        for line in budget.lines:
+            if line.kind == "B":
+                assert line.contribution == pytest.approx(abs(line.sensitivity) * line.u_source)
+    energy = table["surface_energy_table2_j_per_m2"]
+    assert energy.lines[0].source == "flat_youngs_modulus_pa"
+    assert energy.value == pytest.approx(28.9e-3, rel=0.01)
+    assert table["contact_radius_m"].lines[0].kind == "B"
+    assert all(line.source != FIT for line in table["contact_radius_m"].lines)
+    assert energy.expanded == pytest.approx(1.96 * energy.standard_uncertainty, rel=1e-3)
+
+
+def test_few_runs_widen_the_coverage_factor(found: Measured) -> None:
+    quiet = rig(arm_m=Quantity(1.0), clock=Quantity(1.0))
+    c = budgets(replace(found, dof=2.0), quiet)["c"]
+    assert c.dof < 5
+    assert c.coverage_factor > 2.5
+
+
+def test_monte_carlo_agrees_where_all_is_linear(found: Measured) -> None:
+    table = budgets(found, rig())
+    drawn = monte_carlo(found, rig(), np.random.default_rng(1), draws=20_000, against=table)
+    for name, budget in table.items():
+        if name in ("b", "p", "c", "n", "period0_s"):
+            assert drawn[name].gum_holds, name
+        # 20,000 draws know a standard deviation to 0.5 %; four of those and 1 % for the bend
+        assert drawn[name].standard_uncertainty == pytest.approx(budget.standard_uncertainty, rel=0.03)
+        assert drawn[name].lower < budget.value < drawn[name].upper
+    again = monte_carlo(found, rig(), np.random.default_rng(1), draws=20_000, against=table)
+    assert again == drawn, "one seed, one report"
+
+
+def test_monte_carlo_sees_what_the_budget_cannot() -> None:
+    """b in rad^-p inherits the scatter of p as an exponent: its distribution is skewed."""
+    parameters, _ = paper_pair("glass_k8", 1e-3)
+    points = decay(parameters, rig().pendulum(), noise_arcsec=0.01, seed=3)
+    found = measured(fit_exact(points, rig().pendulum(), drag=True))
+    assert "drag_s" in found.names
+    table = budgets(found, rig())
+    drawn = monte_carlo(found, rig(), np.random.default_rng(1), against=table)
+    b = drawn["b"]
+    assert not b.gum_holds
+    assert b.upper - found.values[0] > 1.2 * (found.values[0] - b.lower)
+    assert b.lower > 0
+    assert "drag_s" in drawn
+
+
+def test_draws_have_the_covariance_of_the_fit(found: Measured) -> None:
+    values = draw_fitted(found, np.random.default_rng(2), 40_000)
+    expected = np.sqrt(np.diag(found.covariance))
+    np.testing.assert_allclose(np.std(values, axis=1), expected, rtol=0.02)
+    correlation = np.corrcoef(values)
+    stated = found.covariance / np.outer(expected, expected)
+    np.testing.assert_allclose(correlation, stated, atol=0.02)
+
+
+def test_work_of_a_cycle_is_drawn_with_its_parameters(found: Measured) -> None:
+    inputs = {name: np.array([quantity.value]) for name, quantity in rig().inputs().items()}
+    reported = report(found, found.values[:, None], inputs, rig())
+    parameters = fit_parameters(found)
+    expected = cycle_work(3.1 * ARCSEC, parameters, rig().pendulum()).dissipated_j
+    assert float(work_per_cycle_j(3.1 * ARCSEC, reported, inputs)[0]) == pytest.approx(expected, rel=1e-12)
+
+
+def fit_parameters(found: Measured):
+    from processing.contact.parameters import ContactParameters
+
+    return ContactParameters(**dict(zip(found.names, found.values.tolist(), strict=True)))
+
+
+def test_what_the_data_do_not_determine_cannot_be_drawn(found: Measured) -> None:
+    blind = found.covariance.copy()
+    blind[2, :] = blind[:, 2] = 0.0
+    blind[2, 2] = np.inf
+    lost = replace(found, covariance=blind)
+    assert np.isinf(budgets(lost, rig())["c"].standard_uncertainty)
+    assert np.isfinite(budgets(lost, rig())["n"].standard_uncertainty)
+    with pytest.raises(DataError, match="nothing can be drawn for c"):
+        monte_carlo(lost, rig(), np.random.default_rng(0))
+
+
+def test_pixels_have_no_budget() -> None:
+    parameters, pendulum = paper_pair("silicon")
+    points = decay(parameters, pendulum, noise_arcsec=0.05, seed=2, last_arcsec=20)
+    with pytest.raises(DataError, match="not calibrated"):
+        measured(fit_exact(points, None))
+
+
+def test_two_balls_share_the_weight() -> None:
+    two = replace(rig(), balls=2)
+    assert two.pendulum().mass_kg == pytest.approx(0.203)
+    assert two.pendulum().contact_radius_m / rig().pendulum().contact_radius_m == pytest.approx(2 ** (-1 / 3))
+    with pytest.raises(ConfigurationError, match="balls = 3"):
+        replace(rig(), balls=3)
+
+
+@pytest.mark.parametrize("change", [{"arm_m": Quantity(0.0)}, {"mass_kg": Quantity(-1.0)}])
+def test_impossible_quantities_are_refused(change: dict[str, Quantity]) -> None:
+    with pytest.raises(ConfigurationError, match="must be positive"):
+        rig(**change)
+    with pytest.raises(ConfigurationError, match="must not be negative"):
+        Quantity(1.0, -0.1)

@@ -1,0 +1,79 @@
+"""A spot that leaves the sensor: turning points from the crossings, against the simulator's own."""
+
+import math
+
+import numpy as np
+import pytest
+
+from processing.instruments.crossings import inferred_swings, joined_swings
+from processing.instruments.damping import damping
+from processing.instruments.descriptions import DEGREE_RAD
+from processing.instruments.turning import refined
+from processing.swing import Swing, SwingDetector, SwingFlag, TurningPoints, turning_points
+from tests.processing.instruments.simulated_instruments import (
+    Samples,
+    samples,
+    simulation,
+    true_time_s,
+    truth_points,
+)
+
+
+def seen(found: Samples, limit_deg: float, rest_rad: float = 0.0) -> np.ndarray:
+    """What a sensor of this half width sees."""
+    place = found.y_rad + rest_rad
+    return np.where(np.abs(place) < limit_deg * DEGREE_RAD, place, np.nan)
+
+
+def points(swings: list[Swing]) -> TurningPoints:
+    bare = [Swing(**{**{name: getattr(s, name) for name in Swing.__slots__}, "flags": 0}) for s in swings]
+    return turning_points(bare)
+
+
+@pytest.mark.parametrize(("kind", "limit_deg"), [("koenig", 2.0), ("persoz", 3.0)])
+@pytest.mark.parametrize("rest_rad", [0.0, 0.002])
+def test_amplitudes_off_the_sensor(kind: str, limit_deg: float, rest_rad: float) -> None:
+    settings = simulation(kind)
+    truth = truth_points(settings, 1.1 * limit_deg)
+    found = samples(settings, 1.1 * limit_deg, seed=1, noise_rad=1e-5)
+    swings = inferred_swings(found.times_ns, seen(found, limit_deg, rest_rad), found.u_rad)
+    assert len(swings) > 0.9 * len(truth.time_s)
+    assert all(swing.flags == SwingFlag.INFERRED for swing in swings)
+    time_s = np.array([swing.turn_time_ns * 1e-9 for swing in swings])
+    matched = [int(np.argmin(np.abs(truth.time_s - t))) for t in time_s]
+    assert len({m - swing.index for m, swing in zip(matched, swings, strict=True)}) == 1
+    size = np.array([swing.amplitude for swing in swings])
+    pull = (size - np.abs(truth.angle_rad[matched])) / np.array([swing.u_amplitude for swing in swings])
+    # friction, rolling and the polynomial together stay below a third of the noise of one crossing
+    assert abs(np.mean(pull)) < 0.4
+    assert 0.7 < np.std(pull) < 1.2
+    late = (time_s - truth.time_s[matched]) / np.array([swing.u_turn_time_s for swing in swings])
+    # how early the turning point comes depends on the friction: up to one uncertainty, for all alike
+    assert np.max(np.abs(late)) < 4
+    assert swings[0].centre == pytest.approx(rest_rad, abs=2e-6)
+
+
+def test_damping_time_where_the_sensor_sees_only_the_end() -> None:
+    """Six degrees are off the sensor, three on it: one count, one damping time."""
+    settings = simulation("koenig")
+    truth = truth_points(settings, 2.5)
+    expected_s = true_time_s(truth, 3.0) - true_time_s(truth, 6.0)
+    pulls = []
+    for seed in range(8):
+        found = samples(settings, 2.7, seed=seed, noise_rad=1e-5)
+        place = seen(found, 4.0)
+        detector = SwingDetector()
+        swings = detector.update(found.times_ns, place, found.u_rad) + detector.finish()
+        here = refined(found.times_ns, place, found.u_rad, swings) if len(swings) > 1 else []
+        joined = joined_swings(here, inferred_swings(found.times_ns, place, found.u_rad))
+        assert {bool(swing.flags) for swing in joined} == {True, False}
+        time_s = damping(points(joined), 6 * DEGREE_RAD, 3 * DEGREE_RAD).time_s
+        pulls.append((time_s.value - expected_s) / time_s.standard_uncertainty)
+    assert abs(np.mean(pulls)) < 4 / math.sqrt(len(pulls))
+
+
+def test_nothing_is_inferred_where_all_was_seen() -> None:
+    found = samples(simulation("koenig"), 4.0, seed=2, noise_rad=1e-5)
+    assert inferred_swings(found.times_ns, found.y_rad, found.u_rad) == []
+    lost = np.full(len(found.y_rad), np.nan)
+    assert inferred_swings(found.times_ns, lost, found.u_rad) == []

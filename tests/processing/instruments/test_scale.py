@@ -1,0 +1,75 @@
+"""The angular scale's uncertainty in what is reported: known derivatives, and the actual scatter."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from processing.errors import DataError
+from processing.fit.result import Estimate
+from processing.instruments.circular import circular_error
+from processing.instruments.damping import Damping, damping
+from processing.instruments.descriptions import DEGREE_RAD
+from processing.instruments.rolling import rolling_friction
+from processing.instruments.scale import with_scale
+from processing.swing.swing import TurningPoints
+from tests.processing.instruments.test_instruments import decay, exponential
+
+
+def falling_evenly() -> TurningPoints:
+    """Constant friction: 13 to 3 degrees in equal steps."""
+    return decay(np.linspace(13.0, 3.0, 400) * DEGREE_RAD, u_rad=1e-9)
+
+
+def scaled(points: TurningPoints, factor: float) -> TurningPoints:
+    return replace(points, amplitude_rad=points.amplitude_rad * factor)
+
+
+def test_damping_of_an_exponential_decay_does_not_depend_on_the_scale() -> None:
+    points = exponential(7.0, 0.01, 200)
+    plain = damping(points, 6 * DEGREE_RAD, 3 * DEGREE_RAD)
+    found = with_scale(lambda at: damping(at, 6 * DEGREE_RAD, 3 * DEGREE_RAD), points, 0.01)
+    assert found.time_s.value == plain.time_s.value
+    assert found.time_s.standard_uncertainty == pytest.approx(plain.time_s.standard_uncertainty, rel=1e-6)
+
+
+def test_damping_time_scatters_as_claimed_where_friction_is_constant() -> None:
+    """Records read with wrong scales, drawn with the stated uncertainty."""
+    u_scale, random = 0.01, np.random.default_rng(5)
+
+    def reduce(points: TurningPoints) -> Damping:
+        return damping(points, 12 * DEGREE_RAD, 4 * DEGREE_RAD)
+
+    times_s = [
+        reduce(scaled(falling_evenly(), 1 + u_scale * error)).time_s.value
+        for error in random.normal(size=400)
+    ]
+    claimed = with_scale(reduce, falling_evenly(), u_scale).time_s
+    # the standard deviation of 400 values is known to 1/sqrt(800) = 3.5 %
+    assert np.std(times_s, ddof=1) == pytest.approx(claimed.standard_uncertainty, rel=0.11)
+
+
+def test_a_moment_and_a_circular_factor_go_with_the_scale() -> None:
+    points = falling_evenly()
+    found = with_scale(
+        lambda at: rolling_friction(at, Estimate(0.02, 0.0), Estimate(0.002, 0.0)), points, 0.01
+    )
+    assert found.coefficient is not None
+    # the loss goes as 1 - cos of the amplitudes over their path: by the first power of the scale
+    assert found.coefficient.standard_uncertainty / found.coefficient.value == pytest.approx(0.01, rel=0.05)
+    plain, wide = circular_error(points), with_scale(circular_error, points, 0.01)
+    added = np.sqrt(wide.factor.standard_uncertainty**2 - plain.factor.standard_uncertainty**2)
+    assert added == pytest.approx(0.02 * abs(plain.factor.value), rel=0.05)
+
+
+def test_amplitudes_that_only_just_suffice() -> None:
+    """Made larger by 2 % this record does not reach 3 degrees; made smaller it does."""
+    points = exponential(7.0, 0.01, 86)
+    assert points.amplitude_rad[-1] * 1.02 > 3 * DEGREE_RAD > points.amplitude_rad[-1]
+
+    def reduce(at: TurningPoints) -> Damping:
+        return damping(at, 6 * DEGREE_RAD, 3 * DEGREE_RAD)
+
+    assert with_scale(reduce, points, 0.02).time_s.value == reduce(points).time_s.value
+    with pytest.raises(DataError, match="never reaches"):
+        with_scale(reduce, scaled(points, 1.02), 0.02)

@@ -1,0 +1,147 @@
+"""Hot pixels, saturation, edges, ghosts, tilt, loss."""
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from processing.spot import Spot, SpotFlag, SpotTracker
+from tests.processing.spot.frames import EIGHT_BIT, errors_px, exposed, light, rms_tolerance, tilted_light
+
+Image = NDArray[np.uint8] | NDArray[np.uint16]
+Make = Callable[[float, float, np.random.Generator], Image]
+N = 96
+FRAMES = 250
+
+
+def run(
+    make: Make, *, cold: bool, centre: tuple[float, float] = (48, 48), frames: int = FRAMES
+) -> tuple[list[Spot], NDArray[np.float64]]:
+    """Spots and their errors in px over frames at random phases."""
+    rng = np.random.default_rng(11)
+    tracker = SpotTracker(EIGHT_BIT)
+    truth = np.array(centre) + rng.uniform(-0.5, 0.5, (frames, 2))
+    spots = []
+    for x, y in truth:
+        if cold:
+            tracker.reset()
+        spots.append(tracker.track(make(x, y, rng)))
+    return spots, errors_px(spots, truth)
+
+
+def rms_mpx(errors: NDArray[np.float64]) -> float:
+    return 1e3 * math.sqrt(np.mean(errors**2))
+
+
+def claimed_over_actual(spots: list[Spot], errors: NDArray[np.float64]) -> float:
+    return 1 / math.sqrt(np.mean((errors / np.array([(s.u_x_px, s.u_y_px) for s in spots])) ** 2))
+
+
+def hot(x: float, y: float, rng: np.random.Generator) -> Image:
+    frame = exposed(light((N, N), x, y, 6, 180), rng)
+    for column, row in rng.integers(33, 63, (3, 2)):
+        frame[row, column] = 255
+    return frame
+
+
+@pytest.mark.parametrize("cold", [False, True])
+def test_three_hot_pixels(cold: bool) -> None:
+    spots, errors = run(hot, cold=cold)
+    assert rms_mpx(errors) < 6.0 * (1 + rms_tolerance(errors.size))
+    assert np.mean([bool(spot.flags & SpotFlag.OUTLIERS) for spot in spots]) > 0.95
+
+
+@pytest.mark.parametrize("cold", [False, True])
+def test_clipped_at_four_times_full_scale(cold: bool) -> None:
+    spots, errors = run(lambda x, y, rng: exposed(light((N, N), x, y, 6, 1000), rng), cold=cold, frames=600)
+    assert all(spot.flags & SpotFlag.SATURATED for spot in spots)
+    assert not any(spot.flags & SpotFlag.LOST for spot in spots)
+    assert rms_mpx(errors) < 3.2 * (1 + rms_tolerance(errors.size))
+    assert claimed_over_actual(spots, errors) == pytest.approx(1, abs=0.03 + rms_tolerance(errors.size))
+
+
+@pytest.mark.parametrize("cold", [False, True])
+def test_cut_by_the_sensors_edge(cold: bool) -> None:
+    spots, errors = run(
+        lambda x, y, rng: exposed(light((N, N), x, y, 6, 180), rng), cold=cold, centre=(9, 48)
+    )
+    assert all(spot.flags & SpotFlag.EDGE for spot in spots)
+    assert rms_mpx(errors) < 7.5 * (1 + rms_tolerance(errors.size))
+
+
+@pytest.mark.parametrize("cold", [False, True])
+def test_ghost_under_the_flank(cold: bool) -> None:
+    def ghost(x: float, y: float, rng: np.random.Generator) -> Image:
+        both = light((200, 200), x, y, 12, 180) + light((200, 200), x + 40, y, 12, 4.5)
+        return exposed(both, rng)
+
+    spots, errors = run(ghost, cold=cold, centre=(90, 100), frames=60)
+    assert all(spot.flags & SpotFlag.MULTIPLE for spot in spots)
+    bias = 1e3 * errors[:, 0].mean()
+    # 2 mpx, and four standard deviations of a mean of 60 frames at 6 mpx each
+    assert abs(bias) < 2.0 + 4 * 6.0 / math.sqrt(60)
+
+
+@pytest.mark.parametrize("cold", [False, True])
+@pytest.mark.parametrize("angle", [0.5, -0.7, 1.2])
+def test_tilted_ellipse(angle: float, cold: bool) -> None:
+    spots, errors = run(
+        lambda x, y, rng: exposed(tilted_light((N, N), x, y, (8, 5), angle, 180), rng), cold=cold, frames=40
+    )
+    # the first frames that are followed from no tilt need not have it
+    last = spots[-1]
+    turned = (last.rotation_rad - angle + (math.pi / 2 if last.sigma_x_px < last.sigma_y_px else 0)) % math.pi
+    assert min(turned, math.pi - turned) < 0.01
+    assert sorted((last.sigma_x_px, last.sigma_y_px)) == pytest.approx([5, 8], rel=0.01)
+    assert claimed_over_actual(spots, errors) == pytest.approx(1, abs=0.03 + rms_tolerance(errors.size))
+
+
+def full_frame(x: float, y: float, sigma: float, peak: float, rng: np.random.Generator) -> Image:
+    reach = int(6 * sigma)
+    frame = np.rint(6 + rng.normal(0, 0.18, (1024, 1280))).astype(np.uint8)
+    column, row = int(x) - reach, int(y) - reach
+    side = 2 * reach + 1
+    patch = exposed(light((side, side), x - column, y - row, sigma, peak), rng)
+    frame[row : row + side, column : column + side] = patch
+    frame[rng.integers(0, 1024, 200), rng.integers(0, 1280, 200)] = rng.integers(50, 255, 200)
+    return frame
+
+
+@pytest.mark.parametrize("row_step", [1, 8])
+@pytest.mark.parametrize(("sigma", "peak"), [(3, 20), (3, 200), (6, 20), (12, 80)])
+def test_two_hundred_hot_pixels_do_not_fool_the_search(sigma: float, peak: float, row_step: int) -> None:
+    rng = np.random.default_rng(int(10 * sigma + peak))
+    tracker = SpotTracker(EIGHT_BIT, row_step=row_step)
+    for _ in range(12):
+        x, y = rng.uniform(100, 1150), rng.uniform(100, 900)
+        tracker.reset()
+        spot = tracker.track(full_frame(x, y, sigma, peak, rng))
+        assert math.hypot(spot.x_px - x, spot.y_px - y) < 6 * math.hypot(spot.u_x_px, spot.u_y_px)
+
+
+@pytest.mark.parametrize("hot_pixels", [0, 200])
+def test_no_spot_is_lost_not_invented(hot_pixels: int) -> None:
+    rng = np.random.default_rng(5)
+    for _ in range(6):
+        frame = np.rint(6 + rng.normal(0, 1.5, (480, 640))).astype(np.uint8)
+        frame[rng.integers(0, 480, hot_pixels), rng.integers(0, 640, hot_pixels)] = 200
+        spot = SpotTracker(EIGHT_BIT).track(frame)
+        assert spot.flags == SpotFlag.LOST
+        assert all(math.isnan(value) for value in spot[:10])
+
+
+def test_found_again_after_a_loss_and_after_a_jump() -> None:
+    rng = np.random.default_rng(6)
+    tracker = SpotTracker(EIGHT_BIT)
+    shape = (240, 320)
+
+    def at(x: float, y: float) -> Spot:
+        return tracker.track(exposed(light(shape, x, y, 6, 180), rng))
+
+    assert at(80, 100).x_px == pytest.approx(80, abs=0.05)
+    assert tracker.track(exposed(np.zeros(shape), rng)).flags & SpotFlag.LOST
+    assert at(200, 60).x_px == pytest.approx(200, abs=0.05)
+    jumped = at(60, 180)
+    assert (jumped.x_px, jumped.y_px) == pytest.approx((60, 180), abs=0.05)

@@ -1,0 +1,174 @@
+"""Windows, stacks, threads, types of image, bad input, real beams."""
+
+import math
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from processing.errors import DataError
+from processing.spot import SPOT_DTYPE, SensorModel, Spot, SpotFlag, SpotTracker
+from tests.processing.spot.frames import EIGHT_BIT, TWELVE_BIT, exposed, light
+
+
+def swinging(count: int, n: int = 96, sigma: float = 6.0) -> np.ndarray:
+    rng = np.random.default_rng(21)
+    return np.array(
+        [
+            exposed(
+                light((n, n), n / 2 + 5 * math.sin(0.05 * k), n / 2 + math.cos(0.05 * k), sigma, 180), rng
+            )
+            for k in range(count)
+        ]
+    )
+
+
+def agree(a: np.ndarray, b: np.ndarray, part: float) -> bool:
+    """Positions agree within a part of their standard uncertainty."""
+    return bool(
+        np.all(np.abs(a["x_px"] - b["x_px"]) < part * a["u_x_px"])
+        and np.all(np.abs(a["y_px"] - b["y_px"]) < part * a["u_y_px"])
+    )
+
+
+def test_stack_is_the_loop_whatever_the_number_of_threads() -> None:
+    images = swinging(600)
+    tracker = SpotTracker(EIGHT_BIT)
+    loop = np.array([tracker.track(image) for image in images], dtype=SPOT_DTYPE)
+    single = SpotTracker(EIGHT_BIT).track_stack(images)
+    assert single.dtype == SPOT_DTYPE
+    assert agree(loop, single, 0.1)
+    for threads in (2, 3):
+        assert SpotTracker(EIGHT_BIT).track_stack(images, threads=threads).tobytes() == single.tobytes()
+    assert len(SpotTracker(EIGHT_BIT).track_stack(images[:0])) == 0
+
+
+def test_stack_goes_on_where_the_last_frame_was() -> None:
+    images = swinging(40)
+    tracker = SpotTracker(EIGHT_BIT)
+    tracker.track_stack(images[:20])
+    after_stack = tracker.track(images[20])
+    other = SpotTracker(EIGHT_BIT)
+    for image in images[:20]:
+        other.track(image)
+    assert after_stack == other.track(images[20])
+
+
+def test_window_of_a_record_tracks_again() -> None:
+    rng = np.random.default_rng(8)
+    shape = (480, 640)
+    whole, cut = SpotTracker(EIGHT_BIT), SpotTracker(EIGHT_BIT)
+    for k in range(40):
+        image = exposed(light(shape, 300 + 100 * math.sin(0.05 * k), 200.3, 6, 180), rng)
+        spot = whole.track(image)
+        x0, y0, x1, y1 = whole.record_window(spot, shape)
+        again = cut.track(image[y0:y1, x0:x1], origin_px=(x0, y0), sensor_shape=shape)
+        assert abs(again.x_px - spot.x_px) < 0.1 * spot.u_x_px
+        assert abs(again.y_px - spot.y_px) < 0.1 * spot.u_y_px
+        assert not again.flags & SpotFlag.EDGE
+
+
+def test_window_of_a_lost_spot_is_the_frame() -> None:
+    tracker = SpotTracker(EIGHT_BIT)
+    lost = tracker.track(np.full((60, 80), 6, dtype=np.uint8))
+    assert tracker.record_window(lost, (60, 80)) == (0, 0, 80, 60)
+
+
+BASE = exposed(light((120, 140), 60.3, 50.7, 5, 150), np.random.default_rng(9))
+
+
+@settings(max_examples=40, deadline=None)
+@given(dx=st.integers(-25, 40), dy=st.integers(-15, 30))
+def test_a_shifted_frame_shifts_the_spot(dx: int, dy: int) -> None:
+    still = SpotTracker(EIGHT_BIT).track(BASE)
+    moved = SpotTracker(EIGHT_BIT).track(np.roll(BASE, (dy, dx), axis=(0, 1)))
+    assert moved.x_px - dx == pytest.approx(still.x_px, abs=0.1 * still.u_x_px)
+    assert moved.y_px - dy == pytest.approx(still.y_px, abs=0.1 * still.u_y_px)
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 10_000), ny=st.integers(5, 40), nx=st.integers(5, 40))
+def test_any_frame_gives_a_spot_or_none_but_never_nonsense(seed: int, ny: int, nx: int) -> None:
+    image = np.random.default_rng(seed).integers(0, 256, (ny, nx)).astype(np.uint8)
+    spot = SpotTracker(EIGHT_BIT).track(image)
+    if spot.flags & SpotFlag.LOST:
+        assert all(math.isnan(value) for value in spot[:10])
+    else:
+        assert all(math.isfinite(value) for value in spot[:10])
+        assert min(spot.u_x_px, spot.u_y_px, spot.sigma_x_px, spot.sigma_y_px) > 0
+
+
+def test_read_only_strided_and_mirrored_views_are_the_same_image() -> None:
+    image = BASE
+    expected = SpotTracker(EIGHT_BIT).track(image)
+    read_only = np.frombuffer(image.tobytes(), dtype=np.uint8).reshape(image.shape)
+    wide = np.zeros((120, 280), dtype=np.uint8)
+    wide[:, ::2] = image
+    for view in (read_only, wide[:, ::2], image[::-1, ::-1].copy()[::-1, ::-1], np.asfortranarray(image)):
+        assert SpotTracker(EIGHT_BIT).track(view) == expected
+    assert not read_only.flags.writeable
+
+
+def test_twelve_bits_see_the_same_spot() -> None:
+    rng = np.random.default_rng(4)
+    spot = SpotTracker(TWELVE_BIT).track(
+        exposed(light((96, 96), 48.2, 47.6, 6, 2900), rng, sensor=TWELVE_BIT, background=100)
+    )
+    assert (spot.x_px, spot.y_px) == pytest.approx((48.2, 47.6), abs=6 * spot.u_x_px)
+    assert spot.flags & ~SpotFlag.OUTLIERS == 0
+
+
+@pytest.mark.parametrize(
+    "image",
+    [
+        np.zeros((3, 20, 20), dtype=np.uint8),
+        np.zeros((20, 20)),
+        np.zeros((20, 20), dtype=np.int16),
+        np.zeros((4, 20), dtype=np.uint8),
+    ],
+)
+def test_an_image_that_is_none_is_refused(image: np.ndarray) -> None:
+    with pytest.raises(DataError, match=r"image has shape"):
+        SpotTracker(EIGHT_BIT).track(image)
+
+
+def test_bad_settings_are_refused() -> None:
+    with pytest.raises(DataError, match="row_step"):
+        SpotTracker(EIGHT_BIT, row_step=0)
+    with pytest.raises(DataError, match="gain_e_per_dn"):
+        SensorModel(gain_e_per_dn=0, read_noise_e=1, full_scale_dn=255)
+    with pytest.raises(DataError, match="read_noise_e"):
+        SensorModel(gain_e_per_dn=1, read_noise_e=-1, full_scale_dn=255)
+    with pytest.raises(DataError, match="prnu"):
+        SensorModel(gain_e_per_dn=1, read_noise_e=1, full_scale_dn=255, prnu=-0.01)
+    with pytest.raises(DataError, match="threads"):
+        SpotTracker(EIGHT_BIT).track_stack(np.zeros((2, 20, 20), dtype=np.uint8), threads=0)
+    with pytest.raises(DataError, match="n, ny, nx"):
+        SpotTracker(EIGHT_BIT).track_stack(np.zeros((20, 20), dtype=np.uint8))
+
+
+COMPACT = ["TEM00_200mm.pgm", "TEM00_300mm.pgm", "k-300mm.png", "k-500mm.png", "t-510mm.pgm"]
+"""The others of the folder (sb_*) are two lobes with a dark line between: no compact beam."""
+
+
+@pytest.mark.parametrize("name", COMPACT)
+def test_interleaved_rows_of_a_real_beam_agree(shared_data: Path, name: str) -> None:
+    image = cv2.imread(str(shared_data / "beams" / name), cv2.IMREAD_UNCHANGED)
+    full_scale = float(np.iinfo(image.dtype).max)
+    sensor = SensorModel(gain_e_per_dn=39.2 if image.dtype == np.uint8 else 1.0, read_noise_e=7.0,
+                         full_scale_dn=full_scale, pedestal_dn=float(np.median(image)))  # fmt: skip
+    halves: list[Spot] = []
+    for start in (0, 1):
+        spot = SpotTracker(sensor).track(np.ascontiguousarray(image[start::2]))
+        assert not spot.flags & SpotFlag.LOST
+        halves.append(spot)
+    even, odd = halves
+    assert abs(even.x_px - odd.x_px) < 2 * math.hypot(even.u_x_px, odd.u_x_px)
+    # odd rows lie half a row of the halved image further down
+    assert abs(even.y_px - odd.y_px - 0.5) < 2 * math.hypot(even.u_y_px, odd.u_y_px)
+    followed = SpotTracker(sensor)
+    first, second = followed.track(image), followed.track(image)
+    assert second.x_px == pytest.approx(first.x_px, abs=0.1 * first.u_x_px)

@@ -1,0 +1,116 @@
+"""Swings must not depend on how the samples were cut, must come in time, and memory must stay flat."""
+
+import tracemalloc
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from processing.swing import Swing, SwingDetector, prepare
+from processing.swing.arc import _walk_kernel
+from processing.swing.measurement import measure
+from processing.swing.mode_fit import _equations
+from processing.swing.prediction import predict
+from tests.processing.swing.truth import Record, contact_decay, damped_sinusoid, detect
+
+
+def troubled_record() -> Record:
+    """A release, friction, a gap, a burst, lost spots, a kick: every path of the detector."""
+    rng = np.random.default_rng(21)
+    record = contact_decay("steel", 34, noise=0.02, rng=rng, frames_per_s=40.0, start_s=9.0, hold=True)
+    t = record.time_s
+    record = record.keep((t < 40.0) | (t > 41.0))
+    t = record.time_s
+    burst = np.where((t > 24.0) & (t < 32.0), 90.0 * np.sin(31.0 * t), 0.0)
+    lost = np.where(rng.random(len(t)) < 0.05, np.nan, 0.0)
+    kick = np.where(t > 55.1, 30.0 * np.cos(1.5 * t), 0.0)
+    return record.plus(burst + lost + kick)
+
+
+RECORD = troubled_record()
+WHOLE = detect(RECORD, block=len(RECORD.times_ns))
+
+
+def same(a: list[Swing], b: list[Swing]) -> bool:
+    """Bit for bit (NaN equals NaN)."""
+    return repr(a) == repr(b)
+
+
+def test_the_record_is_troublesome() -> None:
+    assert len(WHOLE) > 25
+    assert len({s.flags for s in WHOLE}) >= 3
+
+
+@pytest.mark.parametrize("block", [1, 7, 100, 1000])
+def test_blocks_of_one_size(block: int) -> None:
+    assert same(detect(RECORD, block), WHOLE)
+
+
+@settings(max_examples=8, deadline=None)
+@given(st.lists(st.integers(0, len(RECORD.times_ns)), max_size=30))
+def test_any_blocks(cuts: list[int]) -> None:
+    edges = [0, *sorted(cuts), len(RECORD.times_ns)]
+    detector = SwingDetector()
+    swings: list[Swing] = []
+    for i, j in pairwise(edges):
+        swings += detector.update(RECORD.times_ns[i:j], RECORD.deflection[i:j], RECORD.u_deflection[i:j])
+    assert same(swings + detector.finish(), WHOLE)
+
+
+def test_a_swing_is_out_within_a_quarter_period_of_its_end() -> None:
+    record = damped_sinusoid(np.random.default_rng(22), 300.0, 100.0, 40)
+    detector = SwingDetector()
+    waits = []
+    for i in range(len(record.times_ns)):
+        for swing in detector.update(
+            record.times_ns[i : i + 1], record.deflection[i : i + 1], record.u_deflection[i : i + 1]
+        ):
+            # the half-cycle ends a quarter period (1 s) after its turning point
+            end_ns = swing.turn_time_ns + 1_000_000_000
+            waits.append((swing.index, (record.times_ns[i] - end_ns) * 1e-9))
+    later = [wait for index, wait in waits if index > 4]
+    assert max(later) < 0.05
+    # the first ones come together, when the fourth whole one is complete
+    assert max(wait for _, wait in waits) < 4 * 2.0 + 1.0
+
+
+def test_memory_stays_flat_on_an_endless_stream() -> None:
+    detector = SwingDetector()
+    period, per_block = 4.0, 4000
+    rng = np.random.default_rng(23)
+    peaks = []
+    tracemalloc.start()
+    count = 0
+    for k in range(120):
+        t = (np.arange(per_block) + k * per_block) * 0.01
+        deflection = 300.0 * np.cos(2 * np.pi / period * t) + 0.02 * rng.standard_normal(per_block)
+        count += len(
+            detector.update(np.round(t * 1e9).astype(np.int64), deflection, np.full(per_block, 0.02))
+        )
+        peaks.append(tracemalloc.get_traced_memory()[0])
+    tracemalloc.stop()
+    assert count > 2300
+    assert max(peaks[60:]) < max(peaks[:60]) + 200_000
+
+
+def test_memory_stays_flat_while_nothing_swings() -> None:
+    detector = SwingDetector()
+    rng = np.random.default_rng(24)
+    block = 50_000
+    sizes = []
+    for k in range(20):
+        times_ns = (np.arange(block, dtype=np.int64) + k * block) * 10_000_000
+        detector.update(times_ns, 0.02 * rng.standard_normal(block), np.full(block, 0.02))
+        sizes.append(len(detector._samples.times_ns))
+    assert sizes[-1] == sizes[10]
+
+
+def test_prepare_compiles_all_that_a_measurement_needs() -> None:
+    prepare()
+    kernels = (measure, predict, _walk_kernel, _equations)
+    before = [len(kernel.signatures) for kernel in kernels]
+    assert min(before) > 0
+    detect(damped_sinusoid(np.random.default_rng(25), 300.0, 100.0, 40))
+    assert [len(kernel.signatures) for kernel in kernels] == before

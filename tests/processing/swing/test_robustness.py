@@ -1,0 +1,234 @@
+"""Gaps, lost spots, bursts, kicks, releases, drafts: flagged or missing, never wrong."""
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from processing.errors import DataError
+from processing.swing import Swing, SwingDetector, SwingFlag
+from tests.processing.swing.truth import Record, contact_decay, damped_sinusoid, detect, errors, rms
+
+
+def decay(seed: int = 1) -> Record:
+    return damped_sinusoid(np.random.default_rng(seed), 300.0, 60.0, 60)
+
+
+def assert_none_wrong(record: Record, swings: list[Swing], fewest: int, limit: float = 5.0) -> None:
+    e = errors(record, swings)
+    assert len(e) >= fewest
+    assert np.abs(e.amplitude).max() < limit
+    assert np.abs(e.time).max() < limit
+    assert [s.index for s in swings] == sorted({s.index for s in swings})
+
+
+def indices_match(record: Record, swings: list[Swing]) -> bool:
+    """Whether differences of indices are numbers of half periods."""
+    nearest = [int(np.argmin(np.abs(record.turn_time_s - s.turn_time_ns * 1e-9))) for s in swings]
+    return len({s.index - k for s, k in zip(swings, nearest, strict=True)}) == 1
+
+
+def test_swing_says_what_happened() -> None:
+    record = decay()
+    swings = [s for s in detect(record) if not s.flags]
+    for swing in swings:
+        k = int(np.argmin(np.abs(record.turn_time_s - swing.turn_time_ns * 1e-9)))
+        assert swing.side == (-1) ** k
+        assert swing.centre == pytest.approx(12.3, abs=0.05)
+    half_periods = np.array([s.half_period_s for s in swings[1:]])
+    assert half_periods == pytest.approx(2.0, abs=5e-4)
+    assert np.mean([s.u_half_period_s for s in swings[1:]]) == pytest.approx(
+        half_periods.std(), rel=4 / math.sqrt(2 * len(half_periods))
+    )
+
+
+@pytest.mark.parametrize(("start_s", "length_s"), [(50.0, 0.6), (50.3, 1.1), (40.0, 7.0), (40.0, 50.0)])
+@pytest.mark.parametrize("lost", [False, True])
+def test_gap(start_s: float, length_s: float, lost: bool) -> None:
+    record = decay()
+    gap = (record.time_s > start_s) & (record.time_s < start_s + length_s)
+    gapped = record.plus(np.where(gap, np.nan, 0.0)) if lost else record.keep(~gap)
+    swings = detect(gapped)
+    assert_none_wrong(gapped, swings, fewest=60 - math.ceil(length_s / 2.0) - 4)
+    assert indices_match(record, swings)
+    inside = [s for s in swings if start_s < s.turn_time_ns * 1e-9 < start_s + length_s]
+    assert all(s.flags & SwingFlag.GAP for s in inside)
+
+
+def test_half_period_is_unknown_after_a_missing_half_cycle() -> None:
+    record = decay()
+    gapped = record.keep((record.time_s < 40.0) | (record.time_s > 50.0))
+    swings = detect(gapped)
+    after = next(b for a, b in pairwise(swings) if b.index > a.index + 1)
+    assert math.isnan(after.half_period_s)
+    assert math.isnan(after.u_half_period_s)
+
+
+@pytest.mark.parametrize(
+    ("size_px", "length_s"), [(5.0, 0.3), (1.0, 0.2), (0.2, 0.5), (0.06, 2.5), (30.0, 6.0), (300.0, 9.0)]
+)
+@pytest.mark.parametrize("frequency_hz", [7.3, 23.0])
+def test_burst_of_vibration(size_px: float, length_s: float, frequency_hz: float) -> None:
+    record = decay()
+    since = record.time_s - 60.3
+    burst = np.where(
+        (since > 0) & (since < length_s),
+        size_px * np.exp(-since / length_s) * np.sin(2 * np.pi * frequency_hz * since + 1.0),
+        0.0,
+    )
+    disturbed = record.plus(burst)
+    swings = detect(disturbed)
+    assert_none_wrong(disturbed, swings, fewest=60 - math.ceil(length_s / 2.0) - 5)
+    assert indices_match(record, swings)
+    hit = [s for s in swings if s.turn_time_ns * 1e-9 + 1.0 > 60.3 and s.turn_time_ns * 1e-9 - 1.0 < 60.8]
+    assert any(s.flags & (SwingFlag.VIBRATION | SwingFlag.START) for s in hit)
+
+
+def test_wild_samples_cost_nothing() -> None:
+    record = decay()
+    rng = np.random.default_rng(3)
+    wild = np.zeros(len(record.times_ns))
+    wild[rng.integers(0, len(wild), 60)] = rng.normal(0.0, 200.0, 60)
+    spoiled = record.plus(wild)
+    swings = detect(spoiled)
+    assert_none_wrong(spoiled, swings, fewest=55)
+    e = errors(spoiled, swings)
+    assert rms(e.amplitude) < 1.1 + 4 / math.sqrt(2 * len(e))
+
+
+def test_release_from_a_hold_in_the_middle_of_a_record() -> None:
+    record = contact_decay("glass", 40, noise=0.02, rng=np.random.default_rng(5), start_s=20.0, hold=True)
+    swings = detect(record)
+    first = [s for s in swings if s.turn_time_ns * 1e-9 < 20.5]
+    assert all(s.flags & SwingFlag.START for s in first)
+    assert_none_wrong(record, swings, fewest=37)
+
+
+def test_kick_out_of_rest() -> None:
+    rng = np.random.default_rng(6)
+    times_ns = np.arange(0, 120_000_000_000, 10_000_000)
+    t = times_ns * 1e-9
+    rate, damping, start = 1.55, 0.004, 20.0
+    swing = 200.0 * np.exp(-damping * (t - start)) * np.sin(rate * (t - start))
+    deflection = 5.0 + np.where(t < start, 0.0, swing) + 0.02 * rng.standard_normal(len(t))
+    lag = math.atan(damping / rate)
+    turns = (np.arange(60) * math.pi + math.pi / 2.0 - lag) / rate
+    record = Record(
+        times_ns,
+        deflection,
+        np.full(len(t), 0.02),
+        start + turns,
+        200.0 * np.exp(-damping * turns) * math.cos(lag),
+    )
+    swings = detect(record)
+    assert all(s.flags for s in swings if s.turn_time_ns * 1e-9 < start)
+    assert_none_wrong(record, [s for s in swings if s.turn_time_ns * 1e-9 > start], fewest=47)
+
+
+@pytest.mark.parametrize(("factor", "phase"), [(2.0, 0.3), (0.5, 2.0), (0.4, 0.1), (1.0, 0.02)])
+def test_kick_in_the_middle(factor: float, phase: float) -> None:
+    rng = np.random.default_rng(7)
+    times_ns = np.arange(0, 200_000_000_000, 10_000_000)
+    t = times_ns * 1e-9
+    rate, damping, kick = 1.55, 0.004, 100.4
+    lag = math.atan(damping / rate)
+    before = 200.0 * np.exp(-damping * t) * np.cos(rate * t)
+    after = factor * 200.0 * np.exp(-damping * t) * np.cos(rate * t + phase)
+    deflection = np.where(t < kick, before, after) + 0.02 * rng.standard_normal(len(t))
+    first = (np.arange(100) * math.pi - lag) / rate
+    second = first - phase / rate
+    amplitude = 200.0 * math.cos(lag)
+    first, second = first[first < kick], second[second > kick]
+    record = Record(
+        times_ns,
+        deflection,
+        np.full(len(t), 0.02),
+        np.concatenate([first, second]),
+        amplitude
+        * np.exp(-damping * np.concatenate([first, second]))
+        * np.repeat([1.0, factor], [len(first), len(second)]),
+    )
+    swings = detect(record)
+    half = math.pi / rate
+    disturbed = [s for s in swings if abs(s.turn_time_ns * 1e-9 - kick) < 0.5 * half]
+    assert all(s.flags for s in disturbed)
+    kept = [s for s in swings if abs(s.turn_time_ns * 1e-9 - kick) > 0.5 * half]
+    assert_none_wrong(record, kept, fewest=88)
+    assert any(s.flags & (SwingFlag.START | SwingFlag.VIBRATION) for s in swings if s.index > 3)
+
+
+@pytest.mark.parametrize(
+    ("size_px", "period_s", "limit"), [(3.0, 600.0, 6.0), (0.5, 60.0, 15.0), (1.0, 120.0, 15.0)]
+)
+def test_rest_position_that_swings_slowly(size_px: float, period_s: float, limit: float) -> None:
+    """Drafts: the uncertainties must grow with what the centre does; at first nobody can know."""
+    record = damped_sinusoid(np.random.default_rng(8), 300.0, 30.0, 150)
+    drafty = record.plus(size_px * np.sin(2 * np.pi * record.time_s / period_s))
+    e = errors(drafty, detect(drafty))
+    assert len(e) > 135
+    assert np.abs(e.amplitude).max() < limit
+    learned = e.index > 20
+    assert rms(e.amplitude[learned]) < 1.6
+    assert rms(e.time[learned]) < 2.2
+
+
+def test_noise_that_was_told_too_small_is_noticed() -> None:
+    record = decay()
+    noisy = record.plus(0.06 * np.random.default_rng(9).standard_normal(len(record.times_ns)))
+    e = errors(noisy, detect(noisy))
+    assert len(e) >= 57
+    assert rms(e.amplitude) < 1.1 + 4 / math.sqrt(2 * len(e))
+
+
+def test_faint_swings_are_flagged() -> None:
+    record = damped_sinusoid(np.random.default_rng(10), 1.0, 0.004, 160, noise=0.02)
+    swings = detect(record)
+    faint = [s for s in swings if s.amplitude < 4.0 * s.u_amplitude]
+    assert len(faint) > 3
+    assert all(s.flags & SwingFlag.LOW_AMPLITUDE for s in faint)
+
+
+@pytest.mark.parametrize("kind", ["rest", "noise", "lost", "nothing"])
+def test_no_oscillation_no_swings(kind: str) -> None:
+    rng = np.random.default_rng(11)
+    times_ns = np.arange(0, 300_000_000_000, 10_000_000)
+    n = len(times_ns)
+    deflection = {
+        "rest": 0.02 * rng.standard_normal(n),
+        "noise": 0.02 * rng.standard_normal(n) + 0.3 * np.sin(np.arange(n) * 1e-4),
+        "lost": np.full(n, np.nan),
+        "nothing": np.zeros(n),
+    }[kind]
+    detector = SwingDetector()
+    assert detector.update(times_ns, deflection, np.full(n, 0.02)) == []
+    assert detector.finish() == []
+
+
+def test_empty() -> None:
+    detector = SwingDetector()
+    assert detector.update(np.empty(0, np.int64), np.empty(0), np.empty(0)) == []
+    assert detector.finish() == []
+
+
+@pytest.mark.parametrize(
+    ("times", "values", "u", "words"),
+    [
+        ([3, 2], [0.0, 0.0], [1.0, 1.0], "run backwards at sample 1 of the block: 2 ns after 3 ns"),
+        ([0, 1], [0.0, 0.0], [1.0, 1.0], "0 ns after 1 ns"),
+        ([3, 4], [0.0], [1.0, 1.0], "of one length"),
+        ([3, 4], [0.0, 0.0], [1.0], "of one length"),
+        ([3, 4], [0.0, 0.0], [1.0, 0.0], "uncertainty of sample 1 of the block is 0.0"),
+        ([3, 4], [0.0, 0.0], [-1.0, 1.0], "positive and finite"),
+        ([3, 4], [0.0, 0.0], [math.nan, 1.0], "positive and finite"),
+    ],
+)
+def test_bad_input_is_refused_and_changes_nothing(
+    times: list[int], values: list[float], u: list[float], words: str
+) -> None:
+    detector = SwingDetector()
+    detector.update([0, 1], [0.0, 0.0], [1.0, 1.0])
+    with pytest.raises(DataError, match=words) as caught:
+        detector.update(times, values, u)
+    assert "\n" not in str(caught.value)
+    assert detector.update([1, 1, 2], [0.0, math.nan, 0.0], [1.0, math.nan, 1.0]) == []

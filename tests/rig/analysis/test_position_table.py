@@ -1,0 +1,68 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from processing.errors import ConfigurationError, DataError
+from rig.analysis.position_table import read_trajectory
+
+
+def write(path: Path, text: str) -> Path:
+    path.write_text(text)
+    return path
+
+
+@pytest.mark.parametrize("separator", ["\t", ",", ";", "  "])
+def test_columns_by_name_and_number_give_the_same(tmp_path: Path, separator: str) -> None:
+    lines = [separator.join(["t", "x", "y"])] + [
+        separator.join([f"{0.1 * i:.3f}", f"{i}", f"{-i}"]) for i in range(5)
+    ]
+    path = write(tmp_path / "table.csv", "\n".join(lines))
+    by_name = read_trajectory(path, "t", ["y", "x"], "arcsec")
+    by_number = read_trajectory(path, "1", ["3", "2"], "arcsec")
+    assert by_name.names == ("y", "x")
+    np.testing.assert_array_equal(by_name.positions[0], [0, -1, -2, -3, -4])
+    np.testing.assert_array_equal(by_name.positions[0], by_number.positions[0])
+    np.testing.assert_array_equal(by_name.times_ns, [0, 100_000_000, 200_000_000, 300_000_000, 400_000_000])
+
+
+def test_a_unit_that_is_no_angle_is_carried_as_it_is(tmp_path: Path) -> None:
+    path = write(tmp_path / "v.txt", "0 1\n1 2\n2 1\n")
+    trajectory = read_trajectory(path, None, [], "V")
+    assert trajectory.unit == "V"
+    assert trajectory.scale_rad is None
+
+
+def test_real_table_with_two_header_lines(shared_data: Path) -> None:
+    trajectory = read_trajectory(shared_data / "ringdown" / "seismometer-11mm.txt", None, [], "V")
+    assert len(trajectory.times_ns) == 1873
+    assert trajectory.names == ("Voltage ( V )",)
+
+
+def test_real_table_compressed_and_with_words_in_it(shared_data: Path) -> None:
+    path = shared_data / "ringdown" / "torsion-balance-laser-spot.csv.gz"
+    trajectory = read_trajectory(path, "Time_Sec", ["X", "Y"], "px")
+    assert len(trajectory.times_ns) == 58406
+    assert len(trajectory.positions) == 2
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "0 rows of numbers"),
+        ("only words\nand more\n", "rows of numbers"),
+        ("0 1\n2 3\n1 5\n", "time does not increase after 2 s"),
+    ],
+)
+def test_a_bad_table_is_said_in_one_line(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(DataError, match=message) as caught:
+        read_trajectory(write(tmp_path / "bad.csv", text), None, [], "")
+    assert "\n" not in str(caught.value)
+
+
+def test_missing_file_and_missing_column(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match="no such file"):
+        read_trajectory(tmp_path / "none.csv", None, [], "")
+    path = write(tmp_path / "t.csv", "time,volts\n0,1\n1,2\n")
+    with pytest.raises(ConfigurationError, match=r"no column 'angle'; columns: time, volts"):
+        read_trajectory(path, "time", ["angle"], "")

@@ -1,0 +1,187 @@
+"""`rig run` with the laser lit is killed, told to end, loses its terminal: dark, magnet off, record whole."""
+
+import json
+import os
+import pty
+import select
+import signal
+import subprocess
+import sys
+import termios
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from acquisition.record.reader import RecordReader
+from tests.rig.control.wires import FirmwareBoard
+from tests.rig.measure.test_session import CONFIGS
+
+# For a machine that is busy with other tests.
+BEGUN_WITHIN_S = 300.0
+ENDED_WITHIN_S = 120.0
+POWER_W = 0.0005
+# An own session whose terminal is standard input, as a login shell has it.
+IN_A_TERMINAL = (
+    "import fcntl, os, sys, termios; os.setsid(); fcntl.ioctl(0, termios.TIOCSCTTY, 0); "
+    "os.execv(sys.executable, [sys.executable, *sys.argv[1:]])"
+)
+
+
+def command(folder: Path, board: FirmwareBoard, **changes: str) -> list[str]:
+    """`rig run` on the simulated camera in real time, with laser and magnet at the real firmware."""
+    values = {
+        "controller.kind": '"serial"',
+        "controller.port": json.dumps(board.port),
+        "controller.timeout_s": "0.3",
+        "laser.kind": '"controller"',
+        "laser.power_w": str(POWER_W),
+        "laser.warm_up_max_s": "600",
+        "simulation.real_time": "true",
+        "simulation.sensor.width_px": "120",
+        "simulation.sensor.height_px": "640",
+        "camera.frame_rate_hz": "50",
+        "preflight.when": '"never"',
+        "view.file": "false",
+        **{key.replace("__", "."): value for key, value in changes.items()},
+    }
+    words = [word for key, value in values.items() for word in ("--set", f"{key}={value}")]
+    return ["-m", "rig", "run", str(CONFIGS / "demo.toml"), "-o", str(folder), *words]
+
+
+@contextmanager
+def running(words: list[str], log: Path) -> Iterator["subprocess.Popen[bytes]"]:
+    with log.open("wb") as said:
+        process = subprocess.Popen(
+            [sys.executable, *words], stdin=subprocess.DEVNULL, stdout=said, stderr=said
+        )
+        try:
+            yield process
+        finally:
+            process.kill()
+            process.wait()
+
+
+def lit(board: FirmwareBoard) -> bool:
+    return board.outputs().get("laser") == [1, POWER_W]
+
+
+def is_safe(board: FirmwareBoard) -> bool:
+    outputs = board.outputs()
+    return outputs["laser"][0] == 0 and outputs["magnet"] == [0] and outputs["starter"] == [0]
+
+
+def being_recorded(board: FirmwareBoard, record: Path) -> bool:
+    return lit(board) and record.exists() and record.stat().st_size > 30_000
+
+
+def wait_for(board: FirmwareBoard, condition: Callable[[], bool], log: Path) -> None:
+    try:
+        board.wait_for(condition, BEGUN_WITHIN_S)
+    except AssertionError as error:
+        raise AssertionError(f"{error}; {log.read_text()[-2000:]}") from None
+
+
+def assert_closed_and_dark(board: FirmwareBoard, folder: Path, reason: str) -> None:
+    # at once, not when the watchdog of 5 s would have done it
+    assert is_safe(board)
+    with RecordReader(folder / "run-1.mcap") as reader:
+        assert not reader.truncated
+        assert len(reader.spots()) > 20
+        assert reader.events()[-1].text == reason
+    (entry,) = json.loads((folder / "session.json").read_text())["entries"]
+    assert (entry["state"], entry["reason"]) == ("stopped", reason)
+
+
+def test_killed_while_the_magnet_holds(board: FirmwareBoard, tmp_path: Path) -> None:
+    words = command(
+        tmp_path / "out",
+        board,
+        start__way='"magnet"',
+        controller__watchdog_s="3.0",
+        phases__rest_window_s="3",
+        phases__warm_up_window_s="2.5",
+        phases__warm_up_drift_arcsec_per_min="1e6",
+        simulation__release__way='"by command"',
+    )
+    log = tmp_path / "said"
+    with running(words, log) as process:
+        wait_for(board, lambda: lit(board) and board.outputs()["magnet"] == [1], log)
+        before = len(board.events())
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+        killed_s = time.monotonic()
+        board.wait_for(lambda: is_safe(board), ENDED_WITHIN_S)
+        safe_s = time.monotonic()
+    after = board.events()[before:]
+    # by the firmware alone, and for good
+    assert [name for _, name, values in after if values[0] == 0 and name in ("laser", "magnet")]
+    assert not [name for _, name, values in after if values[0] == 1 and name in ("laser", "magnet")]
+    print(f"safe {safe_s - killed_s:.2f} s after the kill")
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_told_to_end(board: FirmwareBoard, tmp_path: Path, number: signal.Signals) -> None:
+    folder, log = tmp_path / "out", tmp_path / "said"
+    with running(command(folder, board, controller__watchdog_s="5.0"), log) as process:
+        wait_for(board, lambda: being_recorded(board, folder / "run-1.mcap"), log)
+        process.send_signal(number)
+        assert process.wait(ENDED_WITHIN_S) == 130
+    said = log.read_text()
+    assert "Traceback" not in said
+    reason = "terminated" if number is signal.SIGTERM else "terminated: the terminal was closed"
+    assert_closed_and_dark(board, folder, reason)
+    # nothing is fitted: who sends SIGTERM may send SIGKILL next
+    assert not (folder / "results.json").exists()
+
+
+def test_ignored_hangup_stays_ignored(board: FirmwareBoard, tmp_path: Path) -> None:
+    folder, log = tmp_path / "out", tmp_path / "said"
+    nohup = (
+        "import os, signal, sys; signal.signal(signal.SIGHUP, signal.SIG_IGN); "
+        "os.execv(sys.executable, [sys.executable, *sys.argv[1:]])"
+    )
+    words = ["-c", nohup, *command(folder, board, controller__watchdog_s="5.0")]
+    with running(words, log) as process:
+        wait_for(board, lambda: being_recorded(board, folder / "run-1.mcap"), log)
+        process.send_signal(signal.SIGHUP)
+        size = (folder / "run-1.mcap").stat().st_size
+        wait_for(board, lambda: (folder / "run-1.mcap").stat().st_size > 2 * size, log)
+        assert process.poll() is None
+        assert lit(board)
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(ENDED_WITHIN_S) == 130
+    assert_closed_and_dark(board, folder, "terminated")
+
+
+def test_terminal_that_is_closed(board: FirmwareBoard, tmp_path: Path) -> None:
+    folder = tmp_path / "out"
+    master, slave = pty.openpty()
+    termios.tcsetwinsize(slave, (24, 80))
+    process = subprocess.Popen(
+        [sys.executable, "-c", IN_A_TERMINAL, *command(folder, board, controller__watchdog_s="5.0")],
+        stdin=slave,
+        stdout=slave,
+        stderr=slave,
+    )
+    os.close(slave)
+    shown = b""
+
+    def recorded() -> bool:
+        nonlocal shown
+        while select.select([master], [], [], 0)[0]:
+            shown += os.read(master, 65536)
+        assert process.poll() is None, shown[-2000:]
+        return being_recorded(board, folder / "run-1.mcap")
+
+    try:
+        board.wait_for(recorded, BEGUN_WITHIN_S)
+        assert b"half-cycles" in shown
+        os.close(master)
+        assert process.wait(ENDED_WITHIN_S) == 130
+    finally:
+        process.kill()
+        process.wait()
+    assert_closed_and_dark(board, folder, "terminated: the terminal was closed")

@@ -1,0 +1,181 @@
+"""The camera's thread: a silent camera is named at once, an unplugged one goes on in the same line."""
+
+import itertools
+import time
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+import pytest
+
+from acquisition.camera import Camera, CameraInfo, CameraSettings, CameraStatus, FrameTimeout
+from acquisition.cameras.simulated import SimulatedCamera
+from acquisition.frame import Frame
+from acquisition.frame_line import FrameLine
+from acquisition.frame_losses import FrameLosses
+from acquisition.frame_queue import Policy
+from acquisition.record.reader import RecordReader
+from acquisition.simulation.faults import FaultSettings
+from acquisition.simulation.settings import SimulationSettings
+from rig.devices.frame_stream import FrameStream
+from rig.measure.session import simulate_record
+from rig.settings.configuration import load_configuration
+
+RATE_HZ = 100.0
+
+
+def stream_of(faults: FaultSettings, *, real_time: bool, timeout_s: float = 5.0) -> FrameStream:
+    settings = SimulationSettings.model_validate({"real_time": real_time, "max_duration_s": 8.0})
+    camera: Camera = SimulatedCamera(settings, faults)
+    info: CameraInfo = camera.open()
+    assert info.has_clock
+    asked = CameraSettings(width_px=64, height_px=64, offset_x_px=128, offset_y_px=288, frame_rate_hz=RATE_HZ)
+    camera.configure(asked)
+    camera.start()
+    policy = "every" if real_time else "wait"
+    return FrameStream(camera, asked, policy=policy, timeout_s=timeout_s, reconnect_s=10.0)
+
+
+def drain(stream: FrameStream, until_s: float) -> tuple[list[Frame], list[tuple[float, str, str]]]:
+    """Frames until the end or for so long, and events with when they were seen."""
+    frames: list[Frame] = []
+    events: list[tuple[float, str, str]] = []
+    assert stream.begin() is not None
+    end_s = time.monotonic() + until_s
+    while not stream.drained and time.monotonic() < end_s:
+        frames += stream.take(64, 0.02)
+        events += [(time.monotonic(), kind, text) for kind, text in stream.take_events()]
+    return frames, events
+
+
+class ScriptedCamera:
+    """Frames by its own clock, then silence for as long as it is asked, then its end; it never waits."""
+
+    def __init__(self, frames: int, silences: int, lost_by: CameraStatus | None = None) -> None:
+        self._frames = frames
+        self._silences = silences
+        self.status = lost_by or CameraStatus()
+        self.asked_s: list[float] = []
+
+    def read(self, timeout_s: float) -> Frame | None:
+        if self._frames:
+            self._frames -= 1
+            number = 1000 - self._frames
+            return Frame(np.zeros((2, 2), np.uint8), number, round(number / RATE_HZ * 1e9), number)
+        if self._silences:
+            self._silences -= 1
+            self.asked_s.append(timeout_s)
+            raise FrameTimeout("no frame")
+        return None
+
+    def stop(self) -> None:
+        pass
+
+
+def scripted(camera: ScriptedCamera, policy: Policy = "every") -> FrameStream:
+    stream = FrameStream(cast(Camera, camera), CameraSettings(), policy=policy, timeout_s=5.0)
+    assert stream.begin() is not None
+    return stream
+
+
+def test_a_silence_is_named_within_two_frame_times_and_half_a_second() -> None:
+    camera = ScriptedCamera(frames=100, silences=1)
+    stream = scripted(camera)
+    frames, deadline_s = 0, time.monotonic() + 30
+    while not stream.drained and time.monotonic() < deadline_s:
+        frames += len(stream.take(64, 0.1))
+    stream.close()
+    assert frames == 100
+    assert [kind for kind, _ in stream.take_events()] == ["camera silent"]
+    # the rest of the half second is the time that is left for saying it
+    assert camera.asked_s[0] < 2 / RATE_HZ + 0.4
+
+
+def test_losses_are_told_apart() -> None:
+    lost_by = CameraStatus(dropped_by_camera=1, dropped_by_bus=2, dropped_by_host=3, incomplete=4)
+    camera = ScriptedCamera(frames=1500, silences=0, lost_by=lost_by)
+    stream = scripted(camera)
+    deadline_s = time.monotonic() + 30
+    while not stream.ended and time.monotonic() < deadline_s:
+        time.sleep(0.01)
+    # nobody took the frames: the queue held what it could, the rest is ours to answer for
+    kept = len(stream)
+    assert 0 < kept < 1500
+    assert stream.losses == (1, 2, 3 + 1500 - kept, 4, 0)
+    assert stream.losses.since(FrameLosses(by_bus=2)).total == stream.losses.total - 2
+    stream.close()
+
+
+def test_a_silent_stall_is_named_and_the_stream_goes_on() -> None:
+    faults = FaultSettings(frames_stalled_at_s=0.5, frames_stalled_duration_s=1.5)
+    stream = stream_of(faults, real_time=True)
+    frames, events = drain(stream, 3.0)
+    stream.close()
+    assert [kind for _, kind, _ in events] == ["camera silent", "camera speaks"]
+    assert frames[-1].sequence > 210, "the stream goes on after it"
+    assert stream.failure is None
+
+
+def test_a_stall_longer_than_the_timeout_ends_the_stream() -> None:
+    faults = FaultSettings(frames_stalled_at_s=0.2, frames_stalled_duration_s=6.0)
+    stream = stream_of(faults, real_time=True, timeout_s=1.0)
+    _, events = drain(stream, 5.0)
+    stream.close()
+    assert [kind for _, kind, _ in events] == ["camera silent"]
+    assert isinstance(stream.failure, FrameTimeout)
+    assert "stalled" in stream.ended
+
+
+@pytest.mark.parametrize("real_time", [True, False])
+def test_unplugging_leaves_a_gap_of_the_right_length(real_time: bool) -> None:
+    faults = FaultSettings(camera_unplugged_at_s=0.5, camera_replugged_at_s=1.5)
+    stream = stream_of(faults, real_time=real_time)
+    frames, events = drain(stream, 3.0 if real_time else 20.0)
+    stream.close()
+    assert [kind for _, kind, _ in events] == ["camera lost", "camera back"]
+    numbers = [frame.sequence for frame in frames]
+    steps = [(later - earlier, index) for index, (earlier, later) in enumerate(itertools.pairwise(numbers))]
+    longest, index = max(steps)
+    passed_ns = frames[index + 1].time_ns - frames[index].time_ns
+    # the gap in the numbers is the gap in time, to half a frame
+    assert longest == round(passed_ns * 1e-9 * RATE_HZ)
+    assert longest >= 100
+    assert "without frames" in events[1][2]
+    assert stream.losses == FrameLosses(while_unplugged=longest - 1)
+
+
+def test_a_clock_that_began_anew_is_shifted_and_said_so() -> None:
+    line = FrameLine()
+    image = np.zeros((2, 2), np.uint8)
+    for number in range(10):
+        line.join(Frame(image, number, 10**12 + number * 10**7, 5 * 10**9 + number * 10**7))
+    line.begin_anew()
+    host_ns = 5 * 10**9 + 9 * 10**7 + 2 * 10**9
+    frame, note = line.join(Frame(image, 0, 12345, host_ns))
+    assert frame.device_time_ns == 10**12 + 9 * 10**7 + 2 * 10**9
+    assert frame.sequence == 9 + 200
+    assert "began anew" in note
+    later, note = line.join(Frame(image, 1, 12345 + 10**7, host_ns + 10**7))
+    assert (later.sequence, later.device_time_ns - frame.device_time_ns, note) == (210, 10**7, "")
+
+
+def test_a_run_goes_on_after_unplugging_with_the_gap_in_its_record(tmp_path: Path) -> None:
+    demo = Path(__file__).resolve().parents[3] / "configs" / "demo.toml"
+    words = {
+        "faults.camera_unplugged_at_s": 1.0,
+        "faults.camera_replugged_at_s": 3.0,
+        "simulation.max_duration_s": 6.0,
+        "session.max_duration_s": 5.0,
+    }
+    record = tmp_path / "run.mcap"
+    config = load_configuration(demo, [f"{key}={value}" for key, value in words.items()])
+    assert simulate_record(config, demo, record) == 0
+    with RecordReader(record) as reader:
+        kinds = [event.kind for event in reader.events()]
+        losses = reader.losses()
+        missing = int(reader.spots()["sequence"][-1]) + 1 - len(reader.spots())
+    assert losses == FrameLosses(while_unplugged=missing)
+    assert missing > 100
+    assert kinds.index("camera lost") < kinds.index("stop")
+    assert "camera back" in kinds
+    assert "gap" in kinds

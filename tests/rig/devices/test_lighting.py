@@ -1,0 +1,233 @@
+"""Lasers with a port of their own, in a session: lit when it begins, dark whatever ends it."""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from processing.errors import DeviceError
+from rig.control.controller import InterlockOpen
+from rig.devices.devices import Devices
+from rig.devices.lighting import LaserNow
+from rig.measure import preflight
+from rig.settings.configuration import Configuration, validate_configuration
+from tests.rig.control.instruments import FakeCobolt, FakeLdc500, FakeObis, FakeThorlabs, Instrument
+from tests.rig.control.test_ending import BEGUN_WITHIN_S, ENDED_WITHIN_S, command
+from tests.rig.control.wires import FirmwareBoard
+
+FAMILIES: dict[str, type[Instrument]] = {
+    "thorlabs4000": FakeThorlabs,
+    "obis": FakeObis,
+    "ldc500": FakeLdc500,
+    "cobolt": FakeCobolt,
+}
+
+
+def configuration(kind: str, port: str, **sections: Any) -> Configuration:
+    value = "current_a" if kind in ("thorlabs4000", "ldc500") else "power_w"
+    laser = {"kind": kind, "port": port, value: 0.02, f"max_{value}": 0.03, "timeout_s": 2.0}
+    laser |= sections.pop("laser", {})
+    tree = {"laser": laser, **sections}
+    return validate_configuration(tree, "test")
+
+
+@pytest.fixture(params=sorted(FAMILIES))
+def family(request: pytest.FixtureRequest) -> Iterator[tuple[str, Instrument]]:
+    instrument = FAMILIES[request.param]()
+    yield request.param, instrument
+    instrument.close()
+
+
+def until(condition: Callable[[], bool], timeout_s: float = 30.0) -> None:
+    end_s = time.monotonic() + timeout_s
+    while not condition():
+        assert time.monotonic() < end_s, "it did not come about"
+        time.sleep(0.01)
+
+
+def test_lit_in_a_session_and_dark_after_it(family: tuple[str, Instrument]) -> None:
+    kind, instrument = family
+    with Devices(configuration(kind, instrument.port)) as devices:
+        assert not instrument.on
+        assert "stays lit when this program is killed" in devices.light()
+        assert instrument.on
+        assert instrument.set_value == pytest.approx(0.02)
+        now = devices.laser_now()
+        assert now is not None
+        assert now.on
+        assert devices.describe() == "laser on"
+        # lit already: nothing is done to it
+        assert devices.light() == ""
+    assert not instrument.on
+
+
+def test_dark_after_an_error(family: tuple[str, Instrument]) -> None:
+    kind, instrument = family
+
+    def measure() -> None:
+        with Devices(configuration(kind, instrument.port)) as devices:
+            devices.light()
+            assert instrument.on
+            raise RuntimeError("our own fault")
+
+    with pytest.raises(RuntimeError, match="our own fault"):
+        measure()
+    assert not instrument.on
+
+
+def test_dark_although_the_first_off_is_lost(family: tuple[str, Instrument]) -> None:
+    kind, instrument = family
+    with Devices(configuration(kind, instrument.port, laser={"timeout_s": 0.2})) as devices:
+        devices.light()
+        instrument.deaf_to_off = 1
+    assert not instrument.on
+
+
+def test_an_open_interlock_lights_nothing(family: tuple[str, Instrument]) -> None:
+    kind, instrument = family
+    instrument.interlock_closed = False
+    with Devices(configuration(kind, instrument.port)) as devices:
+        with pytest.raises(InterlockOpen):
+            devices.light()
+        now = devices.laser_now()
+        assert now is not None
+        assert now.words == "off, its interlock is open"
+    assert instrument.highest_lit == 0.0
+
+
+def test_a_laser_that_is_not_there_is_named() -> None:
+    missing = configuration("obis", "/dev/ttyNoSuchPort")
+    with Devices(missing) as devices, pytest.raises(DeviceError, match="/dev/ttyNoSuchPort: cannot open"):
+        devices.light()
+
+
+class BehindTheRelay(FakeObis):
+    """Its interlock loop runs through the enable relay of a board."""
+
+    def __init__(self, board: FirmwareBoard) -> None:
+        self.board = board
+        super().__init__()
+
+    @property
+    def interlock_closed(self) -> bool:
+        return self.board.outputs().get("laser", [0.0])[0] == 1
+
+    @interlock_closed.setter
+    def interlock_closed(self, closed: bool) -> None:
+        """The board says it."""
+
+    @property
+    def emits(self) -> bool:
+        return self.on and self.interlock_closed
+
+
+@pytest.fixture
+def wired(board: FirmwareBoard) -> Iterator[BehindTheRelay]:
+    instrument = BehindTheRelay(board)
+    yield instrument
+    instrument.close()
+
+
+def test_the_relay_is_closed_before_the_laser_is_lit_and_opened_after(
+    board: FirmwareBoard, wired: BehindTheRelay
+) -> None:
+    controller = {"kind": "serial", "port": board.port, "timeout_s": 0.5, "watchdog_s": 5.0}
+    laser = {"interlock": "controller"}
+    with Devices(configuration("obis", wired.port, laser=laser, controller=controller)) as devices:
+        assert devices.light() == "laser on"
+        assert wired.emits
+        # the relay alone: the controller's own output has no power
+        assert board.outputs()["laser"] == [1, 0.0]
+    assert not wired.on
+    assert board.outputs()["laser"][0] == 0
+
+
+def test_an_interlock_that_is_not_wired_as_stated_is_found_before_it_is_lit(board: FirmwareBoard) -> None:
+    controller = {"kind": "serial", "port": board.port, "timeout_s": 0.5, "watchdog_s": 5.0}
+    instrument = FakeObis()
+    try:
+        stated = configuration(
+            "obis", instrument.port, laser={"interlock": "controller"}, controller=controller
+        )
+        with Devices(stated) as devices, pytest.raises(DeviceError, match="wire it through the relay"):
+            devices.light()
+        assert instrument.highest_lit == 0.0
+    finally:
+        instrument.close()
+
+
+@contextmanager
+def measuring_with(
+    instrument: FakeObis, board: FirmwareBoard, folder: Path, interlock: str, lit: Callable[[], bool]
+) -> Iterator["subprocess.Popen[bytes]"]:
+    words = command(
+        folder / "out",
+        board,
+        laser__kind='"obis"',
+        laser__port=json.dumps(instrument.port),
+        laser__timeout_s="2.0",
+        laser__interlock=f'"{interlock}"',
+        controller__watchdog_s="5.0",
+    )
+    record = folder / "out" / "run-1.mcap"
+    with (folder / "said").open("wb") as said:
+        process = subprocess.Popen(
+            [sys.executable, *words], stdin=subprocess.DEVNULL, stdout=said, stderr=said
+        )
+        try:
+            until(
+                lambda: (
+                    process.poll() is not None
+                    or (lit() and record.exists() and record.stat().st_size > 30_000)
+                ),
+                BEGUN_WITHIN_S,
+            )
+            assert process.poll() is None, (folder / "said").read_text()
+            yield process
+        finally:
+            process.kill()
+            process.wait()
+
+
+def test_killed_the_relay_darkens_it(board: FirmwareBoard, wired: BehindTheRelay, tmp_path: Path) -> None:
+    with measuring_with(wired, board, tmp_path, "controller", lambda: wired.emits) as process:
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+        board.wait_for(lambda: not wired.emits, ENDED_WITHIN_S)
+
+
+# lit after a kill: that is what documentation and preflight warn of
+@pytest.mark.parametrize(("number", "lit_after"), [(signal.SIGTERM, False), (signal.SIGKILL, True)])
+def test_without_the_relay_sigterm_darkens_it_and_sigkill_does_not(
+    board: FirmwareBoard, tmp_path: Path, number: signal.Signals, lit_after: bool
+) -> None:
+    instrument = FakeObis()
+    try:
+        with measuring_with(instrument, board, tmp_path, "own", lambda: instrument.on) as process:
+            process.send_signal(number)
+            process.wait(ENDED_WITHIN_S)
+        assert instrument.on is lit_after
+        assert "stays lit when this program is killed" in (tmp_path / "said").read_text()
+    finally:
+        instrument.close()
+
+
+def test_preflight_says_how_the_laser_stands() -> None:
+    assert preflight.laser(None, True).ok
+    dark = preflight.laser(LaserNow(False, "off"), True)
+    assert not dark.ok
+    assert dark.remedy
+    well = preflight.laser(LaserNow(True, "on, 0.5 mW"), True)
+    assert well.ok
+    assert not well.remedy
+    warning = preflight.laser(LaserNow(True, "on, 0.5 mW"), False)
+    assert warning.ok
+    assert "killed" in warning.reason
+    assert "relay" in warning.remedy

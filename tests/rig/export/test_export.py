@@ -1,0 +1,138 @@
+"""`rig export`: every format is written and read back; provenance and units are inside."""
+
+import json
+import shutil
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from pyarrow import csv, parquet
+
+from acquisition.record.reader import RecordReader
+from processing.errors import ConfigurationError, RecordError
+from rig.export.run import flat_results, unit_of
+from rig.export.session import export_session
+
+h5py = pytest.importorskip("h5py")
+
+
+@pytest.fixture(scope="module")
+def truth(measured_series: Path) -> tuple[Any, Any, dict[str, Any]]:
+    """Spots, swings and results of the first run as record and results.json hold them."""
+    with RecordReader(measured_series / "run-1.mcap") as reader:
+        spots, swings = reader.table("/spot"), reader.table("/swing")
+    return spots, swings, json.loads((measured_series / "results.json").read_text())["runs"][0]
+
+
+def test_csv_holds_every_digit_and_the_provenance(
+    measured_series: Path, truth: tuple[Any, Any, dict[str, Any]], tmp_path: Path
+) -> None:
+    spots, swings, results = truth
+    made = export_session(measured_series, "csv", tmp_path / "csv")
+    assert [path.name for path in made] == [
+        f"run-{number}-{what}.csv" for number in (1, 2) for what in ("spots", "swings", "results")
+    ]
+    lines = made[1].read_text().splitlines()
+    head = [line for line in lines if line.startswith("#")]
+    assert f"# sha256: {results['sha256']}" in head
+    assert any(line.startswith("# configuration: {") for line in head)
+    for path, table in ((made[0], spots), (made[1], swings)):
+        read = csv.read_csv(path, read_options=csv.ReadOptions(skip_rows=len(head)))
+        assert read.column_names == list(table.dtype.names)
+        for name in table.dtype.names:
+            np.testing.assert_array_equal(read[name].to_numpy(), table[name])
+
+
+def test_parquet_has_units_and_provenance(
+    measured_series: Path, truth: tuple[Any, Any, dict[str, Any]], tmp_path: Path
+) -> None:
+    spots, _, results = truth
+    made = export_session(measured_series / "run-1.mcap", "parquet", tmp_path)
+    table = parquet.read_table(made[0])
+    np.testing.assert_array_equal(table["y_rad"].to_numpy(), spots["y_rad"])
+    assert table.schema.field("y_arcsec").metadata[b"unit"] == b"arcsec"
+    provenance = json.loads(table.schema.metadata[b"provenance"])
+    assert provenance["sha256"] == results["sha256"]
+    assert json.loads(provenance["configuration"])["session"]["operator"] == "demonstration"
+    values = parquet.read_table(made[2])
+    found = dict(zip(values["name"].to_pylist(), values["value"].to_pylist(), strict=True))
+    assert found["fits.exact.b.value"] == results["fits"]["exact"]["b"]["value"]
+
+
+def test_hdf5_is_laid_out_as_nexus(
+    measured_series: Path, truth: tuple[Any, Any, dict[str, Any]], tmp_path: Path
+) -> None:
+    _, swings, results = truth
+    (made,) = export_session(measured_series, "hdf5", tmp_path / "out.h5")
+    with h5py.File(made) as file:
+        assert file.attrs["NX_class"] == "NXroot"
+        assert sorted(file) == ["run-1", "run-2"]
+        entry = file["run-1"]
+        assert entry.attrs["NX_class"] == "NXentry"
+        data = entry["swings"]
+        assert data.attrs["NX_class"] == "NXdata"
+        signal = data[data.attrs["signal"]]
+        np.testing.assert_array_equal(signal[:], swings["amplitude_rad"])
+        assert signal.attrs["units"] == "rad"
+        np.testing.assert_array_equal(data["amplitude_rad_errors"][:], swings["u_amplitude_rad"])
+        assert data[data.attrs["axes"][0]].attrs["units"] == "ns"
+        assert json.loads(entry["provenance/data"][()])["sha256"] == results["sha256"]
+        value = entry["results/values/fits/exact/gamma_pa/value"]
+        assert value[()] == results["fits"]["exact"]["gamma_pa"]["value"]
+        assert value.attrs["units"] == "Pa"
+        assert json.loads(entry["results/json"][()]) == results
+
+
+def test_nothing_is_written_over(measured_series: Path, tmp_path: Path) -> None:
+    export_session(measured_series, "hdf5", tmp_path / "a.h5")
+    with pytest.raises(RecordError, match="exists already and is not overwritten"):
+        export_session(measured_series, "hdf5", tmp_path / "a.h5")
+    export_session(measured_series, "csv", tmp_path / "a")
+    with pytest.raises(RecordError, match="exists already and is not overwritten"):
+        export_session(measured_series, "csv", tmp_path / "a")
+
+
+def test_results_of_another_record_are_refused(measured_series: Path, tmp_path: Path) -> None:
+    shutil.copy(measured_series / "results.json", tmp_path)
+    shutil.copy(measured_series / "run-2.mcap", tmp_path / "run-1.mcap")
+    with pytest.raises(RecordError, match="another hash"):
+        export_session(tmp_path / "run-1.mcap", "csv", tmp_path / "out")
+
+
+def test_a_record_alone_is_exported_without_results(measured_series: Path, tmp_path: Path) -> None:
+    shutil.copy(measured_series / "run-1.mcap", tmp_path)
+    made = export_session(tmp_path / "run-1.mcap", "parquet", tmp_path / "out")
+    assert [path.stem for path in made] == ["run-1-spots", "run-1-swings"]
+
+
+def test_a_missing_library_is_one_line(
+    measured_series: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "h5py", None)
+    with pytest.raises(ConfigurationError, match=r"HDF5 needs h5py: pip install"):
+        export_session(measured_series, "hdf5", tmp_path / "a.h5")
+
+
+@pytest.mark.parametrize(
+    ("name", "unit"),
+    [
+        ("x_px", "px"),
+        ("u_turn_time_s", "s"),
+        ("table2_j_per_m2", "J/m^2"),
+        ("flags", ""),
+        ("p", ""),
+        ("s", ""),
+    ],
+)
+def test_units_by_the_end_of_a_name(name: str, unit: str) -> None:
+    assert unit_of(name) == unit
+
+
+def test_what_is_not_determined_is_nan() -> None:
+    rows = dict(flat_results({"a": {"value": None}, "b": [1, {"c": True}], "d": "text"}))
+    assert np.isnan(float(rows["a.value"]))
+    assert rows["b.0"] == 1.0
+    assert rows["b.1.c"] == 1.0
+    assert rows["d"] == "text"

@@ -1,0 +1,64 @@
+"""After the preparation nothing is left to be compiled while frames come."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+# A process of its own: here other tests have compiled things already.
+PROGRAM = """
+import gc, json, sys
+import numpy as np
+from numba.core.dispatcher import Dispatcher
+from acquisition.frame import Frame
+from calibration.axes import Axes
+from processing.spot import SensorModel, SpotTracker
+from rig.instrument.kernels import prepare_kernels
+from rig.instrument.pipeline import Pipeline
+
+full_scale = float(sys.argv[1])
+sensor = SensorModel(gain_e_per_dn=10_000.0 / full_scale, read_noise_e=7.0, full_scale_dn=full_scale)
+
+def compiled():
+    return sorted(
+        f"{item.py_func.__module__}.{item.py_func.__name__}{signature}"
+        for item in gc.get_objects() if isinstance(item, Dispatcher) for signature in item.signatures
+    )
+
+prepare_kernels(sensor, lambda text: None)
+before = compiled()
+pipeline = Pipeline(SpotTracker(sensor), None, Axes(), (120, 160))
+y, x = np.mgrid[0:120, 0:160]
+random = np.random.default_rng(1)
+swings = 0
+frames = []
+for k in range(900):
+    phase = 2 * np.pi * k * 0.05 / 4.071
+    centre = 59.5 + 25 * 0.97 ** (k * 0.05 / 4.071) * np.cos(phase)
+    off = (x - 79.5 - 0.3 * np.cos(5 * phase)) ** 2 + (y - centre) ** 2
+    image = 0.7 * full_scale * np.exp(-0.5 * off / 16.0)
+    image = np.round(image + random.normal(0, 0.003 * full_scale, image.shape)).clip(0, full_scale)
+    image = image.astype(np.uint8 if full_scale < 256 else np.uint16)
+    frames.append(Frame(image, k, k * 50_000_000, k * 50_000_000))
+for start in range(0, len(frames), 50):
+    swings += len(pipeline.process(frames[start : start + 50]).swings)
+swings += len(pipeline.finish())
+print(json.dumps([swings, len(before), [name for name in compiled() if name not in before]]))
+"""
+
+
+@pytest.mark.parametrize("full_scale_dn", [255, 4095])
+def test_nothing_is_compiled_while_frames_come(full_scale_dn: int) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", PROGRAM, str(full_scale_dn)],
+        capture_output=True,
+        text=True,
+        timeout=600,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    swings, known, late = json.loads(done.stdout)
+    assert swings > 15
+    assert known > 10
+    assert late == []

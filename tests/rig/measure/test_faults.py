@@ -1,0 +1,113 @@
+"""What goes wrong on the simulated rig: a session survives, or ends with the right reason."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from acquisition.record.reader import RecordReader
+from processing.swing import SwingFlag
+from tests.rig.measure.test_session import CONFIGS, SMALL, rig, set_words
+
+
+def run_with(folder: Path, **faults: str) -> subprocess.CompletedProcess[str]:
+    values = {key.replace("__", "."): value for key, value in faults.items()}
+    words = set_words({**SMALL, "session.max_duration_s": "90", **values})
+    return rig("run", CONFIGS / "demo.toml", "-o", folder, *words)
+
+
+def events_of(record: Path) -> list[tuple[str, str]]:
+    with RecordReader(record) as reader:
+        return [(event.kind, event.text) for event in reader.events()]
+
+
+def test_a_camera_that_comes_back_costs_the_frames_between(tmp_path: Path) -> None:
+    done = run_with(tmp_path / "out", faults__camera_unplugged_at_s="20", faults__camera_replugged_at_s="23")
+    assert done.returncode == 0, done.stderr
+    kinds = [kind for kind, _ in events_of(tmp_path / "out" / "run-1.mcap")]
+    assert kinds.index("camera lost") < kinds.index("camera back")
+    assert "stop" in kinds
+    run = json.loads((tmp_path / "out" / "results.json").read_text())["runs"][0]
+    assert run["losses"]["while_unplugged"] == run["dropped_frames"] > 0
+    assert f"{run['dropped_frames']} while unplugged" in rig("info", tmp_path / "out" / "run-1.mcap").stdout
+
+
+def test_a_laser_that_fades_loses_spots_and_goes_on(tmp_path: Path) -> None:
+    done = run_with(tmp_path / "out", faults__laser_fades_at_s="20", faults__laser_fade_duration_s="3")
+    assert done.returncode == 0, done.stderr
+    kinds = [kind for kind, _ in events_of(tmp_path / "out" / "run-1.mcap")]
+    assert kinds.index("spot lost") < len(kinds) - 1 - kinds[::-1].index("spot found")
+    results = json.loads((tmp_path / "out" / "results.json").read_text())
+    assert results["runs"][0]["half_cycles"] >= 36
+
+
+@pytest.mark.parametrize("fault", ["vibration_burst_at_s", "draught_at_s"])
+def test_a_disturbance_flags_half_cycles_and_goes_on(fault: str, tmp_path: Path) -> None:
+    done = run_with(tmp_path / "out", **{f"faults__{fault}": "30"})
+    assert "Traceback" not in done.stderr
+    with RecordReader(tmp_path / "out" / "run-1.mcap") as reader:
+        swings = reader.swings()
+    disturbed = SwingFlag.VIBRATION | SwingFlag.START
+    flagged = [swing for swing in swings if swing.flags & disturbed and swing.index > 2]
+    assert flagged
+    assert all(20 < swing.turn_time_ns * 1e-9 - 1.0 < 50 for swing in flagged)
+
+
+def test_a_stalled_camera_ends_the_run_with_that_reason_and_the_record_is_whole(tmp_path: Path) -> None:
+    done = run_with(
+        tmp_path / "out", faults__frames_stalled_at_s="20", faults__frames_stalled_duration_s="60"
+    )
+    assert done.returncode == 1
+    with RecordReader(tmp_path / "out" / "run-1.mcap") as reader:
+        assert not reader.truncated
+        assert len(reader.spots()) == 1000
+    assert "the camera has stalled" in events_of(tmp_path / "out" / "run-1.mcap")[-1][1]
+    assert json.loads((tmp_path / "out" / "session.json").read_text())["entries"][0]["state"] == "failed"
+
+
+def test_a_full_disk_ends_the_run_with_that_reason_and_the_record_is_whole(tmp_path: Path) -> None:
+    # a limit on the size of files stands for the disk's end
+    script = (
+        "import resource, signal, sys; signal.signal(signal.SIGXFSZ, signal.SIG_IGN); "
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (7_000_000, 7_000_000)); "
+        "from rig.cli import main; main()"
+    )
+    folder = tmp_path / "out"
+    done = subprocess.run(
+        [
+            sys.executable,
+            "-c",
+            script,
+            "run",
+            str(CONFIGS / "demo.toml"),
+            "-o",
+            str(folder),
+            *set_words(SMALL),
+        ],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=300,
+        stdin=subprocess.DEVNULL,
+    )
+    assert done.returncode == 1
+    assert "cannot be written" in done.stderr
+    with RecordReader(folder / "run-1.mcap") as reader:
+        assert not reader.truncated
+        assert len(reader.spots()) > 1000
+
+
+@pytest.mark.slow
+def test_all_faults_at_once_in_real_time_leave_a_record_that_says_what_happened(tmp_path: Path) -> None:
+    done = rig("run", CONFIGS / "faults.toml", "-o", tmp_path / "out", timeout_s=240)
+    assert "Traceback" not in done.stderr
+    record = tmp_path / "out" / "run-1.mcap"
+    kinds = {kind for kind, _ in events_of(record)}
+    assert {"rest", "warm-up", "preflight", "release", "start", "stop"} <= kinds
+    assert {"spot lost", "spot found", "camera lost", "camera back"} <= kinds
+    with RecordReader(record) as reader:
+        assert not reader.truncated
+    state = json.loads((tmp_path / "out" / "session.json").read_text())
+    assert state["entries"][-1]["state"] == "complete"

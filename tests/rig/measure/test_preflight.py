@@ -1,0 +1,153 @@
+"""Each check of the preflight: go and no-go from plain values, with a reason and a remedy for each no."""
+
+import math
+from io import StringIO
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from acquisition.frame import Frame
+from calibration.stability import stability
+from processing.angle import ARCSEC_RAD
+from processing.spot import Spot, SpotFlag
+from rig.analysis.screen import print_preflight
+from rig.devices.lighting import LaserNow
+from rig.measure import preflight
+from rig.measure.preflight import Look, Verdict
+from rig.settings.phases import PreflightSettings
+
+LIMITS = PreflightSettings()
+NAMES = ("noise floor", "vibration", "spot found", "laser", "disk space")
+
+
+def spots(count: int, *, amplitude_dn: float = 150.0, flags: int = 0) -> list[Spot]:
+    return [Spot(1.0, 2.0, 0.01, 0.01, 6.0, 6.0, 0.0, amplitude_dn, 6.0, 1.0, flags)] * count
+
+
+def frames(count: int, rate_hz: float = 100.0, *, jitter_s: float = 0.0, missing: int = 0) -> list[Frame]:
+    noise = np.random.default_rng(5).normal(0.0, 1.0, (count, 2))
+    image = np.zeros((4, 4), np.uint8)
+    found = []
+    for k in range(count):
+        sequence = k if k < count // 2 else k + missing
+        device_ns = round(1e9 * (1.0 + sequence / rate_hz + jitter_s * noise[k, 0]))
+        found.append(Frame(image, sequence, device_ns, device_ns + 5_000_000 + abs(round(1e4 * noise[k, 1]))))
+    return found
+
+
+def assert_no(verdict: Verdict) -> None:
+    assert not verdict.ok
+    assert verdict.reason
+    assert verdict.remedy
+
+
+def test_spot_that_is_mostly_there() -> None:
+    assert preflight.spot_found(spots(1000), LIMITS).ok
+    assert_no(preflight.spot_found(spots(98) + spots(2, flags=SpotFlag.LOST), LIMITS))
+    assert_no(preflight.spot_found([], LIMITS))
+
+
+@pytest.mark.parametrize(("amplitude_dn", "ok"), [(10.0, False), (60.0, True), (200.0, True), (245.0, False)])
+def test_exposure_has_a_lower_and_an_upper_limit(amplitude_dn: float, ok: bool) -> None:
+    verdict = preflight.exposure(spots(50, amplitude_dn=amplitude_dn), 255.0, LIMITS)
+    assert verdict.ok is ok
+    if not ok:
+        assert_no(verdict)
+
+
+def test_saturation() -> None:
+    assert preflight.saturation(spots(100), LIMITS).ok
+    assert_no(preflight.saturation(spots(50, flags=SpotFlag.SATURATED) + spots(50), LIMITS))
+
+
+def test_a_line_of_vibration_is_named_with_its_frequency() -> None:
+    times = np.arange(2000) / 500.0
+    noise = np.random.default_rng(3).normal(0.0, 0.01 * ARCSEC_RAD, 2000)
+    quiet = stability(times, noise, np.full(2000, 0.01 * ARCSEC_RAD))
+    shaken = stability(
+        times, noise + 0.5 * ARCSEC_RAD * np.sin(2 * math.pi * 50.0 * times), np.full(2000, 0.01 * ARCSEC_RAD)
+    )
+    floor, still = preflight.noise_and_vibration(quiet, quiet, ARCSEC_RAD, LIMITS)
+    assert floor.ok
+    assert still.ok
+    _, shaking = preflight.noise_and_vibration(quiet, shaken, ARCSEC_RAD, LIMITS)
+    assert_no(shaking)
+    assert "50.0 Hz (mains" in shaking.measured
+
+
+def test_a_swinging_pendulum_has_no_noise_floor_and_that_is_no_fault() -> None:
+    verdicts = preflight.noise_and_vibration(None, None, ARCSEC_RAD, LIMITS)
+    assert all(v.ok and not v.made and v.measured == "not measured" and v.reason for v in verdicts)
+
+
+def test_what_was_not_checked_and_what_is_a_warning_is_not_called_go() -> None:
+    verdicts = [
+        *preflight.noise_and_vibration(None, None, ARCSEC_RAD, LIMITS),
+        preflight.spot_found(spots(100), LIMITS),
+        preflight.laser(LaserNow(True, "on, 0.5 mW"), goes_dark_by_itself=False),
+        preflight.disk(1, 5000.0, 500.0, 3600.0),
+    ]
+    text = StringIO()
+    print_preflight(Console(file=text, width=100), verdicts)
+    marks: dict[str, str] = {}
+    for line in text.getvalue().splitlines():
+        for name in NAMES:
+            if name in line[:24]:
+                marks.setdefault(name, line.split()[0])
+    assert marks == {
+        "noise floor": "-",
+        "vibration": "-",
+        "spot found": "go",
+        "laser": "warn",
+        "disk space": "NO",
+    }
+    assert "not measured: noise floor, vibration: the pendulum may be swinging" in text.getvalue()
+
+
+def test_rest_position_far_from_the_reference() -> None:
+    u = np.full(100, 1e-8)
+    near = Look(frames(100), spots(100), np.arange(100) / 100, u * 3, u * 0, u, u, True)
+    assert preflight.rest_position(near, ARCSEC_RAD, LIMITS).ok
+
+    far = Look(near.frames, near.spots, near.times_s, near.x, u * 0 + 70 * ARCSEC_RAD, u, u, True)
+    assert_no(preflight.rest_position(far, ARCSEC_RAD, LIMITS))
+
+
+def test_clock_that_jitters() -> None:
+    assert preflight.clock(frames(200), LIMITS).ok
+    assert_no(preflight.clock(frames(200, jitter_s=5e-4), LIMITS))
+    assert_no(preflight.clock(frames(10), LIMITS))
+    without = [frame._replace(device_time_ns=-1) for frame in frames(200)]
+    assert preflight.clock(without, LIMITS).ok
+
+
+def test_frame_rate_and_losses() -> None:
+    assert preflight.frame_rate(frames(500), 100.0, LIMITS).ok
+    slow = preflight.frame_rate(frames(500, 80.0), 100.0, LIMITS)
+    assert_no(slow)
+    assert "80.00 Hz" in slow.measured
+    assert_no(preflight.frame_rate(frames(500, missing=10), 100.0, LIMITS))
+
+
+def test_disk_holds_the_longest_run_or_not() -> None:
+    assert preflight.disk(10**10, 5000.0, 500.0, 3600.0).ok
+    assert_no(preflight.disk(10**9, 5000.0, 500.0, 3600.0))
+
+
+def test_air_and_controller() -> None:
+    nothing = (math.nan, math.nan, math.nan)
+    assert preflight.air(nothing, False, LIMITS).ok
+    assert_no(preflight.air(nothing, True, LIMITS))
+    assert_no(preflight.air((60.0, 40.0, 1e5), True, LIMITS))
+    assert preflight.controller("laser on, interlock closed", True).ok
+    assert_no(preflight.controller("lost", True))
+    assert preflight.controller("", False).ok
+
+
+def test_what_stands_against_a_run_is_one_line() -> None:
+    bad = preflight.disk(1, 5000.0, 500.0, 3600.0)
+    assert preflight.failures([preflight.spot_found(spots(10), LIMITS)]) == ""
+    line = preflight.failures([bad])
+    assert "disk space" in line
+    assert bad.remedy in line

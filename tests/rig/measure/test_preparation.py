@@ -1,0 +1,228 @@
+"""Sessions with phases: no-go, release by hand, starts that are not accepted, crash and resume."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from acquisition.record.reader import RecordReader
+from processing.angle import ARCSEC_RAD
+from tests.rig.measure.test_session import CONFIGS, SMALL, rig, set_words
+
+BY_HAND = {
+    **SMALL,
+    "start.way": '"by hand"',
+    "simulation.release.at_s": "7.0",
+    "simulation.release.way": '"push"',
+    "simulation.fast.amplitude_arcsec": "0.3",
+    "preflight.when": '"always"',
+    "preflight.max_clock_jitter_us": "1e9",
+    "preflight.duration_s": "1.0",
+    "phases.rest_window_s": "2.0",
+    "session.max_duration_s": "18",
+}
+
+
+def words(**changes: str) -> list[str]:
+    return set_words({**BY_HAND, **{key.replace("__", "."): value for key, value in changes.items()}})
+
+
+def events_of(path: Path) -> list[tuple[str, str]]:
+    with RecordReader(path) as reader:
+        return [(event.kind, event.text) for event in reader.events()]
+
+
+def state_of(folder: Path) -> dict[str, Any]:
+    tree: dict[str, Any] = json.loads((folder / "session.json").read_text())
+    return tree
+
+
+def test_a_release_by_hand_is_caught_from_before_it_happens(tmp_path: Path) -> None:
+    done = rig("run", CONFIGS / "demo.toml", "-o", tmp_path / "out", *words())
+    assert "RELEASE BY HAND NOW" in done.stderr
+    with RecordReader(tmp_path / "out" / "run-1.mcap") as reader:
+        spots = reader.spots()
+        swings = [swing for swing in reader.swings() if swing.flags == 0]
+        attachments = set(reader.attachments)
+    # the camera's clock shows 1 s at simulated time 0
+    release_s = 8.0
+    assert "preflight.json" in attachments
+    assert spots["sequence"][0] == 0
+    assert release_s - 2.1 < spots["time_ns"][0] * 1e-9 < release_s - 1.0
+    assert (spots["sequence"] == range(len(spots))).all()
+    # pushed from rest, it turns first a quarter period after the push; the first or second is clean
+    assert swings[0].turn_time_ns * 1e-9 < release_s + 4.2
+    kinds = [kind for kind, _ in events_of(tmp_path / "out" / "run-1.mcap")]
+    assert kinds.index("rest") < kinds.index("preflight") < kinds.index("release") < kinds.index("start")
+
+
+def test_a_no_go_stops_before_anything_is_recorded_and_force_passes_over_it(tmp_path: Path) -> None:
+    strict = words(
+        preflight__max_rest_offset_arcsec="5",
+        simulation__axes__rest_fast_arcsec="20",
+        session__max_duration_s="4",
+    )
+    done = rig("run", CONFIGS / "demo.toml", "-o", tmp_path / "no", *strict)
+    assert done.returncode == 1
+    assert "no-go (rest position" in done.stderr
+    assert not list((tmp_path / "no").glob("*.mcap"))
+    assert state_of(tmp_path / "no")["entries"][0]["state"] == "failed"
+    rig("run", CONFIGS / "demo.toml", "-o", tmp_path / "yes", "--force", *strict)
+    said = dict(events_of(tmp_path / "yes" / "run-1.mcap"))
+    assert said["preflight"].startswith("no-go: rest position")
+
+
+def test_starts_that_are_not_accepted_are_kept_apart(tmp_path: Path) -> None:
+    # of a pendulum that nobody brakes and that swings too far for ever, one attempt can be made
+    done = rig(
+        "run",
+        CONFIGS / "demo.toml",
+        "-o",
+        tmp_path / "out",
+        *words(simulation__release__amplitude_arcsec="80", start__attempts="1"),
+    )
+    assert done.returncode == 1
+    assert "first amplitude 8" in done.stderr
+    assert "no start of 1 was accepted" in done.stderr
+    aside = tmp_path / "out" / "run-1-start-1.mcap"
+    assert events_of(aside)[-1][1].startswith("start not accepted: first amplitude 8")
+    assert not (tmp_path / "out" / "run-1.mcap").exists()
+    assert [entry["state"] for entry in state_of(tmp_path / "out")["entries"]] == ["rejected", "failed"]
+
+
+def test_waiting_for_rest_ends_at_its_limit_with_the_reason(tmp_path: Path) -> None:
+    done = rig(
+        "run",
+        CONFIGS / "demo.toml",
+        "-o",
+        tmp_path / "out",
+        *words(simulation__release__at_s="0", phases__rest_window_s="4.5", phases__rest_max_s="8"),
+    )
+    assert done.returncode == 1
+    assert "rest: not reached within 8 s (spread 12" in done.stderr
+
+
+MAGNET = {
+    **SMALL,
+    "start.way": '"magnet"',
+    "preflight.duration_s": "1.0",
+    "phases.rest_window_s": "2.0",
+    "phases.warm_up_window_s": "2.1",
+    "session.max_duration_s": "16",
+}
+
+
+@pytest.mark.slow
+def test_a_magnet_holds_and_lets_go(tmp_path: Path) -> None:
+    """In real time, since a controller moves the simulated rig."""
+    folder = tmp_path / "out"
+    done = rig("run", CONFIGS / "live.toml", "-o", folder, *set_words(MAGNET))
+    assert "Traceback" not in done.stderr
+    with RecordReader(folder / "run-1.mcap") as reader:
+        swings = [swing for swing in reader.swings() if swing.flags == 0]
+        events = [(event.kind, event.text) for event in reader.events()]
+    kinds = [kind for kind, _ in events]
+    assert kinds.count("rest") == 2  # free, then held
+    assert kinds.index("preflight") < kinds.index("magnet") < kinds.index("release") < kinds.index("start")
+    held_arcsec = float(dict(events)["magnet"].removeprefix("holds the pendulum at ").split()[0])
+    # where it was held it starts from: 124 arcsec, less the first quarter cycle's loss and noise
+    assert held_arcsec == pytest.approx(124.0, abs=0.5)
+    assert swings[0].amplitude / ARCSEC_RAD == pytest.approx(held_arcsec, rel=0.02)
+    assert dict(events)["stop"].startswith("time limit")
+
+
+@pytest.mark.slow
+def test_a_magnet_that_holds_nothing_is_said(tmp_path: Path) -> None:
+    # held at 2 arcsec: less than what counts as motion
+    weak = {**MAGNET, "simulation.release.amplitude_arcsec": "2"}
+    done = rig("run", CONFIGS / "live.toml", "-o", tmp_path / "out", *set_words(weak))
+    assert done.returncode == 1
+    assert "the magnet holds nothing" in done.stderr
+    assert not list((tmp_path / "out").glob("*.mcap"))
+
+
+def test_json_lines_say_all_and_nothing_else_is_on_stdout(tmp_path: Path) -> None:
+    done = rig("run", CONFIGS / "demo.toml", "-o", tmp_path / "out", "--json", *words())
+    lines = [json.loads(line) for line in done.stdout.splitlines()]
+    kinds = {line["kind"] for line in lines}
+    assert {"state", "event", "preflight", "results"} <= kinds
+    states = [line for line in lines if line["kind"] == "state"]
+    assert any(line["instruction"] == "release by hand now" for line in states)
+    assert states[-1]["reason"].startswith("time limit")
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.name != "posix", reason="signals are those of POSIX")
+def test_a_series_that_was_killed_goes_on(tmp_path: Path) -> None:
+    folder = tmp_path / "out"
+    command = [sys.executable, "-m", "rig", "run", str(CONFIGS / "demo.toml"), "-o", str(folder)]
+    process = subprocess.Popen(
+        [*command, "--runs", "3", *set_words({**SMALL, "session.max_duration_s": "150"})],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
+    whole, cut = folder / "run-1.mcap", folder / "run-2.mcap"
+    deadline = time.monotonic() + 200
+    while time.monotonic() < deadline and not (
+        cut.exists() and cut.stat().st_size > 0.5 * whole.stat().st_size
+    ):
+        assert process.poll() is None
+        time.sleep(0.005)
+    # held in the middle of the run, so that it cannot end before it is killed
+    os.killpg(process.pid, signal.SIGSTOP)
+    running = rig("run", "--resume", folder)
+    assert running.returncode == 2
+    assert "still running" in running.stderr
+    os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+    before = {name: (folder / name).read_bytes() for name in ("run-1.mcap", "run-2.mcap")}
+
+    done = rig("run", "--resume", folder)
+    assert done.returncode == 0, done.stderr
+    for name, content in before.items():
+        assert (folder / name).read_bytes() == content
+    states = {entry["record"]: entry["state"] for entry in state_of(folder)["entries"]}
+    assert states == {
+        "run-1.mcap": "complete",
+        "run-2.mcap": "interrupted",
+        "run-3.mcap": "complete",
+        "run-4.mcap": "complete",
+    }
+    with RecordReader(folder / "run-2-recovered.mcap") as reader:
+        assert not reader.truncated
+        assert len(reader.spots()) > 500
+    results = json.loads((folder / "results.json").read_text())
+    assert [run["record"] for run in results["runs"]] == ["run-1.mcap", "run-3.mcap", "run-4.mcap"]
+    again = rig("run", "--resume", folder)
+    assert again.returncode == 0
+    assert "nothing is missing" in again.stderr
+
+
+def test_resume_wants_a_session(tmp_path: Path) -> None:
+    done = rig("run", "--resume", tmp_path)
+    assert done.returncode == 2
+    assert "holds no session" in done.stderr
+
+
+def test_a_reader_of_json_lines_that_goes_away_ends_no_measurement(tmp_path: Path) -> None:
+    folder = tmp_path / "out"
+    command = [sys.executable, "-m", "rig", "run", str(CONFIGS / "demo.toml"), "-o", str(folder), "--json"]
+    with (tmp_path / "errors").open("wb") as errors:
+        process = subprocess.Popen([*command, *words()], stdout=subprocess.PIPE, stderr=errors)
+    assert process.stdout is not None
+    assert process.stdout.readline().startswith(b'{"kind"')
+    process.stdout.close()
+    process.wait(300)
+    said = (tmp_path / "errors").read_text()
+    assert "Traceback" not in said
+    assert "BrokenPipe" not in said
+    assert events_of(folder / "run-1.mcap")[-1][1].startswith("time limit")
+    assert (folder / "results.json").exists()

@@ -1,0 +1,67 @@
+"""What screen and JSON lines say of the camera while a run goes: age of frames, who lost which."""
+
+import io
+import json
+import math
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from acquisition.frame_losses import FrameLosses
+from processing.angle import ARCSEC_RAD
+from rig.instrument.snapshot import Snapshot
+from rig.measure.screen import RunDisplay
+from rig.view.watcher import _markdown
+
+SEEN = Snapshot(
+    phase="measuring",
+    frames=1000,
+    dropped_frames=4,
+    frame_age_s=0.0123,
+    losses=FrameLosses(by_bus=3, by_host=1),
+)
+
+
+def display(folder: Path, output: io.StringIO, *, json_lines: bool = False) -> RunDisplay:
+    console = Console(file=output, width=118, height=40)
+    return RunDisplay("run 1", 2.0, "arcsec", ARCSEC_RAD, folder, json_lines=json_lines, console=console)
+
+
+def screen(folder: Path, snapshot: Snapshot) -> str:
+    output = io.StringIO()
+    Console(file=output, width=118, height=40).print(display(folder, output).screen(snapshot))
+    return output.getvalue()
+
+
+def test_the_screen_shows_the_age_of_frames_and_the_losses(tmp_path: Path) -> None:
+    shown = screen(tmp_path, SEEN)
+    assert "age 12 ms" in shown
+    assert "4 frames dropped" in shown
+    assert "3 by the bus, 1 by this computer" in shown
+
+
+def test_frames_without_an_age_and_a_run_without_losses_say_so_in_few_words(tmp_path: Path) -> None:
+    shown = screen(tmp_path, Snapshot(phase="measuring"))
+    assert "age -" in shown
+    assert "none" not in shown
+
+
+def test_json_lines_name_each_loss(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    display(tmp_path, io.StringIO(), json_lines=True).show(SEEN)
+    state = json.loads(capsys.readouterr().out.splitlines()[0])
+    assert state["frame_age_s"] == 0.0123
+    assert state["losses"] == {
+        "by_camera": 0,
+        "by_bus": 3,
+        "by_host": 1,
+        "incomplete": 0,
+        "while_unplugged": 0,
+    }
+
+
+def test_the_view_says_how_old_frames_are() -> None:
+    assert "frames are 12 ms old" in _markdown(SEEN, "arcsec")
+    assert "lost: 3 by the bus, 1 by this computer" in _markdown(SEEN, "arcsec")
+    assert math.isnan(Snapshot().frame_age_s)
+    assert "old" not in _markdown(Snapshot(), "arcsec")

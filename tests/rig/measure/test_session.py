@@ -1,0 +1,253 @@
+"""A whole session as the user types it, on the simulated rig."""
+
+import json
+import math
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
+
+from acquisition.record.reader import RecordReader
+from acquisition.simulation.trajectory import true_turning_points
+from rig.instrument.provenance import frame_shape, recorded_configuration
+from rig.replay.replay import Replay
+from rig.settings.configuration import load_configuration
+
+CONFIGS = Path(__file__).resolve().parents[3] / "configs"
+TRUTH = {
+    "glass": {"b": 37.33e-4, "p": 0.944, "c": 10.51e-9, "n": 0.092, "period0_s": 4.071, "gamma_pa": 28.97e6},
+    "silicon": {"b": 7.06e-4, "p": 0.815, "c": 3.84e-9, "n": 0.552, "period0_s": 4.072, "gamma_pa": 290.69e6},
+    "steel": {"b": 7.961e-4, "p": 0.85, "c": 6.601e-9, "n": 0.461, "period0_s": 4.049, "gamma_pa": 95.46e6},
+}
+LIMITS = {"b": 0.005, "p": 0.005, "c": 0.03, "n": 0.005, "period0_s": 0.005, "gamma_pa": 0.005}
+
+SMALL: dict[str, str] = {
+    "simulation.sensor.width_px": "160",
+    "simulation.sensor.height_px": "640",
+    "camera.frame_rate_hz": "50",
+    "view.file": "false",
+}
+"""A fifth of the demonstration's work a second, the same swing."""
+
+
+def set_words(values: dict[str, str]) -> list[str]:
+    """Options that set these keys of the configuration."""
+    return [word for key, value in values.items() for word in ("--set", f"{key}={value}")]
+
+
+def rig(
+    *words: str | Path, cwd: Path | None = None, timeout_s: float = 300
+) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "rig", *map(str, words)]
+    return subprocess.run(
+        command,
+        capture_output=True,
+        text=True,
+        cwd=cwd,
+        timeout=timeout_s,
+        stdin=subprocess.DEVNULL,
+        check=False,
+    )
+
+
+@pytest.fixture(scope="module")
+def short_session(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two minutes of the demonstration, two runs."""
+    folder = tmp_path_factory.mktemp("session") / "out"
+    words = ("--set", "session.max_duration_s=120", "--runs", "2")
+    done = rig("run", CONFIGS / "demo.toml", "-o", folder, *words)
+    assert done.returncode == 0, done.stderr
+    return folder
+
+
+def results_of(folder: Path) -> dict[str, Any]:
+    tree: dict[str, Any] = json.loads((folder / "results.json").read_text())
+    return tree
+
+
+def test_a_session_leaves_records_a_view_and_results(short_session: Path) -> None:
+    tree = results_of(short_session)
+    assert tree["schema"] == 1
+    assert [run["record"] for run in tree["runs"]] == ["run-1.mcap", "run-2.mcap"]
+    for run in tree["runs"]:
+        assert run["dropped_frames"] == 0
+        assert run["frames"] == pytest.approx(12000, abs=70)
+        assert run["half_cycles"] >= 55
+        assert run["initial_amplitude_arcsec"] == pytest.approx(124, rel=0.02)
+        for fit in run["fits"].values():
+            for name in TRUTH["glass"]:
+                assert fit[name]["standard_uncertainty"] > 0
+        assert (short_session / run["record"]).with_suffix(".rrd").stat().st_size > 10_000
+    assert tree["runs"][0]["sha256"] != tree["runs"][1]["sha256"]
+
+
+def test_the_runs_of_a_simulated_series_have_noise_of_their_own(short_session: Path) -> None:
+    positions = []
+    for number in (1, 2):
+        with RecordReader(short_session / f"run-{number}.mcap") as reader:
+            positions.append(reader.spots()["x_px"][:100])
+    assert not (positions[0] == positions[1]).any()
+
+
+def test_the_record_says_how_it_came_about(short_session: Path) -> None:
+    with RecordReader(short_session / "run-1.mcap") as reader:
+        kinds = [event.kind for event in reader.events()]
+        assert kinds[0] == "start"
+        assert kinds[-1] == "stop"
+        assert "time limit" in reader.events()[-1].text
+        assert "configuration.json" in reader.attachments
+        assert reader.metadata["session"]["operator"] == "demonstration"
+        assert not reader.truncated
+
+
+def test_the_record_shows_the_lever_as_a_camera(measured_series: Path) -> None:
+    with RecordReader(measured_series / "run-1.mcap") as reader:
+        (message,) = reader.messages("/camera_calibration")
+        height_px, width_px = frame_shape(reader)
+    seen = CameraCalibration.FromString(message.data)
+    assert (seen.width, seen.height) == (width_px, height_px)
+    # the lever of the series: 1 m away, pixels of 4.8 um, its reference in the sensor's middle
+    middle = [0.5 * (width_px - 1), 0.5 * (height_px - 1)]
+    distance_px = pytest.approx(1.0 / 4.8e-6)
+    assert list(seen.K) == [distance_px, 0, middle[0], 0, distance_px, middle[1], 0, 0, 1]
+
+
+def test_replay_is_equal_bit_for_bit(short_session: Path) -> None:
+    done = rig("replay", short_session / "run-1.mcap")
+    assert done.returncode == 0, done.stderr
+    assert "equal bit for bit" in done.stdout
+
+
+def test_retracking_stays_within_a_tenth_of_the_uncertainty(short_session: Path) -> None:
+    with RecordReader(short_session / "run-1.mcap") as reader:
+        replay = Replay(reader, recorded_configuration(reader), retrack=True)
+        while replay.advance(math.inf, 64) is not None:
+            pass
+        comparison = replay.finish().comparison
+    assert comparison.largest_spot_change_u < 0.1
+    assert comparison.swings_replayed == comparison.swings_recorded
+    assert comparison.largest_swing_change_u < 0.1
+
+
+def test_fit_of_the_records_alone_gives_the_same_again(short_session: Path, tmp_path: Path) -> None:
+    done = rig("fit", short_session / "run-1.mcap", short_session / "run-2.mcap", "-o", tmp_path / "fit")
+    assert done.returncode == 0, done.stderr
+    again = results_of(tmp_path / "fit")["runs"]
+    for old, new in zip(results_of(short_session)["runs"], again, strict=True):
+        assert new["sha256"] == old["sha256"]
+        assert new["fits"]["exact"]["b"] == old["fits"]["exact"]["b"]
+
+
+def test_a_folder_that_holds_a_run_is_never_written_over(short_session: Path) -> None:
+    before = {path: path.stat().st_mtime_ns for path in short_session.iterdir()}
+    done = rig("run", CONFIGS / "demo.toml", "-o", short_session)
+    assert done.returncode == 2
+    assert "never overwritten" in done.stderr
+    assert done.stderr.count("\n") == 1
+    assert {path: path.stat().st_mtime_ns for path in short_session.iterdir()} == before
+
+
+@pytest.mark.parametrize(
+    ("words", "status", "message"),
+    [
+        (("run", "nowhere.toml"), 2, "no such configuration file"),
+        (("run",), 2, "Missing argument"),
+        (("rnu",), 2, "Did you mean"),
+        (("run", CONFIGS / "demo.toml", "--set", "session.rnus=3"), 2, "did you mean runs?"),
+        (("replay", CONFIGS / "demo.toml"), 1, "is no MCAP file"),
+        (("fit", "nowhere.mcap"), 1, "no such record"),
+        (("fit", "nowhere.csv"), 1, "no such file"),
+    ],
+)
+def test_wrong_usage_is_one_line(
+    words: tuple[str | Path, ...], status: int, message: str, tmp_path: Path
+) -> None:
+    done = rig(*words, cwd=tmp_path)
+    assert done.returncode == status
+    assert message in done.stderr
+    assert "Traceback" not in done.stderr
+    assert done.stderr.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_too_few_swings_are_said_and_the_record_kept(tmp_path: Path) -> None:
+    done = rig("run", CONFIGS / "demo.toml", "-o", tmp_path / "out", "--set", "session.max_duration_s=9")
+    assert done.returncode == 1
+    assert "needs at least 10" in done.stdout
+    with RecordReader(tmp_path / "out" / "run-1.mcap") as reader:
+        assert len(reader.spots()) >= 900
+
+
+def test_no_spot_at_all_is_recorded_as_such(tmp_path: Path) -> None:
+    words = ("--set", "simulation.optics.peak_dn=0", "--set", "session.max_duration_s=5")
+    done = rig("run", CONFIGS / "demo.toml", "-o", tmp_path / "out", *words)
+    assert done.returncode == 1
+    with RecordReader(tmp_path / "out" / "run-1.mcap") as reader:
+        assert "spot lost" in [event.kind for event in reader.events()]
+        assert all(math.isnan(x) for x in reader.spots()["x_px"])
+        assert len(list(reader.images())) >= 4
+
+
+def test_a_spot_that_leaves_the_sensor_gives_no_wrong_swing(tmp_path: Path) -> None:
+    words = ("--set", "simulation.sensor.height_px=400", "--set", "session.max_duration_s=60")
+    done = rig("run", CONFIGS / "demo.toml", "-o", tmp_path / "out", *words)
+    assert "Traceback" not in done.stderr
+    with RecordReader(tmp_path / "out" / "run-1.mcap") as reader:
+        kinds = [event.kind for event in reader.events()]
+        swings = reader.swings()
+    assert "spot lost" in kinds
+    # 124 arcsec are 250 px, the sensor ends at 200 px: what is reported must be right all the same
+    truth = true_turning_points(load_configuration(CONFIGS / "demo.toml").simulation, max_duration_s=70)
+    first_ns = round(1e9 * load_configuration(CONFIGS / "demo.toml").simulation.clock.start_s)
+    trusted = [swing for swing in swings if swing.flags == 0]
+    assert trusted
+    for swing in trusted:
+        time_s = (swing.turn_time_ns - first_ns) * 1e-9
+        nearest = int(np.argmin(np.abs(truth.time_s - time_s)))
+        assert abs(time_s - truth.time_s[nearest]) < 5 * swing.u_turn_time_s
+        assert abs(swing.amplitude - abs(truth.angle_rad[nearest])) < 5 * swing.u_amplitude
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals are those of POSIX")
+def test_ctrl_c_closes_the_record_and_fits_what_there_is(tmp_path: Path) -> None:
+    words = [sys.executable, "-m", "rig", "run", str(CONFIGS / "demo.toml"), "-o", str(tmp_path / "out")]
+    process = subprocess.Popen(
+        [*words, "--set", "simulation.real_time=false", "--set", "session.final_amplitude_arcsec=0.5"],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    record = tmp_path / "out" / "run-1.mcap"
+    deadline = time.monotonic() + 120
+    while time.monotonic() < deadline and not (record.exists() and record.stat().st_size > 3_000_000):
+        time.sleep(0.1)
+    process.send_signal(signal.SIGINT)
+    output, errors = process.communicate(timeout=120)
+    assert "stopped by the user" in errors
+    assert "exact" in output
+    with RecordReader(record) as reader:
+        assert not reader.truncated
+        assert reader.events()[-1].text == "stopped by the user"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("pair", list(TRUTH))
+def test_the_demonstration_finds_the_truth(pair: str, tmp_path: Path) -> None:
+    config = CONFIGS / f"{pair}.toml"
+    done = rig("run", config, "-o", tmp_path / "out", "--runs", "1", timeout_s=900)
+    assert done.returncode == 0, done.stderr
+    run = results_of(tmp_path / "out")["runs"][0]
+    assert run["dropped_frames"] == 0
+    assert run["final_amplitude_arcsec"] < 2.0
+    for name, truth in TRUTH[pair].items():
+        found = run["fits"]["exact"][name]
+        assert found["value"] == pytest.approx(truth, rel=LIMITS[name]), name
+        assert abs(found["value"] - truth) < 3 * found["standard_uncertainty"], name

@@ -1,0 +1,105 @@
+"""A record of a decay as `rig run` leaves it, made from spots instead of frames, which takes a second."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+
+from acquisition.record.topics import DeflectionUnit
+from acquisition.record.writer import RecordWriter
+from acquisition.simulation.trajectory import true_trajectory
+from calibration.axes import Axes
+from processing.spot import Spot, SpotFlag, SpotTracker
+from rig.instrument.configured import complete, sensor_model
+from rig.instrument.pipeline import Pipeline
+from rig.instrument.provenance import configuration_attachments
+from rig.settings.configuration import load_configuration
+
+CONFIG = Path(__file__).resolve().parents[3] / "configs" / "demo.toml"
+SHAPE = (1024, 1280)
+RATE_HZ = 50
+START_NS = 5_000_000_000
+EPOCH_NS = 1_790_000_000_000_000_000
+LOST_FRAME, GAP_FRAME = 400, 700
+U_PX = 0.01
+
+
+def make_record(
+    path: Path,
+    seconds: float = 60.0,
+    *,
+    windows: bool = False,
+    calibrated: bool = True,
+    seed: int = 1,
+) -> Path:
+    """Record `seconds` at 50 frames a second; one frame is missing, the spot of another one is lost.
+
+    Not `calibrated`: deflections are px.
+
+    With `windows` there are pixels for every tenth frame, and for one more that has no spot message.
+    """
+    config = complete(load_configuration(CONFIG))
+    random = np.random.default_rng(seed)
+    sequences = np.delete(np.arange(round(seconds * RATE_HZ)), GAP_FRAME)
+    times_s = sequences / RATE_HZ
+    lever = config.lever
+    assert lever is not None
+    truth = true_trajectory(config.simulation, seconds, RATE_HZ)
+    px_per_rad = 2.0 * lever.arm_m / lever.pixel_pitch_m
+    y_px = 511.5 - px_per_rad * truth.y_rad[sequences] + random.normal(0, U_PX, len(sequences))
+    x_px = 639.5 + px_per_rad * truth.x_rad[sequences] + random.normal(0, U_PX, len(sequences))
+    if not calibrated:
+        config = config.model_copy(update={"lever": None})
+    spots = [
+        Spot(x, y, U_PX, U_PX, 9.0, 9.0, 0.0, 200.0, 8.0, 1.0, 0)
+        for x, y in zip(x_px.tolist(), y_px.tolist(), strict=True)
+    ]
+    spots[LOST_FRAME] = Spot(*[math.nan] * 10, int(SpotFlag.LOST))
+    times_ns = START_NS + np.round(times_s * 1e9).astype(np.int64)
+    tracker = SpotTracker(sensor_model(config, 255))
+    pipeline = Pipeline(tracker, config.lever, config.axes or Axes(), SHAPE)
+    metadata = {
+        "frame": {"width_px": str(SHAPE[1]), "height_px": str(SHAPE[0])},
+        "camera": {"full_scale_dn": "255"},
+    }
+    attachments = configuration_attachments(config, CONFIG)
+    unit: DeflectionUnit = "rad" if calibrated else "px"
+    with RecordWriter(
+        path, EPOCH_NS, metadata=metadata, attachments=attachments, deflection_unit=unit
+    ) as writer:
+        writer.write_event(START_NS, "start", "first frame")
+        for first in range(0, len(spots), 25):
+            part = slice(first, first + 25)
+            block = pipeline.measure(times_ns[part], spots[part])
+            listed = times_ns[part].tolist()
+            columns = (block.x_rad, block.y_rad, block.u_x_rad, block.u_y_rad)
+            writer.write_spots(
+                sequences[part].tolist(), listed, listed, block.times_ns, block.spots, *columns
+            )
+            for swing in block.swings:
+                writer.write_swing(swing)
+            for balance in block.balances:
+                writer.write_balance(balance)
+            if windows:
+                _write_windows(writer, sequences[part].tolist(), spots[part])
+            writer.flush()
+        for swing in pipeline.finish():
+            writer.write_swing(swing)
+        writer.write_event(int(times_ns[-1]), "stop", "time limit")
+    return path
+
+
+def _write_windows(writer: RecordWriter, sequences: list[int], spots: list[Spot]) -> None:
+    y, x = np.mgrid[:84, :84]
+    for sequence, spot in zip(sequences, spots, strict=True):
+        if sequence == GAP_FRAME + 1:
+            _write_window(writer, GAP_FRAME, np.zeros((84, 84)), (0, 0))
+        if sequence % 10 == 0 and not spot.flags:
+            x0, y0 = round(spot.x_px) - 42, round(spot.y_px) - 42
+            light = 150 * np.exp(-((x + x0 - spot.x_px) ** 2 + (y + y0 - spot.y_px) ** 2) / (2 * 9.0**2))
+            _write_window(writer, sequence, light + 8, (x0, y0))
+
+
+def _write_window(writer: RecordWriter, sequence: int, image: np.ndarray, origin: tuple[int, int]) -> None:
+    time_ns = START_NS + round(sequence / RATE_HZ * 1e9)
+    writer.write_window(sequence, time_ns, np.rint(image).astype(np.uint8), *origin)

@@ -1,0 +1,74 @@
+"""Numbers as they are printed: digits by the uncertainty, powers of ten, what is not determined."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rig.presentation.determined import bound_text, determined_text, series_verdicts
+from rig.presentation.numbers import plain, with_uncertainty
+from rig.report.drawing import envelope, thinned
+
+
+@pytest.mark.parametrize(
+    ("value", "u", "text"),
+    [
+        (3.73315e-3, 1.0e-7, "(3.73315 ± 0.00010) × 10⁻³"),
+        (4.0710047, 2.5e-6, "4.0710047 ± 0.0000025"),
+        (-1.24e-8, 8.2e-9, "(−1.24 ± 0.82) × 10⁻⁸"),
+        (28.9, 0.0996, "28.90 ± 0.10"),
+        (1.0, math.inf, "1.0000"),
+        (math.nan, 1.0, "not determined"),
+        (12345.0, 120.0, "12345 ± 120"),
+    ],
+)
+def test_two_digits_of_the_uncertainty(value: float, u: float, text: str) -> None:
+    assert with_uncertainty(value, u) == text
+
+
+@given(st.floats(-1e12, 1e12).filter(lambda v: abs(v) > 1e-12), st.integers(2, 8))
+def test_a_plain_number_keeps_its_digits(value: float, digits: int) -> None:
+    text = plain(value, digits).replace("−", "-")
+    if " × 10" in text:
+        mantissa, _, power = text.partition(" × 10")
+        exponent = int(power.translate(str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")))
+        text = f"{mantissa}e{exponent}"
+    assert float(text) == pytest.approx(value, rel=0.5001 * 10.0 ** (1 - digits))
+
+
+def test_what_is_not_determined_is_a_bound_or_an_interval() -> None:
+    verdict = {"verdict": "upper bound", "value": 1e-9, "lower_95": 0.0, "upper_95": 2.34e-8}
+    assert bound_text(verdict) == "< 2.3 × 10⁻⁸ (95 %)"
+    assert bound_text({**verdict, "verdict": "undetermined"}) == "not determined"
+    energy = determined_text("surface_energy_table2_j_per_m2", (2.75e-3, 1e-3), 1e3, {"c": verdict})
+    assert energy == "< 64 (95 %)"  # 2.34e-8 times 2.75e-3/1e-9 J/m^2
+
+
+def test_a_series_that_scatters_too_much_gives_a_bound() -> None:
+    item = {"value": -1.2e-8, "standard_uncertainty": 8e-9, "expanded_uncertainty_95": 3.4e-8}
+    found = series_verdicts({"c": item, "p": {**item, "value": 0.9, "standard_uncertainty": 0.01}})
+    assert found["c"]["verdict"] == "upper bound"
+    assert found["c"]["upper_95"] == pytest.approx(2.2e-8)
+    assert found["p"]["verdict"] == "determined"
+
+
+def test_an_envelope_holds_every_extreme() -> None:
+    x = np.linspace(0, 100, 5003)
+    y = np.sin(7 * x) * np.exp(-0.02 * x)
+    y[1234] = 5.0
+    y[77] = np.nan
+    at, low, high = envelope(x, y, 60)
+    assert len(at) == 60
+    assert high.max() == 5.0
+    assert low.min() == np.nanmin(y)
+    assert np.all(low <= high)
+
+
+def test_thinning_keeps_both_ends() -> None:
+    kept = thinned(1001, 100)
+    assert kept[0] == 0
+    assert kept[-1] == 1000
+    assert len(kept) == 100
+    assert thinned(5, 100).tolist() == [0, 1, 2, 3, 4]

@@ -1,0 +1,67 @@
+"""A record without calibration, one without swings: what can be said is said, plainly."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+
+from acquisition.frame import Frame
+from acquisition.record.writer import RecordWriter
+from processing.spot import Spot, SpotFlag
+from processing.swing import Swing
+from rig.analysis.record_fit import analyse_record, combine
+from rig.analysis.results import results_tree, write_results
+from rig.instrument.provenance import CONFIGURATION_NAME
+from rig.report.session_report import make_report
+from rig.settings.configuration import Configuration
+
+EPOCH_NS = 1_700_000_000_000_000_000
+PERIOD_S = 4.0
+
+
+def session_in_pixels(folder: Path, *, lost: bool) -> Path:
+    """A record of 40 s in px with its results; `lost`: no frame has a spot, and so nothing swings."""
+    folder.mkdir()
+    time_s = np.arange(0, 40, 0.02)
+    y = 100 * np.exp(-0.01 * time_s) * np.cos(2 * math.pi * time_s / PERIOD_S)
+    y = np.full_like(y, math.nan) if lost else y
+    x, u = 0.1 * y, np.where(np.isnan(y), math.nan, 0.01)
+    if lost:
+        spots = [Spot(*[math.nan] * 10, SpotFlag.LOST)] * len(y)
+    else:
+        spots = [Spot(32 + a, 120 + b, 0.01, 0.01, 3, 3, 0, 200, 8, 1, 0) for a, b in zip(x, y, strict=True)]
+    record = folder / "run-1.mcap"
+    attachments = {CONFIGURATION_NAME: Configuration().model_dump_json().encode()}
+    with RecordWriter(record, EPOCH_NS, attachments=attachments, deflection_unit="px") as writer:
+        times_ns = np.round(time_s * 1e9).astype(np.int64)
+        numbers = list(range(len(y)))
+        writer.write_spots(numbers, times_ns.tolist(), times_ns.tolist(), times_ns, spots, x, y, u, u)
+        image = np.full((240, 64), 8, dtype=np.uint8)
+        image[218:223, 40:45] = 200
+        writer.write_image(Frame(image, 0, 0, 0))
+        for index in range(0 if lost else 20):
+            amplitude = 100 * math.exp(-0.02 * index)
+            turn_ns = round(0.5 * PERIOD_S * index * 1e9)
+            writer.write_swing(
+                Swing(index, turn_ns, 1e-4, amplitude, 0.01, 2.0, 1e-4, 0.0, 1 - 2 * (index % 2), 0)
+            )
+    results = [analyse_record(record)]
+    write_results(folder / "results.json", results_tree(results, folder, combine(results)))
+    return folder
+
+
+def test_without_calibration_the_report_is_in_pixels_and_says_so(tmp_path: Path) -> None:
+    page = make_report(session_in_pixels(tmp_path / "px", lost=False)).read_text(encoding="utf-8")
+    assert "No fit: the record has no calibration (no [lever]): amplitudes are in px" in page
+    assert "20 half-cycles from 100.00 to 68.39 px" in page
+    files = tmp_path / "px" / "report" / "run-1"
+    assert (files / "fig12-decay.svg").exists()
+    assert not (files / "fig13-period.svg").exists()
+    head = (files / "half-cycles.csv").read_text().splitlines()[0]
+    assert head == "index,time_s,u_time_s,amplitude_px,u_amplitude_px"
+
+
+def test_a_run_without_a_spot_is_reported_as_that(tmp_path: Path) -> None:
+    page = make_report(session_in_pixels(tmp_path / "lost", lost=True)).read_text(encoding="utf-8")
+    assert "0 half-cycles" in page
+    assert not (tmp_path / "lost" / "report" / "run-1" / "fig12-decay.svg").exists()

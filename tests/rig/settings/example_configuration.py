@@ -1,0 +1,135 @@
+"""Makes configs/rig-example.toml from the models themselves: ``python -m tests.rig.example_configuration``.
+
+A test holds the file to what this makes, so that it never lacks a key or keeps a dead one.
+"""
+
+import json
+import textwrap
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, get_args
+
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+
+from rig.settings.configuration import Configuration
+
+TARGET = Path(__file__).resolve().parents[3] / "configs" / "rig-example.toml"
+HEAD = """\
+# A real rig, every key: uncomment and change what you need; a key left out keeps the value shown.
+# Values in angle brackets have no default. `extends = "other.toml"` at the top takes everything
+# else from another file. On the command line: --set session.runs=3
+# A key that is misspelt, out of range or of the wrong type is an error, never ignored.
+"""
+# What is set rather than only shown, so that the file is a start and not only a list.
+ACTIVE: dict[str, Any] = {
+    "session.operator": "your name",
+    "session.sample": "steel ball on K8 glass, cleaned with ethanol",
+    "session.runs": 3,
+    "camera.driver": "usb3vision",
+    "camera.exposure_us": 100.0,
+    "camera.frame_rate_hz": 100.0,
+    "camera.pixel_format": "mono8",
+    "sensor.gain_e_per_dn": 39.2,
+    "sensor.read_noise_e": 7.0,
+    "sensor.full_scale_dn": 255,
+    "lever.arm_m": 1.0,
+    "lever.u_arm_m": 0.001,
+    "lever.pixel_pitch_m": 4.8e-6,
+    "pendulum.mass_kg": 0.406,
+    "pendulum.u_mass_kg": 0.0001,
+    "pendulum.ball_radius_m": 6.05e-3,
+    "pendulum.u_ball_radius_m": 1e-6,
+    "pendulum.ball_material": "steel",
+    "pendulum.flat_material": "glass_k8",
+}
+EXAMPLE_NAME = "my_steel"
+
+
+def text() -> str:
+    """The whole file."""
+    return HEAD + "\n".join(_section("", Configuration)) + "\n"
+
+
+def keys(path: str = "", model: type[BaseModel] = Configuration) -> Iterator[str]:
+    """Dotted paths of all keys, materials under an example's name."""
+    for name, field in model.model_fields.items():
+        inner = _model(field)
+        place = f"{path}{name}"
+        if inner is None:
+            yield place
+        else:
+            yield from keys(f"{place}.{EXAMPLE_NAME}." if _is_table_of(field) else f"{place}.", inner)
+
+
+def _section(path: str, model: type[BaseModel]) -> Iterator[str]:
+    if path:
+        active = any(key.startswith(path) for key in ACTIVE)
+        yield ""
+        document = (model.__doc__ or "").strip().split("\n\n")[0]
+        yield from (f"# {line}" for line in textwrap.wrap(" ".join(document.split()), 100))
+        yield f"{'' if active else '# '}[{path.rstrip('.')}]"
+    inner = [(name, field) for name, field in model.model_fields.items() if _model(field) is not None]
+    for name, field in model.model_fields.items():
+        if _model(field) is None:
+            yield _line(path, name, field)
+    for name, field in inner:
+        below = _model(field)
+        assert below is not None
+        yield from _section(
+            f"{path}{name}.{EXAMPLE_NAME}." if _is_table_of(field) else f"{path}{name}.", below
+        )
+
+
+def _line(path: str, name: str, field: FieldInfo) -> str:
+    key = f"{path}{name}"
+    if key in ACTIVE:
+        value, lead = _toml(ACTIVE[key]), ""
+    else:
+        lead = "# "
+        default = field.get_default(call_default_factory=True)
+        value = f"<{_kind(field)}>" if field.is_required() or default is None else _toml(default)
+    note = f"  # {field.description}" if field.description else ""
+    return f"{lead}{name} = {value}{note}"
+
+
+def _toml(value: Any) -> str:
+    if isinstance(value, Path):
+        value = value.as_posix()
+    if isinstance(value, bool | str):
+        return json.dumps(value, ensure_ascii=False)
+    if isinstance(value, tuple | list):
+        return "[" + ", ".join(_toml(item) for item in value) + "]"
+    return repr(value)
+
+
+def _kind(field: FieldInfo) -> str:
+    return (
+        str(field.annotation)
+        .removeprefix("<class '")
+        .removesuffix("'>")
+        .split(".")[-1]
+        .replace(" | None", "")
+    )
+
+
+def _candidates(annotation: Any) -> Iterator[Any]:
+    yield annotation
+    for inner in get_args(annotation):
+        yield from _candidates(inner)
+
+
+def _model(field: FieldInfo) -> type[BaseModel] | None:
+    for candidate in _candidates(field.annotation):
+        if isinstance(candidate, type) and issubclass(candidate, BaseModel):
+            return candidate
+    return None
+
+
+def _is_table_of(field: FieldInfo) -> bool:
+    return str(field.annotation).startswith("dict")
+
+
+if __name__ == "__main__":
+    TARGET.write_text(text(), encoding="utf-8")
+    print(TARGET)

@@ -1,0 +1,114 @@
+from pathlib import Path
+
+import pytest
+
+from processing.errors import ConfigurationError
+from rig.instrument.configured import check_materials, complete, pendulum_on_ball
+from rig.settings.configuration import Configuration, load_configuration
+
+CONFIGS = Path(__file__).resolve().parents[3] / "configs"
+
+
+def write(path: Path, text: str) -> Path:
+    path.write_text(text)
+    return path
+
+
+@pytest.mark.parametrize("path", sorted(CONFIGS.glob("*.toml")), ids=lambda path: path.name)
+def test_every_configuration_that_is_shipped_loads(path: Path) -> None:
+    config = complete(load_configuration(path))
+    check_materials(config)
+
+
+def test_extends_states_only_what_differs() -> None:
+    demo = load_configuration(CONFIGS / "demo.toml")
+    silicon = load_configuration(CONFIGS / "silicon.toml")
+    assert silicon.session.final_amplitude_arcsec == demo.session.final_amplitude_arcsec
+    assert silicon.simulation.contact.gamma_pa == 290.69e6
+    assert silicon.session.runs == 3
+
+
+def test_overrides_take_any_dotted_path() -> None:
+    config = load_configuration(
+        CONFIGS / "demo.toml",
+        [
+            "simulation.contact.b=1e-3",
+            "session.operator=A. Nother",
+            "view.file=false",
+            'session.sample="x = 1"',
+        ],
+    )
+    assert config.simulation.contact.b == 1e-3
+    assert config.session.operator == "A. Nother"
+    assert config.view.file is False
+    assert config.session.sample == "x = 1"
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ("session.rnus=3", r"session\.rnus: unknown key; did you mean runs\?"),
+        ("sesion.runs=3", r"sesion: unknown key; did you mean session\?"),
+        ("simulation.contact.bb=3", r"simulation\.contact\.bb: unknown key; did you mean b\?"),
+        ("camera.exposure_us=-3", r"camera\.exposure_us = -3: should be greater than 0"),
+        ("session.runs=many", r"session\.runs = 'many': should be a valid integer"),
+        ("session.final_amplitude_arcsec=500", "must be below session.initial_amplitude_arcsec = 124"),
+        ("session.runs", r"--set session\.runs: must read KEY=VALUE"),
+        ("session.runs.more=1", r"session\.runs"),
+    ],
+)
+def test_a_wrong_setting_is_one_line_that_names_it(override: str, message: str) -> None:
+    with pytest.raises(ConfigurationError, match=message) as caught:
+        load_configuration(CONFIGS / "demo.toml", [override])
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[session\n", "is not TOML"),
+        ('extends = "none.toml"\n', "no such configuration file"),
+        ("extends = 3\n", "must be the name of a file"),
+        ('extends = "self.toml"\n', "extends itself"),
+    ],
+)
+def test_a_wrong_file_is_one_line(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(ConfigurationError, match=message) as caught:
+        load_configuration(write(tmp_path / "self.toml", text))
+    assert "\n" not in str(caught.value)
+
+
+def test_missing_file_and_folder(tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match="no such configuration file"):
+        load_configuration(tmp_path / "none.toml")
+    with pytest.raises(ConfigurationError, match="is a folder"):
+        load_configuration(tmp_path)
+
+
+def test_unknown_material_is_named_before_anything_is_measured() -> None:
+    config = load_configuration(
+        CONFIGS / "demo.toml",
+        ["pendulum.mass_kg=0.4", "pendulum.ball_radius_m=6e-3", "pendulum.flat_material=cheese"],
+    )
+    with pytest.raises(ConfigurationError, match="cheese"):
+        check_materials(config)
+
+
+def test_a_simulated_rig_knows_its_apparatus_and_a_stated_section_wins() -> None:
+    config = complete(load_configuration(CONFIGS / "demo.toml", ["simulation.contact.mass_kg=0.5"]))
+    assert config.pendulum is not None
+    assert config.pendulum.mass_kg == 0.5
+    ball = pendulum_on_ball(config)
+    assert ball is not None
+    # Hertz goes as the cube root of the load: 66.18 um at 0.406 kg, Table 1
+    assert ball.contact_radius_m == pytest.approx(66.18e-6 * (0.5 / 0.406) ** (1 / 3), rel=1e-4)
+    stated = complete(
+        load_configuration(CONFIGS / "demo.toml", ["lever.arm_m=2.0", "lever.pixel_pitch_m=5e-6"])
+    )
+    assert stated.lever is not None
+    assert stated.lever.arm_m == 2.0
+
+
+def test_a_complete_configuration_survives_the_record() -> None:
+    config = complete(load_configuration(CONFIGS / "silicon.toml"))
+    assert Configuration.model_validate_json(config.model_dump_json()) == config

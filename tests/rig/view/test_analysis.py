@@ -1,0 +1,131 @@
+"""The analysing layout of real records, and the advice of the balancing one."""
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from acquisition.record.reader import RecordReader
+from acquisition.record.topics import BALANCE_TOPIC
+from processing.angle import ARCSEC_RAD
+from processing.balance import Balance
+from rig.instrument.balance import advice_text
+from rig.instrument.configured import complete
+from rig.instrument.provenance import recorded_configuration
+from rig.replay.replay import Replay
+from rig.settings.configuration import load_configuration
+from rig.view.analysis_curves import analysis_curves, overlaid_curves, report_text, run_analysis
+from rig.view.recorded import write_rrd
+from rig.view.watcher import start_view
+from tests.rig.replay.replay_record import CONFIG, make_record
+from tests.rig.view.rrd_contents import column, entities, scalars, static_values
+
+PANELS = {"decay", "residuals", "period", "period_residuals", "loops"}
+
+
+@pytest.fixture(scope="module")
+def balance(tmp_path_factory: pytest.TempPathFactory) -> Balance:
+    path = make_record(tmp_path_factory.mktemp("balance") / "run.mcap", 30.0)
+    with RecordReader(path) as reader:
+        return reader.values(BALANCE_TOPIC, Balance)[-1]
+
+
+def test_every_panel_has_its_curves_from_the_results_beside_the_record(measured_series: Path) -> None:
+    run = run_analysis(measured_series / "run-1.mcap")
+    curves = analysis_curves(run)
+    assert {curve.panel for curve in curves} == PANELS
+    by_name = {(curve.panel, curve.name): curve for curve in curves}
+    measured, exact = by_name["decay", "measured"], by_name["decay", "exact fit"]
+    residual = by_name["residuals", "exact fit"]
+    np.testing.assert_allclose(residual.y, measured.y - exact.y, atol=1e-9)
+    assert measured.u_y is not None
+    # a good fit: nearly all residuals within four of their uncertainties
+    assert np.mean(np.abs(residual.y) < 4 * measured.u_y) > 0.95
+    loop = by_name["loops", "total"]
+    assert (loop.x[0], loop.y[0]) == (loop.x[-1], loop.y[-1])
+    assert np.max(loop.x) == pytest.approx(measured.y[0])
+
+
+def test_the_report_says_what_results_json_says(measured_series: Path) -> None:
+    run = run_analysis(measured_series / "run-1.mcap")
+    text = report_text({"": run})
+    assert text.startswith("## run-1")
+    assert f"{run.tree['half_cycles']} half-cycles" in text
+    # one fit below the other, the exact one first
+    assert 0 < text.index("| exact map |") < text.index("| Eqs. 5 and 6 |")
+    assert text.count("| γ / MPa |") == 2
+
+
+def test_a_record_without_results_is_fitted(tmp_path: Path) -> None:
+    rrd = tmp_path / "fitted.rrd"
+    write_rrd([make_record(tmp_path / "alone.mcap", 60.0)], rrd, layout="analysing")
+    drawn = entities(rrd)
+    for panel in PANELS:
+        assert f"/analysis/{panel}/axes/grid" in drawn, panel
+    assert "/analysis/report" in drawn
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["alone.mcap", "fitted.rrd"]
+
+
+def test_a_run_too_short_for_a_fit_shows_its_data_and_says_why(tmp_path: Path) -> None:
+    run = run_analysis(make_record(tmp_path / "short.mcap", 15.0))
+    assert [(curve.panel, curve.name) for curve in analysis_curves(run)] == [("decay", "measured")]
+    assert "no fit: " in report_text({"": run})
+
+
+def test_runs_laid_over_each_other_share_their_axes(measured_series: Path, tmp_path: Path) -> None:
+    paths = [measured_series / f"run-{number}.mcap" for number in (1, 2)]
+    runs = {path.stem: run_analysis(path) for path in paths}
+    curves = overlaid_curves(runs)
+    for panel in PANELS:
+        assert [curve.name for curve in curves if curve.panel == panel] == ["run-1", "run-2"]
+    rrd = tmp_path / "both.rrd"
+    write_rrd(paths, rrd, layout="analysing")
+    graticules = [name for name in entities(rrd) if name.endswith("/decay/axes/grid")]
+    assert len(graticules) == 1
+
+
+def test_advice_names_what_is_out_of_limits(balance: Balance) -> None:
+    config = complete(load_configuration(CONFIG))
+    tilted = replace(balance, rest_x_rad=40 * ARCSEC_RAD, line_angle_rad=math.radians(2.0))
+    text = advice_text(config, tilted)
+    assert text.startswith("**")
+    assert "- rest position X +40" in text
+    assert "mass centre too far towards +X" in text
+    assert "- angle of the line +2" in text
+    assert "rest position Y" not in text.split("\n", 1)[1]
+    uncalibrated = config.model_copy(update={"lever": None})
+    assert advice_text(uncalibrated, tilted) == ""
+
+
+def test_advice_reaches_the_view_of_a_run_and_of_its_record(tmp_path: Path, balance: Balance) -> None:
+    shown, live = tmp_path / "shown.rrd", tmp_path / "live.rrd"
+    write_rrd([make_record(tmp_path / "run.mcap", 30.0)], shown, layout="balancing")
+    assert "balanced" in str(column(shown, "/advice", "TextDocument:text"))
+    config = complete(load_configuration(CONFIG))
+    view = start_view(config, live, "none", "balancing", "live", 255)
+    with RecordReader(tmp_path / "run.mcap") as reader:
+        replay = Replay(reader, recorded_configuration(reader), retrack=False)
+        while (step := replay.advance(math.inf, 500)) is not None:
+            view.block(replay.start_ns, (), step.block)
+    assert view.close().dropped == 0
+    assert "balanced" in str(column(live, "/advice", "TextDocument:text"))
+
+
+def test_a_live_view_without_a_calibration_counts_in_px(tmp_path: Path, balance: Balance) -> None:
+    rrd = tmp_path / "px.rrd"
+    config = complete(load_configuration(CONFIG)).model_copy(update={"lever": None})
+    view = start_view(config, rrd, "none", "measuring", "px", 255)
+    with RecordReader(make_record(tmp_path / "run.mcap", 15.0)) as reader:
+        replay = Replay(reader, config, retrack=False)
+        step = replay.advance(math.inf, 500)
+        assert step is not None
+        view.block(replay.start_ns, (), step.block)
+        expected = step.block.y_rad.copy()
+    view.close()
+    times_s, values = scalars(rrd, "/deflection/y")
+    # without a lever deflections are px, and are shown as they are
+    np.testing.assert_allclose(values, expected[: len(times_s)])
+    assert np.nanmax(np.abs(values)) > 100.0
+    assert static_values(rrd, "/deflection/y", "SeriesLines:names") == ["Y / px"]

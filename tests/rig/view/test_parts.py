@@ -1,0 +1,200 @@
+"""The view's parts without a viewer: queue, axes, trail, decimation, the balance's table, colours."""
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from processing.angle import ARCSEC_RAD
+from rig.presentation import palette
+from rig.presentation.balance_quantities import (
+    BALANCE,
+    PANELS,
+    balance_quantities,
+    balance_quantity,
+    balance_table,
+    rounded,
+)
+from rig.view.decimation import Decimator
+from rig.view.dropping_queue import DroppingQueue
+from rig.view.graticule import Graticule, reach_beyond, tick_label, ticks, trajectory_graticule
+from rig.view.messages import Picture, Samples, State
+from rig.view.trail import Trail
+
+
+def samples(first: int, rows: int) -> Samples:
+    time_s = np.arange(first, first + rows, dtype=np.float64)
+    return Samples("", time_s, time_s, time_s, np.zeros(rows, dtype=np.int64))
+
+
+def picture(time_s: float) -> Picture:
+    return Picture("", time_s, np.zeros((4, 4), dtype=np.uint8), 1.0, 1.0, 255)
+
+
+@given(st.lists(st.integers(1, 200), max_size=60), st.integers(500, 20_000))
+def test_the_queue_drops_the_oldest_and_counts_all(sizes: list[int], limit: int) -> None:
+    queue = DroppingQueue(limit)
+    first = 0
+    for size in sizes:
+        queue.put(samples(first, size))
+        first += size
+    kept = [message for message in queue.take(0.0, 10**9) if isinstance(message, Samples)]
+    dropped = queue.dropped.get("samples", 0)
+    assert dropped + sum(len(message.time_s) for message in kept) == first
+    if kept:
+        # What is left is the newest, without a hole.
+        np.testing.assert_array_equal(
+            np.concatenate([message.time_s for message in kept]), np.arange(dropped, first)
+        )
+
+
+def test_pictures_never_push_curves_out() -> None:
+    queue = DroppingQueue(10**6, picture_places=3)
+    queue.put(samples(0, 10))
+    for number in range(10):
+        queue.put(picture(float(number)))
+    batch = queue.take(0.0, 10**9)
+    assert isinstance(batch[0], Samples)
+    assert [message.time_s for message in batch[1:] if isinstance(message, Picture)] == [7.0, 8.0, 9.0]
+    assert queue.dropped == {"picture": 7}
+
+
+def test_a_closed_queue_gives_what_it_holds_and_takes_no_more() -> None:
+    queue = DroppingQueue()
+    queue.put(State("", 0.0, "before"))
+    queue.close()
+    queue.put(State("", 1.0, "after"))
+    assert queue.take(0.0, 10**9) == [State("", 0.0, "before")]
+    assert queue.empty
+    assert queue.dropped == {"state": 1}
+
+
+@given(st.floats(-1e6, 1e6), st.floats(1e-6, 1e6), st.integers(3, 12))
+def test_ticks_are_round_few_and_inside(low: float, span: float, about: int) -> None:
+    high = low + span
+    if not high > low:
+        return
+    places = ticks(low, high, about)
+    # a tick is a product of doubles: it is known to a few units in the last place of the larger limit
+    slack = 1e-6 * (high - low) + 8 * np.spacing(max(abs(low), abs(high)))
+    assert len(places) <= about + 2
+    assert (places >= low - slack).all()
+    assert (places <= high + slack).all()
+
+
+def test_tick_labels_have_the_decimals_of_their_step() -> None:
+    assert [tick_label(value, 0.5) for value in (-0.5, 0.0, 1.0)] == ["−0.5", "0.0", "1.0"]
+    assert [tick_label(value, 50.0) for value in (-50.0, 0.0)] == ["−50", "0"]
+    assert tick_label(-1e-17, 0.1) == "0.0"
+
+
+@given(st.floats(1e-3, 1e5))
+def test_the_axes_reach_beyond_the_amplitude_but_not_far(amplitude: float) -> None:
+    assert 1.02 * amplitude < reach_beyond(amplitude) <= 1.71 * amplitude
+
+
+@pytest.mark.parametrize("amplitude", [0.0, math.nan, math.inf, -1.0])
+def test_the_axes_have_a_length_without_an_amplitude(amplitude: float) -> None:
+    assert reach_beyond(amplitude) == 1.0
+
+
+@given(st.floats(1e-2, 1e4), st.sampled_from([1.0, 10.0]))
+def test_the_trajectorys_axes_fill_the_same_part_of_the_plane(reach: float, stretch: float) -> None:
+    graticule = trajectory_graticule(reach, "arcsec", stretch)
+    corners = graticule.place(np.array([graticule.x_low, graticule.x_high]), np.array([-reach, reach]))
+    np.testing.assert_allclose(corners, [[-100, 100], [100, -100]], rtol=1e-12)
+
+
+def test_a_boxs_axes_hold_every_value_and_are_not_set_by_a_few() -> None:
+    x, y = np.arange(200.0), np.concatenate((np.linspace(-1, 1, 198), [1e3, np.nan]))
+    whole, trimmed = (Graticule.boxed(x, y, "x", "y", trimmed=flag) for flag in (False, True))
+    assert whole.inside(x, y).sum() == 199
+    assert trimmed.y_high < 3
+    assert trimmed.inside(x, y).sum() == 198
+
+
+@given(st.lists(st.integers(1, 60), min_size=1, max_size=12))
+def test_a_trail_joins_across_blocks(sizes: list[int]) -> None:
+    trail = Trail()
+    drawn: list[NDArray[np.float64]] = []
+    first = 0
+    for size in sizes:
+        time_s = np.arange(first, first + size, dtype=np.float64)
+        ends, strips = trail.pieces(time_s, np.column_stack((time_s, -time_s)))
+        assert [strip[-1][0] for strip in strips] == ends.tolist()
+        drawn.extend(strips)
+        first += size
+    segments = [(a[0], b[0]) for strip in drawn for a, b in itertools.pairwise(strip)]
+    assert segments == [(float(n), float(n + 1)) for n in range(first - 1)]
+
+
+def test_a_trail_is_broken_by_a_lost_spot_at_a_blocks_edge() -> None:
+    trail = Trail()
+    block = np.arange(3.0)
+    trail.pieces(block, np.array([[0.0, 0.0], [1.0, 1.0], [np.nan, np.nan]]))
+    _, strips = trail.pieces(block + 3, np.array([[3.0, 3.0], [4.0, 4.0], [5.0, 5.0]]))
+    assert [strip[0][0] for strip in strips] == [3.0]
+
+
+@given(st.floats(1.0, 20_000.0), st.integers(0, 2**31))
+def test_decimation_keeps_the_rate_and_every_flag(rate_hz: float, seed: int) -> None:
+    random = np.random.default_rng(seed)
+    time_s = np.arange(2000) / rate_hz
+    flags = (random.random(2000) < 0.01).astype(np.int64)
+    decimator = Decimator(100.0)
+    split = int(random.integers(0, 2000))
+    parts = [decimator.choose(time_s[part], flags[part]) for part in (slice(split), slice(split, None))]
+    chosen = np.concatenate(parts)
+    assert chosen[flags != 0].all()
+    unflagged = np.count_nonzero(chosen & (flags == 0))
+    assert unflagged <= time_s[-1] * 100.0 + 2
+    if rate_hz <= 99.0:
+        assert chosen.all()
+
+
+def test_values_are_rounded_to_their_uncertainty() -> None:
+    assert rounded(1.23456, 0.0123) == ("1.235", "0.012")
+    assert rounded(-1234.5, 12.3) == ("−1234", "12")
+    assert rounded(5.0, math.nan) == ("5", "–")
+    assert rounded(math.nan, 0.1) == ("–", "–")
+
+
+def test_the_balances_table_names_values_and_units() -> None:
+    table = balance_table({"transverse_ratio": (0.0201, 0.0005), "rest_x_arcsec": (-0.5, 0.01)}, unit="px")
+    assert "| transverse ratio | 2.010 | 0.050 | % |" in table
+    assert "| rest X | −0.500 | 0.010 | px |" in table
+
+
+def test_the_balances_numbers_come_in_units_that_a_person_reads() -> None:
+    fields = {
+        "time_ns": 5,
+        "rest_x_rad": ARCSEC_RAD,
+        "u_rest_x_rad": 0.1 * ARCSEC_RAD,
+        "drift_x_rad_per_s": ARCSEC_RAD,
+        "u_drift_x_rad_per_s": 0.0,
+        "rotation_rad_per_s": math.pi / 180,
+        "u_rotation_rad_per_s": 0.0,
+        "period_ratio": 5.0,
+        "u_period_ratio": 0.1,
+    }
+    shown = balance_quantities(fields, ARCSEC_RAD)
+    assert shown["rest_x_arcsec"] == pytest.approx((1.0, 0.1))
+    assert shown["drift_x_arcsec_per_min"] == pytest.approx((60.0, 0.0))
+    assert shown["rotation_deg_per_min"] == pytest.approx((60.0, 0.0))
+    assert shown["period_ratio"] == pytest.approx((5.0, 0.1))
+    assert set(shown) <= set(BALANCE)
+
+
+def test_every_quantity_has_a_panel_and_an_unknown_one_a_name() -> None:
+    assert {quantity.panel for quantity in BALANCE.values() if quantity.panel} == set(PANELS)
+    assert balance_quantity("a_new_number").label == "a new number"
+
+
+def test_the_palette_is_told_apart_by_its_lightness_or_hue() -> None:
+    assert len(set(palette.SEQUENCE)) == len(palette.SEQUENCE)
+    assert palette.rgba("#E69F00", 0.5) == (230, 159, 0, 128)
+    assert palette.curve_colour("exact fit", 3) == palette.curve_colour("exact", 0)

@@ -1,0 +1,167 @@
+"""Records shown again: what is drawn of them, aligned, laid over each other, and bad input."""
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from acquisition.frame import Frame
+from acquisition.record.writer import RecordWriter
+from processing.angle import ARCSEC_RAD
+from processing.errors import ConfigurationError, RecordError
+from processing.spot import Spot, SpotFlag
+from processing.swing import Swing
+from rig.view.recorded import run_names, show_records, write_rrd
+from tests.rig.view import scene as view_scene
+from tests.rig.view.rrd_contents import column, entities, scalars
+
+EPOCH_NS = 1_700_000_000_000_000_000
+LOST_ROW = 500
+
+
+@dataclass(frozen=True)
+class LineBalance:
+    """Two numbers of a balance, as a record holds them."""
+
+    time_ns: int
+    transverse_ratio: float
+    u_transverse_ratio: float
+    line_angle_rad: float
+    u_line_angle_rad: float
+
+
+def make_record(path: Path, *, start_s: float = 7.0, rows: int = 1000, unit: str = "rad") -> Path:
+    """A record of `rows` frames at 100 a second; one is missing, one has lost its spot."""
+    sequence = np.delete(np.arange(rows + 1), 200)
+    times_ns = np.round((start_s + sequence / 100) * 1e9).astype(np.int64)
+    x, y = view_scene.trajectory(sequence / 100, np.random.default_rng(3))
+    factor = ARCSEC_RAD if unit == "rad" else 1.0
+    x, y = x * factor, y * factor
+    x[LOST_ROW] = y[LOST_ROW] = math.nan
+    spots = [
+        Spot(320.0 + n, 160.0, 0.01, 0.01, 12.0, 12.0, 0.0, 200.0, 8.0, 1.0, 0) for n in range(len(sequence))
+    ]
+    spots[LOST_ROW] = Spot(*[math.nan] * 10, SpotFlag.LOST)
+    u = np.full(len(sequence), 0.01 * factor)
+    with RecordWriter(path, EPOCH_NS, deflection_unit="px" if unit == "px" else "rad") as writer:
+        for first in range(0, len(sequence), 500):
+            part = slice(first, first + 500)
+            numbers, times = sequence[part].tolist(), times_ns[part]
+            deflections = (x[part], y[part], u[part], u[part])
+            writer.write_spots(numbers, times.tolist(), times.tolist(), times, spots[part], *deflections)
+            writer.flush()
+        for index in range(4):
+            time_ns = int(times_ns[0]) + round(2.035e9 * index)
+            swing = Swing(
+                index, time_ns, 1e-4, 120 * factor, 0.005 * factor, 2.035, 1e-4, 0.0, 1 - 2 * (index % 2), 0
+            )
+            writer.write_swing(swing)
+            writer.write_balance(LineBalance(time_ns, 0.02, 0.0005, math.radians(1.5), math.radians(0.01)))
+        writer.write_event(int(times_ns[200]), "gap", "1 frame is missing")
+        image = view_scene.spot_image((420.0, 160.0), np.random.default_rng(0))
+        writer.write_image(Frame(image, int(sequence[100]), int(times_ns[100]), int(times_ns[100])))
+    return path
+
+
+def test_a_record_is_drawn_from_its_start(tmp_path: Path) -> None:
+    rrd = tmp_path / "shown.rrd"
+    write_rrd([make_record(tmp_path / "run.mcap")], rrd)
+    times_s, x = scalars(rrd, "/deflection/x")
+    expected, _ = view_scene.trajectory(np.delete(np.arange(1001), 200) / 100, np.random.default_rng(3))
+    expected[LOST_ROW] = np.nan
+    np.testing.assert_allclose(x, expected, rtol=1e-12)
+    assert times_s[0] == 0.0
+    assert times_s[-1] == pytest.approx(10.0, abs=1e-9)
+    assert scalars(rrd, "/amplitude/value")[1] == pytest.approx([120.0] * 4)
+    assert scalars(rrd, "/period/value")[1] == pytest.approx([4.07] * 4)
+    assert scalars(rrd, "/balance/line_angle_deg/value")[1] == pytest.approx([1.5] * 4)
+    assert scalars(rrd, "/balance/transverse_ratio/upper")[1] == pytest.approx([2.05] * 4)
+    assert scalars(rrd, "/losses/missing_frames")[1][-1] == 1
+    assert scalars(rrd, "/losses/lost_spots")[1][-1] == 1
+    assert column(rrd, "/events", "TextLog:text")[1] == [["gap: 1 frame is missing"]]
+    times_s, crosses = column(rrd, "/camera/spot", "LineStrips2D:strips")
+    assert times_s == pytest.approx([1.0])
+    # The cross' arms are symmetric about the spot, half a pixel further in Rerun's coordinates.
+    assert np.mean(np.array(crosses[0]).reshape(-1, 2), axis=0) == pytest.approx([420.5, 160.5], abs=1e-3)
+
+
+def test_a_lost_spot_breaks_the_trajectory(tmp_path: Path) -> None:
+    rrd = tmp_path / "shown.rrd"
+    write_rrd([make_record(tmp_path / "run.mcap")], rrd)
+    _, strips = column(rrd, "/lissajous/equal/trajectory/recent", "LineStrips2D:strips")
+    points = sum(len(strip[0]) - 1 for strip in strips)
+    assert points == 1000 - 1 - 2
+    assert np.isfinite(np.concatenate([np.array(strip[0]) for strip in strips])).all()
+
+
+@pytest.mark.parametrize(("align_start", "second_start_s"), [(True, 0.0), (False, 93.0)])
+def test_records_are_laid_over_each_other(tmp_path: Path, align_start: bool, second_start_s: float) -> None:
+    rrd = tmp_path / "shown.rrd"
+    paths = [make_record(tmp_path / "run-1.mcap"), make_record(tmp_path / "run-2.mcap", start_s=100.0)]
+    write_rrd(paths, rrd, align_start=align_start)
+    assert scalars(rrd, "/run-1/deflection/y")[0][0] == 0.0
+    assert scalars(rrd, "/run-2/deflection/y")[0][0] == pytest.approx(second_start_s)
+    assert {
+        "/lissajous/equal/trajectory/run-1/recent",
+        "/lissajous/equal/trajectory/run-2/recent",
+    } <= entities(rrd)
+
+
+def test_a_record_without_calibration_is_shown_in_px(tmp_path: Path) -> None:
+    rrd = tmp_path / "shown.rrd"
+    write_rrd([make_record(tmp_path / "run.mcap", unit="px")], rrd)
+    assert np.nanmax(scalars(rrd, "/deflection/y")[1]) == pytest.approx(120.0, rel=0.01)
+
+
+def test_px_and_arcsec_do_not_mix(tmp_path: Path) -> None:
+    paths = [make_record(tmp_path / "a.mcap"), make_record(tmp_path / "b.mcap", unit="px")]
+    with pytest.raises(RecordError, match="cannot be laid over"):
+        write_rrd(paths, tmp_path / "shown.rrd")
+    assert not (tmp_path / "shown.rrd").exists()
+
+
+def test_a_record_cut_short_is_shown_as_far_as_it_goes(tmp_path: Path) -> None:
+    path = make_record(tmp_path / "run.mcap", rows=30_000)
+    data = path.read_bytes()
+    path.write_bytes(data[: len(data) // 2])
+    rrd = tmp_path / "shown.rrd"
+    write_rrd([path], rrd)
+    assert 1000 < len(scalars(rrd, "/deflection/x")[0]) < 30_000
+
+
+@pytest.mark.parametrize(
+    ("content", "message"), [(b"", "empty"), (b"no MCAP at all", "no MCAP"), (None, "no such")]
+)
+def test_bad_files_are_named_and_nothing_is_written(
+    tmp_path: Path, content: bytes | None, message: str
+) -> None:
+    good, bad, rrd = make_record(tmp_path / "good.mcap"), tmp_path / "bad.mcap", tmp_path / "shown.rrd"
+    if content is not None:
+        bad.write_bytes(content)
+    before = set(tmp_path.iterdir())
+    with pytest.raises(RecordError, match=f"bad.mcap.*{message}"):
+        show_records([good, bad], rrd=rrd)
+    assert set(tmp_path.iterdir()) == before
+
+
+def test_an_existing_rerun_file_is_not_overwritten(tmp_path: Path) -> None:
+    rrd = tmp_path / "shown.rrd"
+    rrd.write_bytes(b"kept")
+    with pytest.raises(ConfigurationError, match="exists already"):
+        show_records([make_record(tmp_path / "run.mcap")], rrd=rrd)
+    assert rrd.read_bytes() == b"kept"
+
+
+def test_without_a_screen_nothing_opens(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("rig.view.rrd_display.display_missing", lambda: "there is no screen here")
+    with pytest.raises(ConfigurationError, match="no screen"):
+        show_records([make_record(tmp_path / "run.mcap")])
+
+
+def test_names_of_runs() -> None:
+    assert run_names([Path("a/run-1.mcap")]) == [""]
+    assert run_names([Path("a/run-1.mcap"), Path("a/run-2.mcap")]) == ["run-1", "run-2"]
+    assert run_names([Path("a/run-1.mcap"), Path("b/run-1.mcap")]) == ["a run-1", "b run-1"]
+    assert len(set(run_names([Path("a/run-1.mcap")] * 3))) == 3

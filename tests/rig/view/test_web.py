@@ -1,0 +1,72 @@
+"""`view.mode = "web"` in a real browser."""
+
+import signal
+import subprocess
+import sys
+import time
+import urllib.parse
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from rig.presentation import palette
+from rig.view.ports import LOOPBACK, free_port
+from rig.view.viewer import Viewer
+from tests.rig.view import scene as view_scene
+from tests.rig.view.headless_browser import headless_browser, wait_for_picture
+from tests.rig.view.headless_viewer import pixels_of
+
+pytestmark = pytest.mark.slow
+
+WANTED = (palette.TRAJECTORY_COLOUR, palette.X_COLOUR, palette.Y_COLOUR, palette.PERIOD_COLOUR)
+
+
+def test_the_page_draws_the_run(tmp_path: Path) -> None:
+    with (
+        headless_browser() as browser,
+        Viewer(None, "web", port=free_port(0), web_port=free_port(0)) as viewer,
+    ):
+        view_scene.play(viewer)
+        deadline = time.monotonic() + 30.0
+        while not viewer.counts.notes:
+            assert time.monotonic() < deadline
+            time.sleep(0.1)
+        address = viewer.counts.notes[0].removeprefix("live view: ")
+        time.sleep(1.0)
+        browser.open(address)
+        picture = wait_for_picture(browser, drawn, 60.0, tmp_path / "page.png")
+        for colour in WANTED:
+            assert pixels_of(picture, colour) > 60, f"nothing drawn in {colour}"
+        hosts = {urllib.parse.urlsplit(url).hostname for url in browser.requested}
+        # data: and blob: addresses have no host.
+        assert hosts - {None} == {LOOPBACK}
+
+
+def test_a_rerun_file_is_shown_as_a_page(tmp_path: Path) -> None:
+    rrd = tmp_path / "scene.rrd"
+    with Viewer(rrd) as viewer:
+        view_scene.play(viewer)
+    command = "import sys; from pathlib import Path; from rig.view.rrd_display import show_rrd; "
+    command += "show_rrd([Path(sys.argv[1])], 'web')"
+    with headless_browser() as browser:
+        shown = subprocess.Popen(
+            [sys.executable, "-c", command, str(rrd)],
+            stdout=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+        )
+        try:
+            assert shown.stdout is not None
+            browser.open(shown.stdout.readline().split()[4])
+            picture = wait_for_picture(browser, drawn, 60.0, tmp_path / "page.png")
+        finally:
+            shown.send_signal(signal.SIGINT)
+            shown.wait(20.0)
+        shown.stdout.close()
+    assert drawn(picture)
+
+
+def drawn(picture: NDArray[np.uint8]) -> bool:
+    return all(pixels_of(picture, colour) > 60 for colour in WANTED)
