@@ -1,7 +1,6 @@
 """results.json: values, uncertainties, provenance. Fixed names, so that other programs can rely on them."""
 
 import json
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -14,6 +13,7 @@ from processing.swing import KnownMotion, TurningPoints
 from rig.analysis.contact_tree import estimate_tree, evaluation_tree
 from rig.analysis.contact_verdicts import Evaluation
 from rig.analysis.other_instruments import Reduction
+from rig.presentation.say import plain_values
 
 SCHEMA = 1
 
@@ -104,14 +104,3 @@ def _run_tree(run: RunResult, folder: Path) -> dict[str, Any]:
         **(evaluation_tree(run.evaluation) if run.evaluation is not None else {}),
         **({"instrument": dict(run.reduction.values)} if run.reduction is not None else {}),
     }
-
-
-def plain_values(value: Any) -> Any:
-    """Nested values for JSON, where NaN and infinity become null, which says "not determined"."""
-    if isinstance(value, Mapping):
-        return {str(key): plain_values(inner) for key, inner in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain_values(inner) for inner in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value

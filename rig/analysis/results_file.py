@@ -199,3 +199,17 @@ def _flat(tree: Mapping[str, Any], above: str = "") -> dict[str, str]:
         elif value is not None and value != "" and value != {}:
             found[name] = f"{value:.10g}" if isinstance(value, float) else str(value)
     return found
+
+
+def recorded_results(record: Path, sha256: str) -> tuple[str, Mapping[str, Any] | None]:
+    """Name of the newest results file beside a record that knows it, and what it says of it, if any."""
+    files = sorted(record.parent.glob("results*.json"), key=lambda path: path.stat().st_mtime, reverse=True)
+    for path in files:
+        try:
+            runs = json.loads(path.read_text(encoding="utf-8"))["runs"]
+            found: Mapping[str, Any] | None = next((r for r in runs if r.get("sha256") == sha256), None)
+        except (OSError, ValueError, KeyError, TypeError, AttributeError):
+            continue
+        if found is not None:
+            return path.name, found
+    return "", None

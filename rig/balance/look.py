@@ -10,13 +10,12 @@ from calibration.axes import Axes
 from processing.balance import Balance
 from processing.errors import ConfigurationError, DataError
 from processing.spot import SpotTracker
-from rig.analysis.screen import say
 from rig.devices.devices import Devices
 from rig.devices.frame_stream import FrameStream
-from rig.instrument.configured import camera_settings, sensor_model
+from rig.instrument.configured import camera_settings, frame_policy, sensor_model
 from rig.instrument.kernels import prepare_kernels
 from rig.instrument.pipeline import Block, Pipeline
-from rig.measure.assembly import frame_policy
+from rig.presentation.say import say
 from rig.settings.configuration import Configuration
 from rig.view.watcher import LiveView, start_view
 

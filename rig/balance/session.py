@@ -19,7 +19,6 @@ from processing.balance_advice import (
     find_faults,
 )
 from processing.errors import ConfigurationError
-from rig.analysis.screen import say
 from rig.balance.look import LooksView, look
 from rig.balance.screen import print_advice, print_faults
 from rig.devices.devices import Devices
@@ -32,6 +31,7 @@ from rig.instrument.balance import (
     nominal_effects,
 )
 from rig.instrument.configured import complete
+from rig.presentation.say import say
 from rig.settings.configuration import Configuration
 
 Floats = NDArray[np.float64]

@@ -14,6 +14,7 @@ from rig.control.environment import parse_environment
 from rig.control.lasers import make_laser
 from rig.control.serial_port import LineReader, PortLost, SerialPort
 from rig.control.settings import ControllerSettings, EnvironmentSettings, LaserSettings
+from rig.presentation.verdict import Check
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,19 +26,6 @@ class SerialPortInfo:
     vendor: int
     product: int
     serial: str
-
-
-@dataclass(frozen=True, slots=True)
-class Check:
-    """One line of a go / no-go table; `remedy` is empty where all is well.
-
-    One that is ok and has a remedy all the same is a warning.
-    """
-
-    name: str
-    ok: bool
-    reason: str
-    remedy: str = ""
 
 
 def list_serial_ports() -> tuple[SerialPortInfo, ...]:

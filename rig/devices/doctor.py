@@ -10,11 +10,13 @@ from pathlib import Path
 from acquisition.camera import FrameTimeout
 from acquisition.frame_losses import FrameLosses
 from processing.errors import RigError
-from rig.analysis.screen import print_checks, print_json_line
-from rig.control.ports import Check, check_controller, check_environment, check_laser
+from rig.control.ports import check_controller, check_environment, check_laser
 from rig.devices.devices import Devices
 from rig.devices.usb_checks import check_usb_cameras, check_usb_memory
 from rig.instrument.configured import check_materials, complete, sensor_model
+from rig.presentation.say import print_json_line
+from rig.presentation.verdict import Check
+from rig.presentation.verdict_table import print_checks
 from rig.settings.configuration import Configuration
 
 _FRAMES = 60

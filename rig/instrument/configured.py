@@ -4,6 +4,7 @@ import math
 
 from acquisition.camera import Camera, CameraSettings
 from acquisition.cameras import drivers
+from acquisition.frame_queue import Policy
 from acquisition.simulation.settings import SimulationSettings
 from calibration.axes import Axes
 from calibration.lever import Lever
@@ -207,3 +208,10 @@ def check_materials(config: Configuration) -> None:
             pendulum_on_ball(config)
         except ConfigurationError as error:
             raise ConfigurationError(f"pendulum: {error} under [materials.NAME]") from None
+
+
+def frame_policy(config: Configuration) -> Policy:
+    """Sources that can wait are held back and lose nothing; a real camera cannot wait."""
+    if config.camera.driver == "files":
+        return "wait"
+    return "wait" if config.camera.driver == "simulated" and not config.simulation.real_time else "every"

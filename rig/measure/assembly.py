@@ -8,24 +8,25 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from acquisition.frame import Frame
-from acquisition.frame_queue import Policy
 from acquisition.record.writer import RecordWriter
 from calibration.axes import Axes
 from processing.angle import ARCSEC_RAD
 from processing.errors import ConfigurationError
 from processing.spot import SpotTracker
-from rig.analysis.screen import print_preflight, say
 from rig.devices.devices import Devices, OpenCamera
-from rig.instrument.configured import camera_settings, sensor_model
+from rig.instrument.configured import camera_settings, frame_policy, sensor_model
 from rig.instrument.kernels import prepare_kernels
 from rig.instrument.pipeline import Deflector, Pipeline
 from rig.instrument.provenance import configuration_attachments, session_metadata
-from rig.measure.preflight import Verdict, table_tree
+from rig.measure.preflight import table_tree
 from rig.measure.preparation import Preparation, preflight_wanted
 from rig.measure.roles import Attempts, RunOutcome, Watcher
 from rig.measure.run import Run
 from rig.measure.screen import RunDisplay
 from rig.measure.start_and_end import EndOfRun, StartJudge
+from rig.presentation.say import say
+from rig.presentation.verdict import Verdict
+from rig.presentation.verdict_table import print_preflight
 from rig.settings.configuration import Configuration
 from rig.view.watcher import LiveView, open_view
 
@@ -63,13 +64,6 @@ def measure_run(plan: RunPlan, devices: Devices) -> RunOutcome:
             if view is not None:
                 for note in view.close().notes:
                     say(f"view: {note}")
-
-
-def frame_policy(config: Configuration) -> Policy:
-    """Sources that can wait are held back and lose nothing; a real camera cannot wait."""
-    if config.camera.driver == "files":
-        return "wait"
-    return "wait" if config.camera.driver == "simulated" and not config.simulation.real_time else "every"
 
 
 def start_judge(config: Configuration, unit_rad: float) -> StartJudge:

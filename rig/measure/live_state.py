@@ -8,9 +8,9 @@ from dataclasses import replace
 from acquisition.frame import Frame
 from acquisition.record.topics import Environment
 from processing.swing import Swing
+from rig.instrument.events import Event
 from rig.instrument.pipeline import Block
 from rig.instrument.snapshot import Snapshot
-from rig.measure.recorder import Event
 from rig.measure.roles import Surroundings, Watcher
 
 

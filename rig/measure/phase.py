@@ -3,9 +3,9 @@
 from collections.abc import Callable
 
 from processing.errors import DataError
+from rig.instrument.events import Event
 from rig.instrument.snapshot import Snapshot
 from rig.measure.recent_frames import Lookout
-from rig.measure.recorder import Event
 
 
 class Stopped(Exception):

@@ -14,27 +14,12 @@ from processing.angle import ARCSEC_RAD
 from processing.errors import DataError
 from processing.spot import Spot, SpotFlag
 from rig.devices.lighting import STAYS_LIT, WIRE_IT, LaserNow
+from rig.presentation.verdict import Verdict
 from rig.settings.configuration import Configuration
 from rig.settings.phases import PreflightSettings
 
 Floats = NDArray[np.float64]
 _SPOT_BYTES = 260
-
-
-@dataclass(frozen=True, slots=True)
-class Verdict:
-    """One line of the table. `made` False: there was nothing to check, which is ok and has its reason.
-
-    One that is ok and has a remedy all the same is a warning.
-    """
-
-    name: str
-    measured: str
-    limit: str
-    ok: bool
-    reason: str = ""
-    remedy: str = ""
-    made: bool = True
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,13 +15,13 @@ from processing.spot import SensorModel, SpotTracker
 from rig.devices.devices import Devices
 from rig.devices.frame_stream import FrameStream
 from rig.devices.lighting import done, goes_dark_by_itself
+from rig.instrument.events import Event
 from rig.instrument.pipeline import Deflector
 from rig.instrument.snapshot import Snapshot
 from rig.measure import preflight
 from rig.measure.phase import PhaseWatch, Stopped
-from rig.measure.preflight import Verdict
 from rig.measure.recent_frames import Lookout
-from rig.measure.recorder import Event
+from rig.presentation.verdict import Verdict
 from rig.settings.configuration import Configuration
 
 _AT_ONCE_FRAMES = 100

@@ -11,6 +11,7 @@ from acquisition.frame import Frame, Image
 from acquisition.record.topics import ENVIRONMENT, LOSSES_TOPIC, Environment, RecordedLosses
 from acquisition.record.writer import RecordWriter
 from processing.spot import Spot
+from rig.instrument.events import Event
 from rig.instrument.pipeline import Block
 
 _log = logging.getLogger(__name__)
@@ -24,14 +25,6 @@ class Window(NamedTuple):
     image: Image
     x0_px: int
     y0_px: int
-
-
-class Event(NamedTuple):
-    """Something that happened to the measurement, as it goes into the record."""
-
-    time_ns: int
-    kind: str
-    text: str
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,9 +6,9 @@ from typing import Protocol
 
 from acquisition.frame import Frame
 from rig.devices.frame_stream import FrameStream
+from rig.instrument.events import Event
 from rig.instrument.pipeline import Block
 from rig.instrument.snapshot import Snapshot
-from rig.measure.recorder import Event
 from rig.measure.start_and_end import StartJudge
 
 

@@ -17,13 +17,14 @@ from processing.angle import ARCSEC_RAD
 from processing.errors import DataError, RigError
 from processing.swing import Swing
 from rig.devices.frame_stream import FrameStream
+from rig.instrument.events import Event
 from rig.instrument.pipeline import Pipeline
 from rig.instrument.snapshot import Snapshot
 from rig.interruption import reason_of
 from rig.measure.frame_counts import FrameCounts
 from rig.measure.live_state import PublicState
 from rig.measure.loss_log import LossLog
-from rig.measure.recorder import Entry, Event, Recorder
+from rig.measure.recorder import Entry, Recorder
 from rig.measure.roles import Attempts, Prelude, RunOutcome, Surroundings, Watcher
 from rig.measure.start_and_end import EndOfRun, StartJudge
 

@@ -11,12 +11,13 @@ from acquisition.record.recover import recover
 from processing.errors import ConfigurationError, RecordError, RigError
 from rig.analysis.record_fit import analyse_record, combine, free_name
 from rig.analysis.results import RunResult, results_tree, write_results
-from rig.analysis.screen import print_json_line, print_results, say
+from rig.analysis.screen import print_results
 from rig.devices.devices import Devices
 from rig.instrument.configured import check_materials, complete
 from rig.interruption import Terminated, reason_of
 from rig.measure.assembly import RunPlan, measure_run
 from rig.measure.session_file import STATE_NAME, RunEntry, RunState, SessionFile
+from rig.presentation.say import print_json_line, say
 from rig.settings.configuration import Configuration, validate_configuration
 
 

@@ -12,9 +12,11 @@ from processing.angle import ARCSEC_RAD
 from processing.errors import ConfigurationError
 from rig.analysis.record_fit import analyse_record, analyse_run
 from rig.analysis.results import RunResult, results_tree, write_results
-from rig.analysis.screen import print_results, say
+from rig.analysis.results_file import recorded_results
+from rig.analysis.screen import print_results
 from rig.instrument.provenance import recorded_configuration
-from rig.replay.comparison import parameter_changes, recorded_results
+from rig.presentation.say import say
+from rig.replay.comparison import parameter_changes
 from rig.replay.keys import Keys
 from rig.replay.player import HELP, Player
 from rig.replay.replay import Replay, Replayed

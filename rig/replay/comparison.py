@@ -1,10 +1,8 @@
 """What a replay made of a record against what had been recorded: spots, half-cycles, fitted parameters."""
 
-import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import astuple, dataclass
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,7 +11,7 @@ from numpy.typing import NDArray
 from processing.fit.result import CONTACT_NAMES
 from processing.spot import Spot
 from processing.swing import Swing
-from rig.analysis.results import plain_values
+from rig.presentation.say import plain_values
 
 _SAME_SWING = 0.25
 """Two turning points are one where they are no further apart than this part of a half period."""
@@ -127,20 +125,6 @@ class ReplayComparison:
             largest_swing_change_u=largest,
             largest_swing_s=largest_s,
         )
-
-
-def recorded_results(record: Path, sha256: str) -> tuple[str, Mapping[str, Any] | None]:
-    """Name of the newest results file beside a record that knows it, and what it says of it, if any."""
-    files = sorted(record.parent.glob("results*.json"), key=lambda path: path.stat().st_mtime, reverse=True)
-    for path in files:
-        try:
-            runs = json.loads(path.read_text(encoding="utf-8"))["runs"]
-            found: Mapping[str, Any] | None = next((r for r in runs if r.get("sha256") == sha256), None)
-        except (OSError, ValueError, KeyError, TypeError, AttributeError):
-            continue
-        if found is not None:
-            return path.name, found
-    return "", None
 
 
 def parameter_changes(recorded: Mapping[str, Any], replayed: Mapping[str, Any]) -> list[Change]:

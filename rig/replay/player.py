@@ -8,8 +8,8 @@ from typing import Final, Protocol
 from acquisition.record.topics import RecordedEvent
 from processing.angle import ARCSEC_RAD
 from processing.spot import SpotFlag
+from rig.instrument.events import Event
 from rig.instrument.snapshot import Snapshot
-from rig.measure.recorder import Event
 from rig.replay.keys import Keys
 from rig.replay.replay import Replay, Step
 from rig.view.watcher import LiveView

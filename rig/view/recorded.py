@@ -18,10 +18,10 @@ from processing.angle import ARCSEC_RAD
 from processing.balance import Balance
 from processing.errors import RecordError
 from processing.spot import SpotFlag
-from rig.analysis.screen import say
 from rig.instrument.balance import advice_text
 from rig.instrument.provenance import recorded_configuration
 from rig.presentation.balance_quantities import balance_quantities
+from rig.presentation.say import say
 from rig.view.analysis_curves import analysis_curves, overlaid_curves, report_text, run_analysis
 from rig.view.messages import EventLevel, LayoutName
 from rig.view.rrd_display import show_rrd

@@ -12,9 +12,9 @@ from processing.angle import ARCSEC_RAD
 from processing.balance import Balance
 from processing.spot import Spot, SpotFlag
 from rig.instrument.balance import advice_text
+from rig.instrument.events import Event
 from rig.instrument.pipeline import Block
 from rig.instrument.snapshot import Snapshot
-from rig.measure.recorder import Event
 from rig.presentation.balance_quantities import balance_quantities
 from rig.settings.configuration import Configuration
 from rig.view.messages import EventLevel, LayoutName, Mode

@@ -11,10 +11,11 @@ from acquisition.frame import Frame
 from calibration.stability import stability
 from processing.angle import ARCSEC_RAD
 from processing.spot import Spot, SpotFlag
-from rig.analysis.screen import print_preflight
 from rig.devices.lighting import LaserNow
 from rig.measure import preflight
-from rig.measure.preflight import Look, Verdict
+from rig.measure.preflight import Look
+from rig.presentation.verdict import Verdict
+from rig.presentation.verdict_table import print_preflight
 from rig.settings.phases import PreflightSettings
 
 LIMITS = PreflightSettings()
