@@ -20,8 +20,8 @@ MOMENT_S = {"balancing": 60.0, "measuring": 240.0}
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parents[1]))
 
-from rig.view.layout import TIMELINE  # noqa: E402
-from rig.view.messages import LayoutName  # noqa: E402
+from rig.rerun.layout import TIMELINE  # noqa: E402
+from rig.rerun.messages import LayoutName  # noqa: E402
 from rig.view.recorded import write_rrd  # noqa: E402
 from rig.view.viewer import Viewer  # noqa: E402
 from tests.rig import view_scene  # noqa: E402

@@ -17,6 +17,7 @@ from processing.fit.periods import full_periods
 from processing.fit.result import CONTACT_NAMES
 from processing.fit.smoothing import super_smooth
 from processing.swing import TurningPoints
+from rig.presentation.numbers import number
 
 Array = NDArray[np.float64]
 
@@ -40,13 +41,6 @@ class Curves:
     asymptotic_period_s: Array
     exact_period_s: Array
     smooth_s: Array
-
-
-def number(tree: Mapping[str, Any], name: str, key: str = "value") -> float:
-    """A value of results.json as a float, NaN where it is null or not there."""
-    entry = tree.get(name)
-    value = entry.get(key) if isinstance(entry, Mapping) else entry
-    return float(value) if isinstance(value, int | float) else math.nan
 
 
 def parameters_of(fit: Mapping[str, Any]) -> ContactParameters:

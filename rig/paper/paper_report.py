@@ -5,10 +5,11 @@ from pathlib import Path
 
 from processing.angle import ARCSEC_RAD
 from processing.errors import RecordError
-from rig.analysis.curves import curves_of, number, parameters_of
+from rig.analysis.curves import curves_of, parameters_of
 from rig.paper.comparison import table1, table2, table3, table4
 from rig.paper.printed import CONTRADICTIONS, LOOP_AMPLITUDE_ARCSEC, PAIRS, SOURCE
 from rig.paper.simulation import NOISE_ARCSEC, PairSeries, simulate_pair
+from rig.presentation.numbers import number
 from rig.presentation.table import Table
 from rig.presentation.terminal import print_tables
 from rig.report import figures_contact, figures_laws, figures_motion, html

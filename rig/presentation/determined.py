@@ -4,8 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from processing.fit.checks import WELL_DETERMINED
-from rig.analysis.curves import number
-from rig.presentation.numbers import plain, with_uncertainty
+from rig.presentation.numbers import number, plain, with_uncertainty
 
 
 def determined_text(

@@ -1,6 +1,8 @@
 """Numbers as a paper prints them: two digits of the uncertainty, powers of ten, units."""
 
 import math
+from collections.abc import Mapping
+from typing import Any
 
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
@@ -74,3 +76,10 @@ def with_uncertainty(value: float, u: float) -> str:
     digits = max(0, 1 - first)
     text = f"{value / 10.0**shift:.{digits}f} ± {u / 10.0**shift:.{digits}f}".replace("-", "−")
     return f"({text}){power(shift)}" if shift else text
+
+
+def number(tree: Mapping[str, Any], name: str, key: str = "value") -> float:
+    """A value of results.json as a float, NaN where it is null or not there."""
+    entry = tree.get(name)
+    value = entry.get(key) if isinstance(entry, Mapping) else entry
+    return float(value) if isinstance(value, int | float) else math.nan

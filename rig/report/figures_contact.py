@@ -8,9 +8,8 @@ import numpy as np
 from processing.angle import ARCSEC_RAD
 from processing.contact.moments import cycle_work, moment_loop, weight_moment
 from processing.contact.parameters import ContactParameters, PendulumOnBall
-from rig.analysis.curves import number
 from rig.presentation import palette
-from rig.presentation.numbers import plain, symbol
+from rig.presentation.numbers import number, plain, symbol
 from rig.report.drawing import ASYMPTOTIC, DATA, EXACT, INK, Drawing, canvas
 
 

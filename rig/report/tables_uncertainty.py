@@ -4,9 +4,8 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from rig.analysis.curves import number
 from rig.presentation.determined import determined_text, series_verdicts
-from rig.presentation.numbers import SOURCES, plain, power, symbol, with_uncertainty
+from rig.presentation.numbers import SOURCES, number, plain, power, symbol, with_uncertainty
 from rig.presentation.table import Cell, Table
 
 _NEGLIGIBLE = 0.005

@@ -3,7 +3,7 @@
 import threading
 from collections import Counter, deque
 
-from rig.view.messages import Message, Picture, rows, size_bytes
+from rig.rerun.messages import Message, Picture, rows, size_bytes
 
 
 class DroppingQueue:

@@ -8,8 +8,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from rig.rerun.messages import Finish, Setup, rows
 from rig.view.dropping_queue import DroppingQueue
-from rig.view.messages import Finish, Setup, rows
 from rig.view.worker_process import WorkerProcess
 
 logger = logging.getLogger(__name__)

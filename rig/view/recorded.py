@@ -22,8 +22,8 @@ from rig.instrument.balance import advice_text
 from rig.instrument.provenance import recorded_configuration
 from rig.presentation.balance_quantities import balance_quantities
 from rig.presentation.say import say
+from rig.rerun.messages import EventLevel, LayoutName
 from rig.view.analysis_curves import analysis_curves, overlaid_curves, report_text, run_analysis
-from rig.view.messages import EventLevel, LayoutName
 from rig.view.rrd_display import show_rrd
 from rig.view.viewer import Viewer
 

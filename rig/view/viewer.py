@@ -23,8 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from processing.errors import ConfigurationError
-from rig.view.feed import Feed
-from rig.view.messages import (
+from rig.rerun.messages import (
     Balance,
     Curve,
     Event,
@@ -41,9 +40,10 @@ from rig.view.messages import (
     State,
     Swings,
 )
-from rig.view.page_server import page_address, start_page_server
-from rig.view.ports import LOOPBACK, free_port
-from rig.view.rerun_program import display_missing, open_window
+from rig.rerun.page_server import page_address, start_page_server
+from rig.rerun.ports import LOOPBACK, free_port
+from rig.rerun.rerun_program import display_missing, open_window
+from rig.view.feed import Feed
 
 logger = logging.getLogger(__name__)
 

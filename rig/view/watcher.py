@@ -16,8 +16,8 @@ from rig.instrument.events import Event
 from rig.instrument.pipeline import Block
 from rig.instrument.snapshot import Snapshot
 from rig.presentation.balance_quantities import balance_quantities
+from rig.rerun.messages import EventLevel, LayoutName, Mode
 from rig.settings.configuration import Configuration
-from rig.view.messages import EventLevel, LayoutName, Mode
 from rig.view.viewer import ViewCounts, Viewer
 
 _STATE_INTERVAL_S = 0.5

@@ -11,7 +11,6 @@ import logging
 import os
 import pickle
 import queue
-import struct
 import subprocess
 import sys
 import threading
@@ -19,13 +18,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import IO, Any
 
-from rig.view.messages import Message, Setup
-from rig.view.process_group import own_group
+from rig.rerun.messages import LENGTH, Message, Setup
+from rig.rerun.process_group import own_group
 
 logger = logging.getLogger(__name__)
-
-LENGTH = struct.Struct("<Q")
-"""Before each pickled batch: how many bytes it has."""
 
 
 class WorkerProcess:
@@ -37,7 +33,7 @@ class WorkerProcess:
         # Ctrl-C in the terminal must not reach the worker, which still has to complete the .rrd file.
         # It ends by itself when its standard input does.
         self._process = subprocess.Popen(
-            [sys.executable, "-P", "-c", "from rig.view.worker import main; main()"],
+            [sys.executable, "-P", "-c", "from rig.rerun.worker import main; main()"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.view.messages import Curve
+from rig.rerun.messages import Curve
 from rig.view.viewer import Viewer
 
 PERIOD_S = 4.07

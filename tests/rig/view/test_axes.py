@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rig.view.graticule import PLANE_REACH
+from rig.rerun.graticule import PLANE_REACH
 from rig.view.viewer import Viewer
 from tests.rig.view.rrd_contents import column
 

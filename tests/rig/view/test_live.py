@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from rerun.experimental import ViewerClient
 
+from rig.rerun.ports import free_port
+from rig.rerun.rerun_program import start_program
 from rig.view import viewer as viewer_module
-from rig.view.ports import free_port
-from rig.view.rerun_program import start_program
 from rig.view.viewer import Viewer
 from tests.rig.view.headless_viewer import connected, headless_environment, require_software_vulkan
 from tests.rig.view.rrd_contents import scalars

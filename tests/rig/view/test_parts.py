@@ -19,11 +19,11 @@ from rig.presentation.balance_quantities import (
     balance_table,
     rounded,
 )
-from rig.view.decimation import Decimator
+from rig.rerun.decimation import Decimator
+from rig.rerun.graticule import Graticule, reach_beyond, tick_label, ticks, trajectory_graticule
+from rig.rerun.messages import Picture, Samples, State
+from rig.rerun.trail import Trail
 from rig.view.dropping_queue import DroppingQueue
-from rig.view.graticule import Graticule, reach_beyond, tick_label, ticks, trajectory_graticule
-from rig.view.messages import Picture, Samples, State
-from rig.view.trail import Trail
 
 
 def samples(first: int, rows: int) -> Samples:

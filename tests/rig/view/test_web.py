@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from rig.presentation import palette
-from rig.view.ports import LOOPBACK, free_port
+from rig.rerun.ports import LOOPBACK, free_port
 from rig.view.viewer import Viewer
 from tests.rig.view import scene as view_scene
 from tests.rig.view.headless_browser import headless_browser, wait_for_picture

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from processing.errors import ConfigurationError
-from rig.view.ports import free_port
+from rig.rerun.ports import free_port
 from rig.view.viewer import Viewer
 from tests.rig.view import scene as view_scene
 from tests.rig.view.rrd_contents import column, scalars

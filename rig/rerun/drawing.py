@@ -6,13 +6,13 @@ import rerun as rr
 
 from rig.presentation import palette
 from rig.presentation.balance_quantities import balance_quantity, balance_table
-from rig.view import layout
-from rig.view.analysis_panels import draw_fits
-from rig.view.decimation import Decimator
-from rig.view.gathering import Gathering
-from rig.view.lissajous import Lissajous
-from rig.view.marks import spot_cross
-from rig.view.messages import (
+from rig.rerun import layout
+from rig.rerun.analysis_panels import draw_fits
+from rig.rerun.decimation import Decimator
+from rig.rerun.gathering import Gathering
+from rig.rerun.lissajous import Lissajous
+from rig.rerun.marks import spot_cross
+from rig.rerun.messages import (
     Balance,
     Event,
     Fits,

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import rerun_cli
 
-from rig.view.ports import LOOPBACK
-from rig.view.process_group import own_group
+from rig.rerun.ports import LOOPBACK
+from rig.rerun.process_group import own_group
 
 
 def program() -> Path:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from rig.view.messages import Floats
+from rig.rerun.messages import Floats
 
 PIECE_POINTS = 25
 

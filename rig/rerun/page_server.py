@@ -17,9 +17,9 @@ import urllib.parse
 from pathlib import Path
 from typing import Any
 
-from rig.view.ports import LOOPBACK, free_port
-from rig.view.process_group import own_group
-from rig.view.rerun_program import start_program
+from rig.rerun.ports import LOOPBACK, free_port
+from rig.rerun.process_group import own_group
+from rig.rerun.rerun_program import start_program
 
 FILES = {
     "/": "text/html; charset=utf-8",
@@ -44,7 +44,7 @@ def start_page_server(port: int) -> subprocess.Popen[bytes]:
         part for part in (str(Path(__file__).resolve().parents[2]), os.environ.get("PYTHONPATH")) if part
     )
     return subprocess.Popen(
-        [sys.executable, "-P", "-c", "from rig.view.page_server import main; main()", str(port)],
+        [sys.executable, "-P", "-c", "from rig.rerun.page_server import main; main()", str(port)],
         stdin=subprocess.PIPE,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,

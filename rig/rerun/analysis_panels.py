@@ -6,10 +6,10 @@ import numpy as np
 import rerun as rr
 
 from rig.presentation import palette
-from rig.view import layout
-from rig.view.graticule import Graticule
-from rig.view.marks import faded, graticule_marks
-from rig.view.messages import Curve, Fits, Panel
+from rig.rerun import layout
+from rig.rerun.graticule import Graticule
+from rig.rerun.marks import faded, graticule_marks
+from rig.rerun.messages import Curve, Fits, Panel
 
 TITLES: Final[dict[Panel, tuple[str, str]]] = {
     "decay": ("time / s", "amplitude / {unit}"),

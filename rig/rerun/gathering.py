@@ -9,8 +9,8 @@ import time
 import numpy as np
 import rerun as rr
 
-from rig.view.layout import TIMELINE
-from rig.view.messages import Floats
+from rig.rerun.layout import TIMELINE
+from rig.rerun.messages import Floats
 
 
 class Gathering:

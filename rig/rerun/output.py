@@ -8,10 +8,10 @@ from pathlib import Path
 
 import rerun as rr
 
-from rig.view import layout
-from rig.view.drawing import Drawing
-from rig.view.messages import Message, Setup
-from rig.view.ports import LOOPBACK, free_port
+from rig.rerun import layout
+from rig.rerun.drawing import Drawing
+from rig.rerun.messages import Message, Setup
+from rig.rerun.ports import LOOPBACK, free_port
 
 LIVE_GATHER_S, LIVE_GATHER_ROWS, LIVE_PICTURE_S = 0.2, 2000, 0.1
 FILE_GATHER_S, FILE_GATHER_ROWS, FILE_PICTURE_S = 10.0, 8000, 10.0

@@ -15,8 +15,7 @@ import sys
 import traceback
 from typing import IO, Any
 
-from rig.view.messages import Finish, Message, Setup
-from rig.view.worker_process import LENGTH
+from rig.rerun.messages import LENGTH, Finish, Message, Setup
 
 END_LIMIT_S = 60.0
 
@@ -42,7 +41,7 @@ def _work(orders: IO[bytes], reports: IO[str]) -> None:
     if not isinstance(setup, Setup):
         return
 
-    from rig.view.output import Output
+    from rig.rerun.output import Output
 
     output = Output(setup)
     _report(reports, ready=True, notes=output.take_notes(), url=output.url, port=output.port)

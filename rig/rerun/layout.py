@@ -17,9 +17,9 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from rig.presentation.balance_quantities import BALANCE, PANELS
-from rig.view.graticule import BOX, PLANE_REACH
-from rig.view.marks import BACKGROUND
-from rig.view.messages import LayoutName
+from rig.rerun.graticule import BOX, PLANE_REACH
+from rig.rerun.marks import BACKGROUND
+from rig.rerun.messages import LayoutName
 
 APPLICATION_ID: Final = "optical_pendulum_rig"
 TIMELINE: Final = "run_time"

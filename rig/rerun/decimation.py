@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.view.messages import Floats
+from rig.rerun.messages import Floats
 
 
 class Decimator:

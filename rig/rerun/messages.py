@@ -4,6 +4,7 @@ Times are seconds since the start of the run. `run` tells runs laid over each ot
 run has the empty name.
 """
 
+import struct
 from collections.abc import Mapping
 from typing import Literal, NamedTuple
 
@@ -146,3 +147,7 @@ def size_bytes(message: Message) -> int:
         value.nbytes if isinstance(value, np.ndarray) else len(value) if isinstance(value, str) else 0
         for value in held
     )
+
+
+LENGTH = struct.Struct("<Q")
+"""Before each pickled batch: how many bytes it has."""
