@@ -16,7 +16,7 @@ from processing.fit.least_squares import Loss
 from processing.fit.remeasure import agree, known_motion, measured_again
 from processing.fit.result import FitResult
 from processing.swing import KnownMotion, Swing, TurningPoints, turning_points
-from rig.settings.configuration import FitSettings
+from rig.settings import FitSettings
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,9 +25,8 @@ from processing.fit.measurement import (
 from processing.fit.result import Estimate, FitResult
 from processing.fit.uncertainty import Budget, Propagated, budgets, monte_carlo
 from processing.swing import TurningPoints
-from rig.instrument.configured import balls, material
-from rig.settings.calibration import TimebaseSettings
-from rig.settings.configuration import Configuration
+from rig.instrument import balls, material
+from rig.settings import Configuration, TimebaseSettings
 
 DRAWS = 10_000
 TABLE4_AMPLITUDE_ARCSEC = 3.1

@@ -17,7 +17,7 @@ from processing.fit.periods import full_periods
 from processing.fit.result import CONTACT_NAMES
 from processing.fit.smoothing import super_smooth
 from processing.swing import TurningPoints
-from rig.presentation.numbers import number
+from rig.presentation import number
 
 Array = NDArray[np.float64]
 

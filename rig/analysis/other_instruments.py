@@ -25,8 +25,8 @@ from processing.instruments.swing_plane import along_plane, swing_plane
 from processing.instruments.turning import refined
 from processing.swing import Swing, SwingDetector, SwingFlag, TurningPoints, turning_points
 from rig.analysis.contact_tree import estimate_tree
-from rig.presentation.numbers import with_uncertainty
-from rig.settings.instrument import InstrumentSettings
+from rig.presentation import with_uncertainty
+from rig.settings import InstrumentSettings
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,8 +9,8 @@ from processing.instruments.damping import Damping, over_places, ratio
 from processing.instruments.descriptions import Description
 from rig.analysis.contact_tree import estimate_tree
 from rig.analysis.other_instruments import Reduction, check_tree
-from rig.presentation.numbers import with_uncertainty
-from rig.settings.instrument import InstrumentSettings
+from rig.presentation import with_uncertainty
+from rig.settings import InstrumentSettings
 
 
 def reduce_series(runs: Sequence[Reduction]) -> tuple[dict[str, Any], list[str]]:

@@ -21,10 +21,8 @@ from rig.analysis.contact_verdicts import Evaluation, evaluate, rig_quantities
 from rig.analysis.other_instruments import Air, Samples, reduce_run
 from rig.analysis.other_instruments_series import reduce_series
 from rig.analysis.results import RunResult, results_tree, write_results
-from rig.instrument.calibration import judge_calibration
-from rig.instrument.configured import pendulum_on_ball
-from rig.instrument.provenance import recorded_configuration
-from rig.settings.configuration import Configuration
+from rig.instrument import judge_calibration, pendulum_on_ball, recorded_configuration
+from rig.settings import Configuration
 
 
 def analyse_record(path: Path, overrides: Sequence[str] = ()) -> RunResult:

@@ -13,7 +13,7 @@ from processing.swing import KnownMotion, TurningPoints
 from rig.analysis.contact_tree import estimate_tree, evaluation_tree
 from rig.analysis.contact_verdicts import Evaluation
 from rig.analysis.other_instruments import Reduction
-from rig.presentation.say import plain_values
+from rig.presentation import plain_values
 
 SCHEMA = 1
 

@@ -17,7 +17,7 @@ from processing.angle import ARCSEC_RAD
 from processing.errors import RecordError, RigError
 from processing.swing import KnownMotion, Swing, TurningPoints
 from rig.analysis.contact_laws import SlowSamples
-from rig.instrument.provenance import CONFIGURATION_NAME, recorded_configuration
+from rig.instrument import CONFIGURATION_NAME, recorded_configuration
 
 Array = NDArray[np.float64]
 RESULTS_NAME = "results.json"

@@ -10,7 +10,7 @@ from rich.table import Table
 from processing.fit.result import CONTACT_NAMES, FitResult
 from rig.analysis.other_instruments_series import reduce_series
 from rig.analysis.results import RunResult
-from rig.presentation.say import DISPLAY, value_with_uncertainty
+from rig.presentation import DISPLAY, value_with_uncertainty
 
 
 def print_results(results: Sequence[RunResult], paths: Sequence[tuple[str, Path]]) -> None:

@@ -15,9 +15,9 @@ from rig.analysis.contact_laws import DecayFits, SlowSamples, fit_decay, settled
 from rig.analysis.position_table import Trajectory, read_trajectory
 from rig.analysis.results import SCHEMA, fit_tree, write_results
 from rig.analysis.screen import parameter_table
-from rig.instrument.configured import pendulum_on_ball
-from rig.presentation.say import print_table, value_with_uncertainty
-from rig.settings.configuration import Configuration, load_configuration
+from rig.instrument import pendulum_on_ball
+from rig.presentation import print_table, value_with_uncertainty
+from rig.settings import Configuration, load_configuration
 
 _USABLE = 4
 

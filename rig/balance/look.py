@@ -10,14 +10,11 @@ from calibration.axes import Axes
 from processing.balance import Balance
 from processing.errors import ConfigurationError, DataError
 from processing.spot import SpotTracker
-from rig.devices.devices import Devices
-from rig.devices.frame_stream import FrameStream
-from rig.instrument.configured import camera_settings, frame_policy, sensor_model
-from rig.instrument.kernels import prepare_kernels
-from rig.instrument.pipeline import Block, Pipeline
-from rig.presentation.say import say
-from rig.settings.configuration import Configuration
-from rig.view.watcher import LiveView, start_view
+from rig.devices import Devices, FrameStream
+from rig.instrument import Block, Pipeline, camera_settings, frame_policy, prepare_kernels, sensor_model
+from rig.presentation import say
+from rig.settings import Configuration
+from rig.view import LiveView, start_view
 
 _PAUSE_NS = 2_000_000_000
 

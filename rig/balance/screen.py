@@ -7,8 +7,8 @@ from rich.console import Console
 from rich.table import Table
 
 from processing.balance_advice import Fault, Turn
-from rig.instrument.balance import turn_text
-from rig.presentation.say import say
+from rig.instrument import turn_text
+from rig.presentation import say
 
 
 def print_faults(faults: Sequence[Fault], before: Sequence[Fault], *, live: bool = False) -> None:

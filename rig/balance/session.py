@@ -21,18 +21,18 @@ from processing.balance_advice import (
 from processing.errors import ConfigurationError
 from rig.balance.look import LooksView, look
 from rig.balance.screen import print_advice, print_faults
-from rig.devices.devices import Devices
-from rig.instrument.balance import (
+from rig.devices import Devices
+from rig.instrument import (
     DIRECTIONS,
     WEIGHTS,
     advice_text,
+    complete,
     height_of,
     limits_of,
     nominal_effects,
 )
-from rig.instrument.configured import complete
-from rig.presentation.say import say
-from rig.settings.configuration import Configuration
+from rig.presentation import say
+from rig.settings import Configuration
 
 Floats = NDArray[np.float64]
 

@@ -23,8 +23,8 @@ from processing.errors import ConfigurationError, DataError
 from rig.calibrate.filing import Filing, file_calibration
 from rig.calibrate.inputs import LadderFile, frames_of, read_ladder, read_transfer
 from rig.calibrate.spots import mean_spot, spots_of_record, utc
-from rig.devices.host_clock import ntp_state
-from rig.instrument.provenance import recorded_configuration
+from rig.devices import ntp_state
+from rig.instrument import recorded_configuration
 
 Floats = NDArray[np.float64]
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from acquisition.record.digest import sha256_of
 from calibration.store import CalibrationFile, Kind, Source, write_calibration
-from rig.instrument.provenance import versions
+from rig.instrument import versions
 
 
 @dataclass(frozen=True, slots=True)

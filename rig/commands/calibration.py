@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 if TYPE_CHECKING:
-    from rig.calibrate.filing import Filing
+    from rig.calibrate import Filing
 
 Record = Annotated[Path, typer.Argument(help="A record, an MCAP file.", show_default=False)]
 Ladder = Annotated[Path, typer.Argument(help="Steps or geometry, a TOML file.", show_default=False)]
@@ -34,7 +34,7 @@ def register(app: typer.Typer) -> None:
 
 def lever(ladder: Ladder, output: Folder = _FOLDER, valid_days: Days = _DAYS, by: By = "") -> None:
     """Pixels to radians: from geometry, known tilts or known shifts of the sensor."""
-    from rig.calibrate.calibrations import calibrate_lever
+    from rig.calibrate import calibrate_lever
 
     _say(calibrate_lever(ladder, _filing(output, valid_days, by)))
 
@@ -48,7 +48,7 @@ def axes(
     fast_began: Side = None,
 ) -> None:
     """Directions of both modes on the sensor, from a record in which both swing."""
-    from rig.calibrate.calibrations import calibrate_axes
+    from rig.calibrate import calibrate_axes
 
     _say(calibrate_axes(record, _filing(output, valid_days, by), slow_began, fast_began))
 
@@ -60,7 +60,7 @@ def sensor(
     by: By = "",
 ) -> None:
     """Gain, read noise and dark level by photon transfer."""
-    from rig.calibrate.calibrations import calibrate_sensor
+    from rig.calibrate import calibrate_sensor
 
     _say(calibrate_sensor(frames, _filing(output, valid_days, by)))
 
@@ -75,14 +75,14 @@ def clock(
     ] = None,
 ) -> None:
     """The camera's clock against the host's."""
-    from rig.calibrate.calibrations import calibrate_clock
+    from rig.calibrate import calibrate_clock
 
     _say(calibrate_clock(record, _filing(output, valid_days, by), counter_bits))
 
 
 def pointing(record: Record, output: Folder = _FOLDER, valid_days: Days = _DAYS, by: By = "") -> None:
     """Noise and drift of the spot while the pendulum is clamped."""
-    from rig.calibrate.calibrations import calibrate_pointing
+    from rig.calibrate import calibrate_pointing
 
     _say(calibrate_pointing(record, _filing(output, valid_days, by)))
 
@@ -95,13 +95,13 @@ def check(
     by: By = "",
 ) -> None:
     """Known tilts against the lever in use, before and after a series."""
-    from rig.calibrate.calibrations import check_known_angle
+    from rig.calibrate import check_known_angle
 
     _say(check_known_angle(ladder, lever, _filing(output, valid_days, by)))
 
 
 def _filing(folder: Path, valid_days: float, by: str) -> "Filing":
-    from rig.calibrate.filing import Filing
+    from rig.calibrate import Filing
 
     return Filing(folder, valid_days, by)
 

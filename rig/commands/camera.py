@@ -11,7 +11,7 @@ from rig.commands.measure import Config, Set
 
 if TYPE_CHECKING:
     from acquisition.camera import Camera, CameraInfo, CameraSettings
-    from rig.devices.picture import PictureFigures
+    from rig.devices import PictureFigures
 
 Average = Annotated[int, typer.Option(help="Frames to average, against laser speckle.", min=1, max=10_000)]
 
@@ -30,8 +30,8 @@ def register(app: typer.Typer) -> None:
 
 def devices() -> None:
     """List cameras (with driver, serial number, modes) and serial ports."""
-    from rig.control.ports import list_serial_ports
-    from rig.devices.finding import list_cameras
+    from rig.control import list_serial_ports
+    from rig.devices import list_cameras
 
     cameras, notes = list_cameras()
     for camera in cameras:
@@ -53,7 +53,7 @@ def devices() -> None:
 
 def show(config: Config, set_: Set = None) -> None:
     """Open the camera and print who it is, its settings and all its features."""
-    from rig.devices.feature_lines import feature_lines
+    from rig.devices import feature_lines
 
     with _opened(config, set_) as (camera, info, applied):
         typer.echo(f"{info.driver}: {info.vendor} {info.model} serial {info.serial or 'unknown'}")
@@ -76,7 +76,7 @@ def set_features(
     """
     from acquisition.camera import CameraSettings
     from processing.errors import ConfigurationError
-    from rig.settings.configuration import validate_configuration
+    from rig.settings import validate_configuration
 
     with _opened(config, set_) as (camera, _, _):
         for assignment in assignments:
@@ -137,7 +137,7 @@ def focus(
 
     from acquisition.frame_queue import FrameQueue
     from rig.devices import picture as camera_picture
-    from rig.devices.latest_frames import watch_latest
+    from rig.devices import watch_latest
 
     with _opened(config, set_) as (camera, info, _):
         best = 0.0
@@ -157,7 +157,7 @@ def expose(
     set_: Set = None,
 ) -> None:
     """Find the exposure that brings the peak to 70 % of full scale; it then stays fixed."""
-    from rig.devices.auto_exposure import find_exposure
+    from rig.devices import find_exposure
 
     with _opened(config, set_) as (camera, info, applied):
         found = find_exposure(camera, info, applied, target)
@@ -169,8 +169,8 @@ def expose(
 def _opened(
     config: Path, set_: list[str] | None
 ) -> Iterator[tuple["Camera", "CameraInfo", "CameraSettings"]]:
-    from rig.instrument.configured import camera_settings, make_camera, setting_differences
-    from rig.settings.configuration import load_configuration
+    from rig.instrument import camera_settings, make_camera, setting_differences
+    from rig.settings import load_configuration
 
     loaded = load_configuration(config, set_ or [])
     camera = make_camera(loaded)

@@ -40,8 +40,8 @@ def run(
     json_lines: Annotated[bool, typer.Option("--json", help="One JSON object a line on stdout.")] = False,
 ) -> None:
     """Run a measurement session: record, fit, results."""
-    from rig.measure.session import measure_session, resume_session
-    from rig.settings.configuration import load_configuration
+    from rig.measure import measure_session, resume_session
+    from rig.settings import load_configuration
 
     if resume is not None:
         if config is not None or output is not None or set_:
@@ -87,7 +87,7 @@ def replay(
     In a terminal: space pauses, → or n goes on by a frame, h by a half-cycle, + and - by 10 s, g to a
     time, q ends.
     """
-    from rig.replay.command import replay_record
+    from rig.replay import replay_record
 
     raise typer.Exit(
         replay_record(
@@ -116,7 +116,7 @@ def view(
     ] = "measuring",
 ) -> None:
     """Show recorded runs in Rerun; several are laid over each other, aligned at their start."""
-    from rig.view.recorded import show_records
+    from rig.view import show_records
 
     show_records(records, mode=mode, rrd=rrd, layout=layout)
 
@@ -127,7 +127,7 @@ def simulate(
     set_: Set = None,
 ) -> None:
     """Record one run of the simulated rig, without fits."""
-    from rig.measure.session import simulate_record
-    from rig.settings.configuration import load_configuration
+    from rig.measure import simulate_record
+    from rig.settings import load_configuration
 
     raise typer.Exit(simulate_record(load_configuration(config, set_ or []), config, output))

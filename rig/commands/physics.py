@@ -36,11 +36,11 @@ def fit(
 ) -> None:
     """Fit the contact laws to records, or to a trajectory from another instrument."""
     if len(files) == 1 and files[0].suffix.lower() != ".mcap":
-        from rig.analysis.table_fit import fit_trajectory
+        from rig.analysis import fit_trajectory
 
         raise typer.Exit(
             fit_trajectory(files[0], output, config, time, position or [], unit, overrides=set_ or [])
         )
-    from rig.analysis.record_fit import fit_records
+    from rig.analysis import fit_records
 
     raise typer.Exit(fit_records(files, output, overrides=set_ or []))

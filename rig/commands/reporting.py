@@ -24,7 +24,7 @@ def report(
     ] = None,
 ) -> None:
     """Write the report of a session: one HTML file, figures as SVG and PNG, tables as CSV."""
-    from rig.report.session_report import make_report
+    from rig.report import make_report
 
     print(make_report(folder, output))
 
@@ -38,7 +38,7 @@ def paper(
     ] = -4,
 ) -> None:
     """Simulate the paper's three contact pairs and print its Tables 1 to 4 beside the printed numbers."""
-    from rig.paper.paper_report import reproduce_paper
+    from rig.paper import reproduce_paper
 
     reproduce_paper(output, b_exponent)
 
@@ -55,7 +55,7 @@ def export(
     ] = "csv",
 ) -> None:
     """Write spots, half-cycles and results for other programs, with the provenance inside."""
-    from rig.export.session import export_session
+    from rig.export import export_session
 
     for path in export_session(source, format_, output):
         print(path)
@@ -68,7 +68,7 @@ def compare(
     ] = None,
 ) -> None:
     """Compare series (samples, days, humidities): parameters beside each other, and their differences."""
-    from rig.presentation.terminal import print_tables
-    from rig.report.comparison import compare as compare_sessions
+    from rig.presentation import print_tables
+    from rig.report import compare as compare_sessions
 
     print_tables(compare_sessions(folders, output))

@@ -32,8 +32,8 @@ def balance(
     set_: Set = None,
 ) -> None:
     """Balance the pendulum: what is wrong, which weight to turn, which way and how far."""
-    from rig.balance.session import balance_rig
-    from rig.settings.configuration import load_configuration
+    from rig.balance import balance_rig
+    from rig.settings import load_configuration
 
     overrides = [*(set_ or []), *(['view.mode="spawn"'] if view else [])]
     raise typer.Exit(balance_rig(load_configuration(config, overrides), history, follow, seed, rrd))
@@ -45,7 +45,7 @@ def doctor(
     set_: Set = None,
 ) -> None:
     """Look the whole rig over: every device, disk, clock and processor, with a remedy for each no."""
-    from rig.devices.doctor import examine
-    from rig.settings.configuration import load_configuration
+    from rig.devices import examine
+    from rig.settings import load_configuration
 
     raise typer.Exit(examine(load_configuration(config, set_ or []), json_lines=json_lines))

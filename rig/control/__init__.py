@@ -1,1 +1,30 @@
 """Serial devices of the rig: controller, laser driver, environment sensor."""
+
+from rig.control.controller import Controller
+from rig.control.environment import EnvironmentService
+from rig.control.laser_service import LONGEST_JOB_S, LaserService
+from rig.control.lasers import LaserState, make_laser
+from rig.control.ports import check_controller, check_environment, check_laser, list_serial_ports
+from rig.control.service import ControlService, ControlState
+from rig.control.settings import ControllerSettings, EnvironmentSettings, LaserSettings
+from rig.control.simulated import SimulatedOutputs, simulated_controller
+
+__all__ = [
+    "LONGEST_JOB_S",
+    "ControlService",
+    "ControlState",
+    "Controller",
+    "ControllerSettings",
+    "EnvironmentService",
+    "EnvironmentSettings",
+    "LaserService",
+    "LaserSettings",
+    "LaserState",
+    "SimulatedOutputs",
+    "check_controller",
+    "check_environment",
+    "check_laser",
+    "list_serial_ports",
+    "make_laser",
+    "simulated_controller",
+]

@@ -14,7 +14,7 @@ from rig.control.environment import parse_environment
 from rig.control.lasers import make_laser
 from rig.control.serial_port import LineReader, PortLost, SerialPort
 from rig.control.settings import ControllerSettings, EnvironmentSettings, LaserSettings
-from rig.presentation.verdict import Check
+from rig.presentation import Check
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,32 @@
+"""Camera, controller, laser and sensors: found, looked over, opened in order, closed in reverse."""
+
+from rig.devices import picture
+from rig.devices.auto_exposure import find_exposure
+from rig.devices.devices import Devices, OpenCamera
+from rig.devices.doctor import examine
+from rig.devices.features import feature_lines
+from rig.devices.finding import list_cameras
+from rig.devices.frame_stream import FrameStream
+from rig.devices.host_clock import ntp_state
+from rig.devices.latest_frames import watch_latest
+from rig.devices.lighting import STAYS_LIT, WIRE_IT, LaserNow, done, goes_dark_by_itself
+from rig.devices.picture import PictureFigures
+
+__all__ = [
+    "STAYS_LIT",
+    "WIRE_IT",
+    "Devices",
+    "FrameStream",
+    "LaserNow",
+    "OpenCamera",
+    "PictureFigures",
+    "done",
+    "examine",
+    "feature_lines",
+    "find_exposure",
+    "goes_dark_by_itself",
+    "list_cameras",
+    "ntp_state",
+    "picture",
+    "watch_latest",
+]

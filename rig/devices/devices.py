@@ -11,15 +11,19 @@ from acquisition.camera import Camera, CameraInfo
 from acquisition.cameras.simulated import SimulatedCamera
 from acquisition.simulation.inputs import RigInputs
 from processing.errors import ConfigurationError
-from rig.control.controller import Controller
-from rig.control.environment import EnvironmentService
-from rig.control.laser_service import LaserService
-from rig.control.lasers import make_laser
-from rig.control.service import ControlService, ControlState
-from rig.control.simulated import SimulatedOutputs, simulated_controller
+from rig.control import (
+    Controller,
+    ControlService,
+    ControlState,
+    EnvironmentService,
+    LaserService,
+    SimulatedOutputs,
+    make_laser,
+    simulated_controller,
+)
 from rig.devices import lighting
-from rig.instrument.configured import camera_settings, make_camera, setting_differences
-from rig.settings.configuration import Configuration
+from rig.instrument import camera_settings, make_camera, setting_differences
+from rig.settings import Configuration
 
 _log = logging.getLogger(__name__)
 

@@ -10,14 +10,12 @@ from pathlib import Path
 from acquisition.camera import FrameTimeout
 from acquisition.frame_losses import FrameLosses
 from processing.errors import RigError
-from rig.control.ports import check_controller, check_environment, check_laser
+from rig.control import check_controller, check_environment, check_laser
 from rig.devices.devices import Devices
 from rig.devices.usb_checks import check_usb_cameras, check_usb_memory
-from rig.instrument.configured import check_materials, complete, sensor_model
-from rig.presentation.say import print_json_line
-from rig.presentation.verdict import Check
-from rig.presentation.verdict_table import print_checks
-from rig.settings.configuration import Configuration
+from rig.instrument import check_materials, complete, sensor_model
+from rig.presentation import Check, print_checks, print_json_line
+from rig.settings import Configuration
 
 _FRAMES = 60
 _GOVERNOR = Path("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor")

@@ -6,10 +6,7 @@ from concurrent.futures import Future
 from typing import Any, NamedTuple
 
 from processing.errors import ConfigurationError, DeviceError
-from rig.control.laser_service import LONGEST_JOB_S, LaserService
-from rig.control.lasers import LaserState
-from rig.control.service import ControlService
-from rig.control.settings import LaserSettings
+from rig.control import LONGEST_JOB_S, ControlService, LaserService, LaserSettings, LaserState
 
 _COMMAND_S = 5.0
 _ANSWERS_WITHIN_S = 5.0

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from acquisition.cameras.usb3vision.discovery import FoundCamera, find_cameras, udev_rule
 from processing.errors import DeviceError
-from rig.presentation.verdict import Check
+from rig.presentation import Check
 
 _USBFS_MEMORY = Path("/sys/module/usbcore/parameters/usbfs_memory_mb")
 _SLOW = ("low", "full", "high")

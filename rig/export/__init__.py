@@ -1,0 +1,5 @@
+"""`rig export`: spots, half-cycles and results for other programs."""
+
+from rig.export.session import export_session
+
+__all__ = ["export_session"]

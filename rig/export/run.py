@@ -14,8 +14,8 @@ from acquisition.record.digest import sha256_of
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import SPOT, SWING
 from processing.errors import RecordError
-from rig.analysis.results_file import RESULTS_NAME, read_results
-from rig.instrument.provenance import CONFIGURATION_NAME
+from rig.analysis import RESULTS_NAME, read_results
+from rig.instrument import CONFIGURATION_NAME
 
 _UNITS = {
     "px": "px",

@@ -1,0 +1,69 @@
+"""The instrument as configured: calibration in use, pipeline, provenance, events."""
+
+from rig.instrument.balance import (
+    DIRECTIONS,
+    WEIGHTS,
+    advice_text,
+    height_of,
+    limits_of,
+    nominal_effects,
+    turn_text,
+)
+from rig.instrument.calibration import judge_calibration
+from rig.instrument.configured import (
+    balls,
+    camera_settings,
+    check_materials,
+    complete,
+    frame_policy,
+    make_camera,
+    material,
+    pendulum_on_ball,
+    sensor_model,
+    setting_differences,
+)
+from rig.instrument.events import Event
+from rig.instrument.kernels import prepare_kernels
+from rig.instrument.pipeline import Block, Deflector, Pipeline
+from rig.instrument.provenance import (
+    CONFIGURATION_NAME,
+    configuration_attachments,
+    frame_shape,
+    recorded_configuration,
+    session_metadata,
+    versions,
+)
+from rig.instrument.snapshot import Snapshot
+
+__all__ = [
+    "CONFIGURATION_NAME",
+    "DIRECTIONS",
+    "WEIGHTS",
+    "Block",
+    "Deflector",
+    "Event",
+    "Pipeline",
+    "Snapshot",
+    "advice_text",
+    "balls",
+    "camera_settings",
+    "check_materials",
+    "complete",
+    "configuration_attachments",
+    "frame_policy",
+    "frame_shape",
+    "height_of",
+    "judge_calibration",
+    "limits_of",
+    "make_camera",
+    "material",
+    "nominal_effects",
+    "pendulum_on_ball",
+    "prepare_kernels",
+    "recorded_configuration",
+    "sensor_model",
+    "session_metadata",
+    "setting_differences",
+    "turn_text",
+    "versions",
+]

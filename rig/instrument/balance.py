@@ -19,7 +19,7 @@ from processing.balance_advice import (
 from processing.contact.half_swing import stiffness_ratio
 from processing.contact.period import frequency_drop
 from rig.instrument.configured import pendulum_on_ball
-from rig.settings.configuration import Configuration
+from rig.settings import Configuration
 
 Floats = NDArray[np.float64]
 _U_NOMINAL = 0.2

@@ -12,8 +12,7 @@ from calibration.known_angle import moved_between
 from calibration.lever import Lever
 from calibration.store import CalibrationFile, Kind, parse_calibration, sha256_bytes
 from processing.errors import ConfigurationError
-from rig.settings.calibration import TimebaseSettings
-from rig.settings.configuration import Configuration, SensorSettings
+from rig.settings import Configuration, SensorSettings, TimebaseSettings
 
 PREFIX = "calibration/"
 _SECTIONS: Mapping[Kind, tuple[str, type[BaseModel]]] = {

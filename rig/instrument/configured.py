@@ -13,8 +13,7 @@ from processing.contact.parameters import PendulumOnBall
 from processing.errors import ConfigurationError
 from processing.spot import SensorModel
 from rig.instrument.calibration import fill_from_files
-from rig.settings.balance import BalanceSettings
-from rig.settings.configuration import Configuration, MaterialSettings, PendulumSettings, SensorSettings
+from rig.settings import BalanceSettings, Configuration, MaterialSettings, PendulumSettings, SensorSettings
 
 SIMULATED_BALL = "simulated_ball"
 SIMULATED_FLAT = "simulated_flat"

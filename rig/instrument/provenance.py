@@ -13,7 +13,7 @@ from acquisition.frame import Frame
 from acquisition.record.reader import RecordReader
 from processing.errors import RecordError
 from rig.instrument.calibration import calibration_attachments
-from rig.settings.configuration import Configuration, apply_overrides, validate_configuration
+from rig.settings import Configuration, apply_overrides, validate_configuration
 
 CONFIGURATION_NAME = "configuration.json"
 SOURCE_NAME = "configuration.toml"

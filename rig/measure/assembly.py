@@ -13,22 +13,26 @@ from calibration.axes import Axes
 from processing.angle import ARCSEC_RAD
 from processing.errors import ConfigurationError
 from processing.spot import SpotTracker
-from rig.devices.devices import Devices, OpenCamera
-from rig.instrument.configured import camera_settings, frame_policy, sensor_model
-from rig.instrument.kernels import prepare_kernels
-from rig.instrument.pipeline import Deflector, Pipeline
-from rig.instrument.provenance import configuration_attachments, session_metadata
+from rig.devices import Devices, OpenCamera
+from rig.instrument import (
+    Deflector,
+    Pipeline,
+    camera_settings,
+    configuration_attachments,
+    frame_policy,
+    prepare_kernels,
+    sensor_model,
+    session_metadata,
+)
 from rig.measure.preflight import table_tree
 from rig.measure.preparation import Preparation, preflight_wanted
 from rig.measure.roles import Attempts, RunOutcome, Watcher
 from rig.measure.run import Run
 from rig.measure.screen import RunDisplay
 from rig.measure.start_and_end import EndOfRun, StartJudge
-from rig.presentation.say import say
-from rig.presentation.verdict import Verdict
-from rig.presentation.verdict_table import print_preflight
-from rig.settings.configuration import Configuration
-from rig.view.watcher import LiveView, open_view
+from rig.presentation import Verdict, print_preflight, say
+from rig.settings import Configuration
+from rig.view import LiveView, open_view
 
 _RESERVE_BYTES = 50 * 1024 * 1024
 

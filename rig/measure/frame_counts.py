@@ -4,8 +4,7 @@ from collections.abc import Sequence
 
 from acquisition.frame import Frame
 from processing.spot import SpotFlag
-from rig.instrument.events import Event
-from rig.instrument.pipeline import Block, Pipeline
+from rig.instrument import Block, Event, Pipeline
 from rig.measure.recorder import Entry, cut_window
 
 _LOST_IMAGE_INTERVAL_S = 1.0

@@ -8,9 +8,7 @@ from dataclasses import replace
 from acquisition.frame import Frame
 from acquisition.record.topics import Environment
 from processing.swing import Swing
-from rig.instrument.events import Event
-from rig.instrument.pipeline import Block
-from rig.instrument.snapshot import Snapshot
+from rig.instrument import Block, Event, Snapshot
 from rig.measure.roles import Surroundings, Watcher
 
 

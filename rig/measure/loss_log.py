@@ -2,7 +2,7 @@
 
 from acquisition.frame_losses import FrameLosses
 from acquisition.record.topics import RecordedLosses
-from rig.devices.frame_stream import FrameStream
+from rig.devices import FrameStream
 
 _INTERVAL_NS = 1_000_000_000
 

@@ -3,8 +3,7 @@
 from collections.abc import Callable
 
 from processing.errors import DataError
-from rig.instrument.events import Event
-from rig.instrument.snapshot import Snapshot
+from rig.instrument import Event, Snapshot
 from rig.measure.recent_frames import Lookout
 
 

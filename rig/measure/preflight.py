@@ -13,10 +13,9 @@ from calibration.timebase import relate_clocks
 from processing.angle import ARCSEC_RAD
 from processing.errors import DataError
 from processing.spot import Spot, SpotFlag
-from rig.devices.lighting import STAYS_LIT, WIRE_IT, LaserNow
-from rig.presentation.verdict import Verdict
-from rig.settings.configuration import Configuration
-from rig.settings.phases import PreflightSettings
+from rig.devices import STAYS_LIT, WIRE_IT, LaserNow
+from rig.presentation import Verdict
+from rig.settings import Configuration, PreflightSettings
 
 Floats = NDArray[np.float64]
 _SPOT_BYTES = 260

@@ -12,17 +12,13 @@ from acquisition.frame import Frame
 from processing.angle import ARCSEC_RAD
 from processing.errors import DataError, DeviceError
 from processing.spot import SensorModel, SpotTracker
-from rig.devices.devices import Devices
-from rig.devices.frame_stream import FrameStream
-from rig.devices.lighting import done, goes_dark_by_itself
-from rig.instrument.events import Event
-from rig.instrument.pipeline import Deflector
-from rig.instrument.snapshot import Snapshot
+from rig.devices import Devices, FrameStream, done, goes_dark_by_itself
+from rig.instrument import Deflector, Event, Snapshot
 from rig.measure import preflight
 from rig.measure.phase import PhaseWatch, Stopped
 from rig.measure.recent_frames import Lookout
-from rig.presentation.verdict import Verdict
-from rig.settings.configuration import Configuration
+from rig.presentation import Verdict
+from rig.settings import Configuration
 
 _AT_ONCE_FRAMES = 100
 _BRAKE_AGAIN_NS = 2_000_000_000

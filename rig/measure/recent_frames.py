@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from acquisition.frame import Frame
 from processing.spot import Spot, SpotTracker
-from rig.devices.frame_stream import FrameStream
-from rig.instrument.pipeline import Deflector
+from rig.devices import FrameStream
+from rig.instrument import Deflector
 from rig.measure.preflight import Look
 
 _BLOCK_FRAMES = 16

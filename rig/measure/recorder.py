@@ -11,8 +11,7 @@ from acquisition.frame import Frame, Image
 from acquisition.record.topics import ENVIRONMENT, LOSSES_TOPIC, Environment, RecordedLosses
 from acquisition.record.writer import RecordWriter
 from processing.spot import Spot
-from rig.instrument.events import Event
-from rig.instrument.pipeline import Block
+from rig.instrument import Block, Event
 
 _log = logging.getLogger(__name__)
 _IDLE_S = 0.2

@@ -5,10 +5,8 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from acquisition.frame import Frame
-from rig.devices.frame_stream import FrameStream
-from rig.instrument.events import Event
-from rig.instrument.pipeline import Block
-from rig.instrument.snapshot import Snapshot
+from rig.devices import FrameStream
+from rig.instrument import Block, Event, Snapshot
 from rig.measure.start_and_end import StartJudge
 
 

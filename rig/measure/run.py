@@ -16,10 +16,8 @@ from acquisition.record.writer import RecordWriter
 from processing.angle import ARCSEC_RAD
 from processing.errors import DataError, RigError
 from processing.swing import Swing
-from rig.devices.frame_stream import FrameStream
-from rig.instrument.events import Event
-from rig.instrument.pipeline import Pipeline
-from rig.instrument.snapshot import Snapshot
+from rig.devices import FrameStream
+from rig.instrument import Event, Pipeline, Snapshot
 from rig.interruption import reason_of
 from rig.measure.frame_counts import FrameCounts
 from rig.measure.live_state import PublicState

@@ -22,10 +22,8 @@ from rich.text import Text
 from acquisition.frame import Frame
 from processing.balance import Balance
 from processing.decay_forecast import Forecast, forecast
-from rig.instrument.events import Event
-from rig.instrument.pipeline import Block
-from rig.instrument.snapshot import Snapshot
-from rig.presentation.say import print_json_line, say
+from rig.instrument import Block, Event, Snapshot
+from rig.presentation import print_json_line, say
 
 _PLAIN_INTERVAL_S = 5.0
 _JSON_INTERVAL_S = 1.0

@@ -9,16 +9,22 @@ from typing import NamedTuple
 from acquisition.record.reader import RecordReader
 from acquisition.record.recover import recover
 from processing.errors import ConfigurationError, RecordError, RigError
-from rig.analysis.record_fit import analyse_record, combine, free_name
-from rig.analysis.results import RunResult, results_tree, write_results
-from rig.analysis.screen import print_results
-from rig.devices.devices import Devices
-from rig.instrument.configured import check_materials, complete
+from rig.analysis import (
+    RunResult,
+    analyse_record,
+    combine,
+    free_name,
+    print_results,
+    results_tree,
+    write_results,
+)
+from rig.devices import Devices
+from rig.instrument import check_materials, complete
 from rig.interruption import Terminated, reason_of
 from rig.measure.assembly import RunPlan, measure_run
 from rig.measure.session_file import STATE_NAME, RunEntry, RunState, SessionFile
-from rig.presentation.say import print_json_line, say
-from rig.settings.configuration import Configuration, validate_configuration
+from rig.presentation import print_json_line, say
+from rig.settings import Configuration, validate_configuration
 
 
 def measure_session(
@@ -164,7 +170,7 @@ def _make_runs(
 def _report(config: Configuration, folder: Path, made: _Made, *, json_lines: bool) -> int:
     """Fit all that are complete or just made, write the results; the laser is dark by now."""
     # what draws figures takes a second to load, which the first frame must not wait for
-    from rig.report.session_report import make_report
+    from rig.report import make_report
 
     records, failed = made.records, made.failed
     if made.stopped and records and not _wants_fit():

@@ -7,11 +7,10 @@ from processing.angle import ARCSEC_RAD
 from processing.contact.hertz import MATERIALS, hertz_contact
 from processing.contact.moments import cycle_work, surface_energy
 from processing.contact.parameters import STANDARD_GRAVITY_M_PER_S2
-from rig.analysis.curves import parameters_of
+from rig.analysis import parameters_of
 from rig.paper.printed import BALL, BALL_RADIUS_M, LOOP_AMPLITUDE_ARCSEC, MASS_KG, PAIRS
 from rig.paper.simulation import PairSeries
-from rig.presentation.numbers import number, plain, power, with_uncertainty
-from rig.presentation.table import Cell, Table
+from rig.presentation import Cell, Table, number, plain, power, with_uncertainty
 
 AGREES = "agrees"
 CONTRADICTION = "known contradiction"

@@ -5,17 +5,22 @@ from pathlib import Path
 
 from processing.angle import ARCSEC_RAD
 from processing.errors import RecordError
-from rig.analysis.curves import curves_of, parameters_of
+from rig.analysis import curves_of, parameters_of
 from rig.paper.comparison import table1, table2, table3, table4
 from rig.paper.printed import CONTRADICTIONS, LOOP_AMPLITUDE_ARCSEC, PAIRS, SOURCE
 from rig.paper.simulation import NOISE_ARCSEC, PairSeries, simulate_pair
-from rig.presentation.numbers import number
-from rig.presentation.table import Table
-from rig.presentation.terminal import print_tables
-from rig.report import figures_contact, figures_laws, figures_motion, html
-from rig.report.drawing import Drawing, styled
-from rig.report.session_report import save_figures, save_tables
-from rig.report.tables_uncertainty import series_table
+from rig.presentation import Table, number, print_tables
+from rig.report import (
+    Drawing,
+    figures_contact,
+    figures_laws,
+    figures_motion,
+    html,
+    save_figures,
+    save_tables,
+    series_table,
+    styled,
+)
 
 _SEED = 1
 

@@ -21,11 +21,7 @@ from processing.fit.exact import fit_exact
 from processing.fit.measurement import Quantity, RigQuantities
 from processing.fit.result import FitResult
 from processing.swing import SwingDetector, TurningPoints
-from rig.analysis.contact_laws import SlowSamples, settled_swings
-from rig.analysis.contact_tree import evaluation_tree, series_tree
-from rig.analysis.contact_verdicts import evaluate
-from rig.analysis.results import fit_tree
-from rig.analysis.results_file import Motion
+from rig.analysis import Motion, SlowSamples, evaluate, evaluation_tree, fit_tree, series_tree, settled_swings
 from rig.paper.printed import (
     BALL,
     BALL_RADIUS_M,
@@ -36,7 +32,7 @@ from rig.paper.printed import (
     RUNS,
     PrintedPair,
 )
-from rig.settings.configuration import FitSettings
+from rig.settings import FitSettings
 
 NOISE_ARCSEC = 0.0027
 """Standard uncertainty of one tracked position of the demonstration, 0.0055 px at an arm of 1 m."""

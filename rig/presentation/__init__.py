@@ -1,0 +1,48 @@
+"""The one place for symbols, units, rounding, tables, colours and what the terminal is told."""
+
+from rig.presentation import palette
+from rig.presentation.balance import BALANCE, PANELS, balance_quantities, balance_quantity, balance_table
+from rig.presentation.determined import determined_text, series_verdicts
+from rig.presentation.numbers import SOURCES, number, plain, power, symbol, with_uncertainty
+from rig.presentation.printing import (
+    DISPLAY,
+    plain_values,
+    print_json_line,
+    print_table,
+    say,
+    value_with_uncertainty,
+)
+from rig.presentation.table import Cell, Table
+from rig.presentation.terminal import print_tables
+from rig.presentation.verdict import Check, Verdict
+from rig.presentation.verdict_table import print_checks, print_preflight
+
+__all__ = [
+    "BALANCE",
+    "DISPLAY",
+    "PANELS",
+    "SOURCES",
+    "Cell",
+    "Check",
+    "Table",
+    "Verdict",
+    "balance_quantities",
+    "balance_quantity",
+    "balance_table",
+    "determined_text",
+    "number",
+    "palette",
+    "plain",
+    "plain_values",
+    "power",
+    "print_checks",
+    "print_json_line",
+    "print_preflight",
+    "print_table",
+    "print_tables",
+    "say",
+    "series_verdicts",
+    "symbol",
+    "value_with_uncertainty",
+    "with_uncertainty",
+]

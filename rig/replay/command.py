@@ -10,19 +10,24 @@ from typing import Literal
 from acquisition.record.reader import RecordReader
 from processing.angle import ARCSEC_RAD
 from processing.errors import ConfigurationError
-from rig.analysis.record_fit import analyse_record, analyse_run
-from rig.analysis.results import RunResult, results_tree, write_results
-from rig.analysis.results_file import recorded_results
-from rig.analysis.screen import print_results
-from rig.instrument.provenance import recorded_configuration
-from rig.presentation.say import say
+from rig.analysis import (
+    RunResult,
+    analyse_record,
+    analyse_run,
+    print_results,
+    recorded_results,
+    results_tree,
+    write_results,
+)
+from rig.instrument import recorded_configuration
+from rig.presentation import say
 from rig.replay.comparison import parameter_changes
 from rig.replay.keys import Keys
 from rig.replay.player import HELP, Player
 from rig.replay.replay import Replay, Replayed
 from rig.replay.screen import ReplayLine, print_changes, print_comparison
-from rig.settings.configuration import Configuration
-from rig.view.watcher import LiveView, start_view
+from rig.settings import Configuration
+from rig.view import LiveView, start_view
 
 ViewMode = Literal["none", "spawn", "web"]
 

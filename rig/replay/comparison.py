@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from processing.fit.result import CONTACT_NAMES
 from processing.spot import Spot
 from processing.swing import Swing
-from rig.presentation.say import plain_values
+from rig.presentation import plain_values
 
 _SAME_SWING = 0.25
 """Two turning points are one where they are no further apart than this part of a half period."""

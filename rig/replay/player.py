@@ -8,11 +8,10 @@ from typing import Final, Protocol
 from acquisition.record.topics import RecordedEvent
 from processing.angle import ARCSEC_RAD
 from processing.spot import SpotFlag
-from rig.instrument.events import Event
-from rig.instrument.snapshot import Snapshot
+from rig.instrument import Event, Snapshot
 from rig.replay.keys import Keys
 from rig.replay.replay import Replay, Step
-from rig.view.watcher import LiveView
+from rig.view import LiveView
 
 HELP: Final = "space pause  → frame  h half-cycle  + - 10 s  g go to  q end"
 SEEK_S: Final = 10.0

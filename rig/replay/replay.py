@@ -14,12 +14,10 @@ from calibration.axes import Axes
 from processing.errors import RecordError
 from processing.spot import SensorModel, Spot, SpotFlag, SpotTracker
 from processing.swing import Swing
-from rig.analysis.other_instruments import Samples
-from rig.instrument.configured import sensor_model
-from rig.instrument.pipeline import Block, Pipeline
-from rig.instrument.provenance import frame_shape, recorded_configuration
+from rig.analysis import Samples
+from rig.instrument import Block, Pipeline, frame_shape, recorded_configuration, sensor_model
 from rig.replay.comparison import Comparison, ReplayComparison
-from rig.settings.configuration import Configuration
+from rig.settings import Configuration
 
 _LOST = Spot._make([*[math.nan] * 10, int(SpotFlag.LOST)])
 _SAMPLE_COLUMNS = 5

@@ -10,8 +10,8 @@ from typing import IO, Self
 from rich.console import Console
 from rich.table import Table
 
-from rig.instrument.snapshot import Snapshot
-from rig.presentation.say import DISPLAY, say, value_with_uncertainty
+from rig.instrument import Snapshot
+from rig.presentation import DISPLAY, say, value_with_uncertainty
 from rig.replay.comparison import Change, Comparison
 
 _PLAIN_INTERVAL_S = 5.0

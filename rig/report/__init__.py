@@ -1,1 +1,25 @@
-"""Figures and the report."""
+"""Figures, tables and the HTML page of a session, and of several beside each other."""
+
+from rig.report import figures_contact, figures_laws, figures_motion, html
+from rig.report.comparison import compare
+from rig.report.drawing import Drawing, styled
+from rig.report.session_report import make_report, save_figures, save_tables
+from rig.report.tables import instrument_table, parameter_table, quality_table
+from rig.report.tables_uncertainty import series_table
+
+__all__ = [
+    "Drawing",
+    "compare",
+    "figures_contact",
+    "figures_laws",
+    "figures_motion",
+    "html",
+    "instrument_table",
+    "make_report",
+    "parameter_table",
+    "quality_table",
+    "save_figures",
+    "save_tables",
+    "series_table",
+    "styled",
+]

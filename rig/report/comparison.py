@@ -12,10 +12,17 @@ from processing.errors import RecordError
 from processing.fit.measurement import Measured
 from processing.fit.result import CONTACT_NAMES, Estimate
 from processing.fit.series import Combined, Comparison, SeriesResult, compare_series
-from rig.analysis.results_file import read_results
-from rig.presentation.determined import determined_text, series_verdicts
-from rig.presentation.numbers import number, plain, symbol, with_uncertainty
-from rig.presentation.table import Cell, Table
+from rig.analysis import read_results
+from rig.presentation import (
+    Cell,
+    Table,
+    determined_text,
+    number,
+    plain,
+    series_verdicts,
+    symbol,
+    with_uncertainty,
+)
 from rig.report import html
 from rig.report.drawing import styled
 from rig.report.figures_contact import comparison_figure

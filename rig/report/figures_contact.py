@@ -8,8 +8,7 @@ import numpy as np
 from processing.angle import ARCSEC_RAD
 from processing.contact.moments import cycle_work, moment_loop, weight_moment
 from processing.contact.parameters import ContactParameters, PendulumOnBall
-from rig.presentation import palette
-from rig.presentation.numbers import number, plain, symbol
+from rig.presentation import number, palette, plain, symbol
 from rig.report.drawing import ASYMPTOTIC, DATA, EXACT, INK, Drawing, canvas
 
 

@@ -8,7 +8,7 @@ from processing.contact.losses import measured_losses, model_losses
 from processing.contact.parameters import ContactParameters, PendulumOnBall
 from processing.errors import DataError
 from processing.swing import TurningPoints
-from rig.analysis.curves import Curves
+from rig.analysis import Curves
 from rig.presentation import palette
 from rig.report.drawing import (
     ASYMPTOTIC,

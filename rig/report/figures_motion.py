@@ -5,7 +5,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
-from rig.analysis.results_file import Motion, Picture
+from rig.analysis import Motion, Picture
 from rig.presentation import palette
 from rig.report.drawing import INK, Array, Drawing, canvas, envelope, thinned
 

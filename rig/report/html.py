@@ -4,7 +4,7 @@ import base64
 import html
 from collections.abc import Sequence
 
-from rig.presentation.table import Table
+from rig.presentation import Table
 from rig.report.drawing import Drawing
 
 STYLE = """

@@ -6,11 +6,17 @@ from typing import Any
 
 from processing.errors import RecordError
 from processing.fit.result import CONTACT_NAMES
-from rig.analysis.curves import Curves, curves_of, parameters_of, pendulum_of
-from rig.analysis.results_file import ReportSource, RunData, read_source, results_path
-from rig.presentation.determined import determined_text, series_verdicts
-from rig.presentation.numbers import number, plain, symbol, with_uncertainty
-from rig.presentation.table import Table
+from rig.analysis import (
+    Curves,
+    ReportSource,
+    RunData,
+    curves_of,
+    parameters_of,
+    pendulum_of,
+    read_source,
+    results_path,
+)
+from rig.presentation import Table, determined_text, number, plain, series_verdicts, symbol, with_uncertainty
 from rig.report import figures_contact, figures_laws, figures_motion, html
 from rig.report.drawing import Drawing, png, styled, svg
 from rig.report.figures_instruments import instrument_figures

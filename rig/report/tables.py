@@ -5,11 +5,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from processing.fit.result import CONTACT_NAMES
-from rig.analysis.curves import Curves
-from rig.analysis.results_file import RunData
-from rig.presentation.determined import determined_text
-from rig.presentation.numbers import number, plain, symbol, with_uncertainty
-from rig.presentation.table import Cell, Table
+from rig.analysis import Curves, RunData
+from rig.presentation import Cell, Table, determined_text, number, plain, symbol, with_uncertainty
 from rig.report.tables_uncertainty import budget_table, identifiability_table, monte_carlo_table
 
 

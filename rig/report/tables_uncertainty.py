@@ -4,9 +4,18 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from rig.presentation.determined import determined_text, series_verdicts
-from rig.presentation.numbers import SOURCES, number, plain, power, symbol, with_uncertainty
-from rig.presentation.table import Cell, Table
+from rig.presentation import (
+    SOURCES,
+    Cell,
+    Table,
+    determined_text,
+    number,
+    plain,
+    power,
+    series_verdicts,
+    symbol,
+    with_uncertainty,
+)
 
 _NEGLIGIBLE = 0.005
 """Share of the variance below which a source is shown with others in one line."""

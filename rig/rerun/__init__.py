@@ -1,1 +1,57 @@
-"""Rerun, in processes of its own: what is told to them, what they draw, and how they are started."""
+"""Rerun, in processes of its own: what is told to them, what they draw, how they are started."""
+
+from rig.rerun.messages import (
+    LENGTH,
+    Balance,
+    Curve,
+    Event,
+    EventLevel,
+    Finish,
+    Fits,
+    Floats,
+    LayoutName,
+    Losses,
+    Message,
+    Mode,
+    Picture,
+    Samples,
+    Setup,
+    State,
+    Swings,
+    rows,
+    size_bytes,
+)
+from rig.rerun.page_server import page_address, start_page_server
+from rig.rerun.ports import LOOPBACK, free_port
+from rig.rerun.process_group import own_group
+from rig.rerun.rerun_program import display_missing, open_window, start_program
+
+__all__ = [
+    "LENGTH",
+    "LOOPBACK",
+    "Balance",
+    "Curve",
+    "Event",
+    "EventLevel",
+    "Finish",
+    "Fits",
+    "Floats",
+    "LayoutName",
+    "Losses",
+    "Message",
+    "Mode",
+    "Picture",
+    "Samples",
+    "Setup",
+    "State",
+    "Swings",
+    "display_missing",
+    "free_port",
+    "open_window",
+    "own_group",
+    "page_address",
+    "rows",
+    "size_bytes",
+    "start_page_server",
+    "start_program",
+]

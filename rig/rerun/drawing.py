@@ -4,8 +4,7 @@ import cv2
 import numpy as np
 import rerun as rr
 
-from rig.presentation import palette
-from rig.presentation.balance_quantities import balance_quantity, balance_table
+from rig.presentation import balance_quantity, balance_table, palette
 from rig.rerun import layout
 from rig.rerun.analysis_panels import draw_fits
 from rig.rerun.decimation import Decimator

@@ -16,7 +16,7 @@ from typing import Final
 import rerun as rr
 import rerun.blueprint as rrb
 
-from rig.presentation.balance_quantities import BALANCE, PANELS
+from rig.presentation import BALANCE, PANELS
 from rig.rerun.graticule import BOX, PLANE_REACH
 from rig.rerun.marks import BACKGROUND
 from rig.rerun.messages import LayoutName

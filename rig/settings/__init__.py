@@ -1,0 +1,31 @@
+"""Configuration: one TOML file and its overrides become frozen models."""
+
+from rig.settings.balance import BalanceSettings
+from rig.settings.calibration import TimebaseSettings
+from rig.settings.configuration import (
+    Configuration,
+    FitSettings,
+    MaterialSettings,
+    PendulumSettings,
+    SensorSettings,
+    apply_overrides,
+    load_configuration,
+    validate_configuration,
+)
+from rig.settings.instrument import InstrumentSettings
+from rig.settings.phases import PreflightSettings
+
+__all__ = [
+    "BalanceSettings",
+    "Configuration",
+    "FitSettings",
+    "InstrumentSettings",
+    "MaterialSettings",
+    "PendulumSettings",
+    "PreflightSettings",
+    "SensorSettings",
+    "TimebaseSettings",
+    "apply_overrides",
+    "load_configuration",
+    "validate_configuration",
+]

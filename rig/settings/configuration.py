@@ -24,7 +24,7 @@ from acquisition.simulation.settings import SimulationSettings
 from calibration.axes import Axes
 from calibration.lever import Lever
 from processing.errors import ConfigurationError
-from rig.control.settings import ControllerSettings, EnvironmentSettings, LaserSettings
+from rig.control import ControllerSettings, EnvironmentSettings, LaserSettings
 from rig.settings.balance import BalanceSettings
 from rig.settings.calibration import CalibrationSettings, TimebaseSettings
 from rig.settings.instrument import InstrumentSettings

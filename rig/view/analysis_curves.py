@@ -12,14 +12,19 @@ from processing.angle import ARCSEC_RAD
 from processing.contact.moments import moment_loop
 from processing.errors import RecordError
 from processing.swing import TurningPoints, turning_points
-from rig.analysis.curves import Curves, curves_of, parameters_of, pendulum_of
-from rig.analysis.record_fit import analyse_record
-from rig.analysis.results import results_tree
-from rig.analysis.results_file import read_source, recorded_results
-from rig.presentation.numbers import number
-from rig.presentation.table import Table
-from rig.report.tables import instrument_table, parameter_table, quality_table
-from rig.rerun.messages import Curve, Floats
+from rig.analysis import (
+    Curves,
+    analyse_record,
+    curves_of,
+    parameters_of,
+    pendulum_of,
+    read_source,
+    recorded_results,
+    results_tree,
+)
+from rig.presentation import Table, number
+from rig.report import instrument_table, parameter_table, quality_table
+from rig.rerun import Curve, Floats
 
 
 class RunAnalysis(NamedTuple):

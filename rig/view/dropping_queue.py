@@ -3,7 +3,7 @@
 import threading
 from collections import Counter, deque
 
-from rig.rerun.messages import Message, Picture, rows, size_bytes
+from rig.rerun import Message, Picture, rows, size_bytes
 
 
 class DroppingQueue:

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from rig.rerun.messages import Finish, Setup, rows
+from rig.rerun import Finish, Setup, rows
 from rig.view.dropping_queue import DroppingQueue
 from rig.view.worker_process import WorkerProcess
 

@@ -18,11 +18,9 @@ from processing.angle import ARCSEC_RAD
 from processing.balance import Balance
 from processing.errors import RecordError
 from processing.spot import SpotFlag
-from rig.instrument.balance import advice_text
-from rig.instrument.provenance import recorded_configuration
-from rig.presentation.balance_quantities import balance_quantities
-from rig.presentation.say import say
-from rig.rerun.messages import EventLevel, LayoutName
+from rig.instrument import advice_text, recorded_configuration
+from rig.presentation import balance_quantities, say
+from rig.rerun import EventLevel, LayoutName
 from rig.view.analysis_curves import analysis_curves, overlaid_curves, report_text, run_analysis
 from rig.view.rrd_display import show_rrd
 from rig.view.viewer import Viewer

@@ -6,9 +6,7 @@ from pathlib import Path
 from typing import Literal
 
 from processing.errors import ConfigurationError
-from rig.rerun.page_server import page_address, start_page_server
-from rig.rerun.ports import LOOPBACK, free_port
-from rig.rerun.rerun_program import display_missing, start_program
+from rig.rerun import LOOPBACK, display_missing, free_port, page_address, start_page_server, start_program
 
 
 def show_rrd(paths: Sequence[Path], mode: Literal["spawn", "web"]) -> None:

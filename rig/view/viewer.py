@@ -23,7 +23,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from processing.errors import ConfigurationError
-from rig.rerun.messages import (
+from rig.rerun import (
+    LOOPBACK,
     Balance,
     Curve,
     Event,
@@ -39,10 +40,12 @@ from rig.rerun.messages import (
     Setup,
     State,
     Swings,
+    display_missing,
+    free_port,
+    open_window,
+    page_address,
+    start_page_server,
 )
-from rig.rerun.page_server import page_address, start_page_server
-from rig.rerun.ports import LOOPBACK, free_port
-from rig.rerun.rerun_program import display_missing, open_window
 from rig.view.feed import Feed
 
 logger = logging.getLogger(__name__)

@@ -11,13 +11,10 @@ from acquisition.frame import Frame
 from processing.angle import ARCSEC_RAD
 from processing.balance import Balance
 from processing.spot import Spot, SpotFlag
-from rig.instrument.balance import advice_text
-from rig.instrument.events import Event
-from rig.instrument.pipeline import Block
-from rig.instrument.snapshot import Snapshot
-from rig.presentation.balance_quantities import balance_quantities
-from rig.rerun.messages import EventLevel, LayoutName, Mode
-from rig.settings.configuration import Configuration
+from rig.instrument import Block, Event, Snapshot, advice_text
+from rig.presentation import balance_quantities
+from rig.rerun import EventLevel, LayoutName, Mode
+from rig.settings import Configuration
 from rig.view.viewer import ViewCounts, Viewer
 
 _STATE_INTERVAL_S = 0.5

@@ -18,8 +18,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import IO, Any
 
-from rig.rerun.messages import LENGTH, Message, Setup
-from rig.rerun.process_group import own_group
+from rig.rerun import LENGTH, Message, Setup, own_group
 
 logger = logging.getLogger(__name__)
 

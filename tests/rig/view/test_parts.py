@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from processing.angle import ARCSEC_RAD
 from rig.presentation import palette
-from rig.presentation.balance_quantities import (
+from rig.presentation.balance import (
     BALANCE,
     PANELS,
     balance_quantities,
