@@ -165,6 +165,7 @@ def _execute(plan: RunPlan, devices: Devices, camera: OpenCamera, view: LiveView
         policy=frame_policy(config),
         timeout_s=config.camera.timeout_s,
         full_frame_interval_s=config.record.full_frame_interval_s,
+        keep_windows=config.record.windows,
         watchers=watchers,
         prelude=preparation if prepared or preflight_wanted(config) else None,
         attempts=Attempts(config.start.attempts, make_judge, set_aside) if prepared else None,

@@ -13,7 +13,7 @@ _LOST_IMAGE_INTERVAL_S = 1.0
 class FrameCounts:
     """Counts from the first frame on; frames are numbered from it, whatever number the camera gives."""
 
-    def __init__(self, first: Frame, full_frame_interval_ns: int) -> None:
+    def __init__(self, first: Frame, full_frame_interval_ns: int, *, keep_windows: bool) -> None:
         self.start_ns = first.time_ns
         self.last_ns = first.time_ns
         self.frames = 0
@@ -21,6 +21,7 @@ class FrameCounts:
         self.lost_spots = 0
         self._first_number = first.sequence
         self._interval_ns = full_frame_interval_ns
+        self._keep_windows = keep_windows
         self._next_image_ns = first.time_ns
         self._next_lost_image_ns = first.time_ns
         self._sequence = -1
@@ -62,7 +63,7 @@ class FrameCounts:
             elif lost and time_ns >= self._next_lost_image_ns:
                 images.append(frame)
                 self._next_lost_image_ns = time_ns + round(_LOST_IMAGE_INTERVAL_S * 1e9)
-            bounds = None if lost else pipeline.tracker.record_window(spot, frame.image.shape)
+            bounds = None if lost or not self._keep_windows else pipeline.tracker.record_window(spot, frame.image.shape)
             windows.append(cut_window(frame, spot, bounds))
         self.frames += len(frames)
         self.last_ns = frames[-1].time_ns

@@ -180,8 +180,10 @@ def frame_rate(frames: Sequence[Frame], asked_hz: float | None, limits: Prefligh
     )
 
 
-def disk(free_bytes: int, bytes_per_frame: float, rate_hz: float, duration_s: float) -> Verdict:
-    """Room for the longest run that the configuration allows."""
+def disk(
+    free_bytes: int, bytes_per_frame: float, rate_hz: float, duration_s: float, *, windows: bool = True
+) -> Verdict:
+    """Room for the longest run that the configuration allows; `windows`: raw pixels are recorded too."""
     need = bytes_per_frame * rate_hz * duration_s
     ok = free_bytes >= need
     return Verdict(
@@ -190,7 +192,7 @@ def disk(free_bytes: int, bytes_per_frame: float, rate_hz: float, duration_s: fl
         f"{need / 1e9:.1f} GB for {duration_s:g} s",
         ok,
         "" if ok else "a run of full length does not fit",
-        "" if ok else "free space, another -o, or record.windows = false",
+        "" if ok else f"free space, or another -o{', or record.windows = false' if windows else ''}",
     )
 
 
@@ -267,7 +269,13 @@ def check_look(
         rest_position(look, unit_rad, limits),
         frame_rate(look.frames, config.camera.frame_rate_hz, limits),
         clock(look.frames, limits),
-        disk(free_bytes, bytes_per_frame, rate_hz, config.session.max_duration_s),
+        disk(
+            free_bytes,
+            bytes_per_frame,
+            rate_hz,
+            config.session.max_duration_s,
+            windows=config.record.windows,
+        ),
     ]
 
 

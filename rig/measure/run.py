@@ -52,6 +52,7 @@ class Run:
         timeout_s: float = 5.0,
         reconnect_s: float = 60.0,
         full_frame_interval_s: float = 10.0,
+        keep_windows: bool = True,
         watchers: Iterable[Watcher] = (),
         prelude: Prelude | None = None,
         attempts: Attempts | None = None,
@@ -66,6 +67,7 @@ class Run:
         self._open_writer = open_writer
         self._end = end
         self._full_frame_interval_ns = round(full_frame_interval_s * 1e9)
+        self._keep_windows = keep_windows
         self._public = PublicState(watchers, surroundings, amplitude_unit_rad, environment_period_s)
         self._prelude = prelude
         self._attempts = attempts
@@ -194,7 +196,7 @@ class Run:
         """Record until the run ends; why the start was not accepted, or nothing."""
         first, stream = begun[0], self._stream
         pipeline = self._make_pipeline((first.image.shape[0], first.image.shape[1]))
-        counts = FrameCounts(first, self._full_frame_interval_ns)
+        counts = FrameCounts(first, self._full_frame_interval_ns, keep_windows=self._keep_windows)
         self._public.begin_record()
         events = [*events, Event(first.time_ns, "start", "first frame")]
         recorder.put(Entry(events=events))

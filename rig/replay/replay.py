@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from acquisition.frame import Frame
 from acquisition.record.reader import RecordReader
-from acquisition.record.topics import RecordedWindow
+from acquisition.record.topics import WINDOW, RecordedWindow
 from calibration.axes import Axes
 from processing.errors import RecordError
 from processing.spot import SensorModel, Spot, SpotFlag, SpotTracker
@@ -88,6 +88,12 @@ class Replay:
         self._retrack = retrack
         self._pictures = pictures
         recorded = recorded_configuration(reader)
+        if retrack and not reader.counts.get(WINDOW.topic):
+            why = "" if recorded.record.windows else " (it was made with record.windows = false)"
+            raise RecordError(
+                f"{reader.path}: holds no windows of raw pixels{why}, so the spot cannot be tracked again; "
+                "replay it without --retrack"
+            )
         self._same_deflections = config.lever == recorded.lever and config.axes == recorded.axes
         self._shape = frame_shape(reader)
         head = next(reader.spot_blocks(), None)
