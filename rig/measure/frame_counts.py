@@ -63,7 +63,11 @@ class FrameCounts:
             elif lost and time_ns >= self._next_lost_image_ns:
                 images.append(frame)
                 self._next_lost_image_ns = time_ns + round(_LOST_IMAGE_INTERVAL_S * 1e9)
-            bounds = None if lost or not self._keep_windows else pipeline.tracker.record_window(spot, frame.image.shape)
+            bounds = (
+                None
+                if lost or not self._keep_windows
+                else pipeline.tracker.record_window(spot, frame.image.shape)
+            )
             windows.append(cut_window(frame, spot, bounds))
         self.frames += len(frames)
         self.last_ns = frames[-1].time_ns

@@ -113,7 +113,8 @@ class RecordSettings(Section, frozen=True):
     """What of the frames is kept."""
 
     windows: bool = Field(
-        default=True, description="raw pixels around the spot, every frame, lossless; replay --retrack needs them"
+        default=True,
+        description="raw pixels around the spot, every frame, lossless; replay --retrack needs them",
     )
     full_frame_interval_s: float = Field(default=10.0, gt=0)
 

@@ -41,9 +41,7 @@ def test_a_record_without_windows_holds_none_and_is_smaller(records: dict[bool, 
     assert records[False].stat().st_size < 0.5 * records[True].stat().st_size
 
 
-def test_it_is_replayed_bit_for_bit(
-    records: dict[bool, Path], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_it_is_replayed_bit_for_bit(records: dict[bool, Path], capsys: pytest.CaptureFixture[str]) -> None:
     replay_record(records[False], None, retrack=False, overrides=[])
     assert "equal bit for bit" in capsys.readouterr().out
 
