@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
+from processing.contact.laws import AMPLITUDE, DRAG, PAPER, TIME
 from processing.contact.parameters import ContactParameters
 from processing.errors import DataError
 from processing.fit.least_squares import Loss
@@ -19,14 +20,13 @@ class Estimate(NamedTuple):
     standard_uncertainty: float
 
 
-CONTACT_NAMES = ("b", "p", "c", "n", "period0_s", "gamma_pa")
-STIFFNESS_NAME = "kappa"
-"""Stands in the place of ``gamma_pa`` where there is no calibration: 2 gamma a^2/(m g), per unit of
-amplitude^n."""
-UNCALIBRATED_NAMES = (*CONTACT_NAMES[:5], STIFFNESS_NAME)
-DRAG_NAME = "drag_s"
-AMPLITUDE_NAME = "initial_amplitude_rad"
-TIME_NAME = "start_time_s"
+CONTACT_NAMES = PAPER.keys()
+UNCALIBRATED_NAMES = PAPER.keys(calibrated=False)
+STIFFNESS_NAME = UNCALIBRATED_NAMES[-1]
+"""Stands in the place of ``gamma_pa`` where there is no calibration."""
+DRAG_NAME = DRAG.key
+AMPLITUDE_NAME = AMPLITUDE.key
+TIME_NAME = TIME.key
 
 
 @dataclass(frozen=True)
