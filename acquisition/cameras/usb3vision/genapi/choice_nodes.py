@@ -1,9 +1,9 @@
 """Nodes that are features with a choice: switches, enumerations, commands."""
 
-from collections.abc import Iterator
 from typing import Any
 
-from acquisition.cameras.usb3vision.genapi.node import Access, Node, parse_number
+from acquisition.cameras.usb3vision.genapi.description import NodeDescription
+from acquisition.cameras.usb3vision.genapi.node import Access, Node, Nodes, parse_number
 from acquisition.cameras.usb3vision.genapi.operators import Number, truncated
 from acquisition.cameras.usb3vision.genapi.value_nodes import Valued
 from processing.errors import DeviceError
@@ -65,17 +65,19 @@ class EnumEntry(Node):
 class Enumeration(Valued):
     """A choice by name."""
 
-    def entries(self) -> Iterator[tuple[str, EnumEntry]]:
+    def __init__(self, description: NodeDescription, nodes: Nodes) -> None:
+        super().__init__(description, nodes)
+        self.entries: dict[str, EnumEntry] = {}
         """All choices by their names, whether available now or not."""
-        for item in self.description.all("EnumEntry"):
+        for item in description.all("EnumEntry"):
             name = item.attributes.get("Name", "")
-            yield name, self.nodes.entry(self, name, item)
+            described = NodeDescription("EnumEntry", f"{self.name}.{name}", item.children)
+            self.entries.setdefault(name, EnumEntry(described, nodes))
 
     def entry_number(self, entry: str) -> int:
-        for name, node in self.entries():
-            if name == entry:
-                return node.number()
-        choices = ", ".join(name for name, _ in self.entries())
+        if entry in self.entries:
+            return self.entries[entry].number()
+        choices = ", ".join(self.entries)
         raise DeviceError(f"{self.nodes.name}: {self.name} has no choice {entry!r}; choices: {choices}")
 
     def own_access(self) -> Access:
@@ -84,7 +86,7 @@ class Enumeration(Valued):
         if mode is Access.NOT_IMPLEMENTED:
             return mode
         without = Access.NOT_IMPLEMENTED
-        for _, node in self.entries():
+        for node in self.entries.values():
             access = node.access()
             if access.readable:
                 return mode  # one is enough; the others' registers need not be read
@@ -94,7 +96,7 @@ class Enumeration(Valued):
 
     def choices(self) -> tuple[str, ...]:
         """Names of the choices that are available now."""
-        return tuple(name for name, node in self.entries() if node.access().readable)
+        return tuple(name for name, node in self.entries.items() if node.access().readable)
 
     def number(self) -> int:
         return truncated(super().number())
@@ -102,7 +104,7 @@ class Enumeration(Valued):
     def get(self) -> str:
         """Name of the present choice."""
         value = self.number()
-        for name, node in self.entries():
+        for name, node in self.entries.items():
             if node.number() == value:
                 return name
         raise DeviceError(f"{self.nodes.name}: {self.name} is {value}, which is none of its choices")

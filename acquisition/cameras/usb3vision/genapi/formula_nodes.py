@@ -1,20 +1,15 @@
 """Nodes whose value is calculated: swiss knives read, converters also write."""
 
-from typing import TYPE_CHECKING
-
 from acquisition.cameras.usb3vision.genapi.description import NodeDescription
 from acquisition.cameras.usb3vision.genapi.formula import Formula
-from acquisition.cameras.usb3vision.genapi.node import Access, Node, parse_number
+from acquisition.cameras.usb3vision.genapi.node import Access, Node, Nodes, parse_number
 from acquisition.cameras.usb3vision.genapi.operators import Number
-
-if TYPE_CHECKING:
-    from acquisition.cameras.usb3vision.genapi.node_map import NodeMap
 
 
 class _Calculated(Node):
     """Variables, constants and named expressions, as all formulas may use them."""
 
-    def __init__(self, description: NodeDescription, nodes: "NodeMap") -> None:
+    def __init__(self, description: NodeDescription, nodes: Nodes) -> None:
         super().__init__(description, nodes)
         self._whole = description.kind.startswith("Int")
         self._variables = {

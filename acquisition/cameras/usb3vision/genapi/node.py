@@ -1,14 +1,11 @@
 """What all nodes of a description share: who may read and write them, and what they refer to."""
 
 from enum import Enum
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar, Protocol
 
 from acquisition.cameras.usb3vision.genapi.description import NodeDescription
 from acquisition.cameras.usb3vision.genapi.operators import Number
 from processing.errors import DeviceError
-
-if TYPE_CHECKING:
-    from acquisition.cameras.usb3vision.genapi.node_map import NodeMap
 
 
 class Access(Enum):
@@ -66,6 +63,39 @@ def parse_number(text: str) -> Number:
         return float(text)
 
 
+class Nodes(Protocol):
+    """What a node needs of all the others: `node_map.NodeMap`, which makes the nodes and so imports them.
+
+    `name` is what messages call the camera; `own_values` and `own_texts` hold by a node's name what no
+    register holds; `asking` names the nodes whose access is being found out.
+    """
+
+    name: str
+    own_values: dict[str, Number]
+    own_texts: dict[str, str]
+    asking: set[str]
+
+    def node(self, name: str) -> "Node":
+        """The node with this name; DeviceError where the camera has none."""
+        ...
+
+    def port_access(self, name: str | None) -> Access:
+        """What may be done with the registers behind a port."""
+        ...
+
+    def read_register(self, register: "Node", address: int, length: int) -> bytes:
+        """A register's bytes, from the cache where that is allowed and fresh."""
+        ...
+
+    def write_register(self, register: "Node", address: int, data: bytes) -> None:
+        """Write, and forget every register that depends on this one or shares bytes with it."""
+        ...
+
+    def set_own_value(self, node: "Node", value: Number) -> None:
+        """Set a value that no register holds."""
+        ...
+
+
 class Node:
     """One node; its kind decides what it can do.
 
@@ -75,7 +105,7 @@ class Node:
     # References to nodes that do not feed this node's value
     _NO_INPUTS: ClassVar = {"pFeature", "pSelected", "pAlias", "pCastAlias", "pPort", "pError"}
 
-    def __init__(self, description: NodeDescription, nodes: "NodeMap") -> None:
+    def __init__(self, description: NodeDescription, nodes: Nodes) -> None:
         self.name = description.name
         self.description = description
         self.nodes = nodes

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator
 from typing import Any, Final, Protocol
 
 from acquisition.cameras.usb3vision.genapi.choice_nodes import Boolean, Command, EnumEntry, Enumeration
-from acquisition.cameras.usb3vision.genapi.description import NodeDescription, Property, parse_description
+from acquisition.cameras.usb3vision.genapi.description import NodeDescription, parse_description
 from acquisition.cameras.usb3vision.genapi.formula_nodes import Converter, SwissKnife
 from acquisition.cameras.usb3vision.genapi.node import Access, Node
 from acquisition.cameras.usb3vision.genapi.operators import Number
@@ -84,7 +84,6 @@ class NodeMap:
         self._port = port
         self._clock = clock
         self._nodes: dict[str, Node] = {}
-        self._entries: dict[tuple[str, str], EnumEntry] = {}
         self._cache: dict[tuple[str, int, int], tuple[bytes, float]] = {}
         self._dependents: dict[str, set[str]] | None = None
         self._stale: dict[str, frozenset[str]] = {}
@@ -103,14 +102,6 @@ class NodeMap:
                 raise DeviceError(f"{self.name}: has no feature {name!r}")
             self._nodes[name] = _KINDS.get(description.kind, Node)(description, self)
         return self._nodes[name]
-
-    def entry(self, enumeration: Enumeration, name: str, item: Property) -> EnumEntry:
-        """The node of one choice."""
-        key = (enumeration.name, name)
-        if key not in self._entries:
-            description = NodeDescription("EnumEntry", f"{enumeration.name}.{name}", item.children)
-            self._entries[key] = EnumEntry(description, self)
-        return self._entries[key]
 
     def get(self, name: str) -> Any:
         """A feature's value: int, float, bool, or str for texts and choices."""
@@ -150,7 +141,7 @@ class NodeMap:
         node = self.node(name)
         return node.access() if isinstance(node, Port) else Access.NOT_IMPLEMENTED
 
-    def read_register(self, register: Register, address: int, length: int) -> bytes:
+    def read_register(self, register: Node, address: int, length: int) -> bytes:
         """A register's bytes, from the cache where that is allowed and fresh."""
         key = (register.name, address, length)
         now_s = self._clock()
@@ -164,7 +155,7 @@ class NodeMap:
             self._cache[key] = (data, now_s + fresh_s)
         return data
 
-    def write_register(self, register: Register, address: int, data: bytes) -> None:
+    def write_register(self, register: Node, address: int, data: bytes) -> None:
         """Write, and forget every register that depends on this one or shares bytes with it."""
         self._port.write(address, data)
         stale = self._stale_after(register.name)
