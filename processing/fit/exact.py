@@ -142,13 +142,6 @@ def fit_exact(
         arae_period=(
             float(np.mean(np.abs(period_residual) / periods.period_s)) if len(periods.where) else float("nan")
         ),
-        index=points.index,
-        amplitude_model_rad=amplitude_model,
-        time_model_s=time,
-        amplitude_residual_rad=points.amplitude_rad - amplitude_model,
-        time_residual_s=points.time_s - time,
-        period_index=points.index[periods.where],
-        period_residual_s=period_residual,
         reference_rad=model.reference,
         by_log_rho=to_physical @ model.by_log_rho(solution.values, solution.jacobian),
         mean_period_s=mean_period_estimate(points, chi2_per_dof),

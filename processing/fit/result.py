@@ -46,13 +46,6 @@ class FitResult:
     arae_decay, arae_period
         Mean relative deviations of amplitude and period, Eqs. 8 and 9 with the mean taken over
         as many terms as are summed.
-    amplitude_model_rad, time_model_s
-        The fitted curve at the turning points; for the asymptotic fit, whose amplitude is a
-        function of time, `time_model_s` is the data's time.
-    amplitude_residual_rad, period_residual_s
-        Data less model; the second for full periods about the turning points `period_index`.
-    time_residual_s
-        Data less model of the turning points' times; NaN for the asymptotic fit.
     reference_rad
         Amplitude in whose units the fit was made: b reference^(p-1) and gamma reference^n are
         close to normally distributed even where b and gamma themselves are not.
@@ -77,13 +70,6 @@ class FitResult:
     dof: int
     arae_decay: float
     arae_period: float
-    index: NDArray[np.int64]
-    amplitude_model_rad: NDArray[np.float64]
-    time_model_s: NDArray[np.float64]
-    amplitude_residual_rad: NDArray[np.float64]
-    time_residual_s: NDArray[np.float64]
-    period_index: NDArray[np.int64]
-    period_residual_s: NDArray[np.float64]
     reference_rad: float
     by_log_rho: NDArray[np.float64]
     mean_period_s: Estimate
