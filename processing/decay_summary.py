@@ -43,12 +43,12 @@ def summarise_decay(points: TurningPoints) -> DecaySummary:
         )
     half_s, u_half_s, period_chi2 = _slope(points.index, points.time_s, points.u_time_s)
     slope, u_slope, decrement_chi2 = _slope(
-        points.index, np.log(points.amplitude_rad), points.u_amplitude_rad / points.amplitude_rad
+        points.index, np.log(points.amplitude), points.u_amplitude / points.amplitude
     )
     return DecaySummary(
         half_cycles=len(points),
-        initial_amplitude=float(points.amplitude_rad[0]),
-        final_amplitude=float(points.amplitude_rad[-1]),
+        initial_amplitude=float(points.amplitude[0]),
+        final_amplitude=float(points.amplitude[-1]),
         period_s=2.0 * half_s,
         u_period_s=2.0 * u_half_s,
         period_chi2_per_dof=period_chi2,

@@ -65,8 +65,8 @@ def measured_losses(points: TurningPoints, *, cycles: int = 1) -> Losses:
             last.append(position[index + step])
     if not first:
         raise DataError(f"no two turning points {cycles} whole cycles apart")
-    a, b = points.amplitude_rad[first], points.amplitude_rad[last]
-    u = np.hypot(points.u_amplitude_rad[first] / a, points.u_amplitude_rad[last] / b)
+    a, b = points.amplitude[first], points.amplitude[last]
+    u = np.hypot(points.u_amplitude[first] / a, points.u_amplitude[last] / b)
     return _losses(np.sqrt(a * b), np.log(a / b) / cycles, u / cycles)
 
 

@@ -44,8 +44,8 @@ def _fit_decay(
     points: TurningPoints, reference: float, mean_period: float, drag: bool, loss: Loss
 ) -> tuple[Solution, NDArray[np.float64]]:
     """Columns b, p, c, (d,) start, in units of the reference and of T/4."""
-    x = points.amplitude_rad / reference
-    u = points.u_amplitude_rad / reference
+    x = points.amplitude / reference
+    u = points.u_amplitude / reference
     s = (points.time_s - points.time_s[0]) * (4 / mean_period)
     first = decay_start(s, x, u, drag=drag)
     nodes = path_nodes()
@@ -119,7 +119,7 @@ def scaled_start(points: TurningPoints, rho: float, *, drag: bool) -> Asymptotic
     periods = full_periods(points)
     if len(periods.where) >= FEWEST_PERIODS:
         starts = period_start(
-            points.amplitude_rad[periods.where] / reference, periods.period_s, periods.u_period_s, rho
+            points.amplitude[periods.where] / reference, periods.period_s, periods.u_period_s, rho
         )
     else:
         starts = [PeriodStart(mean, 0.3, 1e-3)]
@@ -209,7 +209,7 @@ def fit_asymptotic(
 
     outlying = np.abs(decay.residuals) > OUTLIER
     outlying[periods.where] |= np.abs(period.residuals) > OUTLIER
-    amplitude_residual = points.amplitude_rad - amplitude_model
+    amplitude_residual = points.amplitude - amplitude_model
     period_residual = periods.period_s - period_model
     return FitResult(
         model="asymptotic",
@@ -218,7 +218,7 @@ def fit_asymptotic(
         covariance=propagate(to_physical, scatter),
         chi2=decay.chi2 + period.chi2,
         dof=decay.dof + period.dof,
-        arae_decay=float(np.mean(np.abs(amplitude_residual) / points.amplitude_rad)),
+        arae_decay=float(np.mean(np.abs(amplitude_residual) / points.amplitude)),
         arae_period=float(np.mean(np.abs(period_residual) / periods.period_s)),
         reference_rad=reference,
         by_log_rho=by_log_rho,

@@ -27,8 +27,8 @@ def check_turning_points(points: TurningPoints) -> None:
     columns = {
         "time_s": points.time_s,
         "u_time_s": points.u_time_s,
-        "amplitude_rad": points.amplitude_rad,
-        "u_amplitude_rad": points.u_amplitude_rad,
+        "amplitude": points.amplitude,
+        "u_amplitude": points.u_amplitude,
     }
     for name, values in columns.items():
         if len(values) != count:
@@ -38,7 +38,7 @@ def check_turning_points(points: TurningPoints) -> None:
             raise DataError(
                 f"{name} of half-cycle {points.index[bad[0]]} is {values[bad[0]]}: flag it or leave it out"
             )
-    for name in ("u_time_s", "u_amplitude_rad", "amplitude_rad"):
+    for name in ("u_time_s", "u_amplitude", "amplitude"):
         bad = np.nonzero(columns[name] <= 0)[0]
         if len(bad):
             raise DataError(
@@ -53,8 +53,8 @@ def check_turning_points(points: TurningPoints) -> None:
                 "sort them by time"
             )
     third = max(count // 3, 3)
-    first = float(np.median(points.amplitude_rad[:third]))
-    last = float(np.median(points.amplitude_rad[-third:]))
+    first = float(np.median(points.amplitude[:third]))
+    last = float(np.median(points.amplitude[-third:]))
     if last >= first:
         raise DataError(
             f"the amplitude does not fall (median {first:.4g} of the first third, {last:.4g} of the last): "
@@ -64,9 +64,9 @@ def check_turning_points(points: TurningPoints) -> None:
 
 def jumps(points: TurningPoints) -> list[int]:
     """Half-cycles whose amplitude stands clearly above the one before: a kick or a vibration."""
-    step = np.diff(points.amplitude_rad)
-    noise = np.hypot(points.u_amplitude_rad[1:], points.u_amplitude_rad[:-1])
-    return [int(i) for i in points.index[1:][(step > 6 * noise) & (step > 0.01 * points.amplitude_rad[:-1])]]
+    step = np.diff(points.amplitude)
+    noise = np.hypot(points.u_amplitude[1:], points.u_amplitude[:-1])
+    return [int(i) for i in points.index[1:][(step > 6 * noise) & (step > 0.01 * points.amplitude[:-1])]]
 
 
 def data_warnings(

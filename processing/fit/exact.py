@@ -138,7 +138,7 @@ def fit_exact(
         covariance=covariance,
         chi2=solution.chi2,
         dof=solution.dof,
-        arae_decay=float(np.mean(np.abs(points.amplitude_rad - amplitude_model) / points.amplitude_rad)),
+        arae_decay=float(np.mean(np.abs(points.amplitude - amplitude_model) / points.amplitude)),
         arae_period=(
             float(np.mean(np.abs(period_residual) / periods.period_s)) if len(periods.where) else float("nan")
         ),

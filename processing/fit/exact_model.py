@@ -70,8 +70,8 @@ class ExactModel:
         self._columns = [B, P, C, N, KAPPA, *([DRAG] if drag else []), A0]
         self._index = np.ascontiguousarray(points.index - points.index[0])
         self._nodes = quarter_nodes()
-        self._x = points.amplitude_rad / self.reference
-        self._u = points.u_amplitude_rad / self.reference
+        self._x = points.amplitude / self.reference
+        self._u = points.u_amplitude / self.reference
         self.lower = np.full(len(self._columns) + 2, -np.inf)
         self.upper = np.full(len(self._columns) + 2, np.inf)
         self.lower[[0, 3, 4]] = -30.0, SMALLEST_N, -5.0

@@ -19,7 +19,7 @@ def fit_period(
     loss: Loss,
 ) -> tuple[Solution, NDArray[np.float64], list[PeriodStart]]:
     """Columns T0, n, kappa, the last in units of the reference."""
-    x = points.amplitude_rad[periods.where] / reference
+    x = points.amplitude[periods.where] / reference
     starts = period_start(x, periods.period_s, periods.u_period_s, rho)
 
     def curve(values: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -68,7 +68,7 @@ def period_by_log_rho(
     printed_curvature: bool,
 ) -> NDArray[np.float64]:
     """How T0, n, kappa move with ln(R/a): the least-squares answer to the curve's own derivative."""
-    x = points.amplitude_rad[periods.where] / reference
+    x = points.amplitude[periods.where] / reference
     t0, n, kappa = solution.values
     drop = frequency_drop(x, n, kappa, rho, printed_curvature=printed_curvature)
     by_rho = drop - frequency_drop(x, n, kappa, 0.0, printed_curvature=printed_curvature)

@@ -19,7 +19,7 @@ class Periods(NamedTuple):
 
 def reference_amplitude(points: TurningPoints) -> float:
     """Geometric mean of the amplitudes: in its units b and p, gamma and n correlate least."""
-    return float(np.exp(np.mean(np.log(points.amplitude_rad))))
+    return float(np.exp(np.mean(np.log(points.amplitude))))
 
 
 def full_periods(points: TurningPoints) -> Periods:

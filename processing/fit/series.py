@@ -219,8 +219,8 @@ def average_curves(runs: Sequence[TurningPoints]) -> TurningPoints:
     """
     if len(runs) < 2:
         raise DataError(f"{len(runs)} run: there is nothing to average")
-    common = min(float(run.amplitude_rad[0]) for run in runs)
-    starts = [int(np.nonzero(run.amplitude_rad <= common)[0][0]) for run in runs]
+    common = min(float(run.amplitude[0]) for run in runs)
+    starts = [int(np.nonzero(run.amplitude <= common)[0][0]) for run in runs]
     shared: NDArray[np.int64] | None = None
     for run, start in zip(runs, starts, strict=True):
         counted = run.index[start:] - run.index[start]
@@ -235,8 +235,8 @@ def average_curves(runs: Sequence[TurningPoints]) -> TurningPoints:
             (
                 run.time_s[at] - run.time_s[at[0]],
                 run.u_time_s[at],
-                run.amplitude_rad[at],
-                run.u_amplitude_rad[at],
+                run.amplitude[at],
+                run.u_amplitude[at],
             )
         )
     count = len(runs)
@@ -244,8 +244,8 @@ def average_curves(runs: Sequence[TurningPoints]) -> TurningPoints:
         index=shared,
         time_s=np.mean([row[0] for row in rows], axis=0),
         u_time_s=np.sqrt(np.sum([row[1] ** 2 for row in rows], axis=0)) / count,
-        amplitude_rad=np.mean([row[2] for row in rows], axis=0),
-        u_amplitude_rad=np.sqrt(np.sum([row[3] ** 2 for row in rows], axis=0)) / count,
+        amplitude=np.mean([row[2] for row in rows], axis=0),
+        u_amplitude=np.sqrt(np.sum([row[3] ** 2 for row in rows], axis=0)) / count,
     )
 
 

@@ -71,7 +71,7 @@ def circular_error(points: TurningPoints) -> CircularError:
             f"{len(points)} usable turning points, at least {_FEWEST} are needed for the law of the period"
         )
     index = np.arange(points.index[0], points.index[-1] + 1)
-    amplitude = np.exp(np.interp(index, points.index, np.log(points.amplitude_rad)))
+    amplitude = np.exp(np.interp(index, points.index, np.log(points.amplitude)))
     square = 0.5 * (amplitude[1:] ** 2 + amplitude[:-1] ** 2)
     summed = np.concatenate(([0.0], np.cumsum(ideal_excess(np.sqrt(square)))))
     where = points.index - points.index[0]
@@ -91,7 +91,7 @@ def circular_error(points: TurningPoints) -> CircularError:
     factor = Estimate(slope_s / half_s, float(np.sqrt(by @ covariance @ by)))
     period0 = Estimate(2 * half_s, 2 * math.sqrt(covariance[1, 1]))
     periods = full_periods(points)
-    at = points.amplitude_rad[periods.where]
+    at = points.amplitude[periods.where]
     return CircularError(
         period0,
         factor,

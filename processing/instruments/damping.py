@@ -61,7 +61,7 @@ def passage(points: TurningPoints, level_rad: float) -> Passage:
     DataError
         The amplitude begins below the level or never falls to it.
     """
-    amplitude = points.amplitude_rad
+    amplitude = points.amplitude
     if len(points) < 2:
         raise DataError(f"{len(points)} usable turning points; at least 2 are needed for a passage")
     level = level_rad / DEGREE_RAD
@@ -83,8 +83,8 @@ def passage(points: TurningPoints, level_rad: float) -> Passage:
     steps = float(points.index[j] - points.index[i])
     fall = math.log(amplitude[i] / amplitude[j])
     share = math.log(amplitude[i] / level_rad) / fall
-    u_i = points.u_amplitude_rad[i] / amplitude[i]
-    u_j = points.u_amplitude_rad[j] / amplitude[j]
+    u_i = points.u_amplitude[i] / amplitude[i]
+    u_j = points.u_amplitude[j] / amplitude[j]
     u_share = math.hypot((1 - share) * u_i, share * u_j) / fall
     lasts_s = float(points.time_s[j] - points.time_s[i])
     u_clock_s = math.hypot((1 - share) * points.u_time_s[i], share * points.u_time_s[j])

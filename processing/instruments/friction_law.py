@@ -77,7 +77,7 @@ def fit_friction_law(points: TurningPoints) -> FrictionLaw:
         raise DataError(
             f"{len(points)} usable turning points, at least {_FEWEST} are needed for a law of friction"
         )
-    amplitude, steps = points.amplitude_rad, points.index - points.index[0]
+    amplitude, steps = points.amplitude, points.index - points.index[0]
     lost = float(np.log(amplitude[0] / amplitude[-1]))
     if not lost > 0:
         raise DataError("the amplitude does not fall; no friction can be had from it")
@@ -85,7 +85,7 @@ def fit_friction_law(points: TurningPoints) -> FrictionLaw:
     start = np.array([math.log(amplitude[0]), math.log(lost / float(steps[-1]) * reference), 1.0])
 
     def residuals(x: NDArray[np.float64]) -> NDArray[np.float64]:
-        return (_decay(x[0], x[1], x[2], reference, steps) - amplitude) / points.u_amplitude_rad
+        return (_decay(x[0], x[1], x[2], reference, steps) - amplitude) / points.u_amplitude
 
     bounds = ([-np.inf, -np.inf, -0.9], [math.log(math.pi), 0.0, 6.0])
     found = least_squares(

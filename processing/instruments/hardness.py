@@ -44,10 +44,10 @@ def herbert_hardness(points: TurningPoints, divisions: float = 100.0) -> Herbert
         float(points.time_s[1] - points.time_s[0]),
         math.hypot(points.u_time_s[0], points.u_time_s[1]),
     )
-    kept = float(points.amplitude_rad[1] / points.amplitude_rad[0])
+    kept = float(points.amplitude[1] / points.amplitude[0])
     u_kept = kept * math.hypot(
-        points.u_amplitude_rad[0] / points.amplitude_rad[0],
-        points.u_amplitude_rad[1] / points.amplitude_rad[1],
+        points.u_amplitude[0] / points.amplitude[0],
+        points.u_amplitude[1] / points.amplitude[1],
     )
     tenth = np.nonzero(points.index == points.index[0] + 10)[0]
     ten, missing = None, ""
@@ -64,6 +64,6 @@ def herbert_hardness(points: TurningPoints, divisions: float = 100.0) -> Herbert
         ten,
         Estimate(10 * swing.value, 10 * swing.standard_uncertainty),
         Estimate(0.5 * divisions * (1 + kept), 0.5 * divisions * u_kept),
-        float(points.amplitude_rad[0]),
+        float(points.amplitude[0]),
         missing,
     )

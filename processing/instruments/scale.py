@@ -40,8 +40,8 @@ def with_scale(reduce: Callable[[TurningPoints], Found], points: TurningPoints, 
             shifted = reduce(
                 replace(
                     points,
-                    amplitude_rad=points.amplitude_rad * factor,
-                    u_amplitude_rad=points.u_amplitude_rad * factor,
+                    amplitude=points.amplitude * factor,
+                    u_amplitude=points.u_amplitude * factor,
                 )
             )
         except DataError:

@@ -67,15 +67,16 @@ SWING_DTYPE = np.dtype(
 class TurningPoints:
     """What the fits see of a decay: unflagged turning points as arrays of one length.
 
-    `time_s` counts from the first turning point. `index` may have gaps. Amplitudes are positive,
-    in rad (or in px or any unit, where no calibration exists; the fit's b, c then carry it).
+    `time_s` counts from the first turning point. `index` may have gaps. Amplitudes are positive, in
+    the unit of the deflections they were found in: rad, which the contact's laws need, or px without
+    a calibration.
     """
 
     index: NDArray[np.int64]
     time_s: NDArray[np.float64]
     u_time_s: NDArray[np.float64]
-    amplitude_rad: NDArray[np.float64]
-    u_amplitude_rad: NDArray[np.float64]
+    amplitude: NDArray[np.float64]
+    u_amplitude: NDArray[np.float64]
 
     def __len__(self) -> int:
         return len(self.index)
@@ -89,6 +90,6 @@ def turning_points(swings: Sequence[Swing]) -> TurningPoints:
         index=rows["index"],
         time_s=(rows["turn_time_ns"] - first_ns) * 1e-9,
         u_time_s=rows["u_turn_time_s"],
-        amplitude_rad=rows["amplitude"],
-        u_amplitude_rad=rows["u_amplitude"],
+        amplitude=rows["amplitude"],
+        u_amplitude=rows["u_amplitude"],
     )

@@ -71,7 +71,7 @@ def settled_swings(
     points = samples.points(swings)
     try:
         exact = fit_exact(points, pendulum, drag=settings.drag, loss=_loss(settings))
-        motion = known_motion(exact.parameters, pendulum, float(points.amplitude_rad[0]), samples.clock)
+        motion = known_motion(exact.parameters, pendulum, float(points.amplitude[0]), samples.clock)
     except DataError:
         return as_detected
     again = samples.again(swings, motion)

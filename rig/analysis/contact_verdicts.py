@@ -165,7 +165,7 @@ def evaluate(
         seed=seed,
         work=[
             _work(amplitude, exact, pendulum, rig if propagated else None, seed)
-            for amplitude in (TABLE4_AMPLITUDE_ARCSEC, float(points.amplitude_rad[0]) / ARCSEC_RAD)
+            for amplitude in (TABLE4_AMPLITUDE_ARCSEC, float(points.amplitude[0]) / ARCSEC_RAD)
         ],
         notes=notes,
     )

@@ -65,7 +65,7 @@ def curves_of(points: TurningPoints, run: Mapping[str, Any]) -> Curves | None:
     periods = full_periods(points)
     at = periods.where
     asymptotic = parameters_of(fits["asymptotic"])
-    amplitude = points.amplitude_rad[at]
+    amplitude = points.amplitude[at]
     printed = bool((run.get("settings") or {}).get("printed_055"))
     try:
         smooth = super_smooth(amplitude, periods.period_s, periods.u_period_s)

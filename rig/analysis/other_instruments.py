@@ -254,7 +254,7 @@ def _what_is_left(points: TurningPoints, values: dict[str, Any], lines: list[str
     """Where the quantity asked for cannot be had: range and period, which may be."""
     if len(points) < 2:
         return
-    first, last = points.amplitude_rad[0] / DEGREE_RAD, points.amplitude_rad[-1] / DEGREE_RAD
+    first, last = points.amplitude[0] / DEGREE_RAD, points.amplitude[-1] / DEGREE_RAD
     values["amplitude_deg"] = [float(first), float(last)]
     values["mean_period_s"] = mean_period(points)
     lines.append(

@@ -40,8 +40,8 @@ def decay_figure(points: TurningPoints, curves: Curves | None, unit: str, unit_s
     else:
         top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=[2.2, 1.0])
         figure.subplots_adjust(left=0.095, right=0.985, bottom=0.1, top=0.98, hspace=0.06)
-        residual = (points.amplitude_rad - curves.asymptotic_rad) / unit_scale * 1e3
-        exact_residual = (points.amplitude_rad - curves.exact_rad) / unit_scale * 1e3
+        residual = (points.amplitude - curves.asymptotic_rad) / unit_scale * 1e3
+        exact_residual = (points.amplitude - curves.exact_rad) / unit_scale * 1e3
         bottom.plot(time, residual[shown], ".", color=ASYMPTOTIC, ms=2.0, label="Eq. 5")
         bottom.plot(time, exact_residual[shown], ".", color=EXACT, ms=2.0, label="exact")
         bottom.axhline(0, color=INK, lw=0.6)
@@ -50,7 +50,7 @@ def decay_figure(points: TurningPoints, curves: Curves | None, unit: str, unit_s
         bottom.set_ylabel(f"data − fit / 10⁻³ {unit}")
     rings = thinned(len(points), _RINGS)
     top.plot(
-        points.time_s[rings], points.amplitude_rad[rings] / unit_scale, "o", mfc="none", mec=DATA, mew=0.8,
+        points.time_s[rings], points.amplitude[rings] / unit_scale, "o", mfc="none", mec=DATA, mew=0.8,
         ms=4.0, label="turning points" + (" (some)" if len(points) > _RINGS else ""), zorder=5,
     )  # fmt: skip
     if curves is not None:
@@ -143,7 +143,7 @@ def residual_figure(points: TurningPoints, curves: Curves, outliers: list[int]) 
     grid = figure.add_gridspec(2, 2, width_ratios=[3.2, 1.0])
     figure.subplots_adjust(left=0.08, right=0.985, bottom=0.115, top=0.93, hspace=0.16, wspace=0.05)
     both = {
-        "amplitude": (points.amplitude_rad - curves.exact_rad) / points.u_amplitude_rad,
+        "amplitude": (points.amplitude - curves.exact_rad) / points.u_amplitude,
         "time": (points.time_s - curves.exact_time_s) / points.u_time_s,
     }
     shown = thinned(len(points), 1200)
@@ -197,7 +197,7 @@ def loss_figure(points: TurningPoints, parameters: ContactParameters, pendulum: 
         alpha[known], found.quality[known], found.u_quality[known], fmt=".", color=DATA, elinewidth=0.5,
         label=f"measured, {cycles} cycle{'s' if cycles > 1 else ''} each",
     )  # fmt: skip
-    amplitudes = np.geomspace(points.amplitude_rad[-1], points.amplitude_rad[0], 80)
+    amplitudes = np.geomspace(points.amplitude[-1], points.amplitude[0], 80)
     model = model_losses(amplitudes, parameters, pendulum)
     x = model.amplitude_rad / ARCSEC_RAD
     left.plot(x, model.log_decrement, color=EXACT)

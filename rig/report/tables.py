@@ -198,7 +198,7 @@ def half_cycle_table(run: RunData, curves: Curves | None) -> Table:
     columns = ["index", "time_s", "u_time_s", f"amplitude_{unit}", f"u_amplitude_{unit}"]
     arrays = [
         points.index, points.time_s, points.u_time_s,
-        points.amplitude_rad / run.unit_rad, points.u_amplitude_rad / run.unit_rad,
+        points.amplitude / run.unit_rad, points.u_amplitude / run.unit_rad,
     ]  # fmt: skip
     if curves is not None:
         columns += [f"asymptotic_{unit}", f"exact_{unit}", "exact_time_s"]

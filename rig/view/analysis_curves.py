@@ -53,8 +53,8 @@ def run_analysis(record: Path) -> RunAnalysis:
 def analysis_curves(run: RunAnalysis) -> list[Curve]:
     """Data with both fits, residuals, T(alpha), moment loops; of a run without fits its data alone."""
     points, unit = run.points, run.unit_rad
-    amplitude = points.amplitude_rad / unit
-    u = points.u_amplitude_rad / unit
+    amplitude = points.amplitude / unit
+    u = points.u_amplitude / unit
     drawn = [Curve("decay", "measured", points.time_s, amplitude, u, "points")]
     curves = curves_of(points, run.tree)
     if curves is None:
@@ -80,17 +80,17 @@ def overlaid_curves(runs: Mapping[str, RunAnalysis]) -> list[Curve]:
     drawn: list[Curve] = []
     for name, run in runs.items():
         points, unit = run.points, run.unit_rad
-        drawn.append(Curve("decay", name, points.time_s, points.amplitude_rad / unit, None, "points"))
+        drawn.append(Curve("decay", name, points.time_s, points.amplitude / unit, None, "points"))
         curves = curves_of(points, run.tree)
         if curves is None:
             continue
-        residual = (points.amplitude_rad - curves.exact_rad) / unit
+        residual = (points.amplitude - curves.exact_rad) / unit
         at = curves.period_rad / unit
         drawn += [
             Curve("residuals", name, points.time_s, residual, None, "points"),
             Curve("period", name, at, curves.period_s, None, "points"),
             Curve("period_residuals", name, at, _residual_ms(curves), None, "points"),
-            _loops(run, float(points.amplitude_rad[0]) / unit)[-1]._replace(name=name),
+            _loops(run, float(points.amplitude[0]) / unit)[-1]._replace(name=name),
         ]
     return drawn
 

@@ -75,7 +75,7 @@ def test_measured_losses_scatter_as_stated_about_the_model() -> None:
     parameters, pendulum = paper_pair("glass_k8")
     points = decay(parameters, pendulum, noise_arcsec=0.005, seed=8)
     losses = measured_losses(points)
-    start = points.amplitude_rad[0 : 2 * len(losses.amplitude_rad) : 2]
+    start = points.amplitude[0 : 2 * len(losses.amplitude_rad) : 2]
     model = model_losses(start, parameters, pendulum)
     z = (losses.log_decrement - model.log_decrement) / losses.u_log_decrement
     # consecutive windows share an end, which leaves the variance as it is

@@ -53,10 +53,10 @@ def test_ten_are_enough_to_try(points: TurningPoints, pendulum: PendulumOnBall) 
 @pytest.mark.parametrize(
     ("name", "value", "message"),
     [
-        ("u_amplitude_rad", 0.0, "u_amplitude_rad of half-cycle 7 is 0: it must be positive"),
+        ("u_amplitude", 0.0, "u_amplitude of half-cycle 7 is 0: it must be positive"),
         ("u_time_s", -1e-3, "u_time_s of half-cycle 7 is -0.001: it must be positive"),
-        ("amplitude_rad", -1e-4, "amplitude_rad of half-cycle 7 is -0.0001: it must be positive"),
-        ("amplitude_rad", np.nan, "amplitude_rad of half-cycle 7 is nan: flag it or leave it out"),
+        ("amplitude", -1e-4, "amplitude of half-cycle 7 is -0.0001: it must be positive"),
+        ("amplitude", np.nan, "amplitude of half-cycle 7 is nan: flag it or leave it out"),
         ("time_s", 1.0, "swings out of order: time_s does not rise after half-cycle 6"),
         ("index", 3, "swings out of order: index does not rise after half-cycle 6"),
     ],
@@ -72,13 +72,13 @@ def test_columns_of_different_length(points: TurningPoints, pendulum: PendulumOn
 
 
 def test_amplitudes_that_grow(points: TurningPoints, pendulum: PendulumOnBall) -> None:
-    refused(replace(points, amplitude_rad=points.amplitude_rad[::-1]), pendulum, "does not fall")
+    refused(replace(points, amplitude=points.amplitude[::-1]), pendulum, "does not fall")
 
 
 def test_a_kick_is_named_in_a_warning(points: TurningPoints, pendulum: PendulumOnBall) -> None:
-    amplitude = points.amplitude_rad.copy()
+    amplitude = points.amplitude.copy()
     amplitude[40:] *= 1.05
-    result = fit_exact(replace(points, amplitude_rad=amplitude), pendulum)
+    result = fit_exact(replace(points, amplitude=amplitude), pendulum)
     assert any("jumps up at half-cycle 40" in warning for warning in result.warnings)
     assert any("chi2/dof" in warning for warning in result.warnings)
 

@@ -118,8 +118,8 @@ def test_a_decay_counted_from_any_half_cycle_and_second_is_the_same() -> None:
         points.index + 17,
         points.time_s + 250.0,
         points.u_time_s,
-        points.amplitude_rad,
-        points.u_amplitude_rad,
+        points.amplitude,
+        points.u_amplitude,
     )
     first, second = fit_exact(points, pendulum), fit_exact(shifted, pendulum)
     moved = np.abs(second.values[:7] - first.values[:7])
@@ -134,8 +134,8 @@ def in_pixels(points: TurningPoints, px_per_rad: float) -> TurningPoints:
         points.index,
         points.time_s,
         points.u_time_s,
-        points.amplitude_rad * px_per_rad,
-        points.u_amplitude_rad * px_per_rad,
+        points.amplitude * px_per_rad,
+        points.u_amplitude * px_per_rad,
     )
 
 
@@ -177,9 +177,9 @@ def test_robust_loss_lists_and_outlives_outliers(loss: str) -> None:
     points = decay(parameters, pendulum, noise_arcsec=0.005, seed=6)
     rng = np.random.default_rng(2)
     struck = np.sort(rng.choice(len(points), 20, replace=False))
-    amplitude = points.amplitude_rad.copy()
-    amplitude[struck] += 60 * points.u_amplitude_rad[struck] * rng.choice([-1, 1], 20)
-    spoilt = TurningPoints(points.index, points.time_s, points.u_time_s, amplitude, points.u_amplitude_rad)
+    amplitude = points.amplitude.copy()
+    amplitude[struck] += 60 * points.u_amplitude[struck] * rng.choice([-1, 1], 20)
+    spoilt = TurningPoints(points.index, points.time_s, points.u_time_s, amplitude, points.u_amplitude)
     robust = fit_exact(spoilt, pendulum, loss=loss)  # type: ignore[arg-type]
     assert set(struck.tolist()) <= set(robust.outliers)
     assert len(robust.outliers) <= 21

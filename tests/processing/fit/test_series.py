@@ -110,8 +110,8 @@ def test_curves_averaged_then_fitted_agree_with_the_runs() -> None:
     curves[1] = without(curves[1], np.array([50, 51]))
     average = average_curves(curves)
     assert len(average) <= min(len(curve) for curve in curves)
-    assert average.amplitude_rad[0] == pytest.approx(curves[1].amplitude_rad[0], rel=5e-3)
-    np.testing.assert_allclose(np.median(average.u_amplitude_rad), curves[0].u_amplitude_rad[0] / np.sqrt(3))
+    assert average.amplitude[0] == pytest.approx(curves[1].amplitude[0], rel=5e-3)
+    np.testing.assert_allclose(np.median(average.u_amplitude), curves[0].u_amplitude[0] / np.sqrt(3))
     fitted = fit_exact(average, pendulum)
     assert abs(fitted.chi2_per_dof - 1) < 6 * np.sqrt(2 / fitted.dof)
     for name in CONTACT_NAMES:

@@ -59,7 +59,7 @@ def test_the_smooth_confirms_the_model_of_the_period() -> None:
     parameters, pendulum = paper_pair("glass_k8")
     points = decay(parameters, pendulum, noise_arcsec=0.005, seed=5)
     periods = full_periods(points)
-    alpha = points.amplitude_rad[periods.where]
+    alpha = points.amplitude[periods.where]
     smooth = super_smooth(alpha, periods.period_s, periods.u_period_s)
     fitted = fit_exact(points, pendulum)
     model = period(alpha, fitted.parameters, pendulum)

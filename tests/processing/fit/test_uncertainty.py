@@ -72,8 +72,8 @@ def test_another_input_gives_what_fitting_again_gives(
         points.index,
         points.time_s * second,
         points.u_time_s * second,
-        points.amplitude_rad * scale,
-        points.u_amplitude_rad * scale,
+        points.amplitude * scale,
+        points.u_amplitude * scale,
     )
     changed = rig(mass_kg=Quantity(0.406 * factor)) if source == "mass_kg" else rig()
     fit = fit_exact(again, changed.pendulum())

@@ -104,14 +104,14 @@ def test_amplitudes_that_are_not_passed(points: TurningPoints, words: str) -> No
 
 def test_a_missing_half_cycle_at_the_level_is_said() -> None:
     points = exponential(7.0, 0.01, 120)
-    gone = int(np.argmax(points.amplitude_rad < 6 * DEGREE_RAD))
+    gone = int(np.argmax(points.amplitude < 6 * DEGREE_RAD))
     keep = np.arange(120) != gone
     left = TurningPoints(
         points.index[keep],
         points.time_s[keep],
         points.u_time_s[keep],
-        points.amplitude_rad[keep],
-        points.u_amplitude_rad[keep],
+        points.amplitude[keep],
+        points.u_amplitude[keep],
     )
     found = damping(left, 6 * DEGREE_RAD, 3 * DEGREE_RAD)
     assert found.missing == 1
@@ -227,8 +227,8 @@ def test_turning_points_of_large_swings_are_true() -> None:
     settings = simulation("persoz")
     truth = truth_points(settings, 9.0)
     found = points_of(settings, 9.0, seed=6)
-    matched = [int(np.argmin(np.abs(np.abs(truth.angle_rad) - size))) for size in found.amplitude_rad]
-    size = (found.amplitude_rad - np.abs(truth.angle_rad[matched])) / found.u_amplitude_rad
+    matched = [int(np.argmin(np.abs(np.abs(truth.angle_rad) - size))) for size in found.amplitude]
+    size = (found.amplitude - np.abs(truth.angle_rad[matched])) / found.u_amplitude
     half_s = (np.diff(found.time_s) - np.diff(truth.time_s[matched])) / np.hypot(
         found.u_time_s[1:], found.u_time_s[:-1]
     )

@@ -22,7 +22,7 @@ def falling_evenly() -> TurningPoints:
 
 
 def scaled(points: TurningPoints, factor: float) -> TurningPoints:
-    return replace(points, amplitude_rad=points.amplitude_rad * factor)
+    return replace(points, amplitude=points.amplitude * factor)
 
 
 def test_damping_of_an_exponential_decay_does_not_depend_on_the_scale() -> None:
@@ -65,7 +65,7 @@ def test_a_moment_and_a_circular_factor_go_with_the_scale() -> None:
 def test_amplitudes_that_only_just_suffice() -> None:
     """Made larger by 2 % this record does not reach 3 degrees; made smaller it does."""
     points = exponential(7.0, 0.01, 86)
-    assert points.amplitude_rad[-1] * 1.02 > 3 * DEGREE_RAD > points.amplitude_rad[-1]
+    assert points.amplitude[-1] * 1.02 > 3 * DEGREE_RAD > points.amplitude[-1]
 
     def reduce(at: TurningPoints) -> Damping:
         return damping(at, 6 * DEGREE_RAD, 3 * DEGREE_RAD)

@@ -26,7 +26,7 @@ def test_seismometer(shared_data: Path, name: str, period_s: float, at_least: in
     swings = swings_of(times_ns, table[:, 1], noise)
     good = turning_points(swings)
     assert len(good) >= at_least
-    assert np.all(np.diff(good.amplitude_rad) < 3.0 * np.hypot(*good.u_amplitude_rad[[0, 1]]))
+    assert np.all(np.diff(good.amplitude) < 3.0 * np.hypot(*good.u_amplitude[[0, 1]]))
     half_periods = np.diff(good.time_s) / np.diff(good.index)
     # the period falls along with the amplitude by several per cent; read off the record by eye
     assert 2.0 * np.median(half_periods) == pytest.approx(period_s, rel=0.12)
