@@ -10,7 +10,7 @@ from rich.table import Table
 from processing.fit.result import CONTACT_NAMES, FitResult
 from rig.analysis.other_instruments_series import reduce_series
 from rig.analysis.results import RunResult
-from rig.presentation import DISPLAY, value_with_uncertainty
+from rig.presentation import quantity
 
 
 def print_results(results: Sequence[RunResult], paths: Sequence[tuple[str, Path]]) -> None:
@@ -49,16 +49,16 @@ def parameter_table(fits: Mapping[str, FitResult], energy: Mapping[str, Any]) ->
         estimates = [fit.estimate(name) if name in fit.names else None for fit in fits.values()]
         if not any(estimates):
             continue
-        symbol, unit, scale = DISPLAY.get(name, ("drag", "s", 1.0))
-        cells = ["" if e is None else value_with_uncertainty(e, scale) for e in estimates]
-        table.add_row(symbol, *cells, unit)
+        cells = ["" if e is None else quantity(name).text(*e) for e in estimates]
+        table.add_row(quantity(name).symbol, *cells, quantity(name).unit)
     if energy:
-        for key, label in (("table2", "sigma (Table 2)"), ("eq2", "sigma (Eq. 2)")):
+        for key in ("table2", "eq2"):
+            shown = quantity(f"surface_energy_{key}_j_per_m2")
             cells = [
-                value_with_uncertainty((source[key]["value"], source[key]["standard_uncertainty"]), 1e3)
+                shown.text(source[key]["value"], source[key]["standard_uncertainty"])
                 for source in (energy["asymptotic"], energy)
             ]
-            table.add_row(label, *cells, "mJ/m^2")
+            table.add_row(shown.symbol, *cells, shown.unit)
     table.add_row("chi2/dof", *(f"{fit.chi2_per_dof:.3f}" for fit in fits.values()), "")
     table.add_row("ARAE (8), (9)", *(f"{f.arae_decay:.2g}, {f.arae_period:.2g}" for f in fits.values()), "")
     return table

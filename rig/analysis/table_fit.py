@@ -16,7 +16,7 @@ from rig.analysis.position_table import Trajectory, read_trajectory
 from rig.analysis.results import SCHEMA, fit_tree, write_results
 from rig.analysis.screen import parameter_table
 from rig.instrument import pendulum_on_ball
-from rig.presentation import print_table, value_with_uncertainty
+from rig.presentation import print_table, with_uncertainty
 from rig.settings import Configuration, load_configuration
 
 _USABLE = 4
@@ -107,15 +107,15 @@ def _print(
         f"  {summary.half_cycles} half-cycles ({flagged} more flagged and left out), amplitude "
         f"{summary.initial_amplitude / scale:.4g} to {summary.final_amplitude / scale:.4g} {unit}"
     )
-    period = value_with_uncertainty((summary.period_s, summary.u_period_s))
-    decrement = value_with_uncertainty((summary.decrement, summary.u_decrement))
+    period = with_uncertainty(summary.period_s, summary.u_period_s)
+    decrement = with_uncertainty(summary.decrement, summary.u_decrement)
     print(f"  period {period} s (chi2/dof of a constant one {summary.period_chi2_per_dof:.3g})")
     print(f"  log decrement {decrement} (chi2/dof of a constant one {summary.decrement_chi2_per_dof:.3g})")
     if math.pi < summary.decrement:
         print("  the decay is faster than a swing: no quality factor")
     else:
         q = math.pi / summary.decrement
-        print(f"  quality factor {value_with_uncertainty((q, q * summary.u_decrement / summary.decrement))}")
+        print(f"  quality factor {with_uncertainty(q, q * summary.u_decrement / summary.decrement)}")
     if laws.fits:
         print_table(parameter_table(laws.fits, laws.surface_energy))
     if laws.problem:

@@ -3,15 +3,9 @@
 from rig.presentation import palette
 from rig.presentation.balance import BALANCE, PANELS, balance_quantities, balance_quantity, balance_table
 from rig.presentation.determined import determined_text, series_verdicts
-from rig.presentation.numbers import SOURCES, number, plain, power, symbol, with_uncertainty
-from rig.presentation.printing import (
-    DISPLAY,
-    plain_values,
-    print_json_line,
-    print_table,
-    say,
-    value_with_uncertainty,
-)
+from rig.presentation.numbers import number, plain, power, with_uncertainty
+from rig.presentation.printing import plain_values, print_json_line, print_table, say
+from rig.presentation.quantities import SOURCES, Quantity, quantity
 from rig.presentation.table import Cell, Table
 from rig.presentation.terminal import print_tables
 from rig.presentation.verdict import Check, Verdict
@@ -19,11 +13,11 @@ from rig.presentation.verdict_table import print_checks, print_preflight
 
 __all__ = [
     "BALANCE",
-    "DISPLAY",
     "PANELS",
     "SOURCES",
     "Cell",
     "Check",
+    "Quantity",
     "Table",
     "Verdict",
     "balance_quantities",
@@ -40,9 +34,8 @@ __all__ = [
     "print_preflight",
     "print_table",
     "print_tables",
+    "quantity",
     "say",
     "series_verdicts",
-    "symbol",
-    "value_with_uncertainty",
     "with_uncertainty",
 ]

@@ -6,11 +6,10 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from rig.presentation import palette
+from rig.presentation.numbers import with_uncertainty
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
-
-MINUS: Final = "\N{MINUS SIGN}"
 
 
 class Quantity(NamedTuple):
@@ -66,26 +65,13 @@ def balance_quantity(name: str, unit: str = "arcsec") -> Quantity:
 
 
 def balance_table(quantities: Mapping[str, tuple[float, float]], unit: str = "arcsec") -> str:
-    """The balance as a table in Markdown: value and standard uncertainty, to two of its digits."""
-    lines = ["| | value | ± u | |", "|---|---:|---:|---|"]
+    """The balance as a table in Markdown."""
+    lines = ["| | value ± u |", "|---|---:|"]
     for name, (value, u) in quantities.items():
-        quantity = balance_quantity(name, unit)
-        value_text, u_text = rounded(quantity.scale * value, quantity.scale * u)
-        lines.append(f"| {quantity.label} | {value_text} | {u_text} | {quantity.unit} |")
+        shown = balance_quantity(name, unit)
+        label = f"{shown.label} / {shown.unit}" if shown.unit else shown.label
+        lines.append(f"| {label} | {with_uncertainty(shown.scale * value, shown.scale * u)} |")
     return "\n".join(lines)
-
-
-def rounded(value: float, u: float) -> tuple[str, str]:
-    """Value and standard uncertainty as text, both to the second digit of the uncertainty.
-
-    A value without a usable uncertainty has four digits; what is not known is a dash.
-    """
-    if not math.isfinite(value):
-        return "–", "–"
-    if not (math.isfinite(u) and u > 0):
-        return f"{value:.4g}".replace("-", MINUS), "–"
-    decimals = min(max(1 - math.floor(math.log10(u)), 0), 9)
-    return f"{value:.{decimals}f}".replace("-", MINUS), f"{u:.{decimals}f}"
 
 
 def balance_quantities(

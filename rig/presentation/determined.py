@@ -4,22 +4,22 @@ from collections.abc import Mapping
 from typing import Any
 
 from processing.fit.checks import WELL_DETERMINED
-from rig.presentation.numbers import number, plain, with_uncertainty
+from rig.presentation.numbers import number, plain
+from rig.presentation.quantities import quantity
 
 
-def determined_text(
-    name: str, pair: tuple[float, float], scale: float, verdicts: Mapping[str, Mapping[str, Any]]
-) -> str:
+def determined_text(name: str, value: float, u: float, verdicts: Mapping[str, Mapping[str, Any]]) -> str:
     """Value and uncertainty where the data determine the parameter, else its interval or bound.
 
     A surface energy is c times what is known of the apparatus, and shares c's verdict.
     """
-    verdict = verdicts.get("c" if name.startswith("surface_energy") else name)
+    shown = quantity(name)
+    is_energy = name.startswith("surface_energy")
+    verdict = verdicts.get("c" if is_energy else name)
     if verdict is None or verdict["verdict"] == "determined":
-        return with_uncertainty(pair[0] * scale, pair[1] * scale)
-    if name.startswith("surface_energy"):
-        scale *= pair[0] / number(verdict, "value")
-    return bound_text(verdict, scale)
+        return shown.text(value, u)
+    per_parameter = value / number(verdict, "value") if is_energy else 1.0
+    return bound_text(verdict, shown.factor * per_parameter)
 
 
 def series_verdicts(combined: Mapping[str, Any]) -> dict[str, dict[str, Any]]:

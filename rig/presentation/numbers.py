@@ -1,47 +1,62 @@
-"""Numbers as a paper prints them: two digits of the uncertainty, powers of ten, units."""
+"""Numbers as text: two digits of the uncertainty, the value to the same place, powers of ten.
+
+The same string stands on the terminal, in the report, in comparisons and in Rerun.
+"""
 
 import math
 from collections.abc import Mapping
-from typing import Any
+from decimal import Context, Decimal
+from typing import Any, Final, NamedTuple
 
+NOT_KNOWN: Final = "–"
+MINUS: Final = "−"
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-
-SYMBOLS = {
-    "b": ("b", "rad⁻ᵖ", 1.0),
-    "p": ("p", "1", 1.0),
-    "c": ("c", "1", 1.0),
-    "n": ("n", "1", 1.0),
-    "period0_s": ("T₀", "s", 1.0),
-    "gamma_pa": ("γ", "MPa", 1e-6),
-    "drag_s": ("drag", "s", 1.0),
-    "initial_amplitude_rad": ("α₀", "arcsec", 648000 / math.pi),
-    "start_time_s": ("t₀", "s", 1.0),
-    "surface_energy_table2_j_per_m2": ("σ (Table 2's form)", "mJ/m²", 1e3),
-    "surface_energy_eq2_j_per_m2": ("σ (Eq. 2 as printed)", "mJ/m²", 1e3),
-    "contact_radius_m": ("contact radius a", "µm", 1e6),
-    "contact_depth_m": ("depth a²/R", "µm", 1e6),
-    "contact_angle_rad": ("contact angle a/R", "arcmin", 10800 / math.pi),
-}
-"""Of every reported quantity: symbol, unit in which it is shown, factor from SI to that unit."""
-
-SOURCES = {
-    "swings": "swings (fit)",
-    "mass_kg": "mass",
-    "ball_radius_m": "ball radius R",
-    "gravity_m_per_s2": "local g",
-    "arm_m": "lever arm",
-    "pitch_m": "pixel pitch",
-    "clock": "clock",
-    "flat_youngs_modulus_pa": "E of the flat",
-    "flat_poisson_ratio": "ν of the flat",
-    "ball_youngs_modulus_pa": "E of the ball",
-    "ball_poisson_ratio": "ν of the ball",
-}
+_EXACT = Context(prec=1000)
+"""Digits enough for the sum of any two floating-point numbers."""
 
 
-def symbol(name: str) -> tuple[str, str, float]:
-    """Symbol, shown unit and factor; an unknown quantity under its own name."""
-    return SYMBOLS.get(name, (name, "", 1.0))
+class Rounded(NamedTuple):
+    """A value and its standard uncertainty as decimal numbers, both to be multiplied by 10**exponent."""
+
+    value: str
+    u: str
+    exponent: int
+
+
+def rounded(value: float, u: float) -> Rounded:
+    """Value and standard uncertainty to the place of the second significant digit of the uncertainty.
+
+    The uncertainty is rounded first: 0.0996 is 0.10, and the value has two decimals. From 10⁵ up,
+    below 10⁻², and where the second digit of u is left of the decimal point, a power of ten is
+    taken out, so that every printed digit counts. Both must be finite and u above 0.
+    """
+    exact = Decimal(repr(float(value)))
+    u_rounded = Decimal(f"{u:.1e}")
+    place = u_rounded.adjusted() - 1
+    value_rounded = exact.quantize(Decimal((0, (1,), place)), context=_EXACT)
+    leading = max(value_rounded, -value_rounded, u_rounded).adjusted()
+    exponent = 0 if -3 < leading <= 4 and place <= 0 else leading
+    decimals = exponent - place
+    value_text, u_text = (
+        f"{number.scaleb(-exponent, _EXACT):.{decimals}f}" for number in (value_rounded, u_rounded)
+    )
+    if not value_rounded:
+        value_text = value_text.lstrip("-")
+    return Rounded(value_text.replace("-", MINUS), u_text, exponent)
+
+
+def with_uncertainty(value: float, u: float) -> str:
+    """`(3.73315 ± 0.00010) × 10⁻³`: value and standard uncertainty, rounded as in `rounded`.
+
+    A value whose uncertainty is not known (NaN, infinite, 0) is printed without one.
+    """
+    if not math.isfinite(value):
+        return "not determined"
+    if not math.isfinite(u) or u <= 0:
+        return plain(value, 5)
+    value_text, u_text, exponent = rounded(value, u)
+    text = f"{value_text} ± {u_text}"
+    return f"({text}){power(exponent)}" if exponent else text
 
 
 def power(exponent: int) -> str:
@@ -50,32 +65,19 @@ def power(exponent: int) -> str:
 
 
 def plain(value: float, digits: int = 4) -> str:
-    """A number to some digits; `–` for NaN, which stands for not known."""
+    """A number to some significant digits; a dash for NaN, which stands for not known."""
     if math.isnan(value):
-        return "–"
+        return NOT_KNOWN
     if math.isinf(value):
-        return "∞" if value > 0 else "−∞"
+        return "∞" if value > 0 else f"{MINUS}∞"
     if value == 0:
         return "0"
-    exponent = math.floor(math.log10(abs(value)))
+    # the exponent of the rounded number: 0.99996 to four digits is 1.000
+    mantissa, _, exponent_text = f"{value:.{digits - 1}e}".partition("e")
+    exponent = int(exponent_text)
     if -3 <= exponent < max(digits, 5):
-        return f"{value:.{max(0, digits - 1 - exponent)}f}".replace("-", "−")
-    return f"{value / 10.0**exponent:.{digits - 1}f}".replace("-", "−") + power(exponent)
-
-
-def with_uncertainty(value: float, u: float) -> str:
-    """`(3.73315 ± 0.00010) × 10⁻³`: to two digits of the standard uncertainty."""
-    if not math.isfinite(value):
-        return "not determined"
-    if not math.isfinite(u) or u <= 0:
-        return plain(value, 5)
-    exponent = math.floor(math.log10(max(abs(value), u)))
-    shift = 0 if -3 < exponent <= 4 else exponent
-    # rounding to two digits can carry: 0.0996 is 0.10
-    first = math.floor(math.log10(float(f"{u / 10.0**shift:.1e}")))
-    digits = max(0, 1 - first)
-    text = f"{value / 10.0**shift:.{digits}f} ± {u / 10.0**shift:.{digits}f}".replace("-", "−")
-    return f"({text}){power(shift)}" if shift else text
+        return f"{value:.{max(0, digits - 1 - exponent)}f}".replace("-", MINUS)
+    return mantissa.replace("-", MINUS) + power(exponent)
 
 
 def number(tree: Mapping[str, Any], name: str, key: str = "value") -> float:

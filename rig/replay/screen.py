@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from rig.instrument import Snapshot
-from rig.presentation import DISPLAY, say, value_with_uncertainty
+from rig.presentation import Quantity, quantity, say
 from rig.replay.comparison import Change, Comparison
 
 _PLAIN_INTERVAL_S = 5.0
@@ -152,13 +152,11 @@ def print_changes(changes: Sequence[Change], source: str) -> None:
         if name.startswith(_ASYMPTOTIC):
             continue
         other = by_name.get(name.replace(_EXACT, _ASYMPTOTIC))
-        label, scale = name.removeprefix(_EXACT), 1.0
-        if label != name:
-            symbol, unit, scale = DISPLAY.get(label, (label, "", 1.0))
-            label = f"{symbol} / {unit}" if unit else symbol
+        parameter = name.removeprefix(_EXACT)
+        shown = quantity(parameter) if parameter != name else Quantity(name, "", name)
         table.add_row(
-            label,
-            value_with_uncertainty(change.recorded, scale),
+            shown.label,
+            shown.text(*change.recorded),
             _in_u(change),
             *([_in_u(other) if other else ""] if asymptotic else []),
         )

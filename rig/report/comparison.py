@@ -19,9 +19,8 @@ from rig.presentation import (
     determined_text,
     number,
     plain,
+    quantity,
     series_verdicts,
-    symbol,
-    with_uncertainty,
 )
 from rig.report import html
 from rig.report.drawing import styled
@@ -136,7 +135,6 @@ def values_table(
     rows: list[list[Cell]] = []
     shown = []
     for name in names:
-        label, unit, scale = symbol(name)
         items = [found.parameters.get(name) for found in series.values()]
         cells: list[Cell] = [name]
         for item in items:
@@ -145,12 +143,10 @@ def values_table(
             )
         rows.append(cells)
         texts = [
-            "–"
-            if item is None
-            else determined_text(name, (item.value, item.standard_uncertainty), scale, known)
+            "–" if item is None else determined_text(name, item.value, item.standard_uncertainty, known)
             for item, known in zip(items, verdicts, strict=True)
         ]
-        shown.append([f"{label} / {unit}" if unit != "1" else label, *texts])
+        shown.append([quantity(name).label, *texts])
     columns = [f"{label}_{what}" for label in series for what in ("value", "u", "expanded_95")]
     runs = ", ".join(f"{label}: {len(_runs(found))}" for label, found in series.items())
     return Table(
@@ -169,7 +165,6 @@ def differences_table(comparisons: Sequence[Comparison]) -> Table:
     rows: list[list[Cell]] = []
     shown = []
     for item in comparisons:
-        label, unit, scale = symbol(item.name)
         verdict = "differ" if item.p_value < limit else "no difference seen"
         rows.append(
             [
@@ -184,8 +179,8 @@ def differences_table(comparisons: Sequence[Comparison]) -> Table:
         )
         shown.append(
             [
-                f"{item.first} − {item.second}", f"{label} / {unit}" if unit != "1" else label,
-                with_uncertainty(item.difference * scale, item.standard_uncertainty * scale),
+                f"{item.first} − {item.second}", quantity(item.name).label,
+                quantity(item.name).text(item.difference, item.standard_uncertainty),
                 plain(item.p_value, 2), verdict,
             ]
         )  # fmt: skip

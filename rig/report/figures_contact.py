@@ -8,7 +8,7 @@ import numpy as np
 from processing.angle import ARCSEC_RAD
 from processing.contact.moments import cycle_work, moment_loop, weight_moment
 from processing.contact.parameters import ContactParameters, PendulumOnBall
-from rig.presentation import number, palette, plain, symbol
+from rig.presentation import number, palette, plain, quantity
 from rig.report.drawing import ASYMPTOTIC, DATA, EXACT, INK, Drawing, canvas
 
 
@@ -61,7 +61,7 @@ def loop_figure(
 
 def correlation_figure(correlation: Mapping[str, Any]) -> Drawing:
     """Correlation matrix of the exact fit as a map with its numbers."""
-    names = [symbol(name)[0] for name in correlation["names"]]
+    names = [quantity(name).symbol for name in correlation["names"]]
     matrix = np.array(
         [[np.nan if v is None else v for v in row] for row in correlation["matrix"]], dtype=np.float64
     )
@@ -97,7 +97,7 @@ def series_figure(series: Mapping[str, Any]) -> Drawing:
     panels = figure.subplots((len(names) + 2) // 3, 3, squeeze=False)
     figure.subplots_adjust(left=0.115, right=0.985, bottom=0.11, top=0.93, wspace=0.55, hspace=0.5)
     for axes, name in zip(panels.flat, names, strict=False):
-        label, unit, scale = symbol(name)
+        scale = quantity(name).factor
         item = series["exact" if "exact" in series else models[0]][name]
         runs = item["runs"]
         x = np.arange(1, len(runs) + 1)
@@ -109,7 +109,7 @@ def series_figure(series: Mapping[str, Any]) -> Drawing:
         axes.errorbar(x, values, u, fmt="o", color=DATA, ms=3.5, elinewidth=0.8, capsize=2)
         axes.set_xlim(0.5, len(runs) + 0.5)
         axes.set_xticks(x)
-        axes.set_title(f"{label}" + (f" / {unit}" if unit != "1" else ""))
+        axes.set_title(quantity(name).label)
         axes.ticklabel_format(axis="y", useOffset=False, scilimits=(-3, 4))
         axes.tick_params(axis="y", labelsize=7)
     for axes in list(panels.flat)[len(names) :]:
@@ -132,7 +132,7 @@ def comparison_figure(
     figure.subplots_adjust(left=0.1, right=0.985, bottom=0.16, top=0.93, wspace=0.5, hspace=0.75)
     x = np.arange(len(series))
     for axes, name in zip(panels.flat, names, strict=False):
-        label, unit, scale = symbol(name)
+        scale = quantity(name).factor
         for position, (values, colour) in enumerate(
             zip(series.values(), (DATA, EXACT, ASYMPTOTIC, *palette.SEQUENCE) * len(series), strict=False)
         ):
@@ -149,7 +149,7 @@ def comparison_figure(
             )
         axes.set_xticks(x, list(series), rotation=25, ha="right")
         axes.set_xlim(-0.5, len(series) - 0.5)
-        axes.set_title(f"{label}" + (f" / {unit}" if unit != "1" else ""))
+        axes.set_title(quantity(name).label)
         axes.tick_params(axis="y", labelsize=7)
     for axes in list(panels.flat)[len(names) :]:
         axes.set_visible(False)

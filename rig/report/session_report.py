@@ -16,7 +16,7 @@ from rig.analysis import (
     read_source,
     results_path,
 )
-from rig.presentation import Table, determined_text, number, plain, series_verdicts, symbol, with_uncertainty
+from rig.presentation import Table, determined_text, number, plain, quantity, series_verdicts
 from rig.report import figures_contact, figures_laws, figures_motion, html
 from rig.report.drawing import Drawing, png, styled, svg
 from rig.report.figures_instruments import instrument_figures
@@ -98,17 +98,14 @@ def _key_results(
 ) -> list[tuple[str, str]]:
     items = []
     if energy:
-        label, unit, scale = symbol("surface_energy_table2_j_per_m2")
-        pair = number(energy["table2"], "value"), number(energy["table2"], "standard_uncertainty")
-        text = determined_text("surface_energy", pair, scale, verdicts)
-        items.append((f"{label} / {unit}", text))
+        name = "surface_energy_table2_j_per_m2"
+        value, u = number(energy["table2"], "value"), number(energy["table2"], "standard_uncertainty")
+        items.append((quantity(name).label, determined_text(name, value, u, verdicts)))
     for name in CONTACT_NAMES:
         if name not in exact:
             continue
-        label, unit, scale = symbol(name)
         value, u = number(exact, name), number(exact, name, "standard_uncertainty")
-        text = determined_text(name, (value, u), scale, verdicts)
-        items.append((label if unit == "1" else f"{label} / {unit}", text))
+        items.append((quantity(name).label, determined_text(name, value, u, verdicts)))
     return items
 
 
@@ -128,7 +125,7 @@ def _doubts(run: RunData) -> list[str]:
     lines = [_drag_sentence(results["drag"])] if results.get("drag") else []
     pairs = results.get("strong_correlations") or []
     if pairs:
-        names = ", ".join(f"{symbol(a)[0]} and {symbol(b)[0]} ({r:+.3f})" for a, b, r in pairs)
+        names = ", ".join(f"{quantity(a).symbol} and {quantity(b).symbol} ({r:+.3f})" for a, b, r in pairs)
         lines.append(f"Hardly told apart by the data (correlation): {names}.")
     lines += [
         f"{item['text']}." for item in results.get("identifiability") or [] if item["verdict"] != "determined"
@@ -141,7 +138,7 @@ def _drag_sentence(drag: Mapping[str, Any]) -> str:
     b, c = (100 * number(drag, f"relative_shift_{name}") for name in ("b", "c"))
     head = "A linear drag is in the data" if drag["significant"] else drag["text"].split(":")[0].capitalize()
     numbers = (
-        f"{head}: {with_uncertainty(value, u)} s, F = {plain(number(drag, 'f_statistic'), 3)} (chance "
+        f"{head}: {quantity('drag_s').text(value, u)} s, F = {plain(number(drag, 'f_statistic'), 3)} (chance "
         f"{plain(number(drag, 'p_value'), 2)}), AIC {number(drag, 'aic_difference'):+.1f}; "
         f"fitted with it, b moves by {b:+.2f} % and c by {c:+.2f} %."
     )
@@ -153,7 +150,7 @@ def _series(series: Mapping[str, Any], files: Path) -> list[str]:
     tables = [series_table(series), budget_table(series.get("budget") or {}, "series-budget")]
     tables = [table for table in tables if table.rows]
     apart = [
-        f"Run {item['run']} disagrees with the others in {symbol(item['name'])[0]}: "
+        f"Run {item['run']} disagrees with the others in {quantity(item['name']).symbol}: "
         f"{number(item, 'deviation'):+.1f} standard uncertainties."
         for item in series.get("disagreements") or []
     ]

@@ -6,7 +6,7 @@ from typing import Any
 
 from processing.fit.result import CONTACT_NAMES
 from rig.analysis import Curves, RunData
-from rig.presentation import Cell, Table, determined_text, number, plain, symbol, with_uncertainty
+from rig.presentation import Cell, Table, determined_text, number, plain, quantity, with_uncertainty
 from rig.report.tables_uncertainty import budget_table, identifiability_table, monte_carlo_table
 
 
@@ -78,11 +78,11 @@ def parameter_table(results: Mapping[str, Any]) -> Table:
         for key in ("table2", "eq2"):
             entries.append((f"surface_energy_{key}_j_per_m2", energy["asymptotic"][key], energy[key]))
     for name, asymptotic, exact in entries:
-        label, unit, scale = symbol(name)
+        shown_as = quantity(name)
         pairs = [(number(fit, "value"), number(fit, "standard_uncertainty")) for fit in (asymptotic, exact)]
         rows.append([name, *pairs[0], *pairs[1]])
-        text = determined_text(name, pairs[1], scale, verdicts)
-        shown.append([label, with_uncertainty(pairs[0][0] * scale, pairs[0][1] * scale), text, unit])
+        text = determined_text(name, *pairs[1], verdicts)
+        shown.append([shown_as.symbol, shown_as.text(*pairs[0]), text, shown_as.unit])
     return Table(
         "parameters",
         "Parameters of the contact",
@@ -133,9 +133,8 @@ def hertz_table(results: Mapping[str, Any]) -> Table:
         if item is None:
             continue
         value, u = number(item, "value"), number(item, "standard_uncertainty")
-        label, unit, scale = symbol(name)
         rows.append([name, value, u])
-        shown.append([label, with_uncertainty(value * scale, u * scale), unit])
+        shown.append([quantity(name).symbol, quantity(name).text(value, u), quantity(name).unit])
     return Table(
         "hertz", "Contact after Hertz", ("quantity", "value", "standard_uncertainty"), rows,
         ("", "value", "unit"), shown,
@@ -172,7 +171,7 @@ def drag_table(results: Mapping[str, Any]) -> Table:
     rows.append(["significant", str(bool(drag["significant"]))])
     numbers = [number(drag, key) for key in keys]
     shown = [
-        ["linear drag", f"{with_uncertainty(value, u)} s"],
+        ["linear drag", f"{quantity('drag_s').text(value, u)} s"],
         ["F-test", f"F = {plain(numbers[0], 3)}, chance without drag {plain(numbers[1], 2)}"],
         ["AIC with − without", plain(numbers[2], 3)],
         ["b moves by", f"{100 * numbers[3]:+.2f} %".replace("-", "−")],

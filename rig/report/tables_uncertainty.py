@@ -12,9 +12,8 @@ from rig.presentation import (
     number,
     plain,
     power,
+    quantity,
     series_verdicts,
-    symbol,
-    with_uncertainty,
 )
 
 _NEGLIGIBLE = 0.005
@@ -26,15 +25,15 @@ def identifiability_table(results: Mapping[str, Any]) -> Table:
     rows: list[list[Cell]] = []
     shown = []
     for item in results.get("identifiability") or []:
-        label, unit, scale = symbol(item["name"])
+        shown_as = quantity(item["name"])
         value, u = number(item, "value"), number(item, "standard_uncertainty")
         low, high = number(item, "lower_95"), number(item, "upper_95")
         rows.append([item["name"], item["verdict"], value, u, low, high, str(item["profile_likelihood"])])
         relative = abs(u / value) if value else math.inf
         shown.append(
             [
-                label, item["verdict"], plain(relative, 2),
-                _interval(low * scale, high * scale), unit,
+                shown_as.symbol, item["verdict"], plain(relative, 2),
+                _interval(low * shown_as.factor, high * shown_as.factor), shown_as.unit,
                 "profile likelihood" if item["profile_likelihood"] else "covariance",
             ]
         )  # fmt: skip
@@ -62,18 +61,18 @@ def budget_table(budget: Mapping[str, Any], name: str = "budget") -> Table:
     """GUM budgets of all quantities, largest contribution first."""
     rows: list[list[Cell]] = []
     shown = []
-    for quantity, item in budget.items():
-        label, unit, scale = symbol(quantity)
+    for key, item in budget.items():
+        scale = quantity(key).factor
         value, u = number(item, "value"), number(item, "standard_uncertainty")
         factor = number(item, "coverage_factor_95")
-        head = [f"{label} / {unit}" if unit != "1" else label, with_uncertainty(value * scale, u * scale)]
+        head = [quantity(key).label, quantity(key).text(value, u)]
         head.append(f"± {plain(number(item, 'expanded_uncertainty_95') * scale, 2)} (k = {factor:.2f})")
         small = []
         for line in item["sources"]:
             contribution, share = number(line, "contribution"), number(line, "share")
             rows.append(
                 [
-                    quantity, value, u, line["source"], line["type"], number(line, "u_source"),
+                    key, value, u, line["source"], line["type"], number(line, "u_source"),
                     number(line, "sensitivity"), contribution, share,
                 ]
             )  # fmt: skip
@@ -105,7 +104,7 @@ def monte_carlo_table(results: Mapping[str, Any]) -> Table:
     rows: list[list[Cell]] = []
     shown = []
     for name, item in (tree.get("quantities") or {}).items():
-        label, unit, scale = symbol(name)
+        scale = quantity(name).factor
         mean, u = number(item, "mean"), number(item, "standard_uncertainty")
         low, high = number(item, "lower_95"), number(item, "upper_95")
         rows.append([name, mean, u, low, high, str(item["gum_holds"])])
@@ -114,7 +113,7 @@ def monte_carlo_table(results: Mapping[str, Any]) -> Table:
         value, half = number(budget[name], "value"), number(budget[name], "expanded_uncertainty_95")
         shown.append(
             [
-                f"{label} / {unit}" if unit != "1" else label, with_uncertainty(mean * scale, u * scale),
+                quantity(name).label, quantity(name).text(mean, u),
                 _interval(low * scale, high * scale),
                 _interval((value - half) * scale, (value + half) * scale),
                 "agrees" if item["gum_holds"] else "take Monte Carlo's",
@@ -136,20 +135,20 @@ def series_table(series: Mapping[str, Any]) -> Table:
     average = series.get("averaged_curves") or {}
     verdicts = series_verdicts(exact)
     for name in exact or asymptotic:
-        label, unit, scale = symbol(name)
+        shown_as = quantity(name)
         item = exact.get(name) or {}
         cells = [number(item, key) for key in _SERIES_KEYS]
         trees = [tree.get(name) or {} for tree in (asymptotic, average)]
         others = [(number(tree, "value"), number(tree, "standard_uncertainty")) for tree in trees]
         rows.append([name, *cells, *others[0], *others[1]])
-        between = cells[4] * scale
+        between = cells[4] * shown_as.factor
         shown.append(
             [
-                f"{label} / {unit}" if unit != "1" else label,
-                determined_text(name, (cells[0], cells[1]), scale, verdicts),
-                plain(cells[2] * scale, 2),
+                shown_as.label,
+                determined_text(name, cells[0], cells[1], verdicts),
+                plain(cells[2] * shown_as.factor, 2),
                 plain(between, 2) if between else "none seen",
-                *(with_uncertainty(value * scale, u * scale) for value, u in others),
+                *(shown_as.text(value, u) for value, u in others),
             ]
         )  # fmt: skip
     return Table(

@@ -139,7 +139,7 @@ def _markdown(table: Table, column: int | None = None) -> str:
     head, rows = list(table.head), [list(row) for row in table.shown]
     if head[-1] == "unit":
         head = head[:-1]
-        rows = [[f"{row[0]} / {row[-1]}" if row[-1] not in ("", "1") else row[0], *row[1:-1]] for row in rows]
+        rows = [[f"{row[0]} / {row[-1]}" if row[-1] else row[0], *row[1:-1]] for row in rows]
     if column is not None:
         head, rows = [head[0], head[column]], [[row[0], row[column]] for row in rows]
 

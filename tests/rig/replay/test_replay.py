@@ -243,7 +243,7 @@ def test_a_changed_setting_is_compared_with_what_was_recorded(
     assert half_cycles[1] == half_cycles[2] == half_cycles[3]
     assert " u, " in next(line for line in said.splitlines() if line.startswith("half-cycles"))
     assert "change / u" in said
-    assert any(line.startswith("b / rad^-p") for line in said.splitlines())
+    assert any(line.startswith("b / rad⁻ᵖ") for line in said.splitlines())
 
 
 def test_changes_of_parameters_are_counted_in_recorded_uncertainties() -> None:

@@ -1,6 +1,7 @@
 """Numbers as they are printed: digits by the uncertainty, powers of ten, what is not determined."""
 
 import math
+from decimal import Context, Decimal, localcontext
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rig.presentation.determined import bound_text, determined_text, series_verdicts
-from rig.presentation.numbers import plain, with_uncertainty
+from rig.presentation.numbers import plain, rounded, with_uncertainty
 from rig.report.drawing import envelope, thinned
 
 
@@ -21,11 +22,41 @@ from rig.report.drawing import envelope, thinned
         (28.9, 0.0996, "28.90 ± 0.10"),
         (1.0, math.inf, "1.0000"),
         (math.nan, 1.0, "not determined"),
-        (12345.0, 120.0, "12345 ± 120"),
+        (1.0, 0.0996, "1.00 ± 0.10"),
+        (1.23456, 0.0123, "1.235 ± 0.012"),
+        (-1234.5, 12.3, "−1234 ± 12"),
+        (12345.0, 120.0, "(1.234 ± 0.012) × 10⁴"),
+        (99.996, 0.010, "99.996 ± 0.010"),
+        (9.99996e-4, 1e-6, "(1.0000 ± 0.0010) × 10⁻³"),
+        (-1e-5, 0.5, "0.00 ± 0.50"),
+        (0.0, 99.6, "(0.0 ± 1.0) × 10²"),
     ],
 )
 def test_two_digits_of_the_uncertainty(value: float, u: float, text: str) -> None:
     assert with_uncertainty(value, u) == text
+
+
+FINITE = st.floats(allow_nan=False, allow_infinity=False)
+
+
+@given(FINITE, FINITE.filter(lambda u: u > 0))
+def test_value_and_uncertainty_end_at_the_second_digit_of_the_uncertainty(value: float, u: float) -> None:
+    value_text, u_text, exponent = rounded(value, u)
+    shown, u_shown = (
+        Decimal(text.replace("−", "-")).scaleb(exponent, Context(prec=1000)) for text in (value_text, u_text)
+    )
+    assert len(u_shown.as_tuple().digits) == 2
+    # both end at the same place, and are the nearest numbers that do
+    assert shown.as_tuple().exponent == u_shown.as_tuple().exponent
+    step = Decimal((0, (1,), int(u_shown.as_tuple().exponent)))
+    with localcontext(prec=1000):
+        assert abs(shown - Decimal(repr(value))) <= step / 2
+        assert abs(u_shown - Decimal(u)) <= step / 2
+    assert (
+        with_uncertainty(value, u)
+        .translate(str.maketrans("", "", "()"))
+        .startswith(f"{value_text} ± {u_text}")
+    )
 
 
 @given(st.floats(-1e12, 1e12).filter(lambda v: abs(v) > 1e-12), st.integers(2, 8))
@@ -42,7 +73,7 @@ def test_what_is_not_determined_is_a_bound_or_an_interval() -> None:
     verdict = {"verdict": "upper bound", "value": 1e-9, "lower_95": 0.0, "upper_95": 2.34e-8}
     assert bound_text(verdict) == "< 2.3 × 10⁻⁸ (95 %)"
     assert bound_text({**verdict, "verdict": "undetermined"}) == "not determined"
-    energy = determined_text("surface_energy_table2_j_per_m2", (2.75e-3, 1e-3), 1e3, {"c": verdict})
+    energy = determined_text("surface_energy_table2_j_per_m2", 2.75e-3, 1e-3, {"c": verdict})
     assert energy == "< 64 (95 %)"  # 2.34e-8 times 2.75e-3/1e-9 J/m^2
 
 
