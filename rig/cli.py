@@ -3,6 +3,7 @@
 Heavy imports stand inside the commands, so that ``rig --help`` answers at once.
 """
 
+import io
 import logging
 import sys
 from typing import Annotated
@@ -58,6 +59,10 @@ def main() -> None:
 
     Exit status 2 for wrong usage, 1 for a failed measurement, 130 where Ctrl-C, SIGTERM or SIGHUP ended it.
     """
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            # where the terminal's encoding lacks a character (10⁻³ on an old Windows console)
+            stream.reconfigure(errors="replace")
     debug = "--debug" in sys.argv
     if debug:
         # accepted anywhere on the line, because that is where one adds it after an error

@@ -30,8 +30,8 @@ def rounded(value: float, u: float) -> Rounded:
     below 10⁻², and where the second digit of u is left of the decimal point, a power of ten is
     taken out, so that every printed digit counts. Both must be finite and u above 0.
     """
-    exact = Decimal(repr(float(value)))
-    u_rounded = Decimal(f"{u:.1e}")
+    exact = _decimal(value)
+    u_rounded = Decimal(f"{_decimal(u):.1e}")
     place = u_rounded.adjusted() - 1
     value_rounded = exact.quantize(Decimal((0, (1,), place)), context=_EXACT)
     leading = max(value_rounded, -value_rounded, u_rounded).adjusted()
@@ -73,11 +73,16 @@ def plain(value: float, digits: int = 4) -> str:
     if value == 0:
         return "0"
     # the exponent of the rounded number: 0.99996 to four digits is 1.000
-    mantissa, _, exponent_text = f"{value:.{digits - 1}e}".partition("e")
+    mantissa, _, exponent_text = f"{_decimal(value):.{digits - 1}e}".partition("e")
     exponent = int(exponent_text)
     if -3 <= exponent < max(digits, 5):
-        return f"{value:.{max(0, digits - 1 - exponent)}f}".replace("-", MINUS)
+        return f"{_decimal(value):.{max(0, digits - 1 - exponent)}f}".replace("-", MINUS)
     return mantissa.replace("-", MINUS) + power(exponent)
+
+
+def _decimal(value: float) -> Decimal:
+    """The number as Python prints it, so that 4.95 is halfway between 4.9 and 5.0."""
+    return Decimal(repr(float(value)))
 
 
 def number(tree: Mapping[str, Any], name: str, key: str = "value") -> float:

@@ -51,7 +51,7 @@ def test_value_and_uncertainty_end_at_the_second_digit_of_the_uncertainty(value:
     step = Decimal((0, (1,), int(u_shown.as_tuple().exponent)))
     with localcontext(prec=1000):
         assert abs(shown - Decimal(repr(value))) <= step / 2
-        assert abs(u_shown - Decimal(u)) <= step / 2
+        assert abs(u_shown - Decimal(repr(u))) <= step / 2
     assert (
         with_uncertainty(value, u)
         .translate(str.maketrans("", "", "()"))
