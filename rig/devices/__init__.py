@@ -4,12 +4,12 @@ from rig.devices import picture
 from rig.devices.auto_exposure import find_exposure
 from rig.devices.devices import Devices, OpenCamera
 from rig.devices.doctor import examine
-from rig.devices.features import feature_lines
+from rig.devices.camera_features import feature_lines
 from rig.devices.finding import list_cameras
 from rig.devices.frame_stream import FrameStream
 from rig.devices.host_clock import ntp_state
 from rig.devices.latest_frames import watch_latest
-from rig.devices.lighting import STAYS_LIT, WIRE_IT, LaserNow, done, goes_dark_by_itself
+from rig.devices.laser import STAYS_LIT, WIRE_IT, LaserNow, goes_dark_by_itself, wait_for_command
 from rig.devices.picture import PictureFigures
 
 __all__ = [
@@ -20,7 +20,6 @@ __all__ = [
     "LaserNow",
     "OpenCamera",
     "PictureFigures",
-    "done",
     "examine",
     "feature_lines",
     "find_exposure",
@@ -28,5 +27,6 @@ __all__ = [
     "list_cameras",
     "ntp_state",
     "picture",
+    "wait_for_command",
     "watch_latest",
 ]

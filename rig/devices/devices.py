@@ -21,7 +21,7 @@ from rig.control import (
     make_laser,
     simulated_controller,
 )
-from rig.devices import lighting
+from rig.devices.laser import LaserNow, laser_now, light
 from rig.instrument import camera_settings, make_camera, setting_differences
 from rig.settings import Configuration
 
@@ -39,8 +39,9 @@ class OpenCamera(NamedTuple):
 class Devices:
     """Controller, sensor and laser of one session, and the camera of each run; a context manager.
 
-    Opened in the order controller, sensor, laser, camera and closed in reverse, whatever happens.
-    What is not configured is not opened. Laser and controller stay on between the runs of a series.
+    Opened in the order controller, sensor, laser, camera and closed in reverse, whatever happens: closing
+    turns the laser off. What is not configured is not opened. Laser and controller stay on between the
+    runs of a series.
     """
 
     def __init__(self, config: Configuration) -> None:
@@ -107,7 +108,7 @@ class Devices:
             return Controller(config.controller, limit_w)
         inputs = self._inputs or RigInputs()
         if config.laser.kind != "controller":
-            # a laser that nobody drives is simply on
+            # a laser that this program does not drive is on all the time
             inputs.laser(config.simulation.optics.laser_w)
         return simulated_controller(
             config.controller,
@@ -122,14 +123,14 @@ class Devices:
         )
 
     def light(self) -> str:
-        """Switch the laser on; what was done, in words. Raises as `rig.lighting.light`."""
-        return lighting.light(self._config.laser, self.control, self.laser)
+        """Switch the laser on; returns what was done, in words. Raises as `rig.devices.laser.light`."""
+        return light(self._config.laser, self.control, self.laser)
 
-    def laser_now(self) -> lighting.LaserNow | None:
-        """How the laser stands; None without one that is ours. Never blocks."""
+    def laser_now(self) -> LaserNow | None:
+        """State of the laser; None where this program drives none. Never blocks."""
         if self._config.laser.kind == "none":
             return None
-        return lighting.laser_now(self._config.laser, self.control, self.laser)
+        return laser_now(self._config.laser, self.control, self.laser)
 
     def required_control(self, who: str) -> ControlService:
         """The controller; ConfigurationError where `who` needs one and there is none."""
@@ -181,4 +182,4 @@ class Devices:
 
 
 def _unwired(_: float) -> None:
-    """The laser's pin of a rig whose laser is another's."""
+    """Stands in for the controller's laser output where the laser is not wired to it."""

@@ -44,6 +44,10 @@ class FrameStream:
         self.ended = ""
         self.failure: Exception | None = None
 
+    def start_camera(self) -> None:
+        """Start the camera; `begin` waits for its first frame."""
+        self._camera.start()
+
     def begin(self) -> Frame | None:
         """Wait for the first frame and start the thread; None where the source has none.
 

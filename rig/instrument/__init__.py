@@ -24,6 +24,7 @@ from rig.instrument.configured import (
 )
 from rig.instrument.events import Event
 from rig.instrument.kernels import prepare_kernels
+from rig.instrument.optics import Optics, optics_of
 from rig.instrument.pipeline import Block, Deflector, Pipeline
 from rig.instrument.provenance import (
     CONFIGURATION_NAME,
@@ -42,6 +43,7 @@ __all__ = [
     "Block",
     "Deflector",
     "Event",
+    "Optics",
     "Pipeline",
     "Snapshot",
     "advice_text",
@@ -58,6 +60,7 @@ __all__ = [
     "make_camera",
     "material",
     "nominal_effects",
+    "optics_of",
     "pendulum_on_ball",
     "prepare_kernels",
     "recorded_configuration",

@@ -1,16 +1,16 @@
-"""Watches the spot before a run is recorded, and keeps the last seconds of frames."""
+"""The last seconds of frames before a record begins, and the spots in them."""
 
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.frame import Frame
-from processing.spot import Spot, SpotTracker
+from processing.spot import Spot
 from rig.devices import FrameStream
-from rig.instrument import Deflector
+from rig.instrument import Deflector, Optics
 from rig.measure.preflight import Look
 
 _BLOCK_FRAMES = 16
@@ -26,24 +26,23 @@ class _Sample(NamedTuple):
     u_y: float
 
 
-class Lookout:
+class RecentFrames:
     """Takes frames as they come, tracks them, keeps samples of the last `window_s` seconds.
 
     The frames themselves are kept for `frames_s` seconds (less where they would need more than 256 MiB):
-    a release is seen only when it has happened, and the record is to begin before it.
+    a release is seen only after it has happened, and the record shall begin before it.
     """
 
     def __init__(
         self,
         stream: FrameStream,
-        tracker: SpotTracker,
-        make_deflector: Callable[[tuple[int, int]], Deflector],
+        optics: Optics,
         frames_s: float,
         window_s: float,
     ) -> None:
         self._stream = stream
-        self._tracker = tracker
-        self._make_deflector = make_deflector
+        self._optics = optics
+        self._tracker = optics.tracker()
         self._deflector: Deflector | None = None
         self._frames: deque[Frame] = deque()
         self._samples: deque[_Sample] = deque()
@@ -57,7 +56,7 @@ class Lookout:
         if not block:
             return not self._stream.drained
         if self._deflector is None:
-            self._deflector = self._make_deflector((block[0].image.shape[0], block[0].image.shape[1]))
+            self._deflector = self._optics.deflector((block[0].image.shape[0], block[0].image.shape[1]))
         spots = [self._tracker.track(frame.image) for frame in block]
         x, y, u_x, u_y = (column.tolist() for column in self._deflector(spots))
         for k, (frame, spot) in enumerate(zip(block, spots, strict=True)):

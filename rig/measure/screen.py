@@ -6,7 +6,7 @@ import shutil
 import sys
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from types import TracebackType
@@ -23,7 +23,8 @@ from acquisition.frame import Frame
 from processing.balance import Balance
 from processing.decay_forecast import Forecast, forecast
 from rig.instrument import Block, Event, Snapshot
-from rig.presentation import print_json_line, say
+from rig.measure.preflight import table_tree
+from rig.presentation import Verdict, print_json_line, print_preflight, say
 
 _PLAIN_INTERVAL_S = 5.0
 _JSON_INTERVAL_S = 1.0
@@ -33,7 +34,7 @@ _NO_FORECAST = Forecast(math.nan, math.nan)
 
 
 class RunDisplay:
-    """Shows one run; a watcher of the run that only takes notes, and a screen that the main thread draws.
+    """Shows one run: as its watcher it only takes notes, the main thread draws the screen.
 
     The bar counts the logarithm of the amplitude from where the run began to where it ends, since
     that is what a decay does evenly.
@@ -102,12 +103,15 @@ class RunDisplay:
 
     # -- in the main thread --------------------------------------------------
 
-    def above(self, show: Callable[[Console], None]) -> None:
-        """Print something that stays, above the screen."""
-        show(self._console)
+    def show_preflight(self, verdicts: Sequence[Verdict]) -> None:
+        """Print the preflight table, which stays above the screen."""
+        if self._json:
+            self.line("preflight", {"table": table_tree(verdicts)})
+        else:
+            print_preflight(self._console, verdicts)
 
     def line(self, kind: str, values: dict[str, Any]) -> None:
-        """One line of JSON on stdout; to nobody once its reader has gone, for the measurement goes on."""
+        """One line of JSON on stdout; once its reader is gone it is dropped, for the measurement goes on."""
         try:
             print_json_line(kind, {"run": self._title, **values})
         except BrokenPipeError:

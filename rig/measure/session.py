@@ -21,7 +21,7 @@ from rig.analysis import (
 from rig.devices import Devices
 from rig.instrument import check_materials, complete
 from rig.interruption import Terminated, reason_of
-from rig.measure.assembly import RunPlan, measure_run
+from rig.measure.run_setup import RunPlan, measure_run
 from rig.measure.session_file import STATE_NAME, RunEntry, RunState, SessionFile
 from rig.presentation import print_json_line, say
 from rig.settings import Configuration, validate_configuration
@@ -130,12 +130,12 @@ def _make_runs(
         record = folder / f"run-{number}.mcap"
         file.note(number, record.name, "recording")
 
-        def set_aside(path: Path, reason: str, number: int = number) -> None:
+        def start_rejected(path: Path, reason: str, number: int = number) -> None:
             file.note(number, path.name, "rejected", reason)
             say(f"run {number}: start not accepted: {reason}")
 
         plan = RunPlan(
-            _numbered(config, number), source, record, f"run {number}", force, json_lines, set_aside
+            _numbered(config, number), source, record, f"run {number}", force, json_lines, start_rejected
         )
         try:
             # dark again after a run in which an interlock opened or the controller was lost

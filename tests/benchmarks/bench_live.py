@@ -15,18 +15,20 @@ from typing import Any
 
 from acquisition.camera import CameraSettings
 from acquisition.cameras.simulated import SimulatedCamera
-from acquisition.record.writer import RecordWriter
 from acquisition.simulation.settings import OpticsTruth, SensorTruth, SimulationSettings
 from calibration.axes import Axes
 from calibration.lever import Lever
-from processing.spot import SensorModel, SpotTracker
+from processing.spot import SensorModel
 from rig.control.service import ControlService
 from rig.control.settings import ControllerSettings, SerialFaults
 from rig.control.simulated import simulated_controller
 from rig.devices.devices import Devices
-from rig.instrument.pipeline import Pipeline
+from rig.devices.frame_stream import FrameStream
+from rig.instrument.optics import Optics
+from rig.measure.end_of_run import EndLimits
+from rig.measure.record_file import RecordFile
 from rig.measure.run import Run
-from rig.measure.start_and_end import EndOfRun
+from rig.measure.run_parts import RunParts
 from rig.settings.configuration import Configuration
 from tests.benchmarks.bench_pipeline import MemoryCamera, drawn_frames
 from tests.rig.balance.cases import follow_advice
@@ -43,16 +45,16 @@ def frames_beside_a_stuck_line(seconds: float) -> dict[str, Any]:
     frames = drawn_frames(640, 480, 500.0, 600)
     with tempfile.TemporaryDirectory() as folder, service:
         camera = MemoryCamera(frames, 500.0, seconds)
-        camera.open()
+        info = camera.open()
+        optics = Optics(_SENSOR, Lever(arm_m=1.0, pixel_pitch_m=4.8e-6), Axes())
         run = Run(
-            camera,
-            CameraSettings(),
-            lambda shape: Pipeline(
-                SpotTracker(_SENSOR), Lever(arm_m=1.0, pixel_pitch_m=4.8e-6), Axes(), shape
-            ),
-            lambda offset_ns, first: RecordWriter(Path(folder) / "run.mcap", offset_ns),
-            EndOfRun(0.0, 1e9),
-            surroundings=devices,
+            RunParts(
+                stream=FrameStream(camera, CameraSettings()),
+                optics=optics,
+                record=RecordFile(Path(folder) / "run.mcap", Configuration(), Path(), info, optics),
+                end=EndLimits(0.0, 1e9),
+                devices=devices,
+            )
         )
         outcome = run.execute()
         snapshot = service.snapshot
@@ -75,17 +77,16 @@ def soak(simulated_s: float, runs: int) -> dict[str, Any]:
     for _ in range(runs):
         with tempfile.TemporaryDirectory() as folder:
             camera = SimulatedCamera(settings)
-            camera.open()
+            info = camera.open()
             camera.configure(CameraSettings(frame_rate_hz=20.0))
+            optics = Optics(_SENSOR, Lever(arm_m=0.12, pixel_pitch_m=4.8e-6), Axes())
             run = Run(
-                camera,
-                CameraSettings(),
-                lambda shape: Pipeline(
-                    SpotTracker(_SENSOR), Lever(arm_m=0.12, pixel_pitch_m=4.8e-6), Axes(), shape
-                ),
-                lambda offset_ns, first, folder=folder: RecordWriter(Path(folder) / "run.mcap", offset_ns),  # type: ignore[misc]
-                EndOfRun(0.0, simulated_s / runs),
-                policy="wait",
+                RunParts(
+                    stream=FrameStream(camera, CameraSettings(), policy="wait"),
+                    optics=optics,
+                    record=RecordFile(Path(folder) / "run.mcap", Configuration(), Path(), info, optics),
+                    end=EndLimits(0.0, simulated_s / runs),
+                )
             )
             outcome = run.execute()
             camera.close()

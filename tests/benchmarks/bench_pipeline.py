@@ -17,16 +17,19 @@ import numpy as np
 
 from acquisition.camera import CameraInfo, CameraSettings, CameraStatus
 from acquisition.frame import Frame
-from acquisition.record.writer import RecordWriter
 from acquisition.simulation.settings import OpticsTruth, SensorTruth, SimulationSettings
 from calibration.axes import Axes
 from calibration.lever import Lever
-from processing.spot import SensorModel, SpotTracker
+from processing.spot import SensorModel
+from rig.devices.frame_stream import FrameStream
 from rig.instrument.kernels import prepare_kernels
-from rig.instrument.pipeline import Pipeline
+from rig.instrument.optics import Optics
+from rig.measure.end_of_run import EndLimits
+from rig.measure.record_file import RecordFile
 from rig.measure.recorder import Entry, Recorder
 from rig.measure.run import Run
-from rig.measure.start_and_end import EndOfRun
+from rig.measure.run_parts import RunParts
+from rig.settings.configuration import Configuration
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -119,16 +122,19 @@ def real_time(width: int, height: int, rate_hz: float, duration_s: float) -> dic
 
     with tempfile.TemporaryDirectory() as folder:
         camera = MemoryCamera(frames, rate_hz, duration_s)
-        camera.open()
+        info = camera.open()
         sensor = SensorModel(39.2, 7.0, 255)
         prepare_kernels(sensor, print)
         lever = Lever(arm_m=1.0, pixel_pitch_m=4.8e-6)
+        optics = Optics(sensor, lever, Axes())
+        file = RecordFile(Path(folder) / "run.mcap", Configuration(lever=lever), Path(), info, optics)
         run = Run(
-            camera,
-            CameraSettings(),
-            lambda shape: Pipeline(SpotTracker(sensor), lever, Axes(), shape),
-            lambda offset_ns, first: RecordWriter(Path(folder) / "run.mcap", offset_ns),
-            EndOfRun(0.0, 1e9),
+            RunParts(
+                stream=FrameStream(camera, CameraSettings()),
+                optics=optics,
+                record=file,
+                end=EndLimits(0.0, 1e9),
+            )
         )
         Recorder._write = timed  # type: ignore[method-assign]
         before = resource.getrusage(resource.RUSAGE_SELF)

@@ -11,7 +11,7 @@ from acquisition.frame import Frame
 from calibration.stability import stability
 from processing.angle import ARCSEC_RAD
 from processing.spot import Spot, SpotFlag
-from rig.devices.lighting import LaserNow
+from rig.devices.laser import LaserNow
 from rig.measure import preflight
 from rig.measure.preflight import Look
 from rig.presentation.verdict import Verdict

@@ -1,4 +1,4 @@
-"""What a run shows of itself: its newest snapshot, its events, and what is known beside the frames."""
+"""The status of a run as others see it: newest snapshot, events, readings of the environment."""
 
 import math
 from collections import deque
@@ -8,68 +8,70 @@ from dataclasses import replace
 from acquisition.frame import Frame
 from acquisition.record.topics import Environment
 from processing.swing import Swing
+from rig.devices import Devices
 from rig.instrument import Block, Event, Snapshot
-from rig.measure.roles import Surroundings, Watcher
+from rig.measure.run_parts import Watcher
 
 
-class PublicState:
-    """Written by the processing thread; `snapshot` and `take_asked` may be read from any other.
+class RunStatus:
+    """Written by the processing thread; `snapshot` and `take_instructions` may be read from any other.
 
     Parameters
     ----------
     watchers
-        Hear of every block, event and snapshot, in the processing thread.
-    surroundings
-        Laboratory air and controller; None where nothing is known of them.
+        Are told of every block, event and snapshot, in the processing thread.
+    devices
+        Controller, laser and environment sensor; None where there are none.
     amplitude_unit_rad
         Unit in which snapshots show the amplitude, in the unit of the swings.
     environment_period_s
-        Time between two readings of the air that are recorded.
+        Time between two readings of the environment that are recorded.
     """
 
     def __init__(
         self,
         watchers: Iterable[Watcher],
-        surroundings: Surroundings | None,
+        devices: Devices | None,
         amplitude_unit_rad: float,
         environment_period_s: float,
     ) -> None:
         self._watchers = tuple(watchers)
-        self._surroundings = surroundings
+        self._devices = devices
         self._amplitude_unit_rad = amplitude_unit_rad
         self._environment_period_ns = round(environment_period_s * 1e9)
         self._environment_due_ns = 0
-        self._asked: deque[Snapshot] = deque()
+        self._instructions: deque[Snapshot] = deque()
         self.snapshot = Snapshot()
 
-    def take_asked(self) -> Iterable[Snapshot]:
-        """Snapshots that ask something of the operator and have not been taken yet, oldest first.
+    def take_instructions(self) -> Iterable[Snapshot]:
+        """Snapshots with an instruction to the operator that were not taken yet, oldest first.
 
-        What was asked only between two looks at `snapshot` is not missed."""
-        while self._asked:
-            yield self._asked.popleft()
+        An instruction that was given and withdrawn between two looks at `snapshot` is not missed.
+        """
+        while self._instructions:
+            yield self._instructions.popleft()
 
     def begin_record(self) -> None:
         """Forget the half-cycles of a start that was not accepted."""
         self.snapshot = replace(self.snapshot, half_cycles=0, amplitude=math.nan, period_s=math.nan)
 
     def prepare(self, snapshot: Snapshot) -> None:
-        """The state while no record is open, as the prelude tells it."""
-        asked_before = self.snapshot.instruction
-        self.snapshot = self._with_surroundings(snapshot)
-        if snapshot.instruction and snapshot.instruction != asked_before:
-            self._asked.append(self.snapshot)
+        """The state while no record is open, as the phases before it report it."""
+        instruction_before = self.snapshot.instruction
+        self.snapshot = self._with_devices(snapshot)
+        if snapshot.instruction and snapshot.instruction != instruction_before:
+            self._instructions.append(self.snapshot)
         for watcher in self._watchers:
             watcher.snapshot(self.snapshot)
 
     def publish(self, snapshot: Snapshot, swings: Sequence[Swing]) -> None:
-        """The state while a record is open; what swings tell is filled in, or kept from before."""
+        """The state while a record is open; amplitude and period of the last swing are filled in."""
         before, last = self.snapshot, swings[-1] if swings else None
         amplitude, period_s = before.amplitude, before.period_s
         if last is not None:
             amplitude = last.amplitude / self._amplitude_unit_rad
             period_s = before.period_s if math.isnan(last.half_period_s) else 2.0 * last.half_period_s
-        self.snapshot = self._with_surroundings(
+        self.snapshot = self._with_devices(
             replace(
                 snapshot,
                 half_cycles=before.half_cycles + len(swings),
@@ -94,24 +96,24 @@ class PublicState:
 
     def take_events(self) -> list[tuple[str, str]]:
         """(kind, text) of what controller, laser and sensors did since the last call."""
-        return [] if self._surroundings is None else self._surroundings.take_events()
+        return [] if self._devices is None else self._devices.take_events()
 
     def environment(self, time_ns: int) -> Environment | None:
-        """The laboratory's air, once a period, where anything is known of it."""
-        if self._surroundings is None or time_ns < self._environment_due_ns:
+        """A reading of the environment, once a period; None in between, and where nothing is measured."""
+        if self._devices is None or time_ns < self._environment_due_ns:
             return None
         self._environment_due_ns = time_ns + self._environment_period_ns
-        reading = self._surroundings.environment()
+        reading = self._devices.environment()
         return None if all(map(math.isnan, reading)) else Environment(time_ns, *reading)
 
-    def _with_surroundings(self, snapshot: Snapshot) -> Snapshot:
-        if self._surroundings is None:
+    def _with_devices(self, snapshot: Snapshot) -> Snapshot:
+        if self._devices is None:
             return snapshot
-        temperature_c, humidity_percent, pressure_pa = self._surroundings.environment()
+        temperature_c, humidity_percent, pressure_pa = self._devices.environment()
         return replace(
             snapshot,
             temperature_c=temperature_c,
             humidity_percent=humidity_percent,
             pressure_pa=pressure_pa,
-            controller=self._surroundings.describe(),
+            controller=self._devices.describe(),
         )

@@ -15,7 +15,7 @@ import pytest
 from processing.errors import DeviceError
 from rig.control.controller import InterlockOpen
 from rig.devices.devices import Devices
-from rig.devices.lighting import LaserNow
+from rig.devices.laser import LaserNow
 from rig.measure import preflight
 from rig.settings.configuration import Configuration, validate_configuration
 from tests.rig.control.instruments import FakeCobolt, FakeLdc500, FakeObis, FakeThorlabs, Instrument

@@ -1,4 +1,8 @@
-"""The laser of a session: lit in the order that is safe, and what is known of it."""
+"""The laser of a session: switched on in the order that is safe, and its state.
+
+It is turned off when `Devices` closes, whatever ended the session: `LaserService` and `ControlService`
+(rig.control) leave their device dark when their thread ends.
+"""
 
 import time
 from collections.abc import Callable
@@ -15,7 +19,7 @@ WIRE_IT = "wire its interlock through the controller's enable relay and set lase
 
 
 class LaserNow(NamedTuple):
-    """Whether the laser is lit, and its state in words; `on` False where it does not answer."""
+    """Whether the laser is lit, and its state in words; `on` is False where it does not answer."""
 
     on: bool
     words: str
@@ -27,7 +31,7 @@ def goes_dark_by_itself(settings: LaserSettings) -> bool:
 
 
 def light(settings: LaserSettings, control: ControlService | None, laser: LaserService | None) -> str:
-    """Switch the laser on where it is dark; what was done, in words, nothing where it was lit.
+    """Switch the laser on where it is dark; returns what was done, in words, nothing where it was lit.
 
     Raises DeviceError: refused, silent, an interlock is open, or the laser's interlock is not wired
     through the controller although it is said to be. ConfigurationError: a controller is needed.
@@ -39,8 +43,8 @@ def light(settings: LaserSettings, control: ControlService | None, laser: LaserS
             raise ConfigurationError(_needs_controller("laser.kind"))
         if settings.power_w <= 0:
             raise ConfigurationError("laser.power_w = 0: state the power that the laser shall have")
-        done(control.set_laser_power_w(settings.power_w))
-        done(control.laser_on())
+        wait_for_command(control.set_laser_power_w(settings.power_w))
+        wait_for_command(control.laser_on())
         return f"laser on, {settings.power_w * 1e3:g} mW"
     if laser is None:
         return ""
@@ -55,20 +59,20 @@ def light(settings: LaserSettings, control: ControlService | None, laser: LaserS
                 "relay is open: wire it through the relay, or set laser.interlock = 'own'"
             )
         # the relay alone: the controller's own power stays 0
-        done(control.laser_on())
+        wait_for_command(control.laser_on())
         _wait(laser, lambda state: state.interlock_closed)
     if settings.power_w > 0:
-        done(laser.set_power_w(settings.power_w))
+        wait_for_command(laser.set_power_w(settings.power_w))
     if settings.current_a > 0:
-        done(laser.set_current_a(settings.current_a))
-    done(laser.enable(), LONGEST_JOB_S)
+        wait_for_command(laser.set_current_a(settings.current_a))
+    wait_for_command(laser.enable(), LONGEST_JOB_S)
     return "laser on" if goes_dark_by_itself(settings) else f"laser on; {STAYS_LIT} (docs/controller.md)"
 
 
 def laser_now(
     settings: LaserSettings, control: ControlService | None, laser: LaserService | None
 ) -> LaserNow:
-    """What is known at this moment; never blocks."""
+    """The last known state; never blocks."""
     if settings.kind == "controller":
         status = control.snapshot.status if control is not None else None
         if status is None:
@@ -85,8 +89,8 @@ def laser_now(
     return LaserNow(state.on, f"on{measured}" if state.on else dark)
 
 
-def done(command: "Future[Any]", patience_s: float = _COMMAND_S) -> None:
-    """Wait for a command; raises its DeviceError."""
+def wait_for_command(command: "Future[Any]", patience_s: float = _COMMAND_S) -> None:
+    """Wait until a command was carried out; raises its DeviceError, and one where it takes too long."""
     try:
         command.result(patience_s)
     except TimeoutError:

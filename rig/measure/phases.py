@@ -1,4 +1,4 @@
-"""The phases before a record, to the release: each with a time limit and a reason for its end."""
+"""The phases before a record: rest, warm-up, preflight, release. Each has a time limit."""
 
 import math
 import shutil
@@ -7,16 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
-from acquisition.camera import CameraInfo
 from acquisition.frame import Frame
-from processing.angle import ARCSEC_RAD
 from processing.errors import DataError, DeviceError
-from processing.spot import SensorModel, SpotTracker
-from rig.devices import Devices, FrameStream, done, goes_dark_by_itself
-from rig.instrument import Deflector, Event, Snapshot
+from rig.devices import Devices, FrameStream, OpenCamera, goes_dark_by_itself, wait_for_command
+from rig.instrument import Event, Optics, Snapshot
 from rig.measure import preflight
-from rig.measure.phase import PhaseWatch, Stopped
-from rig.measure.recent_frames import Lookout
+from rig.measure.end_of_run import StopRequest
+from rig.measure.phase_wait import PhaseWait, Stopped
+from rig.measure.recent_frames import RecentFrames
 from rig.presentation import Verdict
 from rig.settings import Configuration
 
@@ -24,21 +22,19 @@ _AT_ONCE_FRAMES = 100
 _BRAKE_AGAIN_NS = 2_000_000_000
 
 
-class Preparation:
-    """What goes before the record of a run; called once for every attempt at a start.
+class PhasesBeforeRecord:
+    """What is done before the record of a run begins; run once for every attempt at a start.
 
     `verdicts` is the preflight table, `starter_pulse_s` the pulse of the next attempt. With `force` a
-    no-go is recorded and passed over.
+    no-go is recorded and the run goes on. `folder` is where the record goes, for the room on its disk.
     """
 
     def __init__(
         self,
         config: Configuration,
         devices: Devices,
-        info: CameraInfo,
-        camera_notes: Sequence[str],
-        sensor: SensorModel,
-        make_deflector: Callable[[tuple[int, int]], Deflector],
+        camera: OpenCamera,
+        optics: Optics,
         folder: Path,
         *,
         force: bool = False,
@@ -46,56 +42,58 @@ class Preparation:
     ) -> None:
         self._config = config
         self._devices = devices
-        self._info = info
-        self._camera_notes = camera_notes
-        self._sensor = sensor
-        self._make_deflector = make_deflector
+        self._camera = camera
+        self._optics = optics
         self._folder = folder
         self._force = force
         self._show_table = show_table
-        self._unit_rad = ARCSEC_RAD if config.lever is not None else 1.0
-        self._unit = "arcsec" if config.lever is not None else "px"
+        self._unit = optics.unit
+        self._unit_rad = optics.unit_rad
         self.verdicts: list[Verdict] = []
         self.starter_pulse_s = config.start.starter_pulse_s
         self._attempt = 0
         self._warm = False
 
-    def __call__(
-        self, frames: FrameStream, report: Callable[[Snapshot], None], stopped: Callable[[], bool]
+    def run(
+        self, stream: FrameStream, report: Callable[[Snapshot], None], stop: StopRequest
     ) -> tuple[list[Frame], list[Event]]:
-        """As `rig.run.Prelude`."""
+        """Go through the phases; returns the frames that the record begins with, and what happened.
+
+        No frames: the run was stopped, or the source has come to its end. Raises RigError with the
+        reason where the run must not begin.
+        """
         config = self._config
         window_s = max(
             config.phases.rest_window_s, config.phases.warm_up_window_s, config.preflight.duration_s
         )
-        # the look for the preflight needs its frames too
+        # the preflight looks at whole frames too
         kept_s = max(config.start.pretrigger_s, config.preflight.duration_s)
-        lookout = Lookout(frames, SpotTracker(self._sensor), self._make_deflector, kept_s, window_s)
-        self._watch = PhaseWatch(lookout, report, stopped, self._unit_rad)
+        frames = RecentFrames(stream, self._optics, kept_s, window_s)
+        self._wait = PhaseWait(frames, report, stop)
         self._attempt += 1
         try:
             if config.start.way == "at once":
-                self._watch.phase("preflight", math.inf, lambda: lookout.seen >= _AT_ONCE_FRAMES)
+                self._wait.until_reached("preflight", math.inf, lambda: frames.seen >= _AT_ONCE_FRAMES)
                 self._check(resting=False)
-                return lookout.frames, self._watch.events
+                return frames.frames, self._wait.events
             self._come_to_rest()
             self._warm_up()
             if self._attempt == 1:
                 self._look()
             self._release()
         except Stopped:
-            return [], self._watch.events
+            return [], self._wait.events
         finally:
             self._brake(False)
-        kept_from_ns = lookout.now_ns - round(1e9 * config.start.pretrigger_s)
-        return [frame for frame in lookout.frames if frame.time_ns >= kept_from_ns], self._watch.events
+        kept_from_ns = frames.now_ns - round(1e9 * config.start.pretrigger_s)
+        return [frame for frame in frames.frames if frame.time_ns >= kept_from_ns], self._wait.events
 
-    def learn(self, first_amplitude_rad: float) -> None:
-        """Correct the next starter pulse by what the last one gave."""
+    def correct_starter(self, first_amplitude: float) -> None:
+        """Correct the next starter pulse by the amplitude that the last one gave."""
         wanted = self._config.session.initial_amplitude_arcsec * self._unit_rad
         wanted *= 0.5 * (self._config.start.lowest_amplitude + self._config.start.highest_amplitude)
-        if first_amplitude_rad > 0:
-            factor = min(2.0, max(0.5, wanted / first_amplitude_rad))
+        if first_amplitude > 0:
+            factor = min(2.0, max(0.5, wanted / first_amplitude))
             self.starter_pulse_s = min(self.starter_pulse_s * factor, self._config.controller.starter_max_s)
 
     def _come_to_rest(self) -> None:
@@ -107,68 +105,70 @@ class Preparation:
 
         def at_rest() -> bool:
             nonlocal braked_ns, begun_ns
-            lookout = self._watch.lookout
-            begun_ns = begun_ns or lookout.now_ns
-            _, x, y = lookout.since(lookout.now_ns - window_ns)
+            frames = self._wait.frames
+            begun_ns = begun_ns or frames.now_ns
+            _, x, y = frames.since(frames.now_ns - window_ns)
             good = np.isfinite(x) & np.isfinite(y)
-            if lookout.now_ns - begun_ns < window_ns or not good.any():
+            if frames.now_ns - begun_ns < window_ns or not good.any():
                 return False
             spread = 0.5 * max(np.ptp(x[good]), np.ptp(y[good])) / self._unit_rad
-            self._watch.words = f"spread {spread:.2f} {self._unit} of {phases.rest_limit_arcsec:g}"
+            self._wait.progress = f"spread {spread:.2f} {self._unit} of {phases.rest_limit_arcsec:g}"
             if spread <= phases.rest_limit_arcsec:
                 return True
-            if lookout.now_ns - braked_ns >= _BRAKE_AGAIN_NS and spread > 2 * phases.rest_limit_arcsec:
-                braked_ns = lookout.now_ns
+            if frames.now_ns - braked_ns >= _BRAKE_AGAIN_NS and spread > 2 * phases.rest_limit_arcsec:
+                braked_ns = frames.now_ns
                 self._brake(True)
             elif spread <= 2 * phases.rest_limit_arcsec:
                 self._brake(False)
             return False
 
-        self._watch.phase("rest", phases.rest_max_s, at_rest, every_s=0.2)
+        self._wait.until_reached("rest", phases.rest_max_s, at_rest, every_s=0.2)
         self._brake(False)
 
     def _warm_up(self) -> None:
-        """Until the resting spot's drift is below the limit; only where the laser is ours."""
+        """Wait until the resting spot hardly drifts any more; only with a laser that this program lights."""
         laser, phases = self._config.laser, self._config.phases
         if laser.kind == "none" or self._warm:
             return
         window_ns = round(phases.warm_up_window_s * 1e9)
-        begun_ns = self._watch.lookout.now_ns
+        begun_ns = self._wait.frames.now_ns
 
         def warm() -> bool:
-            lookout = self._watch.lookout
-            since_ns = lookout.now_ns - begun_ns
+            frames = self._wait.frames
+            since_ns = frames.now_ns - begun_ns
             if since_ns < max(window_ns, laser.warm_up_min_s * 1e9):
                 return False
-            times_s, x, y = lookout.since(lookout.now_ns - window_ns)
+            times_s, x, y = frames.since(frames.now_ns - window_ns)
             drift = max(_drift_per_min(times_s, x), _drift_per_min(times_s, y)) / self._unit_rad
-            self._watch.words = f"drift {drift:.2f} {self._unit}/min"
+            self._wait.progress = f"drift {drift:.2f} {self._unit}/min"
             return drift <= phases.warm_up_drift_arcsec_per_min
 
-        self._watch.phase("warm-up", laser.warm_up_max_s, warm, every_s=0.5)
+        self._wait.until_reached("warm-up", laser.warm_up_max_s, warm, every_s=0.5)
         self._warm = True
 
     def _look(self) -> None:
         if not preflight_wanted(self._config):
             return
-        begun_ns = self._watch.lookout.now_ns
+        begun_ns = self._wait.frames.now_ns
         duration_ns = round(self._config.preflight.duration_s * 1e9)
-        self._watch.phase("preflight", math.inf, lambda: self._watch.lookout.now_ns - begun_ns >= duration_ns)
+        self._wait.until_reached(
+            "preflight", math.inf, lambda: self._wait.frames.now_ns - begun_ns >= duration_ns
+        )
         self._check(resting=True)
 
     def _check(self, resting: bool) -> None:
         """The go / no-go table; raises DataError for a no-go that is not forced."""
         if not preflight_wanted(self._config):
             return
-        config, lookout = self._config, self._watch.lookout
+        config, frames = self._config, self._wait.frames
         limits = config.preflight
         self.verdicts = [
-            preflight.camera(self._info.driver, self._camera_notes),
+            preflight.camera(self._camera.info.driver, self._camera.notes),
             *preflight.check_look(
-                lookout.look(resting, limits.duration_s),
+                frames.look(resting, limits.duration_s),
                 config,
-                self._info.full_scale_dn,
-                lookout.window_bytes(),
+                self._camera.info.full_scale_dn,
+                frames.window_bytes(),
                 shutil.disk_usage(self._folder).free,
             ),
             preflight.controller(self._devices.describe(), config.controller.kind != "none"),
@@ -177,19 +177,19 @@ class Preparation:
         ]
         self._show_table(self.verdicts)
         against = preflight.failures(self.verdicts)
-        self._watch.note("preflight", f"no-go: {against}" if against else "go")
+        self._wait.note("preflight", f"no-go: {against}" if against else "go")
         if against and not self._force:
             raise DataError(f"preflight says no-go ({against}); --force passes over it")
 
     def _release(self) -> None:
-        """Let go, or ask for it, and see it happen."""
+        """Release the pendulum or ask the operator to, and wait until it moves."""
         start = self._config.start
         who = f"start.way = {start.way!r}"
-        watch = self._watch
+        wait = self._wait
         instruction = ""
         rest, threshold = self._place()
         if start.way == "magnet":
-            done(self._devices.required_control(who).hold())
+            wait_for_command(self._devices.required_control(who).hold())
             self._come_to_rest()
             free = rest
             rest, threshold = self._place()
@@ -199,27 +199,27 @@ class Preparation:
                     f"the magnet holds nothing: the spot is {held / self._unit_rad:.1f} {self._unit} "
                     "from where it rests freely; see the magnet, its current and its distance"
                 )
-            watch.note("magnet", f"holds the pendulum at {held / self._unit_rad:.1f} {self._unit}")
-            done(self._devices.required_control(who).release())
+            wait.note("magnet", f"holds the pendulum at {held / self._unit_rad:.1f} {self._unit}")
+            wait_for_command(self._devices.required_control(who).release())
         elif start.way == "starter":
-            done(self._devices.required_control(who).starter_pulse(self.starter_pulse_s))
-            watch.note("starter", f"pulse of {self.starter_pulse_s:.3f} s")
+            wait_for_command(self._devices.required_control(who).starter_pulse(self.starter_pulse_s))
+            wait.note("starter", f"pulse of {self.starter_pulse_s:.3f} s")
         else:
             instruction = "release by hand now"
         in_a_row = 0
 
         def moved() -> bool:
             nonlocal in_a_row
-            x_now, y_now = watch.lookout.newest
+            x_now, y_now = wait.frames.newest
             far = math.hypot(x_now - rest[0], y_now - rest[1]) > threshold
             in_a_row = in_a_row + 1 if far else 0
             return in_a_row >= 2
 
-        watch.phase("release", self._config.phases.release_max_s, moved, instruction)
+        wait.until_reached("release", self._config.phases.release_max_s, moved, instruction)
 
     def _place(self) -> tuple[tuple[float, float], float]:
-        """Where the spot stands, of the last second, and how far from there is no noise any more."""
-        _, x, y = self._watch.lookout.since(self._watch.lookout.now_ns - 1_000_000_000)
+        """The spot's median of the last second, and the distance from there that cannot be noise."""
+        _, x, y = self._wait.frames.since(self._wait.frames.now_ns - 1_000_000_000)
         noise = max(_scatter(x), _scatter(y))
         threshold = max(self._config.start.trigger_arcsec * self._unit_rad, 8.0 * noise)
         return (float(np.nanmedian(x)), float(np.nanmedian(y))), threshold
@@ -229,13 +229,13 @@ class Preparation:
         if control is None or self._config.start.way == "at once":
             return
         try:
-            done(control.brake(on))
+            wait_for_command(control.brake(on))
         except DeviceError as error:
-            self._watch.note("brake", str(error))
+            self._wait.note("brake", str(error))
 
 
 def preflight_wanted(config: Configuration) -> bool:
-    """'auto' spares frames that are made on demand: there is nothing to check and nobody to wait."""
+    """Whether the preflight is made; 'auto' leaves it out where frames are made on demand."""
     when = config.preflight.when
     if when == "auto":
         on_demand = config.camera.driver == "files" or (

@@ -1,0 +1,47 @@
+"""What turns an image into a deflection: the sensor's noise model, the light lever, the pendulum's axes."""
+
+from dataclasses import dataclass
+
+from calibration.axes import Axes
+from calibration.lever import Lever
+from processing.angle import ARCSEC_RAD
+from processing.spot import SensorModel, SpotTracker
+from rig.instrument.configured import sensor_model
+from rig.instrument.pipeline import Deflector, Pipeline
+from rig.settings import Configuration
+
+
+@dataclass(frozen=True, slots=True)
+class Optics:
+    """Calibrated values of the optical path; without a `lever` deflections are in px."""
+
+    sensor: SensorModel
+    lever: Lever | None
+    axes: Axes
+
+    def tracker(self) -> SpotTracker:
+        """A tracker that has not seen a spot yet."""
+        return SpotTracker(self.sensor)
+
+    def deflector(self, sensor_shape: tuple[int, int]) -> Deflector:
+        """Spots to deflections, on a sensor of (ny, nx) pixels."""
+        return Deflector(self.lever, self.axes, sensor_shape)
+
+    def pipeline(self, sensor_shape: tuple[int, int]) -> Pipeline:
+        """Frames to deflections and half-cycles; it has not seen a frame yet."""
+        return Pipeline(self.tracker(), self.lever, self.axes, sensor_shape)
+
+    @property
+    def unit(self) -> str:
+        """Unit in which amplitudes are shown."""
+        return "px" if self.lever is None else "arcsec"
+
+    @property
+    def unit_rad(self) -> float:
+        """The size of that unit, in the unit of the deflections (rad, or px)."""
+        return 1.0 if self.lever is None else ARCSEC_RAD
+
+
+def optics_of(config: Configuration, full_scale_dn: float) -> Optics:
+    """The optics as configured, for a camera whose pixels saturate at `full_scale_dn`."""
+    return Optics(sensor_model(config, full_scale_dn), config.lever, config.axes or Axes())

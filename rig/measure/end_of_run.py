@@ -1,0 +1,84 @@
+"""When a run ends: a limit is reached, someone asks for it, or something fails."""
+
+import logging
+import threading
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from processing.errors import RigError
+from processing.swing import Swing
+from rig.devices import FrameStream
+
+_log = logging.getLogger(__name__)
+_BELOW_IN_A_ROW = 3
+
+
+@dataclass(frozen=True, slots=True)
+class EndLimits:
+    """A run ends below an amplitude (in the unit of the deflections; 0: never) and after a time."""
+
+    final_amplitude: float
+    max_duration_s: float
+
+
+class EndOfRun:
+    """Watches one run for its limits.
+
+    The amplitude must stay below its limit for three half-cycles in a row, so that one disturbed
+    half-cycle does not end a measurement of an hour.
+    """
+
+    def __init__(self, limits: EndLimits) -> None:
+        self._limits = limits
+        self._below = 0
+
+    def reason(self, swings: Sequence[Swing], elapsed_s: float) -> str | None:
+        """None while the run goes on; else the reason, as it is recorded."""
+        for swing in swings:
+            self._below = self._below + 1 if swing.amplitude < self._limits.final_amplitude else 0
+            if self._below >= _BELOW_IN_A_ROW:
+                return "final amplitude reached"
+        if elapsed_s >= self._limits.max_duration_s:
+            return f"time limit of {self._limits.max_duration_s:g} s reached"
+        return None
+
+
+class StopRequest:
+    """Whether the run is to end, and why: the first reason given is the one that is recorded.
+
+    `failure` is the first error, if one ended the run. `skip_waiting` (after Ctrl-C) leaves frames
+    unprocessed that a camera which waits for us has still to deliver. May be used from any thread.
+    """
+
+    def __init__(self, stream: FrameStream) -> None:
+        self._stream = stream
+        self._asked = threading.Event()
+        self.reason = ""
+        self.failure: Exception | None = None
+        self.skip_waiting = False
+
+    def __bool__(self) -> bool:
+        return self._asked.is_set()
+
+    def because(self, reason: str) -> None:
+        """End the run soon."""
+        if not self._asked.is_set():
+            self.reason = reason
+            self._asked.set()
+            self._stream.request_stop()
+
+    def failed(self, error: Exception) -> None:
+        """End the run because of an error; one that is not ours is logged with its trace."""
+        if self.failure is None:
+            self.failure = error
+        if not isinstance(error, RigError):
+            _log.error("%s", error, exc_info=error)
+        self.because(str(error))
+
+    def close_stream(self) -> None:
+        """Close the camera's stream; an error of the camera counts where no other was given."""
+        self._asked.set()
+        self._stream.close()
+        if self._stream.failure is not None:
+            self.failure = self.failure or self._stream.failure
+            self.reason = self.reason or self._stream.ended

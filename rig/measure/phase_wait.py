@@ -1,0 +1,72 @@
+"""Waiting for one phase before a record: until it is reached, its time limit is past, or it is stopped."""
+
+from collections.abc import Callable
+
+from processing.errors import DataError
+from rig.instrument import Event, Snapshot
+from rig.measure.end_of_run import StopRequest
+from rig.measure.recent_frames import RecentFrames
+
+
+class Stopped(Exception):
+    """The operator has ended the wait, or no more frames come."""
+
+
+class PhaseWait:
+    """Waits for one phase after the other: takes frames, reports the state, keeps events.
+
+    `progress` says in words how far the present phase is.
+    """
+
+    def __init__(
+        self,
+        frames: RecentFrames,
+        report: Callable[[Snapshot], None],
+        stop: StopRequest,
+    ) -> None:
+        self.frames = frames
+        self._report = report
+        self._stop = stop
+        self.progress = ""
+        self.events: list[Event] = []
+
+    def note(self, kind: str, text: str) -> None:
+        """Keep an event, at the time of the newest frame."""
+        self.events.append(Event(self.frames.now_ns, kind, text))
+
+    def until_reached(
+        self,
+        name: str,
+        limit_s: float,
+        reached: Callable[[], bool],
+        instruction: str = "",
+        every_s: float = 0.0,
+    ) -> None:
+        """Take frames until `reached` is true, which is asked every `every_s`.
+
+        Raises DataError past the limit, `Stopped` when asked to stop or when no more frames come.
+        """
+        frames = self.frames
+        begun_ns = frames.now_ns
+        asked_ns = -(10**18)
+        self.progress = ""
+        while True:
+            if self._stop or not frames.advance():
+                self.note(name, "stopped")
+                raise Stopped
+            begun_ns = begun_ns or frames.now_ns
+            elapsed_s = (frames.now_ns - begun_ns) * 1e-9
+            phase = f"{name}: {self.progress}" if self.progress else name
+            self._report(Snapshot(phase=phase, elapsed_s=elapsed_s, instruction=instruction))
+            due = frames.now_ns - asked_ns >= every_s * 1e9
+            asked_ns = frames.now_ns if due else asked_ns
+            if due and frames.now_ns and reached():
+                self.note(
+                    name, f"reached after {elapsed_s:.1f} s{f', {self.progress}' if self.progress else ''}"
+                )
+                return
+            if elapsed_s > limit_s:
+                raise DataError(
+                    f"{name}: not reached within {limit_s:g} s ({self.progress or 'nothing happened'}); "
+                    "remove the cause, or raise its limit in the configuration"
+                )

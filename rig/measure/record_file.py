@@ -1,0 +1,54 @@
+"""The file of one run: where it is, and what it holds beside the measurement."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from acquisition.camera import CameraInfo
+from acquisition.frame import Frame
+from acquisition.record.writer import RecordWriter
+from rig.instrument import Optics, configuration_attachments, session_metadata
+from rig.measure.preflight import table_tree
+from rig.presentation import Verdict
+from rig.settings import Configuration
+
+
+@dataclass(frozen=True, slots=True)
+class RecordFile:
+    """A record to be made; `source` is the user's configuration file, which is attached as it is."""
+
+    path: Path
+    config: Configuration
+    source: Path
+    camera: CameraInfo
+    optics: Optics
+
+    def open(self, epoch_offset_ns: int, first: Frame, preflight: Sequence[Verdict]) -> RecordWriter:
+        """Begin the file with configuration, provenance and preflight table.
+
+        `epoch_offset_ns` leads from the frames' clock to UTC.
+        """
+        attachments = configuration_attachments(self.config, self.source)
+        if preflight:
+            attachments["preflight.json"] = json.dumps(table_tree(preflight), indent=1).encode()
+        lever = self.optics.lever
+        writer = RecordWriter(
+            self.path,
+            epoch_offset_ns,
+            metadata=session_metadata(self.config, self.camera, first),
+            attachments=attachments,
+            deflection_unit="px" if lever is None else "rad",
+        )
+        if lever is not None:
+            shape = (first.image.shape[0], first.image.shape[1])
+            distance_px = lever.arm_m / lever.pixel_pitch_m
+            reference_px = self.optics.deflector(shape).reference_px
+            writer.write_camera_calibration(first.time_ns, shape, distance_px, reference_px)
+        return writer
+
+    def set_aside(self, attempt: int) -> Path:
+        """Rename the record of a start that was not accepted; returns its new name."""
+        aside = self.path.with_name(f"{self.path.stem}-start-{attempt}{self.path.suffix}")
+        self.path.rename(aside)
+        return aside

@@ -1,0 +1,128 @@
+"""One record being made: frames through the pipeline into the file until the run ends."""
+
+import math
+import time
+from dataclasses import replace
+
+import numpy as np
+
+from acquisition.frame import Frame
+from processing.swing import Swing
+from rig.instrument import Event, Snapshot
+from rig.measure.end_of_run import EndOfRun, StopRequest
+from rig.measure.frame_counts import FrameCounts
+from rig.measure.loss_log import LossLog
+from rig.measure.recorder import Entry, Recorder
+from rig.measure.run_parts import RunParts
+from rig.measure.run_status import RunStatus
+from rig.measure.start_judge import StartJudge
+
+_BLOCK_FRAMES = 64
+
+
+class Recording:
+    """Works in the processing thread. Without a `judge` any start is accepted."""
+
+    def __init__(
+        self,
+        parts: RunParts,
+        stop: StopRequest,
+        status: RunStatus,
+        losses: LossLog,
+        recorder: Recorder,
+        judge: StartJudge | None,
+    ) -> None:
+        self._parts = parts
+        self._stream = parts.stream
+        self._stop = stop
+        self._status = status
+        self._losses = losses
+        self._recorder = recorder
+        self._judge = judge
+
+    def make(self, begun: list[Frame], events: list[Event]) -> str:
+        """Record until the run ends; returns why the start was not accepted, or nothing.
+
+        `begun` are the frames that the record begins with, `events` what happened before them.
+        """
+        first, parts, stream, status = begun[0], self._parts, self._stream, self._status
+        pipeline = parts.optics.pipeline((first.image.shape[0], first.image.shape[1]))
+        counts = FrameCounts(first, round(parts.full_frame_interval_s * 1e9), keep_windows=parts.keep_windows)
+        end = EndOfRun(parts.end)
+        status.begin_record()
+        events = [*events, Event(first.time_ns, "start", "first frame")]
+        self._recorder.put(Entry(events=events))
+        status.tell_events(counts.start_ns, events)
+        rejected = ""
+        # frames of a camera that waits for us are all processed; of any other, those behind a stop are not
+        while begun or not (stream.drained or (self._stop and stream.policy != "wait")):
+            taken = begun[:_BLOCK_FRAMES] or stream.take(_BLOCK_FRAMES, 0.1)
+            taken_ns = time.monotonic_ns()
+            begun = begun[_BLOCK_FRAMES:]
+            if not taken:
+                # that the camera is silent is recorded while it is silent
+                new = self._device_events(counts.last_ns)
+                if new:
+                    self._recorder.put(Entry(events=new))
+                    status.tell_events(counts.start_ns, new)
+                continue
+            frames = counts.numbered(taken)
+            block = pipeline.process(frames)
+            entry = counts.entry(frames, block, pipeline)
+            new = [*entry.events, *self._device_events(counts.last_ns)]
+            self._recorder.put(
+                replace(
+                    entry,
+                    events=new,
+                    environment=status.environment(counts.last_ns),
+                    losses=self._losses.due(counts.last_ns),
+                )
+            )
+            # frames of a camera that waits for us are made on demand and have no age
+            age_s = math.nan if stream.policy == "wait" else (taken_ns - taken[0].host_time_ns) * 1e-9
+            self._publish("measuring", counts, block.swings, age_s)
+            status.tell(counts.start_ns, frames, block, new)
+            if self._recorder.error is not None:
+                raise self._recorder.error
+            if self._judge is not None:
+                rejected = self._judge.rejection(block.swings, block.balances, counts.elapsed_s)
+                if rejected:
+                    break
+            reason = end.reason(block.swings, counts.elapsed_s)
+            if reason is not None:
+                self._stop.because(reason)
+                break
+            if self._stop and self._stop.skip_waiting:
+                break
+        if stream.ended and not rejected:
+            self._stop.because(stream.ended)
+        swings = pipeline.finish()
+        empty = pipeline.measure(np.empty(0, np.int64), [])._replace(swings=swings)
+        why = f"start not accepted: {rejected}" if rejected else self._stop.reason
+        last = [*self._device_events(counts.last_ns), Event(counts.last_ns, "stop", why)]
+        self._recorder.put(Entry(block=empty, events=last, losses=self._losses.last(counts.last_ns)))
+        self._publish("closing the record", counts, swings, math.nan)
+        status.tell(counts.start_ns, [], empty, last)
+        return rejected
+
+    def _device_events(self, time_ns: int) -> list[Event]:
+        """What camera, controller, laser and sensors did since the last call."""
+        happened = self._stream.take_events() + self._status.take_events()
+        return [Event(time_ns, kind, text) for kind, text in happened]
+
+    def _publish(self, phase: str, counts: FrameCounts, swings: list[Swing], age_s: float) -> None:
+        self._status.publish(
+            Snapshot(
+                phase=phase,
+                elapsed_s=counts.elapsed_s,
+                frames=counts.frames,
+                dropped_frames=counts.missing,
+                lost_spots=counts.lost_spots,
+                queue_frames=len(self._stream),
+                frame_age_s=age_s,
+                losses=self._losses.now,
+                record_bytes=self._recorder.bytes_written,
+                reason=self._stop.reason,
+            ),
+            swings,
+        )

@@ -1,0 +1,106 @@
+"""One run of a session: camera, phases, record, view and terminal put together and run."""
+
+import errno
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from processing.errors import ConfigurationError
+from rig.devices import Devices, FrameStream, OpenCamera
+from rig.instrument import camera_settings, frame_policy, optics_of, prepare_kernels
+from rig.measure.end_of_run import EndLimits
+from rig.measure.phases import PhasesBeforeRecord, preflight_wanted
+from rig.measure.record_file import RecordFile
+from rig.measure.run import Run
+from rig.measure.run_parts import RunOutcome, RunParts, Watcher
+from rig.measure.screen import RunDisplay
+from rig.measure.start_judge import start_limits
+from rig.presentation import say
+from rig.settings import Configuration
+from rig.view import open_view
+
+_RESERVE_BYTES = 50 * 1024 * 1024
+
+
+@dataclass(frozen=True, slots=True)
+class RunPlan:
+    """One run to be made.
+
+    `start_rejected` is called with the new name of each record whose start was not accepted, and why.
+    """
+
+    config: Configuration
+    source: Path
+    record: Path
+    title: str
+    force: bool = False
+    json_lines: bool = False
+    start_rejected: Callable[[Path, str], None] = lambda _path, _reason: None
+
+
+def measure_run(plan: RunPlan, devices: Devices) -> RunOutcome:
+    """One run into one record; camera and view are closed whatever happens."""
+    record = plan.record
+    if record.exists():
+        raise ConfigurationError(f"{record}: exists already and is never overwritten; choose another output")
+    free_bytes = shutil.disk_usage(record.parent).free
+    if free_bytes < _RESERVE_BYTES:
+        raise OSError(errno.ENOSPC, f"{record.parent}: {free_bytes // 2**20} MiB free; nothing was started")
+    with devices.camera(plan.config) as camera:
+        for line in camera.notes:
+            say(line)
+        view = open_view(plan.config, record, plan.title, camera.info.full_scale_dn)
+        try:
+            return _execute(plan, devices, camera, [] if view is None else [view])
+        finally:
+            if view is not None:
+                for note in view.close().notes:
+                    say(f"view: {note}")
+
+
+def _execute(plan: RunPlan, devices: Devices, camera: OpenCamera, watchers: list[Watcher]) -> RunOutcome:
+    config, record = plan.config, plan.record
+    optics = optics_of(config, camera.info.full_scale_dn)
+    final_amplitude = config.session.final_amplitude_arcsec
+    display = RunDisplay(
+        plan.title, final_amplitude, optics.unit, optics.unit_rad, record.parent, json_lines=plan.json_lines
+    )
+    with_start = config.start.way != "at once"
+    phases: PhasesBeforeRecord | None = None
+    if with_start or preflight_wanted(config):
+        phases = PhasesBeforeRecord(
+            config,
+            devices,
+            camera,
+            optics,
+            record.parent,
+            force=plan.force,
+            show_table=display.show_preflight,
+        )
+    parts = RunParts(
+        stream=FrameStream(
+            camera.camera,
+            camera_settings(config),
+            policy=frame_policy(config),
+            timeout_s=config.camera.timeout_s,
+        ),
+        optics=optics,
+        record=RecordFile(record, config, plan.source, camera.info, optics),
+        # without a lever the amplitude is not known in arcsec: the run ends by time
+        end=EndLimits(
+            0.0 if optics.lever is None else final_amplitude * optics.unit_rad,
+            config.session.max_duration_s,
+        ),
+        phases=phases,
+        start=start_limits(config, optics) if with_start else None,
+        start_rejected=plan.start_rejected,
+        watchers=(display, *watchers),
+        devices=devices,
+        environment_period_s=config.environment_sensor.period_s,
+        full_frame_interval_s=config.record.full_frame_interval_s,
+        keep_windows=config.record.windows,
+    )
+    prepare_kernels(optics.sensor, say)
+    with display:
+        return Run(parts).execute(display.show)

@@ -1,0 +1,87 @@
+"""Whether the start of a run is accepted, judged by its first half-cycles."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from processing.balance import Balance
+from processing.swing import Swing
+from rig.instrument import Optics
+from rig.settings import Configuration
+
+
+@dataclass(frozen=True, slots=True)
+class StartLimits:
+    """Between which limits the first amplitude and the transverse motion must lie.
+
+    Amplitudes are in the unit of the deflections; `unit` and `unit_rad` are for messages.
+    `attempts` starts are made before the run fails.
+    """
+
+    lowest_amplitude: float
+    highest_amplitude: float
+    highest_transverse_ratio: float
+    patience_s: float
+    attempts: int
+    unit: str
+    unit_rad: float
+
+
+def start_limits(config: Configuration, optics: Optics) -> StartLimits:
+    """The limits as configured."""
+    wanted = config.session.initial_amplitude_arcsec * optics.unit_rad
+    start = config.start
+    return StartLimits(
+        lowest_amplitude=start.lowest_amplitude * wanted,
+        highest_amplitude=start.highest_amplitude * wanted,
+        highest_transverse_ratio=start.max_transverse_ratio,
+        patience_s=start.patience_s,
+        attempts=start.attempts,
+        unit=optics.unit,
+        unit_rad=optics.unit_rad,
+    )
+
+
+class StartJudge:
+    """Judges one start by its first two unflagged half-cycles and the balance of its first periods.
+
+    `first_amplitude` is the largest of those half-cycles, 0 before one was seen.
+    """
+
+    def __init__(self, limits: StartLimits) -> None:
+        self._limits = limits
+        self._accepted = False
+        self._good = 0
+        self._balance_seen = False
+        self.first_amplitude = 0.0
+
+    def rejection(self, swings: Sequence[Swing], balances: Sequence[Balance], elapsed_s: float) -> str:
+        """Why the start is not accepted; empty while it is being judged and after it was accepted."""
+        limits = self._limits
+        if self._accepted:
+            return ""
+        for swing in swings:
+            if not swing.flags:
+                self._good += 1
+                self.first_amplitude = max(self.first_amplitude, swing.amplitude)
+        if (
+            self._good >= 2
+            and not limits.lowest_amplitude <= self.first_amplitude <= limits.highest_amplitude
+        ):
+            first, lowest, highest = (
+                amplitude / limits.unit_rad
+                for amplitude in (self.first_amplitude, limits.lowest_amplitude, limits.highest_amplitude)
+            )
+            return f"first amplitude {first:.1f} {limits.unit}, {lowest:.1f} to {highest:.1f} are wanted"
+        for balance in balances:
+            if balance.amplitude_rad < 0.5 * limits.lowest_amplitude:
+                continue
+            self._balance_seen = True
+            if balance.transverse_ratio > limits.highest_transverse_ratio:
+                return (
+                    f"transverse motion is {100 * balance.transverse_ratio:.1f} % of the swing, "
+                    f"at most {100 * limits.highest_transverse_ratio:.1f} % is wanted"
+                )
+        self._accepted = self._good >= 2 and self._balance_seen
+        if not self._accepted and elapsed_s > limits.patience_s:
+            return f"no two clean half-cycles within {limits.patience_s:g} s"
+        return ""
