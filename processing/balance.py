@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from processing.errors import DataError
-from processing.swing.modes import TwoModes, separate_modes
+from processing.swing import TwoModes, separate_modes
 
 Floats = NDArray[np.float64]
 

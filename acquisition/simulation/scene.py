@@ -14,7 +14,7 @@ from acquisition.simulation.faults import FaultSettings
 from acquisition.simulation.inputs import RigInputs, RigState
 from acquisition.simulation.optics import Beam, spot_position_px
 from acquisition.simulation.settings import SimulationSettings
-from acquisition.simulation.trajectory import axes_motion
+from acquisition.simulation.true_path import axes_motion
 
 
 class Plan(NamedTuple):

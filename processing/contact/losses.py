@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from processing.contact.half_swing import turning_points_of
 from processing.contact.parameters import ContactParameters, PendulumOnBall
 from processing.errors import DataError
-from processing.swing.swing import TurningPoints
+from processing.swing import TurningPoints
 
 
 @dataclass(frozen=True)

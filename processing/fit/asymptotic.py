@@ -27,7 +27,7 @@ from processing.fit.periods import (
 from processing.fit.result import AMPLITUDE_NAME, CONTACT_NAMES, DRAG_NAME, UNCALIBRATED_NAMES, FitResult
 from processing.fit.start import DecayStart, PeriodStart, decay_start, period_start
 from processing.fit.straight import from_straight, to_straight
-from processing.swing.swing import TurningPoints
+from processing.swing import TurningPoints
 
 FEWEST_PERIODS = 5
 

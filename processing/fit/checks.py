@@ -4,7 +4,7 @@ import numpy as np
 
 from processing.contact.parameters import PendulumOnBall
 from processing.errors import DataError
-from processing.swing.swing import TurningPoints
+from processing.swing import TurningPoints
 
 FEWEST_HALF_CYCLES = 10
 OUTLIER = 5.0

@@ -9,7 +9,7 @@ from processing.errors import DataError
 from processing.fit.exact import fit_exact
 from processing.fit.least_squares import Loss
 from processing.fit.result import DRAG_NAME, Estimate, FitResult
-from processing.swing.swing import TurningPoints
+from processing.swing import TurningPoints
 
 SIGNIFICANT = 0.003
 """Chance of a drag-free decay to look this much like one with drag: three standard deviations."""

@@ -13,7 +13,7 @@ from processing.fit.least_squares import Loss, Solution, propagate, solve
 from processing.fit.periods import full_periods, mean_period_estimate
 from processing.fit.result import FitResult
 from processing.fit.start import PeriodStart
-from processing.swing.swing import TurningPoints
+from processing.swing import TurningPoints
 
 _GOOD_CHI2 = 1.5
 """Above this a minimum may be a local one: other starts are tried."""

@@ -18,7 +18,7 @@ from processing.fit.result import (
     FitResult,
 )
 from processing.fit.straight import from_straight, to_straight
-from processing.swing.swing import TurningPoints
+from processing.swing import TurningPoints
 
 Array = NDArray[np.float64]
 

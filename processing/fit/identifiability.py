@@ -20,7 +20,7 @@ from processing.fit.checks import WELL_DETERMINED
 from processing.fit.exact_model import SMALLEST_N, ExactModel
 from processing.fit.least_squares import solve
 from processing.fit.result import AMPLITUDE_NAME, DRAG_NAME, STIFFNESS_NAME, TIME_NAME, FitResult
-from processing.swing.swing import TurningPoints
+from processing.swing import TurningPoints
 
 Verdict = Literal["determined", "interval", "upper bound", "lower bound", "undetermined"]
 

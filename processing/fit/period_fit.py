@@ -7,7 +7,7 @@ from processing.contact.period import frequency_drop
 from processing.fit.least_squares import Loss, Solution, solve
 from processing.fit.periods import Periods
 from processing.fit.start import PeriodStart, period_start
-from processing.swing.swing import TurningPoints
+from processing.swing import TurningPoints
 
 
 def fit_period(

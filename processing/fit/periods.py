@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from processing.fit.result import Estimate
-from processing.swing.swing import TurningPoints
+from processing.swing import TurningPoints
 
 
 class Periods(NamedTuple):

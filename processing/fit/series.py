@@ -13,7 +13,7 @@ from scipy.special import chdtrc, stdtr, stdtrit
 from processing.errors import DataError
 from processing.fit.measurement import Measured, measured
 from processing.fit.result import CONTACT_NAMES, DRAG_NAME, Estimate, FitResult
-from processing.swing.swing import TurningPoints
+from processing.swing import TurningPoints
 
 AGREE = 0.05
 """Chance above which runs are taken to scatter by their own uncertainties alone."""

@@ -19,7 +19,7 @@ from scipy.special import ellipkm1
 from processing.errors import DataError
 from processing.fit.periods import full_periods
 from processing.fit.result import Estimate
-from processing.swing.swing import TurningPoints
+from processing.swing import TurningPoints
 
 _FEWEST = 8
 

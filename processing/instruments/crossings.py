@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 from scipy.special import ellipk
 
-from processing.swing.swing import Swing, SwingFlag
+from processing.swing import Swing, SwingFlag
 
 _REACH = 0.2
 """Of the half period, to either side of a crossing: samples that its time and speed are fitted to."""

@@ -14,7 +14,7 @@ from scipy.special import stdtrit
 from processing.errors import DataError
 from processing.fit.result import Estimate
 from processing.instruments.descriptions import DEGREE_RAD
-from processing.swing.swing import TurningPoints
+from processing.swing import TurningPoints
 
 _EXTENSION = 0.03
 _SLOPE_POINTS = 10

@@ -18,7 +18,7 @@ from scipy.optimize import least_squares
 
 from processing.errors import DataError
 from processing.fit.result import Estimate
-from processing.swing.swing import TurningPoints
+from processing.swing import TurningPoints
 
 _FEWEST = 6
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from processing.errors import DataError
 from processing.fit.result import Estimate
-from processing.swing.swing import TurningPoints
+from processing.swing import TurningPoints
 
 
 class HerbertHardness(NamedTuple):

@@ -10,7 +10,7 @@ from typing import NamedTuple
 from processing.errors import DataError
 from processing.fit.result import Estimate
 from processing.instruments.friction_law import FrictionLaw, fit_friction_law
-from processing.swing.swing import TurningPoints
+from processing.swing import TurningPoints
 
 
 class RollingFriction(NamedTuple):

@@ -7,7 +7,7 @@ from typing import NamedTuple, TypeVar
 
 from processing.errors import DataError
 from processing.fit.result import Estimate
-from processing.swing.swing import TurningPoints
+from processing.swing import TurningPoints
 
 Found = TypeVar("Found", bound=NamedTuple)
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from processing.errors import DataError
-from processing.swing.swing import Swing, SwingFlag
+from processing.swing import Swing, SwingFlag
 
 _REACH = 0.40
 """Half width of the fitted stretch in half periods. There even powers up to the sixth follow a cosine to

@@ -1,6 +1,6 @@
 """Laser spot on a sensor: finder, maximum-likelihood fit, tracker."""
 
-from processing.spot.sensor import SensorModel
+from processing.spot.sensor_model import SensorModel
 from processing.spot.spot import SPOT_DTYPE, Spot, SpotFlag
 from processing.spot.tracker import SpotTracker
 

@@ -6,11 +6,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from processing.spot.general import PARAMETERS, background_variance, fit_general
+from processing.spot.general_fit import PARAMETERS, background_variance, fit_general
 from processing.spot.outcome import Result, finish, significant
-from processing.spot.second import REACH
+from processing.spot.second_spot import REACH
 from processing.spot.spot import Image
-from processing.spot.upright import fit_upright
+from processing.spot.upright_fit import fit_upright
 
 Floats = NDArray[np.float64]
 

@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from processing.spot.general import (
+from processing.spot.general_fit import (
     PARAMETERS,
     background_variance,
     cholesky,
@@ -14,9 +14,9 @@ from processing.spot.general import (
     score_general,
     window_of,
 )
-from processing.spot.second import REACH, try_second
+from processing.spot.second_spot import REACH, try_second
 from processing.spot.spot import Image
-from processing.spot.upright import UNKNOWNS
+from processing.spot.upright_fit import UNKNOWNS
 
 Floats = NDArray[np.float64]
 Result = tuple[float, float, float, float, float, float, float, float, float, float, int]

@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from processing.spot.general import background_variance, cholesky, fit_general, inverse_diagonal
+from processing.spot.general_fit import background_variance, cholesky, fit_general, inverse_diagonal
 from processing.spot.outcome import Result, finish, lost, significant
 from processing.spot.prefetch import prefetch_window
 from processing.spot.scan import (
@@ -17,10 +17,10 @@ from processing.spot.scan import (
     scan_every_row,
     scan_some_rows,
 )
-from processing.spot.second import REACH
+from processing.spot.second_spot import REACH
 from processing.spot.spot import Image
 from processing.spot.start import start_on_areas, start_on_chords
-from processing.spot.upright import fit_upright
+from processing.spot.upright_fit import fit_upright
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]

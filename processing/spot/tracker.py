@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from processing.errors import DataError
 from processing.spot.batch import track_run
 from processing.spot.following import SEARCH, follow
-from processing.spot.general import PARAMETERS
+from processing.spot.general_fit import PARAMETERS
 from processing.spot.outcome import STATE_SIZE, WORK_ROWS
 from processing.spot.scan import BAND_ROWS, BAND_STEP, SAMPLES
 from processing.spot.searching import search
-from processing.spot.sensor import SensorModel
+from processing.spot.sensor_model import SensorModel
 from processing.spot.spot import SPOT_DTYPE, Image, Spot, SpotFlag
 
 _TABLE_WIDTH = 2048

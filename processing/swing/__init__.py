@@ -1,19 +1,21 @@
 """Swings of a decay: turning points with uncertainties, separation of the two modes."""
 
+from processing.swing.compilation import compile_kernels
 from processing.swing.detector import SwingDetector
-from processing.swing.known import KnownMotion
+from processing.swing.known_motion import KnownMotion
+from processing.swing.modes import TwoModes, separate_modes
 from processing.swing.noise import estimate_noise
-from processing.swing.preparation import prepare
-from processing.swing.swing import SWING_DTYPE, Swing, SwingFlag, TurningPoints, turning_points
+from processing.swing.swing import Swing, SwingFlag, TurningPoints, turning_points
 
 __all__ = [
-    "SWING_DTYPE",
     "KnownMotion",
     "Swing",
     "SwingDetector",
     "SwingFlag",
     "TurningPoints",
+    "TwoModes",
+    "compile_kernels",
     "estimate_noise",
-    "prepare",
+    "separate_modes",
     "turning_points",
 ]

@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from processing.swing.halfcycle import (
+from processing.swing.half_cycle import (
     AMPLITUDE,
     RATE,
     STATES,

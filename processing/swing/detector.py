@@ -5,11 +5,11 @@ import math
 from numpy.typing import ArrayLike
 
 from processing.swing.follower import Follower
+from processing.swing.half_cycle_fit import HalfCycleFit
 from processing.swing.judgement import turned
-from processing.swing.known import KnownMotion
-from processing.swing.measurement import Measurement
+from processing.swing.known_motion import KnownMotion
 from processing.swing.onset import FirstHalfCycle, Onset, OnsetSearch
-from processing.swing.samples import SampleBuffer
+from processing.swing.sample_buffer import SampleBuffer
 from processing.swing.swing import Swing, SwingFlag
 
 _OFF = 0.05
@@ -155,7 +155,7 @@ class SwingDetector:
         index: int,
         reference_ns: int,
         side: int,
-        result: Measurement,
+        result: HalfCycleFit,
         flags: SwingFlag,
         swings: list[Swing],
     ) -> None:

@@ -6,13 +6,13 @@ from collections import deque
 import numpy as np
 
 from processing.swing.arc import Arc, HalfCycleSamples, state_on_arc
-from processing.swing.halfcycle import AMPLITUDE, CENTRE, DRIFT, RATE, SHAPE, TIME, Matrix
+from processing.swing.half_cycle import AMPLITUDE, CENTRE, DRIFT, RATE, SHAPE, TIME, Matrix
+from processing.swing.half_cycle_fit import HalfCycleFit, excess, fit_half_cycle
 from processing.swing.judgement import judge
-from processing.swing.measurement import Measurement, excess, measure
 from processing.swing.onset import Onset
 from processing.swing.prediction import SLOPE_WANDER, predict
-from processing.swing.selection import extend
 from processing.swing.swing import SwingFlag
+from processing.swing.term_selection import extend
 from processing.swing.waveform import DAMPING, RISE
 
 _NOISE_MEMORY = 15
@@ -97,7 +97,7 @@ class Follower:
         blurred = math.sqrt(self._covariance[TIME, TIME]) > _BLUR * self.half_period_s
         return blurred or self.misses >= _PATIENCE
 
-    def take(self, half: HalfCycleSamples) -> tuple[Measurement, SwingFlag]:
+    def take(self, half: HalfCycleSamples) -> tuple[HalfCycleFit, SwingFlag]:
         """Measure the present half-cycle, learn from it unless it was disturbed, and go on to the next."""
         result = self._measure(half, self._covariance)
         flags = self._judge(result)
@@ -125,8 +125,8 @@ class Follower:
         self._advance()
         return result, flags
 
-    def _measure(self, half: HalfCycleSamples, covariance: Matrix) -> Measurement:
-        result = measure(
+    def _measure(self, half: HalfCycleSamples, covariance: Matrix) -> HalfCycleFit:
+        result = fit_half_cycle(
             self._x,
             covariance,
             self._anchor,
@@ -145,7 +145,7 @@ class Follower:
         wider = math.sqrt(1.0 + (_WITHIN * SLOPE_WANDER) ** 2 * self._restlessness)
         return result._replace(u_amplitude=result.u_amplitude * wider, u_time_s=result.u_time_s * wider)
 
-    def _measure_restless(self, half: HalfCycleSamples) -> Measurement:
+    def _measure_restless(self, half: HalfCycleSamples) -> HalfCycleFit:
         """Measure with a centre that may have moved anywhere since, and be moving as fast."""
         loose = self._covariance.copy()
         loose[CENTRE, CENTRE] += self._x[AMPLITUDE] ** 2
@@ -155,12 +155,12 @@ class Follower:
         loose[DRIFT, DRIFT] += (shift / self.half_period_s) ** 2
         return self._measure(half, loose)
 
-    def _judge(self, result: Measurement) -> SwingFlag:
+    def _judge(self, result: HalfCycleFit) -> SwingFlag:
         if not result.valid:
             return SwingFlag.GAP
         return judge(result, self.noise_scale, float(self._x[TIME]), self.half_period_s)
 
-    def _learn_restlessness(self, result: Measurement) -> None:
+    def _learn_restlessness(self, result: HalfCycleFit) -> None:
         """Let the centre wander as much as it does: its corrections must be as large as expected."""
         expected = self._covariance[CENTRE, CENTRE] - result.covariance[CENTRE, CENTRE]
         if expected > 0.0:
@@ -171,7 +171,7 @@ class Follower:
             elif self._correction < 1.0:
                 self._restlessness = max(self._restlessness * 0.8, 1.0)
 
-    def _learn(self, result: Measurement) -> SwingFlag:
+    def _learn(self, result: HalfCycleFit) -> SwingFlag:
         jumped = result.surprise > _JUMP and self._surprise < _SURPRISED
         if jumped and self._age < _SETTLED:
             # too early for a kick to be told from a start that was misunderstood
@@ -196,7 +196,7 @@ class Follower:
             self._anchor = self._x.copy()
         return SwingFlag(0)
 
-    def _accept_jump(self, result: Measurement) -> None:
+    def _accept_jump(self, result: HalfCycleFit) -> None:
         """Take amplitude and time as measured, whatever was predicted; the motion before is another one."""
         self._history = None
         self._x[AMPLITUDE], self._x[TIME] = result.amplitude, result.time_s
@@ -204,7 +204,7 @@ class Follower:
             self._covariance[k, :] = self._covariance[:, k] = 0.0
             self._covariance[k, k] = u * u
 
-    def _learn_noise(self, result: Measurement) -> None:
+    def _learn_noise(self, result: HalfCycleFit) -> None:
         degrees = max(result.samples - 2, 1)
         self._ratios.append(result.chi2 / degrees)
         median = sorted(self._ratios)[_NOISE_MEMORY // 2]

@@ -1,7 +1,7 @@
 """What a measured half-cycle is worth, and what is wrong with it."""
 
 from processing.swing.arc import HalfCycleSamples
-from processing.swing.measurement import Measurement, excess
+from processing.swing.half_cycle_fit import HalfCycleFit, excess
 from processing.swing.swing import SwingFlag
 
 _EXCESS = 5.0
@@ -23,7 +23,7 @@ _FAINT = 5.0
 
 
 def judge(
-    result: Measurement, noise_scale: float, predicted_time_s: float, half_period_s: float
+    result: HalfCycleFit, noise_scale: float, predicted_time_s: float, half_period_s: float
 ) -> SwingFlag:
     """Flags of a valid measurement; 0 where nothing is wrong."""
     flags = SwingFlag(0)
@@ -44,6 +44,6 @@ def judge(
     return flags
 
 
-def turned(result: Measurement, half: HalfCycleSamples) -> bool:
+def turned(result: HalfCycleFit, half: HalfCycleSamples) -> bool:
     """Whether the turning point lies among the samples, so that it was seen and not inferred."""
     return result.valid and len(half.tau_s) > 0 and bool(half.tau_s[0] <= result.time_s <= half.tau_s[-1])

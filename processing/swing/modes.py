@@ -40,10 +40,10 @@ _FEWEST = 20
 class Mode:
     """One damped ellipse at the reference time, in the unit of the coordinates; angles in rad.
 
-    `direction_rad` is that of the long axis, from Y towards X, in (-pi/2, pi/2]. `width` is half the
-    short axis, positive where the motion runs from +Y towards +X. `x_` and `y_` are cosine and sine parts
-    of each coordinate. `phase_rad` is that of the motion along the long axis. `u_` are standard
-    uncertainties.
+    `amplitude` is half the long axis; `direction_rad` is the long axis' angle from Y towards X, in
+    (-pi/2, pi/2]. `width` is half the short axis, positive where the motion runs from +Y towards +X.
+    `phase_rad` is the phase of the motion along the long axis. `x_amplitude` and `y_amplitude` are the
+    largest deflections in each coordinate. `u_` marks standard uncertainties.
     """
 
     period_s: float
@@ -62,10 +62,6 @@ class Mode:
     u_x_amplitude: float
     y_amplitude: float
     u_y_amplitude: float
-    x_cosine: float
-    x_sine: float
-    y_cosine: float
-    y_sine: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,9 +69,9 @@ class TwoModes:
     """Slow and fast mode, rest position and its drift, at `time_ns`, the middle of the samples.
 
     `fast` is None where no fast mode is seen; `fast_limit` is then the amplitude in X of the strongest
-    line that there is. `turning_rad_per_s` is that of the slow mode's long axis from Y towards X.
-    `scatter_` is the standard deviation of what is left. `chi2_x_per_dof` and `chi2_y_per_dof` above 1
-    have widened the uncertainties.
+    line that there is. `turning_rad_per_s` is the rate at which the slow mode's long axis turns from Y
+    towards X. Uncertainties are widened by sqrt(chi-square per degree of freedom), for each coordinate
+    by its own, where that exceeds 1.
     """
 
     time_ns: int
@@ -92,10 +88,6 @@ class TwoModes:
     u_drift_y_per_s: float
     turning_rad_per_s: float
     u_turning_rad_per_s: float
-    scatter_x: float
-    scatter_y: float
-    chi2_x_per_dof: float
-    chi2_y_per_dof: float
 
 
 def separate_modes(
@@ -167,7 +159,7 @@ def separate_modes(
         # each coordinate by its own scatter: friction bends the long one, not the other
         samples = samples.rescaled(max(misfit_x, lowest), max(misfit_y, lowest))
         fit = fit_terms(fit.p, fit.active, samples, float(fit.p[SLOW]))
-    return _result(middle_ns, fit, (misfit_x, misfit_y), limit)
+    return _result(middle_ns, fit, limit)
 
 
 def _ellipse(parts: Floats) -> Floats:
@@ -223,14 +215,10 @@ def _mode(p: Floats, covariance: Floats, rate_place: int, offset: int) -> Mode:
         u_x_amplitude=float(u[4]),
         y_amplitude=float(values[5]),
         u_y_amplitude=float(u[5]),
-        x_cosine=float(parts[0]),
-        x_sine=float(parts[1]),
-        y_cosine=float(parts[2]),
-        y_sine=float(parts[3]),
     )
 
 
-def _result(time_ns: int, fit: Fit, misfits: tuple[float, float], limit: float) -> TwoModes:
+def _result(time_ns: int, fit: Fit, limit: float) -> TwoModes:
     p, covariance = fit.p, fit.covariance
     u = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     return TwoModes(
@@ -248,8 +236,4 @@ def _result(time_ns: int, fit: Fit, misfits: tuple[float, float], limit: float) 
         u_drift_y_per_s=float(u[Y + 1]),
         turning_rad_per_s=float(p[TURN]),
         u_turning_rad_per_s=float(u[TURN]),
-        scatter_x=float(np.sqrt(np.mean(fit.left_x**2))),
-        scatter_y=float(np.sqrt(np.mean(fit.left_y**2))),
-        chi2_x_per_dof=misfits[0],
-        chi2_y_per_dof=misfits[1],
     )

@@ -7,15 +7,15 @@ from itertools import pairwise
 import numpy as np
 
 from processing.swing.arc import Arc, HalfCycleSamples, state_before, state_on_arc
-from processing.swing.halfcycle import AMPLITUDE, RATE, TIME
+from processing.swing.half_cycle import AMPLITUDE, RATE, TIME
+from processing.swing.half_cycle_fit import HalfCycleFit, fit_half_cycle
 from processing.swing.judgement import judge, turned
-from processing.swing.known import KnownMotion
-from processing.swing.measurement import Measurement, measure
+from processing.swing.known_motion import KnownMotion
 from processing.swing.pivots import SEARCH_STATE, Pivot, regular, search
 from processing.swing.prediction import window
-from processing.swing.samples import SampleBuffer
-from processing.swing.selection import choose, first_guess
+from processing.swing.sample_buffer import SampleBuffer
 from processing.swing.swing import SwingFlag
+from processing.swing.term_selection import choose, first_guess
 
 _PIVOTS = 4
 """Rough turning points that start a fit."""
@@ -47,7 +47,7 @@ class FirstHalfCycle:
     """One of the half-cycles that were measured together at the start."""
 
     half: HalfCycleSamples
-    result: Measurement
+    result: HalfCycleFit
     flags: SwingFlag
 
 
@@ -195,7 +195,7 @@ def _measure_one(arc: Arc, k: int, half: HalfCycleSamples, noise_scale: float) -
     """Half-cycle `k` of an arc, judged by what the others of the arc say."""
     x, covariance = state_on_arc(arc, k, left_out=k)
     start, end = arc.windows[k]
-    result = measure(
+    result = fit_half_cycle(
         x,
         covariance * noise_scale**2,
         x,
@@ -227,7 +227,7 @@ def _measure_before(
     end_ns = first.reference_ns + round(arc.windows[0][0] * 1e9)
     half = samples.between(reference_ns, -first.side, reference_ns + round(start * 1e9), end_ns)
     end = (end_ns - reference_ns) * 1e-9
-    result = measure(
+    result = fit_half_cycle(
         x,
         covariance * noise_scale**2,
         x,

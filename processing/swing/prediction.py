@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numba import njit
 
-from processing.swing.halfcycle import (
+from processing.swing.half_cycle import (
     AMPLITUDE,
     CENTRE,
     DRIFT,

@@ -6,7 +6,7 @@ from collections.abc import Callable
 import numpy as np
 
 from processing.spot import SensorModel, SpotTracker
-from processing.swing import prepare
+from processing.swing import compile_kernels
 
 _SIDE_PX, _SIGMA_PX = 64, 4.0
 _SAY_AFTER_S = 2.0
@@ -24,7 +24,7 @@ def prepare_kernels(sensor: SensorModel, say: Callable[[str], None]) -> None:
     timer.start()
     try:
         _track(sensor)
-        prepare()
+        compile_kernels()
     finally:
         timer.cancel()
 

@@ -12,7 +12,7 @@ from acquisition.simulation.settings import (
     ReleaseTruth,
     SimulationSettings,
 )
-from acquisition.simulation.trajectory import noisy, true_trajectory, true_turning_points
+from acquisition.simulation.true_path import noisy, true_path, true_turning_points
 from processing.angle import ARCSEC_RAD
 from processing.contact.hertz import MATERIALS, pendulum_on_ball
 from processing.contact.parameters import ContactParameters, PendulumOnBall
@@ -68,7 +68,7 @@ def simulate_pair(pair: PrintedPair, b_exponent: int, seed: int) -> PairSeries:
     pendulum = pendulum_on_ball(MASS_KG, BALL_RADIUS_M, MATERIALS[BALL], MATERIALS[pair.flat])
     settings = _settings(pair, truth)
     end_s = float(true_turning_points(settings, FINAL_AMPLITUDE_ARCSEC).time_s[-1])
-    motion = true_trajectory(settings, end_s + 0.6 * truth.period0_s)
+    motion = true_path(settings, end_s + 0.6 * truth.period0_s)
     noise_rad = NOISE_ARCSEC * ARCSEC_RAD
     u = np.full(len(motion.times_ns), noise_rad)
     runs = []

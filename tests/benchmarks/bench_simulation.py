@@ -13,7 +13,7 @@ from acquisition.camera import CameraSettings
 from acquisition.cameras.simulated import SimulatedCamera
 from acquisition.simulation.optics import Beam, add_beam
 from acquisition.simulation.settings import SimulationSettings
-from acquisition.simulation.trajectory import noisy, true_trajectory, true_turning_points
+from acquisition.simulation.true_path import noisy, true_path, true_turning_points
 
 _CASES: dict[str, tuple[dict[str, Any], CameraSettings]] = {
     "demonstration, 320x640, 8 bit": ({}, CameraSettings()),
@@ -68,9 +68,9 @@ def run(quick: bool = False) -> dict[str, Any]:
             read_s = _best_s(lambda camera=camera: _read(camera, count), 1)  # type: ignore[misc]
             ours_us[name] = min(ours_us[name], read_s / count * 1e6)
     settings = SimulationSettings()
-    truth_s = _best_s(lambda: true_trajectory(settings, 1200.0, 100.0), 5)
+    truth_s = _best_s(lambda: true_path(settings, 1200.0, 100.0), 5)
     turns_s = _best_s(lambda: true_turning_points(settings), 5)
-    trajectory = true_trajectory(settings, 1200.0, 100.0)
+    trajectory = true_path(settings, 1200.0, 100.0)
     noise_s = _best_s(lambda: noisy(trajectory, 1e-8, 1e-8, 1), 5)
     table = Table("simulated camera, one thread", "us/frame", "frames/s", "numpy / ours")
     table.add_row("numpy, every pixel drawn", f"{numpy_us:.0f}", f"{1e6 / numpy_us:.0f}", "1")

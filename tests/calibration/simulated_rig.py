@@ -17,7 +17,7 @@ from acquisition.simulation.settings import (
     SensorTruth,
     SimulationSettings,
 )
-from acquisition.simulation.trajectory import true_trajectory
+from acquisition.simulation.true_path import true_path
 from calibration.axes_fit import AxesFit, fit_axes
 from calibration.lever_fit import LadderFit, LadderSteps, fit_ladder
 from calibration.sensor import SensorCalibration, photon_transfer
@@ -111,7 +111,7 @@ def climb_shifts(rig: Drawn) -> LadderFit:
 
 def swing_for_axes(rig: Drawn, duration_s: float = 60.0) -> AxesFit:
     """A minute in which both modes swing, released to their positive sides."""
-    motion = true_trajectory(rig.settings, duration_s, FRAME_RATE_HZ)
+    motion = true_path(rig.settings, duration_s, FRAME_RATE_HZ)
     times_s = motion.times_ns * 1e-9
     x_px, y_px = spots_of(rig, motion.x_rad, motion.y_rad, times_s)
     return fit_axes(times_s, x_px, y_px, slow_began="+", fast_began="+")

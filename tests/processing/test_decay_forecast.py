@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from acquisition.simulation.settings import ContactTruth, SimulationSettings
-from acquisition.simulation.trajectory import true_turning_points
+from acquisition.simulation.true_path import true_turning_points
 from processing.decay_forecast import forecast
 
 ARCSEC = math.pi / 648000

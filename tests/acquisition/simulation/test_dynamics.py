@@ -20,7 +20,7 @@ from acquisition.simulation.dynamics import (
 )
 from acquisition.simulation.integrator import ModeConstants
 from acquisition.simulation.settings import ContactTruth, SimulationSettings
-from acquisition.simulation.trajectory import noisy, true_trajectory, true_turning_points
+from acquisition.simulation.true_path import noisy, true_path, true_turning_points
 from processing.errors import ConfigurationError
 
 GLASS: dict[str, Any] = {}
@@ -248,7 +248,7 @@ def test_memory_stays_flat_over_a_day() -> None:
 
 
 def test_noisy_trajectories_have_their_noise_and_their_seed() -> None:
-    truth = true_trajectory(SimulationSettings(), 100.0, 100.0)
+    truth = true_path(SimulationSettings(), 100.0, 100.0)
     assert len(truth.times_ns) == 10_001
     assert truth.times_ns[1] == 10_000_000
     one = noisy(truth, 1e-8, 2e-8, seed=3)

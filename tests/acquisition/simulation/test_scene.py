@@ -13,7 +13,7 @@ from acquisition.simulation.faults import FaultSettings
 from acquisition.simulation.inputs import RigInputs
 from acquisition.simulation.scene import Plan, Readings, Scene
 from acquisition.simulation.settings import SimulationSettings
-from acquisition.simulation.trajectory import true_trajectory, true_turning_points
+from acquisition.simulation.true_path import true_path, true_turning_points
 
 ONE_ARCSEC_PX = 1.0 * 2 * ARCSEC_RAD / 4.8e-6
 
@@ -217,7 +217,7 @@ def test_images_agree_with_the_plan_and_the_trajectory() -> None:
     readings = Readings(0, 0, 64, 128, 12, 100.0, 0.0, 100.0)
     view = Scene(settings, FaultSettings(), readings, 0)
     frames = view.plan(150)
-    truth = true_trajectory(settings, 1.49)
+    truth = true_path(settings, 1.49)
     assert 63.5 - frames.y_px == pytest.approx(np.tan(2 * truth.y_rad) / 4.8e-6, abs=1e-9)
     for row in range(0, 150, 15):
         image = view.draw(row, frames.x_px[row], frames.y_px[row], frames.power[row])

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from processing.contact.half_swing import turning_points_of
 from processing.contact.hertz import MATERIALS, pendulum_on_ball
 from processing.contact.parameters import ContactParameters, PendulumOnBall
-from processing.swing.swing import TurningPoints
+from processing.swing import TurningPoints
 
 ARCSEC = np.pi / 648000
 PAIRS = ("glass_k8", "silicon", "steel")

@@ -9,7 +9,7 @@ from processing.contact.parameters import PendulumOnBall
 from processing.errors import DataError
 from processing.fit.asymptotic import fit_asymptotic
 from processing.fit.exact import fit_exact
-from processing.swing.swing import TurningPoints
+from processing.swing import TurningPoints
 from tests.processing.fit.decays import decay, paper_pair, without
 
 

@@ -7,7 +7,7 @@ from processing.contact.parameters import ContactParameters
 from processing.fit.asymptotic import fit_asymptotic
 from processing.fit.exact import fit_exact
 from processing.fit.result import CONTACT_NAMES, DRAG_NAME
-from processing.swing.swing import TurningPoints
+from processing.swing import TurningPoints
 from tests.processing.fit.decays import ARCSEC, PAIRS, decay, paper_pair, truth, without
 
 # What Eqs. 5 and 6 are known to return on noise-free turning points of the exact equation, in per

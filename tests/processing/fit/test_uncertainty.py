@@ -19,7 +19,7 @@ from processing.fit.measurement import (
     work_per_cycle_j,
 )
 from processing.fit.uncertainty import FIT, budgets, monte_carlo
-from processing.swing.swing import TurningPoints
+from processing.swing import TurningPoints
 from tests.processing.fit.decays import ARCSEC, decay, paper_pair
 
 STEEL = replace(MATERIALS["steel"], u_youngs_modulus_pa=3e9, u_poisson_ratio=0.01)

@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.simulation.settings import SimulationSettings
-from acquisition.simulation.trajectory import (
+from acquisition.simulation.true_path import (
     Trajectory,
     TruePoints,
     noisy,
-    true_trajectory,
+    true_path,
     true_turning_points,
 )
 from processing.fit.exact import fit_exact
@@ -75,7 +75,7 @@ def truth_points(settings: SimulationSettings, final_deg: float) -> TruePoints:
 
 @cache
 def _clean(settings: SimulationSettings, duration_s: float) -> Trajectory:
-    return true_trajectory(settings, duration_s)
+    return true_path(settings, duration_s)
 
 
 def samples(settings: SimulationSettings, final_deg: float, seed: int, noise_rad: float) -> Samples:

@@ -12,7 +12,7 @@ from processing.instruments.damping import Damping, damping
 from processing.instruments.descriptions import DEGREE_RAD
 from processing.instruments.rolling import rolling_friction
 from processing.instruments.scale import with_scale
-from processing.swing.swing import TurningPoints
+from processing.swing import TurningPoints
 from tests.processing.instruments.test_instruments import decay, exponential
 
 

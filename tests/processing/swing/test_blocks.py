@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from processing.swing import Swing, SwingDetector, prepare
+from processing.swing import Swing, SwingDetector, compile_kernels
 from processing.swing.arc import _walk_kernel
-from processing.swing.measurement import measure
+from processing.swing.half_cycle_fit import fit_half_cycle
 from processing.swing.mode_fit import _equations
 from processing.swing.prediction import predict
 from tests.processing.swing.truth import Record, contact_decay, damped_sinusoid, detect
@@ -107,9 +107,9 @@ def test_memory_stays_flat_while_nothing_swings() -> None:
     assert sizes[-1] == sizes[10]
 
 
-def test_prepare_compiles_all_that_a_measurement_needs() -> None:
-    prepare()
-    kernels = (measure, predict, _walk_kernel, _equations)
+def test_compiles_all_that_a_measurement_needs() -> None:
+    compile_kernels()
+    kernels = (fit_half_cycle, predict, _walk_kernel, _equations)
     before = [len(kernel.signatures) for kernel in kernels]
     assert min(before) > 0
     detect(damped_sinusoid(np.random.default_rng(25), 300.0, 100.0, 40))

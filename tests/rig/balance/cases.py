@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from acquisition.simulation.settings import AxesTruth, SimulationSettings
-from acquisition.simulation.trajectory import noisy, true_trajectory
+from acquisition.simulation.true_path import noisy, true_path
 from acquisition.simulation.weights import TrimmedPendulum, TrimWeight, imperfect_weights
 from processing.angle import ARCSEC_RAD
 from processing.balance import Balance, BalanceEstimator
@@ -56,7 +56,7 @@ def trimmed_pendulum(seed: int) -> TrimmedPendulum:
 
 def seen(settings: SimulationSettings, seed: int) -> Balance:
     """What three periods of noisy deflections tell."""
-    samples = noisy(true_trajectory(settings, 13.5), _U_RAD, _U_RAD, seed)
+    samples = noisy(true_path(settings, 13.5), _U_RAD, _U_RAD, seed)
     u = np.full(len(samples.times_ns), _U_RAD)
     return BalanceEstimator().update(samples.times_ns, samples.x_rad, samples.y_rad, u, u)[-1]
 

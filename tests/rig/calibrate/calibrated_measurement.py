@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from acquisition.simulation.settings import AxesTruth, ContactTruth, FastModeTruth, ReleaseTruth
-from acquisition.simulation.trajectory import true_trajectory
+from acquisition.simulation.true_path import true_path
 from calibration.axes import deflections
 from calibration.lever_fit import lever_from_tilts
 from calibration.store import CalibrationFile, Kind, write_calibration
@@ -92,7 +92,7 @@ def measure(
     assert config.lever is not None
     assert config.axes is not None
     assert config.timebase is not None
-    motion = true_trajectory(rig.settings, 2400.0, rate_hz)
+    motion = true_path(rig.settings, 2400.0, rate_hz)
     times_s = motion.times_ns * 1e-9
     x_px, y_px = spots_of(rig, motion.x_rad, motion.y_rad, times_s)
     u_px = np.full(len(times_s), rig.noise_px)

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.simulation.settings import FastModeTruth, ReleaseTruth
-from acquisition.simulation.trajectory import true_trajectory
+from acquisition.simulation.true_path import true_path
 from calibration.axes import Axes, deflections
 from calibration.lever import Lever
 from processing.angle import ARCSEC_RAD
@@ -80,7 +80,7 @@ def shifts(seed: int, rate_hz: float = 60.0, duration_s: float = 2400.0) -> dict
                 "fast": FastModeTruth(amplitude_arcsec=fast_arcsec),
             }
         )
-        motion = true_trajectory(settings, duration_s, rate_hz)
+        motion = true_path(settings, duration_s, rate_hz)
         times_s = motion.times_ns * 1e-9
         same_noise = replace(rig, settings=settings, rng=np.random.default_rng([seed, 606]))
         x_px, y_px = spots_of(same_noise, motion.x_rad, motion.y_rad, times_s)

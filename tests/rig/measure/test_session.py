@@ -15,7 +15,7 @@ import pytest
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 
 from acquisition.record.reader import RecordReader
-from acquisition.simulation.trajectory import true_turning_points
+from acquisition.simulation.true_path import true_turning_points
 from rig.instrument.provenance import frame_shape, recorded_configuration
 from rig.replay.replay import Replay
 from rig.settings.configuration import load_configuration

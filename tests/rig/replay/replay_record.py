@@ -7,7 +7,7 @@ import numpy as np
 
 from acquisition.record.topics import DeflectionUnit
 from acquisition.record.writer import RecordWriter
-from acquisition.simulation.trajectory import true_trajectory
+from acquisition.simulation.true_path import true_path
 from calibration.axes import Axes
 from processing.spot import Spot, SpotFlag, SpotTracker
 from rig.instrument.configured import complete, sensor_model
@@ -44,7 +44,7 @@ def make_record(
     times_s = sequences / RATE_HZ
     lever = config.lever
     assert lever is not None
-    truth = true_trajectory(config.simulation, seconds, RATE_HZ)
+    truth = true_path(config.simulation, seconds, RATE_HZ)
     px_per_rad = 2.0 * lever.arm_m / lever.pixel_pitch_m
     y_px = 511.5 - px_per_rad * truth.y_rad[sequences] + random.normal(0, U_PX, len(sequences))
     x_px = 639.5 + px_per_rad * truth.x_rad[sequences] + random.normal(0, U_PX, len(sequences))

@@ -6,10 +6,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from processing.spot.general import background_variance, cholesky, inverse_diagonal, solve, window_of
+from processing.spot.general_fit import background_variance, cholesky, inverse_diagonal, solve, window_of
 from processing.spot.prefetch import prefetch_window
-from processing.spot.separable import SMALLEST_SIGMA_PX, information, profile, score
 from processing.spot.spot import Image
+from processing.spot.upright_score import SMALLEST_SIGMA_PX, information, profile, score
 
 Floats = NDArray[np.float64]
 

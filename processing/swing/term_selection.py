@@ -7,7 +7,7 @@ import numpy as np
 from numba import njit
 
 from processing.swing.arc import Arc, HalfCycleSamples, fit_arc, gain_of_more
-from processing.swing.halfcycle import (
+from processing.swing.half_cycle import (
     AMPLITUDE,
     CENTRE,
     DRIFT,
@@ -21,7 +21,7 @@ from processing.swing.halfcycle import (
     linearise,
     tabulate_state,
 )
-from processing.swing.known import KnownMotion
+from processing.swing.known_motion import KnownMotion
 from processing.swing.pivots import Pivot
 from processing.swing.waveform import BEND, DAMPING, DRY, NODES, RISE, SHAPES, STIFF, N, P
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from processing.swing.halfcycle import (
+from processing.swing.half_cycle import (
     AMPLITUDE,
     CENTRE,
     DRIFT,
@@ -36,7 +36,7 @@ _SEEN = 2.5
 """Drift in standard uncertainties from which on it is believed."""
 
 
-class Measurement(NamedTuple):
+class HalfCycleFit(NamedTuple):
     """Local amplitude and time with covariance, the full posterior, and how well the samples fit."""
 
     valid: bool
@@ -144,7 +144,7 @@ def _forget_drift(mean: Vector, covariance: Matrix, active: Indices) -> None:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def measure(
+def fit_half_cycle(
     x: Vector,
     covariance: Matrix,
     anchor: Vector,
@@ -158,12 +158,12 @@ def measure(
     tau: Vector,
     deflection: Vector,
     u_deflection: Vector,
-) -> Measurement:
+) -> HalfCycleFit:
     """Fit one half-cycle.
 
     Parameters
     ----------
-    x, covariance : predicted state and its covariance (see halfcycle)
+    x, covariance : predicted state and its covariance (see half_cycle)
     anchor : state about whose shape terms the waveform is expanded
     side : +1.0 or -1.0
     reference : amplitude to which the shape terms in `x` refer
@@ -243,7 +243,7 @@ def measure(
         valid = current[AMPLITUDE] > 0.0
     state, posterior = current.copy(), covariance.copy()
     if not valid:
-        return Measurement(
+        return HalfCycleFit(
             False, math.nan, math.nan, math.nan, math.nan, math.nan, math.nan, math.nan, count, outliers,
             math.nan, math.nan, hole, state, posterior,
         )  # fmt: skip
@@ -273,7 +273,7 @@ def measure(
     moved = current.copy()
     for i in range(k):
         moved[active[i]] += local[i]
-    return Measurement(
+    return HalfCycleFit(
         valid,
         moved[AMPLITUDE],
         moved[TIME],

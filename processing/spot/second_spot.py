@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from processing.spot.general import background_variance, fit_general, window_of
+from processing.spot.general_fit import background_variance, fit_general, window_of
 from processing.spot.spot import Image
 
 Floats = NDArray[np.float64]

@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from processing.spot.sensor import LEAST_VARIANCE_DN2
+from processing.spot.sensor_model import LEAST_VARIANCE_DN2
 from processing.spot.spot import Image
 
 Floats = NDArray[np.float64]

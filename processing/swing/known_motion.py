@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from processing.swing.halfcycle import RATE, SHAPE, STATES
+from processing.swing.half_cycle import RATE, SHAPE, STATES
 from processing.swing.waveform import SHAPES
 
 
@@ -28,7 +28,7 @@ class KnownMotion:
     bend: float = 0.0
 
     def put_into(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The state `x` (see halfcycle) with this motion's frequency and shape."""
+        """The state `x` (see half_cycle) with this motion's frequency and shape."""
         out = np.array(x, dtype=np.float64)
         assert out.shape == (STATES,)
         out[RATE] = self.rate_rad_per_s

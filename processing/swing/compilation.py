@@ -8,7 +8,7 @@ from processing.swing.modes import separate_modes
 _FRAMES_PER_S, _SECONDS, _RATE, _LOSS = 20.0, 60.0, 1.5, 0.01
 
 
-def prepare() -> None:
+def compile_kernels() -> None:
     """Go once through everything that is compiled at its first use.
 
     That takes about 20 s on the first run after an installation, a few tenths of a second later on,

@@ -10,7 +10,7 @@ from acquisition.simulation import randomness
 from acquisition.simulation.dynamics import ARCSEC_RAD, Motion, motions
 from acquisition.simulation.settings import SimulationSettings
 
-_TRAJECTORY = 11
+_PATH_NOISE = 11
 
 
 class TruePoints(NamedTuple):
@@ -20,7 +20,7 @@ class TruePoints(NamedTuple):
     angle_rad: NDArray[np.float64]
 
 
-class Trajectory(NamedTuple):
+class TruePath(NamedTuple):
     """Tilts of the pendulum in its own axes as an ideal tracker would report them, arrays of one length."""
 
     times_ns: NDArray[np.int64]
@@ -66,21 +66,21 @@ def axes_motion(
     return fast_rad + leak + rest_fast, slow_rad + rest_slow
 
 
-def true_trajectory(
+def true_path(
     settings: SimulationSettings, duration_s: float, frame_rate_hz: float | None = None
-) -> Trajectory:
+) -> TruePath:
     """Tilts without noise at even times from 0 on."""
     rate_hz = settings.clock.frame_rate_hz if frame_rate_hz is None else frame_rate_hz
     times_s = np.arange(math.floor(duration_s * rate_hz) + 1) / rate_hz
     fast, slow = motions(settings)
     x_rad, y_rad = axes_motion(settings, fast, slow, times_s)
-    return Trajectory(np.rint(times_s * 1e9).astype(np.int64), x_rad, y_rad)
+    return TruePath(np.rint(times_s * 1e9).astype(np.int64), x_rad, y_rad)
 
 
-def noisy(truth: Trajectory, u_x_rad: float, u_y_rad: float, seed: int) -> Trajectory:
+def noisy(truth: TruePath, u_x_rad: float, u_y_rad: float, seed: int) -> TruePath:
     """The same trajectory with white normal noise of these standard deviations, from a seed of its own."""
     noise = np.empty((len(truth.times_ns), 2))
-    randomness.frame_normals(seed, 0, _TRAJECTORY, 0, randomness.ziggurat().x, noise)
+    randomness.frame_normals(seed, 0, _PATH_NOISE, 0, randomness.ziggurat().x, noise)
     return truth._replace(
         x_rad=truth.x_rad + u_x_rad * noise[:, 0], y_rad=truth.y_rad + u_y_rad * noise[:, 1]
     )
