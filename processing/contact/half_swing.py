@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from processing.contact.half_swing_kernel import half_swing_map
 from processing.contact.parameters import ContactParameters, PendulumOnBall
-from processing.contact.quarter_nodes import quarter_nodes
+from processing.contact.quadrature import quarter_nodes
 from processing.errors import DataError
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from processing.contact.quarter_nodes import NODES
+from processing.contact.quadrature import NODES
 
 B, P, C, N, KAPPA, DRAG, RHO, A0 = range(8)
 MAP_PARAMETERS = 8

@@ -1,1 +1,63 @@
-"""From turning points to friction parameters, and what they are worth."""
+"""Fits of a law to a decay, their uncertainties, and series of runs."""
+
+from processing.fit.asymptotic import fit_asymptotic
+from processing.fit.determination import Determination, identifiability, strong_correlations
+from processing.fit.drag import DragVerdict, drag_verdict
+from processing.fit.exact import fit_exact
+from processing.fit.measurement import (
+    Measured,
+    Quantity,
+    RigQuantities,
+    draw_fitted,
+    measured,
+    report,
+    work_per_cycle_j,
+)
+from processing.fit.method import DEFAULT_METHOD, FitMethod
+from processing.fit.remeasure import agree, known_motion, measured_again
+from processing.fit.result import CONTACT_NAMES, FitResult
+from processing.fit.series import (
+    Combined,
+    Comparison,
+    SeriesResult,
+    average_curves,
+    combine_runs,
+    compare_series,
+)
+from processing.fit.smoothing import super_smooth
+from processing.fit.uncertainty import Budget, Propagated, budgets, monte_carlo
+
+__all__ = [
+    "CONTACT_NAMES",
+    "DEFAULT_METHOD",
+    "Budget",
+    "Combined",
+    "Comparison",
+    "Determination",
+    "DragVerdict",
+    "FitMethod",
+    "FitResult",
+    "Measured",
+    "Propagated",
+    "Quantity",
+    "RigQuantities",
+    "SeriesResult",
+    "agree",
+    "average_curves",
+    "budgets",
+    "combine_runs",
+    "compare_series",
+    "drag_verdict",
+    "draw_fitted",
+    "fit_asymptotic",
+    "fit_exact",
+    "identifiability",
+    "known_motion",
+    "measured",
+    "measured_again",
+    "monte_carlo",
+    "report",
+    "strong_correlations",
+    "super_smooth",
+    "work_per_cycle_j",
+]

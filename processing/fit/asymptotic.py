@@ -11,22 +11,20 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from processing.contact.decay import decay_path, path_nodes
-from processing.contact.half_swing import relative_curvature, stiffness_ratio
-from processing.contact.parameters import PendulumOnBall
+from processing.contact import PendulumOnBall, decay_path, path_nodes, relative_curvature, stiffness_ratio
 from processing.errors import DataError
 from processing.fit.checks import OUTLIER, check_turning_points, data_warnings
-from processing.fit.least_squares import Loss, Solution, propagate, solve
 from processing.fit.period_fit import fit_period, period_by_log_rho, period_covariance
-from processing.fit.periods import (
+from processing.fit.result import AMPLITUDE_NAME, CONTACT_NAMES, DRAG_NAME, UNCALIBRATED_NAMES, FitResult
+from processing.fit.start import DecayStart, PeriodStart, decay_start, period_start
+from processing.fit.straight import from_straight, to_straight
+from processing.least_squares import Loss, Solution, propagate, solve
+from processing.periods import (
     full_periods,
     mean_period,
     mean_period_estimate,
     reference_amplitude,
 )
-from processing.fit.result import AMPLITUDE_NAME, CONTACT_NAMES, DRAG_NAME, UNCALIBRATED_NAMES, FitResult
-from processing.fit.start import DecayStart, PeriodStart, decay_start, period_start
-from processing.fit.straight import from_straight, to_straight
 from processing.swing import TurningPoints
 
 FEWEST_PERIODS = 5

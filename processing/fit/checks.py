@@ -2,15 +2,13 @@
 
 import numpy as np
 
-from processing.contact.parameters import PendulumOnBall
+from processing.contact import PendulumOnBall
 from processing.errors import DataError
 from processing.swing import TurningPoints
 
 FEWEST_HALF_CYCLES = 10
 OUTLIER = 5.0
 """Standard uncertainties beyond which a half-cycle is listed as outlying."""
-WELL_DETERMINED = 0.1
-"""Relative standard uncertainty up to which a value and its covariance are believed as they are."""
 
 
 def check_turning_points(points: TurningPoints) -> None:

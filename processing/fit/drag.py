@@ -4,11 +4,12 @@ from dataclasses import dataclass
 
 from scipy.special import fdtrc
 
-from processing.contact.parameters import PendulumOnBall
+from processing.contact import PendulumOnBall
 from processing.errors import DataError
+from processing.estimate import Estimate
 from processing.fit.exact import fit_exact
-from processing.fit.least_squares import Loss
-from processing.fit.result import DRAG_NAME, Estimate, FitResult
+from processing.fit.result import DRAG_NAME, FitResult
+from processing.least_squares import Loss
 from processing.swing import TurningPoints
 
 SIGNIFICANT = 0.003

@@ -3,16 +3,16 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from processing.contact.parameters import PendulumOnBall
-from processing.contact.period import cosine_moment
+from processing.contact import PendulumOnBall, cosine_moment
 from processing.errors import DataError
+from processing.estimate import WELL_DETERMINED
 from processing.fit.asymptotic import AsymptoticScaled, scaled_start
-from processing.fit.checks import OUTLIER, WELL_DETERMINED, check_turning_points, data_warnings
+from processing.fit.checks import OUTLIER, check_turning_points, data_warnings
 from processing.fit.exact_model import STIFFEST, ExactModel
-from processing.fit.least_squares import Loss, Solution, propagate, solve
-from processing.fit.periods import full_periods, mean_period_estimate
 from processing.fit.result import FitResult
 from processing.fit.start import PeriodStart
+from processing.least_squares import Loss, Solution, propagate, solve
+from processing.periods import full_periods, mean_period_estimate
 from processing.swing import TurningPoints
 
 _GOOD_CHI2 = 1.5

@@ -3,12 +3,14 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from processing.contact.half_swing import relative_curvature, stiffness_ratio
+from processing.contact import (
+    PendulumOnBall,
+    cosine_moment,
+    quarter_nodes,
+    relative_curvature,
+    stiffness_ratio,
+)
 from processing.contact.half_swing_kernel import A0, DRAG, KAPPA, RHO, B, C, N, P, half_swing_map
-from processing.contact.parameters import PendulumOnBall
-from processing.contact.period import cosine_moment
-from processing.contact.quarter_nodes import quarter_nodes
-from processing.fit.periods import reference_amplitude
 from processing.fit.result import (
     AMPLITUDE_NAME,
     CONTACT_NAMES,
@@ -18,6 +20,7 @@ from processing.fit.result import (
     FitResult,
 )
 from processing.fit.straight import from_straight, to_straight
+from processing.periods import reference_amplitude
 from processing.swing import TurningPoints
 
 Array = NDArray[np.float64]

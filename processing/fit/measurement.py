@@ -8,8 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from processing.contact.hertz import Material, contact_radius
-from processing.contact.parameters import STANDARD_GRAVITY_M_PER_S2, PendulumOnBall
+from processing.contact import STANDARD_GRAVITY_M_PER_S2, Material, PendulumOnBall, contact_radius
 from processing.errors import ConfigurationError, DataError
 from processing.fit.result import CONTACT_NAMES, DRAG_NAME, FitResult
 

@@ -3,10 +3,10 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from processing.contact.period import frequency_drop
-from processing.fit.least_squares import Loss, Solution, solve
-from processing.fit.periods import Periods
+from processing.contact import frequency_drop
 from processing.fit.start import PeriodStart, period_start
+from processing.least_squares import Loss, Solution, solve
+from processing.periods import Periods
 from processing.swing import TurningPoints
 
 

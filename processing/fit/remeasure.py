@@ -13,8 +13,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from processing.contact.half_swing import scaled_contact
-from processing.contact.parameters import ContactParameters, PendulumOnBall
+from processing.contact import ContactParameters, PendulumOnBall, scaled_contact
 from processing.errors import DataError
 from processing.swing import KnownMotion, Swing, SwingDetector, SwingFlag
 

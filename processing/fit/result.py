@@ -1,24 +1,17 @@
 """What a fit hands on: values, uncertainties, correlations, residuals, doubts."""
 
 from dataclasses import dataclass, field
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
+from processing.contact import ContactParameters
 from processing.contact.laws import AMPLITUDE, DRAG, PAPER, TIME
-from processing.contact.parameters import ContactParameters
 from processing.errors import DataError
-from processing.fit.least_squares import Loss
-
-
-class Estimate(NamedTuple):
-    """A value and its standard uncertainty (infinite where the data do not determine it)."""
-
-    value: float
-    standard_uncertainty: float
-
+from processing.estimate import Estimate
+from processing.least_squares import Loss
 
 CONTACT_NAMES = PAPER.keys()
 UNCALIBRATED_NAMES = PAPER.keys(calibrated=False)

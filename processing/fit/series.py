@@ -11,8 +11,9 @@ from scipy.optimize import brentq
 from scipy.special import chdtrc, stdtr, stdtrit
 
 from processing.errors import DataError
+from processing.estimate import Estimate
 from processing.fit.measurement import Measured, measured
-from processing.fit.result import CONTACT_NAMES, DRAG_NAME, Estimate, FitResult
+from processing.fit.result import CONTACT_NAMES, DRAG_NAME, FitResult
 from processing.swing import TurningPoints
 
 AGREE = 0.05

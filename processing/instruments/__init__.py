@@ -1,1 +1,41 @@
-"""The kinds of pendulum: one table of descriptions, and what is reported of each."""
+"""The pendulums of the paper's review: what each reports, from turning points and swings.
+
+scipy is imported where it is called: settings read this room's table of pendulums, and starting a
+command should not cost scipy.optimize.
+"""
+
+from processing.instruments.checks import Check, check
+from processing.instruments.circular import circular_error
+from processing.instruments.crossings import inferred_swings, joined_swings
+from processing.instruments.damping_fit import Damping, damping, over_places, ratio
+from processing.instruments.descriptions import DEGREE_RAD, INSTRUMENTS, Description, Limits
+from processing.instruments.friction_law import FrictionLaw, fit_friction_law
+from processing.instruments.hardness import herbert_hardness
+from processing.instruments.plane import along_plane, swing_plane
+from processing.instruments.rolling import rolling_friction
+from processing.instruments.scale import with_scale
+from processing.instruments.turning import refined
+
+__all__ = [
+    "DEGREE_RAD",
+    "INSTRUMENTS",
+    "Check",
+    "Damping",
+    "Description",
+    "FrictionLaw",
+    "Limits",
+    "along_plane",
+    "check",
+    "circular_error",
+    "damping",
+    "fit_friction_law",
+    "herbert_hardness",
+    "inferred_swings",
+    "joined_swings",
+    "over_places",
+    "ratio",
+    "refined",
+    "rolling_friction",
+    "swing_plane",
+    "with_scale",
+]

@@ -3,7 +3,7 @@
 import math
 from typing import Literal, NamedTuple
 
-from processing.fit.result import Estimate
+from processing.estimate import Estimate
 from processing.instruments.descriptions import Limits
 
 Verdict = Literal["within", "outside", "undecided"]

@@ -14,11 +14,10 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import ellipkm1
 
 from processing.errors import DataError
-from processing.fit.periods import full_periods
-from processing.fit.result import Estimate
+from processing.estimate import Estimate
+from processing.periods import full_periods
 from processing.swing import TurningPoints
 
 _FEWEST = 8
@@ -55,6 +54,8 @@ class CircularError(NamedTuple):
 
 def ideal_excess(amplitude_rad: ArrayLike) -> NDArray[np.float64]:
     """T(A)/T0 - 1 of the ideal pendulum, exact: (2/pi) K(sin A/2) - 1."""
+    from scipy.special import ellipkm1
+
     cosine = np.cos(0.5 * np.asarray(amplitude_rad, dtype=np.float64))
     excess: NDArray[np.float64] = 2 / math.pi * ellipkm1(cosine**2) - 1
     return excess

@@ -17,8 +17,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
-from scipy.special import ellipk
 
 from processing.swing import Swing, SwingFlag
 
@@ -176,6 +174,9 @@ def _rest(found: list[_Crossing], half_s: float) -> float:
 
 
 def _swing(index: int, before: _Crossing, after: _Crossing, centre: float, start_ns: int) -> Swing:
+    from scipy.optimize import brentq
+    from scipy.special import ellipk
+
     lasts_s = after.time_s - before.time_s
     speed = math.sqrt(0.5 * (before.speed**2 + after.speed**2))
     u_speed = 0.5 * math.hypot(before.speed * before.u_speed, after.speed * after.u_speed) / speed

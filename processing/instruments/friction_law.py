@@ -14,10 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from processing.errors import DataError
-from processing.fit.result import Estimate
+from processing.estimate import Estimate
 from processing.swing import TurningPoints
 
 _FEWEST = 6
@@ -73,6 +72,8 @@ def fit_friction_law(points: TurningPoints) -> FrictionLaw:
     Raises DataError for fewer than six turning points, amplitudes that do not fall, or a law that the
     data do not determine.
     """
+    from scipy.optimize import least_squares
+
     if len(points) < _FEWEST:
         raise DataError(
             f"{len(points)} usable turning points, at least {_FEWEST} are needed for a law of friction"

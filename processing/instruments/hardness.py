@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from processing.errors import DataError
-from processing.fit.result import Estimate
+from processing.estimate import Estimate
 from processing.swing import TurningPoints
 
 

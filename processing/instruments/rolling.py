@@ -8,7 +8,7 @@ import math
 from typing import NamedTuple
 
 from processing.errors import DataError
-from processing.fit.result import Estimate
+from processing.estimate import Estimate
 from processing.instruments.friction_law import FrictionLaw, fit_friction_law
 from processing.swing import TurningPoints
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import NamedTuple, TypeVar
 
 from processing.errors import DataError
-from processing.fit.result import Estimate
+from processing.estimate import Estimate
 from processing.swing import TurningPoints
 
 Found = TypeVar("Found", bound=NamedTuple)

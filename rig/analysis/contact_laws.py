@@ -7,14 +7,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from processing.contact.moments import surface_energy
-from processing.contact.parameters import PendulumOnBall
+from processing.contact import PendulumOnBall, surface_energy
 from processing.errors import DataError
-from processing.fit.asymptotic import fit_asymptotic
-from processing.fit.exact import fit_exact
-from processing.fit.least_squares import Loss
-from processing.fit.remeasure import agree, known_motion, measured_again
-from processing.fit.result import FitResult
+from processing.fit import FitResult, agree, fit_asymptotic, fit_exact, known_motion, measured_again
+from processing.least_squares import Loss
 from processing.swing import KnownMotion, Swing, TurningPoints, turning_points
 from rig.settings import FitSettings
 

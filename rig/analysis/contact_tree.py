@@ -3,14 +3,21 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from processing.contact.moments import surface_energy
-from processing.contact.parameters import PendulumOnBall
+from processing.contact import PendulumOnBall, surface_energy
 from processing.errors import DataError
-from processing.fit.asymptotic import fit_asymptotic
-from processing.fit.measurement import RigQuantities
-from processing.fit.result import Estimate, FitResult
-from processing.fit.series import Combined, SeriesResult, average_curves, combine_runs
-from processing.fit.uncertainty import Budget, Propagated, budgets
+from processing.estimate import Estimate
+from processing.fit import (
+    Budget,
+    Combined,
+    FitResult,
+    Propagated,
+    RigQuantities,
+    SeriesResult,
+    average_curves,
+    budgets,
+    combine_runs,
+    fit_asymptotic,
+)
 from processing.swing import TurningPoints
 from rig.analysis.contact_verdicts import DRAWS, Evaluation
 

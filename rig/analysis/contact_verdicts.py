@@ -8,22 +8,27 @@ from typing import NamedTuple
 import numpy as np
 
 from processing.angle import ARCSEC_RAD
-from processing.contact.hertz import HertzContact, hertz_contact
-from processing.contact.moments import cycle_work
-from processing.contact.parameters import PendulumOnBall
+from processing.contact import HertzContact, PendulumOnBall, cycle_work, hertz_contact
 from processing.errors import DataError
-from processing.fit.drag import DragVerdict, drag_verdict
-from processing.fit.identifiability import Determination, identifiability, strong_correlations
-from processing.fit.measurement import (
+from processing.estimate import Estimate
+from processing.fit import (
+    Budget,
+    Determination,
+    DragVerdict,
+    FitResult,
+    Propagated,
     Quantity,
     RigQuantities,
+    budgets,
+    drag_verdict,
     draw_fitted,
+    identifiability,
     measured,
+    monte_carlo,
     report,
+    strong_correlations,
     work_per_cycle_j,
 )
-from processing.fit.result import Estimate, FitResult
-from processing.fit.uncertainty import Budget, Propagated, budgets, monte_carlo
 from processing.swing import TurningPoints
 from rig.instrument import balls, material
 from rig.settings import Configuration, TimebaseSettings

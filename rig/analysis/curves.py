@@ -8,14 +8,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from processing.contact.decay import decay_path, path_nodes
-from processing.contact.half_swing import turning_points_of
-from processing.contact.parameters import ContactParameters, PendulumOnBall
-from processing.contact.period import period
+from processing.contact import (
+    ContactParameters,
+    PendulumOnBall,
+    decay_path,
+    path_nodes,
+    period,
+    turning_points_of,
+)
 from processing.errors import DataError
-from processing.fit.periods import full_periods
-from processing.fit.result import CONTACT_NAMES
-from processing.fit.smoothing import super_smooth
+from processing.fit import CONTACT_NAMES, super_smooth
+from processing.periods import full_periods
 from processing.swing import TurningPoints
 from rig.presentation import number
 

@@ -8,21 +8,29 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from processing.contact.losses import measured_losses
+from processing.contact import measured_losses
 from processing.errors import DataError
-from processing.fit.periods import mean_period
-from processing.fit.result import Estimate
-from processing.instruments.checks import Check, check
-from processing.instruments.circular import circular_error
-from processing.instruments.crossings import inferred_swings, joined_swings
-from processing.instruments.damping import Damping, damping
-from processing.instruments.descriptions import DEGREE_RAD, Description
-from processing.instruments.friction_law import FrictionLaw, fit_friction_law
-from processing.instruments.hardness import herbert_hardness
-from processing.instruments.rolling import rolling_friction
-from processing.instruments.scale import with_scale
-from processing.instruments.swing_plane import along_plane, swing_plane
-from processing.instruments.turning import refined
+from processing.estimate import Estimate
+from processing.instruments import (
+    DEGREE_RAD,
+    Check,
+    Damping,
+    Description,
+    FrictionLaw,
+    along_plane,
+    check,
+    circular_error,
+    damping,
+    fit_friction_law,
+    herbert_hardness,
+    inferred_swings,
+    joined_swings,
+    refined,
+    rolling_friction,
+    swing_plane,
+    with_scale,
+)
+from processing.periods import mean_period
 from processing.swing import Swing, SwingDetector, SwingFlag, TurningPoints, turning_points
 from rig.analysis.contact_tree import estimate_tree
 from rig.presentation import with_uncertainty

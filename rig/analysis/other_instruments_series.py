@@ -3,10 +3,8 @@
 from collections.abc import Sequence
 from typing import Any
 
-from processing.fit.result import Estimate
-from processing.instruments.checks import check
-from processing.instruments.damping import Damping, over_places, ratio
-from processing.instruments.descriptions import Description
+from processing.estimate import Estimate
+from processing.instruments import Damping, Description, check, over_places, ratio
 from rig.analysis.contact_tree import estimate_tree
 from rig.analysis.other_instruments import Reduction, check_tree
 from rig.presentation import with_uncertainty

@@ -13,7 +13,7 @@ from acquisition.record.digest import sha256_of
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import ENVIRONMENT
 from processing.angle import ARCSEC_RAD
-from processing.fit.result import FitResult
+from processing.fit import FitResult
 from processing.swing import Swing
 from rig.analysis.contact_laws import DecayFits, SlowSamples, fit_decay, settled_swings
 from rig.analysis.contact_tree import series_tree

@@ -8,7 +8,7 @@ from typing import Any
 
 from acquisition.frame_losses import FrameLosses
 from processing.errors import RecordError
-from processing.fit.result import FitResult
+from processing.fit import FitResult
 from processing.swing import KnownMotion, TurningPoints
 from rig.analysis.contact_tree import estimate_tree, evaluation_tree
 from rig.analysis.contact_verdicts import Evaluation

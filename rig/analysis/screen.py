@@ -7,7 +7,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from processing.fit.result import CONTACT_NAMES, FitResult
+from processing.fit import CONTACT_NAMES, FitResult
 from rig.analysis.other_instruments_series import reduce_series
 from rig.analysis.results import RunResult
 from rig.presentation import quantity

@@ -10,7 +10,7 @@ def register(app: typer.Typer) -> None:
 
 def instruments() -> None:
     """List the kinds of pendulum, a sentence each; [instrument] kind selects one."""
-    from processing.instruments.descriptions import INSTRUMENTS
+    from processing.instruments import INSTRUMENTS
 
     for description in INSTRUMENTS.values():
         typer.echo(f"{description.kind:<15} {description.sentence}")

@@ -16,8 +16,7 @@ from processing.balance_advice import (
     find_faults,
     mass_centre_height_m,
 )
-from processing.contact.half_swing import stiffness_ratio
-from processing.contact.period import frequency_drop
+from processing.contact import frequency_drop, stiffness_ratio
 from rig.instrument.configured import pendulum_on_ball
 from rig.settings import Configuration
 

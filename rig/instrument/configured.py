@@ -8,8 +8,9 @@ from acquisition.frame_queue import Policy
 from acquisition.simulation.settings import SimulationSettings
 from calibration.axes import Axes
 from calibration.lever import Lever
-from processing.contact import hertz
-from processing.contact.parameters import PendulumOnBall
+from processing.contact import Material, PendulumOnBall
+from processing.contact import material as material_by_name
+from processing.contact import pendulum_on_ball as pendulum_after_hertz
 from processing.errors import ConfigurationError
 from processing.spot import SensorModel
 from rig.instrument.calibration import fill_from_files
@@ -101,7 +102,7 @@ def pendulum_on_ball(config: Configuration) -> PendulumOnBall | None:
         return PendulumOnBall(
             mass_kg, pendulum.ball_radius_m, pendulum.contact_radius_m, pendulum.gravity_m_per_s2
         )
-    return hertz.pendulum_on_ball(
+    return pendulum_after_hertz(
         mass_kg,
         pendulum.ball_radius_m,
         material(config, pendulum.ball_material),
@@ -115,14 +116,14 @@ def balls(config: Configuration) -> int:
     return config.instrument.description().supports
 
 
-def material(config: Configuration, name: str) -> hertz.Material:
+def material(config: Configuration, name: str) -> Material:
     """A material by name, the configuration's own before the paper's."""
     own = {key: _material(key, value) for key, value in config.materials.items()}
-    return hertz.material(name, own)
+    return material_by_name(name, own)
 
 
-def _material(name: str, settings: MaterialSettings) -> hertz.Material:
-    return hertz.Material(
+def _material(name: str, settings: MaterialSettings) -> Material:
+    return Material(
         name,
         settings.youngs_modulus_pa,
         settings.poisson_ratio,

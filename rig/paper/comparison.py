@@ -4,9 +4,7 @@ import math
 from collections.abc import Sequence
 
 from processing.angle import ARCSEC_RAD
-from processing.contact.hertz import MATERIALS, hertz_contact
-from processing.contact.moments import cycle_work, surface_energy
-from processing.contact.parameters import STANDARD_GRAVITY_M_PER_S2
+from processing.contact import MATERIALS, STANDARD_GRAVITY_M_PER_S2, cycle_work, hertz_contact, surface_energy
 from rig.analysis import parameters_of
 from rig.paper.printed import BALL, BALL_RADIUS_M, LOOP_AMPLITUDE_ARCSEC, MASS_KG, PAIRS
 from rig.paper.simulation import PairSeries

@@ -14,12 +14,8 @@ from acquisition.simulation.settings import (
 )
 from acquisition.simulation.true_path import noisy, true_path, true_turning_points
 from processing.angle import ARCSEC_RAD
-from processing.contact.hertz import MATERIALS, pendulum_on_ball
-from processing.contact.parameters import ContactParameters, PendulumOnBall
-from processing.fit.asymptotic import fit_asymptotic
-from processing.fit.exact import fit_exact
-from processing.fit.measurement import Quantity, RigQuantities
-from processing.fit.result import FitResult
+from processing.contact import MATERIALS, ContactParameters, PendulumOnBall, pendulum_on_ball
+from processing.fit import FitResult, Quantity, RigQuantities, fit_asymptotic, fit_exact
 from processing.swing import SwingDetector, TurningPoints
 from rig.analysis import Motion, SlowSamples, evaluate, evaluation_tree, fit_tree, series_tree, settled_swings
 from rig.paper.printed import (

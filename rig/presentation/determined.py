@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from processing.fit.checks import WELL_DETERMINED
+from processing.estimate import WELL_DETERMINED
 from rig.presentation.numbers import number, plain
 from rig.presentation.quantities import quantity
 

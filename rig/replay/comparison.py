@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from processing.fit.result import CONTACT_NAMES
+from processing.fit import CONTACT_NAMES
 from processing.spot import Spot
 from processing.swing import Swing
 from rig.presentation import plain_values

@@ -9,9 +9,8 @@ import numpy as np
 from scipy.special import stdtrit
 
 from processing.errors import RecordError
-from processing.fit.measurement import Measured
-from processing.fit.result import CONTACT_NAMES, Estimate
-from processing.fit.series import Combined, Comparison, SeriesResult, compare_series
+from processing.estimate import Estimate
+from processing.fit import CONTACT_NAMES, Combined, Comparison, Measured, SeriesResult, compare_series
 from rig.analysis import read_results
 from rig.presentation import (
     Cell,

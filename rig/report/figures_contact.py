@@ -6,8 +6,7 @@ from typing import Any
 import numpy as np
 
 from processing.angle import ARCSEC_RAD
-from processing.contact.moments import cycle_work, moment_loop, weight_moment
-from processing.contact.parameters import ContactParameters, PendulumOnBall
+from processing.contact import ContactParameters, PendulumOnBall, cycle_work, moment_loop, weight_moment
 from rig.presentation import number, palette, plain, quantity
 from rig.report.drawing import ASYMPTOTIC, DATA, EXACT, INK, Drawing, canvas
 

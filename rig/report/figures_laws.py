@@ -4,8 +4,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from processing.angle import ARCSEC_RAD
-from processing.contact.losses import measured_losses, model_losses
-from processing.contact.parameters import ContactParameters, PendulumOnBall
+from processing.contact import ContactParameters, PendulumOnBall, measured_losses, model_losses
 from processing.errors import DataError
 from processing.swing import TurningPoints
 from rig.analysis import Curves

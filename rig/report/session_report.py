@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from processing.errors import RecordError
-from processing.fit.result import CONTACT_NAMES
+from processing.fit import CONTACT_NAMES
 from rig.analysis import (
     Curves,
     ReportSource,

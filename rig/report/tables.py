@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from processing.fit.result import CONTACT_NAMES
+from processing.fit import CONTACT_NAMES
 from rig.analysis import Curves, RunData
 from rig.presentation import Cell, Table, determined_text, number, plain, quantity, with_uncertainty
 from rig.report.tables_uncertainty import budget_table, identifiability_table, monte_carlo_table

@@ -6,7 +6,7 @@ from typing import Literal, Self
 
 from pydantic import BaseModel, Field, model_validator
 
-from processing.instruments.descriptions import DEGREE_RAD, INSTRUMENTS, Description, Limits
+from processing.instruments import DEGREE_RAD, INSTRUMENTS, Description, Limits
 
 Kind = Literal[
     "single_ball",

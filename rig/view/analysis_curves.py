@@ -9,7 +9,7 @@ import numpy as np
 from acquisition.record.digest import sha256_of
 from acquisition.record.reader import RecordReader
 from processing.angle import ARCSEC_RAD
-from processing.contact.moments import moment_loop
+from processing.contact import moment_loop
 from processing.errors import RecordError
 from processing.swing import TurningPoints, turning_points
 from rig.analysis import (

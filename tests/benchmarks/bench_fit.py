@@ -18,9 +18,9 @@ from processing.contact.hertz import MATERIALS
 from processing.contact.parameters import ContactParameters
 from processing.errors import RigError
 from processing.fit.asymptotic import fit_asymptotic
+from processing.fit.determination import identifiability
 from processing.fit.drag import drag_verdict
 from processing.fit.exact import fit_exact
-from processing.fit.identifiability import identifiability
 from processing.fit.measurement import Quantity, RigQuantities, measured
 from processing.fit.result import CONTACT_NAMES, DRAG_NAME
 from processing.fit.uncertainty import monte_carlo

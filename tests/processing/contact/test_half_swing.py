@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 from processing.contact.half_swing import scaled_contact, turning_points_of
 from processing.contact.half_swing_kernel import half_swing_map
 from processing.contact.parameters import ContactParameters, PendulumOnBall
-from processing.contact.quarter_nodes import quarter_nodes
+from processing.contact.quadrature import quarter_nodes
 from processing.errors import DataError
 from tests.processing.fit.decays import ARCSEC, PAIRS, paper_pair
 

@@ -5,10 +5,10 @@ import pytest
 
 from processing.errors import DataError
 from processing.fit.asymptotic import fit_asymptotic
+from processing.fit.determination import _Held, identifiability, profile_likelihood, strong_correlations
 from processing.fit.drag import drag_verdict
 from processing.fit.exact import fit_exact
 from processing.fit.exact_model import ExactModel
-from processing.fit.identifiability import _Held, identifiability, profile_likelihood, strong_correlations
 from processing.fit.result import CONTACT_NAMES
 from tests.processing.fit.decays import decay, paper_pair
 

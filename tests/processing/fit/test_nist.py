@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from processing.fit.least_squares import solve
+from processing.least_squares import solve
 
 
 @dataclass(frozen=True)

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from processing.errors import DataError
+from processing.estimate import Estimate
 from processing.fit.asymptotic import fit_asymptotic
 from processing.fit.exact import fit_exact
-from processing.fit.result import CONTACT_NAMES, Estimate, FitResult
+from processing.fit.result import CONTACT_NAMES, FitResult
 from processing.fit.series import average_curves, combine, combine_runs, compare_series
 from processing.fit.uncertainty import budgets
 from tests.processing.fit.decays import decay, paper_pair, without

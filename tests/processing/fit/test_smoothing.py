@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from processing.contact.period import period
+from processing.contact.period_law import period
 from processing.errors import DataError
 from processing.fit.exact import fit_exact
-from processing.fit.periods import full_periods
 from processing.fit.smoothing import super_smooth
+from processing.periods import full_periods
 from tests.processing.fit.decays import decay, paper_pair
 
 

@@ -21,15 +21,15 @@ from acquisition.simulation.true_path import (
     true_path,
     true_turning_points,
 )
+from processing.estimate import Estimate
 from processing.fit.exact import fit_exact
-from processing.fit.result import Estimate
 from processing.instruments.circular import circular_error
-from processing.instruments.damping import damping, ratio
+from processing.instruments.damping_fit import damping, ratio
 from processing.instruments.descriptions import DEGREE_RAD, INSTRUMENTS
 from processing.instruments.friction_law import fit_friction_law
 from processing.instruments.hardness import herbert_hardness
+from processing.instruments.plane import along_plane, swing_plane
 from processing.instruments.rolling import rolling_friction
-from processing.instruments.swing_plane import along_plane, swing_plane
 from processing.instruments.turning import refined
 from processing.swing import SwingDetector, TurningPoints, turning_points
 from rig.instrument.configured import complete, pendulum_on_ball

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from processing.instruments.crossings import inferred_swings, joined_swings
-from processing.instruments.damping import damping
+from processing.instruments.damping_fit import damping
 from processing.instruments.descriptions import DEGREE_RAD
 from processing.instruments.turning import refined
 from processing.swing import Swing, SwingDetector, SwingFlag, TurningPoints, turning_points

@@ -10,15 +10,15 @@ from hypothesis import strategies as st
 from processing.angle import ARCSEC_RAD
 from processing.contact.hertz import Material, hertz_contact, material
 from processing.errors import DataError
-from processing.fit.result import Estimate
+from processing.estimate import Estimate
 from processing.instruments.checks import check
 from processing.instruments.circular import circular_error, ideal_excess
-from processing.instruments.damping import damping, over_places, ratio
+from processing.instruments.damping_fit import damping, over_places, ratio
 from processing.instruments.descriptions import DEGREE_RAD, INSTRUMENTS, Limits
 from processing.instruments.friction_law import fit_friction_law
 from processing.instruments.hardness import herbert_hardness
+from processing.instruments.plane import swing_plane
 from processing.instruments.rolling import rolling_friction
-from processing.instruments.swing_plane import swing_plane
 from processing.instruments.turning import refined
 from processing.swing import SwingDetector, TurningPoints
 from rig.settings.configuration import load_configuration

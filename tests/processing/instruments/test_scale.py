@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from processing.errors import DataError
-from processing.fit.result import Estimate
+from processing.estimate import Estimate
 from processing.instruments.circular import circular_error
-from processing.instruments.damping import Damping, damping
+from processing.instruments.damping_fit import Damping, damping
 from processing.instruments.descriptions import DEGREE_RAD
 from processing.instruments.rolling import rolling_friction
 from processing.instruments.scale import with_scale

@@ -9,10 +9,9 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import stdtrit
 
 from processing.errors import DataError
-from processing.fit.result import Estimate
+from processing.estimate import Estimate
 from processing.instruments.descriptions import DEGREE_RAD
 from processing.swing import TurningPoints
 
@@ -147,6 +146,8 @@ def over_places(values: Sequence[Estimate]) -> Places:
     The spread is the standard deviation from place to place, NaN for one place; the 95 % interval is
     Student's with the number of places less one where the scatter rules. Raises DataError for none.
     """
+    from scipy.special import stdtrit
+
     if not values:
         raise DataError("no place was measured")
     value = np.array([item.value for item in values])

@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
-from processing.contact.parameters import PendulumOnBall
+from processing.contact import PendulumOnBall
 from processing.errors import DataError
-from processing.fit.checks import WELL_DETERMINED
+from processing.estimate import WELL_DETERMINED
 from processing.fit.exact_model import SMALLEST_N, ExactModel
-from processing.fit.least_squares import solve
 from processing.fit.result import AMPLITUDE_NAME, DRAG_NAME, STIFFNESS_NAME, TIME_NAME, FitResult
+from processing.least_squares import solve
 from processing.swing import TurningPoints
 
 Verdict = Literal["determined", "interval", "upper bound", "lower bound", "undetermined"]

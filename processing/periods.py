@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from processing.fit.result import Estimate
+from processing.estimate import Estimate
 from processing.swing import TurningPoints
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from processing.errors import DataError
-from processing.fit.result import Estimate
+from processing.estimate import Estimate
 
 _FEWEST = 3
 
