@@ -14,6 +14,7 @@ from acquisition.frame import Frame
 from acquisition.frame_losses import FrameLosses
 from acquisition.record.chunk_reader import ChunkDamage, RawMessage, messages_in, open_chunk
 from acquisition.record.contents import MAGIC, ChunkPlace, Contents, parse, read_contents, read_record
+from acquisition.record.events import Event
 from acquisition.record.foxglove import decode_log
 from acquisition.record.measurements import spot_table, swings_of
 from acquisition.record.pixels import decode_image, decode_window
@@ -28,7 +29,6 @@ from acquisition.record.topics import (
     SWING,
     WINDOW,
     DeflectionUnit,
-    RecordedEvent,
     RecordedLog,
     RecordedLosses,
     RecordedWindow,
@@ -221,9 +221,9 @@ class RecordReader:
         """All half-cycles; amplitudes in `deflection_unit`."""
         return swings_of(self.table(SWING.topic))
 
-    def events(self) -> list[RecordedEvent]:
+    def events(self) -> list[Event]:
         """All events."""
-        return self.values(EVENT.topic, RecordedEvent)
+        return self.values(EVENT.topic, Event)
 
     def losses(self) -> FrameLosses | None:
         """Frames lost in the record by who lost them; None where an older record does not say.

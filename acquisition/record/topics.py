@@ -20,9 +20,6 @@ LOSSES_TOPIC = "/losses"
 SENSOR_FRAME = "sensor"
 """Frame of reference of images and camera calibration, for viewers."""
 
-WARNING_KINDS = frozenset({"gap", "spot lost", "camera lost", "record"})
-"""Events that the log shows as warnings: something of the measurement is missing."""
-
 DeflectionUnit = Literal["rad", "px"]
 """px where the rig has no calibration of its light lever."""
 
@@ -54,14 +51,6 @@ class RecordedWindow(NamedTuple):
     time_ns: int
     image: Image
     origin_px: tuple[int, int]
-
-
-class RecordedEvent(NamedTuple):
-    """Something that happened during the run."""
-
-    time_ns: int
-    kind: str
-    text: str
 
 
 class RecordedLog(NamedTuple):

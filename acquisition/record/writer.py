@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from acquisition.frame import Frame, Image
 from acquisition.record.chunk_builder import ChunkBuilder
 from acquisition.record.container import McapFile
+from acquisition.record.events import Event, EventKind
 from acquisition.record.foxglove import encode_camera_calibration, encode_log, foxglove_topics
 from acquisition.record.measurements import encode_swing, spot_rows
 from acquisition.record.pixels import encode_image, encode_window
@@ -30,7 +31,6 @@ from acquisition.record.topics import (
     SPOT_UNCALIBRATED,
     SWING,
     SWING_UNCALIBRATED,
-    WARNING_KINDS,
     WINDOW,
     DeflectionUnit,
     Environment,
@@ -185,9 +185,9 @@ class RecordWriter:
 
     def write_event(self, time_ns: int, kind: str, text: str) -> None:
         """Something that happened; also a line of the log, which viewers show without being told."""
-        self._add(self._numbers, EVENT.topic, time_ns, EVENT.encode(time_ns, kind, text))
-        level = _LEVEL_WARNING if kind in WARNING_KINDS else _LEVEL_INFO
-        self.write_log(time_ns, level, "event", f"{kind}: {text}")
+        event = Event(time_ns, kind, text)
+        self._add(self._numbers, EVENT.topic, time_ns, EVENT.encode(*event))
+        self.write_log(time_ns, _LEVEL_WARNING if event.is_warning else _LEVEL_INFO, "event", event.line)
 
     def write_log(self, time_ns: int, level: int, source: str, text: str) -> None:
         """A line for the viewers' log panels; `level` as in foxglove.Log (1 debug ... 5 fatal)."""
@@ -324,7 +324,7 @@ class RecordWriter:
         what = f"{self.path}: cannot be written: {failure.strerror or failure}"
         reason_ns = max(self._numbers.end_ns, self._pixels.end_ns, self._file.end_ns)
         if EVENT.topic in self._channels:
-            reason = EVENT.encode(reason_ns - self._offset_ns, "record", what)
+            reason = EVENT.encode(reason_ns - self._offset_ns, EventKind.RECORD, what)
             self._numbers.add(self._channels[EVENT.topic], self._sequence, reason_ns, reason)
         lost = 0
         for builder in (self._numbers, self._pixels):

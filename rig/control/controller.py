@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from processing.errors import DeviceError
 from rig.control.link import ControllerReset, Link
-from rig.control.protocol import Event
+from rig.control.protocol import BoardEvent
 from rig.control.serial_port import Line, PortLost, SerialPort
 from rig.control.settings import ControllerSettings
 
@@ -202,7 +202,7 @@ class Controller:
         code, _, text = self._ask("SYST:ERR?").partition(",")
         return int(code), text.strip('"')
 
-    def take_events(self) -> tuple[Event, ...]:
+    def take_events(self) -> tuple[BoardEvent, ...]:
         """What the board said unasked (TRIP, BOOT) since the last call."""
         return self._link.take_events() if self._link else ()
 

@@ -1,10 +1,8 @@
 """A device that a thread of its own owns from `start` to `close`, and what it has to say."""
 
 import logging
-import time
 from abc import ABC, abstractmethod
 from collections import deque
-from dataclasses import dataclass
 from types import TracebackType
 from typing import Self
 
@@ -12,14 +10,6 @@ from rig.control.worker import Worker
 
 _log = logging.getLogger(__name__)
 _EVENTS_KEPT = 1024
-
-
-@dataclass(frozen=True, slots=True)
-class DeviceEvent:
-    """Something worth recording: lost, opened, tripped, an error of the device's own."""
-
-    host_time_ns: int
-    text: str
 
 
 class DeviceThread(ABC):
@@ -36,7 +26,7 @@ class DeviceThread(ABC):
     def __init__(self, name: str, longest_job_s: float = 5.0) -> None:
         self._name = name
         self._longest_job_s = longest_job_s
-        self._events: deque[DeviceEvent] = deque(maxlen=_EVENTS_KEPT)
+        self._events: deque[str] = deque(maxlen=_EVENTS_KEPT)
         self._worker = Worker(name, self._turn, self._finish)
 
     @abstractmethod
@@ -69,8 +59,11 @@ class DeviceThread(ABC):
         """What ended the thread against our will."""
         return self._worker.failure
 
-    def take_events(self) -> tuple[DeviceEvent, ...]:
-        """Events since the last call, oldest first; never blocks. One thread takes them."""
+    def take_events(self) -> tuple[str, ...]:
+        """What happened since the last call, oldest first: lost, opened, tripped, an error of its own.
+
+        Never blocks. Only one thread may call it.
+        """
         events = []
         while self._events:
             events.append(self._events.popleft())
@@ -78,4 +71,4 @@ class DeviceThread(ABC):
 
     def _say(self, text: str) -> None:
         _log.info("%s: %s", self._name, text)
-        self._events.append(DeviceEvent(time.monotonic_ns(), text))
+        self._events.append(text)

@@ -10,7 +10,7 @@ import time
 from collections import deque
 
 from processing.errors import DeviceError
-from rig.control.protocol import TAG_MAX, Event, Reply, decode, encode
+from rig.control.protocol import TAG_MAX, BoardEvent, Reply, decode, encode
 from rig.control.serial_port import Line, LineReader
 
 _SESSION_NEEDED = -203
@@ -43,7 +43,7 @@ class Link:
         self._timeout_s = timeout_s
         self._retries = retries
         self._tag = 0
-        self._events: deque[Event] = deque(maxlen=_EVENTS_KEPT)
+        self._events: deque[BoardEvent] = deque(maxlen=_EVENTS_KEPT)
         self._last_junk = b""
         self.junk_lines = 0
         self.late_replies = 0
@@ -111,7 +111,7 @@ class Link:
             " check port, cable, baud rate and that the controller runs"
         )
 
-    def take_events(self) -> tuple[Event, ...]:
+    def take_events(self) -> tuple[BoardEvent, ...]:
         """What the board has said unasked since the last call."""
         events = tuple(self._events)
         self._events.clear()
@@ -142,13 +142,13 @@ class Link:
                 # A device that never stops talking must not keep us.
                 return None
 
-    def _hear(self, line: bytes) -> Reply | Event | None:
+    def _hear(self, line: bytes) -> Reply | BoardEvent | None:
         message = decode(line)
         if message is None:
             if line.strip():
                 self.junk_lines += 1
                 self._last_junk = line[:60]
-        elif isinstance(message, Event) and message.name != "NAK":
+        elif isinstance(message, BoardEvent) and message.name != "NAK":
             self._events.append(message)
             if message.name == "BOOT":
                 raise ControllerReset(

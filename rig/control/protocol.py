@@ -29,7 +29,7 @@ class Reply:
 
 
 @dataclass(frozen=True, slots=True)
-class Event:
+class BoardEvent:
     """Something the board says unasked."""
 
     name: str
@@ -58,7 +58,7 @@ def encode(tag: int, command: str) -> bytes:
     return body + b"*%04X\n" % checksum(body)
 
 
-def decode(line: bytes) -> Reply | Event | None:
+def decode(line: bytes) -> Reply | BoardEvent | None:
     """What a line from the board says; None for junk, which is whatever has no valid checksum.
 
     Half a line that lost its end may stand before a whole one, so reading begins at the last
@@ -74,5 +74,5 @@ def decode(line: bytes) -> Reply | Event | None:
         tag, values, code, message = match.groups()
         return Reply(int(tag), values or "", int(code or 0), message or "")
     if match := _EVENT.fullmatch(text):
-        return Event(match[1], match[2] or "")
+        return BoardEvent(match[1], match[2] or "")
     return None

@@ -9,6 +9,7 @@ from typing import NamedTuple, Self
 
 from acquisition.camera import Camera, CameraInfo
 from acquisition.cameras.simulated import SimulatedCamera
+from acquisition.record.events import EventKind
 from acquisition.simulation.inputs import RigInputs
 from processing.errors import ConfigurationError
 from rig.control import (
@@ -138,13 +139,13 @@ class Devices:
             raise ConfigurationError(f"{who} needs a controller: set controller.kind to serial or simulated")
         return self.control
 
-    def take_events(self) -> list[tuple[str, str]]:
+    def take_events(self) -> list[tuple[EventKind, str]]:
         """(kind, text) of what the devices did since the last call; never blocks."""
-        found = [("controller", event.text) for event in self.control.take_events()] if self.control else []
+        found = [(EventKind.CONTROLLER, text) for text in self.control.take_events()] if self.control else []
         if self.laser is not None:
-            found += [("laser", event.text) for event in self.laser.take_events()]
+            found += [(EventKind.LASER, text) for text in self.laser.take_events()]
         if self.sensor is not None:
-            found += [("sensor", event.text) for event in self.sensor.take_events()]
+            found += [(EventKind.SENSOR, text) for text in self.sensor.take_events()]
         return found
 
     def environment(self) -> tuple[float, float, float]:

@@ -9,6 +9,7 @@ from acquisition.frame import Frame
 from acquisition.frame_line import FrameLine
 from acquisition.frame_losses import FrameLosses
 from acquisition.frame_queue import FrameQueue, Policy
+from acquisition.record.events import EventKind
 from processing.errors import DeviceError, RigError
 
 _log = logging.getLogger(__name__)
@@ -40,7 +41,7 @@ class FrameStream:
         self._queue: FrameQueue | None = None
         self._line = FrameLine()
         self._thread: threading.Thread | None = None
-        self._events: list[tuple[str, str]] = []
+        self._events: list[tuple[EventKind, str]] = []
         self.ended = ""
         self.failure: Exception | None = None
 
@@ -66,7 +67,7 @@ class FrameStream:
         """Up to `at_most` frames in order; empty after the timeout, and when drained."""
         return [] if self._queue is None else self._queue.take(at_most, timeout_s)
 
-    def take_events(self) -> list[tuple[str, str]]:
+    def take_events(self) -> list[tuple[EventKind, str]]:
         """(kind, text) of what happened to the camera since the last call."""
         taken, self._events = self._events, []
         return taken
@@ -128,13 +129,13 @@ class FrameStream:
                     frame = self._camera.read(patience_s)
                 except FrameTimeout as timeout:
                     if silent_s == 0.0 and patience_s < self._timeout_s:
-                        self._events.append(("camera silent", str(timeout)))
+                        self._events.append((EventKind.CAMERA_SILENT, str(timeout)))
                     silent_s += patience_s
                     if silent_s >= self._timeout_s - 1e-6:
                         raise
                     continue
                 except CameraLost as lost:
-                    self._events.append(("camera lost", str(lost)))
+                    self._events.append((EventKind.CAMERA_LOST, str(lost)))
                     self._reconnect(lost)
                     line.begin_anew()
                     silent_s = 0.0
@@ -143,11 +144,13 @@ class FrameStream:
                     self.ended = self.ended or "the camera has come to its end"
                     break
                 if silent_s:
-                    self._events.append(("camera speaks", f"after more than {silent_s:.2f} s of silence"))
+                    self._events.append(
+                        (EventKind.CAMERA_SPEAKS, f"after more than {silent_s:.2f} s of silence")
+                    )
                     silent_s = 0.0
                 frame, note = line.join(frame)
                 if note:
-                    self._events.append(("camera back", note))
+                    self._events.append((EventKind.CAMERA_BACK, note))
                 queue.put(frame)
         except FrameTimeout as error:
             self._fail(error, f"no frame for {self._timeout_s:g} s: the camera has stalled")

@@ -22,7 +22,6 @@ from rig.instrument.configured import (
     sensor_model,
     setting_differences,
 )
-from rig.instrument.events import Event
 from rig.instrument.kernels import prepare_kernels
 from rig.instrument.optics import Optics, optics_of
 from rig.instrument.pipeline import Block, Deflector, Pipeline
@@ -42,7 +41,6 @@ __all__ = [
     "WEIGHTS",
     "Block",
     "Deflector",
-    "Event",
     "Optics",
     "Pipeline",
     "Snapshot",

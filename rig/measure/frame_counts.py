@@ -3,8 +3,9 @@
 from collections.abc import Sequence
 
 from acquisition.frame import Frame
+from acquisition.record.events import Event, EventKind
 from processing.spot import SpotFlag
-from rig.instrument import Block, Event, Pipeline
+from rig.instrument import Block, Pipeline
 from rig.measure.recorder import Entry, cut_window
 
 _LOST_IMAGE_INTERVAL_S = 1.0
@@ -48,12 +49,18 @@ class FrameCounts:
             gap = frame.sequence - self._sequence - 1
             if gap > 0:
                 self.missing += gap
-                events.append(Event(time_ns, "gap", f"{gap} frames missing before frame {frame.sequence}"))
+                events.append(
+                    Event(time_ns, EventKind.GAP, f"{gap} frames missing before frame {frame.sequence}")
+                )
             self._sequence = frame.sequence
             lost = bool(spot.flags & SpotFlag.LOST)
             if lost != self._lost:
                 events.append(
-                    Event(time_ns, "spot lost" if lost else "spot found", f"at frame {frame.sequence}")
+                    Event(
+                        time_ns,
+                        EventKind.SPOT_LOST if lost else EventKind.SPOT_FOUND,
+                        f"at frame {frame.sequence}",
+                    )
                 )
             self._lost = lost
             self.lost_spots += lost

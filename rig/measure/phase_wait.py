@@ -2,8 +2,9 @@
 
 from collections.abc import Callable
 
+from acquisition.record.events import Event
 from processing.errors import DataError
-from rig.instrument import Event, Snapshot
+from rig.instrument import Snapshot
 from rig.measure.end_of_run import StopRequest
 from rig.measure.recent_frames import RecentFrames
 

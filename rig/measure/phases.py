@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from acquisition.frame import Frame
+from acquisition.record.events import Event, EventKind
 from processing.errors import DataError, DeviceError
 from rig.devices import Devices, FrameStream, OpenCamera, goes_dark_by_itself, wait_for_command
-from rig.instrument import Event, Optics, Snapshot
+from rig.instrument import Optics, Snapshot
 from rig.measure import preflight
 from rig.measure.end_of_run import StopRequest
 from rig.measure.phase_wait import PhaseWait, Stopped
@@ -177,7 +178,7 @@ class PhasesBeforeRecord:
         ]
         self._show_table(self.verdicts)
         against = preflight.failures(self.verdicts)
-        self._wait.note("preflight", f"no-go: {against}" if against else "go")
+        self._wait.note(EventKind.PREFLIGHT, f"no-go: {against}" if against else "go")
         if against and not self._force:
             raise DataError(f"preflight says no-go ({against}); --force passes over it")
 
@@ -199,11 +200,11 @@ class PhasesBeforeRecord:
                     f"the magnet holds nothing: the spot is {held / self._unit_rad:.1f} {self._unit} "
                     "from where it rests freely; see the magnet, its current and its distance"
                 )
-            wait.note("magnet", f"holds the pendulum at {held / self._unit_rad:.1f} {self._unit}")
+            wait.note(EventKind.MAGNET, f"holds the pendulum at {held / self._unit_rad:.1f} {self._unit}")
             wait_for_command(self._devices.required_control(who).release())
         elif start.way == "starter":
             wait_for_command(self._devices.required_control(who).starter_pulse(self.starter_pulse_s))
-            wait.note("starter", f"pulse of {self.starter_pulse_s:.3f} s")
+            wait.note(EventKind.STARTER, f"pulse of {self.starter_pulse_s:.3f} s")
         else:
             instruction = "release by hand now"
         in_a_row = 0
@@ -231,7 +232,7 @@ class PhasesBeforeRecord:
         try:
             wait_for_command(control.brake(on))
         except DeviceError as error:
-            self._wait.note("brake", str(error))
+            self._wait.note(EventKind.BRAKE, str(error))
 
 
 def preflight_wanted(config: Configuration) -> bool:

@@ -8,10 +8,11 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from acquisition.frame import Frame, Image
+from acquisition.record.events import Event
 from acquisition.record.topics import ENVIRONMENT, LOSSES_TOPIC, Environment, RecordedLosses
 from acquisition.record.writer import RecordWriter
 from processing.spot import Spot
-from rig.instrument import Block, Event
+from rig.instrument import Block
 
 _log = logging.getLogger(__name__)
 _IDLE_S = 0.2

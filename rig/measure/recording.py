@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from acquisition.frame import Frame
+from acquisition.record.events import Event, EventKind
 from processing.swing import Swing
-from rig.instrument import Event, Snapshot
+from rig.instrument import Snapshot
 from rig.measure.end_of_run import EndOfRun, StopRequest
 from rig.measure.frame_counts import FrameCounts
 from rig.measure.loss_log import LossLog
@@ -50,7 +51,7 @@ class Recording:
         counts = FrameCounts(first, round(parts.full_frame_interval_s * 1e9), keep_windows=parts.keep_windows)
         end = EndOfRun(parts.end)
         status.begin_record()
-        events = [*events, Event(first.time_ns, "start", "first frame")]
+        events = [*events, Event(first.time_ns, EventKind.START, "first frame")]
         self._recorder.put(Entry(events=events))
         status.tell_events(counts.start_ns, events)
         rejected = ""
@@ -99,7 +100,7 @@ class Recording:
         swings = pipeline.finish()
         empty = pipeline.measure(np.empty(0, np.int64), [])._replace(swings=swings)
         why = f"start not accepted: {rejected}" if rejected else self._stop.reason
-        last = [*self._device_events(counts.last_ns), Event(counts.last_ns, "stop", why)]
+        last = [*self._device_events(counts.last_ns), Event(counts.last_ns, EventKind.STOP, why)]
         self._recorder.put(Entry(block=empty, events=last, losses=self._losses.last(counts.last_ns)))
         self._publish("closing the record", counts, swings, math.nan)
         status.tell(counts.start_ns, [], empty, last)

@@ -7,8 +7,9 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from acquisition.frame import Frame
+from acquisition.record.events import Event
 from processing.errors import DataError
-from rig.instrument import Event, Snapshot
+from rig.instrument import Snapshot
 from rig.interruption import reason_of
 from rig.measure.end_of_run import StopRequest
 from rig.measure.loss_log import LossLog

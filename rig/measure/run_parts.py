@@ -6,8 +6,9 @@ from pathlib import Path
 from typing import Protocol
 
 from acquisition.frame import Frame
+from acquisition.record.events import Event
 from rig.devices import Devices, FrameStream
-from rig.instrument import Block, Event, Optics, Snapshot
+from rig.instrument import Block, Optics, Snapshot
 from rig.measure.end_of_run import EndLimits
 from rig.measure.phases import PhasesBeforeRecord
 from rig.measure.record_file import RecordFile

@@ -6,10 +6,11 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 from acquisition.frame import Frame
+from acquisition.record.events import Event, EventKind
 from acquisition.record.topics import Environment
 from processing.swing import Swing
 from rig.devices import Devices
-from rig.instrument import Block, Event, Snapshot
+from rig.instrument import Block, Snapshot
 from rig.measure.run_parts import Watcher
 
 
@@ -94,7 +95,7 @@ class RunStatus:
             for watcher in self._watchers:
                 watcher.event(start_ns, event)
 
-    def take_events(self) -> list[tuple[str, str]]:
+    def take_events(self) -> list[tuple[EventKind, str]]:
         """(kind, text) of what controller, laser and sensors did since the last call."""
         return [] if self._devices is None else self._devices.take_events()
 

@@ -20,9 +20,10 @@ from rich.table import Table
 from rich.text import Text
 
 from acquisition.frame import Frame
+from acquisition.record.events import Event
 from processing.balance import Balance
 from processing.decay_forecast import Forecast, forecast
-from rig.instrument import Block, Event, Snapshot
+from rig.instrument import Block, Snapshot
 from rig.measure.preflight import table_tree
 from rig.presentation import Verdict, print_json_line, print_preflight, say
 
@@ -93,7 +94,7 @@ class RunDisplay:
 
     def event(self, start_ns: int, event: Event) -> None:
         """Keep a line of the log."""
-        self._notes.append(f"{(event.time_ns - start_ns) * 1e-9:8.1f} s  {event.kind}: {event.text}")
+        self._notes.append(f"{(event.time_ns - start_ns) * 1e-9:8.1f} s  {event.line}")
         if self._json:
             elapsed_s = (event.time_ns - start_ns) * 1e-9
             self.line("event", {"elapsed_s": elapsed_s, "event": event.kind, "text": event.text})

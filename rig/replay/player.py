@@ -5,10 +5,10 @@ import time
 from collections.abc import Callable
 from typing import Final, Protocol
 
-from acquisition.record.topics import RecordedEvent
+from acquisition.record.events import Event
 from processing.angle import ARCSEC_RAD
 from processing.spot import SpotFlag
-from rig.instrument import Event, Snapshot
+from rig.instrument import Snapshot
 from rig.replay.keys import Keys
 from rig.replay.replay import Replay, Step
 from rig.view import LiveView
@@ -53,7 +53,7 @@ class Player:
         retrack: bool = False,
         unit_rad: float = ARCSEC_RAD,
         view: LiveView | None = None,
-        events: list[RecordedEvent] | None = None,
+        events: list[Event] | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._replay = replay
@@ -142,8 +142,7 @@ class Player:
         while self._next_event < len(self._events) and (
             self._events[self._next_event].time_ns <= position_ns or math.isinf(self._replay.next_s)
         ):
-            event = self._events[self._next_event]
-            self._view.event(start_ns, Event(event.time_ns, event.kind, event.text))
+            self._view.event(start_ns, self._events[self._next_event])
             self._next_event += 1
         if math.isinf(self._speed):
             self._view.wait_room()

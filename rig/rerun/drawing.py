@@ -13,9 +13,9 @@ from rig.rerun.lissajous import Lissajous
 from rig.rerun.marks import spot_cross
 from rig.rerun.messages import (
     Balance,
-    Event,
     Fits,
     Floats,
+    LogLine,
     Losses,
     Message,
     Picture,
@@ -90,8 +90,8 @@ class Drawing:
                 self._draw_losses(message)
             case State():
                 self._draw_text(message.run, layout.STATE, message.time_s, message.text)
-            case Event():
-                self._draw_event(message)
+            case LogLine():
+                self._draw_log_line(message)
             case Fits():
                 draw_fits(self._stream, message, self._setup.unit)
 
@@ -177,7 +177,7 @@ class Drawing:
             path = f"{layout.LOSSES_ROOT}/{name}"
             self._gather(message.run, path, at, np.array([float(count)]), label, colour, steps=True)
 
-    def _draw_event(self, message: Event) -> None:
+    def _draw_log_line(self, message: LogLine) -> None:
         self._set_time(message.time_s)
         log = rr.TextLog(message.text, level=LEVELS.get(message.level, rr.TextLogLevel.INFO))
         self._stream.log(layout.entity(message.run, layout.EVENTS), log)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 Mode = Literal["none", "spawn", "web"]
 """Where the live stream is shown: nowhere, in a window of its own, in a browser."""
 LayoutName = Literal["balancing", "measuring", "analysing"]
-EventLevel = Literal["debug", "info", "warning", "error"]
+LogLevel = Literal["debug", "info", "warning", "error"]
 Panel = Literal["decay", "residuals", "period", "period_residuals", "loops"]
 
 Floats = NDArray[np.float64]
@@ -97,10 +97,12 @@ class State(NamedTuple):
     text: str
 
 
-class Event(NamedTuple):
+class LogLine(NamedTuple):
+    """One line of the log panel."""
+
     run: str
     time_s: float
-    level: EventLevel
+    level: LogLevel
     text: str
 
 
@@ -130,7 +132,7 @@ class Finish(NamedTuple):
     """Nothing follows: complete the file and end."""
 
 
-Message = Samples | Swings | Balance | Picture | Losses | State | Event | Fits | Finish
+Message = Samples | Swings | Balance | Picture | Losses | State | LogLine | Fits | Finish
 
 
 def rows(message: Message) -> int:

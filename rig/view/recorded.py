@@ -20,7 +20,7 @@ from processing.errors import RecordError
 from processing.spot import SpotFlag
 from rig.instrument import advice_text, recorded_configuration
 from rig.presentation import balance_quantities, say
-from rig.rerun import EventLevel, LayoutName
+from rig.rerun import LayoutName, LogLevel
 from rig.view.analysis_curves import analysis_curves, overlaid_curves, report_text, run_analysis
 from rig.view.rrd_display import show_rrd
 from rig.view.viewer import Viewer
@@ -29,7 +29,6 @@ logger = logging.getLogger(__name__)
 
 BLOCK_ROWS = 1024
 PICTURE_INTERVAL_S = 10.0
-WARNINGS = frozenset({"gap", "spot lost", "camera lost"})
 
 
 def show_records(
@@ -201,8 +200,8 @@ def _draw(viewer: Viewer, reader: RecordReader, run: str, start_ns: int, later_s
         quantities = balance_quantities(fields, 1.0 / scale)
         viewer.balance(float(seconds(fields["time_ns"])), quantities, advice=advise(fields), run=run)
     for event in reader.events():
-        level: EventLevel = "warning" if event.kind in WARNINGS else "info"
-        viewer.event(float(seconds(event.time_ns)), level, f"{event.kind}: {event.text}", run=run)
+        level: LogLevel = "warning" if event.is_warning else "info"
+        viewer.event(float(seconds(event.time_ns)), level, event.line, run=run)
     spots = _draw_spots(viewer, reader, run, start_ns, later_s)
     _draw_images(viewer, reader, run, start_ns, later_s, spots)
     return len(spots["sequence"]), len(swings)

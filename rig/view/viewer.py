@@ -27,11 +27,11 @@ from rig.rerun import (
     LOOPBACK,
     Balance,
     Curve,
-    Event,
-    EventLevel,
     Fits,
     Floats,
     LayoutName,
+    LogLevel,
+    LogLine,
     Losses,
     Message,
     Mode,
@@ -251,10 +251,10 @@ class Viewer:
         if self._feeds:
             self._put(State(run, float(time_s), text))
 
-    def event(self, time_s: float, level: EventLevel, text: str, *, run: str = "") -> None:
+    def event(self, time_s: float, level: LogLevel, text: str, *, run: str = "") -> None:
         """One line of the log."""
         if self._feeds:
-            self._put(Event(run, float(time_s), level, text))
+            self._put(LogLine(run, float(time_s), level, text))
 
     def fits(self, curves: Sequence[Curve], text: str = "", *, run: str = "") -> None:
         """Curves of the analysing layout and the report's text (Markdown)."""

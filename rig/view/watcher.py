@@ -8,17 +8,17 @@ from pathlib import Path
 import numpy as np
 
 from acquisition.frame import Frame
+from acquisition.record.events import Event
 from processing.angle import ARCSEC_RAD
 from processing.balance import Balance
 from processing.spot import Spot, SpotFlag
-from rig.instrument import Block, Event, Snapshot, advice_text
+from rig.instrument import Block, Snapshot, advice_text
 from rig.presentation import balance_quantities
-from rig.rerun import EventLevel, LayoutName, Mode
+from rig.rerun import LayoutName, LogLevel, Mode
 from rig.settings import Configuration
 from rig.view.viewer import ViewCounts, Viewer
 
 _STATE_INTERVAL_S = 0.5
-_WARNINGS = {"gap", "spot lost", "camera lost"}
 
 
 class LiveView:
@@ -85,8 +85,8 @@ class LiveView:
 
     def event(self, start_ns: int, event: Event) -> None:
         """One line of the log."""
-        level: EventLevel = "warning" if event.kind in _WARNINGS else "info"
-        self._viewer.event((event.time_ns - start_ns) * 1e-9, level, f"{event.kind}: {event.text}")
+        level: LogLevel = "warning" if event.is_warning else "info"
+        self._viewer.event((event.time_ns - start_ns) * 1e-9, level, event.line)
 
     def snapshot(self, snapshot: Snapshot) -> None:
         """State and losses, twice a second at most."""

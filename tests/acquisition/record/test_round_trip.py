@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
 from acquisition.frame import Frame
+from acquisition.record.events import Event
 from acquisition.record.pixels import decode_image, decode_window, encode_image, encode_window
 from acquisition.record.reader import RecordReader
 from acquisition.record.schemas import MessageType, conform, message_type_of, parse_message_type
@@ -26,7 +27,6 @@ from acquisition.record.topics import (
     SWING_UNCALIBRATED,
     WINDOW,
     Environment,
-    RecordedEvent,
     RecordedLog,
 )
 from acquisition.record.writer import RecordWriter
@@ -144,8 +144,8 @@ def test_a_whole_record_comes_back(tmp_path: Path, dtype: str) -> None:
             assert (image.sequence, image.time_ns) == (frame.sequence, frame.time_ns)
             np.testing.assert_array_equal(image.image, frame.image)
         assert reader.events() == [
-            RecordedEvent(0, "start", "first frame"),
-            RecordedEvent(128 * FRAME_NS, "stop", "amplitude below 2 arcsec"),
+            Event(0, "start", "first frame"),
+            Event(128 * FRAME_NS, "stop", "amplitude below 2 arcsec"),
         ]
         log = reader.log()
         assert [line.text for line in log if line.source == "session"] == [

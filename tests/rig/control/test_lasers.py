@@ -231,5 +231,5 @@ def test_service_publishes_and_survives_a_silence() -> None:
         until(lambda: service.snapshot.state is not None)
         # Found again, it is dark: nobody said that it should light.
         assert not instrument.on
-        assert any("no reply" in event.text for event in service.take_events())
+        assert any("no reply" in text for text in service.take_events())
     instrument.close()

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rig.control.firmware import core
-from rig.control.protocol import Event, Reply, checksum, decode, encode
+from rig.control.protocol import BoardEvent, Reply, checksum, decode, encode
 
 PRINTABLE = st.text(st.characters(min_codepoint=32, max_codepoint=126, exclude_characters="#!"), max_size=60)
 
@@ -37,7 +37,7 @@ def test_a_reply_comes_through(tag: int, values: str) -> None:
 def test_refusals_and_events_are_told_apart() -> None:
     assert decode(seal(b'#7 ERR -222,"Data out of range"')) == Reply(7, "", -222, "Data out of range")
     assert decode(seal(b"#8 OK")) == Reply(8)
-    assert decode(seal(b"!TRIP WATCHDOG")) == Event("TRIP", "WATCHDOG")
+    assert decode(seal(b"!TRIP WATCHDOG")) == BoardEvent("TRIP", "WATCHDOG")
 
 
 @given(st.binary(max_size=80))

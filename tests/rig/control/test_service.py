@@ -52,7 +52,7 @@ def test_reset_board_is_opened_anew_and_stays_dark(board: FirmwareBoard) -> None
         assert board.outputs()["laser"][0] == 0
         service.laser_on().result(5.0)
         assert board.outputs()["laser"][0] == 1
-        assert any("reset" in event.text or "session" in event.text for event in service.take_events())
+        assert any("reset" in text or "session" in text for text in service.take_events())
 
 
 def test_unplugged_and_plugged_in_again(make_board: Callable[..., FirmwareBoard], tmp_path: Path) -> None:

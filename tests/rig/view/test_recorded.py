@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from acquisition.frame import Frame
+from acquisition.record.events import WARNING_KINDS
 from acquisition.record.writer import RecordWriter
 from processing.angle import ARCSEC_RAD
 from processing.errors import ConfigurationError, RecordError
@@ -85,6 +86,21 @@ def test_a_record_is_drawn_from_its_start(tmp_path: Path) -> None:
     assert times_s == pytest.approx([1.0])
     # The cross' arms are symmetric about the spot, half a pixel further in Rerun's coordinates.
     assert np.mean(np.array(crosses[0]).reshape(-1, 2), axis=0) == pytest.approx([420.5, 160.5], abs=1e-3)
+
+
+def test_a_failing_record_is_a_warning_as_in_the_records_own_log(tmp_path: Path) -> None:
+    path, rrd = tmp_path / "run.mcap", tmp_path / "shown.rrd"
+    with RecordWriter(path, EPOCH_NS) as writer:
+        spot = Spot(*[math.nan] * 10, SpotFlag.LOST)
+        writer.write_spots([0], [0], [0], np.zeros(1, np.int64), [spot], *[np.full(1, math.nan)] * 4)
+        for kind in ("start", *WARNING_KINDS):
+            writer.write_event(0, kind, "happened")
+    write_rrd([path], rrd)
+    texts = [text for (text,) in column(rrd, "/events", "TextLog:text")[1]]
+    levels = [level for (level,) in column(rrd, "/events", "TextLog:level")[1]]
+    found = dict(zip(texts, levels, strict=True))
+    assert found.pop("start: happened") == "INFO"
+    assert found == {f"{kind}: happened": "WARN" for kind in WARNING_KINDS}
 
 
 def test_a_lost_spot_breaks_the_trajectory(tmp_path: Path) -> None:
