@@ -54,7 +54,9 @@ class RigQuantities:
 
     `arm_m` and `pitch_m` are those with which the angles were made: they matter through their
     relative uncertainties, as does `clock`, true seconds per second of the camera's clock.
-    `balls` shares the weight: 1, or 2 for the two-ball pendulum.
+    `slow_angle_rad` and `non_orthogonality_rad` are the directions of the pendulum's axes on the sensor;
+    `fast_ratio` is the fast mode's amplitude over the slow one's, which wrong directions let into the
+    slow deflection. `balls` shares the weight: 1, or 2 for the two-ball pendulum.
     """
 
     mass_kg: Quantity
@@ -65,6 +67,9 @@ class RigQuantities:
     pitch_m: Quantity
     gravity_m_per_s2: Quantity = Quantity(STANDARD_GRAVITY_M_PER_S2)
     clock: Quantity = Quantity(1.0)
+    slow_angle_rad: Quantity = Quantity(0.0)
+    non_orthogonality_rad: Quantity = Quantity(0.0)
+    fast_ratio: float = 0.0
     balls: int = 1
 
     def __post_init__(self) -> None:
@@ -92,7 +97,27 @@ class RigQuantities:
                 self.ball.youngs_modulus_pa, self.ball.u_youngs_modulus_pa
             )
             found["ball_poisson_ratio"] = Quantity(self.ball.poisson_ratio, self.ball.u_poisson_ratio)
+        # last, so that the draws for the others stay those of records made before axes were budgeted
+        found["slow_angle_rad"] = self.slow_angle_rad
+        found["non_orthogonality_rad"] = self.non_orthogonality_rad
         return found
+
+    def seen_slow_tilt(
+        self, slow_angle_rad: NDArray[np.float64], non_orthogonality_rad: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Slow tilt as the assumed axes show it, over the true one, for true directions of the axes.
+
+        With the slow axis off by d and the angle between the axes by e, a motion of the amplitude A
+        along the slow axis and r A along the fast one shows ``A (cos d + sin d tan q) - r A
+        sin(d + e) / cos q`` along the assumed slow axis, q being the assumed non-orthogonality. The
+        fast mode's part changes its sign from one turning point to another; taking it with one sign
+        is its upper limit.
+        """
+        assumed = self.non_orthogonality_rad.value
+        off = slow_angle_rad - self.slow_angle_rad.value
+        apart = non_orthogonality_rad - assumed
+        cross_talk = self.fast_ratio * np.sin(off + apart) / np.cos(assumed)
+        return np.asarray(np.cos(off) + np.sin(off) * np.tan(assumed) - cross_talk, dtype=np.float64)
 
     def pendulum(self) -> PendulumOnBall:
         """What the fits take, from the values; on two balls, the half of it that one carries."""
@@ -170,6 +195,7 @@ def report(
         ball = (1 - inputs["ball_poisson_ratio"] ** 2) / inputs["ball_youngs_modulus_pa"]
     a = (0.75 * force * radius * (flat + ball)) ** (1 / 3)
     scale = (inputs["pitch_m"] / rig.pitch_m.value) / (inputs["arm_m"] / rig.arm_m.value)
+    scale = scale / rig.seen_slow_tilt(inputs["slow_angle_rad"], inputs["non_orthogonality_rad"])
     second = inputs["clock"] / rig.clock.value
 
     nominal_rho = nominal.ball_radius_m / nominal.contact_radius_m

@@ -6,7 +6,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from calibration.axes import Axes
 from processing.angle import ARCSEC_RAD
 from processing.contact import HertzContact, PendulumOnBall, cycle_work, hertz_contact
 from processing.errors import DataError
@@ -77,12 +79,16 @@ class Evaluation:
         return [*found, *self.notes]
 
 
-def rig_quantities(config: Configuration) -> RigQuantities | None:
-    """The apparatus with its standard uncertainties; None where the contact radius is not after Hertz."""
+def rig_quantities(config: Configuration, fast_ratio: float = 0.0) -> RigQuantities | None:
+    """The apparatus with its standard uncertainties; None where the contact radius is not after Hertz.
+
+    `fast_ratio` is the fast mode's amplitude over the slow one's (see `RigQuantities`).
+    """
     pendulum, lever = config.pendulum, config.lever
     if pendulum is None or lever is None or pendulum.contact_radius_m is not None:
         return None
     timebase = config.timebase or TimebaseSettings()
+    axes = config.axes or Axes()
     return RigQuantities(
         mass_kg=Quantity(pendulum.mass_kg, pendulum.u_mass_kg),
         ball_radius_m=Quantity(pendulum.ball_radius_m, pendulum.u_ball_radius_m),
@@ -92,8 +98,20 @@ def rig_quantities(config: Configuration) -> RigQuantities | None:
         pitch_m=Quantity(lever.pixel_pitch_m, lever.u_pixel_pitch_m),
         gravity_m_per_s2=Quantity(pendulum.gravity_m_per_s2, pendulum.u_gravity_m_per_s2),
         clock=Quantity(timebase.camera_rate, timebase.u_camera_rate),
+        slow_angle_rad=Quantity(axes.slow_angle_rad, axes.u_slow_angle_rad),
+        non_orthogonality_rad=Quantity(axes.non_orthogonality_rad, axes.u_non_orthogonality_rad),
+        fast_ratio=fast_ratio,
         balls=balls(config),
     )
+
+
+def fast_ratio(x: NDArray[np.float64], y: NDArray[np.float64]) -> float:
+    """Fast over slow motion (r.m.s. about the median, NaN left out); 0 where there is nothing to compare."""
+    spread_x, spread_y = (
+        float(np.sqrt(np.mean((good - np.median(good)) ** 2))) if len(good) else 0.0
+        for good in (values[np.isfinite(values)] for values in (x, y))
+    )
+    return spread_x / spread_y if spread_y > 0 else 0.0
 
 
 def contact_of(rig: RigQuantities) -> HertzContact:

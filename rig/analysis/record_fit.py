@@ -17,7 +17,7 @@ from processing.fit import FitResult
 from processing.swing import Swing
 from rig.analysis.contact_laws import DecayFits, SlowSamples, fit_decay, settled_swings
 from rig.analysis.contact_tree import series_tree
-from rig.analysis.contact_verdicts import Evaluation, evaluate, rig_quantities
+from rig.analysis.contact_verdicts import Evaluation, evaluate, fast_ratio, rig_quantities
 from rig.analysis.other_instruments import Air, Samples, reduce_run
 from rig.analysis.other_instruments_series import reduce_series
 from rig.analysis.results import RunResult, results_tree, write_results
@@ -105,7 +105,8 @@ def _analyse_swings(
     evaluation: Evaluation | None = None
     if decay.fits and pendulum is not None:
         seed = int(sha256[:12], 16)
-        evaluation = evaluate(points, pendulum, decay.fits["exact"], rig_quantities(config), seed)
+        quantities = rig_quantities(config, fast_ratio(samples.x_rad, samples.y_rad))
+        evaluation = evaluate(points, pendulum, decay.fits["exact"], quantities, seed)
     return RunResult(
         record=path,
         sha256=sha256,

@@ -71,5 +71,7 @@ SOURCES: Final[Mapping[str, str]] = {
     "flat_poisson_ratio": "ν of the flat",
     "ball_youngs_modulus_pa": "E of the ball",
     "ball_poisson_ratio": "ν of the ball",
+    "slow_angle_rad": "direction of the slow axis",
+    "non_orthogonality_rad": "angle between the axes",
 }
 """Names of the sources of an uncertainty budget."""

@@ -1,0 +1,76 @@
+"""Uncertain directions of the axes: what they do to the slow deflection, and their lines in the budget."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calibration.axes import Axes
+from processing.fit.measurement import Measured, Quantity
+from processing.fit.uncertainty import budgets
+from rig.analysis.contact_verdicts import fast_ratio, rig_quantities
+from rig.instrument import complete
+from rig.settings import load_configuration
+from tests.processing.fit.test_uncertainty import found, points, rig
+from tests.rig.replay.replay_record import CONFIG
+
+__all__ = ["found", "points"]
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+@pytest.mark.parametrize(
+    ("angle", "apart", "off", "opened"),
+    [(0.3, 0.1, 0.02, -0.01), (0.0, 0.0, 0.05, 0.03), (-1.0, -0.2, -0.03, 0.0)],
+)
+def test_the_slow_tilt_that_wrong_axes_show(
+    angle: float, apart: float, off: float, opened: float, mirrored: bool
+) -> None:
+    """Against a decomposition along the assumed axes of a motion along the true ones."""
+    assumed = Axes(slow_angle_rad=angle, non_orthogonality_rad=apart, mirrored=mirrored)
+    true = Axes(slow_angle_rad=angle + off, non_orthogonality_rad=apart + opened, mirrored=mirrored)
+    ratio = 0.1
+    seen = np.linalg.inv(assumed.directions()) @ true.directions() @ np.array([ratio, 1.0])
+    # seen mirrored, the same fast deflection has the other sign on the sensor
+    quantities = replace(
+        rig(slow_angle_rad=Quantity(angle), non_orthogonality_rad=Quantity(apart)),
+        fast_ratio=-ratio if mirrored else ratio,
+    )
+    shown = quantities.seen_slow_tilt(np.array([angle + off]), np.array([apart + opened]))
+    assert shown[0] == pytest.approx(seen[1], rel=1e-12)
+
+
+def test_known_axes_change_no_number(found: Measured) -> None:
+    inputs = {name: np.array([quantity.value]) for name, quantity in rig().inputs().items()}
+    assert rig().seen_slow_tilt(inputs["slow_angle_rad"], inputs["non_orthogonality_rad"])[0] == 1.0
+
+
+def test_uncertain_axes_stand_in_the_budget(found: Measured) -> None:
+    u_rad, ratio, apart = 2e-3, 0.05, 0.01
+    uncertain = replace(
+        rig(slow_angle_rad=Quantity(0.2, u_rad), non_orthogonality_rad=Quantity(apart, u_rad)),
+        fast_ratio=ratio,
+    )
+    budget = budgets(found, uncertain)["c"]
+    parts = {line.source: line.contribution for line in budget.lines}
+    # c is in proportion to the assumed angles
+    assert parts["non_orthogonality_rad"] == pytest.approx(budget.value * ratio * u_rad, rel=1e-3)
+    assert parts["slow_angle_rad"] == pytest.approx(budget.value * (ratio - apart) * u_rad, rel=1e-3)
+    assert "slow_angle_rad" not in {line.source for line in budgets(found, rig())["c"].lines}
+
+
+def test_the_configuration_states_them() -> None:
+    config = complete(load_configuration(CONFIG))
+    axes = Axes(slow_angle_rad=0.1, u_slow_angle_rad=1e-3, non_orthogonality_rad=0.02, u_non_orthogonality_rad=3e-3)
+    quantities = rig_quantities(config.model_copy(update={"axes": axes}), 0.01)
+    assert quantities is not None
+    assert quantities.slow_angle_rad == Quantity(0.1, 1e-3)
+    assert quantities.non_orthogonality_rad == Quantity(0.02, 3e-3)
+    assert quantities.fast_ratio == 0.01
+
+
+def test_the_fast_mode_is_compared_with_the_slow_one() -> None:
+    phase = np.linspace(0.0, 20 * np.pi, 5001)[:-1]
+    slow = 3.0 + np.sin(phase)
+    assert fast_ratio(0.1 * np.sin(5 * phase), slow) == pytest.approx(0.1, rel=1e-3)
+    assert fast_ratio(np.full(4, np.nan), slow) == 0.0
+    assert fast_ratio(slow, np.zeros(5000)) == 0.0
