@@ -60,7 +60,9 @@ def test_uncertain_axes_stand_in_the_budget(found: Measured) -> None:
 
 def test_the_configuration_states_them() -> None:
     config = complete(load_configuration(CONFIG))
-    axes = Axes(slow_angle_rad=0.1, u_slow_angle_rad=1e-3, non_orthogonality_rad=0.02, u_non_orthogonality_rad=3e-3)
+    axes = Axes(
+        slow_angle_rad=0.1, u_slow_angle_rad=1e-3, non_orthogonality_rad=0.02, u_non_orthogonality_rad=3e-3
+    )
     quantities = rig_quantities(config.model_copy(update={"axes": axes}), 0.01)
     assert quantities is not None
     assert quantities.slow_angle_rad == Quantity(0.1, 1e-3)
