@@ -1,7 +1,7 @@
 """What every camera driver promises."""
 
-from dataclasses import dataclass
-from typing import Literal, Protocol
+from dataclasses import astuple, dataclass
+from typing import Literal, NamedTuple, Protocol
 
 from pydantic import BaseModel, Field
 
@@ -50,6 +50,21 @@ class CameraInfo:
     has_clock: bool
 
 
+class PluggedCamera(NamedTuple):
+    """One camera as its driver finds it, before it is opened.
+
+    `place` is its port, address or path, `modes` what it can deliver, as far as that is known.
+    `problem` says why it cannot be used; it is empty where it can.
+    """
+
+    driver: str
+    name: str
+    serial: str
+    place: str
+    modes: tuple[str, ...] = ()
+    problem: str = ""
+
+
 @dataclass(frozen=True, slots=True)
 class CameraStatus:
     """Where the frames went since `start`; the counts are kept apart by who lost them."""
@@ -65,6 +80,10 @@ class CameraStatus:
     def dropped(self) -> int:
         """All frames lost, whoever lost them."""
         return self.dropped_by_camera + self.dropped_by_bus + self.dropped_by_host + self.incomplete
+
+    def __add__(self, other: "CameraStatus") -> "CameraStatus":
+        """Counts of two stretches of one run, before and after a reconnection."""
+        return CameraStatus(*(a + b for a, b in zip(astuple(self), astuple(other), strict=True)))
 
 
 class Camera(Protocol):

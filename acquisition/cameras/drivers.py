@@ -1,105 +1,146 @@
-"""The one dictionary of camera drivers. A driver is imported when it is asked for, not before."""
+"""The registry of camera drivers: name, settings, how a camera is made and found.
+
+A driver is added by one entry here. From it follow the names that ``camera.driver`` takes, the section
+``[camera.NAME]`` of the configuration, and what ``rig devices`` lists. The modules of settings are
+imported with the configuration, all others when the driver is used.
+"""
 
 import importlib
 from typing import Any, NamedTuple, cast
 
 from pydantic import BaseModel
 
-from acquisition.camera import Camera
-from processing.errors import ConfigurationError
+from acquisition.camera import Camera, PluggedCamera
+from processing.errors import ConfigurationError, DeviceError
 
 
 class Driver(NamedTuple):
-    """Where a driver is found, as ``module:name``.
+    """Where the parts of a driver are, each as ``module:name``.
 
-    `settings` are the models that the factory takes, in this order; those beyond `required` may be
-    left out.
+    Parameters
+    ----------
+    camera
+        A class that implements `acquisition.camera.Camera`, called with its settings.
+    settings
+        Frozen pydantic models in modules that are cheap to import. A field ``serial`` is filled from
+        ``camera.serial``.
+    find
+        A function that lists the cameras that are plugged in, as `PluggedCamera`, and raises DeviceError
+        where it cannot look; empty where nothing is ever plugged in.
+    sections
+        Sections of the configuration that hold the settings; empty: the only one stands in ``[camera.NAME]``.
+    on_demand
+        Frames are made or read when they are asked for; the camera waits and loses nothing.
     """
 
-    factory: str
+    camera: str
     settings: tuple[str, ...]
-    required: int
-    summary: str
+    find: str = ""
+    sections: tuple[str, ...] = ()
+    on_demand: bool = False
 
 
 DRIVERS: dict[str, Driver] = {
+    # the simulated rig
     "simulated": Driver(
-        "acquisition.cameras.simulated:SimulatedCamera",
-        ("acquisition.simulation.settings:SimulationSettings", "acquisition.simulation.faults:FaultSettings"),
-        1,
-        "the simulated rig",
+        camera="acquisition.cameras.simulated:SimulatedCamera",
+        settings=(
+            "acquisition.simulation.settings:SimulationSettings",
+            "acquisition.simulation.faults:FaultSettings",
+        ),
+        sections=("simulation", "faults"),
+        on_demand=True,
     ),
+    # images, a lossless video or a .npy stack that another program recorded
     "files": Driver(
-        "acquisition.cameras.files.camera:FilesCamera",
-        ("acquisition.cameras.files:FilesSettings",),
-        1,
-        "images, a lossless video or a .npy stack that another program recorded",
+        camera="acquisition.cameras.files.camera:FilesCamera",
+        settings=("acquisition.cameras.files.settings:FilesSettings",),
+        on_demand=True,
     ),
+    # any USB3 Vision camera, through pyusb
     "usb3vision": Driver(
-        "acquisition.cameras.usb3vision.camera:Usb3VisionCamera",
-        ("acquisition.cameras.usb3vision.camera:Usb3VisionSettings",),
-        0,
-        "any USB3 Vision camera, through pyusb",
+        camera="acquisition.cameras.usb3vision.camera:Usb3VisionCamera",
+        settings=("acquisition.cameras.usb3vision.settings:Usb3VisionSettings",),
+        find="acquisition.cameras.usb3vision.discovery:list_cameras",
     ),
-    "pylon": Driver(
-        "acquisition.cameras.pylon:PylonCamera",
-        ("acquisition.cameras.pylon:PylonSettings",),
-        0,
-        "Basler cameras through the vendor's pypylon, an optional package",
-    ),
-    "aravis": Driver(
-        "acquisition.cameras.aravis.camera:AravisCamera",
-        ("acquisition.cameras.aravis.library:AravisSettings",),
-        0,
-        "GigE Vision and USB3 Vision cameras through libaravis and PyGObject, which are optional",
-    ),
+    # UVC and other Video4Linux cameras; on Windows and macOS what OpenCV offers
     "v4l2": Driver(
-        "acquisition.cameras.v4l2.camera:V4l2Camera",
-        ("acquisition.cameras.v4l2.source:V4l2Settings",),
-        0,
-        "UVC and other Video4Linux cameras; on Windows and macOS what OpenCV offers",
+        camera="acquisition.cameras.v4l2.camera:V4l2Camera",
+        settings=("acquisition.cameras.v4l2.settings:V4l2Settings",),
+        find="acquisition.cameras.v4l2.devices:list_cameras",
+    ),
+    # Basler cameras through the vendor's pypylon, an optional package
+    "pylon": Driver(
+        camera="acquisition.cameras.pylon:PylonCamera",
+        settings=("acquisition.cameras.pylon:PylonSettings",),
+        find="acquisition.cameras.pylon:list_cameras",
+    ),
+    # GigE Vision and USB3 Vision cameras through libaravis and PyGObject, which are optional
+    "aravis": Driver(
+        camera="acquisition.cameras.aravis.camera:AravisCamera",
+        settings=("acquisition.cameras.aravis.settings:AravisSettings",),
+        find="acquisition.cameras.aravis.library:list_cameras",
     ),
 }
 
 
-def make_camera(driver: str, *settings: BaseModel) -> Camera:
+def find_driver(name: str) -> Driver:
+    """Entry of the registry; ConfigurationError lists those there are."""
+    if name not in DRIVERS:
+        raise ConfigurationError(f"camera.driver = {name!r}: {unknown_driver()}")
+    return DRIVERS[name]
+
+
+def unknown_driver() -> str:
+    """What to say of a name that is not in the registry."""
+    return f"no such driver; there are {', '.join(sorted(DRIVERS))}"
+
+
+def settings_models(name: str) -> tuple[type[BaseModel], ...]:
+    """Models of the settings that a driver takes."""
+    return tuple(cast(type[BaseModel], _load(place)) for place in find_driver(name).settings)
+
+
+def default_settings(model: type[BaseModel]) -> BaseModel | None:
+    """Settings with all defaults; None where a field has none and the user must state it."""
+    return None if any(field.is_required() for field in model.model_fields.values()) else model()
+
+
+def make_camera(name: str, *settings: BaseModel) -> Camera:
     """A camera that is not opened yet.
 
     Parameters
     ----------
-    driver
+    name
         A key of `DRIVERS`.
     settings
-        The driver's own settings, instances of the models that `Driver.settings` names.
+        Instances of the driver's models, in their order; those that are left out take their defaults.
 
     Raises
     ------
     ConfigurationError
-        Unknown driver, or settings that are another driver's.
+        Unknown driver, or settings that are missing or another driver's.
     """
-    entry = find_driver(driver)
-    models = settings_models(driver)
-    if not entry.required <= len(settings) <= len(models) or not all(
-        isinstance(value, model) for value, model in zip(settings, models, strict=False)
-    ):
+    models = settings_models(name)
+    full = [*settings, *(default_settings(model) for model in models[len(settings) :])]
+    if len(full) > len(models) or not all(map(isinstance, full, models)):
         wanted = ", ".join(model.__name__ for model in models)
         given = ", ".join(type(value).__name__ for value in settings) or "nothing"
-        raise ConfigurationError(f"camera driver {driver!r} takes {wanted}; {given} was given")
-    return cast(Camera, _load(entry.factory)(*settings))
+        raise ConfigurationError(f"camera driver {name!r} takes {wanted}; {given} was given")
+    return cast(Camera, _load(find_driver(name).camera)(*full))
 
 
-def settings_models(driver: str) -> tuple[type[BaseModel], ...]:
-    """Models of the settings that a driver takes."""
-    return tuple(cast(type[BaseModel], _load(name)) for name in find_driver(driver).settings)
-
-
-def find_driver(driver: str) -> Driver:
-    """Entry of the dictionary; ConfigurationError lists those there are."""
-    if driver not in DRIVERS:
-        raise ConfigurationError(
-            f"camera.driver = {driver!r}: no such driver; there are {', '.join(sorted(DRIVERS))}"
-        )
-    return DRIVERS[driver]
+def find_cameras() -> tuple[list[PluggedCamera], list[str]]:
+    """Cameras that are plugged in, and one line for each driver that cannot look for them."""
+    cameras: list[PluggedCamera] = []
+    notes: list[str] = []
+    for driver in DRIVERS.values():
+        if driver.find:
+            try:
+                cameras += _load(driver.find)()
+            except DeviceError as error:
+                notes.append(str(error))
+    return cameras, notes
 
 
 def _load(place: str) -> Any:

@@ -10,7 +10,15 @@ from typing import Any, Final
 import numpy as np
 from pydantic import BaseModel, Field
 
-from acquisition.camera import CameraInfo, CameraLost, CameraSettings, CameraStatus, FrameTimeout, PixelFormat
+from acquisition.camera import (
+    CameraInfo,
+    CameraLost,
+    CameraSettings,
+    CameraStatus,
+    FrameTimeout,
+    PixelFormat,
+    PluggedCamera,
+)
 from acquisition.frame import Frame
 from processing.errors import DeviceError
 
@@ -308,7 +316,10 @@ def _load_pylon() -> Any:
     return pylon
 
 
-def list_cameras() -> list[tuple[str, str, str]]:
-    """(model, serial number, transport) of every camera that pylon finds."""
+def list_cameras() -> list[PluggedCamera]:
+    """Every camera that pylon finds, with its transport as the place."""
     devices = _load_pylon().TlFactory.GetInstance().EnumerateDevices()
-    return [(device.GetModelName(), device.GetSerialNumber(), device.GetDeviceClass()) for device in devices]
+    return [
+        PluggedCamera("pylon", device.GetModelName(), device.GetSerialNumber(), device.GetDeviceClass())
+        for device in devices
+    ]

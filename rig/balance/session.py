@@ -115,7 +115,7 @@ def balance_rig(
     config = complete(config)
     trimmed: TrimmedPendulum | None = None
     if follow:
-        if config.camera.driver != "simulated":
+        if not config.simulated:
             raise ConfigurationError("--follow turns the simulated rig's weights: a real one needs hands")
         nominal = {
             name: TrimWeight(

@@ -164,7 +164,7 @@ def calibrate_clock(record: Path, filing: Filing, counter_bits: int | None) -> P
     """Camera clock against the host's monotonic clock."""
     with RecordReader(record) as reader:
         config = recorded_configuration(reader)
-        if config.camera.driver == "simulated" and not config.simulation.real_time:
+        if config.simulated and config.on_demand:
             raise DataError(
                 f"{record}: its frames were made on demand; simulation.real_time = true paces them"
             )

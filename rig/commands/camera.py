@@ -30,10 +30,10 @@ def register(app: typer.Typer) -> None:
 
 def devices() -> None:
     """List cameras (with driver, serial number, modes) and serial ports."""
+    from acquisition.cameras.drivers import find_cameras
     from rig.control import list_serial_ports
-    from rig.devices import list_cameras
 
-    cameras, notes = list_cameras()
+    cameras, notes = find_cameras()
     for camera in cameras:
         words = [camera.driver, camera.name, camera.serial and f"serial {camera.serial}", camera.place]
         typer.echo("camera  " + "  ".join(word for word in words if word))

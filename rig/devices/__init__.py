@@ -5,7 +5,6 @@ from rig.devices.auto_exposure import find_exposure
 from rig.devices.camera_features import feature_lines
 from rig.devices.devices import Devices, OpenCamera
 from rig.devices.doctor import examine
-from rig.devices.finding import list_cameras
 from rig.devices.frame_stream import FrameStream
 from rig.devices.host_clock import ntp_state
 from rig.devices.laser import STAYS_LIT, WIRE_IT, LaserNow, goes_dark_by_itself, wait_for_command
@@ -24,7 +23,6 @@ __all__ = [
     "feature_lines",
     "find_exposure",
     "goes_dark_by_itself",
-    "list_cameras",
     "ntp_state",
     "picture",
     "wait_for_command",

@@ -53,7 +53,7 @@ class Devices:
         self.laser: LaserService | None = None
         self.sensor: EnvironmentService | None = None
         if config.controller.kind == "simulated":
-            if config.camera.driver != "simulated" or not config.simulation.real_time:
+            if not config.simulated or config.on_demand:
                 raise ConfigurationError(
                     "controller.kind = 'simulated' moves the simulated rig in real time: "
                     "set camera.driver = 'simulated' and simulation.real_time = true"

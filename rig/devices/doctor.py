@@ -6,8 +6,10 @@ import time
 from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
+from typing import cast
 
 from acquisition.camera import FrameTimeout
+from acquisition.cameras.usb3vision.settings import Usb3VisionSettings
 from acquisition.frame_losses import FrameLosses
 from processing.errors import RigError
 from rig.control import check_controller, check_environment, check_laser
@@ -42,7 +44,7 @@ def _checks(config: Configuration) -> Iterator[Check]:
     yield from check_laser(config.laser, config.controller)
     yield from check_environment(config.environment_sensor)
     if config.camera.driver == "usb3vision":
-        yield from check_usb_cameras(config.camera.usb3vision.serial or config.camera.serial)
+        yield from check_usb_cameras(cast(Usb3VisionSettings, config.camera.driver_settings()).serial)
     yield from check_camera(config, devices)
     yield check_disk(config.session.output)
     yield check_clock(_read(_CLOCK_SOURCE))

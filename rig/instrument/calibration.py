@@ -89,7 +89,7 @@ def judge_calibration(
             tree[kind] = _entry(found, data, began)
             if tree[kind]["validity"] != "valid":
                 warnings.append(f"the calibration of the {kind} had expired on {found.valid_until:%Y-%m-%d}")
-        elif config.camera.driver == "simulated":
+        elif config.simulated:
             tree[kind] = {
                 "validity": "simulated",
                 "text": "what the simulated rig knows of itself, or was told",

@@ -1,64 +1,31 @@
-"""The instrument as configured: what the configuration states, what the simulated rig knows of itself."""
-
-import math
+"""The instrument as configured: camera, sensor, pendulum and materials from their sections."""
 
 from acquisition.camera import Camera, CameraSettings
 from acquisition.cameras import drivers
 from acquisition.frame_queue import Policy
-from acquisition.simulation.settings import SimulationSettings
-from calibration.axes import Axes
-from calibration.lever import Lever
 from processing.contact import Material, PendulumOnBall
 from processing.contact import material as material_by_name
 from processing.contact import pendulum_on_ball as pendulum_after_hertz
 from processing.errors import ConfigurationError
 from processing.spot import SensorModel
 from rig.instrument.calibration import fill_from_files
-from rig.settings import BalanceSettings, Configuration, MaterialSettings, PendulumSettings, SensorSettings
-
-SIMULATED_BALL = "simulated_ball"
-SIMULATED_FLAT = "simulated_flat"
+from rig.instrument.simulated_rig import fill_from_truth
+from rig.settings import Configuration, MaterialSettings
 
 
 def complete(config: Configuration) -> Configuration:
-    """Fill what a simulated rig knows of itself: sensor, lever, axes, pendulum, where they are not stated.
-
-    A rig whose calibration is perfect, so that ``--set simulation...`` changes the truth and what
-    the analysis is told of the apparatus together. With a real camera nothing is filled in but what
-    calibration files give.
-    """
+    """Fill the sections that are not stated: from calibration files, and from a simulated rig's truth."""
     config = fill_from_files(config)
-    if config.camera.driver != "simulated":
-        return config
-    truth = config.simulation
-    return config.model_copy(
-        update={
-            "sensor": config.sensor or _simulated_sensor(truth, config.camera),
-            "lever": config.lever or _simulated_lever(truth),
-            "axes": config.axes or _simulated_axes(truth),
-            "pendulum": config.pendulum or _simulated_pendulum(truth),
-            "materials": {**_simulated_materials(truth), **config.materials},
-            "balance": _simulated_balance(truth, config.balance),
-        }
-    )
+    return fill_from_truth(config) if config.simulated else config
 
 
 def make_camera(config: Configuration) -> Camera:
     """The configured camera, not opened yet."""
-    camera = config.camera
-    if camera.driver == "simulated":
-        return drivers.make_camera(camera.driver, config.simulation, config.faults)
-    if camera.driver == "files":
-        if camera.files is None:
-            raise ConfigurationError(
-                "camera.driver = 'files' needs [camera.files] with a path: --set camera.files.path=FOLDER"
-            )
-        return drivers.make_camera(camera.driver, camera.files)
-    if camera.driver in {"usb3vision", "v4l2", "pylon", "aravis"}:
-        settings = getattr(camera, camera.driver)
-        serial = settings.serial or camera.serial
-        return drivers.make_camera(camera.driver, settings.model_copy(update={"serial": serial}))
-    return drivers.make_camera(camera.driver)
+    name = config.camera.driver
+    sections = drivers.find_driver(name).sections
+    if sections:
+        return drivers.make_camera(name, *(getattr(config, section) for section in sections))
+    return drivers.make_camera(name, config.camera.driver_settings())
 
 
 def camera_settings(config: Configuration) -> CameraSettings:
@@ -132,75 +99,6 @@ def _material(name: str, settings: MaterialSettings) -> Material:
     )
 
 
-def _simulated_sensor(truth: SimulationSettings, camera: CameraSettings) -> SensorSettings:
-    depth = (
-        truth.sensor.bit_depth
-        if camera.pixel_format is None
-        else int(camera.pixel_format.removeprefix("mono"))
-    )
-    state = truth.sensor.at(depth, camera.gain_db or 0.0)
-    return SensorSettings(
-        gain_e_per_dn=state.gain_e_per_dn,
-        read_noise_e=state.read_noise_e,
-        full_scale_dn=state.full_scale_dn,
-        pedestal_dn=state.black_level_dn,
-        prnu=truth.sensor.prnu,
-    )
-
-
-def _simulated_lever(truth: SimulationSettings) -> Lever:
-    return Lever(
-        arm_m=truth.optics.arm_m,
-        pixel_pitch_m=truth.sensor.pixel_pitch_m,
-        reference_x_px=truth.optics.reference_x_px,
-        reference_y_px=truth.optics.reference_y_px,
-    )
-
-
-def _simulated_axes(truth: SimulationSettings) -> Axes:
-    axes = truth.axes
-    return Axes(
-        slow_angle_rad=axes.slow_angle_rad,
-        non_orthogonality_rad=axes.non_orthogonality_rad,
-        mirrored=axes.mirrored,
-    )
-
-
-def _simulated_pendulum(truth: SimulationSettings) -> PendulumSettings:
-    contact = truth.contact
-    return PendulumSettings(
-        mass_kg=contact.mass_kg,
-        ball_radius_m=contact.ball_radius_m,
-        contact_radius_m=contact.contact_radius_m,
-        ball_material=SIMULATED_BALL,
-        flat_material=SIMULATED_FLAT,
-        gravity_m_per_s2=contact.gravity_m_per_s2,
-    )
-
-
-def _simulated_balance(truth: SimulationSettings, balance: BalanceSettings) -> BalanceSettings:
-    """Of a rig that is balanced as it is stated: its inertia, and the elasticity that its period shows."""
-    if balance.inertia_kg_m2 is not None:
-        return balance
-    contact = truth.contact
-    stiffness_n_m = contact.mass_kg * contact.gravity_m_per_s2 * contact.ball_radius_m
-    inertia_kg_m2 = stiffness_n_m * (contact.period0_s / (2.0 * math.pi)) ** 2
-    known = {"inertia_kg_m2": inertia_kg_m2, "gamma_pa": contact.gamma_pa, "n": contact.n}
-    return balance.model_copy(update=known)
-
-
-def _simulated_materials(truth: SimulationSettings) -> dict[str, MaterialSettings]:
-    contact = truth.contact
-    return {
-        SIMULATED_BALL: MaterialSettings(
-            youngs_modulus_pa=contact.ball_youngs_modulus_pa, poisson_ratio=contact.ball_poisson_ratio
-        ),
-        SIMULATED_FLAT: MaterialSettings(
-            youngs_modulus_pa=contact.flat_youngs_modulus_pa, poisson_ratio=contact.flat_poisson_ratio
-        ),
-    }
-
-
 def check_materials(config: Configuration) -> None:
     """Raise ConfigurationError for a material that nobody knows, before anything is measured."""
     if config.pendulum is not None and config.pendulum.contact_radius_m is None:
@@ -212,6 +110,4 @@ def check_materials(config: Configuration) -> None:
 
 def frame_policy(config: Configuration) -> Policy:
     """Sources that can wait are held back and lose nothing; a real camera cannot wait."""
-    if config.camera.driver == "files":
-        return "wait"
-    return "wait" if config.camera.driver == "simulated" and not config.simulation.real_time else "every"
+    return "wait" if config.on_demand else "every"

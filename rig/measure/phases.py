@@ -239,10 +239,7 @@ def preflight_wanted(config: Configuration) -> bool:
     """Whether the preflight is made; 'auto' leaves it out where frames are made on demand."""
     when = config.preflight.when
     if when == "auto":
-        on_demand = config.camera.driver == "files" or (
-            config.camera.driver == "simulated" and not config.simulation.real_time
-        )
-        return not on_demand
+        return not config.on_demand
     return when == "always"
 
 

@@ -201,7 +201,7 @@ def _report(config: Configuration, folder: Path, made: _Made, *, json_lines: boo
 
 def simulate_record(config: Configuration, source: Path, record: Path) -> int:
     """Record one run of the simulated rig, without viewer and fits; returns the exit status."""
-    if config.camera.driver != "simulated":
+    if not config.simulated:
         raise ConfigurationError(
             f"camera.driver = {config.camera.driver!r}: rig simulate needs the simulated camera; "
             "use rig run for a real one"
@@ -245,7 +245,7 @@ def session_folder(config: Configuration, source: Path, output: Path | None) -> 
 
 def _numbered(config: Configuration, number: int) -> Configuration:
     """Run `number` of a simulated series has draws of its own."""
-    if config.camera.driver != "simulated" or number == 1:
+    if not config.simulated or number == 1:
         return config
     seed = (config.simulation.seed + 1_000_003 * (number - 1)) % 2**63
     return config.model_copy(update={"simulation": config.simulation.model_copy(update={"seed": seed})})

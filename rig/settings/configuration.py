@@ -13,12 +13,7 @@ from typing import Any, Literal, Self, get_args
 from pydantic import BaseModel, Field, ValidationError, model_validator
 from pydantic_core import ErrorDetails
 
-from acquisition.camera import CameraSettings
-from acquisition.cameras.aravis.library import AravisSettings
-from acquisition.cameras.files import FilesSettings
-from acquisition.cameras.pylon import PylonSettings
-from acquisition.cameras.usb3vision.camera import Usb3VisionSettings
-from acquisition.cameras.v4l2.source import V4l2Settings
+from acquisition.cameras.drivers import find_driver
 from acquisition.simulation.faults import FaultSettings
 from acquisition.simulation.settings import SimulationSettings
 from calibration.axes import Axes
@@ -27,6 +22,7 @@ from processing.errors import ConfigurationError
 from rig.control import ControllerSettings, EnvironmentSettings, LaserSettings
 from rig.settings.balance import BalanceSettings
 from rig.settings.calibration import CalibrationSettings, TimebaseSettings
+from rig.settings.camera import CameraSection
 from rig.settings.instrument import InstrumentSettings
 from rig.settings.phases import PhaseSettings, PreflightSettings, StartSettings
 
@@ -55,19 +51,6 @@ class EnvironmentConditions(Section, frozen=True):
     temperature_c: float | None = Field(default=None, gt=-100, lt=200)
     humidity_percent: float | None = Field(default=None, ge=0, le=100)
     pressure_pa: float | None = Field(default=None, gt=1e3, lt=2e5)
-
-
-class CameraSection(CameraSettings, frozen=True, extra="forbid"):
-    """Which camera, and what is asked of it."""
-
-    driver: str = "simulated"
-    serial: str | None = Field(default=None, description="needed only where several are plugged in")
-    timeout_s: float = Field(default=5.0, gt=0, description="no frame for so long means a stall")
-    files: FilesSettings | None = None
-    usb3vision: Usb3VisionSettings = Usb3VisionSettings()
-    v4l2: V4l2Settings = V4l2Settings()
-    pylon: PylonSettings = PylonSettings()
-    aravis: AravisSettings = AravisSettings()
 
 
 class SensorSettings(Section, frozen=True):
@@ -173,6 +156,17 @@ class Configuration(Section, frozen=True):
                 f"session.initial_amplitude_arcsec = {self.session.initial_amplitude_arcsec:g}"
             )
         return self
+
+    @property
+    def simulated(self) -> bool:
+        """The camera looks at the simulated rig, whose truth `simulation` is."""
+        return self.camera.driver == "simulated"
+
+    @property
+    def on_demand(self) -> bool:
+        """Frames are made or read when asked for: the camera waits for us and loses nothing."""
+        paced = self.simulated and self.simulation.real_time
+        return find_driver(self.camera.driver).on_demand and not paced
 
 
 def load_configuration(path: Path, overrides: Iterable[str] = ()) -> Configuration:

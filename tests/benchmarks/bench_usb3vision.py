@@ -8,10 +8,11 @@ import numpy as np
 
 from acquisition.camera import CameraSettings
 from acquisition.cameras.pixel_formats import BY_NAME
-from acquisition.cameras.usb3vision.camera import Usb3VisionCamera, Usb3VisionSettings
+from acquisition.cameras.usb3vision.camera import Usb3VisionCamera
 from acquisition.cameras.usb3vision.discovery import find_camera
 from acquisition.cameras.usb3vision.link import UsbLink
 from acquisition.cameras.usb3vision.registers import plan_transfers
+from acquisition.cameras.usb3vision.settings import Usb3VisionSettings
 from acquisition.cameras.usb3vision.stream import Expected, FrameStream
 from acquisition.cameras.usb3vision.transfers import Arrived, Bytes
 from acquisition.frame_queue import FrameQueue

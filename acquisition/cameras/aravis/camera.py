@@ -12,7 +12,6 @@ from acquisition.camera import CameraInfo, CameraLost, CameraSettings, CameraSta
 from acquisition.cameras.aravis.buffers import BufferReader
 from acquisition.cameras.aravis.features import AravisFeatures
 from acquisition.cameras.aravis.library import (
-    AravisSettings,
     FoundCamera,
     Library,
     find_camera,
@@ -20,6 +19,7 @@ from acquisition.cameras.aravis.library import (
 )
 from acquisition.cameras.aravis.numbering import FrameNumbering
 from acquisition.cameras.aravis.parting import Parting, nothing
+from acquisition.cameras.aravis.settings import AravisSettings
 from acquisition.frame import Frame
 from processing.errors import DeviceError
 
@@ -252,16 +252,8 @@ class AravisCamera:
     @property
     def status(self) -> CameraStatus:
         """Counts since `start`; they go on over a reconnection."""
-        buffers, before = self._buffers, self._before
-        now = CameraStatus() if buffers is None else buffers.numbering.status
-        return CameraStatus(
-            delivered=before.delivered + now.delivered,
-            dropped_by_camera=0,
-            dropped_by_bus=before.dropped_by_bus + now.dropped_by_bus,
-            dropped_by_host=before.dropped_by_host + now.dropped_by_host,
-            incomplete=before.incomplete + now.incomplete,
-            reconnects=before.reconnects,
-        )
+        buffers = self._buffers
+        return self._before if buffers is None else self._before + buffers.numbering.status
 
     def _opened(self) -> AravisFeatures:
         if self._features is None:

@@ -4,21 +4,8 @@ import warnings
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from pydantic import BaseModel, Field
-
+from acquisition.camera import PluggedCamera
 from processing.errors import DeviceError
-
-
-class AravisSettings(BaseModel, frozen=True, extra="forbid"):
-    """Which camera, and how it is talked to."""
-
-    serial: str | None = Field(
-        default=None, description="serial number or libaravis's id; needed only where there are several"
-    )
-    buffers: int = Field(default=64, ge=2, le=4096, description="frames kept for a reader that is late")
-    packet_bytes: int | None = Field(
-        default=None, ge=576, le=16114, description="GigE packets; left out: the largest that passes"
-    )
 
 
 class Library(NamedTuple):
@@ -79,6 +66,14 @@ def find_cameras() -> tuple[FoundCamera, ...]:
         )
         for index in range(aravis.get_n_devices())
     )
+
+
+def list_cameras() -> list[PluggedCamera]:
+    """The same for ``rig devices``."""
+    return [
+        PluggedCamera("aravis", f"{found.vendor} {found.model}", found.serial, found.place)
+        for found in find_cameras()
+    ]
 
 
 def find_camera(wanted: str | None) -> FoundCamera:

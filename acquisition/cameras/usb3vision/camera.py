@@ -5,10 +5,9 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from typing import Final, Literal
+from typing import Final
 
 import usb.backend
-from pydantic import BaseModel, Field
 
 from acquisition.camera import CameraInfo, CameraLost, CameraSettings, CameraStatus, FrameTimeout
 from acquisition.cameras.usb3vision.discovery import find_camera
@@ -17,6 +16,7 @@ from acquisition.cameras.usb3vision.gencp import GenCpChannel
 from acquisition.cameras.usb3vision.libusb_transfers import LibusbTransfers
 from acquisition.cameras.usb3vision.link import UsbLink
 from acquisition.cameras.usb3vision.open_camera import ClockReading, OpenCamera
+from acquisition.cameras.usb3vision.settings import Usb3VisionSettings
 from acquisition.cameras.usb3vision.stream import Expected, FrameStream
 from acquisition.cameras.usb3vision.transfers import BlockingTransfers, Transfers
 from acquisition.frame import Frame
@@ -30,22 +30,6 @@ _LARGEST_FRAME: Final = 1 << 30
 _LOCK_S: Final = 0.2
 _COMMANDS_S: Final = 0.25
 _JOIN_S: Final = 0.25
-
-
-class Usb3VisionSettings(BaseModel, frozen=True, extra="forbid"):
-    """Which camera, and how it is talked to."""
-
-    serial: str | None = Field(default=None, description="needed only where several are plugged in")
-    transfers: int = Field(default=4, ge=1, le=64, description="frames for which reads are queued ahead")
-    transfer_bytes: int = Field(
-        default=1 << 20, ge=1 << 14, le=1 << 26, description="longest single transfer of a frame's bytes"
-    )
-    buffers: int = Field(default=64, ge=2, le=4096, description="frames kept for a reader that is late")
-    reading: Literal["auto", "blocking"] = Field(
-        default="auto", description="auto queues reads ahead where libusb 1.0 is there; blocking never does"
-    )
-    control_timeout_s: float = Field(default=0.5, gt=0, le=10, description="patience for one reply")
-    control_retries: int = Field(default=3, ge=0, le=20, description="commands sent again after silence")
 
 
 class Usb3VisionCamera:
@@ -256,15 +240,7 @@ class Usb3VisionCamera:
     def status(self) -> CameraStatus:
         """Counts since `start`; they go on over a reconnection."""
         now = CameraStatus() if self._stream is None else self._stream.status
-        before = self._before
-        return CameraStatus(
-            delivered=before.delivered + self._delivered,
-            dropped_by_camera=before.dropped_by_camera + now.dropped_by_camera,
-            dropped_by_bus=before.dropped_by_bus + now.dropped_by_bus,
-            dropped_by_host=before.dropped_by_host + now.dropped_by_host,
-            incomplete=before.incomplete + now.incomplete,
-            reconnects=before.reconnects,
-        )
+        return self._before + replace(now, delivered=self._delivered)
 
     @property
     def features(self) -> Features:

@@ -10,6 +10,7 @@ import usb.backend.libusb1
 import usb.core
 import usb.util
 
+from acquisition.camera import PluggedCamera
 from acquisition.cameras.usb3vision.link import UDEV_RULE, VISION_CLASS, VISION_SUBCLASS, no_permission
 from processing.errors import DeviceError
 
@@ -58,6 +59,21 @@ def find_cameras(backend: usb.backend.IBackend | None = None) -> tuple[FoundCame
     """
     devices = usb.core.find(find_all=True, backend=backend or _libusb(), custom_match=_is_vision)
     return tuple(_describe(device) for device in devices)
+
+
+def list_cameras() -> list[PluggedCamera]:
+    """The same for ``rig devices``, each with its USB speed as the place."""
+    remedy = f"no permission: copy {udev_rule()} to /etc/udev/rules.d and plug the camera in again"
+    return [
+        PluggedCamera(
+            driver="usb3vision",
+            name=f"{found.vendor} {found.model}".strip(),
+            serial=found.serial,
+            place=found.usb_speed,
+            problem="" if found.accessible else remedy,
+        )
+        for found in find_cameras()
+    ]
 
 
 def find_camera(serial: str | None, backend: usb.backend.IBackend | None = None) -> FoundCamera:

@@ -5,7 +5,8 @@ import threading
 from dataclasses import replace
 
 from acquisition.camera import CameraInfo, CameraLost, CameraSettings, CameraStatus, FrameTimeout
-from acquisition.cameras.v4l2.source import Source, V4l2Settings
+from acquisition.cameras.v4l2.settings import V4l2Settings
+from acquisition.cameras.v4l2.source import Source
 from acquisition.frame import Frame
 from acquisition.frame_queue import FrameQueue
 from processing.errors import DeviceError
@@ -103,12 +104,11 @@ class V4l2Camera:
         reader, before = self._reader, self._status
         if reader is None:
             return before
-        return CameraStatus(
-            delivered=before.delivered + reader.delivered,
-            dropped_by_bus=before.dropped_by_bus + reader.missing,
-            dropped_by_host=before.dropped_by_host + reader.queue.dropped,
-            incomplete=before.incomplete + reader.damaged,
-            reconnects=before.reconnects,
+        return before + CameraStatus(
+            delivered=reader.delivered,
+            dropped_by_bus=reader.missing,
+            dropped_by_host=reader.queue.dropped,
+            incomplete=reader.damaged,
         )
 
     def _opened(self) -> Source:

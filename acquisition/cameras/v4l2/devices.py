@@ -2,9 +2,11 @@
 
 import errno
 import os
+import sys
 from pathlib import Path
 from typing import NamedTuple
 
+from acquisition.camera import PluggedCamera
 from acquisition.cameras.v4l2 import kernel
 from acquisition.cameras.v4l2.layouts import LAYOUTS, possible
 from processing.errors import DeviceError
@@ -34,6 +36,19 @@ def list_devices() -> list[VideoDevice]:
     )
     found = [_look_at(f"/dev/{node}", _serial(_SYSFS / node)) for node in nodes]
     return [device for device in found if device is not None]
+
+
+def list_cameras() -> list[PluggedCamera]:
+    """The same for ``rig devices``; DeviceError where there is no Video4Linux."""
+    if sys.platform != "linux":
+        raise DeviceError("v4l2: OpenCV cannot list devices; try camera.v4l2.device = '0', '1', ...")
+    cameras = []
+    for found in list_devices():
+        problem = found.problem
+        if not problem and not found.modes:
+            problem = f"no grey or uncompressed format, only {', '.join(found.formats)}"
+        cameras.append(PluggedCamera("v4l2", found.name, found.serial, found.path, found.modes, problem))
+    return cameras
 
 
 def find_device(path: str | None, serial: str | None) -> VideoDevice:

@@ -12,7 +12,8 @@ from acquisition.camera import CameraInfo, CameraLost, CameraSettings
 from acquisition.cameras.v4l2 import kernel
 from acquisition.cameras.v4l2.devices import find_device, refusal
 from acquisition.cameras.v4l2.layouts import LAYOUTS, choose, image_bytes, possible, to_image
-from acquisition.cameras.v4l2.source import RawFrame, V4l2Settings
+from acquisition.cameras.v4l2.settings import V4l2Settings
+from acquisition.cameras.v4l2.source import RawFrame
 from processing.errors import DeviceError
 
 _PATIENCE_MS = 100

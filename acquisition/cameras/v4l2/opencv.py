@@ -9,7 +9,8 @@ import cv2
 import numpy as np
 
 from acquisition.camera import CameraInfo, CameraLost, CameraSettings, PixelFormat
-from acquisition.cameras.v4l2.source import RawFrame, V4l2Settings
+from acquisition.cameras.v4l2.settings import V4l2Settings
+from acquisition.cameras.v4l2.source import RawFrame
 from acquisition.frame import Image
 from processing.errors import DeviceError
 

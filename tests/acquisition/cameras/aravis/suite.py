@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 
 from acquisition.camera import Camera, CameraLost, CameraSettings, FrameTimeout, PixelFormat
+from acquisition.cameras import drivers
 from acquisition.cameras.aravis.camera import AravisCamera
-from acquisition.cameras.aravis.library import AravisSettings, find_cameras, load_library
+from acquisition.cameras.aravis.library import find_cameras, load_library
 from acquisition.cameras.aravis.numbering import FrameNumbering
+from acquisition.cameras.aravis.settings import AravisSettings
 from acquisition.frame import Frame
 from processing.errors import DeviceError
-from rig.devices.finding import list_cameras
 from rig.devices.frame_stream import FrameStream
 from tests.acquisition.cameras.aravis.fake_camera import SERIAL, FakeCamera
 from tests.acquisition.cameras.conformance import CameraConformance, Unplug
@@ -299,7 +300,7 @@ def test_a_camera_that_another_program_controls_is_refused(fake: FakeCamera, cam
 
 
 def test_rig_devices_lists_it(fake: FakeCamera) -> None:
-    cameras, notes = list_cameras()
+    cameras, notes = drivers.find_cameras()
     found = [camera for camera in cameras if camera.driver == "aravis"]
     assert [(camera.serial, camera.place) for camera in found] == [(SERIAL, "127.0.0.1")], notes
 

@@ -11,7 +11,7 @@ from processing.errors import DeviceError
 from tests.acquisition.cameras.aravis.namespace import PROJECT, Missing, run_alone
 
 TIME_LIMIT_S = 420.0
-SUITE = PROJECT / "tests" / "acquisition" / "aravis" / "suite.py"
+SUITE = PROJECT / "tests" / "acquisition" / "cameras" / "aravis" / "suite.py"
 
 
 @pytest.mark.slow

@@ -14,7 +14,8 @@ from acquisition.camera import Camera, CameraLost, CameraSettings, FrameTimeout,
 from acquisition.cameras.drivers import make_camera
 from acquisition.cameras.pixel_formats import BY_CODE
 from acquisition.cameras.usb3vision import discovery
-from acquisition.cameras.usb3vision.camera import Usb3VisionCamera, Usb3VisionSettings
+from acquisition.cameras.usb3vision.camera import Usb3VisionCamera
+from acquisition.cameras.usb3vision.settings import Usb3VisionSettings
 from processing.errors import DeviceError
 from tests.acquisition.cameras.conformance import CameraConformance, Unplug
 from tests.acquisition.cameras.usb3vision import description

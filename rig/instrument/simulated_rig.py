@@ -1,0 +1,100 @@
+"""What the simulated rig knows of itself: the sections of the configuration that follow from its truth."""
+
+import math
+
+from acquisition.simulation.settings import SimulationSettings
+from calibration.axes import Axes
+from calibration.lever import Lever
+from rig.settings import BalanceSettings, Configuration, MaterialSettings, PendulumSettings, SensorSettings
+
+SIMULATED_BALL = "simulated_ball"
+SIMULATED_FLAT = "simulated_flat"
+
+
+def fill_from_truth(config: Configuration) -> Configuration:
+    """Sensor, lever, axes, pendulum, materials and balance, where they are not stated.
+
+    The calibration is then perfect, so that ``--set simulation...`` changes the truth and what the
+    analysis is told of the apparatus together.
+    """
+    truth = config.simulation
+    return config.model_copy(
+        update={
+            "sensor": config.sensor or _sensor(truth, config),
+            "lever": config.lever or _lever(truth),
+            "axes": config.axes or _axes(truth),
+            "pendulum": config.pendulum or _pendulum(truth),
+            "materials": {**_materials(truth), **config.materials},
+            "balance": _balance(truth, config.balance),
+        }
+    )
+
+
+def _sensor(truth: SimulationSettings, config: Configuration) -> SensorSettings:
+    camera = config.camera
+    depth = (
+        truth.sensor.bit_depth
+        if camera.pixel_format is None
+        else int(camera.pixel_format.removeprefix("mono"))
+    )
+    state = truth.sensor.at(depth, camera.gain_db or 0.0)
+    return SensorSettings(
+        gain_e_per_dn=state.gain_e_per_dn,
+        read_noise_e=state.read_noise_e,
+        full_scale_dn=state.full_scale_dn,
+        pedestal_dn=state.black_level_dn,
+        prnu=truth.sensor.prnu,
+    )
+
+
+def _lever(truth: SimulationSettings) -> Lever:
+    return Lever(
+        arm_m=truth.optics.arm_m,
+        pixel_pitch_m=truth.sensor.pixel_pitch_m,
+        reference_x_px=truth.optics.reference_x_px,
+        reference_y_px=truth.optics.reference_y_px,
+    )
+
+
+def _axes(truth: SimulationSettings) -> Axes:
+    axes = truth.axes
+    return Axes(
+        slow_angle_rad=axes.slow_angle_rad,
+        non_orthogonality_rad=axes.non_orthogonality_rad,
+        mirrored=axes.mirrored,
+    )
+
+
+def _pendulum(truth: SimulationSettings) -> PendulumSettings:
+    contact = truth.contact
+    return PendulumSettings(
+        mass_kg=contact.mass_kg,
+        ball_radius_m=contact.ball_radius_m,
+        contact_radius_m=contact.contact_radius_m,
+        ball_material=SIMULATED_BALL,
+        flat_material=SIMULATED_FLAT,
+        gravity_m_per_s2=contact.gravity_m_per_s2,
+    )
+
+
+def _balance(truth: SimulationSettings, balance: BalanceSettings) -> BalanceSettings:
+    """The inertia about the contact that gives the stated period, and the elasticity of the contact."""
+    if balance.inertia_kg_m2 is not None:
+        return balance
+    contact = truth.contact
+    stiffness_n_m = contact.mass_kg * contact.gravity_m_per_s2 * contact.ball_radius_m
+    inertia_kg_m2 = stiffness_n_m * (contact.period0_s / (2.0 * math.pi)) ** 2
+    known = {"inertia_kg_m2": inertia_kg_m2, "gamma_pa": contact.gamma_pa, "n": contact.n}
+    return balance.model_copy(update=known)
+
+
+def _materials(truth: SimulationSettings) -> dict[str, MaterialSettings]:
+    contact = truth.contact
+    return {
+        SIMULATED_BALL: MaterialSettings(
+            youngs_modulus_pa=contact.ball_youngs_modulus_pa, poisson_ratio=contact.ball_poisson_ratio
+        ),
+        SIMULATED_FLAT: MaterialSettings(
+            youngs_modulus_pa=contact.flat_youngs_modulus_pa, poisson_ratio=contact.flat_poisson_ratio
+        ),
+    }

@@ -1,0 +1,76 @@
+"""[camera]: which camera, and a section for each driver of the registry."""
+
+from typing import TYPE_CHECKING, Any
+
+from pydantic import BaseModel, Field, create_model, field_validator
+
+from acquisition.camera import CameraSettings
+from acquisition.cameras.drivers import (
+    DRIVERS,
+    default_settings,
+    settings_models,
+    unknown_driver,
+)
+from processing.errors import ConfigurationError
+
+
+class CameraChoice(CameraSettings, frozen=True, extra="forbid"):
+    """Which camera, and what is asked of it."""
+
+    driver: str = "simulated"
+    serial: str | None = Field(default=None, description="needed only where several are plugged in")
+    timeout_s: float = Field(default=5.0, gt=0, description="no frame for so long means a stall")
+
+    @field_validator("driver")
+    @classmethod
+    def _registered(cls, driver: str) -> str:
+        if driver not in DRIVERS:
+            raise ValueError(unknown_driver())
+        return driver
+
+    def driver_settings(self) -> BaseModel:
+        """Section ``[camera.NAME]`` of the chosen driver, with ``camera.serial`` where it states none.
+
+        Raises
+        ------
+        ConfigurationError
+            The section has no defaults and is missing, or the driver knows no serial numbers.
+        """
+        stated: BaseModel | None = getattr(self, self.driver)
+        if stated is None:
+            (model,) = settings_models(self.driver)
+            key = next(name for name, field in model.model_fields.items() if field.is_required())
+            raise ConfigurationError(
+                f"camera.driver = {self.driver!r} needs [camera.{self.driver}] with a {key}: "
+                f"--set camera.{self.driver}.{key}=VALUE"
+            )
+        if self.serial is None or getattr(stated, "serial", None) is not None:
+            return stated
+        if "serial" not in type(stated).model_fields:
+            raise ConfigurationError(
+                f"camera.serial = {self.serial!r}: {self.driver!r} knows no serial numbers; leave it out"
+            )
+        return stated.model_copy(update={"serial": self.serial})
+
+
+# A type checker does not know the sections of the registry; code asks `driver_settings` for one.
+if TYPE_CHECKING:
+    CameraSection = CameraChoice
+else:
+
+    def _sections() -> dict[str, Any]:
+        sections = {}
+        for name, driver in DRIVERS.items():
+            if not driver.sections:
+                (model,) = settings_models(name)
+                default = default_settings(model)
+                sections[name] = (model | None, None) if default is None else (model, default)
+        return sections
+
+    CameraSection = create_model(
+        "CameraSection",
+        __base__=CameraChoice,
+        __module__=__name__,
+        __doc__=CameraChoice.__doc__,
+        **_sections(),
+    )
