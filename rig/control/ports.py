@@ -14,7 +14,7 @@ from rig.control.environment import parse_environment
 from rig.control.lasers import make_laser
 from rig.control.serial_port import LineReader, PortLost, SerialPort
 from rig.control.settings import ControllerSettings, EnvironmentSettings, LaserSettings
-from rig.presentation import Check
+from rig.presentation import Verdict
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,22 +45,22 @@ def list_serial_ports() -> tuple[SerialPortInfo, ...]:
 
 def check_controller(
     controller: Controller, settings: ControllerSettings, laser: LaserSettings
-) -> tuple[Check, ...]:
+) -> tuple[Verdict, ...]:
     """Open the controller, look at it and close it again; no output is switched on."""
     if settings.kind == "none":
-        return (Check("controller", True, "none is configured"),)
+        return (Verdict("controller", True, "none is configured"),)
     try:
         identity = controller.open()
         status = controller.heartbeat()
         air = controller.environment()
         code, text = controller.next_error()
     except DeviceError as error:
-        return (Check("controller", False, str(error), _port_remedy(settings.port)),)
+        return (Verdict("controller", False, str(error), _port_remedy(settings.port)),)
     finally:
         controller.close()
     checks = [
-        Check("controller", True, f"serial {identity.serial}, firmware {identity.firmware}"),
-        Check(
+        Verdict("controller", True, f"serial {identity.serial}, firmware {identity.firmware}"),
+        Verdict(
             "interlock",
             status.interlock_closed,
             "closed" if status.interlock_closed else "open: the laser will stay dark",
@@ -70,7 +70,7 @@ def check_controller(
     if laser.kind == "controller":
         enough = laser.power_w <= identity.laser_max_w
         checks.append(
-            Check(
+            Verdict(
                 "laser power",
                 enough,
                 f"{laser.power_w:g} W is wanted, the controller's own limit is {identity.laser_max_w:g} W",
@@ -79,11 +79,11 @@ def check_controller(
         )
     if code:
         checks.append(
-            Check("controller errors", False, f"{text} ({code})", "remove the cause, then reset the board")
+            Verdict("controller errors", False, f"{text} ({code})", "remove the cause, then reset the board")
         )
     sensor = air.temperature_c == air.temperature_c
     checks.append(
-        Check(
+        Verdict(
             "controller's sensor",
             sensor,
             f"{air.temperature_c:.2f} °C, {air.humidity_percent:.1f} %, {air.pressure_pa / 100:.1f} hPa"
@@ -95,7 +95,7 @@ def check_controller(
     return tuple(checks)
 
 
-def check_laser(settings: LaserSettings, controller: ControllerSettings) -> tuple[Check, ...]:
+def check_laser(settings: LaserSettings, controller: ControllerSettings) -> tuple[Verdict, ...]:
     """Open the laser, look at it and close it again; it stays dark, and the controller's relay open."""
     laser = make_laser(settings)
     if laser is None:
@@ -104,35 +104,35 @@ def check_laser(settings: LaserSettings, controller: ControllerSettings) -> tupl
         identity = laser.open()
         state = laser.state()
     except DeviceError as error:
-        return (Check("laser", False, str(error), _port_remedy(settings.port)),)
+        return (Verdict("laser", False, str(error), _port_remedy(settings.port)),)
     finally:
         laser.close()
     checks = [
-        Check("laser", True, f"{identity.vendor} {identity.model} {identity.serial}".replace("  ", " ")),
+        Verdict("laser", True, f"{identity.vendor} {identity.model} {identity.serial}".replace("  ", " ")),
         *_interlock(settings, controller, state.interlock_closed),
     ]
     if state.fault:
-        checks.append(Check("laser fault", False, state.fault, "see the laser's panel and manual"))
+        checks.append(Verdict("laser fault", False, state.fault, "see the laser's panel and manual"))
     return tuple(checks)
 
 
-def _interlock(settings: LaserSettings, controller: ControllerSettings, closed: bool) -> Iterator[Check]:
+def _interlock(settings: LaserSettings, controller: ControllerSettings, closed: bool) -> Iterator[Verdict]:
     """What the laser says of its interlock while the controller's relay is open."""
     name = "laser goes dark by itself"
     if settings.interlock == "own":
         reason = "closed" if closed else "open: the laser will stay dark"
         remedy = "" if closed else "close the laser's interlock and turn its key"
-        yield Check("laser interlock", closed, reason, remedy)
-        yield Check(
+        yield Verdict("laser interlock", closed, reason, remedy)
+        yield Verdict(
             name,
             True,
             "no: without a watchdog of its own it stays lit when the program is killed",
             "wire its interlock through a controller's enable relay and set laser.interlock = 'controller'",
         )
     elif controller.kind == "none":
-        yield Check(name, False, "no controller is configured", "set controller.kind, or laser.interlock")
+        yield Verdict(name, False, "no controller is configured", "set controller.kind, or laser.interlock")
     else:
-        yield Check(
+        yield Verdict(
             name,
             not closed,
             "its interlock is closed while the controller's relay is open: it is not wired through it"
@@ -142,7 +142,7 @@ def _interlock(settings: LaserSettings, controller: ControllerSettings, closed: 
         )
 
 
-def check_environment(settings: EnvironmentSettings, patience_s: float = 5.0) -> tuple[Check, ...]:
+def check_environment(settings: EnvironmentSettings, patience_s: float = 5.0) -> tuple[Verdict, ...]:
     """Read the sensor with a port of its own until a line matches, for at most patience_s."""
     if settings.kind != "serial":
         return ()
@@ -157,12 +157,12 @@ def check_environment(settings: EnvironmentSettings, patience_s: float = 5.0) ->
             while (raw := reader.read_line(deadline_s)) is not None and time.monotonic() < deadline_s:
                 last = raw.decode("latin-1").strip() or last
                 if parse_environment(pattern, last) is not None:
-                    return (Check("environment sensor", True, last[:80]),)
+                    return (Verdict("environment sensor", True, last[:80]),)
     except PortLost as error:
-        return (Check("environment sensor", False, str(error), _port_remedy(settings.port)),)
+        return (Verdict("environment sensor", False, str(error), _port_remedy(settings.port)),)
     reason = f"{last[:80]!r} does not match the pattern" if last else f"silent for {patience_s:g} s"
     return (
-        Check(
+        Verdict(
             "environment sensor", False, reason, "check port, baud rate, request and pattern in [environment]"
         ),
     )

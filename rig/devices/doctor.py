@@ -8,6 +8,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import cast
 
+from rich.console import Console
+
 from acquisition.camera import FrameTimeout
 from acquisition.cameras.usb3vision.settings import Usb3VisionSettings
 from acquisition.frame_losses import FrameLosses
@@ -16,7 +18,7 @@ from rig.control import check_controller, check_environment, check_laser
 from rig.devices.devices import Devices
 from rig.devices.usb_checks import check_usb_cameras, check_usb_memory
 from rig.instrument import check_materials, complete, sensor_model
-from rig.presentation import Check, print_checks, print_json_line
+from rig.presentation import Verdict, print_json_line, print_verdicts
 from rig.settings import Configuration
 
 _FRAMES = 60
@@ -33,11 +35,11 @@ def examine(config: Configuration, *, json_lines: bool = False) -> int:
         if json_lines:
             print_json_line("check", asdict(check))
     if not json_lines:
-        print_checks(checks)
+        print_verdicts(Console(), checks)
     return 0 if all(check.ok for check in checks) else 1
 
 
-def _checks(config: Configuration) -> Iterator[Check]:
+def _checks(config: Configuration) -> Iterator[Verdict]:
     yield from check_settings(config)
     devices = Devices(config)
     yield from check_controller(devices.make_controller(), config.controller, config.laser)
@@ -51,37 +53,37 @@ def _checks(config: Configuration) -> Iterator[Check]:
     yield check_governor(_read(_GOVERNOR), os.cpu_count() or 1)
 
 
-def check_settings(config: Configuration) -> Iterator[Check]:
+def check_settings(config: Configuration) -> Iterator[Verdict]:
     """Whether the configuration says what a fit needs."""
     try:
         check_materials(config)
         pendulum = config.pendulum is not None
-        yield Check(
+        yield Verdict(
             "pendulum",
             pendulum,
             "stated" if pendulum else "not stated: nothing can be fitted",
             "" if pendulum else "state mass_kg and ball_radius_m under [pendulum]",
         )
     except RigError as error:
-        yield Check("pendulum", False, str(error), "correct the material")
+        yield Verdict("pendulum", False, str(error), "correct the material")
     lever = config.lever is not None
-    yield Check(
+    yield Verdict(
         "light lever",
         lever,
         "stated" if lever else "no calibration: amplitudes will be in px",
         "" if lever else "state arm_m and pixel_pitch_m under [lever]",
     )
     known = config.sensor is not None
-    yield Check("sensor's noise", True, "stated" if known else "not stated: a typical sensor is assumed")
+    yield Verdict("sensor's noise", True, "stated" if known else "not stated: a typical sensor is assumed")
 
 
-def check_camera(config: Configuration, devices: Devices) -> Iterator[Check]:
+def check_camera(config: Configuration, devices: Devices) -> Iterator[Verdict]:
     """Open the camera, take some frames, close it."""
     try:
         with devices.camera(config) as camera:
             info = camera.info
-            yield Check("camera", True, f"{info.vendor} {info.model} {info.serial}".strip())
-            yield Check(
+            yield Verdict("camera", True, f"{info.vendor} {info.model} {info.serial}".strip())
+            yield Verdict(
                 "camera settings",
                 not camera.notes,
                 "; ".join(camera.notes) or "taken as asked",
@@ -101,7 +103,7 @@ def check_camera(config: Configuration, devices: Devices) -> Iterator[Check]:
             status = camera.camera.status
             camera.camera.stop()
             enough = count == _FRAMES and status.dropped == 0
-            yield Check(
+            yield Verdict(
                 "frames",
                 enough,
                 f"{count} in {seconds:.2f} s, lost: {FrameLosses.of(status)}",
@@ -110,12 +112,12 @@ def check_camera(config: Configuration, devices: Devices) -> Iterator[Check]:
             if config.camera.driver == "usb3vision" and frame_bytes:
                 yield from check_usb_memory(frame_bytes)
     except FrameTimeout as error:
-        yield Check("frames", False, str(error), "is it triggered from outside? see its cable and power")
+        yield Verdict("frames", False, str(error), "is it triggered from outside? see its cable and power")
     except RigError as error:
-        yield Check("camera", False, str(error), "see camera.driver and camera.serial, its cable and power")
+        yield Verdict("camera", False, str(error), "see camera.driver and camera.serial, its cable and power")
 
 
-def check_disk(output: Path) -> Check:
+def check_disk(output: Path) -> Verdict:
     """Room where the sessions go, and whether it can be written."""
     place = output
     while not place.exists():
@@ -124,7 +126,7 @@ def check_disk(output: Path) -> Check:
     writable = os.access(place, os.W_OK)
     ok = writable and free_bytes > 2e9
     reason = f"{free_bytes / 1e9:.1f} GB free at {place.resolve()}"
-    return Check(
+    return Verdict(
         "disk",
         ok,
         reason if writable else f"{reason}, not writable",
@@ -132,20 +134,20 @@ def check_disk(output: Path) -> Check:
     )
 
 
-def check_clock(source: str) -> Check:
+def check_clock(source: str) -> Verdict:
     """The kernel's clock source; a slow one makes arrival times uneven."""
     if not source:
-        return Check("clock", True, "this system does not name its clock source")
+        return Verdict("clock", True, "this system does not name its clock source")
     ok = source in _STEADY_CLOCKS
-    return Check("clock", ok, source, "" if ok else "boot with clocksource=tsc where the processor has it")
+    return Verdict("clock", ok, source, "" if ok else "boot with clocksource=tsc where the processor has it")
 
 
-def check_governor(governor: str, processors: int) -> Check:
+def check_governor(governor: str, processors: int) -> Verdict:
     """Whether the processor slows itself down while frames come."""
     if not governor:
-        return Check("processor", True, f"{processors} cores; nothing governs their frequency here")
+        return Verdict("processor", True, f"{processors} cores; nothing governs their frequency here")
     ok = governor not in {"powersave", "conservative"}
-    return Check(
+    return Verdict(
         "processor",
         ok,
         f"{processors} cores, governor {governor}",

@@ -6,17 +6,17 @@ from pathlib import Path
 
 from acquisition.cameras.usb3vision.discovery import FoundCamera, find_cameras, udev_rule
 from processing.errors import DeviceError
-from rig.presentation import Check
+from rig.presentation import Verdict
 
 _USBFS_MEMORY = Path("/sys/module/usbcore/parameters/usbfs_memory_mb")
 _SLOW = ("low", "full", "high")
 _BUFFERED_FRAMES = 8
 
 
-def check_usb_camera(camera: FoundCamera) -> tuple[Check, ...]:
+def check_usb_camera(camera: FoundCamera) -> tuple[Verdict, ...]:
     """Permission, and the speed that the port has agreed on."""
     rule = udev_rule()
-    allowed = Check(
+    allowed = Verdict(
         "camera permission",
         camera.accessible,
         camera.name if camera.accessible else f"{camera.name} may not be opened",
@@ -26,7 +26,7 @@ def check_usb_camera(camera: FoundCamera) -> tuple[Check, ...]:
         "/etc/udev/rules.d, sudo udevadm control --reload, then plug the camera in again",
     )
     slow = camera.usb_speed.split()[0].lower() in _SLOW if camera.usb_speed else False
-    speed = Check(
+    speed = Verdict(
         "camera USB speed",
         not slow,
         camera.usb_speed or "unknown",
@@ -35,19 +35,19 @@ def check_usb_camera(camera: FoundCamera) -> tuple[Check, ...]:
     return allowed, speed
 
 
-def check_usb_cameras(serial: str | None) -> Iterator[Check]:
+def check_usb_cameras(serial: str | None) -> Iterator[Verdict]:
     """Every USB3 Vision camera that may be the one with this serial number; nothing where there is none."""
     try:
         cameras = find_cameras()
     except DeviceError as missing:
-        yield Check("libusb", False, str(missing), "pip install libusb-package")
+        yield Verdict("libusb", False, str(missing), "pip install libusb-package")
         return
     for camera in cameras:
         if serial is None or not camera.serial or camera.serial == serial:
             yield from check_usb_camera(camera)
 
 
-def check_usb_memory(frame_bytes: int, memory: Path = _USBFS_MEMORY) -> tuple[Check, ...]:
+def check_usb_memory(frame_bytes: int, memory: Path = _USBFS_MEMORY) -> tuple[Verdict, ...]:
     """Whether Linux lends enough memory to USB transfers for some frames to be under way at once."""
     if sys.platform != "linux" or not memory.is_file():
         return ()
@@ -56,7 +56,7 @@ def check_usb_memory(frame_bytes: int, memory: Path = _USBFS_MEMORY) -> tuple[Ch
     # 0 means without a limit
     enough = limit_mb == 0 or limit_mb >= wanted_mb
     return (
-        Check(
+        Verdict(
             "USB buffer memory",
             enough,
             f"{limit_mb} MB for all USB devices, {wanted_mb} MB hold {_BUFFERED_FRAMES} frames",

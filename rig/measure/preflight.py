@@ -42,11 +42,11 @@ def spot_found(spots: Sequence[Spot], limits: PreflightSettings) -> Verdict:
     ok = lost <= limits.max_lost_fraction
     return Verdict(
         "spot found",
-        f"{100 * (1 - lost):.1f} % of {len(spots)} frames",
-        f"{100 * (1 - limits.max_lost_fraction):g} %",
         ok,
         "" if ok else "no spot in too many frames",
         "" if ok else "laser on? beam on the sensor? raise exposure_us",
+        measured=f"{100 * (1 - lost):.1f} % of {len(spots)} frames",
+        limit=f"{100 * (1 - limits.max_lost_fraction):g} %",
     )
 
 
@@ -56,13 +56,18 @@ def exposure(spots: Sequence[Spot], full_scale_dn: float, limits: PreflightSetti
     limit = f"{100 * limits.min_peak_fraction:g} to {100 * limits.max_peak_fraction:g} % of full scale"
     if not peaks:
         return Verdict(
-            "exposure", "no spot", limit, False, "there is nothing to measure", "find the spot first"
+            "exposure",
+            False,
+            "there is nothing to measure",
+            "find the spot first",
+            measured="no spot",
+            limit=limit,
         )
     peak = float(np.median(peaks)) / full_scale_dn
     dark, bright = peak < limits.min_peak_fraction, peak > limits.max_peak_fraction
     reason = "too dark: noisy" if dark else "too bright: saturates" if bright else ""
     remedy = "raise exposure_us or the laser" if dark else "lower exposure_us or the laser" if bright else ""
-    return Verdict("exposure", f"peak {100 * peak:.0f} %", limit, not reason, reason, remedy)
+    return Verdict("exposure", not reason, reason, remedy, measured=f"peak {100 * peak:.0f} %", limit=limit)
 
 
 def saturation(spots: Sequence[Spot], limits: PreflightSettings) -> Verdict:
@@ -71,11 +76,11 @@ def saturation(spots: Sequence[Spot], limits: PreflightSettings) -> Verdict:
     ok = part <= limits.max_saturated_fraction
     return Verdict(
         "saturation",
-        f"{100 * part:.1f} % of frames",
-        f"{100 * limits.max_saturated_fraction:g} %",
         ok,
         "" if ok else "pixels at full scale are lost to the fit",
         "" if ok else "lower exposure_us or the laser's power",
+        measured=f"{100 * part:.1f} % of frames",
+        limit=f"{100 * limits.max_saturated_fraction:g} %",
     )
 
 
@@ -96,19 +101,19 @@ def noise_and_vibration(
     return [
         Verdict(
             "noise floor",
-            f"{noise:.4f} arcsec a frame",
-            noise_limit,
             quiet,
             "" if quiet else "the spot jumps more than it should",
             "" if quiet else "more light, a smaller gain; shield the beam from air",
+            measured=f"{noise:.4f} arcsec a frame",
+            limit=noise_limit,
         ),
         Verdict(
             "vibration",
-            words,
-            line_limit,
             still,
             "" if still else "the base shakes",
             "" if still else "find what runs at this frequency; decouple the table",
+            measured=words,
+            limit=line_limit,
         ),
     ]
 
@@ -119,16 +124,23 @@ def rest_position(look: Look, unit_rad: float, limits: PreflightSettings) -> Ver
     if not look.resting:
         return _not_at_rest("rest position", limit)
     if not np.isfinite(look.x).any():
-        return Verdict("rest position", "no spot", limit, False, "nothing to measure", "find the spot first")
+        return Verdict(
+            "rest position",
+            False,
+            "nothing to measure",
+            "find the spot first",
+            measured="no spot",
+            limit=limit,
+        )
     x, y = np.nanmedian(look.x) / unit_rad, np.nanmedian(look.y) / unit_rad
     ok = math.hypot(x, y) <= limits.max_rest_offset_arcsec
     return Verdict(
         "rest position",
-        f"X {x:+.1f}, Y {y:+.1f} arcsec",
-        limit,
         ok,
         "" if ok else "the swing will leave the middle of the sensor",
         "" if ok else "rig balance says which weight to turn; or move the camera",
+        measured=f"X {x:+.1f}, Y {y:+.1f} arcsec",
+        limit=limit,
     )
 
 
@@ -136,7 +148,7 @@ def clock(frames: Sequence[Frame], limits: PreflightSettings) -> Verdict:
     """The camera's clock against the host's, and how even the frames come."""
     limit = f"jitter {limits.max_clock_jitter_us:g} us"
     if frames and frames[0].device_time_ns < 0:
-        return Verdict("clock", "the camera has none; the host's is used", limit, True)
+        return Verdict("clock", True, measured="the camera has none; the host's is used", limit=limit)
     try:
         relation = relate_clocks(
             np.array([frame.device_time_ns for frame in frames]),
@@ -144,16 +156,16 @@ def clock(frames: Sequence[Frame], limits: PreflightSettings) -> Verdict:
             np.array([frame.sequence for frame in frames]),
         )
     except DataError as error:
-        return Verdict("clock", "not measured", limit, False, str(error), "restart the camera")
+        return Verdict("clock", False, str(error), "restart the camera", measured="not measured", limit=limit)
     jitter_us = relation.frame_jitter_s * 1e6
     ok = jitter_us <= limits.max_clock_jitter_us
     return Verdict(
         "clock",
-        f"jitter {jitter_us:.1f} us, {relation.drift_ppm:+.0f} ± {relation.u_drift_ppm:.0f} ppm",
-        limit,
         ok,
         "" if ok else "frames come unevenly; turning times suffer",
         "" if ok else "a fixed frame_rate_hz, the camera's own clock, no free-running trigger",
+        measured=f"jitter {jitter_us:.1f} us, {relation.drift_ppm:+.0f} ± {relation.u_drift_ppm:.0f} ppm",
+        limit=limit,
     )
 
 
@@ -163,7 +175,12 @@ def frame_rate(frames: Sequence[Frame], asked_hz: float | None, limits: Prefligh
     span_s = (frames[-1].time_ns - frames[0].time_ns) * 1e-9 if len(frames) > 1 else 0.0
     if span_s <= 0:
         return Verdict(
-            "frame rate", "too few frames", limit, False, "the camera hardly delivers", "see the camera"
+            "frame rate",
+            False,
+            "the camera hardly delivers",
+            "see the camera",
+            measured="too few frames",
+            limit=limit,
         )
     numbers = frames[-1].sequence - frames[0].sequence
     rate_hz = numbers / span_s
@@ -172,11 +189,11 @@ def frame_rate(frames: Sequence[Frame], asked_hz: float | None, limits: Prefligh
     lossy = lost > limits.max_dropped_fraction
     return Verdict(
         "frame rate",
-        f"{rate_hz:.2f} Hz, {100 * lost:.2f} % lost",
-        limit,
         not (wrong or lossy),
         f"{asked_hz:g} Hz was asked" if wrong else "frames are being lost" if lossy else "",
         "exposure too long, or the bus too slow" if wrong else "another port or cable" if lossy else "",
+        measured=f"{rate_hz:.2f} Hz, {100 * lost:.2f} % lost",
+        limit=limit,
     )
 
 
@@ -188,11 +205,11 @@ def disk(
     ok = free_bytes >= need
     return Verdict(
         "disk space",
-        f"{free_bytes / 1e9:.1f} GB free",
-        f"{need / 1e9:.1f} GB for {duration_s:g} s",
         ok,
         "" if ok else "a run of full length does not fit",
         "" if ok else f"free space, or another -o{', or record.windows = false' if windows else ''}",
+        measured=f"{free_bytes / 1e9:.1f} GB free",
+        limit=f"{need / 1e9:.1f} GB for {duration_s:g} s",
     )
 
 
@@ -201,52 +218,61 @@ def air(environment: tuple[float, float, float], expected: bool, limits: Preflig
     temperature_c, humidity_percent, pressure_pa = environment
     limit = f"{limits.min_temperature_c:g} to {limits.max_temperature_c:g} °C"
     if not expected:
-        return Verdict("environment", "no sensor is configured", limit, True, made=False)
+        return Verdict("environment", True, measured="no sensor is configured", limit=limit, made=False)
     if math.isnan(temperature_c):
-        return Verdict("environment", "no reading", limit, False, "the sensor is silent", "see rig doctor")
+        return Verdict(
+            "environment", False, "the sensor is silent", "see rig doctor", measured="no reading", limit=limit
+        )
     ok = limits.min_temperature_c <= temperature_c <= limits.max_temperature_c
     words = f"{temperature_c:.1f} °C, {humidity_percent:.0f} %, {pressure_pa / 100:.0f} hPa"
     return Verdict(
-        "environment", words, limit, ok, "" if ok else "out of range", "" if ok else "wait, or widen"
+        "environment",
+        ok,
+        "" if ok else "out of range",
+        "" if ok else "wait, or widen",
+        measured=words,
+        limit=limit,
     )
 
 
 def controller(words: str, wanted: bool) -> Verdict:
     """Whether the controller answers and its interlock is closed; `words` as `Devices.describe` has them."""
     if not wanted:
-        return Verdict("controller", "none is configured", "answers", True, made=False)
+        return Verdict("controller", True, measured="none is configured", limit="answers", made=False)
     ok = "interlock closed" in words
     return Verdict(
         "controller",
-        words,
-        "answers, interlock closed",
         ok,
         "" if ok else "it does not answer, or its interlock is open",
         "" if ok else "see rig doctor; close the cover",
+        measured=words,
+        limit="answers, interlock closed",
     )
 
 
 def laser(now: LaserNow | None, goes_dark_by_itself: bool) -> Verdict:
     """Whether a laser that is ours is lit; a warning where nothing but this program switches it off."""
     if now is None:
-        return Verdict("laser", "none is configured", "lit", True, made=False)
+        return Verdict("laser", True, measured="none is configured", limit="lit", made=False)
     if not now.on:
         remedy = "see rig doctor; close the interlock, turn its key"
-        return Verdict("laser", now.words, "lit", False, "there is no light to measure with", remedy)
+        return Verdict(
+            "laser", False, "there is no light to measure with", remedy, measured=now.words, limit="lit"
+        )
     if goes_dark_by_itself:
-        return Verdict("laser", now.words, "lit", True)
-    return Verdict("laser", now.words, "lit", True, STAYS_LIT, WIRE_IT)
+        return Verdict("laser", True, measured=now.words, limit="lit")
+    return Verdict("laser", True, STAYS_LIT, WIRE_IT, measured=now.words, limit="lit")
 
 
 def camera(driver: str, notes: Sequence[str]) -> Verdict:
     """Settings that the camera took."""
     return Verdict(
         "camera",
-        driver,
-        "settings as asked",
         not notes,
         "; ".join(notes),
         "ask for what the camera can do" if notes else "",
+        measured=driver,
+        limit="settings as asked",
     )
 
 
@@ -281,7 +307,7 @@ def check_look(
 
 def _not_at_rest(name: str, limit: str) -> Verdict:
     reason = "the pendulum may be swinging (start.way = 'at once')"
-    return Verdict(name, "not measured", limit, True, reason, made=False)
+    return Verdict(name, True, reason, measured="not measured", limit=limit, made=False)
 
 
 def _still(look: Look, axis: str) -> Stability | None:

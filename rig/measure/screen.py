@@ -25,7 +25,7 @@ from processing.balance import Balance
 from processing.decay_forecast import Forecast, forecast
 from rig.instrument import Block, Snapshot
 from rig.measure.preflight import table_tree
-from rig.presentation import Verdict, print_json_line, print_preflight, say
+from rig.presentation import Verdict, print_json_line, print_verdicts, say
 
 _PLAIN_INTERVAL_S = 5.0
 _JSON_INTERVAL_S = 1.0
@@ -109,7 +109,7 @@ class RunDisplay:
         if self._json:
             self.line("preflight", {"table": table_tree(verdicts)})
         else:
-            print_preflight(self._console, verdicts)
+            print_verdicts(self._console, verdicts)
 
     def line(self, kind: str, values: dict[str, Any]) -> None:
         """One line of JSON on stdout; once its reader is gone it is dropped, for the measurement goes on."""

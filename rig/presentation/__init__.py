@@ -8,15 +8,14 @@ from rig.presentation.printing import plain_values, print_json_line, print_table
 from rig.presentation.quantities import SOURCES, Quantity, quantity
 from rig.presentation.table import Cell, Table
 from rig.presentation.terminal import print_tables
-from rig.presentation.verdict import Check, Verdict
-from rig.presentation.verdict_table import print_checks, print_preflight
+from rig.presentation.verdict import Verdict
+from rig.presentation.verdict_table import print_verdicts
 
 __all__ = [
     "BALANCE",
     "PANELS",
     "SOURCES",
     "Cell",
-    "Check",
     "Quantity",
     "Table",
     "Verdict",
@@ -29,11 +28,10 @@ __all__ = [
     "plain",
     "plain_values",
     "power",
-    "print_checks",
     "print_json_line",
-    "print_preflight",
     "print_table",
     "print_tables",
+    "print_verdicts",
     "quantity",
     "say",
     "series_verdicts",

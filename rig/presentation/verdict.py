@@ -1,32 +1,30 @@
-"""Go or no-go, one line each: what was checked, the reason, the remedy."""
+"""Go or no-go, one line each: what was checked, what was found, the remedy."""
 
 from dataclasses import dataclass
 
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """One line of the table. `made` False: there was nothing to check, which is ok and has its reason.
+    """One line of the table of preflight or doctor.
 
-    One that is ok and has a remedy all the same is a warning.
+    Attributes
+    ----------
+    ok
+        Nothing stands against a measurement. One that is ok and has a remedy is a warning.
+    reason
+        What was found, or why it is not well; empty where `measured` says it all.
+    remedy
+        What to do; empty where nothing is to be done.
+    measured, limit
+        Of a measurement, with units.
+    made
+        False: there was nothing to check, for the reason given; that is ok.
     """
 
     name: str
-    measured: str
-    limit: str
     ok: bool
     reason: str = ""
     remedy: str = ""
+    measured: str = ""
+    limit: str = ""
     made: bool = True
-
-
-@dataclass(frozen=True, slots=True)
-class Check:
-    """One line of a go / no-go table; `remedy` is empty where all is well.
-
-    One that is ok and has a remedy all the same is a warning.
-    """
-
-    name: str
-    ok: bool
-    reason: str
-    remedy: str = ""

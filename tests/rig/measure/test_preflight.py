@@ -15,7 +15,7 @@ from rig.devices.laser import LaserNow
 from rig.measure import preflight
 from rig.measure.preflight import Look
 from rig.presentation.verdict import Verdict
-from rig.presentation.verdict_table import print_preflight
+from rig.presentation.verdict_table import print_verdicts
 from rig.settings.phases import PreflightSettings
 
 LIMITS = PreflightSettings()
@@ -90,7 +90,7 @@ def test_what_was_not_checked_and_what_is_a_warning_is_not_called_go() -> None:
         preflight.disk(1, 5000.0, 500.0, 3600.0),
     ]
     text = StringIO()
-    print_preflight(Console(file=text, width=100), verdicts)
+    print_verdicts(Console(file=text, width=100), verdicts)
     marks: dict[str, str] = {}
     for line in text.getvalue().splitlines():
         for name in NAMES:
