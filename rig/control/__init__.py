@@ -3,10 +3,10 @@
 from rig.control.controller import Controller
 from rig.control.environment import EnvironmentService
 from rig.control.laser_service import LONGEST_JOB_S, LaserService
-from rig.control.lasers import LaserState, make_laser
+from rig.control.lasers import LaserSettings, LaserState, make_laser
 from rig.control.ports import check_controller, check_environment, check_laser, list_serial_ports
 from rig.control.service import ControlService, ControlState
-from rig.control.settings import ControllerSettings, EnvironmentSettings, LaserSettings
+from rig.control.settings import ControllerSettings, EnvironmentSettings
 from rig.control.simulated import SimulatedOutputs, simulated_controller
 
 __all__ = [

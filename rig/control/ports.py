@@ -11,9 +11,9 @@ from serial.tools import list_ports
 from processing.errors import DeviceError
 from rig.control.controller import Controller
 from rig.control.environment import parse_environment
-from rig.control.lasers import make_laser
+from rig.control.lasers import LaserSettings, make_laser
 from rig.control.serial_port import LineReader, PortLost, SerialPort
-from rig.control.settings import ControllerSettings, EnvironmentSettings, LaserSettings
+from rig.control.settings import ControllerSettings, EnvironmentSettings
 from rig.presentation import Verdict
 
 

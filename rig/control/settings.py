@@ -1,4 +1,4 @@
-"""What a user asks of the controller, the laser and the environment sensor."""
+"""What a user asks of the controller and the environment sensor."""
 
 import re
 from typing import Annotated, Literal, Self
@@ -6,7 +6,6 @@ from typing import Annotated, Literal, Self
 from pydantic import AfterValidator, BaseModel, Field, model_validator
 
 ControllerKind = Literal["none", "simulated", "serial"]
-LaserKind = Literal["none", "controller", "thorlabs4000", "obis", "ldc500", "cobolt"]
 EnvironmentKind = Literal["none", "controller", "serial"]
 
 _QUANTITIES = frozenset({"temperature_c", "humidity_percent", "pressure_pa", "pressure_hpa"})
@@ -51,42 +50,6 @@ class ControllerSettings(BaseModel, frozen=True, extra="forbid"):
             raise ValueError(
                 f"watchdog_s {self.watchdog_s:g} is too short for heartbeat_s {self.heartbeat_s:g};"
                 " at least two heartbeats must fit in"
-            )
-        return self
-
-
-class LaserSettings(BaseModel, frozen=True, extra="forbid"):
-    """The laser: who drives it, how strong it may and shall be, how long it warms up.
-
-    Diode drivers (thorlabs4000, ldc500) are set in amperes, the others in watts. `power_w`
-    or `current_a` above its limit is refused here, before anything is opened. `interlock` says where the
-    interlock of a laser with a port of its own leads: through the controller's enable relay, whose watchdog
-    then darkens it, or elsewhere.
-    """
-
-    kind: LaserKind = "none"
-    port: str = ""
-    baud: int = Field(default=115200, gt=0)
-    timeout_s: float = Field(default=0.5, gt=0, le=5)
-    max_power_w: float = Field(default=0.001, ge=0, le=1, allow_inf_nan=False)
-    power_w: float = Field(default=0.0, ge=0, allow_inf_nan=False)
-    interlock: Literal["own", "controller"] = "own"
-    max_current_a: float = Field(default=0.0, ge=0, le=20, allow_inf_nan=False)
-    current_a: float = Field(default=0.0, ge=0, allow_inf_nan=False)
-    warm_up_min_s: float = Field(default=0.0, ge=0)
-    warm_up_max_s: float = Field(default=1800.0, gt=0)
-
-    @model_validator(mode="after")
-    def _within_limits(self) -> Self:
-        if self.kind not in ("none", "controller") and not self.port:
-            raise ValueError("port is missing; name the laser's serial port, or see `rig devices`")
-        if self.power_w > self.max_power_w:
-            raise ValueError(f"power_w {self.power_w:g} is above max_power_w {self.max_power_w:g}")
-        if self.current_a > self.max_current_a:
-            raise ValueError(f"current_a {self.current_a:g} is above max_current_a {self.max_current_a:g}")
-        if self.warm_up_min_s > self.warm_up_max_s:
-            raise ValueError(
-                f"warm_up_min_s {self.warm_up_min_s:g} is above warm_up_max_s {self.warm_up_max_s:g}"
             )
         return self
 

@@ -2,30 +2,17 @@
 
 import math
 from dataclasses import replace
-from typing import Literal, Self
+from typing import Self
 
-from pydantic import BaseModel, Field, model_validator
+from pydantic import BaseModel, Field, field_validator, model_validator
 
 from processing.instruments import DEGREE_RAD, INSTRUMENTS, Description, Limits
-
-Kind = Literal[
-    "single_ball",
-    "two_ball",
-    "herbert",
-    "herbert_roller",
-    "kuznetsov_one",
-    "kuznetsov_two",
-    "koenig",
-    "persoz",
-    "tomlinson",
-    "knife_edge",
-]
 
 
 class InstrumentSettings(BaseModel, frozen=True, extra="forbid"):
     """The kind selects a description (`rig instruments` lists them); None keeps what it says."""
 
-    kind: Kind = "single_ball"
+    kind: str = "single_ball"
     mass_kg: float | None = Field(default=None, gt=0)
     support_radius_m: float | None = Field(default=None, gt=0, lt=1, description="ball, roller or axis")
     u_support_radius_m: float = Field(default=0.0, ge=0)
@@ -52,6 +39,13 @@ class InstrumentSettings(BaseModel, frozen=True, extra="forbid"):
         default=None, gt=0, description="damping time of the reference, where it was measured elsewhere"
     )
     u_reference_time_s: float = Field(default=0.0, ge=0)
+
+    @field_validator("kind")
+    @classmethod
+    def _described(cls, kind: str) -> str:
+        if kind not in INSTRUMENTS:
+            raise ValueError(f"no such instrument; there are {', '.join(INSTRUMENTS)}")
+        return kind
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

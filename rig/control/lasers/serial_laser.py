@@ -10,9 +10,9 @@ from collections.abc import Callable
 from processing.errors import DeviceError
 from rig.control.controller import InterlockOpen, PowerLimit
 from rig.control.lasers.laser import ON_WITHIN_S, LaserIdentity, LaserRefused, LaserState
+from rig.control.lasers.settings import LaserSettings
 from rig.control.link import ReplyTimeout
 from rig.control.serial_port import Line, LineReader, PortLost, SerialPort
-from rig.control.settings import LaserSettings
 
 _log = logging.getLogger(__name__)
 _RETRIES = 2

@@ -12,10 +12,9 @@ from hypothesis import strategies as st
 from processing.errors import DeviceError
 from rig.control.controller import InterlockOpen, PowerLimit
 from rig.control.laser_service import LaserService
-from rig.control.lasers import LASERS, Laser, LaserRefused, make_laser
+from rig.control.lasers import LASERS, Laser, LaserRefused, LaserSettings, make_laser
 from rig.control.link import ReplyTimeout
 from rig.control.serial_port import PortLost
-from rig.control.settings import LaserSettings
 from tests.rig.control.instruments import FakeCobolt, FakeLdc500, FakeObis, FakeThorlabs, Instrument
 from tests.rig.control.test_service import until
 

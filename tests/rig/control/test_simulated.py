@@ -17,9 +17,10 @@ from pydantic import ValidationError
 from rig.control.controller import Environment, InterlockOpen, PowerLimit
 from rig.control.environment import EnvironmentService, parse_environment
 from rig.control.firmware.bme280 import Calibration, compensate
+from rig.control.lasers import LaserSettings
 from rig.control.ports import check_controller, check_environment, check_laser, list_serial_ports
 from rig.control.service import ControlService, ControlState
-from rig.control.settings import ControllerSettings, EnvironmentSettings, LaserSettings, SerialFaults
+from rig.control.settings import ControllerSettings, EnvironmentSettings, SerialFaults
 from rig.control.simulated import SimulatedOutputs, simulated_controller
 from tests.rig.control.instruments import FakeCobolt
 from tests.rig.control.test_service import until

@@ -1,4 +1,4 @@
-"""A camera driver that somebody adds: one file and one entry, tried in a copy of the tree."""
+"""A camera, a laser and an instrument that somebody adds: an entry each, tried in a copy of the tree."""
 
 import os
 import shutil
@@ -37,6 +37,22 @@ ENTRY = """
         find="acquisition.cameras.still:list_cameras",
     ),
 """
+LASER = """
+class Torch:
+    def __init__(self, settings):
+        self.settings = settings
+"""
+LASER_ENTRY = '\n    "torch": "rig.control.lasers.torch:Torch",'
+INSTRUMENT = """
+    Description(
+        kind="plumb_line",
+        sentence="A weight on a thread.",
+        support="a thread",
+        supports=1,
+        report="decay",
+        start_amplitude_rad=0.1,
+        end_amplitude_rad=0.01,
+    ),"""
 PROGRAM = """
 import sys
 from pathlib import Path
@@ -56,6 +72,17 @@ for wrong in ("camera.still.levl_dn=8", "camera.driver=stil"):
     except ConfigurationError as error:
         print(error)
 print(CliRunner().invoke(app, ["devices"]).output)
+from rig.control import make_laser
+
+added = ["laser.kind=torch", "laser.port=p", "instrument.kind=plumb_line"]
+config = load_configuration(Path("still.toml"), added)
+print(type(make_laser(config.laser)).__name__, config.instrument.description().report)
+print(CliRunner().invoke(app, ["instruments"]).output)
+for wrong in ("laser.kind=torhc", "instrument.kind=plum_line"):
+    try:
+        load_configuration(Path("still.toml"), [wrong])
+    except ConfigurationError as error:
+        print(error)
 """
 
 
@@ -66,13 +93,19 @@ def copy(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_an_added_driver_has_a_section_a_serial_number_and_is_found(copy: Path) -> None:
-    cameras = copy / "acquisition" / "cameras"
+def add(registry: Path, head: str, entry: str) -> None:
+    text = registry.read_text()
+    assert head in text
+    registry.write_text(text.replace(head, head + entry))
+
+
+def test_what_is_added_to_a_registry_is_configured_made_and_found(copy: Path) -> None:
+    cameras, lasers = copy / "acquisition" / "cameras", copy / "rig" / "control" / "lasers"
     (cameras / "still.py").write_text(DRIVER)
-    registry = (cameras / "drivers.py").read_text()
-    head = "DRIVERS: dict[str, Driver] = {"
-    assert head in registry
-    (cameras / "drivers.py").write_text(registry.replace(head, head + ENTRY))
+    add(cameras / "drivers.py", "DRIVERS: dict[str, Driver] = {", ENTRY)
+    (lasers / "torch.py").write_text(LASER)
+    add(lasers / "drivers.py", "LASERS: dict[str, str] = {", LASER_ENTRY)
+    add(copy / "processing" / "instruments" / "descriptions.py", "_TABLE = (", INSTRUMENT)
     (copy / "still.toml").write_text(
         '[camera]\ndriver = "still"\nserial = "A1"\n[camera.still]\nlevel_dn = 9\n'
     )
@@ -92,3 +125,7 @@ def test_an_added_driver_has_a_section_a_serial_number_and_is_found(copy: Path) 
     assert "camera.driver = 'stil': no such driver; there are " in lines[3]
     assert "still" in lines[3]
     assert "camera  still  Still life  serial A1  on the table" in lines
+    assert "Torch decay" in lines
+    assert any("plumb_line" in line and "A weight on a thread." in line for line in lines)
+    assert "laser.kind = 'torhc': no such laser; there are none, controller, torch, " in lines[-2]
+    assert "instrument.kind = 'plum_line': no such instrument; there are plumb_line, " in lines[-1]

@@ -1,0 +1,12 @@
+"""The registry of laser drivers: the names that ``laser.kind`` takes, and where each driver is.
+
+A driver is added by one line here and one file with a class that keeps the promises of
+`rig.control.lasers.laser.Laser` and is called with `LaserSettings`. It is imported when it is used.
+"""
+
+LASERS: dict[str, str] = {
+    "thorlabs4000": "rig.control.lasers.thorlabs4000:Thorlabs4000",
+    "obis": "rig.control.lasers.obis:Obis",
+    "ldc500": "rig.control.lasers.ldc500:Ldc500",
+    "cobolt": "rig.control.lasers.cobolt:Cobolt",
+}

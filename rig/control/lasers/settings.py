@@ -1,0 +1,53 @@
+"""What a user asks of the laser."""
+
+from typing import Literal, Self
+
+from pydantic import BaseModel, Field, field_validator, model_validator
+
+from rig.control.lasers.drivers import LASERS
+
+WITHOUT_DRIVER = ("none", "controller")
+"""No laser, and one that the controller switches."""
+
+
+class LaserSettings(BaseModel, frozen=True, extra="forbid"):
+    """The laser: who drives it, how strong it may and shall be, how long it warms up.
+
+    Drivers of laser diodes are set in amperes, whole lasers in watts. `power_w` or `current_a` above its
+    limit is rejected here, before anything is opened. `interlock` says where the interlock of a laser with
+    a port of its own leads: through the controller's enable relay, whose watchdog then turns the laser
+    off, or elsewhere.
+    """
+
+    kind: str = "none"
+    port: str = ""
+    baud: int = Field(default=115200, gt=0)
+    timeout_s: float = Field(default=0.5, gt=0, le=5)
+    max_power_w: float = Field(default=0.001, ge=0, le=1, allow_inf_nan=False)
+    power_w: float = Field(default=0.0, ge=0, allow_inf_nan=False)
+    interlock: Literal["own", "controller"] = "own"
+    max_current_a: float = Field(default=0.0, ge=0, le=20, allow_inf_nan=False)
+    current_a: float = Field(default=0.0, ge=0, allow_inf_nan=False)
+    warm_up_min_s: float = Field(default=0.0, ge=0)
+    warm_up_max_s: float = Field(default=1800.0, gt=0)
+
+    @field_validator("kind")
+    @classmethod
+    def _known(cls, kind: str) -> str:
+        if kind not in (known := (*WITHOUT_DRIVER, *LASERS)):
+            raise ValueError(f"no such laser; there are {', '.join(known)}")
+        return kind
+
+    @model_validator(mode="after")
+    def _within_limits(self) -> Self:
+        if self.kind in LASERS and not self.port:
+            raise ValueError("port is missing; name the laser's serial port, or see `rig devices`")
+        if self.power_w > self.max_power_w:
+            raise ValueError(f"power_w {self.power_w:g} is above max_power_w {self.max_power_w:g}")
+        if self.current_a > self.max_current_a:
+            raise ValueError(f"current_a {self.current_a:g} is above max_current_a {self.max_current_a:g}")
+        if self.warm_up_min_s > self.warm_up_max_s:
+            raise ValueError(
+                f"warm_up_min_s {self.warm_up_min_s:g} is above warm_up_max_s {self.warm_up_max_s:g}"
+            )
+        return self
