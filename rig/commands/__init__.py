@@ -1,1 +1,1 @@
-"""The commands, a module for each kind; they parse, call and print, and hold no arithmetic."""
+"""The commands, grouped by what they are for. They parse, call and print; they calculate nothing."""

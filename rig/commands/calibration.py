@@ -1,20 +1,26 @@
-"""Commands that calibrate."""
+"""`rig calibrate`."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from rig.commands.arguments import Record
+
 if TYPE_CHECKING:
     from rig.calibrate import Filing
 
-Record = Annotated[Path, typer.Argument(help="A record, an MCAP file.", show_default=False)]
-Ladder = Annotated[Path, typer.Argument(help="Steps or geometry, a TOML file.", show_default=False)]
-Folder = Annotated[Path, typer.Option("-o", "--output", help="Folder of the calibration files.")]
-Days = Annotated[float, typer.Option("--valid-days", help="How long it holds.", min=0.01)]
-By = Annotated[str, typer.Option("--by", help="Who made it; the user's name without.")]
+Ladder = Annotated[
+    Path, typer.Argument(help="Steps or geometry of the lever (TOML file).", show_default=False)
+]
+Folder = Annotated[Path, typer.Option("-o", "--output", help="Folder for the calibration file.")]
+Days = Annotated[
+    float, typer.Option("--valid-days", help="Number of days for which the calibration is valid.", min=0.01)
+]
+By = Annotated[str, typer.Option("--by", help="Who made the calibration; default: the user's name.")]
 Side = Annotated[
-    Literal["+", "-"] | None, typer.Option(help="Side on which the record's first frame has this mode.")
+    Literal["+", "-"] | None,
+    typer.Option(help="Sign of this mode's deflection in the first frame of the record."),
 ]
 _FOLDER = Path("calibrations")
 _DAYS = 90.0
@@ -33,7 +39,7 @@ def register(app: typer.Typer) -> None:
 
 
 def lever(ladder: Ladder, output: Folder = _FOLDER, valid_days: Days = _DAYS, by: By = "") -> None:
-    """Pixels to radians: from geometry, known tilts or known shifts of the sensor."""
+    """Calibrate pixels to radians, from geometry, known tilts or known shifts of the sensor."""
     from rig.calibrate import calibrate_lever
 
     _say(calibrate_lever(ladder, _filing(output, valid_days, by)))
@@ -47,19 +53,21 @@ def axes(
     slow_began: Side = None,
     fast_began: Side = None,
 ) -> None:
-    """Directions of both modes on the sensor, from a record in which both swing."""
+    """Find the directions of both modes on the sensor, from a record in which both swing."""
     from rig.calibrate import calibrate_axes
 
     _say(calibrate_axes(record, _filing(output, valid_days, by), slow_began, fast_began))
 
 
 def sensor(
-    frames: Annotated[Path, typer.Argument(help="Dark frames and levels, a TOML file.", show_default=False)],
+    frames: Annotated[
+        Path, typer.Argument(help="List of dark and evenly lit frames (TOML file).", show_default=False)
+    ],
     output: Folder = _FOLDER,
     valid_days: Days = _DAYS,
     by: By = "",
 ) -> None:
-    """Gain, read noise and dark level by photon transfer."""
+    """Measure gain, read noise and dark level of the sensor by photon transfer."""
     from rig.calibrate import calibrate_sensor
 
     _say(calibrate_sensor(frames, _filing(output, valid_days, by)))
@@ -71,17 +79,20 @@ def clock(
     valid_days: Days = _DAYS,
     by: By = "",
     counter_bits: Annotated[
-        int | None, typer.Option(help="Width of a camera counter of ns that rolls over.", min=16, max=62)
+        int | None,
+        typer.Option(
+            help="Width in bits of the camera's nanosecond counter, where it rolls over.", min=16, max=62
+        ),
     ] = None,
 ) -> None:
-    """The camera's clock against the host's."""
+    """Compare the camera's clock with the host's."""
     from rig.calibrate import calibrate_clock
 
     _say(calibrate_clock(record, _filing(output, valid_days, by), counter_bits))
 
 
 def pointing(record: Record, output: Folder = _FOLDER, valid_days: Days = _DAYS, by: By = "") -> None:
-    """Noise and drift of the spot while the pendulum is clamped."""
+    """Measure noise and drift of the spot while the pendulum is clamped."""
     from rig.calibrate import calibrate_pointing
 
     _say(calibrate_pointing(record, _filing(output, valid_days, by)))
@@ -89,12 +100,14 @@ def pointing(record: Record, output: Folder = _FOLDER, valid_days: Days = _DAYS,
 
 def check(
     ladder: Ladder,
-    lever: Annotated[Path, typer.Option(help="Calibration file of the lever in use.", show_default=False)],
+    lever: Annotated[
+        Path, typer.Option(help="Calibration file of the lever to be checked.", show_default=False)
+    ],
     output: Folder = _FOLDER,
     valid_days: Days = _DAYS,
     by: By = "",
 ) -> None:
-    """Known tilts against the lever in use, before and after a series."""
+    """Check the lever against known tilts, before and after a series."""
     from rig.calibrate import check_known_angle
 
     _say(check_known_angle(ladder, lever, _filing(output, valid_days, by)))
@@ -107,7 +120,7 @@ def _filing(folder: Path, valid_days: float, by: str) -> "Filing":
 
 
 def _say(path: Path) -> None:
-    """What is in the new file, in a few lines."""
+    """Print the content of the new file."""
     from calibration.store import read_calibration
 
     found = read_calibration(path)

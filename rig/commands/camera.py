@@ -1,4 +1,4 @@
-"""`rig devices` and `rig camera`: what is plugged in, and a look through it."""
+"""`rig devices` and `rig camera`: list what is connected, set up the camera."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -7,19 +7,21 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rig.commands.measure import Config, Set
+from rig.commands.arguments import Config, Set
 
 if TYPE_CHECKING:
     from acquisition.camera import Camera, CameraInfo, CameraSettings
     from rig.devices import PictureFigures
 
-Average = Annotated[int, typer.Option(help="Frames to average, against laser speckle.", min=1, max=10_000)]
+Average = Annotated[
+    int, typer.Option(help="Number of frames to average, against laser speckle.", min=1, max=10_000)
+]
 
 
 def register(app: typer.Typer) -> None:
     """Add the commands of this module."""
     app.command("devices")(devices)
-    camera = typer.Typer(help="Look through the camera, and at its settings.", no_args_is_help=True)
+    camera = typer.Typer(help="Show, set and test the camera.", no_args_is_help=True)
     camera.command("show")(show)
     camera.command("set")(set_features)
     camera.command("snap")(snap)
@@ -29,7 +31,7 @@ def register(app: typer.Typer) -> None:
 
 
 def devices() -> None:
-    """List cameras (with driver, serial number, modes) and serial ports."""
+    """List the connected cameras and serial ports."""
     from acquisition.cameras.drivers import find_cameras
     from rig.control import list_serial_ports
 
@@ -52,7 +54,7 @@ def devices() -> None:
 
 
 def show(config: Config, set_: Set = None) -> None:
-    """Open the camera and print who it is, its settings and all its features."""
+    """Open the camera and print its identity, its settings and all its features."""
     from rig.devices import feature_lines
 
     with _opened(config, set_) as (camera, info, applied):
@@ -96,11 +98,11 @@ def set_features(
 
 def snap(
     config: Config,
-    output: Annotated[Path, typer.Option("-o", "--output", help="PNG to make.")] = Path("snap.png"),
+    output: Annotated[Path, typer.Option("-o", "--output", help="PNG file to write.")] = Path("snap.png"),
     average: Average = 1,
     set_: Set = None,
 ) -> None:
-    """Save a frame as PNG, every bit of it, and print its histogram."""
+    """Save a frame as PNG at its full bit depth, and print its histogram."""
     import cv2
 
     from processing.errors import ConfigurationError
@@ -127,11 +129,11 @@ def snap(
 
 def focus(
     config: Config,
-    seconds: Annotated[float, typer.Option(help="Stop after this; 0: at Ctrl-C.", min=0)] = 0.0,
+    seconds: Annotated[float, typer.Option(help="Stop after this many seconds; 0: at Ctrl-C.", min=0)] = 0.0,
     average: Average = 1,
     set_: Set = None,
 ) -> None:
-    """Show sharpness and saturation while one turns the lens; sharper is a larger number."""
+    """Show sharpness (larger is sharper) and saturation continuously, for focusing."""
     import sys
     import time
 
@@ -153,10 +155,12 @@ def focus(
 
 def expose(
     config: Config,
-    target: Annotated[float, typer.Option(help="Peak as a part of full scale.", min=0.05, max=0.95)] = 0.7,
+    target: Annotated[
+        float, typer.Option(help="Wanted peak, as a fraction of full scale.", min=0.05, max=0.95)
+    ] = 0.7,
     set_: Set = None,
 ) -> None:
-    """Find the exposure that brings the peak to 70 % of full scale; it then stays fixed."""
+    """Find the exposure that brings the peak to the wanted fraction of full scale."""
     from rig.devices import find_exposure
 
     with _opened(config, set_) as (camera, info, applied):

@@ -9,7 +9,7 @@ def register(app: typer.Typer) -> None:
 
 
 def instruments() -> None:
-    """List the kinds of pendulum, a sentence each; [instrument] kind selects one."""
+    """List the kinds of pendulum, for instrument.kind."""
     from processing.instruments import INSTRUMENTS
 
     for description in INSTRUMENTS.values():

@@ -6,14 +6,10 @@ from typing import Annotated, Literal
 
 import typer
 
-Config = Annotated[Path, typer.Argument(help="Configuration, a TOML file.", show_default=False)]
-Record = Annotated[Path, typer.Argument(help="A record, an MCAP file.", show_default=False)]
-Set = Annotated[
-    list[str] | None,
-    typer.Option("--set", metavar="KEY=VALUE", help="Any key of the configuration by its dotted path."),
-]
+from rig.commands.arguments import Config, JsonLines, Record, Set
+
 Output = Annotated[
-    Path | None, typer.Option("-o", "--output", help="Folder for what is made; must not hold a run yet.")
+    Path | None, typer.Option("-o", "--output", help="Folder for the files written; must not hold a run yet.")
 ]
 
 
@@ -27,25 +23,28 @@ def register(app: typer.Typer) -> None:
 
 def run(
     config: Annotated[
-        Path | None, typer.Argument(help="Configuration, a TOML file.", show_default=False)
+        Path | None, typer.Argument(help="Configuration (TOML file).", show_default=False)
     ] = None,
     output: Output = None,
-    runs: Annotated[int | None, typer.Option(help="Number of runs, instead of session.runs.", min=1)] = None,
+    runs: Annotated[int | None, typer.Option(help="Number of runs; default: session.runs.", min=1)] = None,
     set_: Set = None,
     view: Annotated[bool, typer.Option("--view", help="Open the live view in a window.")] = False,
     resume: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Go on with an interrupted session; no CONFIG then.")
+        Path | None,
+        typer.Option(metavar="DIR", help="Continue the interrupted session in DIR, without CONFIG."),
     ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Measure although preflight says no-go.")] = False,
-    json_lines: Annotated[bool, typer.Option("--json", help="One JSON object a line on stdout.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Measure even if a preflight check fails.")] = False,
+    json_lines: JsonLines = False,
 ) -> None:
-    """Run a measurement session: record, fit, results."""
+    """Measure a session: record, fit, report."""
     from rig.measure import measure_session, resume_session
     from rig.settings import load_configuration
 
     if resume is not None:
         if config is not None or output is not None or set_:
-            raise typer.BadParameter("--resume takes its configuration from DIR: name no other")
+            raise typer.BadParameter(
+                "--resume takes its configuration from DIR: leave out CONFIG, --output and --set"
+            )
         raise typer.Exit(resume_session(resume, force=force, json_lines=json_lines))
     if config is None:
         raise typer.BadParameter("Missing argument 'CONFIG'.")
@@ -65,27 +64,26 @@ def run(
 def replay(
     record: Record,
     output: Output = None,
-    speed: Annotated[
-        str, typer.Option(metavar="1|10|max", help="Seconds of the record in a second, any number.")
-    ] = "max",
-    from_s: Annotated[float, typer.Option("--from", help="Begin so many seconds after the start.")] = 0.0,
+    speed: Annotated[str, typer.Option(metavar="1|10|max", help="Speed relative to real time.")] = "max",
+    from_s: Annotated[float, typer.Option("--from", help="Begin this many seconds after the start.")] = 0.0,
     to_s: Annotated[
-        float | None, typer.Option("--to", help="End so many seconds after the start.", show_default=False)
+        float | None, typer.Option("--to", help="End this many seconds after the start.", show_default=False)
     ] = None,
     retrack: Annotated[
-        bool, typer.Option("--retrack", help="Track again, from the recorded windows.")
+        bool, typer.Option("--retrack", help="Track the spot again, in the recorded pixels.")
     ] = False,
     view: Annotated[bool, typer.Option("--view", help="Open the live view.")] = False,
     mode: Annotated[
-        Literal["spawn", "web"], typer.Option(help="With --view: a window, or a page on loopback.")
+        Literal["spawn", "web"],
+        typer.Option(help="With --view: in a window, or as a web page on this machine."),
     ] = "spawn",
-    rrd: Annotated[Path | None, typer.Option(help="Draw into a Rerun file.")] = None,
+    rrd: Annotated[Path | None, typer.Option(help="Write a Rerun file.")] = None,
     set_: Set = None,
 ) -> None:
-    """Put a record through the pipeline again and compare with what was recorded.
+    """Process a record again and compare with what was recorded.
 
-    In a terminal: space pauses, → or n goes on by a frame, h by a half-cycle, + and - by 10 s, g to a
-    time, q ends.
+    Keys in a terminal: space pauses; → or n steps one frame, h one half-cycle, + and - 10 s; g goes to a
+    time; q ends.
     """
     from rig.replay import replay_record
 
@@ -107,15 +105,15 @@ def replay(
 def view(
     records: Annotated[list[Path], typer.Argument(help="Records (.mcap) or a Rerun file (.rrd).")],
     mode: Annotated[
-        Literal["spawn", "web"], typer.Option(help="A window, or a page on loopback for a browser.")
+        Literal["spawn", "web"], typer.Option(help="In a window, or as a web page on this machine.")
     ] = "spawn",
-    rrd: Annotated[Path | None, typer.Option(help="Write a Rerun file instead of opening anything.")] = None,
+    rrd: Annotated[Path | None, typer.Option(help="Write a Rerun file instead of opening a window.")] = None,
     layout: Annotated[
         Literal["balancing", "measuring", "analysing"],
-        typer.Option(help="What is laid out; analysing fits what was not fitted yet."),
+        typer.Option(help="Layout of the panels; analysing fits records that have no results yet."),
     ] = "measuring",
 ) -> None:
-    """Show recorded runs in Rerun; several are laid over each other, aligned at their start."""
+    """Show records in Rerun; several are overlaid."""
     from rig.view import show_records
 
     show_records(records, mode=mode, rrd=rrd, layout=layout)
@@ -123,10 +121,10 @@ def view(
 
 def simulate(
     config: Config,
-    output: Annotated[Path, typer.Option("-o", "--output", help="Record to make, an MCAP file.")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="Record to write (MCAP file).")],
     set_: Set = None,
 ) -> None:
-    """Record one run of the simulated rig, without fits."""
+    """Record one run of the simulated rig, without fitting it."""
     from rig.measure import simulate_record
     from rig.settings import load_configuration
 

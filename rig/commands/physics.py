@@ -1,9 +1,11 @@
-"""Commands from swings to physics."""
+"""`rig fit`."""
 
 from pathlib import Path
 from typing import Annotated
 
 import typer
+
+from rig.commands.arguments import Set
 
 
 def register(app: typer.Typer) -> None:
@@ -13,28 +15,27 @@ def register(app: typer.Typer) -> None:
 
 def fit(
     files: Annotated[
-        list[Path], typer.Argument(help="Records (.mcap), or one trajectory as CSV.", show_default=False)
+        list[Path],
+        typer.Argument(help="Records (.mcap), or one table of positions (CSV).", show_default=False),
     ],
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="Folder for results.json; must not hold one yet.")
     ] = None,
-    config: Annotated[
-        Path | None, typer.Option(help="Configuration with [pendulum] and [fit], for a CSV.")
+    config: Annotated[Path | None, typer.Option(help="CSV: configuration with [pendulum] and [fit].")] = None,
+    time: Annotated[
+        str | None, typer.Option(help="CSV: name or number of the column with the time in s.")
     ] = None,
-    time: Annotated[str | None, typer.Option(help="CSV: column of the time in s, name or number.")] = None,
     position: Annotated[
         list[str] | None,
-        typer.Option(help="CSV: column of the position, name or number; twice for two axes."),
+        typer.Option(help="CSV: name or number of the column with the position; twice for two axes."),
     ] = None,
     unit: Annotated[
         str,
         typer.Option(help="CSV: unit of the position: rad, mrad, urad, arcsec, arcmin, deg, or any word."),
     ] = "",
-    set_: Annotated[
-        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Any key of the configuration.")
-    ] = None,
+    set_: Set = None,
 ) -> None:
-    """Fit the contact laws to records, or to a trajectory from another instrument."""
+    """Fit the contact laws to records, or to a CSV table."""
     if len(files) == 1 and files[0].suffix.lower() != ".mcap":
         from rig.analysis import fit_trajectory
 

@@ -1,4 +1,4 @@
-"""What the terminal says of a record: its contents, its faults, what was recovered."""
+"""What `rig info`, `rig check` and `rig recover` print."""
 
 import datetime
 from pathlib import Path
@@ -11,7 +11,7 @@ _HIDDEN = {"record"}
 
 
 def print_info(path: Path) -> None:
-    """`rig info`: what is in a record, from its index alone."""
+    """Print the contents of a record, read from its index alone."""
     info = record_info(path)
     state = "whole" if info.whole else f"cut short after {_size(info.readable_bytes)} (see rig recover)"
     print(f"{path}: {_size(info.size_bytes)}, {state}")
@@ -35,7 +35,7 @@ def print_info(path: Path) -> None:
 
 
 def print_check(path: Path, results: Path | None) -> int:
-    """`rig check`: one line for each finding; exit status 1 where something is wrong."""
+    """Print one line for each finding; returns the exit status, 1 where something is wrong."""
     if results is None and (path.parent / "results.json").exists():
         results = path.parent / "results.json"
     findings = check_record(path, results)
@@ -47,12 +47,12 @@ def print_check(path: Path, results: Path | None) -> int:
 
 
 def recover_record(path: Path, output: Path | None) -> None:
-    """`rig recover`: a whole file beside the cut one, which is only read."""
+    """Write a complete file beside the cut one, which is only read, and print what was saved and lost."""
     target = output or path.with_name(f"{path.stem}-recovered{path.suffix}")
     recovery = recover(path, target)
     counts = ", ".join(f"{count} {topic.lstrip('/')}" for topic, count in recovery.messages.items() if count)
     print(f"{target}: {counts or 'no messages'}, up to {_utc(recovery.end_ns)}")
-    print(f"lost: {recovery.lost_bytes} bytes behind the last complete chunk")
+    print(f"lost: {recovery.lost_bytes} bytes after the last complete chunk")
     for damage in recovery.lost:
         topics = ", ".join(damage.topics)
         print(f"lost: {topics} from {_utc(damage.start_ns)} to {_utc(damage.end_ns)}: {damage.what}")

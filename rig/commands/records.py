@@ -1,11 +1,11 @@
-"""Commands that look after records."""
+"""`rig info`, `rig check` and `rig recover`."""
 
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-Record = Annotated[Path, typer.Argument(help="A record, an MCAP file.", show_default=False)]
+from rig.commands.arguments import Record
 
 
 def register(app: typer.Typer) -> None:
@@ -16,7 +16,7 @@ def register(app: typer.Typer) -> None:
 
 
 def info(record: Record) -> None:
-    """Print what is in a record: times, counts, who, what, with which settings."""
+    """Print what a record contains, and how it was made."""
     from rig.commands.record_screen import print_info
 
     print_info(record)
@@ -25,10 +25,11 @@ def info(record: Record) -> None:
 def check(
     record: Record,
     results: Annotated[
-        Path | None, typer.Option(help="results.json whose hash of the record is compared.")
+        Path | None,
+        typer.Option(help="results.json that names the record's hash; default: the one beside the record."),
     ] = None,
 ) -> None:
-    """Verify a record: checksums, sequence, gaps, times, schemas, hash."""
+    """Verify a record: checksums, gaps, times, hash."""
     from rig.commands.record_screen import print_check
 
     raise typer.Exit(print_check(record, results))
@@ -37,10 +38,10 @@ def check(
 def recover(
     record: Record,
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="Whole file to make; NAME-recovered.mcap without.")
+        Path | None, typer.Option("-o", "--output", help="File to write; default: NAME-recovered.mcap.")
     ] = None,
 ) -> None:
-    """Make a whole file of one that was cut short; the cut one stays as it is."""
+    """Save what is readable of a record that was cut short."""
     from rig.commands.record_screen import recover_record
 
     recover_record(record, output)

@@ -1,4 +1,4 @@
-"""Commands that put results on paper."""
+"""`rig report`, `rig paper`, `rig export` and `rig compare`."""
 
 from pathlib import Path
 from typing import Annotated, Literal
@@ -16,14 +16,14 @@ def register(app: typer.Typer) -> None:
 
 def report(
     folder: Annotated[
-        Path, typer.Argument(help="Folder of a session, with results.json.", show_default=False)
+        Path, typer.Argument(help="Folder of a session, or a results file.", show_default=False)
     ],
     output: Annotated[
         Path | None,
-        typer.Option("-o", "--output", help="HTML file to make; report.html in the folder without."),
+        typer.Option("-o", "--output", help="HTML file to write; default: report.html in the folder."),
     ] = None,
 ) -> None:
-    """Write the report of a session: one HTML file, figures as SVG and PNG, tables as CSV."""
+    """Write a report: HTML, figures as SVG and PNG, tables as CSV."""
     from rig.report import make_report
 
     print(make_report(folder, output))
@@ -34,10 +34,10 @@ def paper(
         Path | None, typer.Option("-o", "--output", help="Folder for paper.html with figures and tables.")
     ] = None,
     b_exponent: Annotated[
-        int, typer.Option(help="Power of ten of b, which the paper's Table 2 leaves out.", min=-6, max=-3)
+        int, typer.Option(help="Power of ten of b, which the paper's Table 2 omits.", min=-6, max=-3)
     ] = -4,
 ) -> None:
-    """Simulate the paper's three contact pairs and print its Tables 1 to 4 beside the printed numbers."""
+    """Simulate the paper's measurements and compare with its tables."""
     from rig.paper import reproduce_paper
 
     reproduce_paper(output, b_exponent)
@@ -48,13 +48,14 @@ def export(
         Path, typer.Argument(help="Folder of a session, or one record (.mcap).", show_default=False)
     ],
     output: Annotated[
-        Path, typer.Option("-o", "--output", help="Folder to make; for hdf5 the file.", show_default=False)
+        Path,
+        typer.Option("-o", "--output", help="Folder to write; with --format hdf5: file.", show_default=False),
     ],
     format_: Annotated[
-        Literal["csv", "parquet", "hdf5"], typer.Option("--format", help="hdf5 is laid out as NeXus.")
+        Literal["csv", "parquet", "hdf5"], typer.Option("--format", help="File format; hdf5 follows NeXus.")
     ] = "csv",
 ) -> None:
-    """Write spots, half-cycles and results for other programs, with the provenance inside."""
+    """Export spots, half-cycles and results for other programs."""
     from rig.export import export_session
 
     for path in export_session(source, format_, output):
@@ -64,10 +65,10 @@ def export(
 def compare(
     folders: Annotated[list[Path], typer.Argument(help="Folders of sessions.", show_default=False)],
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="HTML file to make, with the plot.")
+        Path | None, typer.Option("-o", "--output", help="HTML file to write, with a figure.")
     ] = None,
 ) -> None:
-    """Compare series (samples, days, humidities): parameters beside each other, and their differences."""
+    """Compare the parameters of several series."""
     from rig.presentation import print_tables
     from rig.report import compare as compare_sessions
 

@@ -1,15 +1,11 @@
-"""Commands around a measurement: balancing the rig, looking it over."""
+"""`rig balance` and `rig doctor`: preparing a measurement."""
 
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-Config = Annotated[Path, typer.Argument(help="Configuration, a TOML file.", show_default=False)]
-Set = Annotated[
-    list[str] | None,
-    typer.Option("--set", metavar="KEY=VALUE", help="Any key of the configuration by its dotted path."),
-]
+from rig.commands.arguments import Config, JsonLines, Set
 
 
 def register(app: typer.Typer) -> None:
@@ -21,17 +17,17 @@ def register(app: typer.Typer) -> None:
 def balance(
     config: Config,
     history: Annotated[
-        Path | None, typer.Option(help="File of looks and turns; what was learned is taken from it.")
+        Path | None, typer.Option(help="File in which looks and turns are kept; earlier ones in it are used.")
     ] = None,
     follow: Annotated[
-        int, typer.Option(help="Simulated rig: follow the advice by itself, at most so many turns.")
+        int, typer.Option(help="Simulated rig: follow the advice automatically, for at most this many turns.")
     ] = 0,
-    seed: Annotated[int, typer.Option(help="Simulated rig: of its weights.")] = 1,
+    seed: Annotated[int, typer.Option(help="Simulated rig: random seed of its imbalance.")] = 1,
     view: Annotated[bool, typer.Option("--view", help="Open the balancing view in a window.")] = False,
-    rrd: Annotated[Path | None, typer.Option(help="Draw all looks into a Rerun file.")] = None,
+    rrd: Annotated[Path | None, typer.Option(help="Write all looks into a Rerun file.")] = None,
     set_: Set = None,
 ) -> None:
-    """Balance the pendulum: what is wrong, which weight to turn, which way and how far."""
+    """Balance: which weight to turn, which way and how far."""
     from rig.balance import balance_rig
     from rig.settings import load_configuration
 
@@ -41,10 +37,10 @@ def balance(
 
 def doctor(
     config: Config,
-    json_lines: Annotated[bool, typer.Option("--json", help="One JSON object a line on stdout.")] = False,
+    json_lines: JsonLines = False,
     set_: Set = None,
 ) -> None:
-    """Look the whole rig over: every device, disk, clock and processor, with a remedy for each no."""
+    """Check devices, disk, clock and processor; suggest remedies."""
     from rig.devices import examine
     from rig.settings import load_configuration
 
