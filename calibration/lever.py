@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import BaseModel, Field
 
+from processing.deflections import DeflectionUnit
+
 
 class Lever(BaseModel, frozen=True, extra="forbid"):
     """Geometry of the light lever.
@@ -61,3 +63,8 @@ class Lever(BaseModel, frozen=True, extra="forbid"):
     def u_scale_relative(self) -> float:
         """Relative standard uncertainty of the scale, rad per px, from arm and pitch."""
         return math.hypot(self.u_arm_m / self.arm_m, self.u_pixel_pitch_m / self.pixel_pitch_m)
+
+
+def deflection_unit(lever: Lever | None) -> DeflectionUnit:
+    """The unit of deflections: rad, or px without a lever. Decided nowhere else."""
+    return DeflectionUnit.PX if lever is None else DeflectionUnit.RAD

@@ -7,13 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.record.schemas import MessageType, conform
-from acquisition.record.topics import SPOT, SPOT_UNCALIBRATED, SWING
+from acquisition.record.topics import DEFLECTION_FIELDS, SPOT, SPOT_UNCALIBRATED, SWING
 from processing.angle import ARCSEC_RAD
+from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import SPOT_DTYPE, Spot
 from processing.swing import Swing
-
-Floats = NDArray[np.float64]
-_SHOWN_AS = dict(zip(SPOT_UNCALIBRATED.names[-4:], ("x_rad", "y_rad", "u_x_rad", "u_y_rad"), strict=True))
 
 
 def spot_rows(
@@ -21,35 +19,37 @@ def spot_rows(
     sequences: Sequence[int],
     device_times_ns: Sequence[int],
     host_times_ns: Sequence[int],
-    times_ns: NDArray[np.int64],
     spots: Sequence[Spot],
-    deflections: tuple[Floats, Floats, Floats, Floats],
+    deflections: Deflections,
 ) -> NDArray[Any]:
-    """Encoded messages of type `SPOT` or `SPOT_UNCALIBRATED`, a row each.
-
-    `deflections` are x, y and their standard uncertainties, in rad or px as the type has them.
-    """
+    """Encoded messages of type `SPOT` or `SPOT_UNCALIBRATED`, as the deflections' unit is; a row each."""
     rows = kind.wire_rows(len(spots))
     rows["sequence"] = sequences
-    rows["time_ns"] = times_ns
+    rows["time_ns"] = deflections.times_ns
     rows["device_time_ns"] = device_times_ns
     rows["host_time_ns"] = host_times_ns
     table = np.array(spots, dtype=SPOT_DTYPE)
     for name in Spot._fields:
         rows[name] = table[name]
-    columns = list(deflections)
-    if kind is SPOT:
-        columns += [deflections[0] / ARCSEC_RAD, deflections[1] / ARCSEC_RAD]
-    for name, values in zip(kind.names[-len(columns) :], columns, strict=True):
+    columns = (deflections.x, deflections.y, deflections.u_x, deflections.u_y)
+    for name, values in zip(DEFLECTION_FIELDS[deflections.unit], columns, strict=True):
         rows[name] = values
+    if deflections.unit is DeflectionUnit.RAD:
+        rows["x_arcsec"], rows["y_arcsec"] = deflections.x / ARCSEC_RAD, deflections.y / ARCSEC_RAD
     return rows
 
 
-def spot_table(table: NDArray[Any]) -> NDArray[Any]:
-    """A record's table of spots with the fields of `SPOT`, whichever type and version it had."""
-    names = table.dtype.names or ()
-    renamed = np.dtype([(_SHOWN_AS.get(name, name), table.dtype[name]) for name in names])
-    return conform(table.view(renamed), SPOT.table_dtype)
+def spot_table(table: NDArray[Any], unit: DeflectionUnit) -> NDArray[Any]:
+    """A record's table of spots with today's fields of `SPOT` or `SPOT_UNCALIBRATED`."""
+    kind = SPOT if unit is DeflectionUnit.RAD else SPOT_UNCALIBRATED
+    return conform(table, kind.table_dtype)
+
+
+def deflections_of(spots: NDArray[Any], unit: DeflectionUnit) -> Deflections:
+    """The deflections in a table of spots."""
+    # copies, so that who keeps the deflections does not keep the whole table
+    x, y, u_x, u_y = (np.array(spots[name], dtype=np.float64) for name in DEFLECTION_FIELDS[unit])
+    return Deflections(np.array(spots["time_ns"], dtype=np.int64), x, y, u_x, u_y, unit)
 
 
 def encode_swing(kind: MessageType, swing: Swing) -> bytes:

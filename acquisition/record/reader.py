@@ -16,7 +16,7 @@ from acquisition.record.chunk_reader import ChunkDamage, RawMessage, messages_in
 from acquisition.record.contents import MAGIC, ChunkPlace, Contents, parse, read_contents, read_record
 from acquisition.record.events import Event
 from acquisition.record.foxglove import decode_log
-from acquisition.record.measurements import spot_table, swings_of
+from acquisition.record.measurements import deflections_of, spot_table, swings_of
 from acquisition.record.pixels import decode_image, decode_window
 from acquisition.record.schemas import MessageType, message_type_of, parse_message_type
 from acquisition.record.topics import (
@@ -28,11 +28,11 @@ from acquisition.record.topics import (
     SPOT,
     SWING,
     WINDOW,
-    DeflectionUnit,
     RecordedLog,
     RecordedLosses,
     RecordedWindow,
 )
+from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import RecordError
 from processing.swing import Swing
 
@@ -139,8 +139,9 @@ class RecordReader:
 
     @property
     def deflection_unit(self) -> DeflectionUnit:
-        """px where the rig had no calibration."""
-        return "px" if self.metadata["record"].get("deflection_unit") == "px" else "rad"
+        """px where the rig had no lever."""
+        stated = self.metadata["record"].get("deflection_unit")
+        return DeflectionUnit.PX if stated == "px" else DeflectionUnit.RAD
 
     @property
     def counts(self) -> dict[str, int]:
@@ -196,10 +197,13 @@ class RecordReader:
     def spots(self) -> NDArray[Any]:
         """All spots as a structured array with the fields of `topics.SPOT`.
 
-        Without calibration (`deflection_unit` is px) x_rad, y_rad and their uncertainties hold px,
-        x_arcsec and y_arcsec NaN.
+        Without a lever (`deflection_unit` is px) those of `topics.SPOT_UNCALIBRATED`.
         """
-        return spot_table(self.table(SPOT.topic))
+        return spot_table(self.table(SPOT.topic), self.deflection_unit)
+
+    def deflections(self, spots: NDArray[Any] | None = None) -> Deflections:
+        """The deflections in rows of `spots` or `spot_blocks`; without any, those of the whole record."""
+        return deflections_of(self.spots() if spots is None else spots, self.deflection_unit)
 
     def spot_blocks(self, start_ns: int | None = None) -> Iterator[NDArray[Any]]:
         """The same a chunk at a time, for records larger than memory.
@@ -211,7 +215,9 @@ class RecordReader:
         if kind is None:
             return
         for messages in self._by_chunk(frozenset([SPOT.topic]), start_ns):
-            table = spot_table(kind.decode_table([message.data for message in messages]))
+            table = spot_table(
+                kind.decode_table([message.data for message in messages]), self.deflection_unit
+            )
             if start_ns is not None:
                 table = table[table["time_ns"] >= start_ns]
             if len(table):

@@ -1,10 +1,11 @@
 """The topics of a record: names, message types, and the values that belong to no other room."""
 
 import math
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 from acquisition.frame import Image
 from acquisition.record.schemas import Kind, MessageType, message_type_of
+from processing.deflections import DeflectionUnit
 from processing.spot import Spot
 
 SCHEMA_VERSION = 1
@@ -19,9 +20,6 @@ BALANCE_TOPIC = "/balance"
 LOSSES_TOPIC = "/losses"
 SENSOR_FRAME = "sensor"
 """Frame of reference of images and camera calibration, for viewers."""
-
-DeflectionUnit = Literal["rad", "px"]
-"""px where the rig has no calibration of its light lever."""
 
 
 class Environment(NamedTuple):
@@ -90,12 +88,18 @@ def _turning_point(unit: DeflectionUnit) -> tuple[tuple[str, Kind], ...]:
     )
 
 
+DEFLECTION_FIELDS = {
+    DeflectionUnit.RAD: ("x_rad", "y_rad", "u_x_rad", "u_y_rad"),
+    DeflectionUnit.PX: ("x_deflection_px", "y_deflection_px", "u_x_deflection_px", "u_y_deflection_px"),
+}
+"""Fields of a spot's message that hold x, y and their standard uncertainties, by unit."""
+
 SPOT = _message(
     "Spot",
     "/spot",
     *_FRAME,
     *_SPOT,
-    *_doubles("x_rad", "y_rad", "u_x_rad", "u_y_rad", "x_arcsec", "y_arcsec"),
+    *_doubles(*DEFLECTION_FIELDS[DeflectionUnit.RAD], "x_arcsec", "y_arcsec"),
 )
 """One frame: its numbers and times, the spot in it, the pendulum's deflection."""
 SPOT_UNCALIBRATED = _message(
@@ -103,12 +107,16 @@ SPOT_UNCALIBRATED = _message(
     "/spot",
     *_FRAME,
     *_SPOT,
-    *_doubles("x_deflection_px", "y_deflection_px", "u_x_deflection_px", "u_y_deflection_px"),
+    *_doubles(*DEFLECTION_FIELDS[DeflectionUnit.PX]),
 )
 """The same where pixels could not be turned into angles."""
-SWING = _message("Swing", "/swing", *_turning_point("rad"), *_doubles("amplitude_arcsec", "period_s"))
+SWING = _message(
+    "Swing", "/swing", *_turning_point(DeflectionUnit.RAD), *_doubles("amplitude_arcsec", "period_s")
+)
 """One half-cycle."""
-SWING_UNCALIBRATED = _message("UncalibratedSwing", "/swing", *_turning_point("px"), *_doubles("period_s"))
+SWING_UNCALIBRATED = _message(
+    "UncalibratedSwing", "/swing", *_turning_point(DeflectionUnit.PX), *_doubles("period_s")
+)
 """The same in px."""
 WINDOW = _message(
     "Window",

@@ -7,7 +7,6 @@ from types import TracebackType
 from typing import Any, Protocol, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquisition.frame import Frame, Image
 from acquisition.record.chunk_builder import ChunkBuilder
@@ -32,9 +31,9 @@ from acquisition.record.topics import (
     SWING,
     SWING_UNCALIBRATED,
     WINDOW,
-    DeflectionUnit,
     Environment,
 )
+from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import RecordError
 from processing.spot import Spot
 from processing.swing import Swing
@@ -91,7 +90,7 @@ class RecordWriter:
         *,
         metadata: Mapping[str, Mapping[str, str]] | None = None,
         attachments: Mapping[str, bytes] | None = None,
-        deflection_unit: DeflectionUnit = "rad",
+        deflection_unit: DeflectionUnit = DeflectionUnit.RAD,
         reserve_bytes: int = _RESERVE_BYTES,
         flush_interval_s: float = _FLUSH_INTERVAL_S,
         clock: Callable[[], float] = time.monotonic,
@@ -107,7 +106,8 @@ class RecordWriter:
         self._pixels = ChunkBuilder()
         self._channels: dict[str, int] = {}
         self._types: dict[str, MessageType] = {}
-        calibrated = deflection_unit == "rad"
+        self._unit = DeflectionUnit(deflection_unit)
+        calibrated = self._unit is DeflectionUnit.RAD
         self._spot = SPOT if calibrated else SPOT_UNCALIBRATED
         self._swing = SWING if calibrated else SWING_UNCALIBRATED
         try:
@@ -121,7 +121,7 @@ class RecordWriter:
         own = {
             "schema_version": str(SCHEMA_VERSION),
             "epoch_offset_ns": str(epoch_offset_ns),
-            "deflection_unit": deflection_unit,
+            "deflection_unit": str(self._unit),
         }
         self._guarded(lambda: self._write_head({**(metadata or {}), "record": own}, attachments or {}))
 
@@ -143,25 +143,21 @@ class RecordWriter:
         sequences: Sequence[int],
         device_times_ns: Sequence[int],
         host_times_ns: Sequence[int],
-        times_ns: NDArray[np.int64],
         spots: Sequence[Spot],
-        x_rad: NDArray[np.float64],
-        y_rad: NDArray[np.float64],
-        u_x_rad: NDArray[np.float64],
-        u_y_rad: NDArray[np.float64],
+        deflections: Deflections,
     ) -> None:
-        """Spots and deflections of some consecutive frames; deflections in `deflection_unit`."""
-        rows = spot_rows(
-            self._spot,
-            sequences,
-            device_times_ns,
-            host_times_ns,
-            times_ns,
-            spots,
-            (x_rad, y_rad, u_x_rad, u_y_rad),
-        )
+        """Spots and deflections of some consecutive frames.
+
+        Raises ValueError for deflections in another unit than the record's `deflection_unit`.
+        """
+        if deflections.unit is not self._unit:
+            raise ValueError(
+                f"{self.path}: its deflections are in {self._unit}; these, in {deflections.unit}, "
+                "belong into another record"
+            )
+        rows = spot_rows(self._spot, sequences, device_times_ns, host_times_ns, spots, deflections)
         self._ready()
-        log_times_ns = np.asarray(times_ns) + self._offset_ns
+        log_times_ns = deflections.times_ns + self._offset_ns
         self._numbers.add_rows(self._channels[SPOT.topic], sequences, log_times_ns, rows)
         self._added(self._numbers)
 

@@ -1,10 +1,9 @@
 """From a record or a table to results: laws of the contact, other instruments, verdicts, results.json."""
 
-from rig.analysis.contact_laws import SlowSamples, settled_swings
+from rig.analysis.contact_laws import points_in_true_time, settled_swings
 from rig.analysis.contact_tree import evaluation_tree, series_tree
 from rig.analysis.contact_verdicts import evaluate
 from rig.analysis.curves import Curves, curves_of, parameters_of, pendulum_of
-from rig.analysis.other_instruments import Samples
 from rig.analysis.record_fit import analyse_record, analyse_run, combine, fit_records, free_name
 from rig.analysis.results import RunResult, fit_tree, results_tree, write_results
 from rig.analysis.results_file import (
@@ -29,8 +28,6 @@ __all__ = [
     "ReportSource",
     "RunData",
     "RunResult",
-    "Samples",
-    "SlowSamples",
     "analyse_record",
     "analyse_run",
     "combine",
@@ -43,6 +40,7 @@ __all__ = [
     "free_name",
     "parameters_of",
     "pendulum_of",
+    "points_in_true_time",
     "print_results",
     "read_results",
     "read_source",

@@ -4,10 +4,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from processing.contact import PendulumOnBall, surface_energy
+from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import DataError
 from processing.fit import FitResult, agree, fit_asymptotic, fit_exact, known_motion, measured_again
 from processing.least_squares import Loss
@@ -24,26 +22,10 @@ class DecayFits:
     problem: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class SlowSamples:
-    """Deflections along the slow axis, arrays of one length; NaN where the spot was lost.
-
-    `clock` is how many true seconds pass in one of theirs.
-    """
-
-    times_ns: NDArray[np.int64]
-    y_rad: NDArray[np.float64]
-    u_y_rad: NDArray[np.float64]
-    clock: float = 1.0
-
-    def again(self, swings: Sequence[Swing], motion: KnownMotion) -> list[Swing]:
-        """See `measured_again`."""
-        return measured_again(swings, self.times_ns, self.y_rad, self.u_y_rad, motion)
-
-    def points(self, swings: Sequence[Swing]) -> TurningPoints:
-        """Unflagged swings in true seconds."""
-        found = turning_points(swings)
-        return replace(found, time_s=found.time_s * self.clock, u_time_s=found.u_time_s * self.clock)
+def points_in_true_time(swings: Sequence[Swing], clock_rate: float) -> TurningPoints:
+    """Unflagged swings; `clock_rate` is how many true seconds pass in one of the swings' clock."""
+    found = turning_points(swings)
+    return replace(found, time_s=found.time_s * clock_rate, u_time_s=found.u_time_s * clock_rate)
 
 
 class Settled(NamedTuple):
@@ -54,23 +36,27 @@ class Settled(NamedTuple):
 
 
 def settled_swings(
-    swings: Sequence[Swing], samples: SlowSamples, pendulum: PendulumOnBall | None, settings: FitSettings
+    swings: Sequence[Swing],
+    deflections: Deflections,
+    pendulum: PendulumOnBall | None,
+    settings: FitSettings,
+    clock_rate: float = 1.0,
 ) -> Settled:
     """The half-cycles as they stand once the motion is known from all of them.
 
-    They stay as they were detected where the laws cannot be fitted, or where the fit does not describe
-    the samples.
+    They stay as they were detected where the laws cannot be fitted, which need deflections in rad, or
+    where the fit does not describe the deflections.
     """
     as_detected = Settled(swings, None)
-    if pendulum is None:
+    if pendulum is None or deflections.unit is not DeflectionUnit.RAD:
         return as_detected
-    points = samples.points(swings)
+    points = points_in_true_time(swings, clock_rate)
     try:
         exact = fit_exact(points, pendulum, drag=settings.drag, loss=_loss(settings))
-        motion = known_motion(exact.parameters, pendulum, float(points.amplitude[0]), samples.clock)
+        motion = known_motion(exact.parameters, pendulum, float(points.amplitude[0]), clock_rate)
     except DataError:
         return as_detected
-    again = samples.again(swings, motion)
+    again = measured_again(swings, deflections.times_ns, deflections.y, deflections.u_y, motion)
     return Settled(again, motion) if agree(swings, again) else as_detected
 
 

@@ -5,10 +5,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from processing.contact import measured_losses
+from processing.deflections import Deflections
 from processing.errors import DataError
 from processing.estimate import Estimate
 from processing.instruments import (
@@ -38,17 +36,6 @@ from rig.settings import InstrumentSettings
 
 
 @dataclass(frozen=True, slots=True)
-class Samples:
-    """Deflections of one run, arrays of one length; NaN where the spot was lost."""
-
-    times_ns: NDArray[np.int64]
-    x_rad: NDArray[np.float64]
-    y_rad: NDArray[np.float64]
-    u_x_rad: NDArray[np.float64]
-    u_y_rad: NDArray[np.float64]
-
-
-@dataclass(frozen=True, slots=True)
 class Air:
     """Mean temperature and humidity of a run; NaN for what is not known."""
 
@@ -75,7 +62,7 @@ class Reduction:
 def reduce_run(
     settings: InstrumentSettings,
     swings: Sequence[Swing],
-    samples: Samples | None,
+    deflections: Deflections | None,
     air: Air,
     u_scale_relative: float = 0.0,
 ) -> Reduction:
@@ -85,8 +72,8 @@ def reduce_run(
     ----------
     swings
         Of the detector.
-    samples
-        The deflections that they were detected in. With them the turning points are fitted again by a
+    deflections
+        Those that they were detected in, in rad. With them the turning points are fitted again by a
         waveform that holds at degrees, and a plane that turns is followed; None: swings as they are.
     u_scale_relative
         Relative standard uncertainty of the lever's scale, which all amplitudes share.
@@ -95,15 +82,15 @@ def reduce_run(
     values: dict[str, Any] = {"kind": description.kind}
     lines = [f"{description.kind}: {description.sentence}"]
     problems: list[str] = []
-    if samples is not None and len(swings) > 1:
+    if deflections is not None and len(swings) > 1:
         if description.turning_plane:
             try:
-                swings, samples = _in_its_plane(swings, samples, values, lines)
+                swings, deflections = _in_its_plane(swings, deflections, values, lines)
             except DataError as error:
                 problems.append(str(error))
-        swings = refined(samples.times_ns, samples.y_rad, samples.u_y_rad, swings)
-    if samples is not None:
-        swings = _with_inferred(swings, samples, values, lines)
+        swings = refined(deflections.times_ns, deflections.y, deflections.u_y, swings)
+    if deflections is not None:
+        swings = _with_inferred(swings, deflections, values, lines)
     points = turning_points(swings)
     found: Damping | None = None
     try:
@@ -117,10 +104,10 @@ def reduce_run(
 
 
 def _with_inferred(
-    swings: Sequence[Swing], samples: Samples, values: dict[str, Any], lines: list[str]
+    swings: Sequence[Swing], deflections: Deflections, values: dict[str, Any], lines: list[str]
 ) -> Sequence[Swing]:
     """Half-cycles whose turning point lay off the sensor are added, counted and said."""
-    off = inferred_swings(samples.times_ns, samples.y_rad, samples.u_y_rad)
+    off = inferred_swings(deflections.times_ns, deflections.y, deflections.u_y)
     if not off:
         return swings
     joined = joined_swings(swings, off)
@@ -272,18 +259,17 @@ def _what_is_left(points: TurningPoints, values: dict[str, Any], lines: list[str
 
 
 def _in_its_plane(
-    swings: Sequence[Swing], samples: Samples, values: dict[str, Any], lines: list[str]
-) -> tuple[Sequence[Swing], Samples]:
-    """Swings and samples along the plane that turns."""
+    swings: Sequence[Swing], deflections: Deflections, values: dict[str, Any], lines: list[str]
+) -> tuple[Sequence[Swing], Deflections]:
+    """Swings and deflections along the plane that turns."""
     period_s = mean_period(turning_points(swings)) if len(turning_points(swings)) > 1 else math.nan
     if not period_s > 0:
         raise DataError("no period is known; the swing plane cannot be followed")
-    plane = swing_plane(samples.times_ns, samples.x_rad, samples.y_rad, period_s)
-    deflection, u = along_plane(
-        plane, samples.times_ns, samples.x_rad, samples.y_rad, samples.u_x_rad, samples.u_y_rad
-    )
+    at = deflections
+    plane = swing_plane(at.times_ns, at.x, at.y, period_s)
+    y, u_y = along_plane(plane, at.times_ns, at.x, at.y, at.u_x, at.u_y)
     detector = SwingDetector()
-    found = detector.update(samples.times_ns, deflection, u) + detector.finish()
+    found = detector.update(at.times_ns, y, u_y) + detector.finish()
     per_minute = Estimate(*(60 * value / DEGREE_RAD for value in plane.rate_rad_per_s))
     values["swing_plane"] = {
         "direction_deg": (plane.direction_rad / DEGREE_RAD).tolist(),
@@ -296,8 +282,7 @@ def _in_its_plane(
         f"the swing plane turns by {with_uncertainty(*per_minute)} degrees/min, "
         f"{plane.turned_rad.value / DEGREE_RAD:.3g} degrees in all"
     )
-    in_plane = Samples(samples.times_ns, samples.x_rad, deflection, samples.u_x_rad, u)
-    return found, in_plane
+    return found, replace(deflections, y=y, u_y=u_y)
 
 
 def _held_against_air(description: Description, air: Air, values: dict[str, Any], lines: list[str]) -> None:

@@ -13,12 +13,13 @@ from acquisition.record.digest import sha256_of
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import ENVIRONMENT
 from processing.angle import ARCSEC_RAD
+from processing.deflections import Deflections, DeflectionUnit
 from processing.fit import FitResult
 from processing.swing import Swing
-from rig.analysis.contact_laws import DecayFits, SlowSamples, fit_decay, settled_swings
+from rig.analysis.contact_laws import DecayFits, fit_decay, points_in_true_time, settled_swings
 from rig.analysis.contact_tree import series_tree
 from rig.analysis.contact_verdicts import Evaluation, evaluate, fast_ratio, rig_quantities
-from rig.analysis.other_instruments import Air, Samples, reduce_run
+from rig.analysis.other_instruments import Air, reduce_run
 from rig.analysis.other_instruments_series import reduce_series
 from rig.analysis.results import RunResult, results_tree, write_results
 from rig.instrument import judge_calibration, pendulum_on_ball, recorded_configuration
@@ -30,26 +31,23 @@ def analyse_record(path: Path, overrides: Sequence[str] = ()) -> RunResult:
     with RecordReader(path) as reader:
         config = recorded_configuration(reader, overrides)
         spots = reader.spots()
-        samples = Samples(
-            spots["time_ns"], spots["x_rad"], spots["y_rad"], spots["u_x_rad"], spots["u_y_rad"]
-        )
         missing = int(spots["sequence"][-1]) + 1 - len(spots) if len(spots) else 0
-        return analyse_run(reader, config, reader.swings(), samples, dropped_frames=missing)
+        return analyse_run(reader, config, reader.swings(), reader.deflections(spots), dropped_frames=missing)
 
 
 def analyse_run(
     reader: RecordReader,
     config: Configuration,
     swings: Sequence[Swing],
-    samples: Samples,
+    deflections: Deflections,
     *,
     dropped_frames: int,
 ) -> RunResult:
     """Fit half-cycles and deflections that came from a record: those in it, or what a replay made of it."""
-    times_ns = samples.times_ns
+    times_ns = deflections.times_ns
     began, ended = (_utc(reader, times_ns[at]) if len(times_ns) else _utc(reader, 0) for at in (0, -1))
     calibration, doubts = judge_calibration(config, reader.attachments, began, ended)
-    result = _analyse_swings(reader.path, swings, config, samples, recorded_air(reader, config))
+    result = _analyse_swings(reader.path, swings, config, deflections, recorded_air(reader, config))
     warnings = [*result.warnings, *doubts]
     if reader.truncated:
         warnings.append(reader.cut_notice)
@@ -79,22 +77,19 @@ def recorded_air(reader: RecordReader, config: Configuration) -> Air:
 
 
 def _analyse_swings(
-    path: Path, swings: Sequence[Swing], config: Configuration, samples: Samples, air: Air
+    path: Path, swings: Sequence[Swing], config: Configuration, deflections: Deflections, air: Air
 ) -> RunResult:
     """Reduce the half-cycles of one run as its kind of pendulum asks.
 
-    `path` is the record that they come from, `samples` and `air` what it holds beside them.
+    `path` is the record that they come from, `deflections` and `air` what it holds beside them.
     """
-    if config.instrument.description().report != "contact" and config.lever is not None:
-        return _reduced(path, swings, config, samples, air)
-    calibrated = config.lever is not None
-    unit_rad = ARCSEC_RAD if calibrated else 1.0
-    pendulum = pendulum_on_ball(config)
-    slow = SlowSamples(samples.times_ns, samples.y_rad, samples.u_y_rad, _clock_rate(config))
-    settled = settled_swings(swings, slow, pendulum if calibrated else None, config.fit)
-    good = [swing for swing in settled.swings if swing.flags == 0]
-    points = slow.points(settled.swings)
-    if calibrated:
+    unit = deflections.unit
+    if config.instrument.description().report != "contact" and unit is DeflectionUnit.RAD:
+        return _reduced(path, swings, config, deflections, air)
+    pendulum, clock_rate = pendulum_on_ball(config), _clock_rate(config)
+    settled = settled_swings(swings, deflections, pendulum, config.fit, clock_rate)
+    points = points_in_true_time(settled.swings, clock_rate)
+    if unit is DeflectionUnit.RAD:
         decay = fit_decay(points, pendulum, config.fit)
     else:
         decay = DecayFits(
@@ -105,16 +100,16 @@ def _analyse_swings(
     evaluation: Evaluation | None = None
     if decay.fits and pendulum is not None:
         seed = int(sha256[:12], 16)
-        quantities = rig_quantities(config, fast_ratio(samples.x_rad, samples.y_rad))
+        quantities = rig_quantities(config, fast_ratio(deflections.x, deflections.y))
         evaluation = evaluate(points, pendulum, decay.fits["exact"], quantities, seed)
     return RunResult(
         record=path,
         sha256=sha256,
         frames=0,
         dropped_frames=0,
-        half_cycles=len(good),
-        initial_amplitude_arcsec=good[0].amplitude / unit_rad if good else math.nan,
-        final_amplitude_arcsec=good[-1].amplitude / unit_rad if good else math.nan,
+        half_cycles=len(points),
+        initial_amplitude_arcsec=float(points.amplitude[0]) / unit.shown_size if len(points) else math.nan,
+        final_amplitude_arcsec=float(points.amplitude[-1]) / unit.shown_size if len(points) else math.nan,
         fits=decay.fits,
         surface_energy_j_per_m2=decay.surface_energy,
         problem=decay.problem,
@@ -123,16 +118,16 @@ def _analyse_swings(
         evaluation=evaluation,
         settings=config.fit.model_dump(),
         motion=settled.motion,
-        unit="arcsec" if calibrated else "px",
+        unit=unit.shown,
     )
 
 
 def _reduced(
-    path: Path, swings: Sequence[Swing], config: Configuration, samples: Samples, air: Air
+    path: Path, swings: Sequence[Swing], config: Configuration, deflections: Deflections, air: Air
 ) -> RunResult:
     """A run of a pendulum that is not described by the contact's laws."""
     u_scale = config.lever.u_scale_relative if config.lever is not None else 0.0
-    reduction = reduce_run(config.instrument, swings, samples, air, u_scale)
+    reduction = reduce_run(config.instrument, swings, deflections, air, u_scale)
     points = reduction.points
     return RunResult(
         record=path,

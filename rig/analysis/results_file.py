@@ -14,9 +14,11 @@ from acquisition.frame import Frame
 from acquisition.record.digest import sha256_of
 from acquisition.record.reader import RecordReader
 from processing.angle import ARCSEC_RAD
+from processing.deflections import Deflections
 from processing.errors import RecordError, RigError
+from processing.fit import measured_again
 from processing.swing import KnownMotion, Swing, TurningPoints
-from rig.analysis.contact_laws import SlowSamples
+from rig.analysis.contact_laws import points_in_true_time
 from rig.instrument import CONFIGURATION_NAME, recorded_configuration
 
 Array = NDArray[np.float64]
@@ -123,7 +125,7 @@ def _read_run(folder: Path, results: Mapping[str, Any], number: int) -> RunData:
         spots = reader.spots()
         swings = reader.swings()
         picture = _picture(reader, spots, notes)
-        unit = "px" if reader.deflection_unit == "px" else "arcsec"
+        deflections = reader.deflections(spots)
         provenance: dict[str, Mapping[str, str]] = {
             "file": {"record": path.name, "sha256": str(results.get("sha256", ""))},
             **reader.metadata,
@@ -136,30 +138,34 @@ def _read_run(folder: Path, results: Mapping[str, Any], number: int) -> RunData:
         notes.append("the record is not the one that the results were made from: its hash differs")
     if configuration is not None:
         provenance["configuration"] = _flat(json.loads(configuration))
-    scale = ARCSEC_RAD if unit == "arcsec" else 1.0
+    unit = deflections.unit
     first_ns = next((s.turn_time_ns for s in swings if s.flags == 0), None)
     if first_ns is None:
         first_ns = int(spots["time_ns"][0]) if len(spots) else 0
     motion = Motion(
         (spots["time_ns"] - first_ns) * 1e-9 * rate,
-        np.asarray(spots["x_rad"]) / scale,
-        np.asarray(spots["y_rad"]) / scale,
-        unit,
+        deflections.shown_x,
+        deflections.shown_y,
+        unit.shown,
     )
-    flagged = [((s.turn_time_ns - first_ns) * 1e-9 * rate, s.amplitude / scale) for s in swings if s.flags]
-    points = _points(swings, spots, rate, results)
+    flagged = [
+        ((s.turn_time_ns - first_ns) * 1e-9 * rate, s.amplitude / unit.shown_size) for s in swings if s.flags
+    ]
+    points = _points(swings, deflections, rate, results)
     if results.get("calibration"):
         provenance["calibration"] = _flat(results["calibration"])
     return RunData(f"Run {number}", results, points, motion, picture, flagged, provenance, notes)
 
 
 def _points(
-    swings: Sequence[Swing], spots: NDArray[Any], rate: float, results: Mapping[str, Any]
+    swings: Sequence[Swing], deflections: Deflections, rate: float, results: Mapping[str, Any]
 ) -> TurningPoints:
     """The turning points that were fitted; without a fit, as they were detected."""
-    samples = SlowSamples(spots["time_ns"], spots["y_rad"], spots["u_y_rad"], rate)
     motion = results.get("measured_again_on")
-    return samples.points(samples.again(swings, KnownMotion(**motion)) if motion else swings)
+    if motion:
+        at = deflections
+        swings = measured_again(swings, at.times_ns, at.y, at.u_y, KnownMotion(**motion))
+    return points_in_true_time(swings, rate)
 
 
 def _clock_rate(reader: RecordReader, notes: list[str]) -> float:

@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from processing.decay_summary import DecaySummary, summarise_decay
+from processing.deflections import slow_deflections
 from processing.errors import DataError
 from processing.swing import Swing, SwingDetector, estimate_noise, turning_points
-from rig.analysis.contact_laws import DecayFits, SlowSamples, fit_decay, settled_swings
+from rig.analysis.contact_laws import DecayFits, fit_decay, settled_swings
 from rig.analysis.position_table import Trajectory, read_trajectory
 from rig.analysis.results import SCHEMA, fit_tree, write_results
 from rig.analysis.screen import parameter_table
@@ -55,8 +56,8 @@ def fit_trajectory(
     laws = DecayFits({}, {}, _why_no_laws(trajectory, config))
     if config is not None and not laws.problem:
         pendulum = pendulum_on_ball(config)
-        samples = SlowSamples(trajectory.times_ns, deflection, np.full(len(deflection), noise))
-        points = samples.points(settled_swings(swings, samples, pendulum, config.fit).swings)
+        deflections = slow_deflections(trajectory.times_ns, deflection, noise)
+        points = turning_points(settled_swings(swings, deflections, pendulum, config.fit).swings)
         laws = fit_decay(points, pendulum, config.fit)
     _print(path, trajectory, swings, summary, noise / scale, laws)
     if output is not None:

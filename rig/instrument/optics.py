@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 
 from calibration.axes import Axes
-from calibration.lever import Lever
-from processing.angle import ARCSEC_RAD
+from calibration.lever import Lever, deflection_unit
+from processing.deflections import DeflectionUnit
 from processing.spot import SensorModel, SpotTracker
 from rig.instrument.configured import sensor_model
 from rig.instrument.pipeline import Deflector, Pipeline
@@ -32,14 +32,9 @@ class Optics:
         return Pipeline(self.tracker(), self.lever, self.axes, sensor_shape)
 
     @property
-    def unit(self) -> str:
-        """Unit in which amplitudes are shown."""
-        return "px" if self.lever is None else "arcsec"
-
-    @property
-    def unit_rad(self) -> float:
-        """The size of that unit, in the unit of the deflections (rad, or px)."""
-        return 1.0 if self.lever is None else ARCSEC_RAD
+    def unit(self) -> DeflectionUnit:
+        """Unit of the deflections."""
+        return deflection_unit(self.lever)
 
 
 def optics_of(config: Configuration, full_scale_dn: float) -> Optics:

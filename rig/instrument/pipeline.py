@@ -1,4 +1,4 @@
-"""Frame -> Spot -> Deflection -> Swing: the same object live, in replay and in tests."""
+"""Frames -> spots -> deflections -> swings: the same object live, in replay and in tests."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -8,39 +8,34 @@ from numpy.typing import NDArray
 
 from acquisition.frame import Frame
 from calibration.axes import Axes, deflections
-from calibration.lever import Lever
+from calibration.lever import Lever, deflection_unit
 from processing.balance import Balance, BalanceEstimator
+from processing.deflections import Deflections
 from processing.spot import Spot, SpotTracker
 from processing.swing import Swing, SwingDetector
 
 
 class Block(NamedTuple):
-    """What became of some consecutive frames; arrays have one entry a frame.
+    """What became of some consecutive frames: a spot and a deflection a frame.
 
-    Deflections are NaN where the spot was lost. `swings` and `balances` are those completed by
-    this block, which may belong to earlier frames.
+    `swings` and `balances` are those that this block completed; they may belong to earlier frames.
     """
 
-    times_ns: NDArray[np.int64]
     spots: list[Spot]
-    x_rad: NDArray[np.float64]
-    y_rad: NDArray[np.float64]
-    u_x_rad: NDArray[np.float64]
-    u_y_rad: NDArray[np.float64]
+    deflections: Deflections
     swings: list[Swing]
     balances: list[Balance]
 
 
 class Pipeline:
-    """Synchronous and without a clock: what comes out depends on the frames alone, not on their blocks.
+    """Synchronous and without a clock: the result depends on the frames alone, not on their blocks.
 
     Parameters
     ----------
     tracker
         Follows the spot; holds the last one.
     lever, axes
-        Calibration. `lever` None: no calibration exists, "deflections" are then in px along the
-        sensor's axes, y upward.
+        Calibration. `lever` None: there is none, and deflections are in px, see `Deflector`.
     sensor_shape
         (ny, nx) of the whole sensor, whose middle is the reference where the lever states none.
     """
@@ -71,22 +66,14 @@ class Pipeline:
 
     def measure(self, times_ns: NDArray[np.int64], spots: list[Spot]) -> Block:
         """Everything after the tracker, for spots that are known already."""
-        x_rad, y_rad, u_x_rad, u_y_rad = self._deflector(spots)
-        return self.detect(times_ns, spots, x_rad, y_rad, u_x_rad, u_y_rad)
+        return self.detect(spots, self._deflector(times_ns, spots))
 
-    def detect(
-        self,
-        times_ns: NDArray[np.int64],
-        spots: list[Spot],
-        x_rad: NDArray[np.float64],
-        y_rad: NDArray[np.float64],
-        u_x_rad: NDArray[np.float64],
-        u_y_rad: NDArray[np.float64],
-    ) -> Block:
+    def detect(self, spots: list[Spot], deflections: Deflections) -> Block:
         """Swings and balance from deflections that are known already (replay without tracking)."""
-        swings = self._detector.update(times_ns, y_rad, u_y_rad)
-        balances = self._balance.update(times_ns, x_rad, y_rad, u_x_rad, u_y_rad)
-        return Block(times_ns, spots, x_rad, y_rad, u_x_rad, u_y_rad, swings, balances)
+        at = deflections
+        swings = self._detector.update(at.times_ns, at.y, at.u_y)
+        balances = self._balance.update(at.times_ns, at.x, at.y, at.u_x, at.u_y)
+        return Block(spots, deflections, swings, balances)
 
     def finish(self) -> list[Swing]:
         """Swings that the end of the samples completes."""
@@ -94,14 +81,16 @@ class Pipeline:
 
 
 class Deflector:
-    """Spots -> tilts, or, without a lever, displacements in px (y upward).
+    """Turns spots into deflections: tilts along the pendulum's axes, in rad.
 
-    `reference_px` is the spot (x, y) at zero tilt.
+    Without a lever they are displacements along the sensor's axes (x to the right, y upward), in px.
+    `reference_px` is the place (x, y) of the spot at zero tilt, `unit` the unit of what comes out.
     """
 
     def __init__(self, lever: Lever | None, axes: Axes, sensor_shape: tuple[int, int]) -> None:
         self._lever = lever
         self._axes = axes
+        self.unit = deflection_unit(lever)
         middle_px = (0.5 * (sensor_shape[1] - 1), 0.5 * (sensor_shape[0] - 1))
         self.reference_px = middle_px
         if lever is not None:
@@ -110,11 +99,12 @@ class Deflector:
                 middle_px[1] if lever.reference_y_px is None else lever.reference_y_px,
             )
 
-    def __call__(
-        self, spots: Sequence[Spot]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    def __call__(self, times_ns: NDArray[np.int64], spots: Sequence[Spot]) -> Deflections:
+        """Deflections of spots that were seen at these times."""
         table = np.array([spot[:4] for spot in spots], dtype=np.float64).reshape(-1, 4)
         x_px, y_px, u_x_px, u_y_px = table.T
         if self._lever is None:
-            return x_px - self.reference_px[0], self.reference_px[1] - y_px, u_x_px.copy(), u_y_px.copy()
-        return deflections(self._lever, self._axes, x_px, y_px, u_x_px, u_y_px, self.reference_px)
+            x, y = x_px - self.reference_px[0], self.reference_px[1] - y_px
+            return Deflections(times_ns, x, y, u_x_px.copy(), u_y_px.copy(), self.unit)
+        tilts = deflections(self._lever, self._axes, x_px, y_px, u_x_px, u_y_px, self.reference_px)
+        return Deflections(times_ns, *tilts, self.unit)

@@ -9,6 +9,8 @@ import numpy as np
 
 from acquisition.frame import Frame
 from acquisition.record.events import Event, EventKind
+from processing.angle import ARCSEC_RAD
+from processing.deflections import DeflectionUnit
 from processing.errors import DataError, DeviceError
 from rig.devices import Devices, FrameStream, OpenCamera, goes_dark_by_itself, wait_for_command
 from rig.instrument import Optics, Snapshot
@@ -21,6 +23,8 @@ from rig.settings import Configuration
 
 _AT_ONCE_FRAMES = 100
 _BRAKE_AGAIN_NS = 2_000_000_000
+_RESTING_NOISES = 6.0
+"""Half the range of tens of thousands of frames at rest, in standard deviations of one, and some more."""
 
 
 class PhasesBeforeRecord:
@@ -49,7 +53,6 @@ class PhasesBeforeRecord:
         self._force = force
         self._show_table = show_table
         self._unit = optics.unit
-        self._unit_rad = optics.unit_rad
         self.verdicts: list[Verdict] = []
         self.starter_pulse_s = config.start.starter_pulse_s
         self._attempt = 0
@@ -90,16 +93,19 @@ class PhasesBeforeRecord:
         return [frame for frame in frames.frames if frame.time_ns >= kept_from_ns], self._wait.events
 
     def correct_starter(self, first_amplitude: float) -> None:
-        """Correct the next starter pulse by the amplitude that the last one gave."""
-        wanted = self._config.session.initial_amplitude_arcsec * self._unit_rad
-        wanted *= 0.5 * (self._config.start.lowest_amplitude + self._config.start.highest_amplitude)
-        if first_amplitude > 0:
-            factor = min(2.0, max(0.5, wanted / first_amplitude))
+        """Correct the next starter pulse by the amplitude that the last one gave; in px it tells nothing."""
+        wanted_rad = self._config.session.initial_amplitude_arcsec * ARCSEC_RAD
+        wanted_rad *= 0.5 * (self._config.start.lowest_amplitude + self._config.start.highest_amplitude)
+        if first_amplitude > 0 and self._unit is DeflectionUnit.RAD:
+            factor = min(2.0, max(0.5, wanted_rad / first_amplitude))
             self.starter_pulse_s = min(self.starter_pulse_s * factor, self._config.controller.starter_max_s)
 
     def _come_to_rest(self) -> None:
-        """Wait until X and Y stay within the limit for a whole window, with the brake where there is one."""
-        phases = self._config.phases
+        """Wait until X and Y stay within the limit for a whole window, with the brake where there is one.
+
+        Without a lever the limit is what the noise from frame to frame explains.
+        """
+        phases, shown = self._config.phases, self._unit.shown
         window_ns = round(phases.rest_window_s * 1e9)
         braked_ns = -_BRAKE_AGAIN_NS
         begun_ns = 0
@@ -108,18 +114,21 @@ class PhasesBeforeRecord:
             nonlocal braked_ns, begun_ns
             frames = self._wait.frames
             begun_ns = begun_ns or frames.now_ns
-            _, x, y = frames.since(frames.now_ns - window_ns)
-            good = np.isfinite(x) & np.isfinite(y)
-            if frames.now_ns - begun_ns < window_ns or not good.any():
+            recent = frames.since(frames.now_ns - window_ns)
+            recent = recent[recent.found]
+            if frames.now_ns - begun_ns < window_ns or len(recent) < 2:
                 return False
-            spread = 0.5 * max(np.ptp(x[good]), np.ptp(y[good])) / self._unit_rad
-            self._wait.progress = f"spread {spread:.2f} {self._unit} of {phases.rest_limit_arcsec:g}"
-            if spread <= phases.rest_limit_arcsec:
+            spread = 0.5 * max(np.ptp(recent.shown_x), np.ptp(recent.shown_y))
+            limit = phases.rest_limit_arcsec
+            if self._unit is DeflectionUnit.PX:
+                limit = _RESTING_NOISES * max(_frame_noise(recent.x), _frame_noise(recent.y))
+            self._wait.progress = f"spread {spread:.2f} {shown} of {limit:.3g}"
+            if spread <= limit:
                 return True
-            if frames.now_ns - braked_ns >= _BRAKE_AGAIN_NS and spread > 2 * phases.rest_limit_arcsec:
+            if frames.now_ns - braked_ns >= _BRAKE_AGAIN_NS and spread > 2 * limit:
                 braked_ns = frames.now_ns
                 self._brake(True)
-            elif spread <= 2 * phases.rest_limit_arcsec:
+            elif spread <= 2 * limit:
                 self._brake(False)
             return False
 
@@ -139,9 +148,14 @@ class PhasesBeforeRecord:
             since_ns = frames.now_ns - begun_ns
             if since_ns < max(window_ns, laser.warm_up_min_s * 1e9):
                 return False
-            times_s, x, y = frames.since(frames.now_ns - window_ns)
-            drift = max(_drift_per_min(times_s, x), _drift_per_min(times_s, y)) / self._unit_rad
-            self._wait.progress = f"drift {drift:.2f} {self._unit}/min"
+            recent = frames.since(frames.now_ns - window_ns)
+            drift = max(
+                _drift_per_min(recent.times_s, recent.shown_x), _drift_per_min(recent.times_s, recent.shown_y)
+            )
+            self._wait.progress = f"drift {drift:.2f} {self._unit.shown}/min"
+            if self._unit is DeflectionUnit.PX:
+                self._wait.progress += f", not checked: {preflight.NO_LEVER}"
+                return True
             return drift <= phases.warm_up_drift_arcsec_per_min
 
         self._wait.until_reached("warm-up", laser.warm_up_max_s, warm, every_s=0.5)
@@ -195,12 +209,13 @@ class PhasesBeforeRecord:
             free = rest
             rest, threshold = self._place()
             held = math.hypot(rest[0] - free[0], rest[1] - free[1])
+            distance = f"{held / self._unit.shown_size:.1f} {self._unit.shown}"
             if not held > threshold:
                 raise DataError(
-                    f"the magnet holds nothing: the spot is {held / self._unit_rad:.1f} {self._unit} "
+                    f"the magnet holds nothing: the spot is {distance} "
                     "from where it rests freely; see the magnet, its current and its distance"
                 )
-            wait.note(EventKind.MAGNET, f"holds the pendulum at {held / self._unit_rad:.1f} {self._unit}")
+            wait.note(EventKind.MAGNET, f"holds the pendulum at {distance}")
             wait_for_command(self._devices.required_control(who).release())
         elif start.way == "starter":
             wait_for_command(self._devices.required_control(who).starter_pulse(self.starter_pulse_s))
@@ -220,10 +235,14 @@ class PhasesBeforeRecord:
 
     def _place(self) -> tuple[tuple[float, float], float]:
         """The spot's median of the last second, and the distance from there that cannot be noise."""
-        _, x, y = self._wait.frames.since(self._wait.frames.now_ns - 1_000_000_000)
-        noise = max(_scatter(x), _scatter(y))
-        threshold = max(self._config.start.trigger_arcsec * self._unit_rad, 8.0 * noise)
-        return (float(np.nanmedian(x)), float(np.nanmedian(y))), threshold
+        recent = self._wait.frames.since(self._wait.frames.now_ns - 1_000_000_000)
+        recent = recent[recent.found]
+        if not len(recent):
+            raise DataError("release: no spot was found for a second; see the laser and the beam's path")
+        threshold = 8.0 * max(_scatter(recent.x), _scatter(recent.y), float(np.median(recent.u_y)))
+        if self._unit is DeflectionUnit.RAD:
+            threshold = max(self._config.start.trigger_arcsec * ARCSEC_RAD, threshold)
+        return (float(np.median(recent.x)), float(np.median(recent.y))), threshold
 
     def _brake(self, on: bool) -> None:
         control = self._devices.control
@@ -253,5 +272,9 @@ def _drift_per_min(times_s: np.ndarray, values: np.ndarray) -> float:
 
 def _scatter(values: np.ndarray) -> float:
     """Robust standard deviation."""
-    good = values[np.isfinite(values)]
-    return 1.4826 * float(np.median(np.abs(good - np.median(good)))) if len(good) else 0.0
+    return 1.4826 * float(np.median(np.abs(values - np.median(values))))
+
+
+def _frame_noise(values: np.ndarray) -> float:
+    """Robust standard deviation of what differs from one frame to the next."""
+    return _scatter(np.diff(values)) / math.sqrt(2.0)

@@ -2,37 +2,34 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquisition.frame import Frame
 from calibration.stability import Stability, stability
 from calibration.timebase import relate_clocks
-from processing.angle import ARCSEC_RAD
+from processing.deflections import Deflections, DeflectionUnit, Floats
 from processing.errors import DataError
 from processing.spot import Spot, SpotFlag
 from rig.devices import STAYS_LIT, WIRE_IT, LaserNow
 from rig.presentation import Verdict
 from rig.settings import Configuration, PreflightSettings
 
-Floats = NDArray[np.float64]
 _SPOT_BYTES = 260
+NO_LEVER = "no lever: values in px have no limit in arcsec"
 
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """Some seconds of frames and what the tracker made of them; arrays of one length, deflections in
-    rad (px without a lever). `resting` False: the pendulum may be swinging."""
+    """Some seconds of frames, and the spot and deflection of each frame whose deflection is kept.
+
+    `resting` False: the pendulum may be swinging.
+    """
 
     frames: Sequence[Frame]
     spots: Sequence[Spot]
-    times_s: Floats
-    x: Floats
-    y: Floats
-    u_x: Floats
-    u_y: Floats
+    deflections: Deflections
     resting: bool
 
 
@@ -85,26 +82,26 @@ def saturation(spots: Sequence[Spot], limits: PreflightSettings) -> Verdict:
 
 
 def noise_and_vibration(
-    x: Stability | None, y: Stability | None, unit_rad: float, limits: PreflightSettings
+    x: Stability | None, y: Stability | None, unit: DeflectionUnit, limits: PreflightSettings
 ) -> list[Verdict]:
     """Noise floor of one frame and the strongest line of the spectrum, of a spot at rest."""
     noise_limit = f"{limits.max_noise_arcsec:g} arcsec"
     line_limit = f"{limits.max_vibration_arcsec:g} arcsec"
     if x is None or y is None:
         return [_not_at_rest("noise floor", noise_limit), _not_at_rest("vibration", line_limit)]
-    noise = max(x.noise, y.noise) / unit_rad
+    noise = max(x.noise, y.noise) / unit.shown_size
     lines = sorted([*x.lines, *y.lines], key=lambda line: -line.amplitude)
-    strongest = lines[0].amplitude / unit_rad if lines else 0.0
+    strongest = lines[0].amplitude / unit.shown_size if lines else 0.0
     named = f" ({lines[0].name})" if lines and lines[0].name else ""
-    words = f"{strongest:.3f} arcsec at {lines[0].frequency_hz:.1f} Hz{named}" if lines else "no line"
+    words = f"{strongest:.3f} {unit.shown} at {lines[0].frequency_hz:.1f} Hz{named}" if lines else "no line"
     quiet, still = noise <= limits.max_noise_arcsec, strongest <= limits.max_vibration_arcsec
-    return [
+    verdicts = [
         Verdict(
             "noise floor",
             quiet,
             "" if quiet else "the spot jumps more than it should",
             "" if quiet else "more light, a smaller gain; shield the beam from air",
-            measured=f"{noise:.4f} arcsec a frame",
+            measured=f"{noise:.4f} {unit.shown} a frame",
             limit=noise_limit,
         ),
         Verdict(
@@ -116,14 +113,16 @@ def noise_and_vibration(
             limit=line_limit,
         ),
     ]
+    return [_against_arcsec(verdict, unit) for verdict in verdicts]
 
 
-def rest_position(look: Look, unit_rad: float, limits: PreflightSettings) -> Verdict:
-    """Where the spot rests, from the reference of the lever."""
+def rest_position(look: Look, limits: PreflightSettings) -> Verdict:
+    """Where the spot rests, from the reference of the lever (without one, the sensor's middle)."""
     limit = f"{limits.max_rest_offset_arcsec:g} arcsec"
+    at = look.deflections
     if not look.resting:
         return _not_at_rest("rest position", limit)
-    if not np.isfinite(look.x).any():
+    if not at.found.any():
         return Verdict(
             "rest position",
             False,
@@ -132,16 +131,17 @@ def rest_position(look: Look, unit_rad: float, limits: PreflightSettings) -> Ver
             measured="no spot",
             limit=limit,
         )
-    x, y = np.nanmedian(look.x) / unit_rad, np.nanmedian(look.y) / unit_rad
+    x, y = np.nanmedian(at.shown_x), np.nanmedian(at.shown_y)
     ok = math.hypot(x, y) <= limits.max_rest_offset_arcsec
-    return Verdict(
+    verdict = Verdict(
         "rest position",
         ok,
         "" if ok else "the swing will leave the middle of the sensor",
         "" if ok else "rig balance says which weight to turn; or move the camera",
-        measured=f"X {x:+.1f}, Y {y:+.1f} arcsec",
+        measured=f"X {x:+.1f}, Y {y:+.1f} {at.unit.shown}",
         limit=limit,
     )
+    return _against_arcsec(verdict, at.unit)
 
 
 def clock(frames: Sequence[Frame], limits: PreflightSettings) -> Verdict:
@@ -280,10 +280,10 @@ def check_look(
     look: Look, config: Configuration, full_scale_dn: float, window_bytes: float, free_bytes: int
 ) -> list[Verdict]:
     """Everything that some seconds of frames can tell."""
-    limits = config.preflight
-    unit_rad = ARCSEC_RAD if config.lever is not None else 1.0
-    still = {"x": None, "y": None} if not look.resting else {"x": _still(look, "x"), "y": _still(look, "y")}
-    span_s = max(float(look.times_s[-1] - look.times_s[0]), 1e-9) if len(look.times_s) else 1.0
+    limits, at = config.preflight, look.deflections
+    still_x = _still(at.times_s, at.x, at.u_x) if look.resting else None
+    still_y = _still(at.times_s, at.y, at.u_y) if look.resting else None
+    span_s = max(float(at.times_s[-1]), 1e-9) if len(at) else 1.0
     rate_hz = len(look.frames) / span_s
     bytes_per_frame = _SPOT_BYTES + (window_bytes if config.record.windows else 0.0)
     bytes_per_frame += look.frames[0].image.nbytes / (config.record.full_frame_interval_s * rate_hz)
@@ -291,8 +291,8 @@ def check_look(
         spot_found(look.spots, limits),
         exposure(look.spots, full_scale_dn, limits),
         saturation(look.spots, limits),
-        *noise_and_vibration(still["x"], still["y"], unit_rad, limits),
-        rest_position(look, unit_rad, limits),
+        *noise_and_vibration(still_x, still_y, at.unit, limits),
+        rest_position(look, limits),
         frame_rate(look.frames, config.camera.frame_rate_hz, limits),
         clock(look.frames, limits),
         disk(
@@ -310,10 +310,16 @@ def _not_at_rest(name: str, limit: str) -> Verdict:
     return Verdict(name, True, reason, measured="not measured", limit=limit, made=False)
 
 
-def _still(look: Look, axis: str) -> Stability | None:
-    values, u = (look.x, look.u_x) if axis == "x" else (look.y, look.u_y)
+def _against_arcsec(verdict: Verdict, unit: DeflectionUnit) -> Verdict:
+    """The verdict on a limit in arcsec; none where the value is in px."""
+    if unit is DeflectionUnit.RAD:
+        return verdict
+    return replace(verdict, ok=True, reason=NO_LEVER, remedy="", made=False)
+
+
+def _still(times_s: Floats, values: Floats, u: Floats) -> Stability | None:
     try:
-        return stability(look.times_s, values, u)
+        return stability(times_s, values, u)
     except DataError:
         return None
 

@@ -1,13 +1,11 @@
 """The last seconds of frames before a record begins, and the spots in them."""
 
 from collections import deque
-from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquisition.frame import Frame
+from processing.deflections import Deflections, joined
 from processing.spot import Spot
 from rig.devices import FrameStream
 from rig.instrument import Deflector, Optics
@@ -17,17 +15,8 @@ _BLOCK_FRAMES = 16
 _RING_BYTES = 256 * 1024 * 1024
 
 
-class _Sample(NamedTuple):
-    time_ns: int
-    spot: Spot
-    x: float
-    y: float
-    u_x: float
-    u_y: float
-
-
 class RecentFrames:
-    """Takes frames as they come, tracks them, keeps samples of the last `window_s` seconds.
+    """Takes frames as they come, tracks them, keeps the deflections of the last `window_s` seconds.
 
     The frames themselves are kept for `frames_s` seconds (less where they would need more than 256 MiB):
     a release is seen only after it has happened, and the record shall begin before it.
@@ -45,7 +34,7 @@ class RecentFrames:
         self._tracker = optics.tracker()
         self._deflector: Deflector | None = None
         self._frames: deque[Frame] = deque()
-        self._samples: deque[_Sample] = deque()
+        self._blocks: deque[tuple[list[Spot], Deflections]] = deque()
         self._frames_ns = round(frames_s * 1e9)
         self._window_ns = round(window_s * 1e9)
         self.seen = 0
@@ -58,23 +47,22 @@ class RecentFrames:
         if self._deflector is None:
             self._deflector = self._optics.deflector((block[0].image.shape[0], block[0].image.shape[1]))
         spots = [self._tracker.track(frame.image) for frame in block]
-        x, y, u_x, u_y = (column.tolist() for column in self._deflector(spots))
-        for k, (frame, spot) in enumerate(zip(block, spots, strict=True)):
-            self._frames.append(frame)
-            self._samples.append(_Sample(frame.time_ns, spot, x[k], y[k], u_x[k], u_y[k]))
+        times_ns = np.array([frame.time_ns for frame in block], dtype=np.int64)
+        self._blocks.append((spots, self._deflector(times_ns, spots)))
+        self._frames.extend(block)
         self.seen += len(block)
         newest_ns = block[-1].time_ns
         most = max(8, _RING_BYTES // max(block[0].image.nbytes, 1))
         while newest_ns - self._frames[0].time_ns > self._frames_ns or len(self._frames) > most:
             self._frames.popleft()
-        while newest_ns - self._samples[0].time_ns > self._window_ns:
-            self._samples.popleft()
+        while newest_ns - self._blocks[0][1].times_ns[-1] > self._window_ns:
+            self._blocks.popleft()
         return True
 
     @property
     def now_ns(self) -> int:
         """Time of the newest frame; 0 before the first."""
-        return self._samples[-1].time_ns if self._samples else 0
+        return int(self._blocks[-1][1].times_ns[-1]) if self._blocks else 0
 
     @property
     def frames(self) -> list[Frame]:
@@ -82,31 +70,29 @@ class RecentFrames:
         return list(self._frames)
 
     @property
-    def newest(self) -> Sequence[float]:
-        """(x, y) of the newest sample; NaN where the spot is lost."""
-        return (self._samples[-1].x, self._samples[-1].y) if self._samples else (np.nan, np.nan)
+    def newest(self) -> tuple[float, float]:
+        """(x, y) of the newest frame; NaN where the spot is lost."""
+        if not self._blocks:
+            return np.nan, np.nan
+        deflections = self._blocks[-1][1]
+        return float(deflections.x[-1]), float(deflections.y[-1])
 
-    def since(self, time_ns: int) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """(times in s, x, y) of the samples from a time on."""
-        rows = [(s.time_ns * 1e-9, s.x, s.y) for s in self._samples if s.time_ns >= time_ns]
-        table = np.array(rows, dtype=np.float64).reshape(-1, 3)
-        return table[:, 0], table[:, 1], table[:, 2]
+    def since(self, time_ns: int) -> Deflections:
+        """Deflections from a time on."""
+        return joined((at for _, at in self._blocks), self._optics.unit).since(time_ns)
 
     def look(self, resting: bool, duration_s: float) -> Look:
-        """The last samples and frames, of so many seconds."""
+        """Frames, spots and deflections of the last `duration_s` seconds."""
         from_ns = self.now_ns - round(1e9 * duration_s)
-        samples = [s for s in self._samples if s.time_ns >= from_ns]
+        deflections = self.since(from_ns)
+        spots = [spot for block, _ in self._blocks for spot in block]
         frames = [frame for frame in self._frames if frame.time_ns >= from_ns]
-        table = np.array(
-            [(s.time_ns * 1e-9, s.x, s.y, s.u_x, s.u_y) for s in samples], dtype=np.float64
-        ).reshape(-1, 5)
-        times, x, y, u_x, u_y = table.T
-        return Look(frames, [s.spot for s in samples], times, x, y, u_x, u_y, resting)
+        return Look(frames, spots[len(spots) - len(deflections) :], deflections, resting)
 
     def window_bytes(self) -> float:
         """Mean size of what a record keeps of a frame."""
-        if not self._frames or not self._samples:
+        if not self._frames:
             return 0.0
         image = self._frames[-1].image
-        x0, y0, x1, y1 = self._tracker.record_window(self._samples[-1].spot, image.shape)
+        x0, y0, x1, y1 = self._tracker.record_window(self._blocks[-1][0][-1], image.shape)
         return float((x1 - x0) * (y1 - y0) * image.itemsize)

@@ -38,7 +38,7 @@ class RecordFile:
             epoch_offset_ns,
             metadata=session_metadata(self.config, self.camera, first),
             attachments=attachments,
-            deflection_unit="px" if lever is None else "rad",
+            deflection_unit=self.optics.unit,
         )
         if lever is not None:
             shape = (first.image.shape[0], first.image.shape[1])

@@ -103,14 +103,11 @@ class Recorder:
                 entry.sequences,
                 entry.device_times_ns,
                 entry.host_times_ns,
-                block.times_ns,
                 block.spots,
-                block.x_rad,
-                block.y_rad,
-                block.u_x_rad,
-                block.u_y_rad,
+                block.deflections,
             )
-            for sequence, time_ns, window in zip(entry.sequences, block.times_ns, entry.windows, strict=True):
+            times_ns = block.deflections.times_ns
+            for sequence, time_ns, window in zip(entry.sequences, times_ns, entry.windows, strict=True):
                 if window is not None:
                     writer.write_window(sequence, int(time_ns), window.image, window.x0_px, window.y0_px)
             for swing in block.swings:

@@ -28,9 +28,7 @@ class Run:
     def __init__(self, parts: RunParts) -> None:
         self._parts = parts
         self._stream = parts.stream
-        self._status = RunStatus(
-            parts.watchers, parts.devices, parts.optics.unit_rad, parts.environment_period_s
-        )
+        self._status = RunStatus(parts.watchers, parts.devices, parts.optics.unit, parts.environment_period_s)
         self._stop = StopRequest(parts.stream)
         self._done = threading.Event()
         self._losses = LossLog(parts.stream, from_start=True)

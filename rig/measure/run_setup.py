@@ -6,6 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from processing.angle import ARCSEC_RAD
+from processing.deflections import DeflectionUnit
 from processing.errors import ConfigurationError
 from rig.devices import Devices, FrameStream, OpenCamera
 from rig.instrument import camera_settings, frame_policy, optics_of, prepare_kernels
@@ -63,9 +65,7 @@ def _execute(plan: RunPlan, devices: Devices, camera: OpenCamera, watchers: list
     config, record = plan.config, plan.record
     optics = optics_of(config, camera.info.full_scale_dn)
     final_amplitude = config.session.final_amplitude_arcsec
-    display = RunDisplay(
-        plan.title, final_amplitude, optics.unit, optics.unit_rad, record.parent, json_lines=plan.json_lines
-    )
+    display = RunDisplay(plan.title, final_amplitude, optics.unit, record.parent, json_lines=plan.json_lines)
     with_start = config.start.way != "at once"
     phases: PhasesBeforeRecord | None = None
     if with_start or preflight_wanted(config):
@@ -89,7 +89,7 @@ def _execute(plan: RunPlan, devices: Devices, camera: OpenCamera, watchers: list
         record=RecordFile(record, config, plan.source, camera.info, optics),
         # without a lever the amplitude is not known in arcsec: the run ends by time
         end=EndLimits(
-            0.0 if optics.lever is None else final_amplitude * optics.unit_rad,
+            final_amplitude * ARCSEC_RAD if optics.unit is DeflectionUnit.RAD else 0.0,
             config.session.max_duration_s,
         ),
         phases=phases,

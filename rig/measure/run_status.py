@@ -8,6 +8,7 @@ from dataclasses import replace
 from acquisition.frame import Frame
 from acquisition.record.events import Event, EventKind
 from acquisition.record.topics import Environment
+from processing.deflections import DeflectionUnit
 from processing.swing import Swing
 from rig.devices import Devices
 from rig.instrument import Block, Snapshot
@@ -23,8 +24,8 @@ class RunStatus:
         Are told of every block, event and snapshot, in the processing thread.
     devices
         Controller, laser and environment sensor; None where there are none.
-    amplitude_unit_rad
-        Unit in which snapshots show the amplitude, in the unit of the swings.
+    unit
+        Unit of the swings' amplitudes; snapshots hold them as they are shown.
     environment_period_s
         Time between two readings of the environment that are recorded.
     """
@@ -33,12 +34,12 @@ class RunStatus:
         self,
         watchers: Iterable[Watcher],
         devices: Devices | None,
-        amplitude_unit_rad: float,
+        unit: DeflectionUnit,
         environment_period_s: float,
     ) -> None:
         self._watchers = tuple(watchers)
         self._devices = devices
-        self._amplitude_unit_rad = amplitude_unit_rad
+        self._unit = unit
         self._environment_period_ns = round(environment_period_s * 1e9)
         self._environment_due_ns = 0
         self._instructions: deque[Snapshot] = deque()
@@ -70,7 +71,7 @@ class RunStatus:
         before, last = self.snapshot, swings[-1] if swings else None
         amplitude, period_s = before.amplitude, before.period_s
         if last is not None:
-            amplitude = last.amplitude / self._amplitude_unit_rad
+            amplitude = last.amplitude / self._unit.shown_size
             period_s = before.period_s if math.isnan(last.half_period_s) else 2.0 * last.half_period_s
         self.snapshot = self._with_devices(
             replace(

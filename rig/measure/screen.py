@@ -23,6 +23,7 @@ from acquisition.frame import Frame
 from acquisition.record.events import Event
 from processing.balance import Balance
 from processing.decay_forecast import Forecast, forecast
+from processing.deflections import DeflectionUnit
 from rig.instrument import Block, Snapshot
 from rig.measure.preflight import table_tree
 from rig.presentation import Verdict, print_json_line, print_verdicts, say
@@ -44,18 +45,17 @@ class RunDisplay:
     def __init__(
         self,
         title: str,
-        final_amplitude: float,
-        unit: str,
-        unit_rad: float,
+        final_amplitude_arcsec: float,
+        unit: DeflectionUnit,
         folder: Path,
         *,
         json_lines: bool = False,
         console: Console | None = None,
     ) -> None:
         self._title = title
-        self._final = final_amplitude
+        # where a run in px will end is not known: the final amplitude is configured in arcsec
+        self._final = final_amplitude_arcsec if unit is DeflectionUnit.RAD else math.nan
         self._unit = unit
-        self._unit_rad = unit_rad
         self._folder = folder
         self._json = json_lines
         self._initial = math.nan
@@ -126,7 +126,11 @@ class RunDisplay:
             self._initial = snapshot.amplitude
         self._rates.take(snapshot)
         now_s = time.monotonic()
-        if now_s - self._forecast_s >= _FORECAST_INTERVAL_S and len(self._swings) >= 8:
+        if (
+            now_s - self._forecast_s >= _FORECAST_INTERVAL_S
+            and len(self._swings) >= 8
+            and not math.isnan(self._final)
+        ):
             self._forecast_s = now_s
             self._forecast = self._predicted()
         first_word = snapshot.phase.split(":")[0]
@@ -175,12 +179,12 @@ class RunDisplay:
         return Panel(Group(*parts), width=width - 1, padding=(0, 1))
 
     def _rows(self, snapshot: Snapshot) -> list[tuple[str, str]]:
-        unit, balance = self._unit, self._balance
+        unit, balance = self._unit.shown, self._balance
         who = f" ({snapshot.losses})" if snapshot.losses.total else ""
         losses = f"{snapshot.dropped_frames} frames dropped{who}, {snapshot.lost_spots} spots lost"
         rows = [
             ("elapsed", f"{_clock(snapshot.elapsed_s)}, {snapshot.half_cycles} half-cycles"),
-            (f"to {self._final:g} {unit}", self._prediction()),
+            ("to the end" if math.isnan(self._final) else f"to {self._final:g} {unit}", self._prediction()),
             ("amplitude", _number(snapshot.amplitude, ".3f", unit)),
             ("period", _number(snapshot.period_s, ".5f", "s")),
             ("transverse", self._transverse(balance)),
@@ -199,17 +203,19 @@ class RunDisplay:
         if balance is None:
             return "-"
         return (
-            f"{balance.transverse_rad / self._unit_rad:.3f} {self._unit} "
+            f"{balance.transverse_rad / self._unit.shown_size:.3f} {self._unit.shown} "
             f"({100 * balance.transverse_ratio:.2f} %), line {math.degrees(balance.line_angle_rad):+.3f}°"
         )
 
     def _rest(self, balance: Balance | None) -> str:
         if balance is None:
             return "-"
-        x, y = balance.rest_x_rad / self._unit_rad, balance.rest_y_rad / self._unit_rad
-        return f"X {x:+.3f}, Y {y:+.3f} {self._unit}"
+        x, y = balance.rest_x_rad / self._unit.shown_size, balance.rest_y_rad / self._unit.shown_size
+        return f"X {x:+.3f}, Y {y:+.3f} {self._unit.shown}"
 
     def _prediction(self) -> str:
+        if math.isnan(self._final):
+            return "not known: no lever"
         left_s, u_s = self._forecast
         if math.isnan(left_s):
             return "too early to say"
@@ -218,7 +224,7 @@ class RunDisplay:
 
     def _predicted(self) -> Forecast:
         table = np.array(list(self._swings))
-        final = self._final * self._unit_rad
+        final = self._final * self._unit.shown_size
         return forecast(table[:, 0], table[:, 1], table[:, 2], final)
 
     def _numbers(self) -> dict[str, Any]:
@@ -233,12 +239,12 @@ class RunDisplay:
         if balance is not None:
             found["transverse_ratio"] = balance.transverse_ratio
             found["line_angle_rad"] = balance.line_angle_rad
-            found["rest_x"] = balance.rest_x_rad / self._unit_rad
-            found["rest_y"] = balance.rest_y_rad / self._unit_rad
+            found["rest_x"] = balance.rest_x_rad / self._unit.shown_size
+            found["rest_y"] = balance.rest_y_rad / self._unit.shown_size
         return found
 
     def _fraction(self, snapshot: Snapshot) -> float:
-        if math.isnan(self._initial) or self._initial <= self._final or math.isnan(snapshot.amplitude):
+        if not self._initial > self._final or math.isnan(snapshot.amplitude):
             return 0.0
         done = math.log(self._initial / max(snapshot.amplitude, self._final))
         return max(0.0, min(1.0, done / math.log(self._initial / self._final)))
@@ -251,7 +257,9 @@ class RunDisplay:
         return Text.assemble(("━" * full, "green"), rest, f" {100 * part:3.0f} %")
 
     def _plain(self, snapshot: Snapshot) -> str:
-        amplitude = "" if math.isnan(snapshot.amplitude) else f"{snapshot.amplitude:7.2f} {self._unit}  "
+        amplitude = (
+            "" if math.isnan(snapshot.amplitude) else f"{snapshot.amplitude:7.2f} {self._unit.shown}  "
+        )
         losses = f"{snapshot.dropped_frames} dropped, {snapshot.lost_spots} lost"
         tail = f"  {snapshot.reason}" if snapshot.reason else ""
         phase = "" if snapshot.phase == "measuring" else f"{snapshot.phase}  "

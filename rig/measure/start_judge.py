@@ -1,9 +1,12 @@
 """Whether the start of a run is accepted, judged by its first half-cycles."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from processing.angle import ARCSEC_RAD
 from processing.balance import Balance
+from processing.deflections import DeflectionUnit
 from processing.swing import Swing
 from rig.instrument import Optics
 from rig.settings import Configuration
@@ -13,7 +16,7 @@ from rig.settings import Configuration
 class StartLimits:
     """Between which limits the first amplitude and the transverse motion must lie.
 
-    Amplitudes are in the unit of the deflections; `unit` and `unit_rad` are for messages.
+    Amplitudes are in `unit`; in px they have no limits, since those are configured in arcsec.
     `attempts` starts are made before the run fails.
     """
 
@@ -22,22 +25,20 @@ class StartLimits:
     highest_transverse_ratio: float
     patience_s: float
     attempts: int
-    unit: str
-    unit_rad: float
+    unit: DeflectionUnit
 
 
 def start_limits(config: Configuration, optics: Optics) -> StartLimits:
     """The limits as configured."""
-    wanted = config.session.initial_amplitude_arcsec * optics.unit_rad
-    start = config.start
+    wanted_rad = config.session.initial_amplitude_arcsec * ARCSEC_RAD
+    start, in_px = config.start, optics.unit is DeflectionUnit.PX
     return StartLimits(
-        lowest_amplitude=start.lowest_amplitude * wanted,
-        highest_amplitude=start.highest_amplitude * wanted,
+        lowest_amplitude=0.0 if in_px else start.lowest_amplitude * wanted_rad,
+        highest_amplitude=math.inf if in_px else start.highest_amplitude * wanted_rad,
         highest_transverse_ratio=start.max_transverse_ratio,
         patience_s=start.patience_s,
         attempts=start.attempts,
         unit=optics.unit,
-        unit_rad=optics.unit_rad,
     )
 
 
@@ -68,10 +69,12 @@ class StartJudge:
             and not limits.lowest_amplitude <= self.first_amplitude <= limits.highest_amplitude
         ):
             first, lowest, highest = (
-                amplitude / limits.unit_rad
+                amplitude / limits.unit.shown_size
                 for amplitude in (self.first_amplitude, limits.lowest_amplitude, limits.highest_amplitude)
             )
-            return f"first amplitude {first:.1f} {limits.unit}, {lowest:.1f} to {highest:.1f} are wanted"
+            return (
+                f"first amplitude {first:.1f} {limits.unit.shown}, {lowest:.1f} to {highest:.1f} are wanted"
+            )
         for balance in balances:
             if balance.amplitude_rad < 0.5 * limits.lowest_amplitude:
                 continue

@@ -15,9 +15,10 @@ from acquisition.simulation.settings import (
 from acquisition.simulation.true_path import noisy, true_path, true_turning_points
 from processing.angle import ARCSEC_RAD
 from processing.contact import MATERIALS, ContactParameters, PendulumOnBall, pendulum_on_ball
+from processing.deflections import slow_deflections
 from processing.fit import FitResult, Quantity, RigQuantities, fit_asymptotic, fit_exact
-from processing.swing import SwingDetector, TurningPoints
-from rig.analysis import Motion, SlowSamples, evaluate, evaluation_tree, fit_tree, series_tree, settled_swings
+from processing.swing import SwingDetector, TurningPoints, turning_points
+from rig.analysis import Motion, evaluate, evaluation_tree, fit_tree, series_tree, settled_swings
 from rig.paper.printed import (
     BALL,
     BALL_RADIUS_M,
@@ -73,8 +74,8 @@ def simulate_pair(pair: PrintedPair, b_exponent: int, seed: int) -> PairSeries:
         seen = noisy(motion, noise_rad, noise_rad, seed + number)
         detector = SwingDetector()
         swings = detector.update(seen.times_ns, seen.y_rad, u) + detector.finish()
-        samples = SlowSamples(seen.times_ns, seen.y_rad, u)
-        runs.append(samples.points(settled_swings(swings, samples, pendulum, FitSettings()).swings))
+        deflections = slow_deflections(seen.times_ns, seen.y_rad, u)
+        runs.append(turning_points(settled_swings(swings, deflections, pendulum, FitSettings()).swings))
         if shown is None:
             first_ns = next(swing.turn_time_ns for swing in swings if swing.flags == 0)
             time_s = np.asarray((seen.times_ns - first_ns) * 1e-9, dtype=np.float64)

@@ -26,7 +26,7 @@ def print_verdicts(console: Console, verdicts: Sequence[Verdict]) -> None:
             console.print(f"{kind} {verdict.name}: {why}", highlight=False, markup=False)
     for reason in dict.fromkeys(v.reason for v in verdicts if not v.made and v.reason):
         found = ", ".join(v.name for v in verdicts if v.reason == reason)
-        console.print(f"not measured: {found}: {reason}", highlight=False, markup=False)
+        console.print(f"not checked: {found}: {reason}", highlight=False, markup=False)
 
 
 def _mark(verdict: Verdict) -> str:

@@ -89,7 +89,9 @@ def replay_record(
             player.play()
         result = replay.finish()
         partial = replay.partial or replay.sought or player.ended_by_user
-        run = analyse_run(reader, config, result.swings, result.samples, dropped_frames=result.dropped_frames)
+        run = analyse_run(
+            reader, config, result.swings, result.deflections, dropped_frames=result.dropped_frames
+        )
         if partial:
             part = f"replayed from {replay.begun_s:.2f} s to {replay.position_s:.2f} s of the record"
             run = replace(run, warnings=(part, *run.warnings))

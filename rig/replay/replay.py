@@ -11,16 +11,15 @@ from acquisition.frame import Frame
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import WINDOW, RecordedWindow
 from calibration.axes import Axes
+from processing.deflections import Deflections, joined
 from processing.errors import RecordError
 from processing.spot import SensorModel, Spot, SpotFlag, SpotTracker
 from processing.swing import Swing
-from rig.analysis import Samples
 from rig.instrument import Block, Pipeline, frame_shape, recorded_configuration, sensor_model
 from rig.replay.comparison import Comparison, ReplayComparison
 from rig.settings import Configuration
 
 _LOST = Spot._make([*[math.nan] * 10, int(SpotFlag.LOST)])
-_SAMPLE_COLUMNS = 5
 
 
 class Step(NamedTuple):
@@ -39,7 +38,7 @@ class Replayed(NamedTuple):
     """All that came out; `dropped_frames` are missing in the record between the first and the last."""
 
     swings: list[Swing]
-    samples: Samples
+    deflections: Deflections
     dropped_frames: int
     comparison: Comparison
 
@@ -175,10 +174,9 @@ class Replay:
         swings = self._pipeline.finish()
         whole_end = math.isinf(self.next_s) and self._to_ns >= self._last_ns
         self._swings += swings
-        times_ns, *deflections = (np.concatenate(parts) if parts else np.empty(0) for parts in self._columns)
-        samples = Samples(times_ns.astype(np.int64), *deflections)
+        deflections = joined(self._deflections, self._config.deflection_unit)
         first = self._first_sequence if self.partial or self.sought else 0
-        dropped = self._last_sequence + 1 - first - len(samples.times_ns)
+        dropped = self._last_sequence + 1 - first - len(deflections)
         # at a cut the last half-cycle lacks samples that it had when it was recorded
         compared = self._swings if whole_end else self._swings[: len(self._swings) - len(swings)]
         comparison = self._comparison.finish(
@@ -187,7 +185,7 @@ class Replay:
             from_start=self._begun_ns == self.start_ns,
             to_end=whole_end,
         )
-        return Replayed(self._swings, samples, dropped, comparison)
+        return Replayed(self._swings, deflections, dropped, comparison)
 
     def _begin(self, time_ns: int) -> None:
         shape = self._shape
@@ -204,22 +202,18 @@ class Replay:
         self._image: Frame | None = None
         self._begun_ns = self._position_ns = max(time_ns, self.start_ns)
         self._swings: list[Swing] = []
-        self._columns: tuple[list[NDArray[Any]], ...] = tuple([] for _ in range(_SAMPLE_COLUMNS))
+        self._deflections: list[Deflections] = []
         self._first_sequence, self._last_sequence = -1, -1
         self._comparison = ReplayComparison(self.start_ns)
 
     def _block(self, rows: NDArray[Any], spots: list[Spot]) -> Block:
         if self._retrack or not self._same_deflections:
             return self._pipeline.measure(rows["time_ns"], spots)
-        return self._pipeline.detect(
-            rows["time_ns"], spots, rows["x_rad"], rows["y_rad"], rows["u_x_rad"], rows["u_y_rad"]
-        )
+        return self._pipeline.detect(spots, self._reader.deflections(rows))
 
     def _keep(self, rows: NDArray[Any], block: Block) -> None:
         self._swings += block.swings
-        values = (block.times_ns, block.x_rad, block.y_rad, block.u_x_rad, block.u_y_rad)
-        for column, part in zip(self._columns, values, strict=True):
-            column.append(np.array(part))
+        self._deflections.append(block.deflections)
         if self._first_sequence < 0:
             self._first_sequence = int(rows["sequence"][0])
         self._last_sequence = int(rows["sequence"][-1])

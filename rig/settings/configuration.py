@@ -17,7 +17,8 @@ from acquisition.cameras.drivers import find_driver
 from acquisition.simulation.faults import FaultSettings
 from acquisition.simulation.settings import SimulationSettings
 from calibration.axes import Axes
-from calibration.lever import Lever
+from calibration.lever import Lever, deflection_unit
+from processing.deflections import DeflectionUnit
 from processing.errors import ConfigurationError
 from rig.control import ControllerSettings, EnvironmentSettings, LaserSettings
 from rig.settings.balance import BalanceSettings
@@ -167,6 +168,11 @@ class Configuration(Section, frozen=True):
         """Frames are made or read when asked for: the camera waits for us and loses nothing."""
         paced = self.simulated and self.simulation.real_time
         return find_driver(self.camera.driver).on_demand and not paced
+
+    @property
+    def deflection_unit(self) -> DeflectionUnit:
+        """The unit of deflections and amplitudes: rad, or px without [lever]."""
+        return deflection_unit(self.lever)
 
 
 def load_configuration(path: Path, overrides: Iterable[str] = ()) -> Configuration:

@@ -47,10 +47,11 @@ class LiveView:
 
     def block(self, start_ns: int, frames: Sequence[Frame], block: Block) -> None:
         """Deflections, swings, balance and now and then an image."""
-        if len(block.times_ns):
+        deflections = block.deflections
+        if len(deflections):
             flags = np.array([spot.flags for spot in block.spots], dtype=np.int64)
-            times_s = (block.times_ns - start_ns) * 1e-9
-            self._viewer.samples(times_s, block.x_rad / self._unit_rad, block.y_rad / self._unit_rad, flags)
+            times_s = (deflections.times_ns - start_ns) * 1e-9
+            self._viewer.samples(times_s, deflections.shown_x, deflections.shown_y, flags)
         if block.swings:
             self._viewer.swings(
                 [(swing.turn_time_ns - start_ns) * 1e-9 for swing in block.swings],

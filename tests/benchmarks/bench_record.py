@@ -29,6 +29,7 @@ from acquisition.record.recover import recover
 from acquisition.record.schemas import MessageType
 from acquisition.record.topics import SPOT, SWING, WINDOW
 from acquisition.record.writer import RecordWriter
+from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import Spot
 from rig.measure.recorder import Entry, Recorder
 
@@ -94,7 +95,9 @@ def _writing(folder: Path, frames: int) -> dict[str, Any]:
                 spots: list[Spot] = spots,
                 columns: Any = columns,
             ) -> None:
-                ours.write_spots(sequences, listed, listed, times, spots, *columns)
+                ours.write_spots(
+                    sequences, listed, listed, spots, Deflections(times, *columns, DeflectionUnit.RAD)
+                )
 
             def our_windows(sequences: list[int] = sequences, listed: list[int] = listed) -> None:
                 for sequence, time_ns in zip(sequences, listed, strict=True):

@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from acquisition.frame import Frame
-from acquisition.record.topics import DeflectionUnit
 from acquisition.record.writer import RecordWriter
+from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import Spot, SpotFlag
 from processing.swing import Swing
 
@@ -44,7 +44,7 @@ def write_sample(
     frames: int = 128,
     *,
     seed: int = 1,
-    unit: DeflectionUnit = "rad",
+    unit: DeflectionUnit = DeflectionUnit.RAD,
     dtype: str = "u1",
     window_px: int = 24,
     metadata: dict[str, dict[str, str]] | None = None,
@@ -75,7 +75,8 @@ def write_sample(
             done.spots.extend(spots)
             columns = done.deflections[:, first : first + len(sequences)]
             hosts = (times + 123).tolist()
-            writer.write_spots(sequences, times.tolist(), hosts, times, spots, *columns)
+            deflections = Deflections(times, *columns, unit)
+            writer.write_spots(sequences, times.tolist(), hosts, spots, deflections)
             for sequence in sequences:
                 pixels = rng.poisson(40, (window_px, window_px)).astype(dtype)
                 done.windows.append((sequence, pixels, (sequence % 7, 3)))

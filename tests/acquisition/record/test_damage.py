@@ -16,6 +16,7 @@ from acquisition.record.info import record_info
 from acquisition.record.reader import RecordReader
 from acquisition.record.recover import recover
 from acquisition.record.writer import RecordWriter
+from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import RecordError
 from processing.spot import Spot
 from tests.acquisition.record.samples import EPOCH_OFFSET_NS, write_sample
@@ -201,7 +202,8 @@ def test_gaps_and_repeated_frames_are_told(tmp_path: Path) -> None:
         ones = np.ones(len(sequences))
         spots = [Spot(*[1.0] * 10, flags=0)] * len(sequences)
         zeros = [0] * len(sequences)
-        writer.write_spots(sequences, zeros, zeros, times, spots, ones, ones, ones, ones)
+        deflections = Deflections(times, ones, ones, ones, ones, DeflectionUnit.RAD)
+        writer.write_spots(sequences, zeros, zeros, spots, deflections)
         writer.write_window(7, 7000, np.zeros((2, 2), np.uint8), 0, 0)
     findings = check_record(path)
     assert Finding("warning", "/spot: 4 frames are missing: 3-4, 7-8") in findings

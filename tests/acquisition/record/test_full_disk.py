@@ -16,6 +16,7 @@ from acquisition.record.reader import RecordReader
 from acquisition.record.recover import recover
 from acquisition.record.reserve import Reserve
 from acquisition.record.writer import RecordWriter
+from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import RecordError
 from processing.spot import Spot
 from tests.acquisition.record.samples import EPOCH_OFFSET_NS, write_sample
@@ -62,7 +63,8 @@ def record_until_full(writer: RecordWriter) -> tuple[int, str]:
         times = np.array(sequences) * 1_000_000
         values = rng.normal(size=(4, 8))
         try:
-            writer.write_spots(sequences, times.tolist(), times.tolist(), times, [SPOT] * 8, *values)
+            deflections = Deflections(times, *values, DeflectionUnit.RAD)
+            writer.write_spots(sequences, times.tolist(), times.tolist(), [SPOT] * 8, deflections)
             for sequence in sequences:
                 pixels = rng.integers(0, 255, (48, 48), dtype=np.uint8)
                 writer.write_window(sequence, sequence * 1_000_000, pixels, 0, 0)

@@ -31,6 +31,7 @@ from acquisition.record.topics import (
 )
 from acquisition.record.writer import RecordWriter
 from processing.angle import ARCSEC_RAD
+from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import RecordError
 from processing.spot import Spot
 from processing.swing import Swing
@@ -170,16 +171,26 @@ def test_a_whole_record_comes_back(tmp_path: Path, dtype: str) -> None:
 
 def test_without_calibration_the_file_says_px(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
-    wrote = write_sample(path, unit="px")
+    wrote = write_sample(path, unit=DeflectionUnit.PX)
     with RecordReader(path) as reader:
         assert reader.deflection_unit == "px"
         names = reader.table("/spot").dtype.names or ()
         assert "y_deflection_px" in names
         assert not any(name.endswith("arcsec") or name == "y_rad" for name in names)
-        assert same_bits(reader.spots()["y_rad"], wrote.deflections[1])
-        assert np.isnan(reader.spots()["y_arcsec"]).all()
+        assert "y_rad" not in (reader.spots().dtype.names or ())
+        deflections = reader.deflections()
+        assert deflections.unit is DeflectionUnit.PX
+        assert same_bits(deflections.y, wrote.deflections[1])
         assert reader.swings() == wrote.swings
         assert "amplitude_px" in (reader.table("/swing").dtype.names or ())
+
+
+def test_deflections_in_another_unit_than_the_records_are_refused(tmp_path: Path) -> None:
+    one = np.ones(1)
+    with RecordWriter(tmp_path / "run.mcap", 0) as writer:
+        in_px = Deflections(np.array([0]), one, one, one, one, DeflectionUnit.PX)
+        with pytest.raises(ValueError, match="its deflections are in rad; these, in px"):
+            writer.write_spots([0], [0], [0], [Spot(*[1.0] * 10, flags=0)], in_px)
 
 
 def test_a_record_without_frames_is_a_record(tmp_path: Path) -> None:
@@ -198,7 +209,8 @@ def test_a_cameras_missing_clock_and_negative_times_are_kept(tmp_path: Path) -> 
     spot = Spot(*[1.0] * 10, flags=0)
     with RecordWriter(path, EPOCH_OFFSET_NS) as writer:
         one = np.ones(1)
-        writer.write_spots([4], [-1], [-5], np.array([-5]), [spot], one, one, one, one)
+        deflections = Deflections(np.array([-5]), one, one, one, one, DeflectionUnit.RAD)
+        writer.write_spots([4], [-1], [-5], [spot], deflections)
     with RecordReader(path) as reader:
         row = reader.spots()[0]
         assert (row["device_time_ns"], row["host_time_ns"], row["time_ns"]) == (-1, -5, -5)

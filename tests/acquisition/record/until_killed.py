@@ -11,6 +11,7 @@ import numpy as np
 
 from acquisition.frame import Frame
 from acquisition.record.writer import RecordWriter
+from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import Spot
 
 BLOCK = 8
@@ -30,7 +31,8 @@ def main(path: Path) -> None:
         sequences = list(range(first, first + BLOCK))
         times = np.array(sequences) * round(1e9 / RATE_HZ)
         values = rng.normal(size=(4, BLOCK))
-        writer.write_spots(sequences, times.tolist(), times.tolist(), times, [spot] * BLOCK, *values)
+        deflections = Deflections(times, *values, DeflectionUnit.RAD)
+        writer.write_spots(sequences, times.tolist(), times.tolist(), [spot] * BLOCK, deflections)
         for sequence in sequences:
             time_ns = int(times[sequence - first])
             writer.write_window(sequence, time_ns, pixels[sequence % 64], 1, 2)

@@ -12,11 +12,12 @@ from calibration.axes import deflections
 from calibration.lever_fit import lever_from_tilts
 from calibration.store import CalibrationFile, Kind, write_calibration
 from processing.angle import ARCSEC_RAD
+from processing.deflections import slow_deflections
 from processing.fit.exact import fit_exact
 from processing.fit.measurement import measured
 from processing.fit.uncertainty import budgets
 from processing.swing import SwingDetector
-from rig.analysis.contact_laws import SlowSamples, settled_swings
+from rig.analysis.contact_laws import points_in_true_time, settled_swings
 from rig.analysis.contact_verdicts import rig_quantities
 from rig.instrument.configured import complete, pendulum_on_ball
 from rig.settings.configuration import Configuration, validate_configuration
@@ -109,8 +110,9 @@ def measure(
     pendulum, quantities = pendulum_on_ball(config), rig_quantities(config)
     assert pendulum is not None
     assert quantities is not None
-    samples = SlowSamples(stamps_ns, y_rad, u_y_rad, config.timebase.camera_rate)
-    points = samples.points(settled_swings(swings, samples, pendulum, config.fit).swings)
+    slow, clock_rate = slow_deflections(stamps_ns, y_rad, u_y_rad), config.timebase.camera_rate
+    settled = settled_swings(swings, slow, pendulum, config.fit, clock_rate)
+    points = points_in_true_time(settled.swings, clock_rate)
     table = budgets(measured(fit_exact(points, pendulum)), quantities)
     truth = {name: float(getattr(contact, name)) for name in ("b", "p", "c", "n", "period0_s", "gamma_pa")}
     truth["surface_energy_table2_j_per_m2"] = _surface_energy(contact)

@@ -12,10 +12,11 @@ from calibration.axes import Axes, deflections
 from calibration.lever import Lever
 from processing.angle import ARCSEC_RAD
 from processing.contact.hertz import MATERIALS, pendulum_on_ball
+from processing.deflections import slow_deflections
 from processing.fit.exact import fit_exact
 from processing.fit.result import CONTACT_NAMES
-from processing.swing import SwingDetector
-from rig.analysis.contact_laws import SlowSamples, settled_swings
+from processing.swing import SwingDetector, turning_points
+from rig.analysis.contact_laws import settled_swings
 from rig.settings.configuration import FitSettings
 from tests.calibration.simulated_rig import climb_tilts, draw_rig, spots_of, swing_for_axes
 
@@ -49,8 +50,8 @@ def _found(spots: Spots) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     swings = [*detector.update(times_ns, y_rad, u_y_rad), *detector.finish()]
     swings = [swing for swing in swings if swing.amplitude > FINAL_ARCSEC * ARCSEC_RAD]
     pendulum = pendulum_on_ball(0.406, 6.05e-3, MATERIALS["steel"], MATERIALS["glass_k8"])
-    samples = SlowSamples(times_ns, y_rad, u_y_rad)
-    fit = fit_exact(samples.points(settled_swings(swings, samples, pendulum, FitSettings()).swings), pendulum)
+    slow = slow_deflections(times_ns, y_rad, u_y_rad)
+    fit = fit_exact(turning_points(settled_swings(swings, slow, pendulum, FitSettings()).swings), pendulum)
     estimates = [fit.estimate(name) for name in CONTACT_NAMES]
     return np.array([e.value for e in estimates]), np.array([e.standard_uncertainty for e in estimates])
 

@@ -10,6 +10,7 @@ from rich.console import Console
 from acquisition.frame import Frame
 from calibration.stability import stability
 from processing.angle import ARCSEC_RAD
+from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import Spot, SpotFlag
 from rig.devices.laser import LaserNow
 from rig.measure import preflight
@@ -43,6 +44,13 @@ def assert_no(verdict: Verdict) -> None:
     assert verdict.remedy
 
 
+def look(x: float, y: float, unit: DeflectionUnit) -> Look:
+    """A hundred frames in which the spot stands still."""
+    ones = np.ones(100)
+    deflections = Deflections(np.arange(100) * 10_000_000, x * ones, y * ones, ones, ones, unit)
+    return Look(frames(100), spots(100), deflections, True)
+
+
 def test_spot_that_is_mostly_there() -> None:
     assert preflight.spot_found(spots(1000), LIMITS).ok
     assert_no(preflight.spot_found(spots(98) + spots(2, flags=SpotFlag.LOST), LIMITS))
@@ -69,22 +77,22 @@ def test_a_line_of_vibration_is_named_with_its_frequency() -> None:
     shaken = stability(
         times, noise + 0.5 * ARCSEC_RAD * np.sin(2 * math.pi * 50.0 * times), np.full(2000, 0.01 * ARCSEC_RAD)
     )
-    floor, still = preflight.noise_and_vibration(quiet, quiet, ARCSEC_RAD, LIMITS)
+    floor, still = preflight.noise_and_vibration(quiet, quiet, DeflectionUnit.RAD, LIMITS)
     assert floor.ok
     assert still.ok
-    _, shaking = preflight.noise_and_vibration(quiet, shaken, ARCSEC_RAD, LIMITS)
+    _, shaking = preflight.noise_and_vibration(quiet, shaken, DeflectionUnit.RAD, LIMITS)
     assert_no(shaking)
     assert "50.0 Hz (mains" in shaking.measured
 
 
 def test_a_swinging_pendulum_has_no_noise_floor_and_that_is_no_fault() -> None:
-    verdicts = preflight.noise_and_vibration(None, None, ARCSEC_RAD, LIMITS)
+    verdicts = preflight.noise_and_vibration(None, None, DeflectionUnit.RAD, LIMITS)
     assert all(v.ok and not v.made and v.measured == "not measured" and v.reason for v in verdicts)
 
 
 def test_what_was_not_checked_and_what_is_a_warning_is_not_called_go() -> None:
     verdicts = [
-        *preflight.noise_and_vibration(None, None, ARCSEC_RAD, LIMITS),
+        *preflight.noise_and_vibration(None, None, DeflectionUnit.RAD, LIMITS),
         preflight.spot_found(spots(100), LIMITS),
         preflight.laser(LaserNow(True, "on, 0.5 mW"), goes_dark_by_itself=False),
         preflight.disk(1, 5000.0, 500.0, 3600.0),
@@ -103,16 +111,36 @@ def test_what_was_not_checked_and_what_is_a_warning_is_not_called_go() -> None:
         "laser": "warn",
         "disk space": "NO",
     }
-    assert "not measured: noise floor, vibration: the pendulum may be swinging" in text.getvalue()
+    assert "not checked: noise floor, vibration: the pendulum may be swinging" in text.getvalue()
 
 
 def test_rest_position_far_from_the_reference() -> None:
-    u = np.full(100, 1e-8)
-    near = Look(frames(100), spots(100), np.arange(100) / 100, u * 3, u * 0, u, u, True)
-    assert preflight.rest_position(near, ARCSEC_RAD, LIMITS).ok
+    assert preflight.rest_position(look(3e-8, 0.0, DeflectionUnit.RAD), LIMITS).ok
+    assert_no(preflight.rest_position(look(3e-8, 70 * ARCSEC_RAD, DeflectionUnit.RAD), LIMITS))
 
-    far = Look(near.frames, near.spots, near.times_s, near.x, u * 0 + 70 * ARCSEC_RAD, u, u, True)
-    assert_no(preflight.rest_position(far, ARCSEC_RAD, LIMITS))
+
+def test_px_are_called_px_and_not_held_against_limits_in_arcsec() -> None:
+    """Values that would be go, and values that would be no-go, if their px were taken for arcsec."""
+    times = np.arange(2000) / 500.0
+    noise = np.random.default_rng(3).normal(0.0, 1.0, 2000)
+    for size_px in (0.0001, 10.0):
+        shaken = stability(
+            times,
+            size_px * (noise + 50.0 * np.sin(2 * math.pi * 50.0 * times)),
+            np.full(2000, size_px),
+        )
+        verdicts = [
+            *preflight.noise_and_vibration(shaken, shaken, DeflectionUnit.PX, LIMITS),
+            preflight.rest_position(look(size_px, 70 * size_px, DeflectionUnit.PX), LIMITS),
+        ]
+        for verdict in verdicts:
+            assert " px" in verdict.measured
+            assert "arcsec" not in verdict.measured
+            assert verdict.ok
+            assert not verdict.made
+            assert verdict.reason.startswith("no lever")
+            assert not verdict.remedy
+        assert preflight.failures(verdicts) == ""
 
 
 def test_clock_that_jitters() -> None:

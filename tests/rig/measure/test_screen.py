@@ -9,7 +9,7 @@ import pytest
 from rich.console import Console
 
 from acquisition.frame_losses import FrameLosses
-from processing.angle import ARCSEC_RAD
+from processing.deflections import DeflectionUnit
 from rig.instrument.snapshot import Snapshot
 from rig.measure.screen import RunDisplay
 from rig.view.watcher import _markdown
@@ -25,7 +25,7 @@ SEEN = Snapshot(
 
 def display(folder: Path, output: io.StringIO, *, json_lines: bool = False) -> RunDisplay:
     console = Console(file=output, width=118, height=40)
-    return RunDisplay("run 1", 2.0, "arcsec", ARCSEC_RAD, folder, json_lines=json_lines, console=console)
+    return RunDisplay("run 1", 2.0, DeflectionUnit.RAD, folder, json_lines=json_lines, console=console)
 
 
 def screen(folder: Path, snapshot: Snapshot) -> str:

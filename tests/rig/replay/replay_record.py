@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 
-from acquisition.record.topics import DeflectionUnit
 from acquisition.record.writer import RecordWriter
 from acquisition.simulation.true_path import true_path
 from calibration.axes import Axes
@@ -63,19 +62,15 @@ def make_record(
         "camera": {"full_scale_dn": "255"},
     }
     attachments = configuration_attachments(config, CONFIG)
-    unit: DeflectionUnit = "rad" if calibrated else "px"
     with RecordWriter(
-        path, EPOCH_NS, metadata=metadata, attachments=attachments, deflection_unit=unit
+        path, EPOCH_NS, metadata=metadata, attachments=attachments, deflection_unit=config.deflection_unit
     ) as writer:
         writer.write_event(START_NS, "start", "first frame")
         for first in range(0, len(spots), 25):
             part = slice(first, first + 25)
             block = pipeline.measure(times_ns[part], spots[part])
             listed = times_ns[part].tolist()
-            columns = (block.x_rad, block.y_rad, block.u_x_rad, block.u_y_rad)
-            writer.write_spots(
-                sequences[part].tolist(), listed, listed, block.times_ns, block.spots, *columns
-            )
+            writer.write_spots(sequences[part].tolist(), listed, listed, block.spots, block.deflections)
             for swing in block.swings:
                 writer.write_swing(swing)
             for balance in block.balances:

@@ -7,6 +7,7 @@ import numpy as np
 
 from acquisition.frame import Frame
 from acquisition.record.writer import RecordWriter
+from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import Spot, SpotFlag
 from processing.swing import Swing
 from rig.analysis.record_fit import analyse_record, combine
@@ -32,10 +33,11 @@ def session_in_pixels(folder: Path, *, lost: bool) -> Path:
         spots = [Spot(32 + a, 120 + b, 0.01, 0.01, 3, 3, 0, 200, 8, 1, 0) for a, b in zip(x, y, strict=True)]
     record = folder / "run-1.mcap"
     attachments = {CONFIGURATION_NAME: Configuration().model_dump_json().encode()}
-    with RecordWriter(record, EPOCH_NS, attachments=attachments, deflection_unit="px") as writer:
+    with RecordWriter(record, EPOCH_NS, attachments=attachments, deflection_unit=DeflectionUnit.PX) as writer:
         times_ns = np.round(time_s * 1e9).astype(np.int64)
         numbers = list(range(len(y)))
-        writer.write_spots(numbers, times_ns.tolist(), times_ns.tolist(), times_ns, spots, x, y, u, u)
+        deflections = Deflections(times_ns, x, y, u, u, DeflectionUnit.PX)
+        writer.write_spots(numbers, times_ns.tolist(), times_ns.tolist(), spots, deflections)
         image = np.full((240, 64), 8, dtype=np.uint8)
         image[218:223, 40:45] = 200
         writer.write_image(Frame(image, 0, 0, 0))

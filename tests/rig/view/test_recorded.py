@@ -11,6 +11,7 @@ from acquisition.frame import Frame
 from acquisition.record.events import WARNING_KINDS
 from acquisition.record.writer import RecordWriter
 from processing.angle import ARCSEC_RAD
+from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import ConfigurationError, RecordError
 from processing.spot import Spot, SpotFlag
 from processing.swing import Swing
@@ -46,12 +47,12 @@ def make_record(path: Path, *, start_s: float = 7.0, rows: int = 1000, unit: str
     ]
     spots[LOST_ROW] = Spot(*[math.nan] * 10, SpotFlag.LOST)
     u = np.full(len(sequence), 0.01 * factor)
-    with RecordWriter(path, EPOCH_NS, deflection_unit="px" if unit == "px" else "rad") as writer:
+    with RecordWriter(path, EPOCH_NS, deflection_unit=DeflectionUnit(unit)) as writer:
         for first in range(0, len(sequence), 500):
             part = slice(first, first + 500)
             numbers, times = sequence[part].tolist(), times_ns[part]
-            deflections = (x[part], y[part], u[part], u[part])
-            writer.write_spots(numbers, times.tolist(), times.tolist(), times, spots[part], *deflections)
+            deflections = Deflections(times, x[part], y[part], u[part], u[part], DeflectionUnit(unit))
+            writer.write_spots(numbers, times.tolist(), times.tolist(), spots[part], deflections)
             writer.flush()
         for index in range(4):
             time_ns = int(times_ns[0]) + round(2.035e9 * index)

@@ -1,0 +1,123 @@
+"""Deflections of the pendulum at the times of some frames, with their uncertainties and their unit."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from processing.angle import ARCSEC_RAD
+
+Floats = NDArray[np.float64]
+
+
+class DeflectionUnit(StrEnum):
+    """What deflections and amplitudes are counted in: rad, or px where no lever turns pixels into angles."""
+
+    RAD = "rad"
+    PX = "px"
+
+    @property
+    def shown(self) -> str:
+        """The unit in which a person reads them: arcsec, or px."""
+        return "arcsec" if self is DeflectionUnit.RAD else "px"
+
+    @property
+    def shown_size(self) -> float:
+        """One unit as shown, in this unit: divide by it to show a value."""
+        return ARCSEC_RAD if self is DeflectionUnit.RAD else 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Deflections:
+    """Arrays of one length, an entry a frame, in order of time.
+
+    `y` is along the slow mode's axis (the paper's Y), `x` along the fast mode's. `u_x` and `u_y` are
+    standard uncertainties. All four are in `unit`. NaN where the spot was lost.
+    """
+
+    times_ns: NDArray[np.int64]
+    x: Floats
+    y: Floats
+    u_x: Floats
+    u_y: Floats
+    unit: DeflectionUnit
+
+    def __len__(self) -> int:
+        return len(self.times_ns)
+
+    def __getitem__(self, rows: slice | NDArray[np.bool_]) -> Self:
+        """Some of the frames."""
+        return replace(
+            self,
+            times_ns=self.times_ns[rows],
+            x=self.x[rows],
+            y=self.y[rows],
+            u_x=self.u_x[rows],
+            u_y=self.u_y[rows],
+        )
+
+    @property
+    def times_s(self) -> Floats:
+        """Seconds since the first frame."""
+        return np.asarray((self.times_ns - self.times_ns[:1]) * 1e-9, dtype=np.float64)
+
+    @property
+    def shown_x(self) -> Floats:
+        """`x` in the unit in which a person reads it."""
+        return self.x / self.unit.shown_size
+
+    @property
+    def shown_y(self) -> Floats:
+        """`y` in the unit in which a person reads it."""
+        return self.y / self.unit.shown_size
+
+    @property
+    def found(self) -> NDArray[np.bool_]:
+        """Whether a frame has a spot."""
+        return np.isfinite(self.x) & np.isfinite(self.y)
+
+    def since(self, time_ns: int) -> Self:
+        """The frames from a time on."""
+        return self[int(np.searchsorted(self.times_ns, time_ns)) :]
+
+
+def no_deflections(unit: DeflectionUnit) -> Deflections:
+    """Deflections of no frame at all."""
+    nothing = np.empty(0)
+    return Deflections(np.empty(0, np.int64), nothing, nothing, nothing, nothing, unit)
+
+
+def slow_deflections(
+    times_ns: NDArray[np.int64],
+    y: Floats,
+    u_y: Floats | float,
+    unit: DeflectionUnit = DeflectionUnit.RAD,
+) -> Deflections:
+    """Deflections of which only those along the slow axis are known; `x` is NaN."""
+    unknown = np.full(len(times_ns), np.nan)
+    return Deflections(times_ns, unknown, y, unknown, np.broadcast_to(u_y, y.shape).astype(np.float64), unit)
+
+
+def joined(parts: Iterable[Deflections], unit: DeflectionUnit) -> Deflections:
+    """Consecutive parts as one; `unit` is that of no part at all.
+
+    Raises ValueError for parts in different units.
+    """
+    every = list(parts)
+    if not every:
+        return no_deflections(unit)
+    if len({part.unit for part in every}) > 1:
+        raise ValueError(
+            f"deflections in {' and '.join(sorted({part.unit for part in every}))} cannot be joined"
+        )
+    return Deflections(
+        times_ns=np.concatenate([part.times_ns for part in every]),
+        x=np.concatenate([part.x for part in every]),
+        y=np.concatenate([part.y for part in every]),
+        u_x=np.concatenate([part.u_x for part in every]),
+        u_y=np.concatenate([part.u_y for part in every]),
+        unit=every[0].unit,
+    )
