@@ -1,28 +1,28 @@
 """The one place for symbols, units, rounding, tables, colours and what the terminal is told."""
 
 from rig.presentation import palette
-from rig.presentation.balance import BALANCE, PANELS, balance_quantities, balance_quantity, balance_table
+from rig.presentation.balance import balance_drawn, balance_numbers, balance_panels, balance_table
 from rig.presentation.determined import determined_text, series_verdicts
 from rig.presentation.numbers import number, plain, power, with_uncertainty
 from rig.presentation.printing import plain_values, print_json_line, print_table, say
-from rig.presentation.quantities import SOURCES, Quantity, quantity
+from rig.presentation.quantities import SOURCES, Quantity, law_parameters, quantity
 from rig.presentation.table import Cell, Table
 from rig.presentation.terminal import print_tables
 from rig.presentation.verdict import Verdict
 from rig.presentation.verdict_table import print_verdicts
 
 __all__ = [
-    "BALANCE",
-    "PANELS",
     "SOURCES",
     "Cell",
     "Quantity",
     "Table",
     "Verdict",
-    "balance_quantities",
-    "balance_quantity",
+    "balance_drawn",
+    "balance_numbers",
+    "balance_panels",
     "balance_table",
     "determined_text",
+    "law_parameters",
     "number",
     "palette",
     "plain",

@@ -1,102 +1,73 @@
-"""The balance's numbers: what they are called where a person reads them, and their table."""
+"""The balance's numbers: which there are, their table, and where Rerun draws them."""
 
 import dataclasses
-import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from rig.presentation import palette
-from rig.presentation.numbers import with_uncertainty
+from rig.presentation.quantities import quantity
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
 
-class Quantity(NamedTuple):
-    """How a number of the balance is called, its unit, colour and panel ("": in the table alone).
+class Drawn(NamedTuple):
+    """Name of the entity of a balance's number in Rerun, its colour and its panel."""
 
-    Ratios come as plain numbers and are shown in per cent.
-    """
-
-    label: str
-    unit: str
-    colour: str
-    panel: str
-
-    @property
-    def scale(self) -> float:
-        return 100.0 if self.unit == "%" else 1.0
+    entity: str
+    colour: str = palette.GREY
+    panel: str = ""
 
 
-BALANCE: Final[Mapping[str, Quantity]] = {
-    "period_s": Quantity("period", "s", palette.GREY, ""),
-    "amplitude_arcsec": Quantity("amplitude", "arcsec", palette.GREY, ""),
-    "transverse_arcsec": Quantity("transverse", "arcsec", palette.X_COLOUR, "transverse"),
-    "transverse_ratio": Quantity("transverse ratio", "%", palette.VERMILLION, "ratio"),
-    "width_ratio": Quantity("ellipticity", "%", palette.YELLOW, "ratio"),
-    "line_angle_deg": Quantity("tilt of the line", "deg", palette.BLUISH_GREEN, "tilt"),
-    "rotation_deg_per_min": Quantity("rotation", "deg/min", palette.REDDISH_PURPLE, "rotation"),
-    "rest_x_arcsec": Quantity("rest X", "arcsec", palette.X_COLOUR, "rest_x"),
-    "rest_y_arcsec": Quantity("rest Y", "arcsec", palette.Y_COLOUR, "rest_y"),
-    "drift_x_arcsec_per_min": Quantity("drift X", "arcsec/min", palette.X_COLOUR, "drift"),
-    "drift_y_arcsec_per_min": Quantity("drift Y", "arcsec/min", palette.Y_COLOUR, "drift"),
-    "period_ratio": Quantity("T_V / T_U", "", palette.BLUISH_GREEN, "period_ratio"),
+BALANCE: Final[Mapping[str, Drawn]] = {
+    "period_s": Drawn("period"),
+    "amplitude_rad": Drawn("amplitude"),
+    "transverse_rad": Drawn("transverse", palette.X_COLOUR, "Transverse amplitude"),
+    "transverse_ratio": Drawn("transverse_ratio", palette.VERMILLION, "Transverse, width"),
+    "width_ratio": Drawn("width_ratio", palette.YELLOW, "Transverse, width"),
+    "line_angle_rad": Drawn("line_angle", palette.BLUISH_GREEN, "Tilt of the line"),
+    "rotation_rad_per_s": Drawn("rotation", palette.REDDISH_PURPLE, "Rotation of the line"),
+    "rest_x_rad": Drawn("rest_x", palette.X_COLOUR, "Rest position X"),
+    "rest_y_rad": Drawn("rest_y", palette.Y_COLOUR, "Rest position Y"),
+    "drift_x_rad_per_s": Drawn("drift_x", palette.X_COLOUR, "Drift X, Y"),
+    "drift_y_rad_per_s": Drawn("drift_y", palette.Y_COLOUR, "Drift X, Y"),
+    "period_ratio": Drawn("period_ratio", palette.BLUISH_GREEN, "T_V / T_U"),
 }
-PANELS: Final[Mapping[str, str]] = {
-    "transverse": "Transverse amplitude / {unit}",
-    "ratio": "Transverse, width / %",
-    "tilt": "Tilt of the line / deg",
-    "rotation": "Rotation of the line / (deg/min)",
-    "rest_x": "Rest position X / {unit}",
-    "rest_y": "Rest position Y / {unit}",
-    "drift": "Drift X, Y / ({unit}/min)",
-    "period_ratio": "T_V / T_U",
-}
-"""The balance's panels by name, and their titles."""
+"""By the name in `processing.balance.Balance`; without a panel a number is in the table alone."""
 
 
-def balance_quantity(name: str, unit: str = "arcsec") -> Quantity:
-    """How a number of the balance is shown; one without a description goes by its own name.
+def balance_drawn(key: str) -> Drawn:
+    """Where a number of the balance is drawn; one that is not listed by its own name, in no panel."""
+    return BALANCE.get(key) or Drawn(key)
 
-    `unit` replaces arcsec where deflections are in px for want of a calibration.
+
+def balance_panels(unit: str) -> dict[str, list[str]]:
+    """The entities in each panel, by the panel's title with its unit.
+
+    All quantities of a panel are shown in the same unit; `unit` is that of deflections.
     """
-    known = BALANCE.get(name) or Quantity(name.replace("_", " "), "", palette.GREY, "other")
-    return known._replace(unit=known.unit.replace("arcsec", unit))
+    panels: dict[str, list[str]] = {}
+    for key, drawn in BALANCE.items():
+        if drawn.panel:
+            title = dataclasses.replace(quantity(key, unit), symbol=drawn.panel).label
+            panels.setdefault(title, []).append(drawn.entity)
+    return panels
 
 
-def balance_table(quantities: Mapping[str, tuple[float, float]], unit: str = "arcsec") -> str:
+def balance_numbers(balance: "DataclassInstance | Mapping[str, float]") -> dict[str, tuple[float, float]]:
+    """Every `name` of a balance that comes with a `u_name`: value and standard uncertainty as stored."""
+    fields = balance if isinstance(balance, Mapping) else dataclasses.asdict(balance)
+    return {
+        name: (float(value), float(fields[f"u_{name}"]))
+        for name, value in fields.items()
+        if f"u_{name}" in fields
+    }
+
+
+def balance_table(numbers: Mapping[str, tuple[float, float]], unit: str = "arcsec") -> str:
     """The balance as a table in Markdown."""
     lines = ["| | value ± u |", "|---|---:|"]
-    for name, (value, u) in quantities.items():
-        shown = balance_quantity(name, unit)
-        label = f"{shown.label} / {shown.unit}" if shown.unit else shown.label
-        lines.append(f"| {label} | {with_uncertainty(shown.scale * value, shown.scale * u)} |")
+    for key, (value, u) in numbers.items():
+        shown = quantity(key, unit)
+        lines.append(f"| {shown.label} | {shown.text(value, u)} |")
     return "\n".join(lines)
-
-
-def balance_quantities(
-    balance: "DataclassInstance | Mapping[str, float]", unit_rad: float
-) -> dict[str, tuple[float, float]]:
-    """The numbers of a balance with their uncertainties, in the units that a person reads.
-
-    Every ``name`` that comes with a ``u_name`` is one. Names end in their units: ``_rad`` becomes
-    degrees for angles of the line (``angle``, ``tilt``, ``rotation`` in the name), else the unit of
-    the deflections (arcsec, or px: `unit_rad` 1 where there is no calibration); ``_per_s`` becomes
-    per minute.
-    """
-    fields = balance if isinstance(balance, Mapping) else dataclasses.asdict(balance)
-    shown: dict[str, tuple[float, float]] = {}
-    for name, value in fields.items():
-        u = fields.get(f"u_{name}")
-        if u is None:
-            continue
-        stem, rate, scale = name, "", 1.0
-        if stem.endswith("_per_s"):
-            stem, rate, scale = stem.removesuffix("_per_s"), "_per_min", 60.0
-        if stem.endswith("_rad"):
-            stem = stem.removesuffix("_rad")
-            of_the_line = any(word in stem for word in ("angle", "tilt", "rotation"))
-            scale *= math.degrees(1.0) if of_the_line else 1.0 / unit_rad
-            stem += "_deg" if of_the_line else "_arcsec"
-        shown[stem + rate] = (scale * float(value), scale * float(u))
-    return shown

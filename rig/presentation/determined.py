@@ -5,7 +5,7 @@ from typing import Any
 
 from processing.estimate import WELL_DETERMINED
 from rig.presentation.numbers import number, plain
-from rig.presentation.quantities import quantity
+from rig.presentation.quantities import law_parameters, quantity
 
 
 def determined_text(name: str, value: float, u: float, verdicts: Mapping[str, Mapping[str, Any]]) -> str:
@@ -30,7 +30,7 @@ def series_verdicts(combined: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
         low, high = value - half, value + half
         kind = "determined"
         if number(item, "standard_uncertainty") > WELL_DETERMINED * abs(value):
-            kind = "upper bound" if low <= 0 and name in ("b", "c", "gamma_pa") else "interval"
+            kind = "upper bound" if low <= 0 and law_parameters()[name].lower == 0 else "interval"
         found[name] = {"verdict": kind, "value": value, "lower_95": low, "upper_95": high}
     return found
 

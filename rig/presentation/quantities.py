@@ -1,22 +1,25 @@
 """The one table of quantities: symbol, unit and name of every number that a person reads.
 
-Keys are the names in results.json, which end in the SI unit (or in no unit for a pure number).
+Keys are the names of the values as they are computed and stored, which end in the SI unit. The
+parameters of the contact's laws come with their laws; everything else stands here.
 """
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Final
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import TYPE_CHECKING, Final
 
+from processing.angle import ARCSEC_RAD
 from rig.presentation.numbers import with_uncertainty
 
-_ARCSEC_PER_RAD: Final = 648000 / math.pi
-_ARCMIN_PER_RAD: Final = 10800 / math.pi
+if TYPE_CHECKING:
+    from processing.contact import Parameter
 
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """How a number is shown. `factor` times the number stored is the number shown in `unit`.
+    """How a number is shown: `factor` times the stored value is the number shown, in `unit`.
 
     `unit` is empty for a pure number.
     """
@@ -29,34 +32,87 @@ class Quantity:
     @property
     def label(self) -> str:
         """`γ / MPa`: the heading of a row, a column or an axis."""
-        return f"{self.symbol} / {self.unit}" if self.unit else self.symbol
+        if not self.unit:
+            return self.symbol
+        return f"{self.symbol} / ({self.unit})" if "/" in self.unit else f"{self.symbol} / {self.unit}"
 
     def text(self, value: float, u: float) -> str:
         """A stored value and its standard uncertainty in the shown unit."""
         return with_uncertainty(value * self.factor, u * self.factor)
 
+    def in_px(self) -> "Quantity":
+        """The same where no lever turns pixels into angles, and deflections are stored in px."""
+        if not self.unit.startswith("arcsec"):
+            return self
+        return replace(self, unit=self.unit.replace("arcsec", "px"), factor=self.factor * ARCSEC_RAD)
+
+
+_ARCSEC: Final = 1.0 / ARCSEC_RAD
+_DEGREE: Final = math.degrees(1.0)
+_PER_MIN: Final = 60.0
 
 QUANTITIES: Final[Mapping[str, Quantity]] = {
-    "b": Quantity("b", "rad⁻ᵖ", "friction coefficient of Eq. 1"),
-    "p": Quantity("p", "", "exponent of the friction"),
-    "c": Quantity("c", "", "adhesive part of the friction"),
-    "n": Quantity("n", "", "exponent of the elastic moment"),
-    "period0_s": Quantity("T₀", "s", "period without elastic adhesion"),
-    "gamma_pa": Quantity("γ", "MPa", "elastic adhesion", 1e-6),
-    "drag_s": Quantity("drag", "s", "linear drag"),
-    "initial_amplitude_rad": Quantity("α₀", "arcsec", "amplitude at the start", _ARCSEC_PER_RAD),
-    "start_time_s": Quantity("t₀", "s", "time of the first turning point"),
+    # of the fits
+    "chi2_per_dof": Quantity("χ²/dof", "", "χ² per degree of freedom"),
+    "arae_decay": Quantity("ARAE (8)", "%", "ARAE of the amplitudes, Eq. 8", 100.0),
+    "arae_period": Quantity("ARAE (9)", "%", "ARAE of the periods, Eq. 9", 100.0),
     "surface_energy_table2_j_per_m2": Quantity("σ (Table 2's form)", "mJ/m²", "surface energy", 1e3),
     "surface_energy_eq2_j_per_m2": Quantity("σ (Eq. 2 as printed)", "mJ/m²", "surface energy", 1e3),
+    "dissipated_4a_j": Quantity("4A", "fJ", "work lost in a cycle", 1e15),
+    "adhesive_4at_j": Quantity("4Aₜ", "fJ", "work lost in a cycle by adhesion", 1e15),
+    # of the contact after Hertz
     "contact_radius_m": Quantity("contact radius a", "µm", "radius of the contact", 1e6),
     "contact_depth_m": Quantity("depth a²/R", "µm", "depth of the contact", 1e6),
-    "contact_angle_rad": Quantity("contact angle a/R", "arcmin", "angle of the contact", _ARCMIN_PER_RAD),
+    "contact_angle_rad": Quantity("contact angle a/R", "arcmin", "angle of the contact", 60 * _DEGREE),
+    # of the balance
+    "period_s": Quantity("period", "s", "period of the slow mode"),
+    "amplitude_rad": Quantity("amplitude", "arcsec", "amplitude of the slow mode along Y", _ARCSEC),
+    "transverse_rad": Quantity("transverse", "arcsec", "amplitude of the fast mode along X", _ARCSEC),
+    "transverse_ratio": Quantity("transverse ratio", "%", "transverse over amplitude", 100.0),
+    "width_ratio": Quantity("ellipticity", "%", "width of the slow mode's ellipse over its length", 100.0),
+    "line_angle_rad": Quantity("tilt of the line", "deg", "direction of the line, from Y to X", _DEGREE),
+    "rotation_rad_per_s": Quantity("rotation", "deg/min", "turning of the line", _DEGREE * _PER_MIN),
+    "rest_x_rad": Quantity("rest X", "arcsec", "rest position along X", _ARCSEC),
+    "rest_y_rad": Quantity("rest Y", "arcsec", "rest position along Y", _ARCSEC),
+    "drift_x_rad_per_s": Quantity("drift X", "arcsec/min", "drift of the rest position", _ARCSEC * _PER_MIN),
+    "drift_y_rad_per_s": Quantity("drift Y", "arcsec/min", "drift of the rest position", _ARCSEC * _PER_MIN),
+    "period_ratio": Quantity("T_V / T_U", "", "period of the fast mode over that of the slow one"),
 }
 
+SHOWN_UNITS: Final[Mapping[str, tuple[str, float]]] = {
+    "1": ("", 1.0),
+    "Pa": ("MPa", 1e-6),
+    "rad": ("arcsec", _ARCSEC),
+}
+"""In which unit a law's parameter is shown, by its SI unit; not listed: as it is."""
 
-def quantity(key: str) -> Quantity:
-    """How a number of results.json is shown; one that is not in the table goes by its key."""
-    return QUANTITIES.get(key) or Quantity(key, "", key.replace("_", " "))
+
+def quantity(key: str, unit: str = "arcsec") -> Quantity:
+    """How a number is shown; one that is in no table goes by its key.
+
+    `unit` is that of deflections as shown: arcsec, or px where there is no lever.
+    """
+    found = QUANTITIES.get(key)
+    if found is None:
+        parameter = law_parameters().get(key)
+        if parameter is None:
+            return Quantity(key.replace("_", " "), "", key.replace("_", " "))
+        shown, factor = SHOWN_UNITS.get(parameter.unit, (parameter.unit, 1.0))
+        found = Quantity(parameter.symbol, shown, parameter.description, factor)
+    return found.in_px() if unit == "px" else found
+
+
+@cache
+def law_parameters() -> Mapping[str, "Parameter"]:
+    """Every parameter of every law by its key, and the drag and the start that each fit has beside them.
+
+    The laws are imported when first asked for: the viewer's process never needs them and starts
+    without their kernels.
+    """
+    from processing.contact import AMPLITUDE, DRAG, LAWS, TIME
+
+    own = [p for law in LAWS.values() for p in (*law.parameters, *law.uncalibrated.values())]
+    return {parameter.key: parameter for parameter in (*own, DRAG, AMPLITUDE, TIME)}
 
 
 SOURCES: Final[Mapping[str, str]] = {
@@ -71,7 +127,5 @@ SOURCES: Final[Mapping[str, str]] = {
     "flat_poisson_ratio": "ν of the flat",
     "ball_youngs_modulus_pa": "E of the ball",
     "ball_poisson_ratio": "ν of the ball",
-    "slow_angle_rad": "direction of the slow axis",
-    "non_orthogonality_rad": "angle between the axes",
 }
 """Names of the sources of an uncertainty budget."""

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import rerun as rr
 
-from rig.presentation import balance_quantity, balance_table, palette
+from rig.presentation import balance_drawn, balance_table, palette, quantity
 from rig.rerun import layout
 from rig.rerun.analysis_panels import draw_fits
 from rig.rerun.decimation import Decimator
@@ -125,26 +125,24 @@ class Drawing:
             good = np.isfinite(value)
             if good.any():
                 self._gather_uncertain(
-                    message.run, path, message.time_s[good], value[good], u[good], path, unit, colour
+                    message.run, path, message.time_s[good], value[good], u[good], f"{path} / {unit}", colour
                 )
 
     def _draw_balance(self, message: Balance) -> None:
         at = np.array([message.time_s])
-        for name, (value, u) in message.quantities.items():
-            quantity = balance_quantity(name, self._setup.unit)
+        for name, (value, u) in message.numbers.items():
+            shown, drawn = quantity(name, self._setup.unit), balance_drawn(name)
             if np.isfinite(value):
-                scale = quantity.scale
                 self._gather_uncertain(
                     message.run,
-                    f"{layout.BALANCE_ROOT}/{name}",
+                    f"{layout.BALANCE_ROOT}/{drawn.entity}",
                     at,
-                    np.array([scale * value]),
-                    np.array([scale * u]),
-                    quantity.label,
-                    quantity.unit,
-                    quantity.colour,
+                    np.array([shown.factor * value]),
+                    np.array([shown.factor * u]),
+                    shown.label,
+                    drawn.colour,
                 )
-        table = balance_table(message.quantities, self._setup.unit)
+        table = balance_table(message.numbers, self._setup.unit)
         self._draw_text(message.run, layout.BALANCE_TABLE, message.time_s, table)
         if message.advice:
             self._draw_text(message.run, layout.ADVICE, message.time_s, message.advice)
@@ -195,15 +193,13 @@ class Drawing:
         value: Floats,
         u: Floats,
         label: str,
-        unit: str,
         colour: str,
     ) -> None:
         """A value and, fainter, the lines one standard uncertainty above and below it."""
-        named = f"{label} / {unit}" if unit else label
-        self._gather(run, f"{path}/value", time_s, value, named, colour)
+        self._gather(run, f"{path}/value", time_s, value, label, colour)
         # The same name and colour: the legend has one entry for the three.
         for side, sign in (("upper", 1.0), ("lower", -1.0)):
-            self._gather(run, f"{path}/{side}", time_s, value + sign * u, named, colour, width=0.4)
+            self._gather(run, f"{path}/{side}", time_s, value + sign * u, label, colour, width=0.4)
 
     def _gather(
         self,

@@ -16,7 +16,7 @@ from typing import Final
 import rerun as rr
 import rerun.blueprint as rrb
 
-from rig.presentation import BALANCE, PANELS
+from rig.presentation import balance_panels
 from rig.rerun.graticule import BOX, PLANE_REACH
 from rig.rerun.marks import BACKGROUND
 from rig.rerun.messages import LayoutName
@@ -112,7 +112,7 @@ class _Views:
         return rrb.Horizontal(
             rrb.Vertical(self.trajectory(), self.stretched()),
             rrb.Grid(
-                *(self.balance(panel, title.format(unit=self._unit)) for panel, title in PANELS.items()),
+                *(self.balance(title, names) for title, names in balance_panels(self._unit).items()),
                 grid_columns=2,
             ),
             rrb.Vertical(
@@ -187,8 +187,7 @@ class _Views:
             name=title, contents=self._below(path), plot_legend=rrb.PlotLegend(visible=len(self._runs) > 1)
         )
 
-    def balance(self, panel: str, title: str) -> rrb.View:
-        names = [name for name, quantity in BALANCE.items() if quantity.panel == panel]
+    def balance(self, title: str, names: Sequence[str]) -> rrb.View:
         contents = [line for name in names for line in self._below(f"{BALANCE_ROOT}/{name}")]
         legend = rrb.PlotLegend(rrb.Corner2D.RightTop, visible=len(names) > 1 or len(self._runs) > 1)
         return rrb.TimeSeriesView(name=title, contents=contents, plot_legend=legend)

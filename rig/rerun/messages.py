@@ -62,11 +62,15 @@ class Swings(NamedTuple):
 
 
 class Balance(NamedTuple):
-    """Numbers of the balance by name, each a value with its standard uncertainty, and advice."""
+    """Numbers of the balance by name, each a value with its standard uncertainty, and advice.
+
+    Names and units are those of `processing.balance.Balance`; without a lever what is in rad there
+    is in px.
+    """
 
     run: str
     time_s: float
-    quantities: Mapping[str, tuple[float, float]]
+    numbers: Mapping[str, tuple[float, float]]
     advice: str
 
 

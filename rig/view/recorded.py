@@ -19,7 +19,7 @@ from processing.balance import Balance
 from processing.errors import RecordError
 from processing.spot import SpotFlag
 from rig.instrument import advice_text, recorded_configuration
-from rig.presentation import balance_quantities, say
+from rig.presentation import balance_numbers, say
 from rig.rerun import LayoutName, LogLevel
 from rig.view.analysis_curves import analysis_curves, overlaid_curves, report_text, run_analysis
 from rig.view.rrd_display import show_rrd
@@ -197,7 +197,7 @@ def _draw(viewer: Viewer, reader: RecordReader, run: str, start_ns: int, later_s
     names = balances.dtype.names or ()
     for row in balances:
         fields = dict(zip(names, row.tolist(), strict=True))
-        quantities = balance_quantities(fields, 1.0 / scale)
+        quantities = balance_numbers(fields)
         viewer.balance(float(seconds(fields["time_ns"])), quantities, advice=advise(fields), run=run)
     for event in reader.events():
         level: LogLevel = "warning" if event.is_warning else "info"

@@ -209,14 +209,14 @@ class Viewer:
     def balance(
         self,
         time_s: float,
-        quantities: Mapping[str, tuple[float, float]],
+        numbers: Mapping[str, tuple[float, float]],
         *,
         advice: str = "",
         run: str = "",
     ) -> None:
-        """Balance at one moment: value and standard uncertainty by name (see `layout.BALANCE`)."""
+        """Balance at one moment: value and standard uncertainty by name (see `rig.rerun.Balance`)."""
         if self._feeds:
-            plain = {name: (float(value), float(u)) for name, (value, u) in quantities.items()}
+            plain = {name: (float(value), float(u)) for name, (value, u) in numbers.items()}
             self._put(Balance(run, float(time_s), plain, advice))
 
     def image(

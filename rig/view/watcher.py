@@ -13,7 +13,7 @@ from processing.angle import ARCSEC_RAD
 from processing.balance import Balance
 from processing.spot import Spot, SpotFlag
 from rig.instrument import Block, Snapshot, advice_text
-from rig.presentation import balance_quantities
+from rig.presentation import balance_numbers
 from rig.rerun import LayoutName, LogLevel, Mode
 from rig.settings import Configuration
 from rig.view.viewer import ViewCounts, Viewer
@@ -63,7 +63,7 @@ class LiveView:
         for balance in block.balances:
             self._viewer.balance(
                 (balance.time_ns - start_ns) * 1e-9,
-                balance_quantities(balance, self._unit_rad),
+                balance_numbers(balance),
                 advice=self._advise(balance),
             )
         now_s = time.monotonic()

@@ -4,11 +4,13 @@ The numbers are made up to be seen (a tilted, slowly turning ellipse with some o
 physics is tested with them.
 """
 
+import math
 from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
 
+from processing.angle import ARCSEC_RAD
 from rig.rerun.messages import Curve
 from rig.view.viewer import Viewer
 
@@ -93,6 +95,10 @@ def curves() -> list[Curve]:
     ]
 
 
+def _arcsec(value: float, u: float) -> tuple[float, float]:
+    return value * ARCSEC_RAD, u * ARCSEC_RAD
+
+
 def _half_cycle(viewer: Viewer, time_s: float, random: np.random.Generator, run: str) -> None:
     amplitude = 120 * np.exp(-time_s / 900)
     noise = random.normal(size=8)
@@ -107,15 +113,15 @@ def _half_cycle(viewer: Viewer, time_s: float, random: np.random.Generator, run:
     viewer.balance(
         time_s,
         {
-            "transverse_arcsec": (2.5 * np.exp(-time_s / 200) + 0.02 * noise[2], 0.02),
+            "transverse_rad": _arcsec(2.5 * np.exp(-time_s / 200) + 0.02 * noise[2], 0.02),
             "transverse_ratio": (0.02 + 0.0005 * noise[3], 0.0005),
             "width_ratio": (0.011 + 0.0005 * noise[4], 0.0005),
-            "line_angle_deg": (1.6 + 0.01 * noise[5], 0.01),
-            "rotation_deg_per_min": (0.05 + 0.02 * noise[6], 0.02),
-            "rest_x_arcsec": (0.5 + 0.001 * time_s, 0.01),
-            "rest_y_arcsec": (-1.1 + 0.002 * time_s, 0.01),
-            "drift_x_arcsec_per_min": (0.06, 0.004),
-            "drift_y_arcsec_per_min": (0.12, 0.005),
+            "line_angle_rad": (math.radians(1.6 + 0.01 * noise[5]), math.radians(0.01)),
+            "rotation_rad_per_s": (math.radians(0.05 + 0.02 * noise[6]) / 60, math.radians(0.02) / 60),
+            "rest_x_rad": _arcsec(0.5 + 0.001 * time_s, 0.01),
+            "rest_y_rad": _arcsec(-1.1 + 0.002 * time_s, 0.01),
+            "drift_x_rad_per_s": _arcsec(0.06 / 60, 0.004 / 60),
+            "drift_y_rad_per_s": _arcsec(0.12 / 60, 0.005 / 60),
             "period_ratio": (5.1 + 0.001 * noise[7], 0.003),
         },
         advice="The line is tilted by **1.60°** clockwise.",

@@ -74,7 +74,7 @@ ENTITIES = {
     "/deflection/y",
     "/amplitude/value",
     "/period/upper",
-    "/balance/line_angle_deg/value",
+    "/balance/line_angle/value",
     "/losses/view_dropped",
     "/camera/image",
     "/camera/spot",

@@ -1,5 +1,6 @@
 """The view's parts without a viewer: queue, axes, trail, decimation, the balance's table, colours."""
 
+import dataclasses
 import itertools
 import math
 
@@ -10,14 +11,16 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from processing.angle import ARCSEC_RAD
+from processing.balance import Balance
+from processing.contact import LAWS
 from rig.presentation import palette
 from rig.presentation.balance import (
     BALANCE,
-    PANELS,
-    balance_quantities,
-    balance_quantity,
+    balance_drawn,
+    balance_numbers,
     balance_table,
 )
+from rig.presentation.quantities import QUANTITIES, law_parameters, quantity
 from rig.rerun.decimation import Decimator
 from rig.rerun.graticule import Graticule, reach_beyond, tick_label, ticks, trajectory_graticule
 from rig.rerun.messages import Picture, Samples, State
@@ -156,7 +159,7 @@ def test_decimation_keeps_the_rate_and_every_flag(rate_hz: float, seed: int) -> 
 
 
 def test_the_balances_table_names_values_and_units() -> None:
-    table = balance_table({"transverse_ratio": (0.0201, 0.0005), "rest_x_arcsec": (-0.5, 0.01)}, unit="px")
+    table = balance_table({"transverse_ratio": (0.0201, 0.0005), "rest_x_rad": (-0.5, 0.01)}, unit="px")
     assert "| transverse ratio / % | 2.010 ± 0.050 |" in table
     assert "| rest X / px | −0.500 ± 0.010 |" in table
 
@@ -173,17 +176,36 @@ def test_the_balances_numbers_come_in_units_that_a_person_reads() -> None:
         "period_ratio": 5.0,
         "u_period_ratio": 0.1,
     }
-    shown = balance_quantities(fields, ARCSEC_RAD)
-    assert shown["rest_x_arcsec"] == pytest.approx((1.0, 0.1))
-    assert shown["drift_x_arcsec_per_min"] == pytest.approx((60.0, 0.0))
-    assert shown["rotation_deg_per_min"] == pytest.approx((60.0, 0.0))
+    numbers = balance_numbers(fields)
+    shown = {key: tuple(quantity(key).factor * x for x in pair) for key, pair in numbers.items()}
+    assert shown["rest_x_rad"] == pytest.approx((1.0, 0.1))
+    assert shown["drift_x_rad_per_s"] == pytest.approx((60.0, 0.0))
+    assert shown["rotation_rad_per_s"] == pytest.approx((60.0, 0.0))
     assert shown["period_ratio"] == pytest.approx((5.0, 0.1))
+    assert [quantity(key).unit for key in shown] == ["arcsec", "arcsec/min", "deg/min", ""]
+    assert [quantity(key, "px").unit for key in shown] == ["px", "px/min", "deg/min", ""]
+    assert quantity("rest_x_rad", "px").factor == pytest.approx(1.0)
     assert set(shown) <= set(BALANCE)
 
 
-def test_every_quantity_has_a_panel_and_an_unknown_one_a_name() -> None:
-    assert {quantity.panel for quantity in BALANCE.values() if quantity.panel} == set(PANELS)
-    assert balance_quantity("a_new_number").label == "a new number"
+def test_every_number_of_a_balance_has_a_unit_and_a_place_and_an_unknown_one_a_name() -> None:
+    fields = [field.name for field in dataclasses.fields(Balance)]
+    numbers = {name for name in fields if f"u_{name}" in fields}
+    assert numbers == set(BALANCE)
+    assert numbers <= set(QUANTITIES)
+    for panel in {drawn.panel for drawn in BALANCE.values()} - {""}:
+        assert len({quantity(key).unit for key, drawn in BALANCE.items() if drawn.panel == panel}) == 1
+    assert quantity("a_new_number").label == "a new number"
+    assert balance_drawn("a_new_number").entity == "a_new_number"
+
+
+def test_the_parameters_of_every_law_are_shown_as_the_law_says() -> None:
+    for law in LAWS.values():
+        for parameter in (*law.parameters, *law.uncalibrated.values()):
+            assert quantity(parameter.key).symbol == parameter.symbol
+    assert not set(QUANTITIES) & set(law_parameters())
+    assert quantity("gamma_pa").text(28.7e6, 0.52e6) == "28.70 ± 0.52"
+    assert quantity("initial_amplitude_rad", "px").unit == "px"
 
 
 def test_the_palette_is_told_apart_by_its_lightness_or_hue() -> None:

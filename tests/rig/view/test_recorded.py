@@ -78,7 +78,7 @@ def test_a_record_is_drawn_from_its_start(tmp_path: Path) -> None:
     assert times_s[-1] == pytest.approx(10.0, abs=1e-9)
     assert scalars(rrd, "/amplitude/value")[1] == pytest.approx([120.0] * 4)
     assert scalars(rrd, "/period/value")[1] == pytest.approx([4.07] * 4)
-    assert scalars(rrd, "/balance/line_angle_deg/value")[1] == pytest.approx([1.5] * 4)
+    assert scalars(rrd, "/balance/line_angle/value")[1] == pytest.approx([1.5] * 4)
     assert scalars(rrd, "/balance/transverse_ratio/upper")[1] == pytest.approx([2.05] * 4)
     assert scalars(rrd, "/losses/missing_frames")[1][-1] == 1
     assert scalars(rrd, "/losses/lost_spots")[1][-1] == 1
