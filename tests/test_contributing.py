@@ -1,0 +1,97 @@
+"""The worked examples of CONTRIBUTING, made and run in a copy of the tree, one after the other."""
+
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+COPIED = ("rig", "acquisition", "calibration", "processing", "tests", "configs")
+BLOCK = re.compile(r"^```(\w+)(?: ([^\n]+))?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+
+
+def examples() -> dict[str, str]:
+    """The text of each example by its title."""
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    part = text.partition("\n## Worked examples\n")[2].partition("\n## ")[0]
+    found = re.split(r"^### (.*)$", part, flags=re.MULTILINE)[1:]
+    return dict(zip(found[::2], found[1::2], strict=True))
+
+
+@pytest.fixture(scope="module")
+def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A copy of the tree with the files of all examples, and the compiled kernels beside their sources."""
+    copy = tmp_path_factory.mktemp("copy")
+    for name in COPIED:
+        shutil.copytree(ROOT / name, copy / name, ignore=shutil.ignore_patterns("data"))
+    for name in ("pyproject.toml", "README.md"):
+        shutil.copy(ROOT / name, copy)
+    for text in examples().values():
+        for _, place, content in BLOCK.findall(text):
+            if place:
+                put(copy, place, content)
+    return copy
+
+
+def put(copy: Path, place: str, content: str) -> None:
+    """A file, or lines that go to the top of a table (`FILE, in NAME`) or above it (`FILE, above NAME`)."""
+    name, _, where = place.partition(", ")
+    path = copy / name
+    if not where:
+        assert not path.exists(), f"{name} is there already"
+        path.write_text(content, encoding="utf-8")
+        return
+    before = path.read_text(encoding="utf-8")
+    how, table = where.split()
+    pattern = rf"^{table}\b[^\n]*[\[({{]\n" if how == "in" else rf"^(?={table}\b)"
+    found = re.search(pattern, before, re.MULTILINE)
+    assert found is not None, f"{name} has no table {table}"
+    path.write_text(before[: found.end()] + content + before[found.end() :], encoding="utf-8")
+
+
+def run(tree: Path, command: str) -> str:
+    """The output of a command in the copy."""
+    program, *words = shlex.split(command)
+    assert program in ("rig", "pytest"), command
+    environment = {**os.environ, "PYTHONPATH": str(tree), "COLUMNS": "200"}
+    done = subprocess.run(
+        [sys.executable, "-m", program, *words],
+        cwd=tree,
+        env=environment,
+        capture_output=True,
+        text=True,
+        stdin=subprocess.DEVNULL,
+        timeout=600,
+        check=False,
+    )
+    assert done.returncode == 0, f"{command}\n{done.stdout[-2000:]}\n{done.stderr[-2000:]}"
+    return done.stdout
+
+
+def run_all(tree: Path, title: str) -> dict[str, str]:
+    """Output of every command of an example."""
+    blocks = BLOCK.findall(examples()[title])
+    lines = [line for kind, _, content in blocks if kind == "sh" for line in content.splitlines()]
+    assert lines, f"{title}: has no commands"
+    return {line: run(tree, line) for line in lines}
+
+
+def test_a_camera_is_found_and_delivers_frames(tree: Path) -> None:
+    said = run_all(tree, "Adding a camera")
+    assert "swinging_spot  Swinging spot  serial SW-1" in said["rig devices"]
+    assert "camera.frame_rate_hz = 40.0" in said["rig camera show swinging-spot.toml"]
+    assert re.search(r"/spot +8\d\d\n", said["rig info runs/swinging-spot/run-1.mcap"])
+    tested = said["pytest tests/acquisition/cameras/test_swinging_spot.py"]
+    assert re.search(r"\b1\d passed", tested), tested
+
+
+def test_a_laser_passes_the_tests_of_lasers(tree: Path) -> None:
+    said = run_all(tree, "Adding a laser")
+    (tested,) = said.values()
+    assert re.search(r"\b1\d passed", tested), tested
+    run(tree, "rig camera show laser.toml")
