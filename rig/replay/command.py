@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Literal
 
 from acquisition.record.reader import RecordReader
-from processing.angle import ARCSEC_RAD
 from processing.errors import ConfigurationError
 from rig.analysis import (
     RunResult,
@@ -71,18 +70,16 @@ def replay_record(
             say(reader.cut_notice)
         wants_view = mode != "none" or rrd is not None
         replay = Replay(reader, config, retrack=retrack, from_s=from_s, to_s=to_s, pictures=wants_view)
-        unit = "px" if config.lever is None else "arcsec"
         with ExitStack() as stack:
             view = _view(stack, reader, config, record, rrd, mode) if wants_view else None
             keys = stack.enter_context(Keys())
-            line = stack.enter_context(ReplayLine(unit, HELP if keys.there else ""))
+            line = stack.enter_context(ReplayLine(config.deflection_unit.shown, HELP if keys.there else ""))
             player = Player(
                 replay,
                 pace,
                 keys,
                 line,
                 retrack=retrack,
-                unit_rad=ARCSEC_RAD if unit == "arcsec" else 1.0,
                 view=view,
                 events=reader.events() if wants_view else [],
             )

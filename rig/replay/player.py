@@ -6,7 +6,6 @@ from collections.abc import Callable
 from typing import Final, Protocol
 
 from acquisition.record.events import Event
-from processing.angle import ARCSEC_RAD
 from processing.spot import SpotFlag
 from rig.instrument import Snapshot
 from rig.replay.keys import Keys
@@ -51,7 +50,6 @@ class Player:
         display: Display,
         *,
         retrack: bool = False,
-        unit_rad: float = ARCSEC_RAD,
         view: LiveView | None = None,
         events: list[Event] | None = None,
         clock: Callable[[], float] = time.monotonic,
@@ -61,7 +59,6 @@ class Player:
         self._keys = keys
         self._display = display
         self._most = _MOST_FRAMES[retrack]
-        self._unit_rad = unit_rad
         self._view = view
         self._events = sorted(events or [], key=lambda event: event.time_ns)
         self._clock = clock
@@ -126,7 +123,7 @@ class Player:
         for swing in block.swings:
             self._half_cycles += 1
             if not swing.flags:
-                self._amplitude = swing.amplitude / self._unit_rad
+                self._amplitude = swing.amplitude / block.deflections.unit.shown_size
                 self._period_s = 2.0 * swing.half_period_s
         self._draw(step)
         return step

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import BALANCE_TOPIC, SPOT, SPOT_UNCALIBRATED
-from processing.angle import ARCSEC_RAD
 from processing.balance import Balance
+from processing.deflections import DeflectionUnit
 from processing.errors import RecordError
 from processing.spot import SpotFlag
 from rig.instrument import advice_text, recorded_configuration
@@ -96,7 +96,7 @@ def write_rrd(
         ", ".join(path.stem for path in paths),
         runs=names,
         amplitude_arcsec=max(each.amplitude for each in overviews),
-        unit=units.pop(),
+        unit=units.pop().shown,
     )
     lines = ["| record | start (UTC) | spots | half-cycles | |", "|---|---|---:|---:|---|"]
     with viewer:
@@ -138,7 +138,7 @@ def run_names(paths: Sequence[Path]) -> list[str]:
 class Overview(NamedTuple):
     """What must be known of a record before it is drawn."""
 
-    unit: str
+    unit: DeflectionUnit
     start_ns: int
     start_utc_ns: int
     amplitude: float
@@ -150,29 +150,20 @@ def overview(path: Path) -> Overview:
         head = next(spot_tables(reader), None)
         if head is None:
             raise RecordError(f"{path}: holds no spots; nothing can be shown")
-        x, y, unit = deflections(head, reader)
+        deflections = reader.deflections(head)
         with np.errstate(invalid="ignore"):
-            reach = np.fmax(np.abs(x), np.abs(y))
+            reach = np.fmax(np.abs(deflections.shown_x), np.abs(deflections.shown_y))
         amplitude = float(np.nanmax(reach)) if np.isfinite(reach).any() else 1.0
         start_ns = int(head["time_ns"][0])
-        return Overview(unit, start_ns, start_ns + reader.epoch_offset_ns, max(amplitude, 1e-3))
+        return Overview(deflections.unit, start_ns, start_ns + reader.epoch_offset_ns, max(amplitude, 1e-3))
 
 
 def spot_tables(reader: RecordReader) -> Iterator[NDArray[Any]]:
     """The record's spots, some thousand at a time."""
-    kind = SPOT_UNCALIBRATED if reader.deflection_unit == "px" else SPOT
+    kind = SPOT if reader.deflection_unit is DeflectionUnit.RAD else SPOT_UNCALIBRATED
     messages = reader.messages(kind.topic)
     while block := list(islice(messages, BLOCK_ROWS)):
         yield kind.decode_table([message.data for message in block])
-
-
-def deflections(
-    table: NDArray[Any], reader: RecordReader
-) -> tuple[NDArray[np.float64], NDArray[np.float64], str]:
-    """X, Y and their unit: arcsec, or px without a calibration."""
-    if reader.deflection_unit == "px":
-        return table["x_deflection_px"], table["y_deflection_px"], "px"
-    return table["x_rad"] / ARCSEC_RAD, table["y_rad"] / ARCSEC_RAD, "arcsec"
 
 
 def _draw(viewer: Viewer, reader: RecordReader, run: str, start_ns: int, later_s: float) -> tuple[int, int]:
@@ -181,14 +172,14 @@ def _draw(viewer: Viewer, reader: RecordReader, run: str, start_ns: int, later_s
     def seconds(time_ns: Any) -> Any:
         return (np.asarray(time_ns) - start_ns) * 1e-9 + later_s
 
-    scale = 1.0 if reader.deflection_unit == "px" else 1.0 / ARCSEC_RAD
+    size = reader.deflection_unit.shown_size
     swings = reader.swings()
     if swings:
         viewer.swings(
             seconds([swing.turn_time_ns for swing in swings]),
-            [swing.amplitude * scale for swing in swings],
+            [swing.amplitude / size for swing in swings],
             [2.0 * swing.half_period_s for swing in swings],
-            u_amplitude_arcsec=[swing.u_amplitude * scale for swing in swings],
+            u_amplitude_arcsec=[swing.u_amplitude / size for swing in swings],
             u_period_s=[2.0 * swing.u_half_period_s for swing in swings],
             run=run,
         )
@@ -231,9 +222,9 @@ def _draw_spots(
     last: int | None = None
     viewer.losses(later_s, {"missing_frames": 0, "lost_spots": 0}, own=False, run=run)
     for table in spot_tables(reader):
-        x, y, _ = deflections(table, reader)
-        time_s = (table["time_ns"] - start_ns) * 1e-9 + later_s
-        viewer.samples(time_s, x, y, table["flags"], run=run)
+        deflections = reader.deflections(table)
+        time_s = (deflections.times_ns - start_ns) * 1e-9 + later_s
+        viewer.samples(time_s, deflections.shown_x, deflections.shown_y, table["flags"], run=run)
         sequence = table["sequence"]
         before = sequence[0] - 1 if last is None else last
         missing += int(np.maximum(np.diff(sequence, prepend=before) - 1, 0).sum())

@@ -9,8 +9,8 @@ import numpy as np
 
 from acquisition.frame import Frame
 from acquisition.record.events import Event
-from processing.angle import ARCSEC_RAD
 from processing.balance import Balance
+from processing.deflections import DeflectionUnit
 from processing.spot import Spot, SpotFlag
 from rig.instrument import Block, Snapshot, advice_text
 from rig.presentation import balance_numbers
@@ -31,14 +31,13 @@ class LiveView:
     def __init__(
         self,
         viewer: Viewer,
-        unit: str,
+        unit: DeflectionUnit,
         image_interval_s: float,
         full_scale_dn: int,
         advise: Callable[[Balance], str] = lambda _: "",
     ) -> None:
         self._viewer = viewer
         self._unit = unit
-        self._unit_rad = ARCSEC_RAD if unit == "arcsec" else 1.0
         self._image_interval_s = image_interval_s
         self._full_scale_dn = full_scale_dn
         self._advise = advise
@@ -55,9 +54,9 @@ class LiveView:
         if block.swings:
             self._viewer.swings(
                 [(swing.turn_time_ns - start_ns) * 1e-9 for swing in block.swings],
-                [swing.amplitude / self._unit_rad for swing in block.swings],
+                [swing.amplitude / self._unit.shown_size for swing in block.swings],
                 [2.0 * swing.half_period_s for swing in block.swings],
-                u_amplitude_arcsec=[swing.u_amplitude / self._unit_rad for swing in block.swings],
+                u_amplitude_arcsec=[swing.u_amplitude / self._unit.shown_size for swing in block.swings],
                 u_period_s=[2.0 * swing.u_half_period_s for swing in block.swings],
             )
         for balance in block.balances:
@@ -95,7 +94,7 @@ class LiveView:
         if now_s < self._next_state_s:
             return
         self._next_state_s = now_s + _STATE_INTERVAL_S
-        self._viewer.state(_markdown(snapshot, self._unit), time_s=snapshot.elapsed_s)
+        self._viewer.state(_markdown(snapshot, self._unit.shown), time_s=snapshot.elapsed_s)
         self._viewer.losses(
             snapshot.elapsed_s,
             {"dropped_frames": snapshot.dropped_frames, "lost_spots": snapshot.lost_spots},
@@ -132,9 +131,9 @@ def start_view(
 
     `advise` says what to turn where more is known than what the weights should do.
     """
-    unit = "px" if config.lever is None else "arcsec"
+    unit = config.deflection_unit
     viewer = Viewer(
-        rrd, mode, layout, title, amplitude_arcsec=config.session.initial_amplitude_arcsec, unit=unit
+        rrd, mode, layout, title, amplitude_arcsec=config.session.initial_amplitude_arcsec, unit=unit.shown
     )
     viewer.start()
     return LiveView(

@@ -157,4 +157,4 @@ def test_without_a_terminal_there_are_no_keys(record: Path, tmp_path: Path) -> N
     assert len(times_s) == round(SECONDS * 50) - 1
     assert abs(values[0]) > 100.0
     assert len(scalars(rrd, "/amplitude/value")[0]) >= 25
-    assert len(scalars(rrd, "/balance/line_angle_deg/value")[0]) >= 10
+    assert len(scalars(rrd, "/balance/line_angle/value")[0]) >= 10
