@@ -1,4 +1,4 @@
-"""One frame: follow the spot from the last one; the compiled heart of the tracker."""
+"""One frame when the spot was seen in the last one: fit it from where it should be now."""
 
 import math
 
@@ -6,16 +6,26 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from processing.spot.general_fit import PARAMETERS, background_variance, fit_general
+from processing.spot.fit_values import (
+    AMPLITUDE,
+    REACH,
+    SIGMA_X,
+    SIGMA_Y,
+    Fitted,
+    Floats,
+    Place,
+    as_kind,
+    workspace_of,
+)
+from processing.spot.general_fit import fit_general
+from processing.spot.memory import LAST, TILT_HINTS, TILTED, TWO, expect
 from processing.spot.outcome import Result, finish, significant
-from processing.spot.second_spot import REACH
+from processing.spot.sensor_model import PixelNoise, pixel_noise_of
 from processing.spot.spot import Image
-from processing.spot.upright_fit import fit_upright
-
-Floats = NDArray[np.float64]
+from processing.spot.upright_fit import TILT_EVIDENCE, fit_upright
 
 SEARCH = -1
-"""In place of flags: the spot was not found where it was expected."""
+"""In the place of the flags: the spot was not found where it was expected."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -25,65 +35,45 @@ def follow(
     origin_y: int,
     sensor_nx: int,
     sensor_ny: int,
-    state: Floats,
-    work: Floats,
+    memory: Floats,
+    work_array: Floats,
     tables: NDArray[np.float32],
+    noise_values: Floats,
 ) -> Result:
     """Spot of one frame from the last one's; flags are `SEARCH` where it is not where it should be."""
-    p = work[0]
-    matrix = work[1:11]
-    factor = work[11:21]
-    zero_variance, inverse_gain, full_scale, uneven = state[16], state[17], state[18], state[20]
-    _expected(state, origin_x, origin_y, p)
-    tilted = state[13] > 0.0
-    two = state[14] > 0.0
+    place = Place(origin_x, origin_y, sensor_nx, sensor_ny)
+    work = workspace_of(work_array)
+    noise = pixel_noise_of(noise_values)
+    expect(memory, place, work.parameters)
+    tilted = memory[TILTED] > 0.0
+    two = memory[TWO] > 0.0
     if not (tilted or two):
-        done, chi2, pixels, outliers, evidence = fit_upright(
-            image, p, False, zero_variance, inverse_gain, uneven, full_scale, tables, matrix, factor
-        )
-        if done:
-            # three frames in a row must say so before the spot is taken for tilted
-            state[15] = state[15] + 1.0 if abs(evidence) > 6.0 else 0.0
-            if state[15] >= 3.0:
-                tilted = True
+        upright = fit_upright(image, work, False, noise, tables)
+        one = upright.fitted
+        if one.done:
+            # three frames in a row must say so before the spot is taken for tilted: the general fit that
+            # follows from then on costs many times the time
+            memory[TILT_HINTS] = memory[TILT_HINTS] + 1.0 if abs(upright.tilt) > TILT_EVIDENCE else 0.0
+            tilted = memory[TILT_HINTS] >= 3.0
             return finish(
-                image, origin_x, origin_y, sensor_nx, sensor_ny, state, work,
-                False, tilted, False, True, chi2, pixels, 0, outliers,
-            )  # fmt: skip
-        _expected(state, origin_x, origin_y, p)
-    done, chi2, pixels, saturated, outliers = fit_general(
-        image, p, tilted, two, zero_variance, inverse_gain, uneven, full_scale, REACH, matrix, factor
-    )
-    if not done or not _plausible(
-        p, state, background_variance(p, zero_variance, inverse_gain), outliers, pixels
-    ):
+                image, place, memory, work, noise, as_kind(one, one.size, tilted, False), followed=True
+            )
+        expect(memory, place, work.parameters)
+    fitted = fit_general(image, work, tilted, two, noise, REACH)
+    if not fitted.done or not _plausible(work.parameters, memory, noise, fitted):
         nan = math.nan
         return nan, nan, nan, nan, nan, nan, nan, nan, nan, nan, SEARCH
-    return finish(
-        image, origin_x, origin_y, sensor_nx, sensor_ny, state, work,
-        True, tilted, two, True, chi2, pixels, saturated, outliers,
-    )  # fmt: skip
+    return finish(image, place, memory, work, noise, fitted, followed=True)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _expected(state: Floats, origin_x: int, origin_y: int, p: Floats) -> None:
-    """Where the spot should be: the last place and its last step once more."""
-    for k in range(PARAMETERS):
-        p[k] = state[1 + k]
-    p[1] += state[11] - origin_x
-    p[2] += state[12] - origin_y
-    p[8] += state[11] - origin_x
-    p[9] += state[12] - origin_y
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _plausible(p: Floats, state: Floats, floor: float, outliers: int, pixels: int) -> bool:
+def _plausible(p: Floats, memory: Floats, noise: PixelNoise, fitted: Fitted) -> bool:
     """The spot that was followed still looks like itself; else it is looked for anew."""
-    ratio_x = p[3] / state[4]
-    ratio_y = p[4] / state[5]
+    ratio_x = p[SIGMA_X] / memory[LAST + SIGMA_X]
+    ratio_y = p[SIGMA_Y] / memory[LAST + SIGMA_Y]
     return (
-        significant(p, floor, pixels, outliers)
+        significant(p, noise, fitted)
         and 0.5 < ratio_x < 2.0
         and 0.5 < ratio_y < 2.0
-        and p[0] > 0.05 * state[1]
+        and p[AMPLITUDE] > 0.05 * memory[LAST + AMPLITUDE]
     )

@@ -1,195 +1,156 @@
-"""What a fit's end means: second spot, flags, uncertainties, the state that the next frame starts from."""
+"""From the end of a fit to the reported spot: second spot, flags, uncertainties."""
 
 import math
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-from processing.spot.general_fit import (
+from processing.spot.fit_values import (
+    AMPLITUDE,
+    BACKGROUND,
+    COVARIANCE,
+    GATE,
     PARAMETERS,
-    background_variance,
-    cholesky,
-    inverse_diagonal,
-    score_general,
-    window_of,
+    REACH,
+    SECOND_AMPLITUDE,
+    SIGMA_X,
+    SIGMA_Y,
+    UPRIGHT,
+    Fitted,
+    Floats,
+    Place,
+    Workspace,
+    X,
+    Y,
+    as_kind,
 )
-from processing.spot.second_spot import REACH, try_second
-from processing.spot.spot import Image
-from processing.spot.upright_fit import UNKNOWNS
+from processing.spot.general_fit import score_general, window_of
+from processing.spot.linear_algebra import cholesky, inverse_diagonal
+from processing.spot.memory import forget, remember
+from processing.spot.second_spot import try_second
+from processing.spot.sensor_model import PixelNoise, background_variance
+from processing.spot.spot import Image, SpotFlag
 
-Floats = NDArray[np.float64]
 Result = tuple[float, float, float, float, float, float, float, float, float, float, int]
+"""Fields of a `Spot` in order. A plain tuple: numba hands it to Python faster than a NamedTuple."""
 
-STATE_SIZE = 21
-"""State: 0 follows, 1 to 10 parameters on the sensor, 11 and 12 step of the position, 13 tilted,
-14 two spots, 15 frames that hint at a tilt; 16 dark variance, 17 inverse gain, 18 full scale, 19 row step,
-20 squared PRNU."""
-WORK_ROWS = 21
-"""Scratch of PARAMETERS columns: parameters, information, its factor."""
-
-_SATURATED, _EDGE, _LOST, _LOW_SNR, _POOR_FIT, _OUTLIERS, _MULTIPLE = 1, 2, 4, 8, 16, 32, 64
-_GATE = 25.0
+# numba takes no IntFlag
+_SATURATED = SpotFlag.SATURATED.value
+_EDGE = SpotFlag.EDGE.value
+_LOST = SpotFlag.LOST.value
+_LOW_SNR = SpotFlag.LOW_SNR.value
+_POOR_FIT = SpotFlag.POOR_FIT.value
+_OUTLIERS = SpotFlag.OUTLIERS.value
+_MULTIPLE = SpotFlag.MULTIPLE.value
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def lost(state: Floats) -> Result:
-    state[0] = 0.0
-    state[11] = 0.0
-    state[12] = 0.0
+def lost(memory: Floats) -> Result:
+    """No spot was found."""
+    forget(memory)
     nan = math.nan
     return nan, nan, nan, nan, nan, nan, nan, nan, nan, nan, _LOST
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def significant(p: Floats, floor: float, pixels: int, outliers: int) -> bool:
-    """The spot's light stands out of the noise of its own area, and is not made of outliers."""
-    area = 4.0 * math.pi * p[3] * p[4]
-    return p[0] * math.sqrt(area) > 8.0 * math.sqrt(floor) and outliers < 0.3 * pixels
+def significant(p: Floats, noise: PixelNoise, fitted: Fitted) -> bool:
+    """The spot's light stands out of the noise of its own area, and is not made of outliers.
+
+    A matched filter sees an amplitude A on a background of standard deviation s with the signal to noise
+    ratio A sqrt(pi sigma_x sigma_y)/s, which must exceed 4.
+    """
+    floor = background_variance(p[BACKGROUND], noise)
+    area = 4.0 * math.pi * p[SIGMA_X] * p[SIGMA_Y]
+    return p[AMPLITUDE] * math.sqrt(area) > 8.0 * math.sqrt(floor) and fitted.outliers < 0.3 * fitted.pixels
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def finish(
     image: Image,
-    origin_x: int,
-    origin_y: int,
-    sensor_nx: int,
-    sensor_ny: int,
-    state: Floats,
-    work: Floats,
-    general: bool,
-    tilted: bool,
-    two: bool,
+    place: Place,
+    memory: Floats,
+    work: Workspace,
+    noise: PixelNoise,
+    fitted: Fitted,
     followed: bool,
-    chi2: float,
-    pixels: int,
-    saturated: int,
-    outliers: int,
 ) -> Result:
-    """Look for a second spot where the residuals ask for one, then report."""
-    p = work[0]
-    matrix = work[1:11]
-    factor = work[11:21]
-    if not two and chi2 > (pixels - 6) * 1.05 + 6.0 * math.sqrt(2.0 * pixels):
-        two, chi2, pixels, saturated, outliers = try_second(
-            image, state, work, tilted, chi2, pixels, saturated, outliers
-        )
-        general = True
-        _information(image, p, tilted, two, state, chi2, pixels, matrix)
-        if not cholesky(matrix, PARAMETERS, factor):
-            return lost(state)
-    elif two and not p[7] > 0.003 * p[0]:
-        two = False
-    floor = background_variance(p, state[16], state[17])
-    return _report(
-        p, origin_x, origin_y, sensor_nx, sensor_ny, floor, chi2, pixels, saturated, outliers,
-        general, tilted, two, followed, factor, state,
-    )  # fmt: skip
+    """Look for a second spot where the residuals ask for one, then report and remember."""
+    p = work.parameters
+    # chi-square has the standard deviation sqrt(2 n); 5 % more is allowed for a beam not quite Gaussian
+    if not fitted.two and fitted.chi2 > (fitted.pixels - UPRIGHT) * 1.05 + 6.0 * math.sqrt(
+        2.0 * fitted.pixels
+    ):
+        fitted = try_second(image, work, noise, fitted)
+        # the trial has overwritten the information that the uncertainties come from
+        _information(image, work, noise, fitted)
+        if not cholesky(work.information, PARAMETERS, work.factor):
+            return lost(memory)
+        fitted = as_kind(fitted, PARAMETERS, fitted.tilted, fitted.two)
+    elif fitted.two and not p[SECOND_AMPLITUDE] > 0.003 * p[AMPLITUDE]:
+        # the second spot has faded away
+        fitted = as_kind(fitted, fitted.size, fitted.tilted, False)
+    remember(memory, place, p, fitted, followed)
+    return _report(place, work, noise, fitted)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _information(
-    image: Image,
-    p: Floats,
-    tilted: bool,
-    two: bool,
-    state: Floats,
-    chi2: float,
-    pixels: int,
-    matrix: Floats,
-) -> None:
-    """Information about the final parameters, for the uncertainties."""
+def _information(image: Image, work: Workspace, noise: PixelNoise, fitted: Fitted) -> None:
+    """Information at the final parameters."""
     ny, nx = image.shape
-    x0, y0, x1, y1 = window_of(p, nx, ny, REACH)
-    gate = _GATE * max(1.0, chi2 / max(pixels - 6, 1))
-    gradient = np.empty(PARAMETERS)
+    p = work.parameters
+    gate = GATE * max(1.0, fitted.chi2 / max(fitted.pixels - UPRIGHT, 1))
     score_general(
         image,
-        x0,
-        y0,
-        x1,
-        y1,
+        window_of(p, nx, ny, REACH),
         p,
-        tilted,
-        two,
-        state[16],
-        state[17],
-        state[20],
-        state[18],
+        fitted.tilted,
+        fitted.two,
+        noise,
         gate,
-        gradient,
-        matrix,
+        np.empty(PARAMETERS),
+        work.information,
     )
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _report(
-    p: Floats,
-    origin_x: int,
-    origin_y: int,
-    sensor_nx: int,
-    sensor_ny: int,
-    floor: float,
-    chi2: float,
-    pixels: int,
-    saturated: int,
-    outliers: int,
-    general: bool,
-    tilted: bool,
-    two: bool,
-    followed: bool,
-    factor: Floats,
-    state: Floats,
-) -> Result:
-    x = p[1] + origin_x
-    y = p[2] + origin_y
-    size = PARAMETERS if general else UNKNOWNS
-    unknowns = 6 + (1 if tilted else 0) + (3 if two else 0)
-    chi2_per_dof = chi2 / max(pixels - unknowns, 1)
+def _report(place: Place, work: Workspace, noise: PixelNoise, fitted: Fitted) -> Result:
+    """Position on the sensor, uncertainties, axes and flags."""
+    p = work.parameters
+    x = p[X] + place.origin_x
+    y = p[Y] + place.origin_y
+    unknowns = UPRIGHT + (1 if fitted.tilted else 0) + (3 if fitted.two else 0)
+    chi2_per_dof = fitted.chi2 / max(fitted.pixels - unknowns, 1)
+    # u^2 = (information^-1)_kk max(1, chi2/dof): a misfit widens the uncertainty, luck does not narrow it
     inflate = math.sqrt(max(1.0, chi2_per_dof))
-    u_x = inflate * math.sqrt(inverse_diagonal(factor, size, 1))
-    u_y = inflate * math.sqrt(inverse_diagonal(factor, size, 2))
+    u_x = inflate * math.sqrt(inverse_diagonal(work.factor, fitted.size, X))
+    u_y = inflate * math.sqrt(inverse_diagonal(work.factor, fitted.size, Y))
     flags = 0
-    if saturated > 0:
+    if fitted.saturated > 0:
         flags |= _SATURATED
     if (
-        x - 3.0 * p[3] < -0.5
-        or y - 3.0 * p[4] < -0.5
-        or x + 3.0 * p[3] > sensor_nx - 0.5
-        or y + 3.0 * p[4] > sensor_ny - 0.5
+        x - 3.0 * p[SIGMA_X] < -0.5
+        or y - 3.0 * p[SIGMA_Y] < -0.5
+        or x + 3.0 * p[SIGMA_X] > place.sensor_nx - 0.5
+        or y + 3.0 * p[SIGMA_Y] > place.sensor_ny - 0.5
     ):
         flags |= _EDGE
-    if p[0] < 5.0 * math.sqrt(floor):
+    if p[AMPLITUDE] < 5.0 * math.sqrt(background_variance(p[BACKGROUND], noise)):
         flags |= _LOW_SNR
-    if chi2_per_dof > 1.3 + 6.0 * math.sqrt(2.0 / max(pixels, 1)):
+    if chi2_per_dof > 1.3 + 6.0 * math.sqrt(2.0 / max(fitted.pixels, 1)):
         flags |= _POOR_FIT
-    if outliers > 0:
+    if fitted.outliers > 0:
         flags |= _OUTLIERS
-    if two:
+    if fitted.two:
         flags |= _MULTIPLE
-    sigma_1, sigma_2, rotation = p[3], p[4], 0.0
-    if tilted:
-        mean = 0.5 * (p[3] * p[3] + p[4] * p[4])
-        half = 0.5 * (p[3] * p[3] - p[4] * p[4])
-        root = math.hypot(half, p[6])
+    sigma_1, sigma_2, rotation = p[SIGMA_X], p[SIGMA_Y], 0.0
+    if fitted.tilted:
+        # eigenvalues of [[sigma_x^2, c], [c, sigma_y^2]]: mean +- sqrt(half^2 + c^2)
+        mean = 0.5 * (p[SIGMA_X] * p[SIGMA_X] + p[SIGMA_Y] * p[SIGMA_Y])
+        half = 0.5 * (p[SIGMA_X] * p[SIGMA_X] - p[SIGMA_Y] * p[SIGMA_Y])
+        root = math.hypot(half, p[COVARIANCE])
         # the axis nearer to x keeps the name of x, so that the two do not swap from frame to frame
         sign = 1.0 if half >= 0.0 else -1.0
         sigma_1 = math.sqrt(max(mean + sign * root, 1e-12))
         sigma_2 = math.sqrt(max(mean - sign * root, 1e-12))
-        rotation = 0.5 * math.atan2(sign * p[6], sign * half)
-    if followed:
-        state[11] = x - state[2]
-        state[12] = y - state[3]
-    else:
-        state[11] = 0.0
-        state[12] = 0.0
-    for k in range(PARAMETERS):
-        state[1 + k] = p[k]
-    state[2] = x
-    state[3] = y
-    state[9] = p[8] + origin_x
-    state[10] = p[9] + origin_y
-    state[0] = 1.0
-    state[13] = 1.0 if tilted else 0.0
-    state[14] = 1.0 if two else 0.0
-    return x, y, u_x, u_y, sigma_1, sigma_2, rotation, p[0], p[5], chi2_per_dof, flags
+        rotation = 0.5 * math.atan2(sign * p[COVARIANCE], sign * half)
+    return x, y, u_x, u_y, sigma_1, sigma_2, rotation, p[AMPLITUDE], p[BACKGROUND], chi2_per_dof, flags

@@ -1,4 +1,4 @@
-"""One frame without a prior: find the spot on the whole of it, then fit."""
+"""One frame of which nothing is known: find the spot on the whole of it, then fit."""
 
 import math
 
@@ -6,7 +6,26 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from processing.spot.general_fit import background_variance, cholesky, fit_general, inverse_diagonal
+from processing.spot.fit_values import (
+    AMPLITUDE,
+    BACKGROUND,
+    COVARIANCE,
+    REACH,
+    SIGMA_X,
+    SIGMA_Y,
+    TILTED,
+    Fitted,
+    Floats,
+    Place,
+    Workspace,
+    X,
+    Y,
+    as_kind,
+    workspace_of,
+)
+from processing.spot.general_fit import fit_general
+from processing.spot.linear_algebra import cholesky, inverse_diagonal
+from processing.spot.memory import TILT_HINTS
 from processing.spot.outcome import Result, finish, lost, significant
 from processing.spot.prefetch import prefetch_window
 from processing.spot.scan import (
@@ -17,12 +36,11 @@ from processing.spot.scan import (
     scan_every_row,
     scan_some_rows,
 )
-from processing.spot.second_spot import REACH
+from processing.spot.sensor_model import PixelNoise, pixel_noise_of
 from processing.spot.spot import Image
 from processing.spot.start import start_on_areas, start_on_chords
-from processing.spot.upright_fit import fit_upright
+from processing.spot.upright_fit import TILT_EVIDENCE, fit_upright
 
-Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 _NEAR_PX = 32
@@ -49,29 +67,23 @@ def _climb(image: Image, peak: int, x: int, y: int) -> tuple[int, int]:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _fit_any(image: Image, state: Floats, work: Floats) -> tuple[bool, bool, float, int, int, int]:
-    """General fit, tilted where the tilt is significant: done, tilted, chi2, pixels, saturated, outliers."""
-    p = work[0]
-    matrix = work[1:11]
-    factor = work[11:21]
+def _fit_any(image: Image, work: Workspace, noise: PixelNoise) -> Fitted:
+    """General fit, tilted where the tilt is significant."""
+    p = work.parameters
+    fitted = fit_general(image, work, True, False, noise, REACH)
     tilted = False
-    done, chi2, pixels, saturated, outliers = fit_general(
-        image, p, True, False, state[16], state[17], state[20], state[18], REACH, matrix, factor
+    if fitted.done and cholesky(work.information, TILTED, work.factor):
+        u_c = math.sqrt(inverse_diagonal(work.factor, TILTED, COVARIANCE))
+        u_c *= math.sqrt(max(1.0, fitted.chi2 / max(fitted.pixels - TILTED, 1)))
+        tilted = abs(p[COVARIANCE]) > 5.0 * u_c
+    if fitted.done and not tilted:
+        p[COVARIANCE] = 0.0
+        fitted = fit_general(image, work, False, False, noise, REACH)
+    if fitted.done and min(p[SIGMA_X], p[SIGMA_Y]) > _SMALLEST_SPOT_PX and significant(p, noise, fitted):
+        return as_kind(fitted, fitted.size, tilted, False)
+    return Fitted(
+        False, fitted.chi2, fitted.pixels, fitted.saturated, fitted.outliers, fitted.size, tilted, False
     )
-    if done and cholesky(matrix, 7, factor):
-        u_c = math.sqrt(inverse_diagonal(factor, 7, 6)) * math.sqrt(max(1.0, chi2 / max(pixels - 7, 1)))
-        tilted = abs(p[6]) > 5.0 * u_c
-    if done and not tilted:
-        p[6] = 0.0
-        done, chi2, pixels, saturated, outliers = fit_general(
-            image, p, False, False, state[16], state[17], state[20], state[18], REACH, matrix, factor
-        )
-    done = (
-        done
-        and min(p[3], p[4]) > _SMALLEST_SPOT_PX
-        and significant(p, background_variance(p, state[16], state[17]), pixels, outliers)
-    )
-    return done, tilted, chi2, pixels, saturated, outliers
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -81,9 +93,11 @@ def search(
     origin_y: int,
     sensor_nx: int,
     sensor_ny: int,
-    state: Floats,
-    work: Floats,
+    memory: Floats,
+    work_array: Floats,
     tables: NDArray[np.float32],
+    noise_values: Floats,
+    row_step: int,
     bands: Image,
     sample: Integers,
     mask: NDArray[np.uint8],
@@ -92,14 +106,14 @@ def search(
     """Spot of one frame without knowing of any before it.
 
     The first pass reads every `row_step`-th row; where that gives no clean spot, every row is read. A clean,
-    upright spot is fitted from its chords; any other by the general fit, from its areas.
+    upright spot is fitted from its chords; any other by the general fit, from its areas; a spot too faint
+    to stand out pixel by pixel from the brightest block.
     """
-    p = work[0]
-    matrix = work[1:11]
-    factor = work[11:21]
-    zero_variance, inverse_gain, full_scale, uneven = state[16], state[17], state[18], state[20]
-    row_step = int(state[19])
-    state[15] = 0.0
+    place = Place(origin_x, origin_y, sensor_nx, sensor_ny)
+    work = workspace_of(work_array)
+    noise = pixel_noise_of(noise_values)
+    p = work.parameters
+    memory[TILT_HINTS] = 0.0
     background = spread = threshold = 0.0
     peak = x = y = 0
     for attempt in range(1 if row_step == 1 else 2):
@@ -108,8 +122,9 @@ def search(
         else:
             scan_every_row(image, bands)
         if attempt == 0:
-            # after the scan, which has brought these rows nearer
+            # after the scan, which has brought these rows into the cache
             background, spread = background_of(image, row_step, sample)
+            # the highest of some 1e5 to 1e6 normal values lies about 5 standard deviations up
             threshold = background + 6.0 * spread
         peak, x, y = brightest(image, bands)
         if attempt == 0 and row_step > 1:
@@ -117,38 +132,30 @@ def search(
             prefetch_window(image, x - _NEAR_PX, y - _NEAR_PX, 2 * _NEAR_PX, 2 * _NEAR_PX)
         peak, y = _climb(image, peak, x, y)
         if peak > threshold and start_on_chords(image, x, y, background, peak, p):
-            done, chi2, pixels, outliers, evidence = fit_upright(
-                image, p, True, zero_variance, inverse_gain, uneven, full_scale, tables, matrix, factor
-            )
+            upright = fit_upright(image, work, True, noise, tables)
             if (
-                done
-                and abs(evidence) < 6.0
-                and significant(p, background_variance(p, zero_variance, inverse_gain), pixels, outliers)
+                upright.fitted.done
+                and abs(upright.tilt) < TILT_EVIDENCE
+                and significant(p, noise, upright.fitted)
             ):
-                return finish(
-                    image, origin_x, origin_y, sensor_nx, sensor_ny, state, work,
-                    False, False, False, False, chi2, pixels, 0, outliers,
-                )  # fmt: skip
-    if peak > threshold and start_on_areas(image, x, y, background, float(peak), full_scale, mask, stack, p):
-        done, tilted, chi2, pixels, saturated, outliers = _fit_any(image, state, work)
-        if done:
-            return finish(
-                image, origin_x, origin_y, sensor_nx, sensor_ny, state, work,
-                True, tilted, False, False, chi2, pixels, saturated, outliers,
-            )  # fmt: skip
+                return finish(image, place, memory, work, noise, upright.fitted, followed=False)
+    if peak > threshold and start_on_areas(
+        image, x, y, background, float(peak), noise.full_scale_dn, mask, stack, p
+    ):
+        fitted = _fit_any(image, work, noise)
+        if fitted.done:
+            return finish(image, place, memory, work, noise, fitted, followed=False)
     size = 8 if min(image.shape) >= 24 else 3
     mean, x, y = brightest_block(image, size, background + 8.0 * spread)
+    # the mean of size^2 pixels has the standard deviation spread / size
     if mean > background + 6.0 * spread / size:
         p[:] = 0.0
-        p[0] = max(1.3 * (mean - background), 0.5)
-        p[1] = x
-        p[2] = y
-        p[3] = p[4] = float(size)
-        p[5] = background
-        done, tilted, chi2, pixels, saturated, outliers = _fit_any(image, state, work)
-        if done:
-            return finish(
-                image, origin_x, origin_y, sensor_nx, sensor_ny, state, work,
-                True, tilted, False, False, chi2, pixels, saturated, outliers,
-            )  # fmt: skip
-    return lost(state)
+        p[AMPLITUDE] = max(1.3 * (mean - background), 0.5)
+        p[X] = x
+        p[Y] = y
+        p[SIGMA_X] = p[SIGMA_Y] = float(size)
+        p[BACKGROUND] = background
+        fitted = _fit_any(image, work, noise)
+        if fitted.done:
+            return finish(image, place, memory, work, noise, fitted, followed=False)
+    return lost(memory)

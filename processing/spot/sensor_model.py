@@ -1,21 +1,43 @@
 """Noise of a pixel, as the fit weighs it."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
 
 from processing.errors import DataError
 
 LEAST_VARIANCE_DN2 = 1.0 / 12.0
-"""Quantisation's own, which no pixel is without."""
+"""Variance of rounding to whole DN, which every pixel has."""
+
+
+class PixelNoise(NamedTuple):
+    """Variance and limit of a pixel's value, for the kernels.
+
+    A pixel with background B and the spot's light L has the variance
+    ``at_zero_dn2 + (B + L) dn_per_e + L^2 prnu2`` in DN^2.
+    """
+
+    at_zero_dn2: float
+    """Variance's straight line in the pixel's value, extrapolated to value 0."""
+    dn_per_e: float
+    """Inverse gain: shot noise has the variance light / gain."""
+    full_scale_dn: float
+    prnu2: float
+    """Squared relative spread of the pixels' response."""
 
 
 @dataclass(frozen=True, slots=True)
 class SensorModel:
-    """What a pixel's value is worth.
+    """Noise and full scale of a pixel.
 
     The variance of a pixel is ``(read_noise_e / gain_e_per_dn)^2 + 1/12 + light_dn / gain_e_per_dn``
     in DN^2: read noise, quantisation, shot noise. Light is everything above `pedestal_dn`, the level
     of a pixel in the dark; with the default 0 the whole background counts as light. `prnu` is the
-    relative spread of the pixels' response; it adds ``(prnu * spot_dn)^2``, of the spot's own light.
+    relative spread of the pixels' response (photo-response non-uniformity); it adds
+    ``(prnu * spot_dn)^2``, where spot_dn is the spot's own light.
 
     Raises
     ------
@@ -44,9 +66,27 @@ class SensorModel:
         return (self.read_noise_e / self.gain_e_per_dn) ** 2 + LEAST_VARIANCE_DN2
 
     @property
-    def variance_at_zero_dn2(self) -> float:
-        """What the variance's straight line in the pixel's level would be at level 0.
+    def pixel_noise(self) -> PixelNoise:
+        """The same for the kernels.
 
-        Below the pedestal no light is left, and no pixel is that dark; negative for a high pedestal.
+        The variance at value 0 is an extrapolation below the pedestal, where no pixel is; it is
+        negative for a high pedestal.
         """
-        return self.dark_variance_dn2 - self.pedestal_dn / self.gain_e_per_dn
+        return PixelNoise(
+            at_zero_dn2=self.dark_variance_dn2 - self.pedestal_dn / self.gain_e_per_dn,
+            dn_per_e=1.0 / self.gain_e_per_dn,
+            full_scale_dn=self.full_scale_dn,
+            prnu2=self.prnu**2,
+        )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def pixel_noise_of(values: NDArray[np.float64]) -> PixelNoise:
+    """`PixelNoise` from an array of its fields (numba recognises a NamedTuple from Python only slowly)."""
+    return PixelNoise(values[0], values[1], values[2], values[3])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def background_variance(background_dn: float, noise: PixelNoise) -> float:
+    """Variance in DN^2 of a pixel that holds the background alone."""
+    return float(max(noise.at_zero_dn2 + background_dn * noise.dn_per_e, LEAST_VARIANCE_DN2))

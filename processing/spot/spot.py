@@ -1,4 +1,4 @@
-"""What is known of the laser spot in one frame."""
+"""The laser spot in one frame: position, size, uncertainties, flags."""
 
 from enum import IntFlag
 from typing import NamedTuple
@@ -7,14 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 Image = NDArray[np.uint8] | NDArray[np.uint16]
-"""Pixels (ny, nx), or a stack of such."""
+"""Pixels (ny, nx)."""
 
 
 class SpotFlag(IntFlag):
     """What was found wrong with a spot; 0 where nothing was."""
 
     SATURATED = 1
-    """Pixels at full scale were left out, by the model's word."""
+    """Pixels that the model expects at full scale were left out."""
     EDGE = 2
     """The spot is cut by the edge of the sensor."""
     LOST = 4
@@ -51,4 +51,4 @@ class Spot(NamedTuple):
 
 
 SPOT_DTYPE = np.dtype([(name, np.float64) for name in Spot._fields[:-1]] + [("flags", np.int64)])
-"""One row of `SpotTracker.track_stack`: the fields of `Spot`."""
+"""One row of a table of spots: the fields of `Spot`."""

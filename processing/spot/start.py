@@ -1,16 +1,45 @@
 """Starts of the fit at a bright place: along chords where the spot is clean, from areas where it is not."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from processing.spot.fit_values import (
+    AMPLITUDE,
+    BACKGROUND,
+    COVARIANCE,
+    SECOND_AMPLITUDE,
+    SECOND_X,
+    SECOND_Y,
+    SIGMA_X,
+    SIGMA_Y,
+    Floats,
+    X,
+    Y,
+)
 from processing.spot.scan import of_three
 from processing.spot.spot import Image
 
-Floats = NDArray[np.float64]
 _WIDTH_OF_SIGMA = 2.0 * math.sqrt(2.0 * math.log(2.0))
+"""Full width at half maximum of a Gaussian, in standard deviations."""
+
+
+class _Area(NamedTuple):
+    """Connected pixels above a level: their number, sums of their coordinates, the box they lie in."""
+
+    pixels: int
+    x: float
+    y: float
+    xx: float
+    yy: float
+    xy: float
+    x_first: int
+    x_last: int
+    y_first: int
+    y_last: int
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -59,14 +88,13 @@ def start_on_chords(image: Image, x: int, y: int, background: float, peak: int, 
             return False
         y = min(max(round(centre_y), 0), ny - 1)
         peak = max(peak, of_three(image, x, y))
-    p[0] = peak - background
-    p[1] = centre_x
-    p[2] = centre_y
-    p[3] = width_x / _WIDTH_OF_SIGMA
-    p[4] = width_y / _WIDTH_OF_SIGMA
-    p[5] = background
-    for k in range(6, 10):
-        p[k] = 0.0
+    p[AMPLITUDE] = peak - background
+    p[X] = centre_x
+    p[Y] = centre_y
+    p[SIGMA_X] = width_x / _WIDTH_OF_SIGMA
+    p[SIGMA_Y] = width_y / _WIDTH_OF_SIGMA
+    p[BACKGROUND] = background
+    p[COVARIANCE] = p[SECOND_AMPLITUDE] = p[SECOND_X] = p[SECOND_Y] = 0.0
     return True
 
 
@@ -79,34 +107,33 @@ def _flood(
     mask: NDArray[np.uint8],
     mark: int,
     stack: NDArray[np.int64],
-    moments: Floats,
-) -> int:
-    """Pixels connected to (x, y) above `level`, counted; their moments and limits; `mask` gets `mark`."""
+) -> _Area:
+    """Pixels at or above `level` that are connected to (x, y); `mask` gets `mark` there."""
     ny, nx = image.shape
-    moments[:] = 0.0
-    moments[5] = moments[6] = x
-    moments[7] = moments[8] = y
+    sum_x = sum_y = sum_xx = sum_yy = sum_xy = 0.0
+    x_first = x_last = x
+    y_first = y_last = y
+    count = 0
     if image[y, x] < level:
-        return 0
+        return _Area(count, sum_x, sum_y, sum_xx, sum_yy, sum_xy, x_first, x_last, y_first, y_last)
     top = 0
     stack[0] = y * nx + x
     mask[y, x] = mark
-    count = 0
     while top >= 0:
         place = stack[top]
         top -= 1
         py = place // nx
         px = place - py * nx
         count += 1
-        moments[0] += px
-        moments[1] += py
-        moments[2] += px * px
-        moments[3] += py * py
-        moments[4] += px * py
-        moments[5] = min(moments[5], px)
-        moments[6] = max(moments[6], px)
-        moments[7] = min(moments[7], py)
-        moments[8] = max(moments[8], py)
+        sum_x += px
+        sum_y += py
+        sum_xx += px * px
+        sum_yy += py * py
+        sum_xy += px * py
+        x_first = min(x_first, px)
+        x_last = max(x_last, px)
+        y_first = min(y_first, py)
+        y_last = max(y_last, py)
         for k in range(4):
             qx = px + (1 if k == 0 else -1 if k == 1 else 0)
             qy = py + (1 if k == 2 else -1 if k == 3 else 0)
@@ -114,7 +141,7 @@ def _flood(
                 mask[qy, qx] = mark
                 top += 1
                 stack[top] = qy * nx + qx
-    return count
+    return _Area(count, sum_x, sum_y, sum_xx, sum_yy, sum_xy, x_first, x_last, y_first, y_last)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -131,43 +158,47 @@ def start_on_areas(
 ) -> bool:
     """Start of the fit from the areas above two levels about a bright place.
 
-    The area above a level l is 2 pi sigma_1 sigma_2 ln(A/l): two areas give the size and, where the
-    top is clipped, the amplitude that the clipped top hides.
+    The area above the background and a level l is 2 pi sigma_1 sigma_2 ln(A/l), an ellipse's: two areas
+    give the product of the sigmas and, where the top is clipped, the amplitude A that it would have.
     """
     light = peak - background
     if light <= 0.0:
         return False
-    moments = np.empty(9)
     upper = background + 0.75 * light
     lower = background + 0.35 * light
     clipped = peak >= 0.97 * full_scale
     if clipped:
         upper = background + 0.95 * light
-    n_upper = _flood(image, x, y, upper, mask, 1, stack, moments)
-    n_lower = _flood(image, x, y, lower, mask, 2, stack, moments)
-    # the mask is left clean for the next frame; the larger area holds the smaller
-    mask[int(moments[7]) : int(moments[8]) + 1, int(moments[5]) : int(moments[6]) + 1] = 0
-    if n_lower < 3:
+    inner = _flood(image, x, y, upper, mask, 1, stack)
+    outer = _flood(image, x, y, lower, mask, 2, stack)
+    # the mask is left clean for the next frame; the outer area's box holds the inner one
+    mask[outer.y_first : outer.y_last + 1, outer.x_first : outer.x_last + 1] = 0
+    if outer.pixels < 3:
         return False
-    mean_x = moments[0] / n_lower
-    mean_y = moments[1] / n_lower
-    area = (n_lower - n_upper) / (2.0 * math.pi * math.log((upper - background) / (lower - background)))
-    area = max(area, 0.3)
+    mean_x = outer.x / outer.pixels
+    mean_y = outer.y / outer.pixels
+    # sigma_1 sigma_2 from the difference of the two areas
+    spread = (outer.pixels - inner.pixels) / (
+        2.0 * math.pi * math.log((upper - background) / (lower - background))
+    )
+    spread = max(spread, 0.3)
     amplitude = light
     if clipped:
-        amplitude = (upper - background) * math.exp(min(n_upper / (2.0 * math.pi * area), 5.0))
-    # an ellipse that is lit evenly has a quarter of its squared half-axes as variance
+        amplitude = (upper - background) * math.exp(min(inner.pixels / (2.0 * math.pi * spread), 5.0))
+    # an ellipse of uniform weight with half-axes h has the variances h^2/4, and here h^2 = 2 sigma^2 ln(A/l);
+    # 1/12 is the variance of a position within a pixel
     scale = 2.0 / math.log(max(amplitude / (lower - background), 1.2))
-    xx = (moments[2] / n_lower - mean_x * mean_x + 1.0 / 12.0) * scale
-    yy = (moments[3] / n_lower - mean_y * mean_y + 1.0 / 12.0) * scale
-    xy = (moments[4] / n_lower - mean_x * mean_y) * scale
-    # what is lit that evenly is no compact spot, but the fit will say so
-    p[0] = amplitude
-    p[1] = mean_x
-    p[2] = mean_y
-    p[3] = math.sqrt(max(xx, 0.5))
-    p[4] = math.sqrt(max(yy, 0.5))
-    p[5] = background
-    p[6] = max(min(xy, 0.9 * p[3] * p[4]), -0.9 * p[3] * p[4])
-    p[7] = p[8] = p[9] = 0.0
+    xx = (outer.xx / outer.pixels - mean_x * mean_x + 1.0 / 12.0) * scale
+    yy = (outer.yy / outer.pixels - mean_y * mean_y + 1.0 / 12.0) * scale
+    xy = (outer.xy / outer.pixels - mean_x * mean_y) * scale
+    # an area lit so evenly that the limits below act is no compact spot; the fit will reject it
+    p[AMPLITUDE] = amplitude
+    p[X] = mean_x
+    p[Y] = mean_y
+    p[SIGMA_X] = math.sqrt(max(xx, 0.5))
+    p[SIGMA_Y] = math.sqrt(max(yy, 0.5))
+    p[BACKGROUND] = background
+    bound = 0.9 * p[SIGMA_X] * p[SIGMA_Y]
+    p[COVARIANCE] = max(min(xy, bound), -bound)
+    p[SECOND_AMPLITUDE] = p[SECOND_X] = p[SECOND_Y] = 0.0
     return True

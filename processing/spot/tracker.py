@@ -1,32 +1,32 @@
 """Follows the laser spot from frame to frame."""
 
 import math
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from processing.errors import DataError
-from processing.spot.batch import track_run
+from processing.spot.fit_values import WORKSPACE_SHAPE
 from processing.spot.following import SEARCH, follow
-from processing.spot.general_fit import PARAMETERS
-from processing.spot.outcome import STATE_SIZE, WORK_ROWS
+from processing.spot.memory import FOLLOWS, empty_memory
 from processing.spot.scan import BAND_ROWS, BAND_STEP, SAMPLES
 from processing.spot.searching import search
 from processing.spot.sensor_model import SensorModel
-from processing.spot.spot import SPOT_DTYPE, Image, Spot, SpotFlag
+from processing.spot.spot import Image, Spot, SpotFlag
+from processing.spot.upright_fit import LARGEST_TABLE
+from processing.spot.upright_score import TABLE_ROWS
 
-_TABLE_WIDTH = 2048
 _RECORD_REACH = 6.0
 _RECORD_MARGIN_PX = 4
-_RUN = 256
 _TYPES = (np.dtype(np.uint8), np.dtype(np.uint16))
 _SPOT = tuple.__new__
 
 
 class _Writable:
-    """A read-only array's memory without the mark, so that the kernels, which only read, compile once."""
+    """A read-only array's memory without the read-only mark.
+
+    To numba a read-only array is a type of its own, for which it would compile every kernel a second time.
+    """
 
     def __init__(self, image: Image) -> None:
         self._image = image
@@ -36,7 +36,7 @@ class _Writable:
 
 
 def _plain(images: Image) -> Image:
-    """C order, aligned, and of the one type that the kernels are compiled for."""
+    """The image in C order, aligned, and of the one type that the kernels are compiled for."""
     if not (images.flags.c_contiguous and images.flags.aligned):
         return images.copy(order="C")
     memory: Any = _Writable(images)
@@ -63,18 +63,11 @@ class SpotTracker:
     def __init__(self, sensor: SensorModel, *, row_step: int = 8) -> None:
         if row_step < 1:
             raise DataError(f"row_step = {row_step} must be at least 1")
-        self._sensor = sensor
         self._row_step = row_step
-        self._state = np.zeros(STATE_SIZE)
-        self._state[16:] = (
-            sensor.variance_at_zero_dn2,
-            1.0 / sensor.gain_e_per_dn,
-            sensor.full_scale_dn,
-            row_step,
-            sensor.prnu**2,
-        )
-        self._work = np.zeros((WORK_ROWS, PARAMETERS))
-        self._tables = np.zeros((6, _TABLE_WIDTH), dtype=np.float32)
+        self._noise = np.array(sensor.pixel_noise, dtype=np.float64)
+        self._memory = empty_memory()
+        self._work = np.zeros(WORKSPACE_SHAPE)
+        self._tables = np.zeros((TABLE_ROWS, LARGEST_TABLE), dtype=np.float32)
         self._sample = np.zeros(SAMPLES, dtype=np.int64)
         self._mask = np.zeros((1, 1), dtype=np.uint8)
         self._stack = np.zeros(1, dtype=np.int64)
@@ -82,8 +75,7 @@ class SpotTracker:
 
     def reset(self) -> None:
         """Forget the last frame: the next one is searched as a whole."""
-        # the rest of the state is not read before a search has set it
-        self._state[0] = 0.0
+        self._memory[FOLLOWS] = 0.0
 
     def track(
         self, image: Image, origin_px: tuple[int, int] = (0, 0), sensor_shape: tuple[int, int] | None = None
@@ -113,55 +105,17 @@ class SpotTracker:
             image = _plain(image)
         x0, y0 = origin_px
         ny, nx = sensor_shape if sensor_shape is not None else image.shape
-        if self._state[0]:
-            found = follow(image, x0, y0, nx, ny, self._state, self._work, self._tables)
+        if self._memory[FOLLOWS]:
+            found = follow(image, x0, y0, nx, ny, self._memory, self._work, self._tables, self._noise)
             if found[10] != SEARCH:
                 return _SPOT(Spot, found)
         if image.shape != self._mask.shape or image.dtype != self._bands.dtype:
             self._make_room(image.shape, image.dtype)
         found = search(
-            image, x0, y0, nx, ny, self._state, self._work, self._tables,
+            image, x0, y0, nx, ny, self._memory, self._work, self._tables, self._noise, self._row_step,
             self._bands, self._sample, self._mask, self._stack,
         )  # fmt: skip
         return _SPOT(Spot, found)
-
-    def track_stack(self, images: Image, *, threads: int = 1) -> NDArray[np.void]:
-        """Spots of (n, ny, nx) images as rows of `SPOT_DTYPE`, each frame following the one before.
-
-        The stack is cut into runs of 256 frames; each but the first begins with a search, so that the
-        result is the same to the last bit for any number of `threads`. It agrees with frame-by-frame
-        tracking within a small part of the standard uncertainty.
-
-        Raises
-        ------
-        DataError
-            Images that are not three-dimensional, not uint8 or uint16, or smaller than 5 x 5.
-        """
-        if images.ndim != 3 or images.dtype not in _TYPES:
-            raise DataError(
-                f"images have shape {images.shape} and type {images.dtype}; "
-                "(n, ny, nx) of uint8 or uint16 is needed"
-            )
-        if threads < 1:
-            raise DataError(f"threads = {threads} must be at least 1")
-        if not images.flags.carray:
-            images = _plain(images)
-        runs = [images[start : start + _RUN] for start in range(0, len(images), _RUN)]
-        if not runs:
-            return np.empty(0, dtype=SPOT_DTYPE)
-
-        def tracked(number: int) -> tuple[NDArray[np.void], NDArray[np.float64]]:
-            # one tracker for each run: what a run leaves behind must not depend on the order they are done in
-            tracker = self if number == 0 else SpotTracker(self._sensor, row_step=self._row_step)
-            return tracker._track_run(runs[number]), tracker._state
-
-        if threads == 1:
-            parts = [tracked(number) for number in range(len(runs))]
-        else:
-            with ThreadPoolExecutor(threads) as pool:
-                parts = list(pool.map(tracked, range(len(runs))))
-        self._state[:] = parts[-1][1]
-        return np.concatenate([spots for spots, _ in parts])
 
     def record_window(self, spot: Spot, shape: tuple[int, int]) -> tuple[int, int, int, int]:
         """Pixels (x0, y0, x1, y1) of a frame from which this spot can be tracked again.
@@ -178,20 +132,6 @@ class SpotTracker:
         reach_y = math.ceil(_RECORD_REACH * half_y) + _RECORD_MARGIN_PX
         x, y = round(spot.x_px), round(spot.y_px)
         return max(0, x - reach_x), max(0, y - reach_y), min(nx, x + reach_x + 1), min(ny, y + reach_y + 1)
-
-    def _track_run(self, images: Image) -> NDArray[np.void]:
-        self._make_room(images.shape[1:], images.dtype)
-        rows = np.empty((len(images), len(Spot._fields) - 1))
-        flags = np.empty(len(images), dtype=np.int64)
-        track_run(
-            images, self._state, self._work, self._tables,
-            self._bands, self._sample, self._mask, self._stack, rows, flags,
-        )  # fmt: skip
-        spots = np.empty(len(images), dtype=SPOT_DTYPE)
-        for column, name in enumerate(Spot._fields[:-1]):
-            spots[name] = rows[:, column]
-        spots["flags"] = flags
-        return spots
 
     def _make_room(self, shape: tuple[int, ...], dtype: np.dtype[np.uint8] | np.dtype[np.uint16]) -> None:
         if min(shape) < 5:

@@ -1,135 +1,184 @@
 """Fit of an upright, clean spot: a few passes of the quick scoring."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from processing.spot.general_fit import background_variance, cholesky, inverse_diagonal, solve, window_of
+from processing.spot.fit_values import (
+    AMPLITUDE,
+    BACKGROUND,
+    COVARIANCE,
+    GATE,
+    REACH,
+    SIGMA_X,
+    SIGMA_Y,
+    TILTED,
+    UPRIGHT,
+    Fitted,
+    Workspace,
+    X,
+    Y,
+)
+from processing.spot.general_fit import window_of
+from processing.spot.linear_algebra import cholesky, inverse_diagonal, solve
 from processing.spot.prefetch import prefetch_window
+from processing.spot.sensor_model import PixelNoise, background_variance
 from processing.spot.spot import Image
-from processing.spot.upright_score import SMALLEST_SIGMA_PX, information, profile, score
+from processing.spot.upright_score import ALONG_Y, SMALLEST_SIGMA_PX, information, profile, score
 
-Floats = NDArray[np.float64]
-
-UNKNOWNS = 6
 _PASSES = 10
-_LARGEST_TABLE = 2048
-_GATE = 25.0
+LARGEST_TABLE = 2048
 _VECTOR = 32
+"""Pixels of a vector instruction, at most."""
+
 _MOST_OUTLIERS = 8
 _LARGEST_SCATTER = 1.3
-_REACH = 4.5
+"""Chi-square per pixel above which the spot is not a clean upright one."""
+
 _LEFT_OVER = 0.03
 """Part of a standard uncertainty that may be left when the passes stop: it adds 0.05 % to the scatter."""
+
+TILT_EVIDENCE = 6.0
+"""Standard deviations of the tilt from which on a spot is not taken for upright."""
+
+
+class UprightFit(NamedTuple):
+    """How an upright fit ended."""
+
+    fitted: Fitted
+    tilt: float
+    """Evidence of a tilt in standard deviations: gradient by the covariance, over the root of its
+    information (a score test)."""
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _not_done() -> UprightFit:
+    return UprightFit(Fitted(False, 0.0, 0, 0, 0, UPRIGHT, False, False), 0.0)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def fit_upright(
-    image: Image,
-    p: Floats,
-    rough: bool,
-    zero_variance: float,
-    inverse_gain: float,
-    uneven: float,
-    full_scale: float,
-    tables: NDArray[np.float32],
-    matrix: Floats,
-    factor: Floats,
-) -> tuple[bool, float, int, int, float]:
-    """Scoring from a good start: done, chi2, pixels, outliers, evidence of a tilt in standard deviations.
+    image: Image, work: Workspace, rough: bool, noise: PixelNoise, tables: NDArray[np.float32]
+) -> UprightFit:
+    """Scoring from a good start; `work.parameters` is improved in place.
 
-    From a `rough` start the first passes read some of the rows only. Not done where the model saturates,
-    more than single pixels stand out, or it does not settle: the general fit's cases.
+    From a `rough` start the first passes read some of the rows only. Not done where the model
+    saturates, more than single pixels stand out, or it does not settle: then the general fit is needed.
     """
     ny, nx = image.shape
-    gradient = np.empty(7)
-    step = np.empty(UNKNOWNS)
+    p = work.parameters
+    gradient = np.empty(TILTED)
+    step = np.empty(UPRIGHT)
     informed = False
     fetched = False
     opened = rough
-    gate = _GATE
+    gate = GATE
     if rough:
-        # half the amplitude on a dark pixel is no poor start but a hot pixel
-        floor = background_variance(p, zero_variance, inverse_gain)
-        gate = max(4.0 * _GATE, 0.25 * p[0] * p[0] / floor)
+        # from a rough start residuals are large on the spot itself; half the amplitude on a dark pixel is
+        # still no consequence of a poor start but a hot pixel
+        floor = background_variance(p[BACKGROUND], noise)
+        gate = max(4.0 * GATE, 0.25 * p[AMPLITUDE] * p[AMPLITUDE] / floor)
     for _ in range(_PASSES):
-        floor = background_variance(p, zero_variance, inverse_gain)
-        if p[0] + p[5] + 3.0 * math.sqrt(floor + p[0] * (inverse_gain + p[0] * uneven)) >= full_scale:
-            return False, 0.0, 0, 0, 0.0
-        x0, y0, x1, y1 = window_of(p, nx, ny, _REACH)
-        wx, wy = x1 - x0, y1 - y0
+        floor = background_variance(p[BACKGROUND], noise)
+        peak_variance = floor + p[AMPLITUDE] * (noise.dn_per_e + p[AMPLITUDE] * noise.prnu2)
+        if p[AMPLITUDE] + p[BACKGROUND] + 3.0 * math.sqrt(peak_variance) >= noise.full_scale_dn:
+            return _not_done()
+        window = window_of(p, nx, ny, REACH)
+        x0, y0 = window.x0, window.y0
+        wx, wy = window.x1 - x0, window.y1 - y0
         # whole vectors: a remainder of pixels done one by one would cost more than the wider row
         wider = (wx + _VECTOR - 1) // _VECTOR * _VECTOR
         left = x0 - (wider - wx) // 2
         if left >= 0 and left + wider <= nx:
             x0, wx = left, wider
-        if min(p[3], p[4]) < SMALLEST_SIGMA_PX or max(wx, wy) > _LARGEST_TABLE or min(wx, wy) < 4:
-            return False, 0.0, 0, 0, 0.0
+        if min(p[SIGMA_X], p[SIGMA_Y]) < SMALLEST_SIGMA_PX or max(wx, wy) > LARGEST_TABLE or min(wx, wy) < 4:
+            return _not_done()
         if not fetched:
             prefetch_window(image, x0, y0, wx, wy)
             fetched = True
-        profile(tables[0:3], x0, wx, p[1], p[3])
-        profile(tables[3:6], y0, wy, p[2], p[4])
-        row_step = max(1, int(0.7 * p[4])) if rough else 1
+        profile(tables[:ALONG_Y], x0, wx, p[X], p[SIGMA_X])
+        profile(tables[ALONG_Y:], y0, wy, p[Y], p[SIGMA_Y])
+        row_step = max(1, int(0.7 * p[SIGMA_Y])) if rough else 1
         chi2, kept = score(
-            image, x0, y0, wx, wy, row_step, tables, p[0], p[5], floor, inverse_gain, uneven, gate, gradient
-        )
+            image, x0, y0, wx, wy, row_step, tables, p[AMPLITUDE], p[BACKGROUND], floor, noise.dn_per_e,
+            noise.prnu2, gate, gradient,
+        )  # fmt: skip
         outliers = wx * wy - int(kept)
         many = outliers > _MOST_OUTLIERS + 0.002 * wx * wy
         if many and not opened:
-            # the spot has moved further than expected: what the gate keeps would hardly tell where to
+            # the spot has moved further than expected, so that much of its light counts as outliers:
+            # the pixels left would hardly tell where to. Once without a gate
             opened = True
             gate = math.inf
             continue
         if not informed:
-            # sums over a grid as fine as sigma are exact, but not those that an edge cuts off
-            step_x = max(1, int(p[3])) if x0 > 0 and x0 + wx < nx else 1
-            step_y = max(1, int(p[4])) if y0 > 0 and y0 + wy < ny else 1
-            information(wx, wy, tables, p[0], floor, inverse_gain, uneven, step_x, step_y, matrix)
-            if not cholesky(matrix, UNKNOWNS, factor):
-                return False, 0.0, 0, 0, 0.0
+            # sums over a grid as fine as sigma are exact, except where the image's edge cuts the spot
+            step_x = max(1, int(p[SIGMA_X])) if x0 > 0 and x0 + wx < nx else 1
+            step_y = max(1, int(p[SIGMA_Y])) if y0 > 0 and y0 + wy < ny else 1
+            information(
+                wx, wy, tables, p[AMPLITUDE], floor, noise.dn_per_e, noise.prnu2, step_x, step_y,
+                work.information,
+            )  # fmt: skip
+            if not cholesky(work.information, UPRIGHT, work.factor):
+                return _not_done()
             informed = True
-        solve(factor, UNKNOWNS, gradient, step)
+        solve(work.factor, UPRIGHT, gradient, step)
         largest = 0.5 if rough else 0.2
         if (
-            abs(step[3]) > largest * p[3]
-            or abs(step[4]) > largest * p[4]
-            or abs(step[0]) > 1.5 * largest * p[0]
+            abs(step[SIGMA_X]) > largest * p[SIGMA_X]
+            or abs(step[SIGMA_Y]) > largest * p[SIGMA_Y]
+            or abs(step[AMPLITUDE]) > 1.5 * largest * p[AMPLITUDE]
         ):
-            return False, 0.0, 0, 0, 0.0
-        if abs(step[1]) > p[3] or abs(step[2]) > p[4]:
-            return False, 0.0, 0, 0, 0.0
-        # what is left after a step is its product with the steps of the others, in units of sigma
-        sigma = min(p[3], p[4])
-        others = abs(step[1]) + abs(step[2]) + abs(step[3]) + abs(step[4]) + sigma * abs(step[0]) / p[0]
-        u_x = math.sqrt(inverse_diagonal(factor, UNKNOWNS, 1))
-        u_y = math.sqrt(inverse_diagonal(factor, UNKNOWNS, 2))
-        small = (
-            abs(step[1]) * others < _LEFT_OVER * u_x * sigma
-            and abs(step[2]) * others < _LEFT_OVER * u_y * sigma
+            return _not_done()
+        if abs(step[X]) > p[SIGMA_X] or abs(step[Y]) > p[SIGMA_Y]:
+            return _not_done()
+        # scoring neglects second derivatives, which couple the parameters: what is left in x after a step
+        # is about its own step times the others', in units of sigma
+        sigma = min(p[SIGMA_X], p[SIGMA_Y])
+        others = (
+            abs(step[X])
+            + abs(step[Y])
+            + abs(step[SIGMA_X])
+            + abs(step[SIGMA_Y])
+            + sigma * abs(step[AMPLITUDE]) / p[AMPLITUDE]
         )
-        changed = max(abs(step[0]) / p[0], abs(step[3]) / p[3], abs(step[4]) / p[4]) > 0.03
-        for k in range(UNKNOWNS):
+        u_x = math.sqrt(inverse_diagonal(work.factor, UPRIGHT, X))
+        u_y = math.sqrt(inverse_diagonal(work.factor, UPRIGHT, Y))
+        small = (
+            abs(step[X]) * others < _LEFT_OVER * u_x * sigma
+            and abs(step[Y]) * others < _LEFT_OVER * u_y * sigma
+        )
+        changed = (
+            max(
+                abs(step[AMPLITUDE]) / p[AMPLITUDE],
+                abs(step[SIGMA_X]) / p[SIGMA_X],
+                abs(step[SIGMA_Y]) / p[SIGMA_Y],
+            )
+            > 0.03
+        )
+        for k in range(UPRIGHT):
             p[k] += step[k]
         scatter = chi2 / max(kept, 1.0)
-        settled = gate <= _GATE * _LARGEST_SCATTER
-        # what the step takes with it; a long one may take less
+        settled = gate <= GATE * _LARGEST_SCATTER
+        # chi-square falls by gradient . step with a step in the range where the model is linear
         expected = chi2
         if others < 0.5 * sigma:
-            for k in range(UNKNOWNS):
+            for k in range(UPRIGHT):
                 expected -= gradient[k] * step[k]
-        gate = _GATE * max(1.0, expected / max(kept, 1.0))
+        gate = GATE * max(1.0, expected / max(kept, 1.0))
         if changed:
+            # the information depends on size and amplitude, hardly on the place
             informed = False
         elif rough:
             rough = False
         elif small and settled:
             if many or scatter > _LARGEST_SCATTER:
-                return False, 0.0, 0, 0, 0.0
-            # the last step takes this much with it
-            for k in range(UNKNOWNS):
+                return _not_done()
+            for k in range(UPRIGHT):
                 chi2 -= gradient[k] * step[k]
-            return True, chi2, int(kept), outliers, gradient[6] / math.sqrt(max(matrix[6, 6], 1e-300))
-    return False, 0.0, 0, 0, 0.0
+            tilt = gradient[COVARIANCE] / math.sqrt(max(work.information[COVARIANCE, COVARIANCE], 1e-300))
+            return UprightFit(Fitted(True, chi2, int(kept), 0, outliers, UPRIGHT, False, False), tilt)
+    return _not_done()

@@ -1,7 +1,8 @@
 """Quick scoring of a spot whose axes lie along the pixels: rows times columns.
 
-The pixel-integrated Gaussian is the product of one profile along x and one along y, so that a pixel
-costs a handful of multiplications in single precision, which the compiler makes vectors of.
+The light of pixel (i, j) is A e_i e_j, the product of one pixel-integrated Gaussian along x and one
+along y, and so are its derivatives. With the two profiles tabulated a pixel costs a handful of
+multiplications in single precision, which the compiler turns into vector instructions.
 """
 
 import math
@@ -10,13 +11,31 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from processing.spot.fit_values import (
+    AMPLITUDE,
+    BACKGROUND,
+    COVARIANCE,
+    SIGMA_X,
+    SIGMA_Y,
+    TILTED,
+    Floats,
+    X,
+    Y,
+)
 from processing.spot.spot import Image
 
-Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
 
 SMALLEST_SIGMA_PX = 1.5
-"""Below it the expansion of the pixel integral has no accuracy to speak of."""
+"""Below it the expansion of the pixel integral in the pixel's width is not accurate enough."""
+
+VALUE, BY_CENTRE, BY_SIGMA = range(3)
+"""Rows of a profile: the pixel-integrated Gaussian, and its derivatives by centre and sigma."""
+
+ALONG_Y = 3
+"""First row of the profile along y in a table that holds both; that along x begins at row 0."""
+
+TABLE_ROWS = 6
 
 
 @njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
@@ -25,8 +44,9 @@ def profile(table: Singles, first: int, count: int, centre: float, sigma: float)
 
     The integral over a pixel is the density times 1 + h2/24 + h4/1920, h2 and h4 being Hermite
     polynomials of u = (i - centre)/sigma over sigma^2 and sigma^4 (Taylor in the pixel's width;
-    the next term is below 3e-7 for sigma of 3 px). The exponential goes from pixel to pixel by two
-    multiplications, outward from the centre.
+    the next term is below 3e-7 for sigma of 3 px). From one pixel to the next the exponential
+    changes by a ratio that itself changes by the constant exp(-1/sigma^2): two multiplications instead
+    of an exponential, outward from the centre so that rounding errors stay relative to a falling value.
     """
     s2 = 1.0 / (sigma * sigma)
     inverse = 1.0 / sigma
@@ -47,16 +67,16 @@ def profile(table: Singles, first: int, count: int, centre: float, sigma: float)
             h2 = (u2 - 1.0) * s2 / 24.0
             h4 = ((u2 - 6.0) * u2 + 3.0) * s2 * s2 / 1920.0
             value = g * (1.0 + h2 + h4)
-            # derivative of the density is u/sigma times it; of the correction, its own derivative
+            # d(g h)/dcentre = g (h u - h')/sigma, with h = 1 + h2 + h4 and g the density; likewise by sigma
             slope = value * u * inverse - g * inverse * (
                 2.0 * u * s2 / 24.0 + (4.0 * u2 - 12.0) * u * s2 * s2 / 1920.0
             )
             width = value * u2 * inverse - g * inverse * (
                 (4.0 * u2 - 2.0) * s2 / 24.0 + ((8.0 * u2 - 36.0) * u2 + 12.0) * s2 * s2 / 1920.0
             )
-            table[0, i] = value
-            table[1, i] = slope
-            table[2, i] = width
+            table[VALUE, i] = value
+            table[BY_CENTRE, i] = slope
+            table[BY_SIGMA, i] = width
             g *= ratio
             ratio *= q
             i += move
@@ -79,11 +99,12 @@ def score(
     gate: float,
     gradient: Floats,
 ) -> tuple[float, float]:
-    """Gradient of the log likelihood in (A, x, y, sigma_x, sigma_y, B, c), chi2, pixels kept.
+    """Gradient of the log likelihood in the first TILTED parameters, chi2, pixels kept.
 
-    c is the covariance of the spot's axes, 0 here; its gradient tells whether the spot is tilted. Every
-    `row_step`-th row stands for those between. Pixels whose squared residual exceeds `gate` variances are
-    left out.
+    The gradient's element p is the sum over pixels of (dmu/dp)(I - mu)/variance. The covariance c is 0
+    here; its gradient tells whether the spot is tilted (dmu/dc is the product of the derivatives by x
+    and y, over A). Every `row_step`-th row stands for those between. Pixels whose squared residual
+    exceeds `gate` variances are left out.
     """
     one = np.float32(1.0)
     zero = np.float32(0.0)
@@ -92,16 +113,16 @@ def score(
     shot = np.float32(inverse_gain)
     spread = np.float32(uneven)
     limit = np.float32(gate)
-    # plain slices and counts instead of a maximum: the loop below must become vector code
-    ex = table[0, :nx]
-    dx = table[1, :nx]
-    wx = table[2, :nx]
-    g0 = g1 = g2 = g3 = g4 = g5 = g6 = np.float64(0.0)
+    # plain slices, and selections instead of branches: only so the loop below becomes vector code
+    ex = table[VALUE, :nx]
+    dx = table[BY_CENTRE, :nx]
+    wx = table[BY_SIGMA, :nx]
+    g_amplitude = g_x = g_y = g_sigma_x = g_sigma_y = g_background = g_covariance = np.float64(0.0)
     chi2 = np.float64(0.0)
     kept = np.float64(0.0)
     for j in range(row_step // 2, ny, row_step):
         row = image[y0 + j, x0 : x0 + nx]
-        light = np.float32(amplitude) * table[3, j]
+        light = np.float32(amplitude) * table[ALONG_Y + VALUE, j]
         s0 = np.float32(0.0)
         se = np.float32(0.0)
         sx = np.float32(0.0)
@@ -121,22 +142,22 @@ def score(
             sw += d * wx[i]
             sc += z * keep
             so += keep
-        g0 += table[3, j] * se
-        g1 += light * sx
-        g2 += amplitude * table[4, j] * se
-        g3 += light * sw
-        g4 += amplitude * table[5, j] * se
-        g5 += s0
-        g6 += amplitude * table[4, j] * sx
+        g_amplitude += table[ALONG_Y + VALUE, j] * se
+        g_x += light * sx
+        g_y += amplitude * table[ALONG_Y + BY_CENTRE, j] * se
+        g_sigma_x += light * sw
+        g_sigma_y += amplitude * table[ALONG_Y + BY_SIGMA, j] * se
+        g_background += s0
+        g_covariance += amplitude * table[ALONG_Y + BY_CENTRE, j] * sx
         chi2 += sc
         kept += so
-    gradient[0] = row_step * g0
-    gradient[1] = row_step * g1
-    gradient[2] = row_step * g2
-    gradient[3] = row_step * g3
-    gradient[4] = row_step * g4
-    gradient[5] = row_step * g5
-    gradient[6] = row_step * g6
+    gradient[AMPLITUDE] = row_step * g_amplitude
+    gradient[X] = row_step * g_x
+    gradient[Y] = row_step * g_y
+    gradient[SIGMA_X] = row_step * g_sigma_x
+    gradient[SIGMA_Y] = row_step * g_sigma_y
+    gradient[BACKGROUND] = row_step * g_background
+    gradient[COVARIANCE] = row_step * g_covariance
     return float(row_step * chi2), float(row_step * kept)
 
 
@@ -153,12 +174,13 @@ def information(
     step_y: int,
     matrix: Floats,
 ) -> None:
-    """Fisher information of (A, x, y, sigma_x, sigma_y, B, c), symmetric, from every step-th row and column.
+    """Fisher information of the first TILTED parameters, symmetric, from every step-th row and column.
 
-    Sums of Gaussians over a grid that is finer than sigma are exact to many digits, so the steps
-    cost nothing but time saved.
+    Element (p, q) is the sum over pixels of (dmu/dp)(dmu/dq)/variance. Sums of Gaussians over a grid that
+    is finer than sigma are exact to many digits (the error falls as exp(-2 pi^2 sigma^2/step^2)), so that
+    steps of up to sigma lose no accuracy.
     """
-    for k in range(7):
+    for k in range(TILTED):
         for m in range(k + 1):
             matrix[k, m] = 0.0
     columns = 0
@@ -166,14 +188,15 @@ def information(
     for j in range(step_y // 2, ny, step_y):
         rows += 1
         columns = 0
-        # along a row the information is made of ten sums of products of three profiles
+        # a derivative is a factor of the row times a profile along x (or 1): along a row all elements are
+        # made of ten weighted sums of products of the profiles e, d, w
         see = sed = sew = sdd = sdw = sww = se = sd = sw = s1 = 0.0
         for i in range(step_x // 2, nx, step_x):
             columns += 1
-            e = table[0, i]
-            d = table[1, i]
-            w = table[2, i]
-            light = amplitude * e * table[3, j]
+            e = table[VALUE, i]
+            d = table[BY_CENTRE, i]
+            w = table[BY_SIGMA, i]
+            light = amplitude * e * table[ALONG_Y + VALUE, j]
             weight = 1.0 / (dark_variance + light * (inverse_gain + light * uneven))
             we = weight * e
             wd = weight * d
@@ -188,41 +211,42 @@ def information(
             sd += wd
             sw += ww
             s1 += weight
-        ey = table[3, j]
-        dy = amplitude * table[4, j]
-        wy = amplitude * table[5, j]
+        ey = table[ALONG_Y + VALUE, j]
+        dy = amplitude * table[ALONG_Y + BY_CENTRE, j]
+        wy = amplitude * table[ALONG_Y + BY_SIGMA, j]
         ay = amplitude * ey
-        matrix[0, 0] += ey * ey * see
-        matrix[1, 0] += ay * ey * sed
-        matrix[1, 1] += ay * ay * sdd
-        matrix[2, 0] += dy * ey * see
-        matrix[2, 1] += dy * ay * sed
-        matrix[2, 2] += dy * dy * see
-        matrix[3, 0] += ay * ey * sew
-        matrix[3, 1] += ay * ay * sdw
-        matrix[3, 2] += ay * dy * sew
-        matrix[3, 3] += ay * ay * sww
-        matrix[4, 0] += wy * ey * see
-        matrix[4, 1] += wy * ay * sed
-        matrix[4, 2] += wy * dy * see
-        matrix[4, 3] += wy * ay * sew
-        matrix[4, 4] += wy * wy * see
-        matrix[5, 0] += ey * se
-        matrix[5, 1] += ay * sd
-        matrix[5, 2] += dy * se
-        matrix[5, 3] += ay * sw
-        matrix[5, 4] += wy * se
-        matrix[5, 5] += s1
-        matrix[6, 0] += dy * ey * sed
-        matrix[6, 1] += dy * ay * sdd
-        matrix[6, 2] += dy * dy * sed
-        matrix[6, 3] += dy * ay * sdw
-        matrix[6, 4] += dy * wy * sed
-        matrix[6, 5] += dy * sd
-        matrix[6, 6] += dy * dy * sdd
-    # the background alone reaches to the window's edge, where the last step sticks out or falls short
-    matrix[5, 5] *= nx * ny / (rows * columns * step_x * step_y)
-    for k in range(7):
+        matrix[AMPLITUDE, AMPLITUDE] += ey * ey * see
+        matrix[X, AMPLITUDE] += ay * ey * sed
+        matrix[X, X] += ay * ay * sdd
+        matrix[Y, AMPLITUDE] += dy * ey * see
+        matrix[Y, X] += dy * ay * sed
+        matrix[Y, Y] += dy * dy * see
+        matrix[SIGMA_X, AMPLITUDE] += ay * ey * sew
+        matrix[SIGMA_X, X] += ay * ay * sdw
+        matrix[SIGMA_X, Y] += ay * dy * sew
+        matrix[SIGMA_X, SIGMA_X] += ay * ay * sww
+        matrix[SIGMA_Y, AMPLITUDE] += wy * ey * see
+        matrix[SIGMA_Y, X] += wy * ay * sed
+        matrix[SIGMA_Y, Y] += wy * dy * see
+        matrix[SIGMA_Y, SIGMA_X] += wy * ay * sew
+        matrix[SIGMA_Y, SIGMA_Y] += wy * wy * see
+        matrix[BACKGROUND, AMPLITUDE] += ey * se
+        matrix[BACKGROUND, X] += ay * sd
+        matrix[BACKGROUND, Y] += dy * se
+        matrix[BACKGROUND, SIGMA_X] += ay * sw
+        matrix[BACKGROUND, SIGMA_Y] += wy * se
+        matrix[BACKGROUND, BACKGROUND] += s1
+        matrix[COVARIANCE, AMPLITUDE] += dy * ey * sed
+        matrix[COVARIANCE, X] += dy * ay * sdd
+        matrix[COVARIANCE, Y] += dy * dy * sed
+        matrix[COVARIANCE, SIGMA_X] += dy * ay * sdw
+        matrix[COVARIANCE, SIGMA_Y] += dy * wy * sed
+        matrix[COVARIANCE, BACKGROUND] += dy * sd
+        matrix[COVARIANCE, COVARIANCE] += dy * dy * sdd
+    # of all derivatives only the background's reaches to the window's edge, where the last step may stick
+    # out or fall short
+    matrix[BACKGROUND, BACKGROUND] *= nx * ny / (rows * columns * step_x * step_y)
+    for k in range(TILTED):
         for m in range(k + 1):
             matrix[k, m] *= step_x * step_y
             matrix[m, k] = matrix[k, m]

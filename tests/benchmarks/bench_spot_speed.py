@@ -124,20 +124,12 @@ def windows(sigma: float, count: int, seed: int) -> tuple[NDArray[Any], NDArray[
     return np.array([exposed(light((n, n), x, y, sigma, PEAK), rng) for x, y in truth]), truth
 
 
-def two_cores(sigma: float, rounds: int) -> dict[str, float]:
-    """Stack on one thread and on two; calls frame by frame beside them."""
-    stack = np.tile(windows(sigma, 512, 41)[0], (8, 1, 1))
-    tracker, calls = SpotTracker(EIGHT_BIT), SpotTracker(EIGHT_BIT)
-    us = interleaved(
-        {
-            "one": (lambda: tracker.track_stack(stack), len(stack)),
-            "two": (lambda: tracker.track_stack(stack, threads=2), len(stack)),
-            "calls": (lambda: [calls.track(image) for image in stack], len(stack)),
-        },
-        rounds,
-    )
-    return {"sigma_px": sigma, **{f"{name}_us": value for name, value in us.items()},
-            "speedup": us["one"] / us["two"]}  # fmt: skip
+def on_windows(sigma: float, rounds: int) -> dict[str, float]:
+    """Calls frame by frame on windows as a record keeps them."""
+    images = windows(sigma, 512, 41)[0]
+    tracker = SpotTracker(EIGHT_BIT)
+    us = interleaved({"calls": (lambda: [tracker.track(image) for image in images], len(images))}, rounds)
+    return {"sigma_px": sigma, "calls_us": us["calls"]}
 
 
 def _picasso() -> Callable[[NDArray[Any]], tuple[float, float]]:
@@ -239,7 +231,6 @@ def peers(quick: bool) -> dict[str, Any]:
     """Time and RMS error of each peer that can be imported, on the same windows as the tracker."""
     images, truth = windows(6, 40 if quick else 200, 51)
     tracker = SpotTracker(EIGHT_BIT)
-    tracker.track_stack(images)
 
     def ours(image: NDArray[Any]) -> tuple[float, float]:
         spot = tracker.track(image)
@@ -287,7 +278,7 @@ def run(quick: bool = False) -> dict[str, Any]:
     cv2.setNumThreads(1)
     rounds = 20 if quick else 200
     ratios = [against_sum(sigma, hot, rounds) for sigma in SIGMAS for hot in (0, 200)]
-    cores = [two_cores(sigma, 5 if quick else 15) for sigma in SIGMAS]
+    calls = [on_windows(sigma, 40 if quick else 120) for sigma in SIGMAS]
     others = peers(quick)
     console = Console()
     table = Table(title="1280 x 1024 uint8, time in units of cv2.sumElems over the frame")
@@ -300,14 +291,11 @@ def run(quick: bool = False) -> dict[str, Any]:
             *(f"{r[name + ', ratio']:.3f} ({r[name + ', us']:.1f} us)" for name in names),
         )  # fmt: skip
     console.print(table)
-    table = Table(title="track_stack, us per window of +-5 sigma")
-    for column in ("sigma", "calls", "one thread", "two threads", "speedup"):
+    table = Table(title="us per window of +-5 sigma")
+    for column in ("sigma", "us"):
         table.add_column(column, justify="right")
-    for c in cores:
-        table.add_row(
-            f"{c['sigma_px']:g}", f"{c['calls_us']:.2f}", f"{c['one_us']:.2f}", f"{c['two_us']:.2f}",
-            f"{c['speedup']:.2f}",
-        )  # fmt: skip
+    for c in calls:
+        table.add_row(f"{c['sigma_px']:g}", f"{c['calls_us']:.2f}")
     console.print(table)
     table = Table(title="peers, sigma 6, peak 180, the same windows")
     for column in ("method", "us", "times slower", "scatter mpx"):
@@ -320,7 +308,7 @@ def run(quick: bool = False) -> dict[str, Any]:
                 name, f"{value['us']:.1f}", f"{value['times_slower']:.0f}", f"{value['scatter_mpx']:.2f}"
             )
     console.print(table)
-    return {"against_sum": ratios, "two_cores": cores, "peers": others}
+    return {"against_sum": ratios, "windows": calls, "peers": others}
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from processing.errors import DataError
-from processing.spot import SPOT_DTYPE, SensorModel, Spot, SpotFlag, SpotTracker
+from processing.spot import SensorModel, Spot, SpotFlag, SpotTracker
 from tests.processing.spot.frames import EIGHT_BIT, TWELVE_BIT, exposed, light
 
 
@@ -24,37 +24,6 @@ def swinging(count: int, n: int = 96, sigma: float = 6.0) -> np.ndarray:
             for k in range(count)
         ]
     )
-
-
-def agree(a: np.ndarray, b: np.ndarray, part: float) -> bool:
-    """Positions agree within a part of their standard uncertainty."""
-    return bool(
-        np.all(np.abs(a["x_px"] - b["x_px"]) < part * a["u_x_px"])
-        and np.all(np.abs(a["y_px"] - b["y_px"]) < part * a["u_y_px"])
-    )
-
-
-def test_stack_is_the_loop_whatever_the_number_of_threads() -> None:
-    images = swinging(600)
-    tracker = SpotTracker(EIGHT_BIT)
-    loop = np.array([tracker.track(image) for image in images], dtype=SPOT_DTYPE)
-    single = SpotTracker(EIGHT_BIT).track_stack(images)
-    assert single.dtype == SPOT_DTYPE
-    assert agree(loop, single, 0.1)
-    for threads in (2, 3):
-        assert SpotTracker(EIGHT_BIT).track_stack(images, threads=threads).tobytes() == single.tobytes()
-    assert len(SpotTracker(EIGHT_BIT).track_stack(images[:0])) == 0
-
-
-def test_stack_goes_on_where_the_last_frame_was() -> None:
-    images = swinging(40)
-    tracker = SpotTracker(EIGHT_BIT)
-    tracker.track_stack(images[:20])
-    after_stack = tracker.track(images[20])
-    other = SpotTracker(EIGHT_BIT)
-    for image in images[:20]:
-        other.track(image)
-    assert after_stack == other.track(images[20])
 
 
 def test_window_of_a_record_tracks_again() -> None:
@@ -144,10 +113,6 @@ def test_bad_settings_are_refused() -> None:
         SensorModel(gain_e_per_dn=1, read_noise_e=-1, full_scale_dn=255)
     with pytest.raises(DataError, match="prnu"):
         SensorModel(gain_e_per_dn=1, read_noise_e=1, full_scale_dn=255, prnu=-0.01)
-    with pytest.raises(DataError, match="threads"):
-        SpotTracker(EIGHT_BIT).track_stack(np.zeros((2, 20, 20), dtype=np.uint8), threads=0)
-    with pytest.raises(DataError, match="n, ny, nx"):
-        SpotTracker(EIGHT_BIT).track_stack(np.zeros((20, 20), dtype=np.uint8))
 
 
 COMPACT = ["TEM00_200mm.pgm", "TEM00_300mm.pgm", "k-300mm.png", "k-500mm.png", "t-510mm.pgm"]

@@ -1,0 +1,55 @@
+"""Cholesky factor of a small matrix, and what follows from it."""
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def cholesky(matrix: Floats, size: int, factor: Floats) -> bool:
+    """Lower factor L of a symmetric positive definite matrix, L L^T = matrix; False where it is not one."""
+    for k in range(size):
+        for m in range(k + 1):
+            total = matrix[k, m]
+            for n in range(m):
+                total -= factor[k, n] * factor[m, n]
+            if k == m:
+                if not total > 1e-14 * matrix[k, k]:
+                    return False
+                factor[k, k] = math.sqrt(total)
+            else:
+                factor[k, m] = total / factor[m, m]
+    return True
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def solve(factor: Floats, size: int, right: Floats, solution: Floats) -> None:
+    """Solution of (L L^T) x = right: forward, then backward substitution."""
+    for k in range(size):
+        total = right[k]
+        for n in range(k):
+            total -= factor[k, n] * solution[n]
+        solution[k] = total / factor[k, k]
+    for k in range(size - 1, -1, -1):
+        total = solution[k]
+        for n in range(k + 1, size):
+            total -= factor[n, k] * solution[n]
+        solution[k] = total / factor[k, k]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def inverse_diagonal(factor: Floats, size: int, index: int) -> float:
+    """Element (index, index) of the inverse matrix: the squared norm of column `index` of L^-1."""
+    column = np.zeros(size)
+    total = 0.0
+    for k in range(index, size):
+        value = 1.0 if k == index else 0.0
+        for n in range(index, k):
+            value -= factor[k, n] * column[n]
+        column[k] = value / factor[k, k]
+        total += column[k] * column[k]
+    return total
