@@ -11,10 +11,12 @@ from processing.errors import DataError
 from processing.estimate import Estimate
 from processing.instruments import (
     DEGREE_RAD,
+    INSTRUMENTS,
     Check,
     Damping,
     Description,
     FrictionLaw,
+    Limits,
     along_plane,
     check,
     circular_error,
@@ -99,6 +101,7 @@ def reduce_run(
         problems.append(str(error))
         _what_is_left(points, values, lines)
     _held_against_air(description, air, values, lines)
+    _check_mass(settings, values, lines)
     values["text"] = list(lines)
     return Reduction(settings, values, lines, points, "; ".join(problems), found, air)
 
@@ -304,6 +307,17 @@ def _held_against_air(description: Description, air: Air, values: dict[str, Any]
         lines.append(item.text)
     if found:
         values["environment"] = found
+
+
+def _check_mass(settings: InstrumentSettings, values: dict[str, Any], lines: list[str]) -> None:
+    """The stated mass of the pendulum against the standard's, where the standard limits it."""
+    standard = INSTRUMENTS[settings.kind]
+    if settings.mass_kg is None or standard.mass_kg is None or standard.mass_tolerance_kg is None:
+        return
+    limits = Limits(standard.mass_kg, standard.mass_tolerance_kg)
+    item = check("mass of the pendulum", Estimate(settings.mass_kg, 0.0), limits, "kg")
+    values["apparatus"] = [check_tree(item)]
+    lines.append(item.text)
 
 
 def check_tree(item: Check) -> dict[str, Any]:

@@ -40,7 +40,9 @@ class SessionSettings(Section, frozen=True):
     notes: str = ""
     contact_history: str = Field(default="", description="age, cleaning, earlier loads of the contact")
     runs: int = Field(default=1, ge=1, le=1000)
-    initial_amplitude_arcsec: float = Field(default=124.0, gt=0, description="start of the fitted range")
+    initial_amplitude_arcsec: float = Field(
+        default=124.0, gt=0, description="wanted at the start; see [start]"
+    )
     final_amplitude_arcsec: float = Field(default=2.0, gt=0, description="a run ends below this")
     max_duration_s: float = Field(default=7200.0, gt=0, description="a run ends after this, reached or not")
     output: Path = Field(default=Path("runs"), description="folder in which each session makes its own")

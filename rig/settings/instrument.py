@@ -13,7 +13,9 @@ class InstrumentSettings(BaseModel, frozen=True, extra="forbid"):
     """The kind selects a description (`rig instruments` lists them); None keeps what it says."""
 
     kind: str = "single_ball"
-    mass_kg: float | None = Field(default=None, gt=0)
+    mass_kg: float | None = Field(
+        default=None, gt=0, description="as weighed, compared with the standard's where it limits it"
+    )
     support_radius_m: float | None = Field(default=None, gt=0, lt=1, description="ball, roller or axis")
     u_support_radius_m: float = Field(default=0.0, ge=0)
     lever_m: float | None = Field(
@@ -65,7 +67,6 @@ class InstrumentSettings(BaseModel, frozen=True, extra="forbid"):
         tolerance = math.inf if self.glass_time_at_least else self.glass_tolerance_s
         return replace(
             table,
-            mass_kg=table.mass_kg if self.mass_kg is None else self.mass_kg,
             support_radius_m=table.support_radius_m
             if self.support_radius_m is None
             else self.support_radius_m,

@@ -1,0 +1,227 @@
+"""Parts of the program at work with every section of a configuration, each for some seconds at most."""
+
+import time
+from concurrent.futures import Future
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from acquisition.camera import CameraSettings
+from acquisition.cameras.simulated import SimulatedCamera
+from acquisition.simulation.faults import FaultSettings
+from acquisition.simulation.inputs import RigInputs
+from acquisition.simulation.settings import SimulationSettings
+from processing.errors import RigError
+from rig.balance.look import LooksView, look
+from rig.control import (
+    Controller,
+    ControllerSettings,
+    ControlService,
+    EnvironmentService,
+    EnvironmentSettings,
+    simulated_controller,
+)
+from rig.control.settings import SerialFaults
+from rig.devices import Devices, FrameStream, LaserNow, OpenCamera
+from rig.instrument import camera_settings, complete, make_camera, optics_of
+from rig.measure.end_of_run import EndLimits
+from rig.measure.phases import PhasesBeforeRecord
+from rig.measure.record_file import RecordFile
+from rig.measure.run import Run
+from rig.measure.run_parts import RunParts
+from rig.measure.session import measure_session, session_folder
+from rig.measure.start_judge import start_limits
+from rig.settings import Configuration, load_configuration
+from tests.rig.control.instruments import FakeObis, FakeThorlabs
+from tests.rig.measure.test_session import CONFIGS, SMALL
+
+DEMO = CONFIGS / "demo.toml"
+NOWHERE = "/dev/no-such-port"
+
+
+def configuration(**changes: str | float | bool) -> Configuration:
+    """The small demonstration with dotted keys changed (``__`` for a dot)."""
+    words = {**SMALL, **{key.replace("__", "."): str(value) for key, value in changes.items()}}
+    return load_configuration(DEMO, [f"{key}={value}" for key, value in words.items()])
+
+
+def measure_one_session(folder: Path) -> None:
+    """Camera to report: session, record, view, fit, pendulum, lever."""
+    config = configuration(session__max_duration_s=2, view__file="true")
+    measure_session(config, DEMO, folder / "out")
+    session_folder(config.model_copy(update={"session": _in(config, folder)}), DEMO, None)
+
+
+def _in(config: Configuration, folder: Path) -> Any:
+    return config.session.model_copy(update={"output": folder / "runs"})
+
+
+class _Obedient:
+    """A controller or laser that carries everything out."""
+
+    def __getattr__(self, name: str) -> Any:
+        done: Future[None] = Future()
+        done.set_result(None)
+        return lambda *_: done
+
+
+class _Stubs:
+    """Devices with a controller and a laser that are not there."""
+
+    control = _Obedient()
+
+    def describe(self) -> str:
+        return ""
+
+    def laser_now(self) -> LaserNow:
+        return LaserNow(True, "on")
+
+    def environment(self) -> tuple[float, float, float]:
+        return 20.0, 50.0, 1e5
+
+    def take_events(self) -> list[tuple[str, str]]:
+        return []
+
+    def required_control(self, who: str) -> _Obedient:
+        return self.control
+
+
+def go_through_the_phases(folder: Path) -> None:
+    """Rest, warm-up, preflight and release of a pendulum that is pushed at 5 s."""
+    config = complete(
+        configuration(
+            start__way='"starter"',
+            simulation__release__at_s=5.0,
+            simulation__release__way='"push"',
+            preflight__when='"always"',
+            preflight__duration_s=0.6,
+            preflight__max_clock_jitter_us=1e9,
+            phases__rest_window_s=1.0,
+            phases__warm_up_window_s=2.1,
+            phases__warm_up_drift_arcsec_per_min=1e3,
+            laser__kind='"controller"',
+            start__pretrigger_s=0.1,
+        )
+    )
+    camera = make_camera(config)
+    opened = OpenCamera(camera, camera.open(), ())
+    asked = camera_settings(config)
+    camera.configure(asked)
+    optics = optics_of(config, opened.info.full_scale_dn)
+    devices: Any = _Stubs()
+    phases = PhasesBeforeRecord(config, devices, opened, optics, folder, force=True)
+    outcome = Run(
+        RunParts(
+            stream=FrameStream(camera, asked, policy="wait"),
+            optics=optics,
+            record=RecordFile(folder / "phases.mcap", config, DEMO, opened.info, optics),
+            end=EndLimits(0.0, 0.5),
+            phases=phases,
+            start=start_limits(config, optics),
+            devices=devices,
+        )
+    ).execute()
+    assert outcome.failure is None, outcome.failure
+    phases.correct_starter(1e-4)
+
+
+def look_at_the_balance() -> None:
+    """Some periods of swinging."""
+    config = complete(configuration(balance__seconds=9.1))
+    with Devices(config) as devices:
+        look(config, devices, lambda _: None, LooksView(config, None, lambda _: ""))
+
+
+def talk_to_the_controller() -> None:
+    """The simulated one over a bad line, and one at a port that is not there."""
+    faults = SerialFaults(
+        junk_probability=0.01, loss_probability=0.001, delay_s=0.001, reset_at_s=100.0, unplug_at_s=100.0
+    )
+    settings = ControllerSettings(kind="simulated", faults=faults)
+    with ControlService(simulated_controller(settings, 1e-3), settings) as service:
+        service.wait_open()
+        service.starter_pulse(0.05).result(5.0)
+    with pytest.raises(RigError):
+        Controller(ControllerSettings(kind="serial", port=NOWHERE), 1e-3).open()
+
+
+def light_the_lasers() -> None:
+    """One that is set in watts, one in amperes, each behind its port."""
+    for kind, family, value in (("obis", FakeObis, "power_w"), ("thorlabs4000", FakeThorlabs, "current_a")):
+        instrument = family()
+        laser = {"kind": kind, "port": instrument.port, value: 0.02, f"max_{value}": 0.03, "timeout_s": 2.0}
+        try:
+            with Devices(Configuration.model_validate({"laser": laser})) as devices:
+                devices.light()
+        finally:
+            instrument.close()
+
+
+def read_the_environment() -> None:
+    """A sensor that must be asked, and one at a port that is not there."""
+
+    class Line:
+        name = "line"
+
+        def write(self, data: bytes) -> None: ...
+
+        def read(self, timeout_s: float) -> bytes:
+            return b"20.0, 50.0, 1000.0\n"
+
+        def discard_input(self) -> None: ...
+
+        def close(self) -> None: ...
+
+    settings = EnvironmentSettings(kind="serial", port=NOWHERE, request="R")
+    for open_line in (Line, None):
+        with EnvironmentService(settings, open_line) as service:
+            deadline_s = time.monotonic() + 5.0
+            while time.monotonic() < deadline_s and not (
+                service.latest.last_line or service.latest.last_error
+            ):
+                time.sleep(0.01)
+
+
+def choose_a_camera() -> None:
+    """A camera that is not there, by its serial number."""
+    make_camera(Configuration.model_validate({"camera": {"driver": "v4l2", "serial": "1"}}))
+
+
+def suffer_every_fault() -> None:
+    """A small simulated camera to which everything happens within a second."""
+    faults = FaultSettings(
+        laser_fades_at_s=0.1,
+        camera_unplugged_at_s=0.5,
+        camera_replugged_at_s=0.6,
+        frames_stalled_at_s=0.2,
+        frames_stalled_duration_s=0.1,
+        vibration_burst_at_s=0.1,
+        draught_at_s=0.1,
+    )
+    tiny = {
+        "sensor": {"width_px": 32, "height_px": 32},
+        "optics": {"arm_m": 0.02, "sigma_x_px": 2, "sigma_y_px": 2},
+    }
+    camera = SimulatedCamera(SimulationSettings.model_validate(tiny), faults)
+    _read(camera, 60)
+    real = SimulationSettings.model_validate(
+        {**tiny, "real_time": True, "release": {"way": "by command"}, "clock": {"frame_rate_hz": 200}}
+    )
+    inputs = RigInputs()
+    for act in (inputs.starter, inputs.brake):
+        act(True)
+    _read(SimulatedCamera(real, FaultSettings(), inputs), 20)
+
+
+def _read(camera: SimulatedCamera, count: int) -> None:
+    camera.open()
+    camera.configure(CameraSettings())
+    camera.start()
+    for _ in range(count):
+        try:
+            camera.read(1.0)
+        except RigError:
+            camera.open()
+            camera.start()
+    camera.close()

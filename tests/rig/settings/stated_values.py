@@ -1,0 +1,95 @@
+"""What the analysis and a record take from a configuration, as plain values that can be compared."""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from acquisition.camera import CameraInfo
+from acquisition.frame import Frame
+from processing.balance import Balance
+from processing.instruments import DEGREE_RAD
+from processing.spot import Spot
+from processing.swing import Swing
+from rig.analysis.contact_verdicts import rig_quantities
+from rig.analysis.other_instruments import Air, reduce_run
+from rig.analysis.other_instruments_series import reduce_series
+from rig.analysis.record_fit import _clock_rate
+from rig.instrument import (
+    height_of,
+    limits_of,
+    nominal_effects,
+    optics_of,
+    pendulum_on_ball,
+    session_metadata,
+)
+from rig.settings import Configuration, InstrumentSettings
+
+_SHAPE = (640, 160)
+_FRAME = Frame(np.zeros(_SHAPE, np.uint8), 0, 0, 0)
+_INFO = CameraInfo("", "", "", "", 160, 640, 255, True)
+
+
+def metadata(config: Configuration) -> Any:
+    """Texts that are kept with a record."""
+    return session_metadata(config, _INFO, _FRAME)
+
+
+def optical_path(config: Configuration) -> Any:
+    """The tracker's noise model, deflections of some spots, the clock's rate."""
+    optics = optics_of(config, 255.0)
+    spots = [Spot(x, y, 0.01, 0.02, *[1.0] * 6, 0) for x, y in ((80.0, 320.0), (90.0, 20.0), (3.0, 600.0))]
+    deflected = optics.deflector(_SHAPE)(spots)
+    return repr(optics.sensor), [column.tolist() for column in deflected], _clock_rate(config)
+
+
+def apparatus(config: Configuration) -> Any:
+    """The pendulum and every input of the uncertainty budget."""
+    return repr((pendulum_on_ball(config), rig_quantities(config)))
+
+
+def calibrated(config: Configuration) -> Any:
+    """Both."""
+    return optical_path(config), apparatus(config)
+
+
+def balance(config: Configuration) -> Any:
+    """Limits, height of the mass centre, and what a turn of each weight should do."""
+    small: dict[str, Any] = dict.fromkeys(Balance.__dataclass_fields__, 1e-4)
+    seen = Balance(**{**small, "period_s": 4.1, "time_ns": 0, "amplitude_rad": 5e-4})
+    effects = {
+        name: None if e is None else [v.tolist() for v in e] for name, e in nominal_effects(config).items()
+    }
+    return repr((limits_of(config), height_of(config, seen), effects))
+
+
+def instrument(config: Configuration) -> Any:
+    """Results of three runs of one decay, as several kinds of pendulum report it."""
+    stated: InstrumentSettings = config.instrument
+    found: list[Any] = [stated.kind, repr(stated.description().kind)]
+    for kind in ("koenig", "herbert", "tomlinson"):
+        for references in (stated.reference_runs, ()):
+            settings = stated.model_copy(update={"kind": kind, "reference_runs": references})
+            runs = [reduce_run(settings, _decay(b), None, Air(22.0, 48.0), 1e-3) for b in (0.01, 0.02, 0.03)]
+            found.append([run.values for run in runs])
+            found.append(reduce_series(runs)[0])
+    return repr(found)
+
+
+def _decay(friction: float) -> list[Swing]:
+    half_s, amplitudes = 0.7, 7.0 * DEGREE_RAD * np.exp(-friction * np.arange(150))
+    return [
+        Swing(
+            k,
+            round(k * half_s * 1e9),
+            1e-5,
+            float(a),
+            1e-6,
+            half_s if k else math.nan,
+            1e-5,
+            0.0,
+            (-1) ** k,
+            0,
+        )
+        for k, a in enumerate(amplitudes)
+    ]
