@@ -39,8 +39,8 @@ def optical_path(config: Configuration) -> Any:
     """The tracker's noise model, deflections of some spots, the clock's rate."""
     optics = optics_of(config, 255.0)
     spots = [Spot(x, y, 0.01, 0.02, *[1.0] * 6, 0) for x, y in ((80.0, 320.0), (90.0, 20.0), (3.0, 600.0))]
-    deflected = optics.deflector(_SHAPE)(spots)
-    return repr(optics.sensor), [column.tolist() for column in deflected], _clock_rate(config)
+    deflected = optics.deflector(_SHAPE)(np.zeros(3, np.int64), spots)
+    return repr(optics.sensor), repr(deflected), _clock_rate(config)
 
 
 def apparatus(config: Configuration) -> Any:
