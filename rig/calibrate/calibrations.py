@@ -88,13 +88,13 @@ def check_known_angle(ladder: Path, lever: Path, filing: Filing) -> Path:
 
 def calibrate_axes(record: Path, filing: Filing, slow_began: Sign | None, fast_began: Sign | None) -> Path:
     """Directions of both modes from a record in which both swing."""
-    spots = spots_of_record(record)
+    spots, began = spots_of_record(record)
     with RecordReader(record) as reader:
         before = recorded_configuration(reader).axes
     fit = fit_axes(
         spots.times_s,
-        spots.x_px,
-        spots.y_px,
+        spots.x,
+        spots.y,
         slow_began=slow_began,
         fast_began=fast_began,
         mirrored=before.mirrored if before is not None else False,
@@ -112,7 +112,7 @@ def calibrate_axes(record: Path, filing: Filing, slow_began: Sign | None, fast_b
     )
     details = {name: getattr(fit, name) for name in names}
     return file_calibration(
-        "axes", filing, "both modes fitted", fit.axes.model_dump(), details, [record], fit.notes, spots.began
+        "axes", filing, "both modes fitted", fit.axes.model_dump(), details, [record], fit.notes, began
     )
 
 
@@ -212,11 +212,11 @@ def calibrate_clock(record: Path, filing: Filing, counter_bits: int | None) -> P
 
 def calibrate_pointing(record: Path, filing: Filing) -> Path:
     """Noise, drift and lines of a spot that should stand still."""
-    spots = spots_of_record(record)
-    require_rest(spots.times_s, spots.x_px, spots.y_px, str(record))
+    spots, began = spots_of_record(record)
+    require_rest(spots.times_s, spots.x, spots.y, str(record))
     details: dict[str, Any] = {}
     notes = []
-    for name, values, u in (("x", spots.x_px, spots.u_x_px), ("y", spots.y_px, spots.u_y_px)):
+    for name, values, u in (("x", spots.x, spots.u_x), ("y", spots.y, spots.u_y)):
         found = stability(spots.times_s, values, u)
         details[name] = _stability_details(found)
         notes += [
@@ -225,7 +225,7 @@ def calibrate_pointing(record: Path, filing: Filing) -> Path:
         ]
         if not 0.7 < found.claimed_ratio < 1.4:
             notes.append(f"{name}: the tracker claims {found.claimed_ratio:.2f} of the noise that is there")
-    return file_calibration("pointing", filing, "pendulum at rest", {}, details, [record], notes, spots.began)
+    return file_calibration("pointing", filing, "pendulum at rest", {}, details, [record], notes, began)
 
 
 def _climb(path: Path, table: LadderFile) -> tuple[LadderFit, list[Path], datetime.datetime | None]:
@@ -237,10 +237,10 @@ def _climb(path: Path, table: LadderFile) -> tuple[LadderFit, list[Path], dateti
             rows.append((step.x_px, step.y_px, step.u_px, step.u_px))
             continue
         record = path.parent / step.record
-        spots = spots_of_record(record)
-        require_rest(spots.times_s, spots.x_px, spots.y_px, f"step {number}, {record}")
+        spots, step_began = spots_of_record(record)
+        require_rest(spots.times_s, spots.x, spots.y, f"step {number}, {record}")
         sources.append(record)
-        began = spots.began if began is None else max(began, spots.began)
+        began = step_began if began is None else max(began, step_began)
         rows.append(mean_spot(spots))
     return (
         fit_ladder(table.steps(rows), table.kind, u_reference_relative=table.u_reference_relative),

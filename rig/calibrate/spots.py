@@ -2,46 +2,40 @@
 
 import datetime
 import math
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquisition.record.reader import RecordReader
+from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import DataError
 from processing.spot import SpotFlag
 
-Floats = NDArray[np.float64]
 _SEGMENTS = 16
 _SATURATED = 0.1
-"""Part of the spots up to which the others are taken without them."""
+"""Part of the spots that may be saturated: up to here they are left out, above it the record is rejected."""
 
 
-@dataclass(frozen=True, slots=True)
-class SpotsOfRecord:
-    """Frames of a record with a spot; times in s from the first."""
+def mean_spot(spots: Deflections) -> tuple[float, float, float, float]:
+    """Mean x and y in px, then their standard uncertainties.
 
-    times_s: Floats
-    x_px: Floats
-    y_px: Floats
-    u_x_px: Floats
-    u_y_px: Floats
-    began: datetime.datetime
-
-
-def mean_spot(spots: SpotsOfRecord) -> tuple[float, float, float, float]:
-    """Mean position; its uncertainty from segments, which feel slow wandering too, or from the spots."""
+    These are the larger of what the spots claim and what the means of segments scatter by, which a slow
+    drift widens too.
+    """
     found = []
-    for values, u in ((spots.x_px, spots.u_x_px), (spots.y_px, spots.u_y_px)):
+    for values, u in ((spots.x, spots.u_x), (spots.y, spots.u_y)):
         means = np.array([part.mean() for part in np.array_split(values, _SEGMENTS)])
         claimed = float(np.sqrt(np.mean(u**2) / len(u)))
         found.append((float(values.mean()), max(float(means.std(ddof=1)) / math.sqrt(_SEGMENTS), claimed)))
     return found[0][0], found[1][0], found[0][1], found[1][1]
 
 
-def spots_of_record(record: Path) -> SpotsOfRecord:
-    """Whole, unsaturated spots. Raises DataError: fewer than 100 of them, or too much light."""
+def spots_of_record(record: Path) -> tuple[Deflections, datetime.datetime]:
+    """Places of a record's whole, unsaturated spots on the sensor, and when the record began.
+
+    x and y are counted in px from the sensor's first pixel, y down: nothing is calibrated yet. Raises
+    DataError where there are fewer than 100 such spots, or a tenth of all spots is saturated.
+    """
     with RecordReader(record) as reader:
         table = reader.spots()
         began = utc(reader, int(table["time_ns"][0]) if len(table) else 0)
@@ -57,11 +51,8 @@ def spots_of_record(record: Path) -> SpotsOfRecord:
             f"{record}: {len(good)} of {len(table)} frames have a whole, unsaturated spot; "
             "at least 100 are needed"
         )
-    times_s = (good["time_ns"] - good["time_ns"][0]) * 1e-9
-    x_px, y_px, u_x_px, u_y_px = (
-        np.asarray(good[name], dtype=np.float64) for name in ("x_px", "y_px", "u_x_px", "u_y_px")
-    )
-    return SpotsOfRecord(times_s, x_px, y_px, u_x_px, u_y_px, began)
+    x_px, y_px, u_x_px, u_y_px = (good[name].copy() for name in ("x_px", "y_px", "u_x_px", "u_y_px"))
+    return Deflections(good["time_ns"].copy(), x_px, y_px, u_x_px, u_y_px, DeflectionUnit.PX), began
 
 
 def utc(reader: RecordReader, time_ns: int) -> datetime.datetime:
