@@ -6,6 +6,7 @@ effect (mass, thread and axis of the weight) is only where learning starts.
 
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -18,15 +19,16 @@ Floats = NDArray[np.float64]
 _U_TURN = 0.02
 
 
-class BalanceLimits(NamedTuple):
+@dataclass(frozen=True)
+class BalanceLimits:
     """Within these the rig is balanced. Angles in arcsec and degrees, ratios plain, height in m."""
 
-    rest_arcsec: float = 10.0
-    height_m: float = 20e-6
-    line_angle_deg: float = 0.5
-    transverse_ratio: float = 0.01
-    width_ratio: float = 0.01
-    spin_deg_per_min: float = 0.2
+    rest_arcsec: float = field(default=10.0, metadata={"gt": 0})
+    height_m: float = field(default=20e-6, metadata={"gt": 0})
+    line_angle_deg: float = field(default=0.5, metadata={"gt": 0})
+    transverse_ratio: float = field(default=0.01, metadata={"gt": 0})
+    width_ratio: float = field(default=0.01, metadata={"gt": 0})
+    spin_deg_per_min: float = field(default=0.2, metadata={"gt": 0})
 
 
 class Fault(NamedTuple):

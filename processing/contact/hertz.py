@@ -4,7 +4,7 @@ a = (3 F R / (4 E*))^(1/3)      1/E* = sum (1 - nu^2)/E      depth = a^2/R      
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import hypot, isfinite
 from types import MappingProxyType
 
@@ -14,25 +14,24 @@ from processing.errors import ConfigurationError
 
 @dataclass(frozen=True, slots=True)
 class Material:
-    """Elastic constants of an isotropic material, with standard uncertainties."""
+    """Elastic constants of one body of the contact, with standard uncertainties."""
 
-    name: str
-    youngs_modulus_pa: float
-    poisson_ratio: float
-    u_youngs_modulus_pa: float = 0.0
-    u_poisson_ratio: float = 0.0
+    youngs_modulus_pa: float = field(metadata={"gt": 1e6})
+    poisson_ratio: float = field(metadata={"gt": -1, "lt": 0.5})
+    u_youngs_modulus_pa: float = field(default=0.0, metadata={"ge": 0})
+    u_poisson_ratio: float = field(default=0.0, metadata={"ge": 0})
 
     def __post_init__(self) -> None:
         if not (isfinite(self.youngs_modulus_pa) and self.youngs_modulus_pa > 0):
             raise ConfigurationError(
-                f"material {self.name!r}: youngs_modulus_pa = {self.youngs_modulus_pa}; it must be positive"
+                f"material: youngs_modulus_pa = {self.youngs_modulus_pa}; it must be positive"
             )
         if not -1 < self.poisson_ratio <= 0.5:
             raise ConfigurationError(
-                f"material {self.name!r}: poisson_ratio = {self.poisson_ratio}; it lies between -1 and 0.5"
+                f"material: poisson_ratio = {self.poisson_ratio}; it lies between -1 and 0.5"
             )
         if not (self.u_youngs_modulus_pa >= 0 and self.u_poisson_ratio >= 0):
-            raise ConfigurationError(f"material {self.name!r}: an uncertainty is negative")
+            raise ConfigurationError("material: an uncertainty is negative")
 
     @property
     def compliance_per_pa(self) -> float:
@@ -42,12 +41,9 @@ class Material:
 
 MATERIALS: Mapping[str, Material] = MappingProxyType(
     {
-        material.name: material
-        for material in (
-            Material("steel", 2.11e11, 0.28),
-            Material("silicon", 1.31e11, 0.266),
-            Material("glass_k8", 0.82e11, 0.206),
-        )
+        "steel": Material(2.11e11, 0.28),
+        "silicon": Material(1.31e11, 0.266),
+        "glass_k8": Material(0.82e11, 0.206),
     }
 )
 """The paper's three. It states no uncertainties."""

@@ -1,6 +1,6 @@
 """Noise of a pixel, as the fit weighs it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -31,7 +31,7 @@ class PixelNoise(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class SensorModel:
-    """Noise and full scale of a pixel.
+    """Noise model of the sensor, for the tracker's weights and uncertainties.
 
     The variance of a pixel is ``(read_noise_e / gain_e_per_dn)^2 + 1/12 + light_dn / gain_e_per_dn``
     in DN^2: read noise, quantisation, shot noise. Light is everything above `pedestal_dn`, the level
@@ -45,11 +45,16 @@ class SensorModel:
         A gain or full scale that is not positive, a negative read noise, pedestal or PRNU.
     """
 
-    gain_e_per_dn: float
-    read_noise_e: float
-    full_scale_dn: float
-    pedestal_dn: float = 0.0
-    prnu: float = 0.0
+    gain_e_per_dn: float = field(metadata={"gt": 0})
+    read_noise_e: float = field(metadata={"ge": 0})
+    full_scale_dn: float = field(metadata={"gt": 1})
+    pedestal_dn: float = field(
+        default=0.0, metadata={"ge": 0, "description": "level of a pixel in the dark; above it is light"}
+    )
+    prnu: float = field(
+        default=0.0,
+        metadata={"ge": 0, "lt": 0.2, "description": "relative spread of the pixels' response to light"},
+    )
 
     def __post_init__(self) -> None:
         for name, value in (("gain_e_per_dn", self.gain_e_per_dn), ("full_scale_dn", self.full_scale_dn)):

@@ -28,7 +28,6 @@ from rig.instrument import (
     advice_text,
     complete,
     height_of,
-    limits_of,
     nominal_effects,
 )
 from rig.presentation import say
@@ -43,7 +42,7 @@ class BalancingSession:
     def __init__(self, config: Configuration, history: Path) -> None:
         self._config = config
         self._history = history
-        self.limits = limits_of(config)
+        self.limits = config.balance
         self.responses = WeightResponses(nominal_effects(config), self.limits)
         self._pending: tuple[str, float] | None = None
         self._state: Floats | None = None
@@ -155,7 +154,7 @@ def balance_rig(
 
 
 def _faults(config: Configuration, balance: Balance) -> list[Fault]:
-    return find_faults(balance, height_of(config, balance), limits_of(config))
+    return find_faults(balance, height_of(config, balance), config.balance)
 
 
 def _shower(config: Configuration) -> Callable[[Balance], None]:

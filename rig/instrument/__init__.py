@@ -5,7 +5,6 @@ from rig.instrument.balance import (
     WEIGHTS,
     advice_text,
     height_of,
-    limits_of,
     nominal_effects,
     turn_text,
 )
@@ -54,7 +53,6 @@ __all__ = [
     "frame_shape",
     "height_of",
     "judge_calibration",
-    "limits_of",
     "make_camera",
     "material",
     "nominal_effects",

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from processing.angle import ARCSEC_RAD
 from processing.balance import Balance
 from processing.balance_advice import (
-    BalanceLimits,
     Fault,
     Turn,
     WeightResponses,
@@ -24,11 +23,6 @@ Floats = NDArray[np.float64]
 _U_NOMINAL = 0.2
 WEIGHTS = ("x", "y", "height")
 DIRECTIONS = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "height": (0.0, 0.0, 1.0)}
-
-
-def limits_of(config: Configuration) -> BalanceLimits:
-    """The limits as the advice takes them."""
-    return BalanceLimits(**{name: getattr(config.balance, name) for name in BalanceLimits._fields})
 
 
 def nominal_effects(config: Configuration) -> dict[str, tuple[Floats, Floats] | None]:
@@ -96,12 +90,11 @@ def advice_text(config: Configuration, balance: Balance, learned: WeightResponse
     """
     if config.lever is None:
         return ""
-    limits = limits_of(config)
     height_m = height_of(config, balance)
-    faults = find_faults(balance, height_m, limits)
+    faults = find_faults(balance, height_m, config.balance)
     state = np.array([faults[0].value, faults[1].value, height_m[0]])
     effects = {name: effect for name, effect in nominal_effects(config).items() if effect is not None}
-    responses = learned or (WeightResponses(effects, limits) if effects else None)
+    responses = learned or (WeightResponses(effects, config.balance) if effects else None)
     head = _verdict(faults) if responses is None else turn_text(responses.advise(state), faults)
     lines = [f"**{head}**", ""]
     lines += [

@@ -5,22 +5,15 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel, ValidationError
+from pydantic import ValidationError
 
-from calibration.axes import Axes
 from calibration.known_angle import moved_between
-from calibration.lever import Lever
 from calibration.store import CalibrationFile, Kind, parse_calibration, sha256_bytes
 from processing.errors import ConfigurationError
-from rig.settings import Configuration, SensorSettings, TimebaseSettings
+from rig.settings import Configuration
 
 PREFIX = "calibration/"
-_SECTIONS: Mapping[Kind, tuple[str, type[BaseModel]]] = {
-    "sensor": ("sensor", SensorSettings),
-    "lever": ("lever", Lever),
-    "axes": ("axes", Axes),
-    "clock": ("timebase", TimebaseSettings),
-}
+_SECTIONS: Mapping[Kind, str] = {"sensor": "sensor", "lever": "lever", "axes": "axes", "clock": "timebase"}
 
 
 def fill_from_files(config: Configuration) -> Configuration:
@@ -30,16 +23,16 @@ def fill_from_files(config: Configuration) -> Configuration:
     that is stated and calibrated with different values. An expired file fills too: the results say so.
     """
     update: dict[str, Any] = {}
-    for kind, (section, model) in _SECTIONS.items():
+    for kind, section in _SECTIONS.items():
         path: Path | None = getattr(config.calibration, kind)
         if path is None:
             continue
         found = parse_calibration(_read(path), str(path), kind)
         try:
-            values = model.model_validate(found.values)
+            values = getattr(Configuration.model_validate({section: found.values}), section)
         except ValidationError as error:
             fault = error.errors()[0]
-            place = ".".join(str(part) for part in fault["loc"])
+            place = ".".join(str(part) for part in fault["loc"][1:])
             raise ConfigurationError(f"{path}: values.{place}: {fault['msg']}") from None
         stated = getattr(config, section)
         if stated not in (None, values):
@@ -82,7 +75,7 @@ def judge_calibration(
     tree: dict[str, Any] = {}
     warnings: list[str] = []
     missing = []
-    for kind, (section, _) in _SECTIONS.items():
+    for kind, section in _SECTIONS.items():
         data = attachments.get(f"{PREFIX}{kind}.toml")
         if data is not None:
             found = parse_calibration(data, f"{PREFIX}{kind}.toml", kind)

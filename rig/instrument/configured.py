@@ -10,7 +10,7 @@ from processing.errors import ConfigurationError
 from processing.spot import SensorModel
 from rig.instrument.calibration import fill_from_files
 from rig.instrument.simulated_rig import fill_from_truth
-from rig.settings import Configuration, MaterialSettings
+from rig.settings import Configuration
 
 
 def complete(config: Configuration) -> Configuration:
@@ -54,7 +54,7 @@ def sensor_model(config: Configuration, full_scale_dn: float) -> SensorModel:
     A typical 10 ke- full well is assumed then; uncertainties follow the fit's own chi2 upward.
     """
     if config.sensor is not None:
-        return SensorModel(**config.sensor.model_dump())
+        return config.sensor
     return SensorModel(gain_e_per_dn=10_000.0 / full_scale_dn, read_noise_e=7.0, full_scale_dn=full_scale_dn)
 
 
@@ -85,18 +85,7 @@ def balls(config: Configuration) -> int:
 
 def material(config: Configuration, name: str) -> Material:
     """A material by name, the configuration's own before the paper's."""
-    own = {key: _material(key, value) for key, value in config.materials.items()}
-    return material_by_name(name, own)
-
-
-def _material(name: str, settings: MaterialSettings) -> Material:
-    return Material(
-        name,
-        settings.youngs_modulus_pa,
-        settings.poisson_ratio,
-        settings.u_youngs_modulus_pa,
-        settings.u_poisson_ratio,
-    )
+    return material_by_name(name, config.materials)
 
 
 def check_materials(config: Configuration) -> None:

@@ -1,11 +1,14 @@
 """What the simulated rig knows of itself: the sections of the configuration that follow from its truth."""
 
 import math
+from dataclasses import replace
 
 from acquisition.simulation.settings import SimulationSettings
 from calibration.axes import Axes
 from calibration.lever import Lever
-from rig.settings import BalanceSettings, Configuration, MaterialSettings, PendulumSettings, SensorSettings
+from processing.contact import Material
+from processing.spot import SensorModel
+from rig.settings import BalanceSettings, Configuration, PendulumSettings
 
 SIMULATED_BALL = "simulated_ball"
 SIMULATED_FLAT = "simulated_flat"
@@ -30,7 +33,7 @@ def fill_from_truth(config: Configuration) -> Configuration:
     )
 
 
-def _sensor(truth: SimulationSettings, config: Configuration) -> SensorSettings:
+def _sensor(truth: SimulationSettings, config: Configuration) -> SensorModel:
     camera = config.camera
     depth = (
         truth.sensor.bit_depth
@@ -38,7 +41,7 @@ def _sensor(truth: SimulationSettings, config: Configuration) -> SensorSettings:
         else int(camera.pixel_format.removeprefix("mono"))
     )
     state = truth.sensor.at(depth, camera.gain_db or 0.0)
-    return SensorSettings(
+    return SensorModel(
         gain_e_per_dn=state.gain_e_per_dn,
         read_noise_e=state.read_noise_e,
         full_scale_dn=state.full_scale_dn,
@@ -84,17 +87,16 @@ def _balance(truth: SimulationSettings, balance: BalanceSettings) -> BalanceSett
     contact = truth.contact
     stiffness_n_m = contact.mass_kg * contact.gravity_m_per_s2 * contact.ball_radius_m
     inertia_kg_m2 = stiffness_n_m * (contact.period0_s / (2.0 * math.pi)) ** 2
-    known = {"inertia_kg_m2": inertia_kg_m2, "gamma_pa": contact.gamma_pa, "n": contact.n}
-    return balance.model_copy(update=known)
+    return replace(balance, inertia_kg_m2=inertia_kg_m2, gamma_pa=contact.gamma_pa, n=contact.n)
 
 
-def _materials(truth: SimulationSettings) -> dict[str, MaterialSettings]:
+def _materials(truth: SimulationSettings) -> dict[str, Material]:
     contact = truth.contact
     return {
-        SIMULATED_BALL: MaterialSettings(
+        SIMULATED_BALL: Material(
             youngs_modulus_pa=contact.ball_youngs_modulus_pa, poisson_ratio=contact.ball_poisson_ratio
         ),
-        SIMULATED_FLAT: MaterialSettings(
+        SIMULATED_FLAT: Material(
             youngs_modulus_pa=contact.flat_youngs_modulus_pa, poisson_ratio=contact.flat_poisson_ratio
         ),
     }

@@ -1,6 +1,9 @@
 """What a user says of the balance: limits, and the trimming weights as their drawings have them."""
 
-from pydantic import BaseModel, Field
+from pydantic import BaseModel, ConfigDict, Field
+from pydantic.dataclasses import dataclass
+
+from processing.balance_advice import BalanceLimits
 
 
 class WeightSettings(BaseModel, frozen=True, extra="forbid"):
@@ -11,15 +14,10 @@ class WeightSettings(BaseModel, frozen=True, extra="forbid"):
     sense: int = Field(default=1, ge=-1, le=1)
 
 
-class BalanceSettings(BaseModel, frozen=True, extra="forbid"):
+@dataclass(frozen=True, config=ConfigDict(extra="forbid"))
+class BalanceSettings(BalanceLimits):
     """Balancing: the limits, what is known of the pendulum and its weights. What a turn does is learned."""
 
-    rest_arcsec: float = Field(default=10.0, gt=0)
-    height_m: float = Field(default=20e-6, gt=0)
-    line_angle_deg: float = Field(default=0.5, gt=0)
-    transverse_ratio: float = Field(default=0.01, gt=0)
-    width_ratio: float = Field(default=0.01, gt=0)
-    spin_deg_per_min: float = Field(default=0.2, gt=0)
     seconds: float = Field(default=14.0, gt=9, description="of swinging for one look; three periods")
     inertia_kg_m2: float | None = Field(
         default=None, gt=0, description="about the contact; None: the height is not told"

@@ -6,11 +6,14 @@ differs. On the command line ``--set a.b.c=value`` replaces any key by its dotte
 
 import difflib
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import is_dataclass
 from pathlib import Path
-from typing import Any, Literal, Self, get_args
+from typing import Any, Literal, Self, cast, get_args, get_origin
 
 from pydantic import BaseModel, Field, ValidationError, model_validator
+from pydantic.dataclasses import dataclass, is_pydantic_dataclass
+from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
 from acquisition.cameras.drivers import find_driver
@@ -18,8 +21,10 @@ from acquisition.simulation.faults import FaultSettings
 from acquisition.simulation.settings import SimulationSettings
 from calibration.axes import Axes
 from calibration.lever import Lever, deflection_unit
+from processing.contact import Material
 from processing.deflections import DeflectionUnit
 from processing.errors import ConfigurationError
+from processing.spot import SensorModel
 from rig.control import ControllerSettings, EnvironmentSettings, LaserSettings
 from rig.settings.balance import BalanceSettings
 from rig.settings.calibration import CalibrationSettings, TimebaseSettings
@@ -54,29 +59,6 @@ class EnvironmentConditions(Section, frozen=True):
     temperature_c: float | None = Field(default=None, gt=-100, lt=200)
     humidity_percent: float | None = Field(default=None, ge=0, le=100)
     pressure_pa: float | None = Field(default=None, gt=1e3, lt=2e5)
-
-
-class SensorSettings(Section, frozen=True):
-    """Noise model of the sensor, for the tracker's weights and uncertainties."""
-
-    gain_e_per_dn: float = Field(gt=0)
-    read_noise_e: float = Field(ge=0)
-    full_scale_dn: float = Field(gt=1)
-    pedestal_dn: float = Field(
-        default=0.0, ge=0, description="level of a pixel in the dark; above it is light"
-    )
-    prnu: float = Field(
-        default=0.0, ge=0, lt=0.2, description="relative spread of the pixels' response to light"
-    )
-
-
-class MaterialSettings(Section, frozen=True):
-    """Elastic constants of one body of the contact, with standard uncertainties."""
-
-    youngs_modulus_pa: float = Field(gt=1e6)
-    u_youngs_modulus_pa: float = Field(default=0.0, ge=0)
-    poisson_ratio: float = Field(gt=-1, lt=0.5)
-    u_poisson_ratio: float = Field(default=0.0, ge=0)
 
 
 class PendulumSettings(Section, frozen=True):
@@ -130,14 +112,14 @@ class Configuration(Section, frozen=True):
     session: SessionSettings = SessionSettings()
     environment: EnvironmentConditions = EnvironmentConditions()
     camera: CameraSection = CameraSection()
-    sensor: SensorSettings | None = None
+    sensor: SensorModel | None = None
     lever: Lever | None = None
     axes: Axes | None = None
     timebase: TimebaseSettings | None = None
     calibration: CalibrationSettings = CalibrationSettings()
     instrument: InstrumentSettings = InstrumentSettings()
     pendulum: PendulumSettings | None = None
-    materials: dict[str, MaterialSettings] = Field(default_factory=dict)
+    materials: dict[str, Material] = Field(default_factory=dict)
     record: RecordSettings = RecordSettings()
     view: ViewSettings = ViewSettings()
     fit: FitSettings = FitSettings()
@@ -253,7 +235,7 @@ def _apply_override(tree: dict[str, Any], override: str) -> None:
 
 def _one_line(fault: ErrorDetails) -> str:
     path = ".".join(str(part) for part in fault["loc"])
-    if fault["type"] == "extra_forbidden":
+    if fault["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
         known = _known_keys(fault["loc"][:-1])
         near = difflib.get_close_matches(str(fault["loc"][-1]), known, n=1, cutoff=0.5)
         hint = f"did you mean {near[0]}?" if near else f"known here: {', '.join(sorted(known))}"
@@ -267,15 +249,33 @@ def _one_line(fault: ErrorDetails) -> str:
     return f"{path} = {fault['input']!r}: {expected}"
 
 
+def section_fields(section: type) -> dict[str, FieldInfo]:
+    """Fields of a section, be it a pydantic model or a plain dataclass of `processing`."""
+    if issubclass(section, BaseModel):
+        return section.model_fields
+    if not is_pydantic_dataclass(section):
+        section = dataclass(section, frozen=True)
+    return cast(dict[str, FieldInfo], vars(section)["__pydantic_fields__"])
+
+
+def section_of(field: FieldInfo) -> type | None:
+    """The section that a field holds, one alone or a table of them; None for a plain value."""
+    found = (c for c in _parts(field.annotation) if isinstance(c, type) and get_origin(c) is None)
+    return next((c for c in found if issubclass(c, BaseModel) or is_dataclass(c)), None)
+
+
+def _parts(annotation: Any) -> Iterator[Any]:
+    yield annotation
+    for inner in get_args(annotation):
+        yield from _parts(inner)
+
+
 def _known_keys(place: tuple[int | str, ...]) -> list[str]:
-    model: type[BaseModel] = Configuration
+    section: type = Configuration
     for part in place:
-        field = model.model_fields.get(str(part))
-        if field is None:
+        field = section_fields(section).get(str(part))
+        inner = None if field is None else section_of(field)
+        if inner is None:
             break
-        candidates = [field.annotation, *get_args(field.annotation)]
-        inner = [c for c in candidates if isinstance(c, type) and issubclass(c, BaseModel)]
-        if not inner:
-            break
-        model = inner[0]
-    return list(model.model_fields)
+        section = inner
+    return list(section_fields(section))

@@ -56,8 +56,8 @@ def test_uncertainty_is_that_of_drawn_inputs() -> None:
         hertz_contact(
             FORCE + 0.03 * rng.standard_normal(),
             6.05e-3 + 2e-5 * rng.standard_normal(),
-            Material("a", 2.11e11 + 4e9 * rng.standard_normal(), 0.28 + 0.01 * rng.standard_normal()),
-            Material("b", 0.82e11 + 2e9 * rng.standard_normal(), 0.206 + 0.01 * rng.standard_normal()),
+            Material(2.11e11 + 4e9 * rng.standard_normal(), 0.28 + 0.01 * rng.standard_normal()),
+            Material(0.82e11 + 2e9 * rng.standard_normal(), 0.206 + 0.01 * rng.standard_normal()),
         )
         for _ in range(draws)
     ]
@@ -82,7 +82,7 @@ def test_two_balls_carry_half_each() -> None:
 
 
 def test_own_materials_come_first_and_unknown_ones_are_named() -> None:
-    sapphire = Material("sapphire", 4e11, 0.27)
+    sapphire = Material(4e11, 0.27)
     assert material("sapphire", {"sapphire": sapphire}) is sapphire
     assert material("steel") is MATERIALS["steel"]
     with pytest.raises(
@@ -97,7 +97,7 @@ def test_own_materials_come_first_and_unknown_ones_are_named() -> None:
 )
 def test_impossible_materials_are_refused(modulus: float, ratio: float, u: float, word: str) -> None:
     with pytest.raises(ConfigurationError, match=word):
-        Material("odd", modulus, ratio, u_youngs_modulus_pa=u)
+        Material(modulus, ratio, u_youngs_modulus_pa=u)
 
 
 @pytest.mark.parametrize(("force", "radius"), [(0.0, 6e-3), (4.0, -1.0), (float("nan"), 6e-3)])

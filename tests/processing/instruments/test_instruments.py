@@ -66,7 +66,7 @@ def test_contact_angle_of_the_two_ball_pendulum(flat: str, arcmin: float) -> Non
     config = load_configuration(CONFIGS / "two_ball.toml")
     assert config.pendulum is not None
     stated = config.materials["sapphire"]
-    sapphire = Material("sapphire", stated.youngs_modulus_pa, stated.poisson_ratio)
+    sapphire = Material(stated.youngs_modulus_pa, stated.poisson_ratio)
     load_n = config.pendulum.mass_kg * config.pendulum.gravity_m_per_s2 / 2
     contact = hertz_contact(load_n, config.pendulum.ball_radius_m, sapphire, material(flat))
     assert contact.angle_rad / ARCSEC_RAD / 60 == pytest.approx(arcmin, abs=0.5)

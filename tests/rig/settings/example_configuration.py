@@ -7,12 +7,11 @@ import json
 import textwrap
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
-from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from rig.settings.configuration import Configuration
+from rig.settings.configuration import Configuration, section_fields, section_of
 
 TARGET = Path(__file__).resolve().parents[3] / "configs" / "rig-example.toml"
 HEAD = """\
@@ -51,10 +50,10 @@ def text() -> str:
     return HEAD + "\n".join(_section("", Configuration)) + "\n"
 
 
-def keys(path: str = "", model: type[BaseModel] = Configuration) -> Iterator[str]:
+def keys(path: str = "", model: type = Configuration) -> Iterator[str]:
     """Dotted paths of all keys, materials under an example's name."""
-    for name, field in model.model_fields.items():
-        inner = _model(field)
+    for name, field in section_fields(model).items():
+        inner = section_of(field)
         place = f"{path}{name}"
         if inner is None:
             yield place
@@ -62,19 +61,19 @@ def keys(path: str = "", model: type[BaseModel] = Configuration) -> Iterator[str
             yield from keys(f"{place}.{EXAMPLE_NAME}." if _is_table_of(field) else f"{place}.", inner)
 
 
-def _section(path: str, model: type[BaseModel]) -> Iterator[str]:
+def _section(path: str, model: type) -> Iterator[str]:
     if path:
         active = any(key.startswith(path) for key in ACTIVE)
         yield ""
         document = (model.__doc__ or "").strip().split("\n\n")[0]
         yield from (f"# {line}" for line in textwrap.wrap(" ".join(document.split()), 100))
         yield f"{'' if active else '# '}[{path.rstrip('.')}]"
-    inner = [(name, field) for name, field in model.model_fields.items() if _model(field) is not None]
-    for name, field in model.model_fields.items():
-        if _model(field) is None:
+    inner = [(name, field) for name, field in section_fields(model).items() if section_of(field) is not None]
+    for name, field in section_fields(model).items():
+        if section_of(field) is None:
             yield _line(path, name, field)
     for name, field in inner:
-        below = _model(field)
+        below = section_of(field)
         assert below is not None
         yield from _section(
             f"{path}{name}.{EXAMPLE_NAME}." if _is_table_of(field) else f"{path}{name}.", below
@@ -111,19 +110,6 @@ def _kind(field: FieldInfo) -> str:
         .split(".")[-1]
         .replace(" | None", "")
     )
-
-
-def _candidates(annotation: Any) -> Iterator[Any]:
-    yield annotation
-    for inner in get_args(annotation):
-        yield from _candidates(inner)
-
-
-def _model(field: FieldInfo) -> type[BaseModel] | None:
-    for candidate in _candidates(field.annotation):
-        if isinstance(candidate, type) and issubclass(candidate, BaseModel):
-            return candidate
-    return None
 
 
 def _is_table_of(field: FieldInfo) -> bool:

@@ -51,6 +51,18 @@ def test_overrides_take_any_dotted_path() -> None:
         ("sesion.runs=3", r"sesion: unknown key; did you mean session\?"),
         ("simulation.contact.bb=3", r"simulation\.contact\.bb: unknown key; did you mean b\?"),
         ("camera.exposure_us=-3", r"camera\.exposure_us = -3: should be greater than 0"),
+        ("balance.rest_arcsec=-1", r"balance\.rest_arcsec = -1: should be greater than 0"),
+        ("balance.rst_arcsec=1", r"balance\.rst_arcsec: unknown key; did you mean rest_arcsec\?"),
+        ("balance.weight_x.mas_kg=1", r"balance\.weight_x\.mas_kg: unknown key; did you mean mass_kg\?"),
+        ("materials.tin.poisson_ratio=2", r"materials\.tin\.youngs_modulus_pa: is missing; state a value"),
+        (
+            "sensor={gain_e_per_dn=1, read_noise_e=-1, full_scale_dn=255}",
+            r"sensor\.read_noise_e = -1: should be greater than or equal to 0",
+        ),
+        (
+            "sensor={gain_e_per_dn=1, read_noise_e=1, full_scale_dn=255, predestal_dn=3}",
+            r"sensor\.predestal_dn: unknown key; did you mean pedestal_dn\?",
+        ),
         ("session.runs=many", r"session\.runs = 'many': should be a valid integer"),
         ("session.final_amplitude_arcsec=500", "must be below session.initial_amplitude_arcsec = 124"),
         ("session.runs", r"--set session\.runs: must read KEY=VALUE"),
