@@ -8,6 +8,9 @@ from numpy.typing import NDArray
 from processing.estimate import Estimate
 from processing.swing import TurningPoints
 
+FEWEST_PERIODS = 5
+"""Full periods below which Eq. 6 is not fitted."""
+
 
 class Periods(NamedTuple):
     """Full periods about a turning point that has both neighbours; `where` is its position."""

@@ -1,6 +1,8 @@
 """Contact of ball and flat: Hertz, laws of friction and elasticity, decay, period, half-swing map."""
 
 from processing.contact.decay import decay_path, path_nodes
+from processing.contact.decay_fit import fit_decay
+from processing.contact.exponent_search import PeriodStart, period_start
 from processing.contact.half_swing import (
     relative_curvature,
     scaled_contact,
@@ -16,12 +18,12 @@ from processing.contact.hertz import (
     material,
     pendulum_on_ball,
 )
-from processing.contact.laws import AMPLITUDE, DRAG, LAWS, PAPER, TIME, Law, Parameter
+from processing.contact.law import AMPLITUDE, DRAG, TIME, Columns, HalfSwings, HeldColumn, Law, Parameter
+from processing.contact.laws import LAWS, PAPER
 from processing.contact.losses import measured_losses, model_losses
 from processing.contact.moments import cycle_work, moment_loop, surface_energy, weight_moment
 from processing.contact.parameters import STANDARD_GRAVITY_M_PER_S2, ContactParameters, PendulumOnBall
 from processing.contact.period_law import cosine_moment, frequency_drop, period
-from processing.contact.quadrature import quarter_nodes
 
 __all__ = [
     "AMPLITUDE",
@@ -31,16 +33,21 @@ __all__ = [
     "PAPER",
     "STANDARD_GRAVITY_M_PER_S2",
     "TIME",
+    "Columns",
     "ContactParameters",
+    "HalfSwings",
+    "HeldColumn",
     "HertzContact",
     "Law",
     "Material",
     "Parameter",
     "PendulumOnBall",
+    "PeriodStart",
     "contact_radius",
     "cosine_moment",
     "cycle_work",
     "decay_path",
+    "fit_decay",
     "frequency_drop",
     "hertz_contact",
     "material",
@@ -50,7 +57,7 @@ __all__ = [
     "path_nodes",
     "pendulum_on_ball",
     "period",
-    "quarter_nodes",
+    "period_start",
     "relative_curvature",
     "scaled_contact",
     "stiffness_ratio",

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from processing.contact.half_swing_kernel import half_swing_map
+from processing.contact.law import HalfSwings
 from processing.contact.parameters import ContactParameters, PendulumOnBall
 from processing.contact.quadrature import quarter_nodes
 from processing.errors import DataError
@@ -66,6 +67,11 @@ def scaled_contact(
     )
 
 
+def half_swings(parameters: NDArray[np.float64], index: NDArray[np.int64]) -> HalfSwings:
+    """`half_swing_map` for the fields of `ScaledContact` and the first amplitude, in one array."""
+    return HalfSwings(*half_swing_map(parameters, index, *quarter_nodes())[:4])
+
+
 def turning_points_of(
     parameters: ContactParameters,
     pendulum: PendulumOnBall,
@@ -91,5 +97,5 @@ def turning_points_of(
         raise DataError(f"initial amplitude {initial_amplitude_rad} rad: it must be positive")
     scaled = np.array([*scaled_contact(parameters, pendulum, initial_amplitude_rad), 1.0], dtype=np.float64)
     index = np.arange(half_cycles + 1, dtype=np.int64)
-    amplitude, time, _, _, _ = half_swing_map(scaled, index, *quarter_nodes())
-    return amplitude * initial_amplitude_rad, time * parameters.period0_s
+    found = half_swings(scaled, index)
+    return found.amplitude * initial_amplitude_rad, found.time * parameters.period0_s

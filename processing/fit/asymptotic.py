@@ -5,124 +5,24 @@ neither chi2 nor the relative errors of Eqs. 8 and 9 show); the exact fit is not
 because the paper's numbers were made so, and because they start the exact fit.
 """
 
-from dataclasses import replace
-from typing import NamedTuple
-
 import numpy as np
-from numpy.typing import NDArray
 
-from processing.contact import PendulumOnBall, decay_path, path_nodes, relative_curvature, stiffness_ratio
+from processing.contact import PendulumOnBall, fit_decay, relative_curvature, stiffness_ratio
+from processing.contact.laws import PAPER
 from processing.errors import DataError
 from processing.fit.checks import OUTLIER, check_turning_points, data_warnings
+from processing.fit.method import FitMethod
 from processing.fit.period_fit import fit_period, period_by_log_rho, period_covariance
 from processing.fit.result import AMPLITUDE_NAME, CONTACT_NAMES, DRAG_NAME, UNCALIBRATED_NAMES, FitResult
-from processing.fit.start import DecayStart, PeriodStart, decay_start, period_start
-from processing.fit.straight import from_straight, to_straight
-from processing.least_squares import Loss, Solution, propagate, solve
+from processing.least_squares import Loss, propagate
 from processing.periods import (
+    FEWEST_PERIODS,
     full_periods,
     mean_period,
     mean_period_estimate,
     reference_amplitude,
 )
 from processing.swing import TurningPoints
-
-FEWEST_PERIODS = 5
-
-
-class AsymptoticScaled(NamedTuple):
-    """Both fits in units of the reference amplitude: where the exact fit starts."""
-
-    decay: DecayStart
-    periods: list[PeriodStart]
-    mean_period_s: float
-
-
-def _fit_decay(
-    points: TurningPoints, reference: float, mean_period: float, drag: bool, loss: Loss
-) -> tuple[Solution, NDArray[np.float64]]:
-    """Columns b, p, c, (d,) start, in units of the reference and of T/4."""
-    x = points.amplitude / reference
-    u = points.u_amplitude / reference
-    s = (points.time_s - points.time_s[0]) * (4 / mean_period)
-    first = decay_start(s, x, u, drag=drag)
-    nodes = path_nodes()
-
-    def natural(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """b, p, c, (d,) start, and their derivatives by the solver's columns."""
-        out, matrix = values.copy(), np.eye(len(values))
-        if drag:
-            coordinates = [0, 1, 3]
-            out[1], out[3], by = from_straight(*values[coordinates].tolist())
-            matrix[1, coordinates], matrix[3, coordinates] = by
-            out[0] = matrix[0, 0] = np.exp(values[0])
-        return out, matrix
-
-    def curve(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        known, matrix = natural(values)
-        b, p, c = known[:3]
-        if not -0.6 < p < 6.0:
-            return np.full_like(x, np.nan), np.full((len(x), len(values)), np.nan)
-        d = known[3] if drag else 0.0
-        path, gradient = decay_path(s, known[-1], b / (p + 1), p, c, d, *nodes)
-        jacobian = np.empty((len(s), len(values)))
-        jacobian[:, 0] = gradient[:, 1] / (p + 1)
-        jacobian[:, 1] = gradient[:, 2] - gradient[:, 1] * b / (p + 1) ** 2
-        jacobian[:, 2] = gradient[:, 3]
-        if drag:
-            jacobian[:, 3] = gradient[:, 4]
-        jacobian[:, -1] = gradient[:, 0]
-        return path, jacobian @ matrix
-
-    def model(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        path, jacobian = curve(values)
-        return (path - x) / u, jacobian / u[:, None]
-
-    rate = (x[0] - x[-1]) / (s[-1] - s[0])
-    # A rate of exactly zero has no derivative by its exponent.
-    b0 = max(first.b * (first.p + 1), 1e-3 * rate)
-    lower = np.full(5 if drag else 4, -np.inf)
-    upper = np.full(5 if drag else 4, np.inf)
-    lower[-1] = 0.1 * x.max()
-    if drag:
-        # as in the exact fit: beyond several times the loss, b and drag only cancel
-        lower[0], upper[0] = -30.0, np.log(6 * abs(np.log(x[0] / x[-1])) / (s[-1] - s[0]))
-    else:
-        lower[1], upper[1] = -0.5, 5.0
-    # Noise can make the grid's best start end before the data do; a slower decay does not.
-    for slower in (1.0, 0.9, 0.7, 0.5, 0.3, 0.1):
-        b, c = b0 * slower, first.c * slower
-        start = np.array([b, first.p, c, *([first.d * slower] if drag else []), first.start])
-        if drag:
-            start[0] = np.log(b)
-            start[1], start[3] = to_straight(float(start[0]), first.p, first.d * slower)
-        start = np.clip(start, lower + 1e-9, upper - 1e-9)
-        if np.all(np.isfinite(model(start)[0])):
-            break
-    else:
-        raise DataError("the decay has no start from which Eq. 5 reaches the last half-cycle")
-    solution = solve(model, start, lower=lower, upper=upper, loss=loss)
-    known, matrix = natural(solution.values)
-    return (
-        replace(solution, values=known, covariance=propagate(matrix, solution.covariance)),
-        curve(solution.values)[0] * reference,
-    )
-
-
-def scaled_start(points: TurningPoints, rho: float, *, drag: bool) -> AsymptoticScaled:
-    """Start values for the exact fit, without the asymptotic fits' last digits."""
-    reference = reference_amplitude(points)
-    mean = mean_period(points)
-    decay, _ = _fit_decay(points, reference, mean, drag, "soft_l1")
-    periods = full_periods(points)
-    if len(periods.where) >= FEWEST_PERIODS:
-        starts = period_start(
-            points.amplitude[periods.where] / reference, periods.period_s, periods.u_period_s, rho
-        )
-    else:
-        starts = [PeriodStart(mean, 0.3, 1e-3)]
-    b, p, c, *rest = decay.values.tolist()
-    return AsymptoticScaled(DecayStart(rest[-1], b, p, c, rest[0] if drag else 0.0), starts, mean)
 
 
 def fit_asymptotic(
@@ -168,7 +68,7 @@ def fit_asymptotic(
         raise DataError(
             f"{len(periods.where)} full periods between the gaps, and Eq. 6 needs at least {FEWEST_PERIODS}"
         )
-    decay, amplitude_model = _fit_decay(points, reference, mean, drag, loss)
+    decay, amplitude_model = fit_decay(points, reference, mean, drag, loss)
     period, period_model, _ = fit_period(points, periods, reference, rho, printed_curvature, loss)
     for name, solution in (("Eq. 5", decay), ("Eq. 6", period)):
         if not solution.converged:
@@ -210,7 +110,8 @@ def fit_asymptotic(
     amplitude_residual = points.amplitude - amplitude_model
     period_residual = periods.period_s - period_model
     return FitResult(
-        model="asymptotic",
+        method=FitMethod.ASYMPTOTIC,
+        law=PAPER,
         names=tuple(names),
         values=np.array(values),
         covariance=propagate(to_physical, scatter),

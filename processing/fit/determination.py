@@ -17,16 +17,15 @@ from scipy.special import stdtrit
 from processing.contact import PendulumOnBall
 from processing.errors import DataError
 from processing.estimate import WELL_DETERMINED
-from processing.fit.exact_model import SMALLEST_N, ExactModel
-from processing.fit.result import AMPLITUDE_NAME, DRAG_NAME, STIFFNESS_NAME, TIME_NAME, FitResult
+from processing.fit.exact_model import ExactModel
+from processing.fit.method import FitMethod
+from processing.fit.result import AMPLITUDE_NAME, TIME_NAME, FitResult
 from processing.least_squares import solve
 from processing.swing import TurningPoints
 
 Verdict = Literal["determined", "interval", "upper bound", "lower bound", "undetermined"]
 
 STRONG_CORRELATION = 0.99
-_NOT_NEGATIVE = ("b", "c", "gamma_pa", STIFFNESS_NAME, "period0_s")
-_LOGARITHMIC = ("b", "gamma_pa", STIFFNESS_NAME)
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,12 +63,10 @@ class _Held:
     def __init__(self, model: ExactModel, name: str, best: NDArray[np.float64]) -> None:
         self._model = model
         self._row = model.names.index(name)
-        self._logarithmic = name in _LOGARITHMIC and bool(model.physical(best)[1][self._row] > 0)
-        count = len(model.lower)
-        in_place = {"p": 1, "c": 2, "n": 3, DRAG_NAME: 5, "period0_s": count - 2}
-        # With drag the valley runs along the column of ln b: b is held by what it leaves to p.
-        self.column = in_place.get(name, 4) if name != "b" else 1 if model.drag else 0
-        self.free = np.delete(np.arange(count), self.column)
+        positive = bool(model.columns.physical(best)[0][self._row] > 0)
+        self._logarithmic = model.law.parameter(name).logarithmic and positive
+        self.column, self._keeps_sign = model.columns.held(name)
+        self.free = np.delete(np.arange(len(model.lower)), self.column)
         self._guess = float(best[self.column])
 
     def full(self, held: float, free: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -78,7 +75,7 @@ class _Held:
         values[self.free] = free
         values[self.column] = self._guess
         for _ in range(50 if np.all(np.isfinite(free)) else 0):
-            _, known, slopes = self._model.physical(values)
+            known, slopes = self._model.columns.physical(values)
             slope = slopes[self._row]
             if not np.all(np.isfinite(slope)):
                 break
@@ -92,9 +89,9 @@ class _Held:
                 step = np.divide(error, per_column)
             if not np.isfinite(step):
                 break
-            if self._logarithmic and self.column == 4:
-                # adhesion's column has the sign of gamma: a Newton step must not leave it
-                step = float(np.clip(step, -0.5 * abs(values[4]), 0.5 * abs(values[4])))
+            if self._logarithmic and self._keeps_sign:
+                half = 0.5 * abs(float(values[self.column]))
+                step = float(np.clip(step, -half, half))
             values[self.column] -= step
             if abs(step) <= 1e-13 * max(abs(values[self.column]), 1e-3):
                 self._guess = float(values[self.column])
@@ -159,9 +156,10 @@ def profile_likelihood(
     The search gives up ten standard uncertainties away (b, gamma: at a factor of a million), or
     below zero for what cannot be negative.
     """
-    if result.model != "exact":
+    if result.method is not FitMethod.EXACT:
         raise DataError("a profile likelihood belongs to an exact fit")
-    model = ExactModel(points, pendulum, drag=result.has_drag)
+    model = ExactModel(points, pendulum, law=result.law, drag=result.has_drag)
+    parameter = result.law.parameter(name)
     value, u = result.estimate(name)
     if not np.isfinite(u):
         u = abs(value) or 1.0
@@ -169,36 +167,35 @@ def profile_likelihood(
     target = float(stdtrit(result.dof, 0.5 * (1 + coverage)))
     best = model.columns_of(result)
     held = _Held(model, name, best)
-    logarithmic = name in _LOGARITHMIC and value > 0
+    logarithmic = parameter.logarithmic and value > 0
     trace: list[tuple[float, float]] = [(value, 0.0)]
 
-    def parameter(z: float) -> float:
+    def at(z: float) -> float:
         return float(value * np.exp(z)) if logarithmic else value + z
 
     def side(sign: float) -> float:
         unit = min(u / value, 1.0) if logarithmic else u
         farthest = 14.0 if logarithmic else 10 * target * unit
-        if sign < 0 and not logarithmic and name in _NOT_NEGATIVE:
-            if value <= 0:
+        room = value - parameter.lower if sign < 0 else parameter.upper - value
+        if np.isfinite(room) and not logarithmic:
+            if room <= 0:
                 return float("nan")
-            farthest = min(farthest, value)
-        if name in ("p", "n"):
-            limits = {"p": (-0.5, 5.0), "n": (SMALLEST_N, 5.0)}[name]
-            farthest = min(farthest, 0.999 * abs(limits[int(sign > 0)] - value))
+            # up to 0 itself, but short of the end of a searched range
+            farthest = min(farthest, room if parameter.lower == 0 else 0.999 * room)
         free = best[held.free]
         low, low_root = 0.0, 0.0
         high, high_root, root = np.inf, np.inf, 0.0
         z = min(target * unit, farthest)
         for _ in range(15):
-            start = held.follow(parameter(sign * low), free, parameter(sign * z))
+            start = held.follow(at(sign * low), free, at(sign * z))
             start = np.clip(start, model.lower[held.free] + 1e-9, model.upper[held.free] - 1e-9)
-            if not np.all(np.isfinite(held.at(parameter(sign * z))(start)[0])):
+            if not np.all(np.isfinite(held.at(at(sign * z))(start)[0])):
                 z = 0.5 * (low + z)
                 if z - low < 1e-6 * z:
                     return float("nan")
                 continue
             solution = solve(
-                held.at(parameter(sign * z)),
+                held.at(at(sign * z)),
                 start,
                 lower=model.lower[held.free],
                 upper=model.upper[held.free],
@@ -207,7 +204,7 @@ def profile_likelihood(
                 cost_tolerance=1e-7,
             )
             root = float(np.sqrt(max(2 * (solution.cost - result.cost), 0.0) / scale))
-            trace.append((parameter(sign * z), root**2))
+            trace.append((at(sign * z), root**2))
             if abs(root - target) < 0.01 * target:
                 break
             if root < target:
@@ -227,9 +224,7 @@ def profile_likelihood(
                 wanted = z * target / root if root > 0 else 2 * z
                 z = min(float(np.clip(1.02 * wanted, 1.05 * z, 2.5 * z)), farthest)
         # out of patience on the way up: no limit was found
-        return (
-            parameter(sign * z) if np.isfinite(high) or abs(root - target) < 0.01 * target else float("nan")
-        )
+        return at(sign * z) if np.isfinite(high) or abs(root - target) < 0.01 * target else float("nan")
 
     if not np.all(np.isfinite(model(best)[0])):
         raise DataError(f"the fitted parameters do not reach the last half-cycle; no profile of {name}")
@@ -255,14 +250,15 @@ def _determination(
         return Determination(name, value, u, "determined", lower, upper, False)
     found = profile_likelihood(points, pendulum, result, name)
     lower, upper = found.lower, found.upper
+    not_negative = result.law.parameter(name).lower == 0
     verdict: Verdict
     if np.isnan(lower) and np.isnan(upper):
         verdict = "undetermined"
     elif np.isnan(upper):
         verdict = "lower bound"
-    elif np.isnan(lower) or (lower <= 0 and name in _NOT_NEGATIVE):
+    elif np.isnan(lower) or (lower <= 0 and not_negative):
         verdict = "upper bound"
-        lower = 0.0 if name in _NOT_NEGATIVE else lower
+        lower = 0.0 if not_negative else lower
     else:
         verdict = "interval"
     return Determination(name, value, u, verdict, lower, upper, True)

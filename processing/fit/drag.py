@@ -8,6 +8,7 @@ from processing.contact import PendulumOnBall
 from processing.errors import DataError
 from processing.estimate import Estimate
 from processing.fit.exact import fit_exact
+from processing.fit.method import FitMethod
 from processing.fit.result import DRAG_NAME, FitResult
 from processing.least_squares import Loss
 from processing.swing import TurningPoints
@@ -71,7 +72,7 @@ def drag_verdict(
     """Fit with and without drag and compare; `without` spares the second where it exists."""
     if without is None:
         without = fit_exact(points, pendulum, loss=loss)
-    elif without.has_drag or without.model != "exact":
+    elif without.has_drag or without.method is not FitMethod.EXACT:
         raise DataError("the drag verdict compares with an exact fit without drag")
     with_drag = fit_exact(points, pendulum, drag=True, loss=loss)
     gain = 2 * (without.cost - with_drag.cost)

@@ -3,14 +3,14 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from processing.contact import PendulumOnBall, cosine_moment
+from processing.contact import PendulumOnBall
+from processing.contact.laws import PAPER, Law
 from processing.errors import DataError
 from processing.estimate import WELL_DETERMINED
-from processing.fit.asymptotic import AsymptoticScaled, scaled_start
 from processing.fit.checks import OUTLIER, check_turning_points, data_warnings
-from processing.fit.exact_model import STIFFEST, ExactModel
+from processing.fit.exact_model import ExactModel
+from processing.fit.method import FitMethod
 from processing.fit.result import FitResult
-from processing.fit.start import PeriodStart
 from processing.least_squares import Loss, Solution, propagate, solve
 from processing.periods import full_periods, mean_period_estimate
 from processing.swing import TurningPoints
@@ -19,52 +19,9 @@ _GOOD_CHI2 = 1.5
 """Above this a minimum may be a local one: other starts are tried."""
 
 
-def _natural_start(model: ExactModel, scaled: AsymptoticScaled, period: PeriodStart) -> NDArray[np.float64]:
-    """A start: Eq. 5's rate, taken back to the moment it stands for in the exact map.
-
-    Eq. 5 knows neither that adhesion softens the restoring moment nor that T is not T0.
-    """
-    decay = scaled.decay
-    stiffness = (period.period0_s / scaled.mean_period_s) ** 2
-    factor = stiffness if 0.3 < stiffness < 3 else 1.0
-    drag = [decay.d * 4 / np.pi] if model.drag else []
-    return np.array(
-        [
-            np.log(max(decay.b * factor, 1e-9)),
-            decay.p,
-            decay.c * factor,
-            np.clip(period.n, 0.01, 4.9),
-            np.clip(period.kappa, -0.5, 0.5),
-            *drag,
-            decay.start,
-            period.period0_s,
-            model.points.time_s[0],
-        ]
-    )
-
-
-def _starts(model: ExactModel, scaled: AsymptoticScaled) -> list[NDArray[np.float64]]:
-    """The likeliest start first, then others, each one the map can run from."""
-    flat = PeriodStart(scaled.mean_period_s, 0.5, 0.0)
-    wanted = [_natural_start(model, scaled, period) for period in [*scaled.periods[:3], flat]]
-    usable = []
-    for natural in wanted:
-        for slower in (1.0, 0.9, 0.7, 0.4):
-            trial = natural.copy()
-            trial[0] += np.log(slower)
-            trial[2] *= slower
-            if model.drag:
-                trial[5] *= slower
-            columns = np.clip(model.columns(trial), model.lower + 1e-9, model.upper - 1e-9)
-            if np.all(np.isfinite(model(columns)[0])):
-                usable.append(columns)
-                break
-    return usable
-
-
 def solve_exact(model: ExactModel, loss: Loss) -> Solution:
     """Best converged minimum over the starts; the first one suffices where it fits the data."""
-    starts = _starts(model, scaled_start(model.points, model.rho, drag=model.drag))
+    starts = model.starts()
     if not starts:
         raise DataError("no start from which the half-swing map reaches the last half-cycle")
     best: Solution | None = None
@@ -85,6 +42,7 @@ def fit_exact(
     points: TurningPoints,
     pendulum: PendulumOnBall | None,
     *,
+    law: Law = PAPER,
     drag: bool = False,
     loss: Loss = "linear",
 ) -> FitResult:
@@ -99,6 +57,8 @@ def fit_exact(
         None where the amplitudes are not calibrated (pixels, volts): R/a, whose effect is a few
         per mille, then counts as zero, ``kappa`` takes the place of ``gamma_pa``, and a warning
         says so.
+    law
+        Any law of the registry, or another.
     drag
         Also fit a linear drag, moment ``-m g R drag_s phi'``.
     loss
@@ -116,11 +76,11 @@ def fit_exact(
     `identifiability`.
     """
     check_turning_points(points)
-    model = ExactModel(points, pendulum, drag=drag)
+    model = ExactModel(points, pendulum, law=law, drag=drag)
     solution = solve_exact(model, loss)
     amplitude, time, _, _ = model.curve(solution.values)
     amplitude_model = amplitude * model.reference
-    names, values, to_physical = model.physical(solution.values)
+    values, to_physical = model.columns.physical(solution.values)
     chi2_per_dof = solution.chi2 / solution.dof
     scatter = solution.covariance * (max(1.0, chi2_per_dof) if loss == "linear" else 1.0)
     covariance = propagate(to_physical, scatter)
@@ -132,8 +92,9 @@ def fit_exact(
     period_model = time[periods.where + 1] - time[periods.where - 1]
     period_residual = periods.period_s - period_model
     return FitResult(
-        model="exact",
-        names=names,
+        method=FitMethod.EXACT,
+        law=law,
+        names=model.names,
         values=values,
         covariance=covariance,
         chi2=solution.chi2,
@@ -151,7 +112,7 @@ def fit_exact(
         warnings=(
             *data_warnings(points, pendulum, chi2_per_dof),
             *_doubts(model, solution),
-            *_poorly_determined(names, values, covariance),
+            *_poorly_determined(model.names, values, covariance),
         ),
     )
 
@@ -171,16 +132,7 @@ def _poorly_determined(
 
 def _doubts(model: ExactModel, solution: Solution) -> tuple[str, ...]:
     """Values that stand where the search was not let any further."""
-    natural, _ = model.natural(solution.values)
-    stiffness = 1 - 2 * natural[4] * cosine_moment(natural[3] + 2)
-    limited = {
-        "b": (natural[0], model.lower[0], model.upper[0]),
-        "p": (natural[1], -0.5, 5.0),
-        "n": (natural[3], model.lower[3], model.upper[3]),
-        model.names[5]: (np.log(stiffness), -np.log(0.9 * STIFFEST), np.log(0.9 * STIFFEST)),
-    }
     return tuple(
         f"{name} stands at the limit of its range: the data do not determine it"
-        for name, (value, low, high) in limited.items()
-        if value - low < 1e-4 or high - value < 1e-4
+        for name in model.columns.at_limit(solution.values)
     )

@@ -3,8 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from processing.contact import frequency_drop
-from processing.fit.start import PeriodStart, period_start
+from processing.contact import PeriodStart, frequency_drop, period_start
 from processing.least_squares import Loss, Solution, solve
 from processing.periods import Periods
 from processing.swing import TurningPoints

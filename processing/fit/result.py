@@ -1,16 +1,16 @@
 """What a fit hands on: values, uncertainties, correlations, residuals, doubts."""
 
 from dataclasses import dataclass, field
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
 from processing.contact import ContactParameters
-from processing.contact.laws import AMPLITUDE, DRAG, PAPER, TIME
+from processing.contact.laws import AMPLITUDE, DRAG, PAPER, TIME, Law
 from processing.errors import DataError
 from processing.estimate import Estimate
+from processing.fit.method import FitMethod
 from processing.least_squares import Loss
 
 CONTACT_NAMES = PAPER.keys()
@@ -55,7 +55,8 @@ class FitResult:
         What a person should know before believing the numbers.
     """
 
-    model: Literal["asymptotic", "exact"]
+    method: FitMethod
+    law: Law
     names: tuple[str, ...]
     values: NDArray[np.float64]
     covariance: NDArray[np.float64]
@@ -108,7 +109,9 @@ class FitResult:
 
     def estimate(self, name: str) -> Estimate:
         if name not in self.names:
-            raise DataError(f"the {self.model} fit has no parameter {name!r}; it has {', '.join(self.names)}")
+            raise DataError(
+                f"the {self.method} fit has no parameter {name!r}; it has {', '.join(self.names)}"
+            )
         i = self.names.index(name)
         return Estimate(float(self.values[i]), float(np.sqrt(self.covariance[i, i])))
 
@@ -121,7 +124,7 @@ class FitResult:
         """
         value, u = self.estimate(name)
         k = float(stdtrit(self.dof, 0.5 * (1 + coverage)))
-        if name in ("b", "gamma_pa", STIFFNESS_NAME) and value > 0:
+        if self.law.parameter(name).logarithmic and value > 0:
             factor = float(np.exp(min(k * u / value, 700.0)))
             return value / factor, value * factor
         return value - k * u, value + k * u

@@ -1,13 +1,15 @@
 """The paper's law: friction of Eq. 1, elastic adhesion of Eq. 3.
 
-M_fr = -m g R (c + b |phi|^p) sign(phi')                                      (1)
-M_el = 2 gamma a^2 R |phi|^(n+1) (pi/2 - (R/a) |phi|) sign(phi)               (3)
+    M_fr = -m g R (c + b |phi|^p) sign(phi')                                      (1)
+    M_el = 2 gamma a^2 R |phi|^(n+1) (pi/2 - (R/a) |phi|) sign(phi)               (3)
+
+The half-swing map is derived in `half_swing` and compiled in `half_swing_kernel`; the solver's
+columns are in `half_swing_columns`, what they start from in `start_values`.
 """
 
-from processing.contact.laws.law import Law, Parameter
-
-SMALLEST_N = 0.002
-"""Below it adhesion takes almost all of the stiffness, and no data tell n from 0."""
+from processing.contact.half_swing import half_swings
+from processing.contact.half_swing_columns import LARGEST, SMALLEST, HalfSwingColumns
+from processing.contact.law import Law, Parameter
 
 PAPER = Law(
     name="paper",
@@ -17,14 +19,26 @@ PAPER = Law(
         Parameter(
             "b", "b", "rad⁻ᵖ", "friction inside the contact, over m g R", "Eq. 1", lower=0.0, logarithmic=True
         ),
-        Parameter("p", "p", "1", "exponent of the friction", "Eq. 1", lower=-0.5, upper=5.0),
+        Parameter(
+            "p", "p", "1", "exponent of the friction", "Eq. 1", lower=SMALLEST["p"], upper=LARGEST["p"]
+        ),
         Parameter("c", "c", "1", "friction by adhesion, over m g R", "Eq. 1", lower=0.0),
-        Parameter("n", "n", "1", "exponent of the elastic adhesion", "Eq. 3", lower=SMALLEST_N, upper=5.0),
+        Parameter(
+            "n",
+            "n",
+            "1",
+            "exponent of the elastic adhesion",
+            "Eq. 3",
+            lower=SMALLEST["n"],
+            upper=LARGEST["n"],
+        ),
         Parameter("period0_s", "T₀", "s", "period at vanishing amplitude", "Eq. 6", lower=0.0),
         Parameter(
             "gamma_pa", "γ", "Pa", "stiffness of the elastic adhesion", "Eq. 3", lower=0.0, logarithmic=True
         ),
     ),
+    half_swing_map=half_swings,
+    columns=HalfSwingColumns,
     uncalibrated={
         "gamma_pa": Parameter(
             "kappa",

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from processing.contact.laws.law import Law
+from processing.contact.law import Law
 from processing.contact.laws.paper import PAPER
 
 LAWS: Mapping[str, Law] = MappingProxyType(

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from acquisition.simulation.settings import SimulationSettings
 from acquisition.simulation.true_path import (
-    Trajectory,
+    TruePath,
     TruePoints,
     noisy,
     true_path,
@@ -74,7 +74,7 @@ def truth_points(settings: SimulationSettings, final_deg: float) -> TruePoints:
 
 
 @cache
-def _clean(settings: SimulationSettings, duration_s: float) -> Trajectory:
+def _clean(settings: SimulationSettings, duration_s: float) -> TruePath:
     return true_path(settings, duration_s)
 
 

@@ -1,0 +1,84 @@
+"""Eq. 5, with a linear term if asked for, fitted to amplitudes."""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from processing.contact.decay import decay_path, path_nodes
+from processing.contact.exponent_search import decay_start
+from processing.contact.straight import from_straight, to_straight
+from processing.errors import DataError
+from processing.least_squares import Loss, Solution, propagate, solve
+from processing.swing import TurningPoints
+
+
+def fit_decay(
+    points: TurningPoints, reference: float, mean_period: float, drag: bool, loss: Loss
+) -> tuple[Solution, NDArray[np.float64]]:
+    """Columns b, p, c, (d,) start, in units of the reference and of T/4."""
+    x = points.amplitude / reference
+    u = points.u_amplitude / reference
+    s = (points.time_s - points.time_s[0]) * (4 / mean_period)
+    first = decay_start(s, x, u, drag=drag)
+    nodes = path_nodes()
+
+    def natural(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """b, p, c, (d,) start, and their derivatives by the solver's columns."""
+        out, matrix = values.copy(), np.eye(len(values))
+        if drag:
+            coordinates = [0, 1, 3]
+            out[1], out[3], by = from_straight(*values[coordinates].tolist())
+            matrix[1, coordinates], matrix[3, coordinates] = by
+            out[0] = matrix[0, 0] = np.exp(values[0])
+        return out, matrix
+
+    def curve(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        known, matrix = natural(values)
+        b, p, c = known[:3]
+        if not -0.6 < p < 6.0:
+            return np.full_like(x, np.nan), np.full((len(x), len(values)), np.nan)
+        d = known[3] if drag else 0.0
+        path, gradient = decay_path(s, known[-1], b / (p + 1), p, c, d, *nodes)
+        jacobian = np.empty((len(s), len(values)))
+        jacobian[:, 0] = gradient[:, 1] / (p + 1)
+        jacobian[:, 1] = gradient[:, 2] - gradient[:, 1] * b / (p + 1) ** 2
+        jacobian[:, 2] = gradient[:, 3]
+        if drag:
+            jacobian[:, 3] = gradient[:, 4]
+        jacobian[:, -1] = gradient[:, 0]
+        return path, jacobian @ matrix
+
+    def model(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        path, jacobian = curve(values)
+        return (path - x) / u, jacobian / u[:, None]
+
+    rate = (x[0] - x[-1]) / (s[-1] - s[0])
+    # A rate of exactly zero has no derivative by its exponent.
+    b0 = max(first.b * (first.p + 1), 1e-3 * rate)
+    lower = np.full(5 if drag else 4, -np.inf)
+    upper = np.full(5 if drag else 4, np.inf)
+    lower[-1] = 0.1 * x.max()
+    if drag:
+        # as in the exact fit: beyond several times the loss, b and drag only cancel
+        lower[0], upper[0] = -30.0, np.log(6 * abs(np.log(x[0] / x[-1])) / (s[-1] - s[0]))
+    else:
+        lower[1], upper[1] = -0.5, 5.0
+    # Noise can make the grid's best start end before the data do; a slower decay does not.
+    for slower in (1.0, 0.9, 0.7, 0.5, 0.3, 0.1):
+        b, c = b0 * slower, first.c * slower
+        start = np.array([b, first.p, c, *([first.d * slower] if drag else []), first.start])
+        if drag:
+            start[0] = np.log(b)
+            start[1], start[3] = to_straight(float(start[0]), first.p, first.d * slower)
+        start = np.clip(start, lower + 1e-9, upper - 1e-9)
+        if np.all(np.isfinite(model(start)[0])):
+            break
+    else:
+        raise DataError("the decay has no start from which Eq. 5 reaches the last half-cycle")
+    solution = solve(model, start, lower=lower, upper=upper, loss=loss)
+    known, matrix = natural(solution.values)
+    return (
+        replace(solution, values=known, covariance=propagate(matrix, solution.covariance)),
+        curve(solution.values)[0] * reference,
+    )

@@ -1,0 +1,179 @@
+"""What a law of the contact is to the rest of the program: its parameters and how they are computed."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from math import inf
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from processing.contact.parameters import PendulumOnBall
+from processing.swing import TurningPoints
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """One number that a fit determines.
+
+    Attributes
+    ----------
+    key
+        Name in results.json; it ends in the SI unit, if there is one.
+    symbol, unit
+        As printed in tables and figures; the unit is the SI unit, "1" for a plain number.
+    lower, upper
+        Range in which a value makes sense. An interval is not extended beyond it; a fit may still
+        return a value below a lower limit of 0, so that a quantity that is truly 0 is estimated
+        without bias.
+    logarithmic
+        The scatter of a positive value is nearly normal in its logarithm, not in the value itself:
+        intervals are taken about the logarithm.
+    """
+
+    key: str
+    symbol: str
+    unit: str
+    description: str
+    source: str
+    lower: float = -inf
+    upper: float = inf
+    logarithmic: bool = False
+
+
+DRAG = Parameter(
+    "drag_s",
+    "drag",
+    "s",
+    "linear drag: the moment is -m g R drag_s phi'",
+    "not in the paper; beside Eq. 1",
+)
+"""A linear drag, which every law may have in addition."""
+
+AMPLITUDE = Parameter(
+    "initial_amplitude_rad", "α₀", "rad", "amplitude of the first turning point", "initial value", lower=0.0
+)
+TIME = Parameter(
+    "start_time_s", "t₀", "s", "time of the first turning point on the clock of the data", "initial value"
+)
+"""`AMPLITUDE` and `TIME` are fitted with every law; they describe the run, not the contact."""
+
+
+class HalfSwings(NamedTuple):
+    """Turning points that a law predicts, and their derivatives by the map's parameters.
+
+    `amplitude` in units of the reference amplitude and `time` in units of T0, shape ``(points,)``,
+    NaN from where the pendulum stops; the gradients have a column a parameter of the map.
+    """
+
+    amplitude: Array
+    time: Array
+    amplitude_gradient: Array
+    time_gradient: Array
+
+
+class HeldColumn(NamedTuple):
+    """Which column moves when one parameter is held at other values, and whether it must keep its sign."""
+
+    column: int
+    keeps_sign: bool = False
+
+
+class Columns(Protocol):
+    """What the solver varies when a law is fitted to one decay, and what it stands for.
+
+    The solver works on columns, chosen so that the valleys of chi2 are straight. They stand for
+    the parameters of the half-swing map (dimensionless: angles in units of `reference`, the
+    geometric mean amplitude, times in units of T0) and for physical values in SI units.
+
+    Attributes
+    ----------
+    lower, upper
+        Bounds of the columns.
+    map_by_log_rho
+        Derivative of the map's parameters by ln(R/a), which a fit takes as known; 0 where a law
+        does not contain it.
+    """
+
+    reference: float
+    lower: Array
+    upper: Array
+    map_by_log_rho: Array
+
+    def map_parameters(self, columns: Array) -> tuple[Array, Array]:
+        """The map's parameters (the last: the first amplitude), T0 (s), time of the first turning
+        point (s), in one array, and their derivatives by the columns; NaN where there are none."""
+
+    def physical(self, columns: Array) -> tuple[Array, Array]:
+        """SI values in the order of `Law.fit_keys`, and their derivatives by the columns."""
+
+    def from_physical(self, values: Mapping[str, float]) -> Array:
+        """The columns of physical values by key."""
+
+    def starts(self, points: TurningPoints) -> Sequence[Sequence[Array]]:
+        """Where a search may start, the likeliest first. Each is a sequence of attempts, of which the
+        first from which the map reaches the last half-cycle is taken."""
+
+    def held(self, name: str) -> HeldColumn:
+        """The column that is solved for when the likelihood is followed along a parameter."""
+
+    def at_limit(self, columns: Array) -> Sequence[str]:
+        """Parameters that stand at the limit of the range that is searched."""
+
+
+@dataclass(frozen=True)
+class Law:
+    """One law of the contact.
+
+    Attributes
+    ----------
+    name
+        Key in the registry and in results.json.
+    title, source
+        For people: what the law says, and where it comes from.
+    parameters
+        Of the law, in the order in which fits and tables give them.
+    half_swing_map
+        Turning points at rising half-cycle numbers (the first 0) for the map's parameters; it
+        calls a compiled kernel.
+    columns
+        The solver's columns for turning points, the pendulum (None: amplitudes not calibrated) and
+        the keys of the fit, `fit_keys`. They compute the start values from the data.
+    uncalibrated
+        What takes the place of a parameter where amplitudes are not known as angles (px, V).
+    """
+
+    name: str
+    title: str
+    source: str
+    parameters: tuple[Parameter, ...]
+    half_swing_map: Callable[[Array, NDArray[np.int64]], HalfSwings]
+    columns: Callable[[TurningPoints, PendulumOnBall | None, tuple[str, ...]], Columns]
+    uncalibrated: dict[str, Parameter] = field(default_factory=dict)
+
+    def fitted(self, *, calibrated: bool = True, drag: bool = False) -> tuple[Parameter, ...]:
+        """The parameters of a fit, without the initial amplitude and time."""
+        replaced = {} if calibrated else self.uncalibrated
+        own = tuple(replaced.get(parameter.key, parameter) for parameter in self.parameters)
+        return (*own, DRAG) if drag else own
+
+    def keys(self, *, calibrated: bool = True, drag: bool = False) -> tuple[str, ...]:
+        """Names of `fitted`."""
+        return tuple(parameter.key for parameter in self.fitted(calibrated=calibrated, drag=drag))
+
+    def fit_keys(self, *, calibrated: bool = True, drag: bool = False) -> tuple[str, ...]:
+        """Everything that a fit varies: `keys`, then the initial amplitude and time."""
+        return (*self.keys(calibrated=calibrated, drag=drag), AMPLITUDE.key, TIME.key)
+
+    def parameter(self, key: str) -> Parameter:
+        """Any parameter of a fit of this law by its key.
+
+        Raises
+        ------
+        KeyError
+            The law has no such parameter.
+        """
+        known = (*self.parameters, *self.uncalibrated.values(), DRAG, AMPLITUDE, TIME)
+        return {parameter.key: parameter for parameter in known}[key]

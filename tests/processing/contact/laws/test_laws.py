@@ -1,0 +1,85 @@
+"""Every law of the registry, and that a law is added by one file and one line."""
+
+from types import MappingProxyType
+
+import numpy as np
+import pytest
+
+from processing.contact import AMPLITUDE, LAWS, TIME, Law, laws
+from processing.fit import fit_exact, identifiability
+from processing.fit.exact_model import ExactModel
+from tests.processing.contact.laws.constant_moment import CONSTANT_MOMENT, constant_moment_decay
+from tests.processing.fit.decays import ARCSEC, decay, paper_pair
+
+_C, _PERIOD_S, _FIRST, _U = 0.1 * ARCSEC, 4.05, 124 * ARCSEC, 0.005 * ARCSEC
+
+
+@pytest.mark.parametrize("law", [*LAWS.values(), CONSTANT_MOMENT], ids=lambda law: law.name)
+def test_a_law_says_what_people_need(law: Law) -> None:
+    assert law.title
+    assert law.source
+    assert len(set(law.keys())) == len(law.parameters)
+    assert law.parameter("period0_s") in law.parameters
+    for parameter in law.parameters:
+        assert parameter.symbol
+        assert parameter.unit
+        assert parameter.description
+        assert parameter.source
+        assert parameter.lower < parameter.upper
+        assert law.parameter(parameter.key) is parameter
+    assert law.fit_keys(drag=True) == (*law.keys(), "drag_s", AMPLITUDE.key, TIME.key)
+
+
+@pytest.mark.parametrize("name", ["paper", "constant-moment"])
+@pytest.mark.parametrize("calibrated", [True, False])
+def test_columns_stand_for_the_physical_values_and_back(name: str, calibrated: bool) -> None:
+    law = CONSTANT_MOMENT if name == "constant-moment" else LAWS[name]
+    parameters, pendulum = paper_pair("steel")
+    points = decay(parameters, pendulum, noise_arcsec=0.005, seed=5, last_arcsec=40)
+    model = ExactModel(points, pendulum if calibrated else None, law=law)
+    start = model.starts()[0]
+    values, by_columns = model.columns.physical(start)
+    back = model.columns.from_physical(dict(zip(model.names, values.tolist(), strict=True)))
+    np.testing.assert_allclose(back, start, rtol=1e-9)
+    for k in range(len(start)):
+        step = np.zeros(len(start))
+        step[k] = 1e-6 * max(abs(start[k]), 1e-3)
+        high, low = model.columns.physical(start + step)[0], model.columns.physical(start - step)[0]
+        numeric = (high - low) / (2 * step[k])
+        np.testing.assert_allclose(by_columns[:, k], numeric, rtol=1e-5, atol=1e-7 * np.abs(values).max())
+
+
+def test_a_law_of_ones_own_is_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
+    registry = MappingProxyType({**LAWS, CONSTANT_MOMENT.name: CONSTANT_MOMENT})
+    monkeypatch.setattr(laws, "LAWS", registry)
+    law = laws.LAWS["constant-moment"]
+    pulls = []
+    for seed in range(20):
+        points = constant_moment_decay(_C, _PERIOD_S, _FIRST, 500, _U, seed)
+        result = fit_exact(points, paper_pair("steel")[1], law=law)
+        assert result.law is law
+        assert result.names == ("c", "period0_s", AMPLITUDE.key, TIME.key)
+        assert 0.8 < result.chi2_per_dof < 1.2
+        assert result.warnings == ()
+        truth = np.array([_C, _PERIOD_S, _FIRST, 0.25])
+        pulls.append((result.values - truth) / result.standard_uncertainty)
+    assert np.all(np.abs(np.mean(pulls, axis=0)) < 4 / np.sqrt(20))
+    assert np.all((np.std(pulls, axis=0) > 0.6) & (np.std(pulls, axis=0) < 1.5))
+
+
+def test_its_parameters_are_judged_like_any_other() -> None:
+    points = constant_moment_decay(_C / 1000, _PERIOD_S, _FIRST, 40, 100 * _U, 3)
+    pendulum = paper_pair("steel")[1]
+    result = fit_exact(points, pendulum, law=CONSTANT_MOMENT)
+    verdicts = {item.name: item for item in identifiability(points, pendulum, result)}
+    assert verdicts["c"].verdict == "upper bound"
+    assert verdicts["c"].lower == 0.0
+    assert verdicts["c"].upper > _C / 1000
+    assert verdicts["period0_s"].verdict == "determined"
+
+
+def test_a_law_that_does_not_describe_the_data_shows_in_chi2() -> None:
+    parameters, pendulum = paper_pair("glass_k8")
+    points = decay(parameters, pendulum, noise_arcsec=0.005, seed=1, last_arcsec=60)
+    assert fit_exact(points, pendulum).chi2_per_dof < 1.5
+    assert fit_exact(points, pendulum, law=CONSTANT_MOMENT).chi2_per_dof > 100
