@@ -107,7 +107,7 @@ class Columns(Protocol):
         point (s), in one array, and their derivatives by the columns; NaN where there are none."""
 
     def physical(self, columns: Array) -> tuple[Array, Array]:
-        """SI values in the order of `Law.fit_keys`, and their derivatives by the columns."""
+        """SI values in the order of `Law.fit_names`, and their derivatives by the columns."""
 
     def from_physical(self, values: Mapping[str, float]) -> Array:
         """The columns of physical values by key."""
@@ -140,7 +140,7 @@ class Law:
         calls a compiled kernel.
     columns
         The solver's columns for turning points, the pendulum (None: amplitudes not calibrated) and
-        the keys of the fit, `fit_keys`. They compute the start values from the data.
+        the keys of the fit, `fit_names`. They compute the start values from the data.
     uncalibrated
         What takes the place of a parameter where amplitudes are not known as angles (px, V).
     """
@@ -159,13 +159,13 @@ class Law:
         own = tuple(replaced.get(parameter.key, parameter) for parameter in self.parameters)
         return (*own, DRAG) if drag else own
 
-    def keys(self, *, calibrated: bool = True, drag: bool = False) -> tuple[str, ...]:
-        """Names of `fitted`."""
+    def names(self, *, calibrated: bool = True, drag: bool = False) -> tuple[str, ...]:
+        """Keys of `fitted`."""
         return tuple(parameter.key for parameter in self.fitted(calibrated=calibrated, drag=drag))
 
-    def fit_keys(self, *, calibrated: bool = True, drag: bool = False) -> tuple[str, ...]:
-        """Everything that a fit varies: `keys`, then the initial amplitude and time."""
-        return (*self.keys(calibrated=calibrated, drag=drag), AMPLITUDE.key, TIME.key)
+    def fit_names(self, *, calibrated: bool = True, drag: bool = False) -> tuple[str, ...]:
+        """Everything that a fit varies: `names`, then the initial amplitude and time."""
+        return (*self.names(calibrated=calibrated, drag=drag), AMPLITUDE.key, TIME.key)
 
     def parameter(self, key: str) -> Parameter:
         """Any parameter of a fit of this law by its key.

@@ -13,9 +13,8 @@ from processing.fit.measurement import (
     report,
     work_per_cycle_j,
 )
-from processing.fit.method import DEFAULT_METHOD, FitMethod
 from processing.fit.remeasure import agree, known_motion, measured_again
-from processing.fit.result import CONTACT_NAMES, FitResult
+from processing.fit.result import FitResult
 from processing.fit.series import (
     Combined,
     Comparison,
@@ -26,10 +25,9 @@ from processing.fit.series import (
 )
 from processing.fit.smoothing import super_smooth
 from processing.fit.uncertainty import Budget, Propagated, budgets, monte_carlo
+from processing.fit_method import FitMethod
 
 __all__ = [
-    "CONTACT_NAMES",
-    "DEFAULT_METHOD",
     "Budget",
     "Combined",
     "Comparison",

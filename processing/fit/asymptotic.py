@@ -8,12 +8,12 @@ because the paper's numbers were made so, and because they start the exact fit.
 import numpy as np
 
 from processing.contact import PendulumOnBall, fit_decay, relative_curvature, stiffness_ratio
-from processing.contact.laws import PAPER
+from processing.contact.laws import AMPLITUDE, PAPER
 from processing.errors import DataError
 from processing.fit.checks import OUTLIER, check_turning_points, data_warnings
-from processing.fit.method import FitMethod
 from processing.fit.period_fit import fit_period, period_by_log_rho, period_covariance
-from processing.fit.result import AMPLITUDE_NAME, CONTACT_NAMES, DRAG_NAME, UNCALIBRATED_NAMES, FitResult
+from processing.fit.result import FitResult
+from processing.fit_method import FitMethod
 from processing.least_squares import Loss, propagate
 from processing.periods import (
     FEWEST_PERIODS,
@@ -79,8 +79,7 @@ def fit_asymptotic(
     log_r = np.log(reference)
     per_kappa = 1.0 if pendulum is None else 1 / stiffness_ratio(1.0, pendulum)
     b_factor, gamma_factor = reference ** (1 - p), reference**-n * per_kappa
-    contact_names = UNCALIBRATED_NAMES if pendulum is None else CONTACT_NAMES
-    names = [*contact_names, *([DRAG_NAME] if drag else []), AMPLITUDE_NAME]
+    names = (*PAPER.names(calibrated=pendulum is not None, drag=drag), AMPLITUDE.key)
     values = [b * b_factor, p, c * reference, n, t0, kappa * gamma_factor]
     drag_factor = 2 * mean / np.pi**2
     if drag:
@@ -112,7 +111,7 @@ def fit_asymptotic(
     return FitResult(
         method=FitMethod.ASYMPTOTIC,
         law=PAPER,
-        names=tuple(names),
+        names=names,
         values=np.array(values),
         covariance=propagate(to_physical, scatter),
         chi2=decay.chi2 + period.chi2,

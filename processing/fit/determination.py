@@ -18,8 +18,8 @@ from processing.contact import PendulumOnBall
 from processing.errors import DataError
 from processing.estimate import WELL_DETERMINED
 from processing.fit.exact_model import ExactModel
-from processing.fit.method import FitMethod
-from processing.fit.result import AMPLITUDE_NAME, TIME_NAME, FitResult
+from processing.fit.result import FitResult
+from processing.fit_method import FitMethod
 from processing.least_squares import solve
 from processing.swing import TurningPoints
 
@@ -237,8 +237,7 @@ def identifiability(
     points: TurningPoints, pendulum: PendulumOnBall | None, result: FitResult
 ) -> tuple[Determination, ...]:
     """A verdict for every parameter of an exact fit; poorly determined ones are profiled."""
-    names = [name for name in result.names if name not in (AMPLITUDE_NAME, TIME_NAME)]
-    return tuple(_determination(points, pendulum, result, name) for name in names)
+    return tuple(_determination(points, pendulum, result, name) for name in result.contact_names)
 
 
 def _determination(

@@ -5,11 +5,12 @@ from dataclasses import dataclass
 from scipy.special import fdtrc
 
 from processing.contact import PendulumOnBall
+from processing.contact.laws import DRAG
 from processing.errors import DataError
 from processing.estimate import Estimate
 from processing.fit.exact import fit_exact
-from processing.fit.method import FitMethod
-from processing.fit.result import DRAG_NAME, FitResult
+from processing.fit.result import FitResult
+from processing.fit_method import FitMethod
 from processing.least_squares import Loss
 from processing.swing import TurningPoints
 
@@ -80,7 +81,7 @@ def drag_verdict(
     p_value = float(fdtrc(1, with_drag.dof, f_statistic))
     scale = max(1.0, 2 * with_drag.cost / with_drag.dof)
     aic_difference = 2.0 - gain / scale
-    drag_s = with_drag.estimate(DRAG_NAME)
+    drag_s = with_drag.estimate(DRAG.key)
     before, after = without.parameters, with_drag.parameters
     return DragVerdict(
         without=without,

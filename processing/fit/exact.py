@@ -9,8 +9,8 @@ from processing.errors import DataError
 from processing.estimate import WELL_DETERMINED
 from processing.fit.checks import OUTLIER, check_turning_points, data_warnings
 from processing.fit.exact_model import ExactModel
-from processing.fit.method import FitMethod
 from processing.fit.result import FitResult
+from processing.fit_method import FitMethod
 from processing.least_squares import Loss, Solution, propagate, solve
 from processing.periods import full_periods, mean_period_estimate
 from processing.swing import TurningPoints

@@ -25,7 +25,7 @@ class ExactModel:
     ) -> None:
         self.points = points
         self.law = law
-        self.names = law.fit_keys(calibrated=pendulum is not None, drag=drag)
+        self.names = law.fit_names(calibrated=pendulum is not None, drag=drag)
         self.columns = law.columns(points, pendulum, self.names)
         self.reference = self.columns.reference
         self.lower, self.upper = self.columns.lower, self.columns.upper

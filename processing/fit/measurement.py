@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from processing.contact import STANDARD_GRAVITY_M_PER_S2, Material, PendulumOnBall, contact_radius
+from processing.contact.laws import DRAG, PAPER
 from processing.errors import ConfigurationError, DataError
-from processing.fit.result import CONTACT_NAMES, DRAG_NAME, FitResult
+from processing.fit.result import FitResult
 
 Distribution = Literal["normal", "rectangular"]
 
@@ -149,7 +150,7 @@ def measured(result: FitResult) -> Measured:
         raise DataError(
             "the amplitudes were not calibrated: nothing can be reported in SI units; calibrate the record"
         )
-    names = tuple(name for name in (*CONTACT_NAMES, DRAG_NAME) if name in result.names)
+    names = result.contact_names
     at = [result.names.index(name) for name in names]
     return Measured(
         names,
@@ -183,8 +184,8 @@ def report(
     the period knows of gamma is ``2 gamma a^2/(m g)``. R/a also bends Eq. 3 a little, which the
     fit's own derivative by it carries over.
     """
-    if found.names[:6] != CONTACT_NAMES:
-        raise DataError(f"expected the parameters {CONTACT_NAMES} first, got {found.names}")
+    if found.names[:6] != PAPER.names():
+        raise DataError(f"expected the parameters {PAPER.names()} first, got {found.names}")
     nominal = rig.pendulum()
     mass = inputs["mass_kg"] / rig.balls
     radius, gravity = inputs["ball_radius_m"], inputs["gravity_m_per_s2"]
@@ -216,8 +217,8 @@ def report(
         "contact_depth_m": a**2 / radius,
         "contact_angle_rad": a / radius,
     }
-    if DRAG_NAME in found.names:
-        out[DRAG_NAME] = moved[found.names.index(DRAG_NAME)] * second
+    if DRAG.key in found.names:
+        out[DRAG.key] = moved[found.names.index(DRAG.key)] * second
     return out
 
 
@@ -263,8 +264,8 @@ def work_per_cycle_j(
     moment = inputs["mass_kg"] * inputs["gravity_m_per_s2"] * inputs["ball_radius_m"]
     b, p, c = reported["b"], reported["p"], reported["c"]
     dissipated = 4 * moment * (c * amplitude_rad + b * amplitude_rad ** (p + 1) / (p + 1))
-    if DRAG_NAME in reported:
+    if DRAG.key in reported:
         dissipated = (
-            dissipated + moment * reported[DRAG_NAME] * 2 * pi**2 / reported["period0_s"] * amplitude_rad**2
+            dissipated + moment * reported[DRAG.key] * 2 * pi**2 / reported["period0_s"] * amplitude_rad**2
         )
     return np.asarray(dissipated, dtype=np.float64)

@@ -10,16 +10,8 @@ from processing.contact import ContactParameters
 from processing.contact.laws import AMPLITUDE, DRAG, PAPER, TIME, Law
 from processing.errors import DataError
 from processing.estimate import Estimate
-from processing.fit.method import FitMethod
+from processing.fit_method import FitMethod
 from processing.least_squares import Loss
-
-CONTACT_NAMES = PAPER.keys()
-UNCALIBRATED_NAMES = PAPER.keys(calibrated=False)
-STIFFNESS_NAME = UNCALIBRATED_NAMES[-1]
-"""Stands in the place of ``gamma_pa`` where there is no calibration."""
-DRAG_NAME = DRAG.key
-AMPLITUDE_NAME = AMPLITUDE.key
-TIME_NAME = TIME.key
 
 
 @dataclass(frozen=True)
@@ -29,7 +21,7 @@ class FitResult:
     Attributes
     ----------
     names
-        `CONTACT_NAMES`, then ``drag_s`` where it was fitted, ``initial_amplitude_rad`` and, for
+        The law's parameters, ``drag_s`` where it was fitted, ``initial_amplitude_rad`` and, for
         the exact fit, ``start_time_s``: the first turning point on the clock of the data.
     values, covariance
         In that order, physical units. The covariance is scaled by max(1, chi2/dof): scatter
@@ -92,20 +84,25 @@ class FitResult:
     @property
     def calibrated(self) -> bool:
         """Whether amplitudes were angles; if not, b and c are in the amplitudes' unit."""
-        return STIFFNESS_NAME not in self.names
+        return all(key in self.names for key in self.law.uncalibrated)
+
+    @property
+    def contact_names(self) -> tuple[str, ...]:
+        """`names` without the initial amplitude and time, which describe the run."""
+        return tuple(name for name in self.names if name not in (AMPLITUDE.key, TIME.key))
 
     @property
     def parameters(self) -> ContactParameters:
-        """The values as one object; gamma is NaN without a calibration."""
+        """The values of the paper's law as one object; gamma is NaN without a calibration."""
         known = dict(zip(self.names, self.values.tolist(), strict=True))
         return ContactParameters(
-            **{name: known.get(name, float("nan")) for name in CONTACT_NAMES},
-            drag_s=known.get(DRAG_NAME, 0.0),
+            **{name: known.get(name, float("nan")) for name in PAPER.names()},
+            drag_s=known.get(DRAG.key, 0.0),
         )
 
     @property
     def has_drag(self) -> bool:
-        return DRAG_NAME in self.names
+        return DRAG.key in self.names
 
     def estimate(self, name: str) -> Estimate:
         if name not in self.names:
@@ -118,9 +115,9 @@ class FitResult:
     def interval(self, name: str, coverage: float = 0.95) -> tuple[float, float]:
         """Interval of Student's t about the value, by the covariance alone.
 
-        About the logarithm for b and gamma where they are positive: in their units the exponents
-        p and n stand, and it is those whose scatter they inherit. Where a parameter is poorly
-        determined, `identifiability` follows the likelihood itself.
+        About the logarithm for a positive value of a parameter that says so (`Parameter.logarithmic`:
+        b and gamma, in whose units the exponents p and n stand, whose scatter they inherit). Where a
+        parameter is poorly determined, `identifiability` follows the likelihood itself.
         """
         value, u = self.estimate(name)
         k = float(stdtrit(self.dof, 0.5 * (1 + coverage)))

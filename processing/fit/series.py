@@ -13,7 +13,7 @@ from scipy.special import chdtrc, stdtr, stdtrit
 from processing.errors import DataError
 from processing.estimate import Estimate
 from processing.fit.measurement import Measured, measured
-from processing.fit.result import CONTACT_NAMES, DRAG_NAME, FitResult
+from processing.fit.result import FitResult
 from processing.swing import TurningPoints
 
 AGREE = 0.05
@@ -138,7 +138,7 @@ def combine_runs(results: Sequence[FitResult]) -> SeriesResult:
     """
     if len(results) < 2:
         raise DataError(f"{len(results)} run: a series needs at least 2 to show its scatter")
-    names = [name for name in (*CONTACT_NAMES, DRAG_NAME) if all(name in result.names for result in results)]
+    names = [name for name in results[0].contact_names if all(name in result.names for result in results)]
     parameters = {name: combine(name, [result.estimate(name) for result in results]) for name in names}
     runs = [measured(result) for result in results]
     at = [list(runs[0].names).index(name) for name in names]

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
+from processing.contact.laws import DRAG
 from processing.fit.measurement import OUTPUTS, Measured, RigQuantities, draw_fitted, report
-from processing.fit.result import DRAG_NAME
 
 FIT = "swings"
 """Name of the type A source: the fit's covariance, or that of a series of runs."""
@@ -75,7 +75,7 @@ def _nominal(rig: RigQuantities, count: int) -> dict[str, NDArray[np.float64]]:
 
 
 def _quantities(found: Measured) -> dict[str, str]:
-    return {**OUTPUTS, **({DRAG_NAME: "s"} if DRAG_NAME in found.names else {})}
+    return {**OUTPUTS, **({DRAG.key: "s"} if DRAG.key in found.names else {})}
 
 
 def budgets(found: Measured, rig: RigQuantities) -> dict[str, Budget]:

@@ -7,7 +7,15 @@ from typing import Any, NamedTuple
 from processing.contact import PendulumOnBall, surface_energy
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import DataError
-from processing.fit import FitResult, agree, fit_asymptotic, fit_exact, known_motion, measured_again
+from processing.fit import (
+    FitMethod,
+    FitResult,
+    agree,
+    fit_asymptotic,
+    fit_exact,
+    known_motion,
+    measured_again,
+)
 from processing.least_squares import Loss
 from processing.swing import KnownMotion, Swing, TurningPoints, turning_points
 from rig.settings import FitSettings
@@ -68,16 +76,18 @@ def fit_decay(points: TurningPoints, pendulum: PendulumOnBall | None, settings: 
         )
     loss = _loss(settings)
     try:
-        fits = {
-            "asymptotic": fit_asymptotic(
+        fits: dict[str, FitResult] = {
+            FitMethod.ASYMPTOTIC: fit_asymptotic(
                 points, pendulum, drag=settings.drag, loss=loss, printed_curvature=settings.printed_055
             ),
-            "exact": fit_exact(points, pendulum, drag=settings.drag, loss=loss),
+            FitMethod.EXACT: fit_exact(points, pendulum, drag=settings.drag, loss=loss),
         }
     except DataError as error:
         return DecayFits({}, {}, str(error))
     energies = {name: _energy(fit, pendulum) for name, fit in fits.items()}
-    return DecayFits(fits, {**energies["exact"], "asymptotic": energies["asymptotic"]})
+    return DecayFits(
+        fits, {**energies[FitMethod.EXACT], FitMethod.ASYMPTOTIC: energies[FitMethod.ASYMPTOTIC]}
+    )
 
 
 def _loss(settings: FitSettings) -> Loss:

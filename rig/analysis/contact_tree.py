@@ -9,6 +9,7 @@ from processing.estimate import Estimate
 from processing.fit import (
     Budget,
     Combined,
+    FitMethod,
     FitResult,
     Propagated,
     RigQuantities,
@@ -143,20 +144,20 @@ def series_tree(
     Parameters
     ----------
     fits
-        By model, one fit a run; models with fewer than two are left out.
+        By method, one fit a run; a method with fewer than two is left out.
     points
         The turning points of the same runs, for the averaged curve.
     """
     tree: dict[str, Any] = {"runs": len(points)}
     problems: list[str] = []
-    for model, results in fits.items():
+    for method, results in fits.items():
         try:
             combined = combine_runs(results)
         except DataError as error:
-            problems.append(f"{model}: {error}")
+            problems.append(f"{method}: {error}")
             continue
-        tree[model] = {name: _combined_tree(item) for name, item in combined.parameters.items()}
-        if model == "exact":
+        tree[method] = {name: _combined_tree(item) for name, item in combined.parameters.items()}
+        if method == FitMethod.EXACT:
             tree["surface_energy_j_per_m2"] = _energy_tree(combined, pendulum)
             if rig is not None:
                 found = budgets(combined.measured, rig)

@@ -16,8 +16,9 @@ from processing.contact import (
     period,
     turning_points_of,
 )
+from processing.contact.laws import PAPER
 from processing.errors import DataError
-from processing.fit import CONTACT_NAMES, super_smooth
+from processing.fit import FitMethod, super_smooth
 from processing.periods import full_periods
 from processing.swing import TurningPoints
 from rig.presentation import number
@@ -49,7 +50,7 @@ class Curves:
 def parameters_of(fit: Mapping[str, Any]) -> ContactParameters:
     """The contact parameters of one fit in results.json."""
     drag = number(fit, "drag_s")
-    values = {name: number(fit, name) for name in CONTACT_NAMES}
+    values = {name: number(fit, name) for name in PAPER.names()}
     return ContactParameters(**values, drag_s=0.0 if math.isnan(drag) else drag)
 
 
@@ -62,12 +63,12 @@ def pendulum_of(run: Mapping[str, Any]) -> PendulumOnBall | None:
 def curves_of(points: TurningPoints, run: Mapping[str, Any]) -> Curves | None:
     """The curves of one run; None where it was not fitted."""
     pendulum, fits = pendulum_of(run), run.get("fits") or {}
-    if pendulum is None or not {"exact", "asymptotic"} <= set(fits):
+    if pendulum is None or not set(FitMethod) <= set(fits):
         return None
-    exact_rad, exact_time_s = _exact(points, fits["exact"], pendulum)
+    exact_rad, exact_time_s = _exact(points, fits[FitMethod.EXACT], pendulum)
     periods = full_periods(points)
     at = periods.where
-    asymptotic = parameters_of(fits["asymptotic"])
+    asymptotic = parameters_of(fits[FitMethod.ASYMPTOTIC])
     amplitude = points.amplitude[at]
     printed = bool((run.get("settings") or {}).get("printed_055"))
     try:
@@ -75,7 +76,7 @@ def curves_of(points: TurningPoints, run: Mapping[str, Any]) -> Curves | None:
     except DataError:
         smooth = np.full(len(at), np.nan)
     return Curves(
-        asymptotic_rad=_asymptotic(points, fits["asymptotic"]),
+        asymptotic_rad=_asymptotic(points, fits[FitMethod.ASYMPTOTIC]),
         exact_rad=exact_rad,
         exact_time_s=exact_time_s,
         period_rad=amplitude,

@@ -14,7 +14,7 @@ from acquisition.record.reader import RecordReader
 from acquisition.record.topics import ENVIRONMENT
 from processing.angle import ARCSEC_RAD
 from processing.deflections import Deflections, DeflectionUnit
-from processing.fit import FitResult
+from processing.fit import FitMethod, FitResult
 from processing.swing import Swing
 from rig.analysis.contact_laws import DecayFits, fit_decay, points_in_true_time, settled_swings
 from rig.analysis.contact_tree import series_tree
@@ -101,7 +101,7 @@ def _analyse_swings(
     if decay.fits and pendulum is not None:
         seed = int(sha256[:12], 16)
         quantities = rig_quantities(config, fast_ratio(deflections.x, deflections.y))
-        evaluation = evaluate(points, pendulum, decay.fits["exact"], quantities, seed)
+        evaluation = evaluate(points, pendulum, decay.fits[FitMethod.EXACT], quantities, seed)
     return RunResult(
         record=path,
         sha256=sha256,

@@ -7,7 +7,8 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from processing.fit import CONTACT_NAMES, FitResult
+from processing.contact.laws import PAPER
+from processing.fit import FitMethod, FitResult
 from rig.analysis.other_instruments_series import reduce_series
 from rig.analysis.results import RunResult
 from rig.presentation import quantity
@@ -45,7 +46,7 @@ def parameter_table(fits: Mapping[str, FitResult], energy: Mapping[str, Any]) ->
     for name in fits:
         table.add_column(name, justify="right")
     table.add_column("unit")
-    for name in (*CONTACT_NAMES, "drag_s"):
+    for name in PAPER.names(drag=True):
         estimates = [fit.estimate(name) if name in fit.names else None for fit in fits.values()]
         if not any(estimates):
             continue
@@ -56,7 +57,7 @@ def parameter_table(fits: Mapping[str, FitResult], energy: Mapping[str, Any]) ->
             shown = quantity(f"surface_energy_{key}_j_per_m2")
             cells = [
                 shown.text(source[key]["value"], source[key]["standard_uncertainty"])
-                for source in (energy["asymptotic"], energy)
+                for source in (energy[FitMethod.ASYMPTOTIC], energy)
             ]
             table.add_row(shown.symbol, *cells, shown.unit)
     table.add_row("chi2/dof", *(f"{fit.chi2_per_dof:.3f}" for fit in fits.values()), "")

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 from processing.angle import ARCSEC_RAD
 from processing.contact import MATERIALS, STANDARD_GRAVITY_M_PER_S2, cycle_work, hertz_contact, surface_energy
+from processing.fit import FitMethod
 from rig.analysis import parameters_of
 from rig.paper.printed import BALL, BALL_RADIUS_M, LOOP_AMPLITUDE_ARCSEC, MASS_KG, PAIRS
 from rig.paper.simulation import PairSeries
@@ -13,11 +14,15 @@ from rig.presentation import Cell, Table, number, plain, power, with_uncertainty
 AGREES = "agrees"
 CONTRADICTION = "known contradiction"
 NOT_COMPARABLE = "not comparable"
+_DIFFERENCES = (f"relative_difference_{FitMethod.EXACT}", f"relative_difference_{FitMethod.ASYMPTOTIC}")
 _COLUMNS = (
-    "pair", "quantity", "unit", "printed", "exact", "u_exact", "asymptotic", "relative_difference_exact",
-    "relative_difference_asymptotic", "verdict",
+    "pair", "quantity", "unit", "printed", FitMethod.EXACT, f"u_{FitMethod.EXACT}", FitMethod.ASYMPTOTIC,
+    *_DIFFERENCES, "verdict",
 )  # fmt: skip
-_HEAD = ("", "", "printed", "exact map", "difference", "Eqs. 5 and 6", "difference", "verdict")
+_FITS_HEAD = (
+    FitMethod.EXACT.heading, "difference", FitMethod.ASYMPTOTIC.heading, "difference", "verdict",
+)  # fmt: skip
+_HEAD = ("", "", "printed", *_FITS_HEAD)
 
 
 def table1() -> Table:
@@ -89,8 +94,8 @@ def table4(found: Sequence[PairSeries]) -> Table:
         name = series.pair.name.removeprefix("steel on ")
         amplitude_rad = LOOP_AMPLITUDE_ARCSEC * ARCSEC_RAD
         truth = cycle_work(amplitude_rad, series.parameters, series.pendulum)
-        fitted = cycle_work(amplitude_rad, parameters_of(series.series["exact"]), series.pendulum)
-        paper = cycle_work(amplitude_rad, parameters_of(series.series["asymptotic"]), series.pendulum)
+        fitted = cycle_work(amplitude_rad, parameters_of(series.series[FitMethod.EXACT]), series.pendulum)
+        paper = cycle_work(amplitude_rad, parameters_of(series.series[FitMethod.ASYMPTOTIC]), series.pendulum)
         for what, attribute in (("4A", "dissipated_j"), ("4Aₜ", "adhesive_j")):
             expected, exact, way = (getattr(work, attribute) * 1e15 for work in (truth, fitted, paper))
             rows.append(
@@ -105,10 +110,10 @@ def table4(found: Sequence[PairSeries]) -> Table:
             name = ""
     return Table(
         "table4", f"Table 4: work over one cycle at {LOOP_AMPLITUDE_ARCSEC:g} arcsec",
-        ("pair", "quantity", "unit", "of_printed_parameters", "exact", "asymptotic",
-         "relative_difference_exact", "relative_difference_asymptotic"),
+        ("pair", "quantity", "unit", "of_printed_parameters", FitMethod.EXACT, FitMethod.ASYMPTOTIC,
+         *_DIFFERENCES),
         rows,
-        ("", "", "of printed parameters", "exact map", "difference", "Eqs. 5 and 6", "difference", "verdict"),
+        ("", "", "of printed parameters", *_FITS_HEAD),
         shown,
     )  # fmt: skip
 
@@ -117,7 +122,10 @@ def _fitted(
     series: PairSeries, name: str, parameter: str, unit: str, printed: float, scale: float, last_digit: float
 ) -> list[Cell]:
     """One fitted parameter of the series: agrees within its 95 % interval or as rounded in print."""
-    exact, asymptotic = series.series["exact"][parameter], series.series["asymptotic"][parameter]
+    exact, asymptotic = (
+        series.series[FitMethod.EXACT][parameter],
+        series.series[FitMethod.ASYMPTOTIC][parameter],
+    )
     value, u = number(exact, "value") / scale, number(exact, "standard_uncertainty") / scale
     half = number(exact, "expanded_uncertainty_95") / scale
     other = number(asymptotic, "value") / scale
@@ -137,13 +145,13 @@ def _energy(series: PairSeries, form: str) -> list[Cell]:
     printed = series.pair.surface_energy_j_per_m2 * 1e3
     exact = series.series["surface_energy_j_per_m2"][form]
     value, u = number(exact, "value") * 1e3, number(exact, "standard_uncertainty") * 1e3
-    c = series.series["exact"]["c"]["value"]
-    other = value / c * series.series["asymptotic"]["c"]["value"]
+    c = series.series[FitMethod.EXACT]["c"]["value"]
+    other = value / c * series.series[FitMethod.ASYMPTOTIC]["c"]["value"]
     label = "σ, m g R c/(2a²)" if form == "table2" else "σ, Eq. 2: m g c/(2a)"
     half = (
         u
-        * number(series.series["exact"]["c"], "expanded_uncertainty_95")
-        / number(series.series["exact"]["c"], "standard_uncertainty")
+        * number(series.series[FitMethod.EXACT]["c"], "expanded_uncertainty_95")
+        / number(series.series[FitMethod.EXACT]["c"], "standard_uncertainty")
     )
     of_printed_c = surface_energy(series.pair.c, series.pendulum).table2_j_per_m2 * 1e3
     if form == "eq2":
@@ -163,7 +171,7 @@ def _energy(series: PairSeries, form: str) -> list[Cell]:
 
 def _arae(series: PairSeries, key: str, printed: float) -> list[Cell]:
     """Relative errors tell of the noise, which is the simulated rig's, not the paper's."""
-    values = [number(series.run["fits"][name], key) for name in ("exact", "asymptotic")]
+    values = [number(series.run["fits"][name], key) for name in (FitMethod.EXACT, FitMethod.ASYMPTOTIC)]
     label = "ARAE, Eq. 8" if key == "arae_decay" else "ARAE, Eq. 9"
     return [
         series.pair.name, label, "1", printed, values[0], math.nan, values[1], math.nan, math.nan,

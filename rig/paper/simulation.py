@@ -16,7 +16,7 @@ from acquisition.simulation.true_path import noisy, true_path, true_turning_poin
 from processing.angle import ARCSEC_RAD
 from processing.contact import MATERIALS, ContactParameters, PendulumOnBall, pendulum_on_ball
 from processing.deflections import slow_deflections
-from processing.fit import FitResult, Quantity, RigQuantities, fit_asymptotic, fit_exact
+from processing.fit import FitMethod, FitResult, Quantity, RigQuantities, fit_asymptotic, fit_exact
 from processing.swing import SwingDetector, TurningPoints, turning_points
 from rig.analysis import Motion, evaluate, evaluation_tree, fit_tree, series_tree, settled_swings
 from rig.paper.printed import (
@@ -82,8 +82,8 @@ def simulate_pair(pair: PrintedPair, b_exponent: int, seed: int) -> PairSeries:
             shown = Motion(time_s, seen.x_rad / ARCSEC_RAD, seen.y_rad / ARCSEC_RAD, "arcsec")
     assert shown is not None
     fits: dict[str, list[FitResult]] = {
-        "asymptotic": [fit_asymptotic(points, pendulum) for points in runs],
-        "exact": [fit_exact(points, pendulum) for points in runs],
+        FitMethod.ASYMPTOTIC: [fit_asymptotic(points, pendulum) for points in runs],
+        FitMethod.EXACT: [fit_exact(points, pendulum) for points in runs],
     }
     rig = RigQuantities(
         Quantity(MASS_KG), Quantity(BALL_RADIUS_M), MATERIALS[BALL], MATERIALS[pair.flat],
@@ -91,7 +91,7 @@ def simulate_pair(pair: PrintedPair, b_exponent: int, seed: int) -> PairSeries:
     )  # fmt: skip
     run = {
         "fits": {name: fit_tree(found[0]) for name, found in fits.items()},
-        **evaluation_tree(evaluate(runs[0], pendulum, fits["exact"][0], rig, seed)),
+        **evaluation_tree(evaluate(runs[0], pendulum, fits[FitMethod.EXACT][0], rig, seed)),
     }
     return PairSeries(pair, truth, pendulum, runs, shown, run, series_tree(fits, runs, pendulum, rig))
 

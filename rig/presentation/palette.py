@@ -6,6 +6,8 @@ each of them stands for in every figure and every panel.
 
 from typing import Final
 
+from processing.fit_method import FitMethod
+
 BLACK: Final = "#000000"
 ORANGE: Final = "#E69F00"
 SKY_BLUE: Final = "#56B4E9"
@@ -38,8 +40,8 @@ SEQUENCE: Final = (SKY_BLUE, ORANGE, BLUISH_GREEN, VERMILLION, YELLOW, REDDISH_P
 def curve_colour(name: str, number: int) -> str:
     """Colour of an analysis' curve: fixed for data and the two fits, else the next of SEQUENCE."""
     for word, colour in (
-        ("exact", EXACT_FIT_COLOUR),
-        ("asymptotic", ASYMPTOTIC_FIT_COLOUR),
+        (FitMethod.EXACT, EXACT_FIT_COLOUR),
+        (FitMethod.ASYMPTOTIC, ASYMPTOTIC_FIT_COLOUR),
         ("measured", DATA_COLOUR),
     ):
         if word in name.lower():

@@ -8,7 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from processing.fit import CONTACT_NAMES
+from processing.contact.laws import PAPER
+from processing.fit import FitMethod
 from processing.spot import Spot
 from processing.swing import Swing
 from rig.presentation import plain_values
@@ -143,9 +144,9 @@ def _contact(tree: Mapping[str, Any]) -> dict[str, tuple[float, float]]:
     fits = tree.get("fits") or {}
     return {
         f"fits.{fit}.{name}": estimate
-        for fit in ("exact", "asymptotic")
+        for fit in FitMethod
         for name, estimate in _estimates(fits.get(fit) or {})
-        if name in (*CONTACT_NAMES, "drag_s")
+        if name in PAPER.names(drag=True)
     }
 
 

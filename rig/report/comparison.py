@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 from scipy.special import stdtrit
 
+from processing.contact.laws import PAPER
 from processing.errors import RecordError
 from processing.estimate import Estimate
-from processing.fit import CONTACT_NAMES, Combined, Comparison, Measured, SeriesResult, compare_series
+from processing.fit import Combined, Comparison, FitMethod, Measured, SeriesResult, compare_series
 from rig.analysis import read_results
 from rig.presentation import (
     Cell,
@@ -44,7 +45,7 @@ def compare(folders: Sequence[Path], output: Path | None) -> list[Table]:
     tables = [values_table(series, verdicts), differences_table(compare_series(series))]
     if output is not None:
         files = output.parent / output.stem
-        names = [name for name in CONTACT_NAMES if all(name in s.parameters for s in series.values())]
+        names = [name for name in PAPER.names() if all(name in s.parameters for s in series.values())]
         bars = {
             label: {name: (item.value, item.expanded) for name, item in found.parameters.items()}
             for label, found in series.items()
@@ -73,14 +74,14 @@ def series_of(folder: Path) -> SeriesResult:
     Raises RecordError where nothing was fitted.
     """
     tree = read_results(folder)
-    combined = (tree.get("series") or {}).get("exact")
+    combined = (tree.get("series") or {}).get(FitMethod.EXACT)
     if combined:
         parameters = {name: _combined(name, item) for name, item in combined.items()}
     else:
         fitted = [run for run in tree["runs"] if run.get("fits")]
         if not fitted:
             raise RecordError(f"{folder}: no run of it was fitted ({tree['runs'][0].get('problem')})")
-        parameters = _single(fitted[0]["fits"]["exact"])
+        parameters = _single(fitted[0]["fits"][FitMethod.EXACT])
     names = tuple(parameters)
     u = np.array([parameters[name].standard_uncertainty for name in names])
     together = Measured(
@@ -93,7 +94,7 @@ def series_of(folder: Path) -> SeriesResult:
 def verdicts_of(folder: Path) -> dict[str, Mapping[str, Any]]:
     """By parameter, whether a session's data determine it, as its report says it."""
     tree = read_results(folder)
-    combined = (tree.get("series") or {}).get("exact")
+    combined = (tree.get("series") or {}).get(FitMethod.EXACT)
     if combined:
         return dict(series_verdicts(combined))
     fitted: Mapping[str, Any] = next((run for run in tree["runs"] if run.get("fits")), {})
@@ -118,7 +119,7 @@ def _single(fit: Mapping[str, Any]) -> dict[str, Combined]:
     """One run as a series of its own: what scatters between runs is not known of it."""
     dof = int(number(fit, "degrees_of_freedom"))
     found = {}
-    for name in CONTACT_NAMES:
+    for name in PAPER.names():
         value, u = number(fit, name), number(fit, name, "standard_uncertainty")
         if isfinite(value) and isfinite(u):
             half = float(stdtrit(dof, 0.975)) * u
@@ -130,7 +131,7 @@ def values_table(
     series: Mapping[str, SeriesResult], verdicts: Sequence[Mapping[str, Mapping[str, Any]]]
 ) -> Table:
     """One row a parameter, one column a series; what is not determined as interval or bound."""
-    names = [name for name in CONTACT_NAMES if any(name in found.parameters for found in series.values())]
+    names = [name for name in PAPER.names() if any(name in found.parameters for found in series.values())]
     rows: list[list[Cell]] = []
     shown = []
     for name in names:

@@ -7,6 +7,7 @@ import numpy as np
 
 from processing.angle import ARCSEC_RAD
 from processing.contact import ContactParameters, PendulumOnBall, cycle_work, moment_loop, weight_moment
+from processing.fit import FitMethod
 from rig.presentation import number, palette, plain, quantity
 from rig.report.drawing import ASYMPTOTIC, DATA, EXACT, INK, Drawing, canvas
 
@@ -90,14 +91,14 @@ def correlation_figure(correlation: Mapping[str, Any]) -> Drawing:
 
 def series_figure(series: Mapping[str, Any]) -> Drawing:
     """Every parameter of every run, and the combined value with its 95 % interval."""
-    models = [name for name in ("exact", "asymptotic") if name in series]
-    names = list(series[models[0]])
+    fitted = series.get(FitMethod.EXACT) or series[FitMethod.ASYMPTOTIC]
+    names = list(fitted)
     figure = canvas(0.35 + 1.55 * ((len(names) + 2) // 3))
     panels = figure.subplots((len(names) + 2) // 3, 3, squeeze=False)
     figure.subplots_adjust(left=0.115, right=0.985, bottom=0.11, top=0.93, wspace=0.55, hspace=0.5)
     for axes, name in zip(panels.flat, names, strict=False):
         scale = quantity(name).factor
-        item = series["exact" if "exact" in series else models[0]][name]
+        item = fitted[name]
         runs = item["runs"]
         x = np.arange(1, len(runs) + 1)
         values = np.array([number(run, "value") for run in runs]) * scale

@@ -6,6 +6,7 @@ from matplotlib.figure import Figure
 from processing.angle import ARCSEC_RAD
 from processing.contact import ContactParameters, PendulumOnBall, measured_losses, model_losses
 from processing.errors import DataError
+from processing.fit import FitMethod
 from processing.swing import TurningPoints
 from rig.analysis import Curves
 from rig.presentation import palette
@@ -42,7 +43,7 @@ def decay_figure(points: TurningPoints, curves: Curves | None, unit: str, unit_s
         residual = (points.amplitude - curves.asymptotic_rad) / unit_scale * 1e3
         exact_residual = (points.amplitude - curves.exact_rad) / unit_scale * 1e3
         bottom.plot(time, residual[shown], ".", color=ASYMPTOTIC, ms=2.0, label="Eq. 5")
-        bottom.plot(time, exact_residual[shown], ".", color=EXACT, ms=2.0, label="exact")
+        bottom.plot(time, exact_residual[shown], ".", color=EXACT, ms=2.0, label=FitMethod.EXACT)
         bottom.axhline(0, color=INK, lw=0.6)
         span(bottom, np.concatenate([residual, exact_residual]), 0.002, 0.1)
         bottom.set_xlabel("t / s")
@@ -54,7 +55,7 @@ def decay_figure(points: TurningPoints, curves: Curves | None, unit: str, unit_s
     )  # fmt: skip
     if curves is not None:
         top.plot(points.time_s, curves.asymptotic_rad / unit_scale, color=ASYMPTOTIC, lw=2.0, label="Eq. 5")
-        top.plot(points.time_s, curves.exact_rad / unit_scale, color=EXACT, lw=0.9, label="exact")
+        top.plot(points.time_s, curves.exact_rad / unit_scale, color=EXACT, lw=0.9, label=FitMethod.EXACT)
     top.set_ylabel(f"α / {unit}")
     top.set_xlim(0, points.time_s[-1] * 1.005)
     top.set_ylim(bottom=0)
@@ -79,7 +80,7 @@ def period_figure(curves: Curves) -> Drawing:
             curves,
             {
                 "Eq. 6": (curves.asymptotic_period_s, ASYMPTOTIC, 2.0),
-                "exact": (curves.exact_period_s, EXACT, 0.9),
+                FitMethod.EXACT: (curves.exact_period_s, EXACT, 0.9),
             },
         ),
     )
@@ -200,7 +201,7 @@ def loss_figure(points: TurningPoints, parameters: ContactParameters, pendulum: 
     model = model_losses(amplitudes, parameters, pendulum)
     x = model.amplitude_rad / ARCSEC_RAD
     left.plot(x, model.log_decrement, color=EXACT)
-    right.plot(x, model.quality, color=EXACT, label="exact")
+    right.plot(x, model.quality, color=EXACT, label=FitMethod.EXACT)
     span(left, np.concatenate([found.log_decrement, model.log_decrement]), 0.01)
     span(right, np.concatenate([found.quality[known], model.quality]), 0.01)
     left.set_ylabel("logarithmic decrement per cycle")

@@ -4,8 +4,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from processing.contact.laws import PAPER
 from processing.errors import RecordError
-from processing.fit import CONTACT_NAMES
+from processing.fit import FitMethod
 from rig.analysis import (
     Curves,
     ReportSource,
@@ -69,11 +70,11 @@ def _title(source: ReportSource) -> tuple[str, str]:
 def _summary(source: ReportSource) -> list[str]:
     run = source.runs[0].results
     series, body = source.series, [html.heading("Summary")]
-    exact = series.get("exact") or (run.get("fits") or {}).get("exact") or {}
+    exact = series.get(FitMethod.EXACT) or (run.get("fits") or {}).get(FitMethod.EXACT) or {}
     energy = series.get("surface_energy_j_per_m2") or run.get("surface_energy_j_per_m2") or {}
     if exact:
         verdicts = {item["name"]: item for item in run.get("identifiability") or []}
-        if series.get("exact"):
+        if series.get(FitMethod.EXACT):
             verdicts = series_verdicts(exact)
         body.append(html.key_values(_key_results(exact, energy, verdicts)))
         what = "combined over the runs" if series else "of the run"
@@ -101,7 +102,7 @@ def _key_results(
         name = "surface_energy_table2_j_per_m2"
         value, u = number(energy["table2"], "value"), number(energy["table2"], "standard_uncertainty")
         items.append((quantity(name).label, determined_text(name, value, u, verdicts)))
-    for name in CONTACT_NAMES:
+    for name in PAPER.names():
         if name not in exact:
             continue
         value, u = number(exact, name), number(exact, name, "standard_uncertainty")
@@ -154,13 +155,13 @@ def _series(series: Mapping[str, Any], files: Path) -> list[str]:
         f"{number(item, 'deviation'):+.1f} standard uncertainties."
         for item in series.get("disagreements") or []
     ]
-    if "exact" in series and not apart:
+    if FitMethod.EXACT in series and not apart:
         apart = ["No run disagrees with the others."]
     apart += series.get("problems") or []
     if tables:
         body.append(html.table(tables[0]))
     body.append(html.notes(apart))
-    if "exact" in series or "asymptotic" in series:
+    if FitMethod.EXACT in series or FitMethod.ASYMPTOTIC in series:
         with styled():
             body += save_figures([figures_contact.series_figure(series)], files)
     body += [html.table(table) for table in tables[1:]]
@@ -199,7 +200,7 @@ def _run(run: RunData, files: Path, *, alone: bool) -> list[str]:
 
 def _drawings(run: RunData, curves: Curves | None) -> list[Drawing]:
     fits, motion, points = run.results.get("fits") or {}, run.motion, run.points
-    period_s = number(fits["exact"], "mean_period_s") if fits else _period(run)
+    period_s = number(fits[FitMethod.EXACT], "mean_period_s") if fits else _period(run)
     drawings = [figures_motion.frame_figure(run.picture)] if run.picture else []
     if len(motion.time_s) > 1:
         drawings += [
@@ -212,14 +213,14 @@ def _drawings(run: RunData, curves: Curves | None) -> list[Drawing]:
     drawings += instrument_figures(run.results.get("instrument") or {})
     pendulum = pendulum_of(run.results)
     if curves is not None and pendulum is not None:
-        exact = parameters_of(fits["exact"])
+        exact = parameters_of(fits[FitMethod.EXACT])
         drawings += [
             figures_laws.period_figure(curves),
             figures_laws.smooth_figure(curves),
-            figures_laws.residual_figure(points, curves, fits["exact"].get("outliers") or []),
+            figures_laws.residual_figure(points, curves, fits[FitMethod.EXACT].get("outliers") or []),
             figures_contact.loop_figure(exact, pendulum),
             figures_laws.loss_figure(points, exact, pendulum),
-            figures_contact.correlation_figure(fits["exact"]["correlation"]),
+            figures_contact.correlation_figure(fits[FitMethod.EXACT]["correlation"]),
         ]
     return drawings
 

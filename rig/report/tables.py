@@ -4,7 +4,8 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from processing.fit import CONTACT_NAMES
+from processing.contact.laws import PAPER
+from processing.fit import FitMethod
 from rig.analysis import Curves, RunData
 from rig.presentation import Cell, Table, determined_text, number, plain, quantity, with_uncertainty
 from rig.report.tables_uncertainty import budget_table, identifiability_table, monte_carlo_table
@@ -69,26 +70,28 @@ def parameter_table(results: Mapping[str, Any]) -> Table:
     verdicts = {item["name"]: item for item in results.get("identifiability") or []}
     rows: list[list[Cell]] = []
     shown = []
-    entries: list[tuple[str, Mapping[str, Any], Mapping[str, Any]]] = [
-        (name, fits["asymptotic"].get(name) or {}, fits["exact"].get(name) or {})
-        for name in (*CONTACT_NAMES, "drag_s")
-        if name in fits["exact"]
+    entries: list[tuple[str, list[Mapping[str, Any]]]] = [
+        (name, [fits[method].get(name) or {} for method in FitMethod])
+        for name in PAPER.names(drag=True)
+        if name in fits[FitMethod.EXACT]
     ]
     if energy:
         for key in ("table2", "eq2"):
-            entries.append((f"surface_energy_{key}_j_per_m2", energy["asymptotic"][key], energy[key]))
-    for name, asymptotic, exact in entries:
+            entries.append(
+                (f"surface_energy_{key}_j_per_m2", [energy[FitMethod.ASYMPTOTIC][key], energy[key]])
+            )
+    for name, estimates in entries:
         shown_as = quantity(name)
-        pairs = [(number(fit, "value"), number(fit, "standard_uncertainty")) for fit in (asymptotic, exact)]
+        pairs = [(number(fit, "value"), number(fit, "standard_uncertainty")) for fit in estimates]
         rows.append([name, *pairs[0], *pairs[1]])
         text = determined_text(name, *pairs[1], verdicts)
         shown.append([shown_as.symbol, shown_as.text(*pairs[0]), text, shown_as.unit])
     return Table(
         "parameters",
         "Parameters of the contact",
-        ("parameter", "asymptotic", "u_asymptotic", "exact", "u_exact"),
+        ("parameter", *(column for method in FitMethod for column in (method, f"u_{method}"))),
         rows,
-        ("", "Eqs. 5 and 6", "exact map", "unit"),
+        ("", *(method.heading for method in FitMethod), "unit"),
         shown,
         "Value ± standard uncertainty of the swings alone; the budget adds the apparatus. Eqs. 5 and 6 are "
         "asymptotic and biased by some per cent; the exact map is not.",
@@ -104,16 +107,14 @@ def quality_table(results: Mapping[str, Any]) -> Table:
         "arae_decay": "ARAE of the amplitudes, Eq. 8",
         "arae_period": "ARAE of the periods, Eq. 9",
     }
-    rows: list[list[Cell]] = [
-        [key, number(fits["asymptotic"], key), number(fits["exact"], key)] for key in keys
-    ]
+    rows: list[list[Cell]] = [[key, *(number(fits[method], key) for method in FitMethod)] for key in keys]
     shown = [[keys[str(row[0])], *(plain(float(v), 3) for v in row[1:])] for row in rows]
-    lists = [fits[name].get("outliers") or [] for name in ("asymptotic", "exact")]
+    lists = [fits[method].get("outliers") or [] for method in FitMethod]
     rows.append(["outlying_half_cycles", *(" ".join(map(str, found)) for found in lists)])
     shown.append(["outlying half-cycles", *(_listed(found) for found in lists)])
     return Table(
-        "quality", "Quality of the fits", ("quantity", "asymptotic", "exact"), rows,
-        ("", "Eqs. 5 and 6", "exact map"), shown,
+        "quality", "Quality of the fits", ("quantity", *FitMethod), rows,
+        ("", *(method.heading for method in FitMethod)), shown,
     )  # fmt: skip
 
 
@@ -183,7 +184,7 @@ def drag_table(results: Mapping[str, Any]) -> Table:
 
 def correlation_table(results: Mapping[str, Any]) -> Table:
     """The correlation matrix of the exact fit, for the file; the report draws it."""
-    tree = results["fits"]["exact"]["correlation"]
+    tree = results["fits"][FitMethod.EXACT]["correlation"]
     rows: list[list[Cell]] = [
         [name, *(math.nan if v is None else v for v in row)]
         for name, row in zip(tree["names"], tree["matrix"], strict=True)

@@ -4,6 +4,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+from processing.fit import FitMethod
 from rig.presentation import (
     SOURCES,
     Cell,
@@ -131,7 +132,7 @@ def series_table(series: Mapping[str, Any]) -> Table:
     """A series combined: exact, asymptotic, and the paper's way."""
     rows: list[list[Cell]] = []
     shown = []
-    exact, asymptotic = series.get("exact") or {}, series.get("asymptotic") or {}
+    exact, asymptotic = series.get(FitMethod.EXACT) or {}, series.get(FitMethod.ASYMPTOTIC) or {}
     average = series.get("averaged_curves") or {}
     verdicts = series_verdicts(exact)
     for name in exact or asymptotic:
@@ -156,7 +157,8 @@ def series_table(series: Mapping[str, Any]) -> Table:
         ("parameter", *(f"exact_{key}" for key in _SERIES_KEYS), "asymptotic_value",
          "asymptotic_standard_uncertainty", "averaged_curves_value", "averaged_curves_standard_uncertainty"),
         rows,
-        ("", "exact", "95 % (±)", "between runs", "Eqs. 5 and 6", "curves averaged first"), shown,
+        ("", FitMethod.EXACT, "95 % (±)", "between runs", FitMethod.ASYMPTOTIC.heading,
+         "curves averaged first"), shown,
         "Runs combined with their own and the between-run scatter, Student's t for the 95 % half-width; "
         "last, the paper's way: the runs' curves averaged, then Eqs. 5 and 6 fitted.",
     )  # fmt: skip

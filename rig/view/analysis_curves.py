@@ -11,6 +11,7 @@ from acquisition.record.reader import RecordReader
 from processing.angle import ARCSEC_RAD
 from processing.contact import moment_loop
 from processing.errors import RecordError
+from processing.fit import FitMethod
 from processing.swing import TurningPoints, turning_points
 from rig.analysis import (
     Curves,
@@ -59,17 +60,22 @@ def analysis_curves(run: RunAnalysis) -> list[Curve]:
     curves = curves_of(points, run.tree)
     if curves is None:
         return drawn
-    decay = {"asymptotic fit": curves.asymptotic_rad, "exact fit": curves.exact_rad}
-    period = {"asymptotic fit": curves.asymptotic_period_s, "exact fit": curves.exact_period_s}
+    decay = {FitMethod.ASYMPTOTIC: curves.asymptotic_rad, FitMethod.EXACT: curves.exact_rad}
+    period = {
+        FitMethod.ASYMPTOTIC: curves.asymptotic_period_s,
+        FitMethod.EXACT: curves.exact_period_s,
+    }
     at = curves.period_rad / unit
-    for name, model_rad in decay.items():
+    for method, model_rad in decay.items():
+        name = f"{method} fit"
         drawn.append(Curve("decay", name, points.time_s, model_rad / unit))
-        u_bars = u if name.startswith("exact") else None
+        u_bars = u if method is FitMethod.EXACT else None
         drawn.append(Curve("residuals", name, points.time_s, amplitude - model_rad / unit, u_bars, "points"))
     drawn.append(Curve("period", "measured", at, curves.period_s, curves.u_period_s, "points"))
-    for name, model_s in period.items():
+    for method, model_s in period.items():
+        name = f"{method} fit"
         drawn.append(Curve("period", name, at, model_s))
-        u_bars = 1e3 * curves.u_period_s if name.startswith("exact") else None
+        u_bars = 1e3 * curves.u_period_s if method is FitMethod.EXACT else None
         residual_ms = 1e3 * (curves.period_s - model_s)
         drawn.append(Curve("period_residuals", name, at, residual_ms, u_bars, "points"))
     return [*drawn, *_loops(run, float(amplitude[0]))]
@@ -123,7 +129,7 @@ def _loops(run: RunAnalysis, amplitude: float) -> list[Curve]:
     pendulum = pendulum_of(run.tree)
     if pendulum is None:
         raise RecordError(f"{run.record}: its results name no pendulum; rig fit makes them anew")
-    loop = moment_loop(amplitude * run.unit_rad, parameters_of(run.tree["fits"]["exact"]), pendulum)
+    loop = moment_loop(amplitude * run.unit_rad, parameters_of(run.tree["fits"][FitMethod.EXACT]), pendulum)
     closed = np.append(np.arange(len(loop.phi_rad)), 0)
     angle = loop.phi_rad[closed] / run.unit_rad
     moments = {"dissipative": loop.friction_n_m, "elastic": loop.elastic_n_m, "total": loop.total_n_m}

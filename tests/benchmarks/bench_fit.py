@@ -15,6 +15,7 @@ from scipy.integrate import quad
 
 from processing.contact.decay import decay_time
 from processing.contact.hertz import MATERIALS
+from processing.contact.laws import DRAG, PAPER
 from processing.contact.parameters import ContactParameters
 from processing.errors import RigError
 from processing.fit.asymptotic import fit_asymptotic
@@ -22,7 +23,6 @@ from processing.fit.determination import identifiability
 from processing.fit.drag import drag_verdict
 from processing.fit.exact import fit_exact
 from processing.fit.measurement import Quantity, RigQuantities, measured
-from processing.fit.result import CONTACT_NAMES, DRAG_NAME
 from processing.fit.uncertainty import monte_carlo
 from tests.processing.fit.decays import ARCSEC, PAIRS, decay, paper_pair
 
@@ -32,7 +32,7 @@ COVERAGES = (0.6827, 0.95)
 def coverage(flat: str, drag_s: float, noise_arcsec: float, seeds: int) -> dict[str, Any]:
     """Share of seeds in which each parameter's interval holds the truth, both kinds of interval."""
     parameters, pendulum = paper_pair(flat, drag_s)
-    names = [*CONTACT_NAMES, *([DRAG_NAME] if drag_s else [])]
+    names = [*PAPER.names(), *([DRAG.key] if drag_s else [])]
     inside = {kind: {name: [0, 0] for name in names} for kind in ("interval", "value_and_u")}
     chi2, failed = [], 0
     for seed in range(seeds):
@@ -80,7 +80,7 @@ def biases() -> dict[str, Any]:
             result = fit(points, pendulum)
             out.setdefault(flat, {})[kind] = {
                 name: 100 * (result.estimate(name).value / getattr(parameters, name) - 1)
-                for name in CONTACT_NAMES
+                for name in PAPER.names()
             }
     return out
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from processing.contact.laws import DRAG, PAPER
 from processing.contact.parameters import ContactParameters
 from processing.fit.asymptotic import fit_asymptotic
 from processing.fit.exact import fit_exact
-from processing.fit.result import CONTACT_NAMES, DRAG_NAME
 from processing.swing import TurningPoints
 from tests.processing.fit.decays import ARCSEC, PAIRS, decay, paper_pair, truth, without
 
@@ -55,7 +55,7 @@ def test_exact_fit_is_within_its_uncertainty(flat: str, noise_arcsec: float) -> 
     poor = {w.split()[0] for w in result.warnings if "poorly determined" in w}
     assert len(poor) == len(result.warnings), "no other doubt than this"
     u = dict(zip(result.names, result.standard_uncertainty, strict=True))
-    assert poor == {name for name in CONTACT_NAMES if u[name] > 0.1 * abs(result.estimate(name).value)}
+    assert poor == {name for name in PAPER.names() if u[name] > 0.1 * abs(result.estimate(name).value)}
     assert (noise_arcsec < 0.1) == (not poor), "c drowns at half an arcsecond, nothing before"
     assert result.correlation.shape == (8, 8)
     np.testing.assert_allclose(np.diag(result.correlation), 1.0)
@@ -70,7 +70,7 @@ def test_at_the_rigs_noise_the_parameters_are_known_to_per_mille(
 ) -> None:
     parameters, pendulum = paper_pair(flat)
     result = fit_exact(decay(parameters, pendulum, noise_arcsec=0.005, seed=4), pendulum)
-    for name in CONTACT_NAMES:
+    for name in PAPER.names():
         error = 100 * abs(result.estimate(name).value / getattr(parameters, name) - 1)
         assert error < (limits[1] if name == "c" else limits[0]), name
 
@@ -105,7 +105,7 @@ def test_missing_half_cycles_cost_nothing_but_their_information() -> None:
     rng = np.random.default_rng(0)
     some = without(whole, np.concatenate([np.arange(100, 400), rng.choice(whole.index, 200, replace=False)]))
     result = fit_exact(some, pendulum)
-    pull = (result.values[:6] - truth(parameters, CONTACT_NAMES)) / result.standard_uncertainty[:6]
+    pull = (result.values[:6] - truth(parameters, PAPER.names())) / result.standard_uncertainty[:6]
     assert np.all(np.abs(pull) < 4)
     assert abs(result.chi2_per_dof - 1) < 5 * np.sqrt(2 / result.dof)
     assert np.all(result.standard_uncertainty > fit_exact(whole, pendulum).standard_uncertainty)
@@ -183,7 +183,7 @@ def test_robust_loss_lists_and_outlives_outliers(loss: str) -> None:
     robust = fit_exact(spoilt, pendulum, loss=loss)  # type: ignore[arg-type]
     assert set(struck.tolist()) <= set(robust.outliers)
     assert len(robust.outliers) <= 21
-    pull = (robust.values[:6] - truth(parameters, CONTACT_NAMES)) / robust.standard_uncertainty[:6]
+    pull = (robust.values[:6] - truth(parameters, PAPER.names())) / robust.standard_uncertainty[:6]
     assert np.all(np.abs(pull) < 4)
     plain = fit_exact(spoilt, pendulum)
     assert plain.chi2_per_dof > 5
@@ -233,7 +233,7 @@ def test_short_coverage_of_the_intervals() -> None:
     for seed in range(seeds):
         result = fit_exact(decay(parameters, pendulum, noise_arcsec=0.005, seed=500 + seed), pendulum)
         for coverage in inside:
-            for name in CONTACT_NAMES:
+            for name in PAPER.names():
                 low, high = result.interval(name, coverage)
                 inside[coverage] += low <= getattr(parameters, name) <= high
     # b and p, gamma, n and T0 nearly share one random number each: three independent ones a seed
@@ -248,5 +248,5 @@ def test_drag_appears_in_the_result() -> None:
     for fit in (fit_exact, fit_asymptotic):
         result = fit(points, pendulum, drag=True)
         assert result.has_drag
-        assert DRAG_NAME in result.estimates()
+        assert DRAG.key in result.estimates()
         assert result.parameters.drag_s == pytest.approx(1e-3, rel=0.3)

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
+from processing.contact.laws import PAPER
 from processing.errors import DataError
 from processing.fit.asymptotic import fit_asymptotic
 from processing.fit.determination import _Held, identifiability, profile_likelihood, strong_correlations
 from processing.fit.drag import drag_verdict
 from processing.fit.exact import fit_exact
 from processing.fit.exact_model import ExactModel
-from processing.fit.result import CONTACT_NAMES
 from tests.processing.fit.decays import decay, paper_pair
 
 
@@ -89,7 +89,7 @@ def test_profile_of_a_well_determined_parameter_is_its_symmetric_interval() -> N
     parameters, pendulum = paper_pair("silicon")
     points = decay(parameters, pendulum, noise_arcsec=0.005, seed=2)
     result = fit_exact(points, pendulum)
-    for name in CONTACT_NAMES:
+    for name in PAPER.names():
         lower, upper = result.interval(name)
         profile = profile_likelihood(points, pendulum, result, name)
         # 1 % of the half-width is where the search stops, 3 % what the likelihood bends

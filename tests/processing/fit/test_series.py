@@ -5,11 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from processing.contact.laws import PAPER
 from processing.errors import DataError
 from processing.estimate import Estimate
 from processing.fit.asymptotic import fit_asymptotic
 from processing.fit.exact import fit_exact
-from processing.fit.result import CONTACT_NAMES, FitResult
+from processing.fit.result import FitResult
 from processing.fit.series import average_curves, combine, combine_runs, compare_series
 from processing.fit.uncertainty import budgets
 from tests.processing.fit.decays import decay, paper_pair, without
@@ -67,7 +68,7 @@ def test_a_series_is_better_than_its_runs_and_goes_on_into_the_budget() -> None:
     series = combine_runs(results)
     parameters, _ = paper_pair("glass_k8")
     assert not series.disagreements
-    for name in CONTACT_NAMES:
+    for name in PAPER.names():
         combined = series.parameters[name]
         assert abs(combined.value - getattr(parameters, name)) < 4 * combined.standard_uncertainty
         assert len(combined.runs) == 3
@@ -115,7 +116,7 @@ def test_curves_averaged_then_fitted_agree_with_the_runs() -> None:
     np.testing.assert_allclose(np.median(average.u_amplitude), curves[0].u_amplitude[0] / np.sqrt(3))
     fitted = fit_exact(average, pendulum)
     assert abs(fitted.chi2_per_dof - 1) < 6 * np.sqrt(2 / fitted.dof)
-    for name in CONTACT_NAMES:
+    for name in PAPER.names():
         estimate = fitted.estimate(name)
         assert abs(estimate.value - getattr(parameters, name)) < 5 * estimate.standard_uncertainty, name
     assert fit_asymptotic(average, pendulum).arae_decay < 0.004
@@ -128,7 +129,7 @@ def test_series_are_compared_pair_by_pair() -> None:
         "humid": combine_runs(runs("glass_k8", range(20, 23), c=13e-9)),
     }
     table = compare_series(series)
-    assert len(table) == 3 * len(CONTACT_NAMES)
+    assert len(table) == 3 * len(PAPER.names())
     by = {(row.first, row.second, row.name): row for row in table}
     assert by["monday", "tuesday", "c"].p_value > 0.01
     assert by["monday", "humid", "c"].p_value < 0.01

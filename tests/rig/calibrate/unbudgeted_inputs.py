@@ -12,9 +12,9 @@ from calibration.axes import Axes, deflections
 from calibration.lever import Lever
 from processing.angle import ARCSEC_RAD
 from processing.contact.hertz import MATERIALS, pendulum_on_ball
+from processing.contact.laws import PAPER
 from processing.deflections import slow_deflections
 from processing.fit.exact import fit_exact
-from processing.fit.result import CONTACT_NAMES
 from processing.swing import SwingDetector, turning_points
 from rig.analysis.contact_laws import settled_swings
 from rig.settings.configuration import FitSettings
@@ -52,7 +52,7 @@ def _found(spots: Spots) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     pendulum = pendulum_on_ball(0.406, 6.05e-3, MATERIALS["steel"], MATERIALS["glass_k8"])
     slow = slow_deflections(times_ns, y_rad, u_y_rad)
     fit = fit_exact(turning_points(settled_swings(swings, slow, pendulum, FitSettings()).swings), pendulum)
-    estimates = [fit.estimate(name) for name in CONTACT_NAMES]
+    estimates = [fit.estimate(name) for name in PAPER.names()]
     return np.array([e.value for e in estimates]), np.array([e.standard_uncertainty for e in estimates])
 
 
@@ -142,5 +142,5 @@ def shifts(seed: int, rate_hz: float = 60.0, duration_s: float = 2400.0) -> dict
         value, _ = made[id(reference)]
         # in the uncertainty that is then claimed: what scatters more claims more
         moved, u = _found(changed)
-        out[name] = dict(zip(CONTACT_NAMES, ((moved - value) / u).tolist(), strict=True))
+        out[name] = dict(zip(PAPER.names(), ((moved - value) / u).tolist(), strict=True))
     return out

@@ -18,7 +18,7 @@ _C, _PERIOD_S, _FIRST, _U = 0.1 * ARCSEC, 4.05, 124 * ARCSEC, 0.005 * ARCSEC
 def test_a_law_says_what_people_need(law: Law) -> None:
     assert law.title
     assert law.source
-    assert len(set(law.keys())) == len(law.parameters)
+    assert len(set(law.names())) == len(law.parameters)
     assert law.parameter("period0_s") in law.parameters
     for parameter in law.parameters:
         assert parameter.symbol
@@ -27,7 +27,7 @@ def test_a_law_says_what_people_need(law: Law) -> None:
         assert parameter.source
         assert parameter.lower < parameter.upper
         assert law.parameter(parameter.key) is parameter
-    assert law.fit_keys(drag=True) == (*law.keys(), "drag_s", AMPLITUDE.key, TIME.key)
+    assert law.fit_names(drag=True) == (*law.names(), "drag_s", AMPLITUDE.key, TIME.key)
 
 
 @pytest.mark.parametrize("name", ["paper", "constant-moment"])
