@@ -14,7 +14,7 @@ from rig.devices import Devices, FrameStream
 from rig.instrument import Block, Pipeline, camera_settings, frame_policy, prepare_kernels, sensor_model
 from rig.presentation import say
 from rig.settings import Configuration
-from rig.view import LiveView, start_view
+from rig.view import Viewer, start_view
 
 _PAUSE_NS = 2_000_000_000
 
@@ -30,7 +30,7 @@ class LooksView:
         self._config = config
         self._rrd = rrd
         self._advise = advise
-        self._view: LiveView | None = None
+        self._view: Viewer | None = None
         self._shift_ns = 0
         self._shown_ns = 0
 

@@ -26,7 +26,7 @@ from rig.replay.player import HELP, Player
 from rig.replay.replay import Replay, Replayed
 from rig.replay.screen import ReplayLine, print_changes, print_comparison
 from rig.settings import Configuration
-from rig.view import LiveView, start_view
+from rig.view import Viewer, start_view
 
 ViewMode = Literal["none", "spawn", "web"]
 
@@ -108,7 +108,7 @@ def _view(
     record: Path,
     rrd: Path | None,
     mode: ViewMode,
-) -> LiveView:
+) -> Viewer:
     full_scale_dn = int(reader.metadata.get("camera", {}).get("full_scale_dn", "255"))
     view = start_view(config, rrd, mode, "measuring", f"replay of {record.stem}", full_scale_dn)
 

@@ -10,7 +10,7 @@ from processing.spot import SpotFlag
 from rig.instrument import Snapshot
 from rig.replay.keys import Keys
 from rig.replay.replay import Replay, Step
-from rig.view import LiveView
+from rig.view import Viewer
 
 HELP: Final = "space pause  → frame  h half-cycle  + - 10 s  g go to  q end"
 SEEK_S: Final = 10.0
@@ -50,7 +50,7 @@ class Player:
         display: Display,
         *,
         retrack: bool = False,
-        view: LiveView | None = None,
+        view: Viewer | None = None,
         events: list[Event] | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:

@@ -2,7 +2,7 @@
 
 from rig.rerun.messages import (
     LENGTH,
-    Balance,
+    BalanceNumbers,
     Curve,
     Finish,
     Fits,
@@ -29,7 +29,7 @@ from rig.rerun.rerun_program import display_missing, open_window, start_program
 __all__ = [
     "LENGTH",
     "LOOPBACK",
-    "Balance",
+    "BalanceNumbers",
     "Curve",
     "Finish",
     "Fits",

@@ -12,7 +12,7 @@ from rig.rerun.gathering import Gathering
 from rig.rerun.lissajous import Lissajous
 from rig.rerun.marks import spot_cross
 from rig.rerun.messages import (
-    Balance,
+    BalanceNumbers,
     Fits,
     Floats,
     LogLine,
@@ -66,7 +66,7 @@ class Drawing:
             stream,
             self._gathered,
             setup.unit,
-            setup.amplitude_arcsec,
+            setup.amplitude,
             setup.period_s if len(setup.runs) < 2 else None,
         )
         self._picture_interval_s = picture_interval_s
@@ -82,7 +82,7 @@ class Drawing:
                 self._draw_samples(message)
             case Swings():
                 self._draw_swings(message)
-            case Balance():
+            case BalanceNumbers():
                 self._draw_balance(message)
             case Picture():
                 self._draw_picture(message)
@@ -104,19 +104,19 @@ class Drawing:
         chosen = decimator.choose(message.time_s, message.flags)
         if not chosen.any():
             return
-        time_s, x, y = message.time_s[chosen], message.x_arcsec[chosen], message.y_arcsec[chosen]
+        time_s, x, y = message.time_s[chosen], message.x[chosen], message.y[chosen]
         self._gather(message.run, layout.X, time_s, x, f"X / {self._setup.unit}", palette.X_COLOUR)
         self._gather(message.run, layout.Y, time_s, y, f"Y / {self._setup.unit}", palette.Y_COLOUR)
         colour = self._run_colour(message.run, palette.TRAJECTORY_COLOUR)
         self._lissajous.draw(message.run, time_s, x, y, colour)
-        self._lissajous.follow(message.time_s, message.x_arcsec, message.y_arcsec)
+        self._lissajous.follow(message.time_s, message.x, message.y)
 
     def _draw_swings(self, message: Swings) -> None:
         for path, value, u, colour, unit in (
             (
                 layout.AMPLITUDE,
-                message.amplitude_arcsec,
-                message.u_amplitude_arcsec,
+                message.amplitude,
+                message.u_amplitude,
                 palette.AMPLITUDE_COLOUR,
                 self._setup.unit,
             ),
@@ -128,7 +128,7 @@ class Drawing:
                     message.run, path, message.time_s[good], value[good], u[good], f"{path} / {unit}", colour
                 )
 
-    def _draw_balance(self, message: Balance) -> None:
+    def _draw_balance(self, message: BalanceNumbers) -> None:
         at = np.array([message.time_s])
         for name, (value, u) in message.numbers.items():
             shown, drawn = quantity(name, self._setup.unit), balance_drawn(name)

@@ -33,7 +33,7 @@ class Setup(NamedTuple):
     layout: LayoutName
     runs: tuple[str, ...]
     period_s: float
-    amplitude_arcsec: float
+    amplitude: float
     unit: str
     port: int
     memory_limit: str
@@ -41,12 +41,12 @@ class Setup(NamedTuple):
 
 
 class Samples(NamedTuple):
-    """Deflections in arcsec; NaN where the spot was lost."""
+    """Deflections in the unit of the setup; NaN where the spot was lost."""
 
     run: str
     time_s: Floats
-    x_arcsec: Floats
-    y_arcsec: Floats
+    x: Floats
+    y: Floats
     flags: NDArray[np.int64]
 
 
@@ -55,13 +55,13 @@ class Swings(NamedTuple):
 
     run: str
     time_s: Floats
-    amplitude_arcsec: Floats
-    u_amplitude_arcsec: Floats
+    amplitude: Floats
+    u_amplitude: Floats
     period_s: Floats
     u_period_s: Floats
 
 
-class Balance(NamedTuple):
+class BalanceNumbers(NamedTuple):
     """Numbers of the balance by name, each a value with its standard uncertainty, and advice.
 
     Names and units are those of `processing.balance.Balance`; without a lever what is in rad there
@@ -136,7 +136,7 @@ class Finish(NamedTuple):
     """Nothing follows: complete the file and end."""
 
 
-Message = Samples | Swings | Balance | Picture | Losses | State | LogLine | Fits | Finish
+Message = Samples | Swings | BalanceNumbers | Picture | Losses | State | LogLine | Fits | Finish
 
 
 def rows(message: Message) -> int:

@@ -17,6 +17,7 @@ logger = logging.getLogger(__name__)
 BATCH_BYTES = 4 << 20
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 1.0, 30.0
 LONG_LIFE_S = 60.0
+START_LIMIT_S = 60.0
 
 
 class Feed:
@@ -26,7 +27,7 @@ class Feed:
     ----------
     setup
         What the worker is told first. A replaced worker gets it with a new file name.
-    queue_bytes, hang_limit_s, start_limit_s
+    queue_bytes, hang_limit_s
         See `rig.view.viewer.Viewer`.
     note
         Called with what a person should know, on the feed's threads.
@@ -41,7 +42,6 @@ class Feed:
         *,
         queue_bytes: int,
         hang_limit_s: float,
-        start_limit_s: float,
         note: Callable[[str], None],
         on_ready: Callable[[str], str] = lambda url: "",
     ) -> None:
@@ -51,7 +51,6 @@ class Feed:
         self.url = ""
         self._setup = setup
         self._hang_limit_s = hang_limit_s
-        self._start_limit_s = start_limit_s
         self._note = note
         self._on_ready = on_ready
         self._worker: WorkerProcess | None = None
@@ -117,7 +116,7 @@ class Feed:
 
     def _feed(self, worker: WorkerProcess) -> bool:
         """Feed one worker until all is delivered (True) or it fails (False)."""
-        if not worker.wait_ready(self._start_limit_s):
+        if not worker.wait_ready(START_LIMIT_S):
             return False
         self._ready = True
         self._setup = self._setup._replace(viewer_url=self._on_ready(self.url))

@@ -20,7 +20,7 @@ from processing.errors import RecordError
 from processing.spot import SpotFlag
 from rig.instrument import advice_text, recorded_configuration
 from rig.presentation import balance_numbers, say
-from rig.rerun import LayoutName, LogLevel
+from rig.rerun import LayoutName
 from rig.view.analysis_curves import analysis_curves, overlaid_curves, report_text, run_analysis
 from rig.view.rrd_display import show_rrd
 from rig.view.viewer import Viewer
@@ -95,8 +95,8 @@ def write_rrd(
         layout,
         ", ".join(path.stem for path in paths),
         runs=names,
-        amplitude_arcsec=max(each.amplitude for each in overviews),
-        unit=units.pop().shown,
+        amplitude=max(each.amplitude for each in overviews),
+        unit=units.pop(),
     )
     lines = ["| record | start (UTC) | spots | half-cycles | |", "|---|---|---:|---:|---|"]
     with viewer:
@@ -168,31 +168,18 @@ def spot_tables(reader: RecordReader) -> Iterator[NDArray[Any]]:
 
 def _draw(viewer: Viewer, reader: RecordReader, run: str, start_ns: int, later_s: float) -> tuple[int, int]:
     """Draw one record; how many spots and half-cycles it holds."""
-
-    def seconds(time_ns: Any) -> Any:
-        return (np.asarray(time_ns) - start_ns) * 1e-9 + later_s
-
-    size = reader.deflection_unit.shown_size
     swings = reader.swings()
     if swings:
-        viewer.swings(
-            seconds([swing.turn_time_ns for swing in swings]),
-            [swing.amplitude / size for swing in swings],
-            [2.0 * swing.half_period_s for swing in swings],
-            u_amplitude_arcsec=[swing.u_amplitude / size for swing in swings],
-            u_period_s=[2.0 * swing.u_half_period_s for swing in swings],
-            run=run,
-        )
+        viewer.swings(swings, start_ns, later_s=later_s, run=run)
     advise = _adviser(reader)
     balances = reader.table(BALANCE_TOPIC)
     names = balances.dtype.names or ()
     for row in balances:
         fields = dict(zip(names, row.tolist(), strict=True))
-        quantities = balance_numbers(fields)
-        viewer.balance(float(seconds(fields["time_ns"])), quantities, advice=advise(fields), run=run)
+        time_s = (fields["time_ns"] - start_ns) * 1e-9 + later_s
+        viewer.balance(time_s, balance_numbers(fields), advice=advise(fields), run=run)
     for event in reader.events():
-        level: LogLevel = "warning" if event.is_warning else "info"
-        viewer.event(float(seconds(event.time_ns)), level, event.line, run=run)
+        viewer.event(start_ns, event, later_s=later_s, run=run)
     spots = _draw_spots(viewer, reader, run, start_ns, later_s)
     _draw_images(viewer, reader, run, start_ns, later_s, spots)
     return len(spots["sequence"]), len(swings)

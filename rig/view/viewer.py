@@ -1,4 +1,4 @@
-"""The session's handle on the viewer: plain values in, nothing ever waits.
+"""The session's handle on the viewer: what happens is handed over, and nothing ever waits.
 
 No Rerun call is made in this process: a viewer that stops reading would block it without limit.
 What is handed over lies in a queue that drops the oldest; a thread feeds it to a worker's process,
@@ -9,11 +9,10 @@ spoil the file.
 
 import logging
 import math
-import subprocess
 import time
 import uuid
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -22,10 +21,17 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from acquisition.frame import Frame
+from acquisition.record.events import Event
+from processing.balance import Balance
+from processing.deflections import DeflectionUnit
 from processing.errors import ConfigurationError
+from processing.spot import Spot, SpotFlag
+from processing.swing import Swing
+from rig.instrument import Block, Snapshot
+from rig.presentation import balance_numbers
 from rig.rerun import (
-    LOOPBACK,
-    Balance,
+    BalanceNumbers,
     Curve,
     Fits,
     Floats,
@@ -40,15 +46,14 @@ from rig.rerun import (
     Setup,
     State,
     Swings,
-    display_missing,
-    free_port,
-    open_window,
-    page_address,
-    start_page_server,
 )
 from rig.view.feed import Feed
+from rig.view.state_text import state_text
+from rig.view.viewer_program import ViewerProgram
 
 logger = logging.getLogger(__name__)
+
+_STATE_INTERVAL_S = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,9 +78,10 @@ class ViewCounts:
 class Viewer:
     """Live stream and .rrd file of one run, drawn by a process of its own.
 
-    Every method but `close` returns at once, whatever the worker does, and may be called from any
-    thread; arrays are copied. Without file and live stream nothing is started and everything is
-    ignored.
+    A watcher of a run (`block`, `event`, `snapshot`), and for a record that is shown again a sink of
+    plain values (`samples`, `swings` and so on). Every method but `close` and `wait_room` returns at
+    once, whatever the worker does, and may be called from any thread; arrays are copied. Without file
+    and live stream nothing is started and everything is ignored.
 
     Parameters
     ----------
@@ -93,10 +99,17 @@ class Viewer:
         Names of the runs that are laid over each other; one unnamed run by default.
     period_s
         Expected period of the slow mode: the trajectory's last two periods are bright.
-    amplitude_arcsec
-        Largest amplitude expected: the trajectory's axes reach a little beyond it.
+    amplitude
+        Largest amplitude expected, in arcsec (px without a lever): the trajectory's axes reach a
+        little beyond it.
     unit
-        Unit of deflections and amplitudes on every label: ``px`` where no calibration exists.
+        Unit of deflections and amplitudes.
+    image_interval_s
+        Of a run, images are sent at most so often in the host's time, whatever the frame rate.
+    full_scale_dn
+        What is shown white; by default what the image's type can hold.
+    advise
+        What is to be done about a balance, in Markdown.
     memory_limit
         How much the live stream's server keeps for a viewer that connects late.
     port, web_port
@@ -105,6 +118,11 @@ class Viewer:
         How much may wait for the worker before the oldest is dropped.
     hang_limit_s
         A worker that has not drawn a batch within this time is replaced.
+
+    Raises
+    ------
+    processing.errors.ConfigurationError
+        The file exists already; period or amplitude are not positive.
     """
 
     def __init__(
@@ -116,25 +134,30 @@ class Viewer:
         *,
         runs: Sequence[str] = ("",),
         period_s: float = 4.07,
-        amplitude_arcsec: float = 125.0,
-        unit: str = "arcsec",
+        amplitude: float = 125.0,
+        unit: DeflectionUnit = DeflectionUnit.RAD,
+        image_interval_s: float = 0.0,
+        full_scale_dn: int | None = None,
+        advise: Callable[[Balance], str] = lambda _: "",
         memory_limit: str = "200MiB",
         port: int = 9876,
         web_port: int = 9090,
         queue_bytes: int = 64 << 20,
         hang_limit_s: float = 10.0,
-        start_limit_s: float = 60.0,
     ) -> None:
         if rrd_path is not None and rrd_path.is_file():
             raise ConfigurationError(f"the Rerun file {rrd_path} exists already: choose another name")
-        for name, value in (("period_s", period_s), ("amplitude_arcsec", amplitude_arcsec)):
+        for name, value in (("period_s", period_s), ("amplitude", amplitude)):
             if not (math.isfinite(value) and value > 0):
                 raise ConfigurationError(f"{name} of the view must be positive, not {value!r}")
-        self._mode = mode
-        self._web_port = web_port
-        self._program: subprocess.Popen[bytes] | None = None
-        self._viewer_port = 0
+        self._unit = unit
+        self._image_interval_s = image_interval_s
+        self._full_scale_dn = full_scale_dn
+        self._advise = advise
+        self._next_image_s = 0.0
+        self._next_state_s = 0.0
         self._notes: list[str] = []
+        self._program = ViewerProgram(mode, web_port, self._note)
         setup = Setup(
             title=title,
             recording_id=str(uuid.uuid4()),
@@ -142,8 +165,8 @@ class Viewer:
             layout=layout,
             runs=tuple(runs),
             period_s=period_s,
-            amplitude_arcsec=amplitude_arcsec,
-            unit=unit,
+            amplitude=amplitude,
+            unit=unit.shown,
             port=port,
             memory_limit=memory_limit,
             viewer_url="",
@@ -154,14 +177,13 @@ class Viewer:
                 setup,
                 queue_bytes=queue_bytes,
                 hang_limit_s=hang_limit_s,
-                start_limit_s=start_limit_s,
                 note=self._note,
-                on_ready=self._show if setup.rrd_path is None else lambda url: "",
+                on_ready=self._program.show if setup.rrd_path is None else lambda url: "",
             )
 
-        self._file = feed(setup._replace(rrd_path=str(rrd_path))) if rrd_path is not None else None
+        file = feed(setup._replace(rrd_path=str(rrd_path))) if rrd_path is not None else None
         self._live = feed(setup) if mode != "none" else None
-        self._feeds = [part for part in (self._file, self._live) if part is not None]
+        self._feeds = [part for part in (file, self._live) if part is not None]
 
     def __enter__(self) -> Self:
         self.start()
@@ -177,47 +199,79 @@ class Viewer:
         for feed in self._feeds:
             feed.start()
 
-    def samples(
-        self,
-        times_s: ArrayLike,
-        x_arcsec: ArrayLike,
-        y_arcsec: ArrayLike,
-        flags: ArrayLike,
-        *,
-        run: str = "",
-    ) -> None:
-        """Deflections of one or many frames, arrays of one length; NaN where the spot was lost."""
-        if self._feeds:
-            copied_flags = np.array(flags, dtype=np.int64, ndmin=1)
-            self._put(Samples(run, _floats(times_s), _floats(x_arcsec), _floats(y_arcsec), copied_flags))
+    # -- as a watcher of a run -----------------------------------------------
 
-    def swings(
-        self,
-        times_s: ArrayLike,
-        amplitude_arcsec: ArrayLike,
-        period_s: ArrayLike,
-        *,
-        u_amplitude_arcsec: ArrayLike,
-        u_period_s: ArrayLike,
-        run: str = "",
+    def block(self, start_ns: int, frames: Sequence[Frame], block: Block) -> None:
+        """Deflections, swings, balance and now and then an image."""
+        found = block.deflections
+        if len(found):
+            flags = [spot.flags for spot in block.spots]
+            self.samples((found.times_ns - start_ns) * 1e-9, found.shown_x, found.shown_y, flags)
+        if block.swings:
+            self.swings(block.swings, start_ns)
+        for balance in block.balances:
+            time_s = (balance.time_ns - start_ns) * 1e-9
+            self.balance(time_s, balance_numbers(balance), advice=self._advise(balance))
+        now_s = time.monotonic()
+        if frames and now_s >= self._next_image_s:
+            self._next_image_s = now_s + self._image_interval_s
+            self.picture(start_ns, frames[-1], block.spots[-1])
+
+    def picture(self, start_ns: int, frame: Frame, spot: Spot) -> None:
+        """A whole frame and the spot in it."""
+        lost = bool(spot.flags & SpotFlag.LOST)
+        place = (math.nan, math.nan) if lost else (spot.x_px, spot.y_px)
+        self.image((frame.time_ns - start_ns) * 1e-9, frame.image, place)
+
+    def jump(self, time_s: float) -> None:
+        """What follows begins at another time: no line is drawn to it."""
+        self.samples(time_s, math.nan, math.nan, 0)
+        self.log(time_s, "info", f"begun anew at {time_s:.1f} s")
+
+    def event(self, start_ns: int, event: Event, *, later_s: float = 0.0, run: str = "") -> None:
+        """Something that happened, in the log."""
+        level: LogLevel = "warning" if event.is_warning else "info"
+        self.log((event.time_ns - start_ns) * 1e-9 + later_s, level, event.line, run=run)
+
+    def snapshot(self, snapshot: Snapshot) -> None:
+        """State and losses, twice a second at most."""
+        now_s = time.monotonic()
+        if now_s < self._next_state_s:
+            return
+        self._next_state_s = now_s + _STATE_INTERVAL_S
+        self.state(state_text(snapshot, self._unit), time_s=snapshot.elapsed_s)
+        counts = {"dropped_frames": snapshot.dropped_frames, "lost_spots": snapshot.lost_spots}
+        self.losses(snapshot.elapsed_s, counts)
+
+    # -- plain values ----------------------------------------------------------
+
+    def samples(
+        self, times_s: ArrayLike, x: ArrayLike, y: ArrayLike, flags: ArrayLike, *, run: str = ""
     ) -> None:
+        """Deflections of one or many frames as shown, arrays of one length; NaN where the spot was lost."""
+        copied_flags = np.array(flags, dtype=np.int64, ndmin=1)
+        self._put(Samples(run, _floats(times_s), _floats(x), _floats(y), copied_flags))
+
+    def swings(self, swings: Sequence[Swing], start_ns: int, *, later_s: float = 0.0, run: str = "") -> None:
         """Half-cycles of the slow mode at their turning points: amplitude and (whole) period."""
-        if self._feeds:
-            values = (times_s, amplitude_arcsec, u_amplitude_arcsec, period_s, u_period_s)
-            self._put(Swings(run, *(_floats(value) for value in values)))
+        size = self._unit.shown_size
+        self._put(
+            Swings(
+                run,
+                (np.array([swing.turn_time_ns for swing in swings]) - start_ns) * 1e-9 + later_s,
+                _floats([swing.amplitude / size for swing in swings]),
+                _floats([swing.u_amplitude / size for swing in swings]),
+                _floats([2.0 * swing.half_period_s for swing in swings]),
+                _floats([2.0 * swing.u_half_period_s for swing in swings]),
+            )
+        )
 
     def balance(
-        self,
-        time_s: float,
-        numbers: Mapping[str, tuple[float, float]],
-        *,
-        advice: str = "",
-        run: str = "",
+        self, time_s: float, numbers: Mapping[str, tuple[float, float]], *, advice: str = "", run: str = ""
     ) -> None:
-        """Balance at one moment: value and standard uncertainty by name (see `rig.rerun.Balance`)."""
-        if self._feeds:
-            plain = {name: (float(value), float(u)) for name, (value, u) in numbers.items()}
-            self._put(Balance(run, float(time_s), plain, advice))
+        """Balance at one moment: value and standard uncertainty by name (see `balance_numbers`)."""
+        plain = {name: (float(value), float(u)) for name, (value, u) in numbers.items()}
+        self._put(BalanceNumbers(run, float(time_s), plain, advice))
 
     def image(
         self,
@@ -225,41 +279,33 @@ class Viewer:
         image: NDArray[np.uint8] | NDArray[np.uint16],
         spot_px: tuple[float, float] = (math.nan, math.nan),
         *,
-        full_scale_dn: int | None = None,
         run: str = "",
     ) -> None:
-        """Camera image (ny, nx) and the spot (x, y) in it.
-
-        `full_scale_dn` is shown white: by default what the image's type can hold. More than ten
-        images a second of the run are not drawn.
-        """
-        if self._feeds:
-            full = full_scale_dn if full_scale_dn is not None else int(np.iinfo(image.dtype).max)
-            x_px, y_px = spot_px
-            # A camera's frames are read-only and never written to again; anything else is copied.
-            held = image.copy() if image.flags.writeable else image
-            self._put(Picture(run, float(time_s), held, float(x_px), float(y_px), full))
+        """Camera image (ny, nx) and the spot (x, y) in it; at most ten a second of the run are drawn."""
+        full = self._full_scale_dn or int(np.iinfo(image.dtype).max)
+        x_px, y_px = spot_px
+        # A camera's frames are read-only and never written to again; anything else is copied.
+        held = image.copy() if image.flags.writeable else image
+        self._put(Picture(run, float(time_s), held, float(x_px), float(y_px), full))
 
     def losses(self, time_s: float, counts: Mapping[str, int], *, own: bool = True, run: str = "") -> None:
         """Losses since the start by name, e.g. ``dropped_frames``; with the view's `own`."""
-        if self._feeds:
-            view = {"view_dropped": self.counts.dropped} if own else {}
-            self._put(Losses(run, float(time_s), {**counts, **view}))
+        view = {"view_dropped": self.counts.dropped} if own else {}
+        self._put(Losses(run, float(time_s), {**counts, **view}))
 
     def state(self, text: str, *, time_s: float = math.nan, run: str = "") -> None:
         """State of the session, as Markdown; without a time it holds from the latest one on."""
-        if self._feeds:
-            self._put(State(run, float(time_s), text))
+        self._put(State(run, float(time_s), text))
 
-    def event(self, time_s: float, level: LogLevel, text: str, *, run: str = "") -> None:
+    def log(self, time_s: float, level: LogLevel, text: str, *, run: str = "") -> None:
         """One line of the log."""
-        if self._feeds:
-            self._put(LogLine(run, float(time_s), level, text))
+        self._put(LogLine(run, float(time_s), level, text))
 
     def fits(self, curves: Sequence[Curve], text: str = "", *, run: str = "") -> None:
         """Curves of the analysing layout and the report's text (Markdown)."""
-        if self._feeds:
-            self._put(Fits(run, tuple(curves), text))
+        self._put(Fits(run, tuple(curves), text))
+
+    # -- how it fares --------------------------------------------------------------
 
     @property
     def counts(self) -> ViewCounts:
@@ -277,12 +323,6 @@ class Viewer:
             notes=tuple(self._notes),
         )
 
-    def wait_room(self, limit_s: float = 60.0) -> None:
-        """Wait until the queues are less than half full; for showing records, not for a live run."""
-        deadline_s = time.monotonic() + limit_s
-        while time.monotonic() < deadline_s and any(feed.queue.filling > 0.5 for feed in self._feeds):
-            time.sleep(0.005)
-
     @property
     def worker_pids(self) -> tuple[int, ...]:
         """Processes of the workers."""
@@ -291,7 +331,13 @@ class Viewer:
     @property
     def program_pids(self) -> tuple[int, ...]:
         """Process of the program that shows the live stream, where one was started."""
-        return (self._program.pid,) if self._program is not None else ()
+        return self._program.pids
+
+    def wait_room(self, limit_s: float = 60.0) -> None:
+        """Wait until the queues are less than half full; for showing records, not for a live run."""
+        deadline_s = time.monotonic() + limit_s
+        while time.monotonic() < deadline_s and any(feed.queue.filling > 0.5 for feed in self._feeds):
+            time.sleep(0.005)
 
     def close(self, timeout_s: float = 30.0) -> ViewCounts:
         """Send what waits, complete the file and end the workers; kill them after `timeout_s`."""
@@ -300,33 +346,12 @@ class Viewer:
             feed.close()
         for feed in self._feeds:
             feed.wait(deadline_s)
-        if self._program is not None and self._mode == "web":
-            self._program.kill()
-            self._program.communicate()
+        self._program.close()
         return self.counts
 
     def _put(self, message: Message) -> None:
         for feed in self._feeds:
             feed.queue.put(message)
-
-    def _show(self, url: str) -> str:
-        """Start the program that shows the stream, once; where it can be told of a new stream."""
-        if self._program is None:
-            try:
-                if self._mode == "web":
-                    port = free_port(self._web_port)
-                    self._program = start_page_server(port)
-                    self._note(f"live view: {page_address(port, url)}")
-                elif missing := display_missing():
-                    self._note(missing)
-                else:
-                    self._viewer_port = free_port(0)
-                    self._program = open_window(url, self._viewer_port)
-            except (OSError, subprocess.SubprocessError) as error:
-                self._note(f"the viewer's program could not be started: {error}")
-        elif self._mode == "web":
-            self._note("the live view was started anew: reload the page")
-        return f"rerun+http://{LOOPBACK}:{self._viewer_port}/proxy" if self._viewer_port else ""
 
     def _note(self, note: str) -> None:
         if note not in self._notes:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from processing.angle import ARCSEC_RAD
+from processing.swing import Swing
 from rig.rerun.messages import Curve
 from rig.view.viewer import Viewer
 
@@ -36,7 +37,7 @@ def play(viewer: Viewer, *, run: str = "", seed: int = 1, seconds: float = SECON
                 end_s, {"dropped_frames": round(end_s / 10), "lost_spots": round(end_s / 20)}, run=run
             )
             viewer.state(f"**measuring**\n\n- time {end_s:.0f} s\n- 2 frames dropped", time_s=end_s, run=run)
-            viewer.event(end_s, "warning", "gap: 1 frame is missing", run=run)
+            viewer.log(end_s, "warning", "gap: 1 frame is missing", run=run)
     if fits:
         viewer.fits(
             curves(), "# steel on K8 glass\n\n| | exact | u |\n|---|---|---|\n| p | 0.50 | 0.01 |", run=run
@@ -102,14 +103,10 @@ def _arcsec(value: float, u: float) -> tuple[float, float]:
 def _half_cycle(viewer: Viewer, time_s: float, random: np.random.Generator, run: str) -> None:
     amplitude = 120 * np.exp(-time_s / 900)
     noise = random.normal(size=8)
-    viewer.swings(
-        [time_s],
-        [amplitude + 0.005 * noise[0]],
-        [PERIOD_S * (1 + 2e-5 * amplitude) + 0.03 / amplitude * noise[1]],
-        u_amplitude_arcsec=[0.005],
-        u_period_s=[0.03 / amplitude],
-        run=run,
-    )
+    period_s = PERIOD_S * (1 + 2e-5 * amplitude) + 0.03 / amplitude * noise[1]
+    a_rad, u_rad = _arcsec(amplitude + 0.005 * noise[0], 0.005)
+    swing = Swing(0, round(time_s * 1e9), 1e-4, a_rad, u_rad, period_s / 2, 0.015 / amplitude, 0.0, 1, 0)
+    viewer.swings([swing], 0, run=run)
     viewer.balance(
         time_s,
         {

@@ -17,8 +17,8 @@ from rig.instrument.provenance import recorded_configuration
 from rig.replay.replay import Replay
 from rig.settings.configuration import load_configuration
 from rig.view.analysis_curves import analysis_curves, overlaid_curves, report_text, run_analysis
+from rig.view.configured import start_view
 from rig.view.recorded import write_rrd
-from rig.view.watcher import start_view
 from tests.rig.replay.replay_record import CONFIG, make_record
 from tests.rig.view.rrd_contents import column, entities, scalars, static_values
 
@@ -122,7 +122,7 @@ def test_a_live_view_without_a_calibration_counts_in_px(tmp_path: Path, balance:
         step = replay.advance(math.inf, 500)
         assert step is not None
         view.block(replay.start_ns, (), step.block)
-        expected = step.block.y_rad.copy()
+        expected = step.block.deflections.y.copy()
     view.close()
     times_s, values = scalars(rrd, "/deflection/y")
     # without a lever deflections are px, and are shown as they are

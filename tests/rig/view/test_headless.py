@@ -116,7 +116,7 @@ def test_the_trajectory_points_up_and_fades(tmp_path: Path) -> None:
     require_software_vulkan()
     path = tmp_path / "scene.rrd"
     period_s = view_scene.PERIOD_S
-    with Viewer(path, amplitude_arcsec=100.0, period_s=period_s) as viewer:
+    with Viewer(path, amplitude=100.0, period_s=period_s) as viewer:
         time_s = np.arange(0, 8 * period_s, 0.01)
         late = np.clip((time_s - 6 * period_s) / (2 * period_s), 0, 1)
         x = np.where(late > 0, 90 * late, -60 + 20 * np.sin(time_s))

@@ -14,7 +14,7 @@ from rerun.experimental import ViewerClient
 
 from rig.rerun.ports import free_port
 from rig.rerun.rerun_program import start_program
-from rig.view import viewer as viewer_module
+from rig.view import viewer_program as viewer_module
 from rig.view.viewer import Viewer
 from tests.rig.view.headless_viewer import connected, headless_environment, require_software_vulkan
 from tests.rig.view.rrd_contents import scalars

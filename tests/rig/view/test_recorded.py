@@ -93,7 +93,9 @@ def test_a_failing_record_is_a_warning_as_in_the_records_own_log(tmp_path: Path)
     path, rrd = tmp_path / "run.mcap", tmp_path / "shown.rrd"
     with RecordWriter(path, EPOCH_NS) as writer:
         spot = Spot(*[math.nan] * 10, SpotFlag.LOST)
-        writer.write_spots([0], [0], [0], np.zeros(1, np.int64), [spot], *[np.full(1, math.nan)] * 4)
+        nowhere = np.full(1, math.nan)
+        at = Deflections(np.zeros(1, np.int64), nowhere, nowhere, nowhere, nowhere, DeflectionUnit.RAD)
+        writer.write_spots([0], [0], [0], [spot], at)
         for kind in ("start", *WARNING_KINDS):
             writer.write_event(0, kind, "happened")
     write_rrd([path], rrd)

@@ -93,7 +93,7 @@ def test_a_healthy_worker_drops_nothing_in_real_time(tmp_path: Path) -> None:
 def test_a_whole_run_faster_than_real_time_goes_through(tmp_path: Path) -> None:
     # The demo: 118,000 samples in blocks of 64, as fast as they can be handed over.
     path = tmp_path / "run.rrd"
-    with Viewer(path, amplitude_arcsec=124.0) as viewer:
+    with Viewer(path, amplitude=124.0) as viewer:
         for first in range(0, 118_000, 64):
             time_s = np.arange(first, first + 64) / 100
             x, y = view_scene.trajectory(time_s, np.random.default_rng(first))

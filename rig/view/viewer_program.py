@@ -1,0 +1,58 @@
+"""The program that shows a live stream: a window, or a page for a browser."""
+
+import subprocess
+from collections.abc import Callable
+
+from rig.rerun import (
+    LOOPBACK,
+    Mode,
+    display_missing,
+    free_port,
+    open_window,
+    page_address,
+    start_page_server,
+)
+
+
+class ViewerProgram:
+    """Started once, when the stream's address is known; `note` is told what a person should know.
+
+    Where a worker is replaced, an open window is told of the new stream; a page has to be loaded anew.
+    """
+
+    def __init__(self, mode: Mode, web_port: int, note: Callable[[str], None]) -> None:
+        self._mode = mode
+        self._web_port = web_port
+        self._note = note
+        self._process: subprocess.Popen[bytes] | None = None
+        self._window_port = 0
+
+    @property
+    def pids(self) -> tuple[int, ...]:
+        """Its process, where it was started."""
+        return (self._process.pid,) if self._process is not None else ()
+
+    def show(self, url: str) -> str:
+        """Show the stream at this address; returns where a window takes commands, empty for a page."""
+        if self._process is None:
+            try:
+                if self._mode == "web":
+                    port = free_port(self._web_port)
+                    self._process = start_page_server(port)
+                    self._note(f"live view: {page_address(port, url)}")
+                elif missing := display_missing():
+                    self._note(missing)
+                else:
+                    self._window_port = free_port(0)
+                    self._process = open_window(url, self._window_port)
+            except (OSError, subprocess.SubprocessError) as error:
+                self._note(f"the viewer's program could not be started: {error}")
+        elif self._mode == "web":
+            self._note("the live view was started anew: reload the page")
+        return f"rerun+http://{LOOPBACK}:{self._window_port}/proxy" if self._window_port else ""
+
+    def close(self) -> None:
+        """End the page's server; a window stays open for as long as its user wants."""
+        if self._process is not None and self._mode == "web":
+            self._process.kill()
+            self._process.communicate()
