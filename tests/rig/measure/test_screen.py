@@ -12,7 +12,7 @@ from acquisition.frame_losses import FrameLosses
 from processing.deflections import DeflectionUnit
 from rig.instrument.snapshot import Snapshot
 from rig.measure.screen import RunDisplay
-from rig.view.watcher import _markdown
+from rig.view.state_text import state_text
 
 SEEN = Snapshot(
     phase="measuring",
@@ -61,7 +61,7 @@ def test_json_lines_name_each_loss(tmp_path: Path, capsys: pytest.CaptureFixture
 
 
 def test_the_view_says_how_old_frames_are() -> None:
-    assert "frames are 12 ms old" in _markdown(SEEN, "arcsec")
-    assert "lost: 3 by the bus, 1 by this computer" in _markdown(SEEN, "arcsec")
+    assert "frames are 12 ms old" in state_text(SEEN, DeflectionUnit.RAD)
+    assert "lost: 3 by the bus, 1 by this computer" in state_text(SEEN, DeflectionUnit.RAD)
     assert math.isnan(Snapshot().frame_age_s)
-    assert "old" not in _markdown(Snapshot(), "arcsec")
+    assert "old" not in state_text(Snapshot(), DeflectionUnit.RAD)
