@@ -16,9 +16,9 @@ from acquisition.record.chunk_reader import ChunkDamage, RawMessage, messages_in
 from acquisition.record.contents import MAGIC, ChunkPlace, Contents, parse, read_contents, read_record
 from acquisition.record.events import Event
 from acquisition.record.foxglove import decode_log
-from acquisition.record.measurements import deflections_of, spot_table, swings_of
 from acquisition.record.pixels import decode_image, decode_window
 from acquisition.record.schemas import MessageType, message_type_of, parse_message_type
+from acquisition.record.spots_and_swings import deflections_of, spot_table, swings_of
 from acquisition.record.topics import (
     EVENT,
     IMAGE_TOPIC,

@@ -13,9 +13,9 @@ from acquisition.record.chunk_builder import ChunkBuilder
 from acquisition.record.container import McapFile
 from acquisition.record.events import Event, EventKind
 from acquisition.record.foxglove import encode_camera_calibration, encode_log, foxglove_topics
-from acquisition.record.measurements import encode_swing, spot_rows
 from acquisition.record.pixels import encode_image, encode_window
 from acquisition.record.schemas import MessageType, message_type_of
+from acquisition.record.spots_and_swings import encode_swing, spot_rows
 from acquisition.record.topics import (
     BALANCE_TOPIC,
     CAMERA_TOPIC,

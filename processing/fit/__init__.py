@@ -1,19 +1,18 @@
 """Fits of a law to a decay, their uncertainties, and series of runs."""
 
+from processing.fit.apparatus import Quantity, RigQuantities
 from processing.fit.asymptotic import fit_asymptotic
 from processing.fit.determination import Determination, identifiability, strong_correlations
 from processing.fit.drag import DragVerdict, drag_verdict
 from processing.fit.exact import fit_exact
-from processing.fit.measurement import (
-    Measured,
-    Quantity,
-    RigQuantities,
+from processing.fit.remeasure import agree, known_motion, measured_again
+from processing.fit.reported import (
+    FittedContact,
     draw_fitted,
-    measured,
-    report,
+    fitted_contact,
+    reported_quantities,
     work_per_cycle_j,
 )
-from processing.fit.remeasure import agree, known_motion, measured_again
 from processing.fit.result import FitResult
 from processing.fit.series import (
     Combined,
@@ -35,7 +34,7 @@ __all__ = [
     "DragVerdict",
     "FitMethod",
     "FitResult",
-    "Measured",
+    "FittedContact",
     "Propagated",
     "Quantity",
     "RigQuantities",
@@ -49,12 +48,12 @@ __all__ = [
     "draw_fitted",
     "fit_asymptotic",
     "fit_exact",
+    "fitted_contact",
     "identifiability",
     "known_motion",
-    "measured",
     "measured_again",
     "monte_carlo",
-    "report",
+    "reported_quantities",
     "strong_correlations",
     "super_smooth",
     "work_per_cycle_j",

@@ -12,7 +12,7 @@ from scipy.special import chdtrc, stdtr, stdtrit
 
 from processing.errors import DataError
 from processing.estimate import Estimate
-from processing.fit.measurement import Measured, measured
+from processing.fit.reported import FittedContact, fitted_contact
 from processing.fit.result import FitResult
 from processing.swing import TurningPoints
 
@@ -71,7 +71,7 @@ class SeriesResult:
 
     parameters: Mapping[str, Combined]
     disagreements: tuple[Disagreement, ...]
-    measured: Measured
+    measured: FittedContact
 
     def estimates(self) -> dict[str, Estimate]:
         return {name: combined.estimate for name, combined in self.parameters.items()}
@@ -140,7 +140,7 @@ def combine_runs(results: Sequence[FitResult]) -> SeriesResult:
         raise DataError(f"{len(results)} run: a series needs at least 2 to show its scatter")
     names = [name for name in results[0].contact_names if all(name in result.names for result in results)]
     parameters = {name: combine(name, [result.estimate(name) for result in results]) for name in names}
-    runs = [measured(result) for result in results]
+    runs = [fitted_contact(result) for result in results]
     at = [list(runs[0].names).index(name) for name in names]
     correlation = np.mean(
         [
@@ -151,7 +151,7 @@ def combine_runs(results: Sequence[FitResult]) -> SeriesResult:
         axis=0,
     )
     u = np.array([parameters[name].standard_uncertainty for name in names])
-    together = Measured(
+    together = FittedContact(
         tuple(names),
         np.array([parameters[name].value for name in names]),
         correlation * np.outer(u, u),

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from scipy.special import stdtrit
 
 from processing.contact.laws import DRAG
-from processing.fit.measurement import OUTPUTS, Measured, RigQuantities, draw_fitted, report
+from processing.fit.apparatus import RigQuantities
+from processing.fit.reported import OUTPUTS, FittedContact, draw_fitted, reported_quantities
 
 FIT = "swings"
 """Name of the type A source: the fit's covariance, or that of a series of runs."""
@@ -74,11 +75,11 @@ def _nominal(rig: RigQuantities, count: int) -> dict[str, NDArray[np.float64]]:
     return {name: np.full(count, quantity.value) for name, quantity in rig.inputs().items()}
 
 
-def _quantities(found: Measured) -> dict[str, str]:
+def _quantities(found: FittedContact) -> dict[str, str]:
     return {**OUTPUTS, **({DRAG.key: "s"} if DRAG.key in found.names else {})}
 
 
-def budgets(found: Measured, rig: RigQuantities) -> dict[str, Budget]:
+def budgets(found: FittedContact, rig: RigQuantities) -> dict[str, Budget]:
     """A budget for every reported quantity.
 
     Derivatives are central differences over a thousandth of each source's own uncertainty: exact
@@ -87,7 +88,7 @@ def budgets(found: Measured, rig: RigQuantities) -> dict[str, Budget]:
     """
     value = {
         name: float(out[0])
-        for name, out in report(found, found.values[:, None], _nominal(rig, 1), rig).items()
+        for name, out in reported_quantities(found, found.values[:, None], _nominal(rig, 1), rig).items()
     }
     spread = np.diag(found.covariance)
     by_value: dict[str, NDArray[np.float64]] = {name: np.zeros(len(found.names)) for name in value}
@@ -95,7 +96,7 @@ def budgets(found: Measured, rig: RigQuantities) -> dict[str, Budget]:
         step = 1e-3 * (sqrt(spread[i]) if 0 < spread[i] < inf else 1e-3 * abs(found.values[i]) or 1e-12)
         both = np.repeat(found.values[:, None], 2, axis=1)
         both[i] += (-step, step)
-        for name, out in report(found, both, _nominal(rig, 2), rig).items():
+        for name, out in reported_quantities(found, both, _nominal(rig, 2), rig).items():
             by_value[name][i] = (out[1] - out[0]) / (2 * step)
     by_input: dict[str, dict[str, float]] = {name: {} for name in value}
     for source, quantity in rig.inputs().items():
@@ -104,7 +105,9 @@ def budgets(found: Measured, rig: RigQuantities) -> dict[str, Budget]:
         step = 1e-3 * quantity.u
         inputs = _nominal(rig, 2)
         inputs[source] = quantity.value + np.array([-step, step])
-        for name, out in report(found, np.repeat(found.values[:, None], 2, axis=1), inputs, rig).items():
+        for name, out in reported_quantities(
+            found, np.repeat(found.values[:, None], 2, axis=1), inputs, rig
+        ).items():
             by_input[name][source] = float(out[1] - out[0]) / (2 * step)
     return {
         name: _budget(name, unit, value[name], found, rig, by_value[name], by_input[name])
@@ -116,7 +119,7 @@ def _budget(
     name: str,
     unit: str,
     value: float,
-    found: Measured,
+    found: FittedContact,
     rig: RigQuantities,
     by_value: NDArray[np.float64],
     by_input: Mapping[str, float],
@@ -147,7 +150,7 @@ def _budget(
 
 
 def monte_carlo(
-    found: Measured,
+    found: FittedContact,
     rig: RigQuantities,
     rng: np.random.Generator,
     *,
@@ -176,7 +179,7 @@ def monte_carlo(
         else:
             deviation = rng.standard_normal(draws)
         inputs[name] = quantity.value + quantity.u * deviation
-    reported = report(found, values, inputs, rig)
+    reported = reported_quantities(found, values, inputs, rig)
     if against is None:
         against = budgets(found, rig)
     out = {}

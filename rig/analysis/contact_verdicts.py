@@ -24,10 +24,10 @@ from processing.fit import (
     budgets,
     drag_verdict,
     draw_fitted,
+    fitted_contact,
     identifiability,
-    measured,
     monte_carlo,
-    report,
+    reported_quantities,
     strong_correlations,
     work_per_cycle_j,
 )
@@ -165,7 +165,7 @@ def evaluate(
     if rig is None:
         notes.append("no uncertainty budget: the contact radius is stated, not calculated after Hertz")
     else:
-        tables = budgets(measured(exact), rig)
+        tables = budgets(fitted_contact(exact), rig)
         if all(quantity.u == 0 for quantity in rig.inputs().values()):
             notes.append(
                 "the configuration states no type B uncertainty (u_mass_kg, u_ball_radius_m, u_arm_m, "
@@ -173,7 +173,7 @@ def evaluate(
             )
         try:
             rng = np.random.default_rng(seed)
-            propagated = monte_carlo(measured(exact), rig, rng, draws=DRAWS, against=tables)
+            propagated = monte_carlo(fitted_contact(exact), rig, rng, draws=DRAWS, against=tables)
         except DataError as error:
             notes.append(f"no Monte Carlo: {error}")
     return Evaluation(
@@ -203,13 +203,13 @@ def _work(
     u_dissipated = u_adhesive = math.nan
     if rig is not None:
         rng = np.random.default_rng(seed)
-        found = measured(exact)
+        found = fitted_contact(exact)
         values = draw_fitted(found, rng, DRAWS)
         inputs = {
             name: quantity.value + quantity.u * rng.standard_normal(DRAWS)
             for name, quantity in rig.inputs().items()
         }
-        reported = report(found, values, inputs, rig)
+        reported = reported_quantities(found, values, inputs, rig)
         without_drag = {name: sample for name, sample in reported.items() if name != "drag_s"}
         moment = inputs["mass_kg"] * inputs["gravity_m_per_s2"] * inputs["ball_radius_m"]
         u_dissipated = float(np.std(work_per_cycle_j(amplitude_rad, without_drag, inputs), ddof=1))

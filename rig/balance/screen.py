@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from rich.console import Console
 from rich.table import Table
 
-from processing.balance_advice import Fault, Turn
+from processing.balance import Fault, Turn
 from rig.instrument import turn_text
 from rig.presentation import say
 

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.simulation.weights import TrimmedPendulum, TrimWeight, imperfect_weights
-from processing.balance import Balance
-from processing.balance_advice import (
+from processing.balance import (
+    Balance,
     Fault,
     Turn,
     WeightResponses,

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from processing.angle import ARCSEC_RAD
-from processing.balance import Balance
-from processing.balance_advice import (
+from processing.balance import (
+    Balance,
     Fault,
     Turn,
     WeightResponses,

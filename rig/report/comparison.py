@@ -11,7 +11,7 @@ from scipy.special import stdtrit
 from processing.contact.laws import PAPER
 from processing.errors import RecordError
 from processing.estimate import Estimate
-from processing.fit import Combined, Comparison, FitMethod, Measured, SeriesResult, compare_series
+from processing.fit import Combined, Comparison, FitMethod, FittedContact, SeriesResult, compare_series
 from rig.analysis import read_results
 from rig.presentation import (
     Cell,
@@ -84,7 +84,7 @@ def series_of(folder: Path) -> SeriesResult:
         parameters = _single(fitted[0]["fits"][FitMethod.EXACT])
     names = tuple(parameters)
     u = np.array([parameters[name].standard_uncertainty for name in names])
-    together = Measured(
+    together = FittedContact(
         names, np.array([parameters[name].value for name in names]), np.diag(u**2),
         float(min(item.dof for item in parameters.values())), np.zeros(len(names)), nan,
     )  # fmt: skip

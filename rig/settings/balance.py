@@ -3,7 +3,7 @@
 from pydantic import BaseModel, ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
-from processing.balance_advice import BalanceLimits
+from processing.balance import BalanceLimits
 
 
 class WeightSettings(BaseModel, frozen=True, extra="forbid"):

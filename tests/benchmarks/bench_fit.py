@@ -18,11 +18,12 @@ from processing.contact.hertz import MATERIALS
 from processing.contact.laws import DRAG, PAPER
 from processing.contact.parameters import ContactParameters
 from processing.errors import RigError
+from processing.fit.apparatus import Quantity, RigQuantities
 from processing.fit.asymptotic import fit_asymptotic
 from processing.fit.determination import identifiability
 from processing.fit.drag import drag_verdict
 from processing.fit.exact import fit_exact
-from processing.fit.measurement import Quantity, RigQuantities, measured
+from processing.fit.reported import fitted_contact
 from processing.fit.uncertainty import monte_carlo
 from tests.processing.fit.decays import ARCSEC, PAIRS, decay, paper_pair
 
@@ -140,7 +141,7 @@ def speed(quick: bool) -> dict[str, float]:
         fit_asymptotic(dragged, pendulum)
         verdict = drag_verdict(dragged, pendulum)
         identifiability(dragged, pendulum, verdict.preferred)
-        monte_carlo(measured(verdict.preferred), rig, np.random.default_rng(0), draws=10_000)
+        monte_carlo(fitted_contact(verdict.preferred), rig, np.random.default_rng(0), draws=10_000)
 
     return {
         "half_cycles": len(long_run),

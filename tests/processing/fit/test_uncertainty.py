@@ -8,14 +8,13 @@ import pytest
 from processing.contact.hertz import MATERIALS
 from processing.contact.moments import cycle_work, surface_energy
 from processing.errors import ConfigurationError, DataError
+from processing.fit.apparatus import Quantity, RigQuantities
 from processing.fit.exact import fit_exact
-from processing.fit.measurement import (
-    Measured,
-    Quantity,
-    RigQuantities,
+from processing.fit.reported import (
+    FittedContact,
     draw_fitted,
-    measured,
-    report,
+    fitted_contact,
+    reported_quantities,
     work_per_cycle_j,
 )
 from processing.fit.uncertainty import FIT, budgets, monte_carlo
@@ -47,8 +46,8 @@ def points() -> TurningPoints:
 
 
 @pytest.fixture(scope="module")
-def found(points: TurningPoints) -> Measured:
-    return measured(fit_exact(points, rig().pendulum()))
+def found(points: TurningPoints) -> FittedContact:
+    return fitted_contact(fit_exact(points, rig().pendulum()))
 
 
 def at(value: float, source: str) -> dict[str, np.ndarray]:
@@ -61,11 +60,11 @@ def at(value: float, source: str) -> dict[str, np.ndarray]:
     ("source", "factor"), [("arm_m", 1.01), ("pitch_m", 0.99), ("clock", 1.001), ("mass_kg", 1.02)]
 )
 def test_another_input_gives_what_fitting_again_gives(
-    points: TurningPoints, found: Measured, source: str, factor: float
+    points: TurningPoints, found: FittedContact, source: str, factor: float
 ) -> None:
     """One per cent off in arm, pitch, clock or mass: the shortcut against the whole analysis."""
     nominal = rig().inputs()[source].value
-    reported = report(found, found.values[:, None], at(nominal * factor, source), rig())
+    reported = reported_quantities(found, found.values[:, None], at(nominal * factor, source), rig())
     scale = {"arm_m": 1 / factor, "pitch_m": factor}.get(source, 1.0)
     second = factor if source == "clock" else 1.0
     again = TurningPoints(
@@ -90,7 +89,7 @@ def test_another_input_gives_what_fitting_again_gives(
     assert float(reported["surface_energy_eq2_j_per_m2"][0]) == pytest.approx(energy.eq2_j_per_m2, rel=2e-4)
 
 
-def test_the_budget_adds_up_and_puts_the_largest_first(found: Measured) -> None:
+def test_the_budget_adds_up_and_puts_the_largest_first(found: FittedContact) -> None:
     table = budgets(found, rig())
     for budget in table.values():
         parts = np.array([line.contribution for line in budget.lines])
@@ -108,14 +107,14 @@ def test_the_budget_adds_up_and_puts_the_largest_first(found: Measured) -> None:
     assert energy.expanded == pytest.approx(1.96 * energy.standard_uncertainty, rel=1e-3)
 
 
-def test_few_runs_widen_the_coverage_factor(found: Measured) -> None:
+def test_few_runs_widen_the_coverage_factor(found: FittedContact) -> None:
     quiet = rig(arm_m=Quantity(1.0), clock=Quantity(1.0))
     c = budgets(replace(found, dof=2.0), quiet)["c"]
     assert c.dof < 5
     assert c.coverage_factor > 2.5
 
 
-def test_monte_carlo_agrees_where_all_is_linear(found: Measured) -> None:
+def test_monte_carlo_agrees_where_all_is_linear(found: FittedContact) -> None:
     table = budgets(found, rig())
     drawn = monte_carlo(found, rig(), np.random.default_rng(1), draws=20_000, against=table)
     for name, budget in table.items():
@@ -132,7 +131,7 @@ def test_monte_carlo_sees_what_the_budget_cannot() -> None:
     """b in rad^-p inherits the scatter of p as an exponent: its distribution is skewed."""
     parameters, _ = paper_pair("glass_k8", 1e-3)
     points = decay(parameters, rig().pendulum(), noise_arcsec=0.01, seed=3)
-    found = measured(fit_exact(points, rig().pendulum(), drag=True))
+    found = fitted_contact(fit_exact(points, rig().pendulum(), drag=True))
     assert "drag_s" in found.names
     table = budgets(found, rig())
     drawn = monte_carlo(found, rig(), np.random.default_rng(1), against=table)
@@ -143,7 +142,7 @@ def test_monte_carlo_sees_what_the_budget_cannot() -> None:
     assert "drag_s" in drawn
 
 
-def test_draws_have_the_covariance_of_the_fit(found: Measured) -> None:
+def test_draws_have_the_covariance_of_the_fit(found: FittedContact) -> None:
     values = draw_fitted(found, np.random.default_rng(2), 40_000)
     expected = np.sqrt(np.diag(found.covariance))
     np.testing.assert_allclose(np.std(values, axis=1), expected, rtol=0.02)
@@ -152,21 +151,21 @@ def test_draws_have_the_covariance_of_the_fit(found: Measured) -> None:
     np.testing.assert_allclose(correlation, stated, atol=0.02)
 
 
-def test_work_of_a_cycle_is_drawn_with_its_parameters(found: Measured) -> None:
+def test_work_of_a_cycle_is_drawn_with_its_parameters(found: FittedContact) -> None:
     inputs = {name: np.array([quantity.value]) for name, quantity in rig().inputs().items()}
-    reported = report(found, found.values[:, None], inputs, rig())
+    reported = reported_quantities(found, found.values[:, None], inputs, rig())
     parameters = fit_parameters(found)
     expected = cycle_work(3.1 * ARCSEC, parameters, rig().pendulum()).dissipated_j
     assert float(work_per_cycle_j(3.1 * ARCSEC, reported, inputs)[0]) == pytest.approx(expected, rel=1e-12)
 
 
-def fit_parameters(found: Measured):
+def fit_parameters(found: FittedContact):
     from processing.contact.parameters import ContactParameters
 
     return ContactParameters(**dict(zip(found.names, found.values.tolist(), strict=True)))
 
 
-def test_what_the_data_do_not_determine_cannot_be_drawn(found: Measured) -> None:
+def test_what_the_data_do_not_determine_cannot_be_drawn(found: FittedContact) -> None:
     blind = found.covariance.copy()
     blind[2, :] = blind[:, 2] = 0.0
     blind[2, 2] = np.inf
@@ -181,7 +180,7 @@ def test_pixels_have_no_budget() -> None:
     parameters, pendulum = paper_pair("silicon")
     points = decay(parameters, pendulum, noise_arcsec=0.05, seed=2, last_arcsec=20)
     with pytest.raises(DataError, match="not calibrated"):
-        measured(fit_exact(points, None))
+        fitted_contact(fit_exact(points, None))
 
 
 def test_two_balls_share_the_weight() -> None:

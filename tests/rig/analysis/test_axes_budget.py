@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from calibration.axes import Axes
-from processing.fit.measurement import Measured, Quantity
+from processing.fit.apparatus import Quantity
+from processing.fit.reported import FittedContact
 from processing.fit.uncertainty import budgets
 from rig.analysis.contact_verdicts import fast_ratio, rig_quantities
 from rig.instrument import complete
@@ -39,12 +40,12 @@ def test_the_slow_tilt_that_wrong_axes_show(
     assert shown[0] == pytest.approx(seen[1], rel=1e-12)
 
 
-def test_known_axes_change_no_number(found: Measured) -> None:
+def test_known_axes_change_no_number(found: FittedContact) -> None:
     inputs = {name: np.array([quantity.value]) for name, quantity in rig().inputs().items()}
     assert rig().seen_slow_tilt(inputs["slow_angle_rad"], inputs["non_orthogonality_rad"])[0] == 1.0
 
 
-def test_uncertain_axes_stand_in_the_budget(found: Measured) -> None:
+def test_uncertain_axes_stand_in_the_budget(found: FittedContact) -> None:
     u_rad, ratio, apart = 2e-3, 0.05, 0.01
     uncertain = replace(
         rig(slow_angle_rad=Quantity(0.2, u_rad), non_orthogonality_rad=Quantity(apart, u_rad)),

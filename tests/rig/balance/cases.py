@@ -9,8 +9,7 @@ from acquisition.simulation.settings import AxesTruth, SimulationSettings
 from acquisition.simulation.true_path import noisy, true_path
 from acquisition.simulation.weights import TrimmedPendulum, TrimWeight, imperfect_weights
 from processing.angle import ARCSEC_RAD
-from processing.balance import Balance, BalanceEstimator
-from processing.balance_advice import BalanceLimits, WeightResponses, mass_centre_height_m
+from processing.balance import Balance, BalanceEstimator, BalanceLimits, WeightResponses, mass_centre_height_m
 from rig.instrument.balance import elastic_drop, nominal_effects
 from rig.instrument.configured import complete
 from rig.settings.configuration import Configuration

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from processing.balance_advice import BalanceLimits, WeightResponses, mass_centre_height_m
+from processing.balance import BalanceLimits, WeightResponses, mass_centre_height_m
 from rig.balance.session import BalancingSession
 from rig.instrument.balance import nominal_effects
 from tests.rig.balance.cases import CONFIG, follow_advice, seen, state_of, trimmed_pendulum

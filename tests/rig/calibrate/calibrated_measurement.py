@@ -14,7 +14,7 @@ from calibration.store import CalibrationFile, Kind, write_calibration
 from processing.angle import ARCSEC_RAD
 from processing.deflections import slow_deflections
 from processing.fit.exact import fit_exact
-from processing.fit.measurement import measured
+from processing.fit.reported import fitted_contact
 from processing.fit.uncertainty import budgets
 from processing.swing import SwingDetector
 from rig.analysis.contact_laws import points_in_true_time, settled_swings
@@ -113,7 +113,7 @@ def measure(
     slow, clock_rate = slow_deflections(stamps_ns, y_rad, u_y_rad), config.timebase.camera_rate
     settled = settled_swings(swings, slow, pendulum, config.fit, clock_rate)
     points = points_in_true_time(settled.swings, clock_rate)
-    table = budgets(measured(fit_exact(points, pendulum)), quantities)
+    table = budgets(fitted_contact(fit_exact(points, pendulum)), quantities)
     truth = {name: float(getattr(contact, name)) for name in ("b", "p", "c", "n", "period0_s", "gamma_pa")}
     truth["surface_energy_table2_j_per_m2"] = _surface_energy(contact)
     return {

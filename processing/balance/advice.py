@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from processing.angle import ARCSEC_RAD
-from processing.balance import Balance
+from processing.balance.estimate import Balance
 
 Floats = NDArray[np.float64]
 _U_TURN = 0.02

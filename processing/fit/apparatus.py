@@ -1,0 +1,109 @@
+"""What the results rest on beside the swings: mass, ball, materials, lever arm, clock (GUM type B)."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from processing.contact import STANDARD_GRAVITY_M_PER_S2, Material, PendulumOnBall, contact_radius
+from processing.errors import ConfigurationError
+
+Distribution = Literal["normal", "rectangular"]
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """An input that the fit takes as known: value, standard uncertainty, kind of knowledge.
+
+    A rectangular distribution of half-width h has the standard uncertainty h/sqrt(3).
+    """
+
+    value: float
+    u: float = 0.0
+    distribution: Distribution = "normal"
+
+    def __post_init__(self) -> None:
+        if not self.u >= 0:
+            raise ConfigurationError(
+                f"standard uncertainty {self.u} of the value {self.value}: it must not be negative"
+            )
+
+
+@dataclass(frozen=True)
+class RigQuantities:
+    """Everything beside the swings that the results rest on (GUM type B).
+
+    `arm_m` and `pitch_m` are those with which the angles were made: they matter through their
+    relative uncertainties, as does `clock`, true seconds per second of the camera's clock.
+    `slow_angle_rad` and `non_orthogonality_rad` are the directions of the pendulum's axes on the sensor;
+    `fast_ratio` is the fast mode's amplitude over the slow one's, which wrong directions let into the
+    slow deflection. `balls` shares the weight: 1, or 2 for the two-ball pendulum.
+    """
+
+    mass_kg: Quantity
+    ball_radius_m: Quantity
+    ball: Material
+    flat: Material
+    arm_m: Quantity
+    pitch_m: Quantity
+    gravity_m_per_s2: Quantity = Quantity(STANDARD_GRAVITY_M_PER_S2)
+    clock: Quantity = Quantity(1.0)
+    slow_angle_rad: Quantity = Quantity(0.0)
+    non_orthogonality_rad: Quantity = Quantity(0.0)
+    fast_ratio: float = 0.0
+    balls: int = 1
+
+    def __post_init__(self) -> None:
+        for name in ("mass_kg", "ball_radius_m", "arm_m", "pitch_m", "gravity_m_per_s2", "clock"):
+            value = getattr(self, name).value
+            if not value > 0:
+                raise ConfigurationError(f"{name} = {value}: it must be positive")
+        if self.balls not in (1, 2):
+            raise ConfigurationError(f"balls = {self.balls}: a pendulum stands on 1 or 2")
+
+    def inputs(self) -> dict[str, Quantity]:
+        """All inputs by name; one material on both sides enters once."""
+        found = {
+            "mass_kg": self.mass_kg,
+            "ball_radius_m": self.ball_radius_m,
+            "gravity_m_per_s2": self.gravity_m_per_s2,
+            "arm_m": self.arm_m,
+            "pitch_m": self.pitch_m,
+            "clock": self.clock,
+            "flat_youngs_modulus_pa": Quantity(self.flat.youngs_modulus_pa, self.flat.u_youngs_modulus_pa),
+            "flat_poisson_ratio": Quantity(self.flat.poisson_ratio, self.flat.u_poisson_ratio),
+        }
+        if self.ball != self.flat:
+            found["ball_youngs_modulus_pa"] = Quantity(
+                self.ball.youngs_modulus_pa, self.ball.u_youngs_modulus_pa
+            )
+            found["ball_poisson_ratio"] = Quantity(self.ball.poisson_ratio, self.ball.u_poisson_ratio)
+        # last, so that the draws for the others stay those of records made before axes were budgeted
+        found["slow_angle_rad"] = self.slow_angle_rad
+        found["non_orthogonality_rad"] = self.non_orthogonality_rad
+        return found
+
+    def seen_slow_tilt(
+        self, slow_angle_rad: NDArray[np.float64], non_orthogonality_rad: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Slow tilt as the assumed axes show it, over the true one, for true directions of the axes.
+
+        With the slow axis off by d and the angle between the axes by e, a motion of the amplitude A
+        along the slow axis and r A along the fast one shows ``A (cos d + sin d tan q) - r A
+        sin(d + e) / cos q`` along the assumed slow axis, q being the assumed non-orthogonality. The
+        fast mode's part changes its sign from one turning point to another; taking it with one sign
+        is its upper limit.
+        """
+        assumed = self.non_orthogonality_rad.value
+        off = slow_angle_rad - self.slow_angle_rad.value
+        apart = non_orthogonality_rad - assumed
+        cross_talk = self.fast_ratio * np.sin(off + apart) / np.cos(assumed)
+        return np.asarray(np.cos(off) + np.sin(off) * np.tan(assumed) - cross_talk, dtype=np.float64)
+
+    def pendulum(self) -> PendulumOnBall:
+        """What the fits take, from the values; on two balls, the half of it that one carries."""
+        mass = self.mass_kg.value / self.balls
+        force = mass * self.gravity_m_per_s2.value
+        radius = contact_radius(force, self.ball_radius_m.value, self.ball, self.flat)
+        return PendulumOnBall(mass, self.ball_radius_m.value, radius, self.gravity_m_per_s2.value)
