@@ -16,7 +16,7 @@ class FrameTimeout(DeviceError):
 
 
 class CameraLost(DeviceError):
-    """The camera has gone (unplugged, link down); `close`, then `open` again may bring it back."""
+    """The camera is gone (unplugged, link down); `close`, then `open` again may bring it back."""
 
 
 class CameraSettings(BaseModel, frozen=True, extra="forbid"):
@@ -78,7 +78,7 @@ class CameraStatus:
 
     @property
     def dropped(self) -> int:
-        """All frames lost, whoever lost them."""
+        """All frames lost, by camera, bus and host."""
         return self.dropped_by_camera + self.dropped_by_bus + self.dropped_by_host + self.incomplete
 
     def __add__(self, other: "CameraStatus") -> "CameraStatus":
@@ -102,7 +102,7 @@ class Camera(Protocol):
         ...
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
-        """Apply settings while stopped; return what the camera says it has applied, read back."""
+        """Apply settings while stopped; return what was applied, read back from the camera."""
         ...
 
     def start(self) -> None:

@@ -92,7 +92,7 @@ def find_driver(name: str) -> Driver:
 
 
 def unknown_driver() -> str:
-    """What to say of a name that is not in the registry."""
+    """Error message for a name that is not in the registry."""
     return f"no such driver; there are {', '.join(sorted(DRIVERS))}"
 
 

@@ -213,7 +213,7 @@ class PylonCamera:
         return None
 
     def _find_tick_ns(self) -> float:
-        """Length of a tick: USB cameras count nanoseconds, GigE cameras say how many ticks a second has."""
+        """Length of a tick: USB cameras count nanoseconds, GigE cameras report their ticks per second."""
         node = self._first(("GevTimestampTickFrequency",))
         return 1.0 if node is None else 1e9 / float(node.Value)
 
@@ -289,7 +289,7 @@ class PylonCamera:
 
     @contextmanager
     def _translated(self) -> Iterator[None]:
-        """pylon's errors become ours; one of a camera that has gone becomes CameraLost."""
+        """Errors of pylon become DeviceError, those of an unplugged camera CameraLost."""
         try:
             yield
         except DeviceError:
@@ -306,7 +306,7 @@ class PylonCamera:
 def _load_pylon() -> Any:
     try:
         with warnings.catch_warnings():
-            # the types of its binary part warn as they are made, and can't bear that as an error
+            # importing its binary part raises warnings, and fails where they are errors
             warnings.simplefilter("ignore")
             from pypylon import pylon
     except ImportError:

@@ -50,7 +50,7 @@ class SimulatedCamera:
         self._applied = self._defaults()
 
     def open(self) -> CameraInfo:
-        """Ready at once. Raises DeviceError while the simulated cable is out."""
+        """Ready immediately. Raises DeviceError while the simulated cable is out."""
         if self._reader is not None and self._reader.lost:
             self._reader.replug()
         self._opened = True

@@ -51,7 +51,7 @@ class ControllerStatus:
 
 @dataclass(frozen=True, slots=True)
 class Environment:
-    """Temperature, humidity and pressure of the air; NaN where no sensor says."""
+    """Temperature, humidity and pressure of the air; NaN without a sensor."""
 
     temperature_c: float = math.nan
     humidity_percent: float = math.nan
@@ -80,7 +80,7 @@ class Controller:
         self._limit_w = 0.0
 
     def open(self) -> ControllerIdentity:
-        """Open the line, make sure that a controller of ours answers, begin a session with every output off.
+        """Open the line, check that a rig controller answers, begin a session with every output off.
 
         Raises DeviceError where the port is missing or another device answers.
         """
@@ -91,7 +91,7 @@ class Controller:
             try:
                 identity = self._begin(link)
             except ControllerReset:
-                # A board that was just plugged in says so in between; it is ready now.
+                # A board that was just plugged in announces itself in between; it is ready now.
                 identity = self._begin(link)
         except BaseException:
             with contextlib.suppress(PortLost):

@@ -1,4 +1,4 @@
-"""A device that a thread of its own owns from `start` to `close`, and what it has to say."""
+"""A device that a thread of its own owns from `start` to `close`, and its events."""
 
 import logging
 from abc import ABC, abstractmethod
@@ -56,7 +56,7 @@ class DeviceThread(ABC):
 
     @property
     def failure(self) -> BaseException | None:
-        """What ended the thread against our will."""
+        """The error that ended the thread."""
         return self._worker.failure
 
     def take_events(self) -> tuple[str, ...]:

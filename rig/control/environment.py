@@ -19,7 +19,7 @@ _READ_S = 0.1
 
 @dataclass(frozen=True, slots=True)
 class EnvironmentReading:
-    """Latest reading and when it came (host's monotonic clock); NaN for what the sensor did not say."""
+    """Latest reading and when it came (host's monotonic clock); NaN for what the sensor did not send."""
 
     environment: Environment
     time_ns: int = 0
@@ -29,7 +29,7 @@ class EnvironmentReading:
 
 
 def parse_environment(pattern: re.Pattern[str], line: str) -> Environment | None:
-    """What a line says by the pattern's named groups; None where it does not match or says no finite number.
+    """Values of the pattern's named groups in a line; None where it does not match or a number is not finite.
 
     ``pressure_hpa`` is turned into Pa. A quantity that the line does not carry is NaN.
     """

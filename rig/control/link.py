@@ -57,7 +57,7 @@ class Link:
     def begin(self) -> None:
         """Start afresh: forget what came before, end any half line at the board, choose a new tag.
 
-        The tags begin at random, so that a reply meant for an earlier program is not taken for ours.
+        The tags begin at random, so that a reply meant for an earlier program is not taken for this one's.
         """
         self._reader.clear()
         self._events.clear()
@@ -72,11 +72,11 @@ class Link:
         ReplyTimeout
             No valid reply within timeout_s, nor to the repetitions (each with the same patience).
         Refused
-            The board refused; also where the command cannot be sent as it is.
+            The board rejected it; also where the command cannot be sent as it is.
         ControllerReset
             The board was reset before or while the command was under way.
         PortLost
-            The line has gone.
+            The line is gone.
         """
         self._tag = self._tag % TAG_MAX + 1
         try:
@@ -136,7 +136,7 @@ class Link:
                     return message
                 self.late_replies += 1
             elif message is not None and message.name == "NAK":
-                # The board got a line that it could not read, most likely ours: ask again at once.
+                # The board got a line that it could not read, most likely this one: ask again immediately.
                 return None
             if time.monotonic() > deadline_s:
                 # A device that never stops talking must not keep us.

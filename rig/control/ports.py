@@ -117,7 +117,7 @@ def check_laser(settings: LaserSettings, controller: ControllerSettings) -> tupl
 
 
 def _interlock(settings: LaserSettings, controller: ControllerSettings, closed: bool) -> Iterator[Verdict]:
-    """What the laser says of its interlock while the controller's relay is open."""
+    """Whether the laser reports an open interlock while the controller's relay is open."""
     name = "laser goes dark by itself"
     if settings.interlock == "own":
         reason = "closed" if closed else "open: the laser will stay dark"

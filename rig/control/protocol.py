@@ -30,7 +30,7 @@ class Reply:
 
 @dataclass(frozen=True, slots=True)
 class BoardEvent:
-    """Something the board says unasked."""
+    """A message that the board sends without being asked."""
 
     name: str
     detail: str = ""
@@ -59,7 +59,7 @@ def encode(tag: int, command: str) -> bytes:
 
 
 def decode(line: bytes) -> Reply | BoardEvent | None:
-    """What a line from the board says; None for junk, which is whatever has no valid checksum.
+    """Parse a line from the board; None for a line without a valid checksum.
 
     Half a line that lost its end may stand before a whole one, so reading begins at the last
     ``#`` or ``!``.

@@ -1,4 +1,4 @@
-"""A serial line as bytes and lines with deadlines; every way it can fail becomes one of ours."""
+"""A serial line as bytes and lines with deadlines; every failure becomes a DeviceError."""
 
 import time
 from types import TracebackType
@@ -13,13 +13,13 @@ _BUFFER_MAX = 65536
 
 
 class PortLost(DeviceError):
-    """The port is missing or has gone (unplugged); opening it again may bring it back."""
+    """The port is missing or was unplugged; opening it again may bring it back."""
 
 
 class Line(Protocol):
     """Bytes to and from a device: a serial port, or the simulated controller in this process.
 
-    One thread uses it. Each method raises `PortLost` when the other side has gone.
+    One thread uses it. Each method raises `PortLost` when the other side is gone.
     """
 
     @property

@@ -1,4 +1,4 @@
-"""What a user asks of the controller and the environment sensor."""
+"""[controller] and [environment_sensor]."""
 
 import re
 from typing import Annotated, Literal, Self

@@ -24,7 +24,7 @@ def _ignore(_: object) -> None:
 
 @dataclass(frozen=True)
 class SimulatedOutputs:
-    """Where the simulated board's pins end; each is called from the board's thread and must return at once.
+    """What the simulated board's pins drive; called from the board's thread, each must return immediately.
 
     `laser` is given the optical power in W, 0.0 when dark; `starter` and the others True or False.
     """

@@ -96,7 +96,7 @@ class Worker:
 
     @property
     def failure(self) -> BaseException | None:
-        """What ended the thread against our will; None while all is well."""
+        """The error that ended the thread; None while it runs, and after a regular end."""
         return self._failure
 
     def _run(self) -> None:

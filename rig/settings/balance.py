@@ -1,4 +1,4 @@
-"""What a user says of the balance: limits, and the trimming weights as their drawings have them."""
+"""[balance]: limits, properties of the pendulum, and the trimming weights with their threads."""
 
 from pydantic import BaseModel, ConfigDict, Field
 from pydantic.dataclasses import dataclass
@@ -16,11 +16,11 @@ class WeightSettings(BaseModel, frozen=True, extra="forbid"):
 
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))
 class BalanceSettings(BalanceLimits):
-    """Balancing: the limits, what is known of the pendulum and its weights. What a turn does is learned."""
+    """Balancing: the limits, and what is known of pendulum and weights. The effect of a turn is learned."""
 
     seconds: float = Field(default=14.0, gt=9, description="of swinging for one look; three periods")
     inertia_kg_m2: float | None = Field(
-        default=None, gt=0, description="about the contact; None: the height is not told"
+        default=None, gt=0, description="about the contact; None: the height is not computed"
     )
     gamma_pa: float = Field(default=0.0, ge=0, description="elastic adhesion, for T0 from T; 0: T is taken")
     n: float = Field(default=0.1, ge=0)

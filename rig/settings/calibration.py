@@ -1,4 +1,4 @@
-"""Which calibration files are in use, and the section that the clock's fills."""
+"""[calibration]: the files in use; [timebase]: the section that the clock's file fills."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""One TOML file -> frozen models. Unknown key, missing file, wrong unit: one clear line.
+"""One TOML file becomes frozen models. An unknown key, a wrong value, a missing file: one clear line.
 
 A file may begin with ``extends = "other.toml"`` (relative to itself) and then states only what
 differs. On the command line ``--set a.b.c=value`` replaces any key by its dotted path.
@@ -21,7 +21,7 @@ from acquisition.simulation.faults import FaultSettings
 from acquisition.simulation.settings import SimulationSettings
 from calibration.axes import Axes
 from calibration.lever import Lever, deflection_unit
-from processing.contact import Material
+from processing.contact import STANDARD_GRAVITY_M_PER_S2, Material
 from processing.deflections import DeflectionUnit
 from processing.errors import ConfigurationError
 from processing.spot import SensorModel
@@ -73,7 +73,7 @@ class PendulumSettings(Section, frozen=True):
     contact_radius_m: float | None = Field(
         default=None, gt=0, lt=1e-2, description="of the contact spot; None: Hertz, from the materials"
     )
-    gravity_m_per_s2: float = Field(default=9.80665, gt=0)
+    gravity_m_per_s2: float = Field(default=STANDARD_GRAVITY_M_PER_S2, gt=0)
     u_gravity_m_per_s2: float = Field(default=0.0, ge=0)
 
 
@@ -107,7 +107,7 @@ class FitSettings(Section, frozen=True):
 
 
 class Configuration(Section, frozen=True):
-    """Everything one session is told."""
+    """The whole configuration of one session."""
 
     session: SessionSettings = SessionSettings()
     environment: EnvironmentConditions = EnvironmentConditions()

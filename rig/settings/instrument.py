@@ -1,4 +1,4 @@
-"""[instrument]: which kind of pendulum, and what of its description is different here."""
+"""[instrument]: the kind of pendulum, and values that replace those of its description."""
 
 import math
 from dataclasses import replace
@@ -10,7 +10,7 @@ from processing.instruments import DEGREE_RAD, INSTRUMENTS, Description, Limits
 
 
 class InstrumentSettings(BaseModel, frozen=True, extra="forbid"):
-    """The kind selects a description (`rig instruments` lists them); None keeps what it says."""
+    """The kind selects a description (`rig instruments` lists them); None keeps its value."""
 
     kind: str = "single_ball"
     mass_kg: float | None = Field(

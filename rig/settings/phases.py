@@ -1,4 +1,4 @@
-"""What a user asks of the phases around a run: preflight, warm-up, rest, start."""
+"""[preflight], [phases] and [start]: what comes before a run."""
 
 from typing import Literal, Self
 

@@ -27,7 +27,7 @@ logger = logging.getLogger(__name__)
 
 _POLL_US: Final = 50_000
 _MOST_BYTES: Final = 256 * 1024 * 1024
-# libaravis takes 6 s to notice that a GigE camera has gone, USB it may not watch: silence makes us ask
+# libaravis takes 6 s to notice that a GigE camera is gone and may not watch a USB camera: after silence, ask
 _ASK_AFTER_S: Final = 1.0
 _GIGE_CONTROL_REGISTER: Final = 0x0A00
 _USB_VERSION_REGISTER: Final = 0x0000
@@ -262,7 +262,7 @@ class AravisCamera:
 
     @contextmanager
     def _translated(self) -> Iterator[None]:
-        """libaravis's errors become ours; those of a camera that has gone become CameraLost."""
+        """Errors of libaravis become DeviceError, those of an unplugged camera CameraLost."""
         try:
             yield
         except Exception as refused:

@@ -33,7 +33,7 @@ class FoundCamera:
 
 
 def load_library() -> Library:
-    """PyGObject's view of libaravis 0.8; DeviceError says what is missing."""
+    """libaravis 0.8 through PyGObject. Raises DeviceError that names what is missing."""
     try:
         with warnings.catch_warnings():
             # its importer has an old form, of which Python warns

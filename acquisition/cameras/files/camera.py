@@ -1,4 +1,4 @@
-"""Recorded frames as a camera: in order, on demand, never dropped by us."""
+"""Recorded frames as a camera: in order, on demand, none dropped."""
 
 import logging
 import threading

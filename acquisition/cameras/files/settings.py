@@ -29,7 +29,7 @@ class FilesSettings(BaseModel, frozen=True, extra="forbid"):
     )
     colour: Colour = Field(
         default="refuse",
-        description="images with three different channels are refused, or this is made of them; alike "
+        description="images with three different channels are rejected, or this is made of them; equal "
         "channels are taken as the grey image that they are",
     )
     common_depth: bool = Field(

@@ -20,7 +20,7 @@ _LOSSLESS = ("FFV1", "HFYU", "FFVH", "GREY", "Y800", "Y8  ", "Y16 ", "RAW ", "\0
 
 
 class Unreadable(Exception):
-    """One frame cannot be read; says why."""
+    """One frame cannot be read; the message gives the reason."""
 
 
 class Stored(NamedTuple):
@@ -38,12 +38,12 @@ class Source(Protocol):
     names: list[str]
     """Name of each frame's file; empty where frames have none of their own."""
     hint: str
-    """What the container says of its frame rate, for a message; may be empty."""
+    """Frame rate as the container states it, for a message; may be empty."""
     lossy: str
     """Name of the codec where it loses something, else empty."""
 
     def read(self, index: int) -> Stored:
-        """Frame `index`. Raises Unreadable for this frame, OSError where the source has gone."""
+        """Frame `index`. Raises Unreadable for this frame, OSError where the source is gone."""
         ...
 
     def label(self, index: int) -> str:
@@ -261,7 +261,7 @@ def _pages(path: Path) -> int:
 
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
-    """OpenCV reports what it cannot read on stderr by itself; we say it in our own words."""
+    """Silence OpenCV, which prints what it cannot read to stderr; the caller reports it."""
     logging = cv2.utils.logging
     level = logging.getLogLevel()
     logging.setLogLevel(logging.LOG_LEVEL_SILENT)

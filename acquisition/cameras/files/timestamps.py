@@ -28,7 +28,7 @@ def frame_times(settings: FilesSettings, count: int, names: Sequence[str], hint:
     names
         Names of the images' files, empty where frames have none.
     hint
-        What the container says of its frame rate, for the error message; may be empty.
+        Frame rate as the container states it, for the error message; may be empty.
 
     Raises
     ------

@@ -197,7 +197,7 @@ class Usb3VisionCamera:
             stream.stop(_JOIN_S)
             return
         self._camera_runs = False
-        # Any of these may fail on a camera that has gone or is silent; the others still make sense.
+        # Each of these may fail on a camera that is unplugged or silent; the others are tried all the same.
         steps: tuple[Callable[[], None], ...] = (
             lambda: session.features.execute("AcquisitionStop"),
             lambda: session.registers.enable(False),

@@ -25,7 +25,7 @@ _USB_SPEEDS: Final = {1: "low speed", 2: "full speed", 3: "high speed", 4: "Supe
 
 @dataclass(frozen=True, slots=True)
 class FoundCamera:
-    """A camera on the bus; texts are empty where they can't be read, `accessible` says whether.
+    """A camera on the bus; texts are empty where they can't be read, `accessible` is False then.
 
     `device` is pyusb's object.
     """
@@ -137,7 +137,7 @@ def _is_vision(device: Any) -> bool:
             for interface in configuration
         )
     except usb.core.USBError:
-        return False  # a device that vanished during the search, or an odd one: no camera of ours
+        return False  # unplugged during the search, or without valid descriptors
 
 
 def _describe(device: Any) -> FoundCamera:
@@ -159,7 +159,7 @@ def _text(device: Any, index: int) -> str:
         return ""
     try:
         return (usb.util.get_string(device, index) or "").strip("\0 ")
-    except ValueError:  # pyusb's word for a device without strings, and for one that may not be opened
+    except ValueError:  # pyusb raises it for a device without strings, and for one that may not be opened
         device.get_active_configuration()  # which raises where the reason is the latter
         return ""
 

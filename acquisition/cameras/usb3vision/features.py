@@ -30,7 +30,7 @@ ALIASES: Final[dict[str, tuple[str, ...]]] = {
 
 @dataclass(frozen=True, slots=True)
 class FeatureReading:
-    """One feature as a user may see it. `value` is None where it can't be read; `problem` says why."""
+    """One feature for display. `value` is None where it cannot be read; `problem` is the reason."""
 
     name: str
     kind: str
@@ -72,12 +72,12 @@ class Features:
         return self.nodes.get(found)
 
     def set(self, name: str, value: Any) -> Any:
-        """Set it, return what the camera says afterwards.
+        """Set it; return the value that the camera reports afterwards.
 
         Raises
         ------
         DeviceError
-            Not a feature of this camera, not settable at present, out of range (says the range).
+            Not a feature of this camera, not settable at present, out of range (the message gives the range).
         """
         found = self.find(name)
         if found is None:
@@ -87,7 +87,7 @@ class Features:
         return self.nodes.get(found) if self.nodes.node(found).access().readable else value
 
     def readings(self) -> Iterator[FeatureReading]:
-        """All features that the camera has, as they are now; a faulty one says so and harms no other."""
+        """All features of the camera, as they are now; a faulty one is listed with its `problem`."""
         self.nodes.forget()
         for name in self.nodes.features():
             node = self.nodes.node(name)

@@ -73,7 +73,7 @@ class GenCpChannel:
     receive
         Called with the largest size and a timeout in s, returns one packet; raises TimeoutError.
     name
-        The camera as the messages shall call it.
+        Name of the camera in messages.
     timeout_s
         Patience for one reply; a camera may ask for more with a pending acknowledge.
     retries
@@ -145,7 +145,7 @@ class GenCpChannel:
             part = data[start : start + largest]
             where = f"writing {len(part)} bytes at 0x{address + start:X}"
             reply = self._transact(_WRITE, _WRITE_ADDRESS.pack(address + start) + part, where, None)
-            # The written length is optional in GenCP; a zero says nothing.
+            # The written length is optional in GenCP; zero means that it was left out.
             if len(reply) >= _TWO_WORDS.size:
                 written = _TWO_WORDS.unpack_from(reply)[1]
                 if written not in (0, len(part)):

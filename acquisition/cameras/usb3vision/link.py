@@ -177,7 +177,7 @@ class UsbLink:
             raise self.translated(error, "clearing a stalled endpoint") from error
 
     def translated(self, error: usb.core.USBError, doing: str) -> DeviceError:
-        """The error of the bus in our own words."""
+        """A DeviceError for an error of the bus."""
         if is_gone(error):
             return CameraLost(f"{self.name}: has gone ({doing}); plug it in again")
         if error.errno == errno.EACCES:

@@ -145,7 +145,7 @@ def silence_events(channel: GenCpChannel, event_address: int) -> None:
         try:
             channel.write(event_address, struct.pack("<I", 0))
         except RegisterRefused:
-            return  # a camera that refuses has no events to send
+            return  # a camera that rejects the command has no events to send
 
 
 class StreamRegisters:

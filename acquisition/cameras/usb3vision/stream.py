@@ -245,7 +245,7 @@ class FrameStream:
             self._disturbed = True
             if in_rhythm:
                 self._lost_parts += 1
-            # A trailer is followed by a leader, anything else by what can't be told.
+            # A trailer is followed by a leader; after anything else the next part is unknown.
             self._resume_at(0 if begins_like(data.tobytes()[:4], TRAILER_MAGIC) else -1)
             return
         self._leader = leader

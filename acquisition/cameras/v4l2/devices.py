@@ -15,7 +15,7 @@ _SYSFS = Path("/sys/class/video4linux")
 
 
 class VideoDevice(NamedTuple):
-    """One device that delivers images. `problem` says why it can't be looked at."""
+    """One device that delivers images. `problem` is the reason why it cannot be opened."""
 
     path: str
     name: str

@@ -124,7 +124,7 @@ def sizes(device: int, fourcc: str) -> list[tuple[int, int]]:
 
 
 def highest_rate_hz(device: int, fourcc: str, width_px: int, height_px: int) -> float:
-    """The highest frame rate of a size; NaN where the driver doesn't say."""
+    """The highest frame rate of a size; NaN where the driver does not report it."""
     best = float("nan")
     for index in range(256):
         try:
@@ -158,7 +158,7 @@ def set_layout(device: int, width_px: int, height_px: int, fourcc: str) -> Pixel
 
 
 def get_rate_hz(device: int) -> float:
-    """Frames a second that are set; NaN where the driver doesn't say."""
+    """Frames a second that are set; NaN where the driver does not report it."""
     try:
         data = _call(device, _GET_PARAMETERS, struct.pack("<I200x", CAPTURE))
     except OSError:

@@ -97,7 +97,7 @@ class LinuxSource:
             raise self._failure(error) from None
 
     def next(self) -> RawFrame | None:
-        """The next buffer, copied and handed back to the driver at once."""
+        """The next buffer, copied and handed back to the driver immediately."""
         try:
             poll = select.poll()
             poll.register(self._device, select.POLLIN)
@@ -121,7 +121,7 @@ class LinuxSource:
         return RawFrame(image, filled.sequence, filled.time_ns, host_time_ns)
 
     def stop(self) -> None:
-        """Stream off, buffers back; a device that has gone has no say in it."""
+        """Stream off, buffers back; errors of an unplugged device are ignored."""
         with contextlib.suppress(OSError):
             kernel.stream(self._device, False)
         with contextlib.suppress(OSError):

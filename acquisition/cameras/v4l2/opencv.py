@@ -68,7 +68,7 @@ class OpenCvSource:
         )
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
-        """Set each property and read it back: what `set` returns says nothing."""
+        """Set each property and read it back: the value that `set` returns is meaningless."""
         capture = self._capture
         if settings.offset_x_px or settings.offset_y_px:
             raise DeviceError(f"{self._name}: OpenCV cuts no region of interest; leave the offsets out")

@@ -6,16 +6,16 @@ from typing import Protocol
 from processing.errors import DeviceError
 
 ON_WITHIN_S = 10.0
-"""A laser that is told to light does so within this time, whatever its safety class demands."""
+"""Longest time from the command to light, with the delay that a laser's safety class demands."""
 
 
 class LaserRefused(DeviceError):
-    """The laser did not do what it was told: it answered an error, or read back another value."""
+    """The laser did not carry out a command: it answered an error, or read back another value."""
 
 
 @dataclass(frozen=True, slots=True)
 class LaserIdentity:
-    """Who the laser is."""
+    """Vendor, model and serial number."""
 
     vendor: str
     model: str
@@ -24,7 +24,7 @@ class LaserIdentity:
 
 @dataclass(frozen=True, slots=True)
 class LaserState:
-    """Read from the laser, not remembered. None where this family cannot say.
+    """Read from the laser, not remembered. None where this family does not report it.
 
     `power_w` is measured light, `current_a` measured diode current; `fault` is empty when all is well.
     """
@@ -47,11 +47,11 @@ class Laser(Protocol):
     """
 
     def open(self) -> LaserIdentity:
-        """Claim the port, make sure of the family, light off, limits into the device."""
+        """Open the port, check the family, light off, write the limits into the device."""
         ...
 
     def identify(self) -> LaserIdentity:
-        """Ask the laser who it is."""
+        """Read vendor, model and serial number."""
         ...
 
     def set_power_w(self, power_w: float) -> None:
@@ -81,5 +81,5 @@ class Laser(Protocol):
         ...
 
     def close(self) -> None:
-        """Light off, said in the log where that is not sure; give the port back. Raises nothing."""
+        """Light off (a failure is logged), then release the port. Raises nothing."""
         ...

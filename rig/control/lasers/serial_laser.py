@@ -20,7 +20,7 @@ _POLL_S = 0.1
 
 
 class SerialLaser(ABC):
-    """A `Laser` over a line; a family says how it asks, sets and reads.
+    """A `Laser` over a serial line; a subclass defines how its family asks, sets and reads.
 
     Limits are kept here, before anything is sent, and in the device too where it has a limit of its own.
     """
@@ -28,7 +28,7 @@ class SerialLaser(ABC):
     terminator = b"\n"
     unit = "w"
     step = 1e-6
-    """What the device can tell apart, in its unit: so much less than was asked is no refusal."""
+    """Resolution of the device in its unit; a value that is less by so much counts as set."""
 
     def __init__(self, settings: LaserSettings, open_line: Callable[[], Line] | None = None) -> None:
         self._settings = settings
@@ -36,11 +36,11 @@ class SerialLaser(ABC):
         self._line: Line | None = None
         self._reader: LineReader | None = None
 
-    # -- what a family says ---------------------------------------------------
+    # -- defined by each family ------------------------------------------------
 
     @abstractmethod
     def identify(self) -> LaserIdentity:
-        """Ask the laser who it is; raises DeviceError where it is of another family."""
+        """Read vendor, model and serial number; raises DeviceError where it is of another family."""
 
     @abstractmethod
     def state(self) -> LaserState:
@@ -56,12 +56,12 @@ class SerialLaser(ABC):
 
     @abstractmethod
     def _set(self, value: float) -> float:
-        """Set power or current in W or A; return what the device says it has set."""
+        """Set power or current in W or A; return the value read back from the device."""
 
     # -- Laser ----------------------------------------------------------------
 
     def open(self) -> LaserIdentity:
-        """Claim the port, make sure of the family, light off, limits into the device."""
+        """Open the port, check the family, light off, write the limits into the device."""
         self.close()
         self._line = self._open_line()
         self._reader = LineReader(self._line)
@@ -120,7 +120,7 @@ class SerialLaser(ABC):
             raise LaserRefused(f"{self.name}: told to go dark, still lit; open the interlock by hand")
 
     def close(self) -> None:
-        """Light off, told again where it is not confirmed; give the port back."""
+        """Light off, repeated where it is not confirmed; release the port."""
         if self._line is None:
             return
         try:
@@ -175,7 +175,7 @@ class SerialLaser(ABC):
         line.write(command.encode("ascii") + self.terminator)
 
     def _set_within(self, value: float, limit: float, limit_name: str) -> None:
-        # Written so that NaN is refused too.
+        # Written so that NaN is rejected too.
         if not 0.0 <= value <= limit:
             raise PowerLimit(
                 f"{self.name}: {value:g} {self.unit.upper()} was asked for;"
@@ -201,6 +201,6 @@ class SerialLaser(ABC):
 
 
 def rounded_down(value: float, digits: int) -> str:
-    """Fixed-point text that never says more than was meant, binary rounding of the value itself apart."""
+    """Fixed-point text, rounded down so that a limit is never exceeded (but for binary rounding)."""
     scale = 10**digits
     return f"{math.floor(value * scale + 1e-6) / scale:.{digits}f}"

@@ -1,4 +1,4 @@
-"""What a user asks of the laser."""
+"""[laser]: who drives it, its power or current, its limits."""
 
 from typing import Literal, Self
 

@@ -81,7 +81,7 @@ class Enumeration(Valued):
         raise DeviceError(f"{self.nodes.name}: {self.name} has no choice {entry!r}; choices: {choices}")
 
     def own_access(self) -> Access:
-        """Without a choice that can be made now it is of no use, whatever the register says."""
+        """Not available while none of its choices is, whatever access the register has."""
         mode = super().own_access()
         if mode is Access.NOT_IMPLEMENTED:
             return mode

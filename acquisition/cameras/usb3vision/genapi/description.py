@@ -101,7 +101,7 @@ def _property(element: ElementTree.Element) -> Property:
 
 
 def _fields(struct: ElementTree.Element) -> list[NodeDescription]:
-    """What a StructReg says of the register holds for every field, unless the field says otherwise."""
+    """Properties of a StructReg hold for all its fields, unless a field states its own."""
     items = [_property(item) for item in _elements(struct)]
     common = [item for item in items if item.tag != "StructEntry"]
     fields = []

@@ -125,7 +125,7 @@ class Integer(Valued):
         return 1 if step is None else truncated(step)
 
     def set(self, value: int) -> None:
-        """Set it; out of range says the range."""
+        """Set it; DeviceError gives the range for a value outside."""
         self.must_be_writable()
         self.check_range(int(value))
         self.set_number(int(value))
@@ -149,7 +149,7 @@ class Float(Valued):
         return self.value_of("Inc")
 
     def set(self, value: float) -> None:
-        """Set it; out of range says the range."""
+        """Set it; DeviceError gives the range for a value outside."""
         self.must_be_writable()
         self.check_range(float(value))
         self.set_number(float(value))
