@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
-from processing.contact import PendulumOnBall, surface_energy
+from processing.contact import PendulumOnBall
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import DataError
 from processing.fit import (
@@ -18,6 +18,7 @@ from processing.fit import (
 )
 from processing.least_squares import Loss
 from processing.swing import KnownMotion, Swing, TurningPoints, turning_points
+from rig.analysis.contact_tree import energy_tree
 from rig.settings import FitSettings
 
 
@@ -84,7 +85,7 @@ def fit_decay(points: TurningPoints, pendulum: PendulumOnBall | None, settings: 
         }
     except DataError as error:
         return DecayFits({}, {}, str(error))
-    energies = {name: _energy(fit, pendulum) for name, fit in fits.items()}
+    energies = {name: energy_tree(fit.estimate("c"), pendulum) for name, fit in fits.items()}
     return DecayFits(
         fits, {**energies[FitMethod.EXACT], FitMethod.ASYMPTOTIC: energies[FitMethod.ASYMPTOTIC]}
     )
@@ -92,20 +93,3 @@ def fit_decay(points: TurningPoints, pendulum: PendulumOnBall | None, settings: 
 
 def _loss(settings: FitSettings) -> Loss:
     return "soft_l1" if settings.robust else "linear"
-
-
-def _energy(fit: FitResult, pendulum: PendulumOnBall) -> dict[str, dict[str, float]]:
-    """Both forms of the surface energy; each is proportional to c, and so is its uncertainty."""
-    c = fit.estimate("c")
-    value = surface_energy(c.value, pendulum)
-    unit = surface_energy(1.0, pendulum)
-    return {
-        "table2": {
-            "value": value.table2_j_per_m2,
-            "standard_uncertainty": c.standard_uncertainty * unit.table2_j_per_m2,
-        },
-        "eq2": {
-            "value": value.eq2_j_per_m2,
-            "standard_uncertainty": c.standard_uncertainty * unit.eq2_j_per_m2,
-        },
-    }

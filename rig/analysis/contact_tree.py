@@ -13,7 +13,6 @@ from processing.fit import (
     FitResult,
     Propagated,
     RigQuantities,
-    SeriesResult,
     average_curves,
     budgets,
     combine_runs,
@@ -158,7 +157,7 @@ def series_tree(
             continue
         tree[method] = {name: _combined_tree(item) for name, item in combined.parameters.items()}
         if method == FitMethod.EXACT:
-            tree["surface_energy_j_per_m2"] = _energy_tree(combined, pendulum)
+            tree["surface_energy_j_per_m2"] = energy_tree(combined.parameters["c"].estimate, pendulum)
             if rig is not None:
                 found = budgets(combined.measured, rig)
                 tree["budget"] = {name: budget_tree(budget) for name, budget in found.items()}
@@ -191,10 +190,10 @@ def _combined_tree(item: Combined) -> dict[str, Any]:
     }
 
 
-def _energy_tree(combined: SeriesResult, pendulum: PendulumOnBall) -> dict[str, Any]:
-    c: Estimate = combined.parameters["c"].estimate
-    value, slope = surface_energy(c.value, pendulum), surface_energy(1.0, pendulum)
+def energy_tree(c: Estimate, pendulum: PendulumOnBall) -> dict[str, Any]:
+    """Both forms of the surface energy; each is proportional to c, and so is its uncertainty."""
+    forms = surface_energy(c.value, pendulum), surface_energy(c.standard_uncertainty, pendulum)
     return {
-        "table2": estimate_tree(value.table2_j_per_m2, c.standard_uncertainty * slope.table2_j_per_m2),
-        "eq2": estimate_tree(value.eq2_j_per_m2, c.standard_uncertainty * slope.eq2_j_per_m2),
+        "table2": estimate_tree(*(form.table2_j_per_m2 for form in forms)),
+        "eq2": estimate_tree(*(form.eq2_j_per_m2 for form in forms)),
     }

@@ -13,13 +13,12 @@ FINAL_AMPLITUDE_ARCSEC: Final = 2.0
 RUNS: Final = 3
 LOOP_AMPLITUDE_ARCSEC: Final = 3.1
 BALL: Final = "steel"
-DEFAULT_B_EXPONENT: Final = -4
-"""Table 2 prints b without its power of ten. With this one a run lasts as long as the paper says."""
 
 
 @dataclass(frozen=True, slots=True)
 class PrintedPair:
-    """One contact pair: Tables 1 to 3. `b_printed` lacks its power of ten."""
+    """One contact pair: Tables 1 to 3. Table 2 prints b without its power of ten:
+    with 1e-4 a run lasts as long as the paper says."""
 
     name: str
     flat: str

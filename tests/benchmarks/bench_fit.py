@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 from scipy.integrate import quad
 
-from processing.contact.decay import decay_time
 from processing.contact.hertz import MATERIALS
 from processing.contact.laws import DRAG, PAPER
 from processing.contact.parameters import ContactParameters
@@ -25,6 +24,7 @@ from processing.fit.drag import drag_verdict
 from processing.fit.exact import fit_exact
 from processing.fit.reported import fitted_contact
 from processing.fit.uncertainty import monte_carlo
+from tests.processing.contact.eq5_closed_form import decay_time
 from tests.processing.fit.decays import ARCSEC, PAIRS, decay, paper_pair
 
 COVERAGES = (0.6827, 0.95)

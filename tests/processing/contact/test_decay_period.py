@@ -7,11 +7,12 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.integrate import quad
 
-from processing.contact.decay import decay_amplitude, decay_path, decay_time, path_nodes
+from processing.contact.decay import decay_path, path_nodes
 from processing.contact.half_swing import turning_points_of
 from processing.contact.parameters import ContactParameters
 from processing.contact.period_law import PRINTED_CURVATURE, cosine_moment, curvature, period
 from processing.errors import DataError
+from tests.processing.contact.eq5_closed_form import decay_amplitude, decay_time
 from tests.processing.fit.decays import ARCSEC, PAIRS, paper_pair
 
 
