@@ -12,7 +12,6 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 Loss = Literal["linear", "soft_l1", "huber", "cauchy"]
 Model = Callable[[NDArray[np.float64]], tuple[NDArray[np.float64], NDArray[np.float64]]]
@@ -79,6 +78,9 @@ def solve(
     `converged` is False where the steps ran out or no step could be made; the values then are
     the best ones seen, not a minimum.
     """
+    # imported here since settings read tables of processing, and starting a command should not cost scipy
+    from scipy.optimize import least_squares
+
     seen: dict[bytes, tuple[NDArray[np.float64], NDArray[np.float64]]] = {}
 
     def evaluate(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
