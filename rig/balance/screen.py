@@ -8,7 +8,7 @@ from rich.table import Table
 
 from processing.balance import Fault, Turn
 from rig.instrument import turn_text
-from rig.presentation import say
+from rig.presentation import NOT_KNOWN, say, with_uncertainty
 
 
 def print_faults(faults: Sequence[Fault], before: Sequence[Fault], *, live: bool = False) -> None:
@@ -25,12 +25,17 @@ def print_faults(faults: Sequence[Fault], before: Sequence[Fault], *, live: bool
     for name in ("limit", "what it means"):
         table.add_column(name)
     for k, fault in enumerate(faults):
-        now = "-" if math.isnan(fault.value) else f"{fault.value:+.4g} ± {fault.u_value:.2g} {fault.unit}"
-        row = ["ok" if fault.ok else "NO", fault.name, now]
+        row = ["go" if fault.ok else "NO", fault.name, _number(fault)]
         if before:
-            row.append("-" if math.isnan(before[k].value) else f"{before[k].value:+.4g}")
+            row.append(_number(before[k]))
         table.add_row(*row, f"{fault.limit:g}", "" if fault.ok else fault.meaning)
     Console().print(table, highlight=False)
+
+
+def _number(fault: Fault) -> str:
+    if math.isnan(fault.value):
+        return NOT_KNOWN
+    return f"{with_uncertainty(fault.value, fault.u_value, signed=True)} {fault.unit}".rstrip()
 
 
 def print_advice(turn: Turn | None, faults: Sequence[Fault]) -> None:

@@ -17,6 +17,7 @@ from processing.balance import (
 )
 from processing.contact import frequency_drop, stiffness_ratio
 from rig.instrument.configured import pendulum_on_ball
+from rig.presentation import with_uncertainty
 from rig.settings import Configuration
 
 Floats = NDArray[np.float64]
@@ -98,7 +99,7 @@ def advice_text(config: Configuration, balance: Balance, learned: WeightResponse
     head = _verdict(faults) if responses is None else turn_text(responses.advise(state), faults)
     lines = [f"**{head}**", ""]
     lines += [
-        f"- {fault.name} {fault.value:+.4g} ± {fault.u_value:.2g} {fault.unit} "
+        f"- {fault.name} {with_uncertainty(fault.value, fault.u_value, signed=True)} {fault.unit} "
         f"(limit {fault.limit:g}): {fault.meaning}"
         for fault in faults
         if not fault.ok

@@ -3,7 +3,7 @@
 from rig.presentation import palette
 from rig.presentation.balance import balance_drawn, balance_numbers, balance_panels, balance_table
 from rig.presentation.determined import determined_text, series_verdicts
-from rig.presentation.numbers import number, plain, power, with_uncertainty
+from rig.presentation.numbers import NOT_KNOWN, number, plain, power, with_uncertainty
 from rig.presentation.printing import plain_values, print_json_line, print_table, say
 from rig.presentation.quantities import SOURCES, Quantity, law_parameters, quantity
 from rig.presentation.table import Cell, Table
@@ -12,6 +12,7 @@ from rig.presentation.verdict import Verdict
 from rig.presentation.verdict_table import print_verdicts
 
 __all__ = [
+    "NOT_KNOWN",
     "SOURCES",
     "Cell",
     "Quantity",

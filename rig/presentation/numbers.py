@@ -45,17 +45,19 @@ def rounded(value: float, u: float) -> Rounded:
     return Rounded(value_text.replace("-", MINUS), u_text, exponent)
 
 
-def with_uncertainty(value: float, u: float) -> str:
+def with_uncertainty(value: float, u: float, *, signed: bool = False) -> str:
     """`(3.73315 ± 0.00010) × 10⁻³`: value and standard uncertainty, rounded as in `rounded`.
 
-    A value whose uncertainty is not known (NaN, infinite, 0) is printed without one.
+    A value whose uncertainty is not known (NaN, infinite, 0) is printed without one. `signed`: a
+    positive value has a plus sign, since its direction matters.
     """
     if not math.isfinite(value):
         return "not determined"
+    plus = "+" if signed and value > 0 else ""
     if not math.isfinite(u) or u <= 0:
-        return plain(value, 5)
+        return plus + plain(value, 5)
     value_text, u_text, exponent = rounded(value, u)
-    text = f"{value_text} ± {u_text}"
+    text = f"{plus}{value_text} ± {u_text}"
     return f"({text}){power(exponent)}" if exponent else text
 
 

@@ -36,6 +36,13 @@ def test_two_digits_of_the_uncertainty(value: float, u: float, text: str) -> Non
     assert with_uncertainty(value, u) == text
 
 
+def test_a_sign_where_the_direction_matters() -> None:
+    assert with_uncertainty(2.0, 0.0123, signed=True) == "+2.000 ± 0.012"
+    assert with_uncertainty(2e-7, 1e-9, signed=True) == "(+2.000 ± 0.010) × 10⁻⁷"
+    assert with_uncertainty(-2.0, 0.0123, signed=True) == "−2.000 ± 0.012"
+    assert with_uncertainty(2.0, math.nan, signed=True) == "+2.0000"
+
+
 FINITE = st.floats(allow_nan=False, allow_infinity=False)
 
 
