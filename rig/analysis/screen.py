@@ -43,8 +43,9 @@ def parameter_table(fits: Mapping[str, FitResult], energy: Mapping[str, Any]) ->
     """Parameters, a column a fit."""
     table = Table(box=None, pad_edge=False, header_style="bold")
     table.add_column("")
+    headings = {method.value: method.heading for method in FitMethod}
     for name in fits:
-        table.add_column(name, justify="right")
+        table.add_column(headings.get(name, name), justify="right")
     table.add_column("unit")
     for name in PAPER.names(drag=True):
         estimates = [fit.estimate(name) if name in fit.names else None for fit in fits.values()]

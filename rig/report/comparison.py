@@ -64,6 +64,8 @@ def compare(folders: Sequence[Path], output: Path | None) -> list[Table]:
 
 def _label(folder: Path, folders: Sequence[Path]) -> str:
     """The folder's own name, or its whole path where two share the name."""
+    if sum(other.resolve() == folder.resolve() for other in folders) > 1:
+        raise RecordError(f"{folder}: named twice; a comparison needs different sessions")
     name = folder.resolve().name
     return name if sum(other.resolve().name == name for other in folders) == 1 else str(folder)
 

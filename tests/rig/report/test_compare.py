@@ -79,3 +79,10 @@ def test_bad_input_is_one_line(tmp_path: Path) -> None:
     (unfitted / "results.json").write_text(json.dumps(tree))
     with pytest.raises(RecordError, match=r"no run of it was fitted \(no \[pendulum\]\)"):
         compare([one, unfitted], None)
+
+
+def test_a_session_is_not_compared_with_itself(tmp_path: Path) -> None:
+    """Two columns under one name would be one."""
+    folder = session(tmp_path / "dry")
+    with pytest.raises(RecordError, match="named twice"):
+        compare([folder, folder / ".." / "dry"], None)
