@@ -18,10 +18,21 @@ from processing.contact.hertz import (
     material,
     pendulum_on_ball,
 )
-from processing.contact.law import AMPLITUDE, DRAG, TIME, Columns, HalfSwings, HeldColumn, Law, Parameter
+from processing.contact.law import (
+    AMPLITUDE,
+    DRAG,
+    TIME,
+    BranchMoments,
+    Columns,
+    HalfSwings,
+    HeldColumn,
+    Law,
+    Parameter,
+)
 from processing.contact.laws import LAWS, PAPER
+from processing.contact.loops import moment_loop
 from processing.contact.losses import measured_losses, model_losses
-from processing.contact.moments import cycle_work, moment_loop, surface_energy, weight_moment
+from processing.contact.moments import cycle_work, surface_energy, weight_moment
 from processing.contact.parameters import STANDARD_GRAVITY_M_PER_S2, ContactParameters, PendulumOnBall
 from processing.contact.period_law import cosine_moment, frequency_drop, period
 
@@ -33,6 +44,7 @@ __all__ = [
     "PAPER",
     "STANDARD_GRAVITY_M_PER_S2",
     "TIME",
+    "BranchMoments",
     "Columns",
     "ContactParameters",
     "HalfSwings",

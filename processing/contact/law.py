@@ -74,6 +74,13 @@ class HalfSwings(NamedTuple):
     time_gradient: Array
 
 
+class BranchMoments(NamedTuple):
+    """Moments on the way from one turning point to the next, N m: by friction, and elastic (Eq. 7)."""
+
+    friction_n_m: Array
+    elastic_n_m: Array
+
+
 class HeldColumn(NamedTuple):
     """Which column moves when one parameter is held at other values, and whether it must keep its sign."""
 
@@ -135,6 +142,8 @@ class Law:
         For people: what the law says, and where it comes from.
     parameters
         Of the law, in the order in which fits and tables give them.
+    branch_moments
+        For deflections (rad), the sign of phi', the parameters by key and the pendulum.
     half_swing_map
         Turning points at rising half-cycle numbers (the first 0) for the map's parameters; it
         calls a compiled kernel.
@@ -149,6 +158,7 @@ class Law:
     title: str
     source: str
     parameters: tuple[Parameter, ...]
+    branch_moments: Callable[[Array, Array, Mapping[str, float], PendulumOnBall], BranchMoments]
     half_swing_map: Callable[[Array, NDArray[np.int64]], HalfSwings]
     columns: Callable[[TurningPoints, PendulumOnBall | None, tuple[str, ...]], Columns]
     uncalibrated: dict[str, Parameter] = field(default_factory=dict)

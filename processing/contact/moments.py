@@ -1,4 +1,4 @@
-"""Moments of the contact (Eqs. 1, 3, 7), the loops they draw, the work they take, surface energy."""
+"""Moments of the paper's law (Eqs. 1, 3), the work they take, surface energy."""
 
 from dataclasses import dataclass
 from math import pi
@@ -8,7 +8,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from processing.contact.half_swing import stiffness_ratio
 from processing.contact.parameters import ContactParameters, PendulumOnBall
-from processing.errors import DataError
 
 
 def weight_moment(pendulum: PendulumOnBall) -> float:
@@ -36,34 +35,6 @@ def elastic_moment(
         stiffness_ratio(parameters.gamma_pa, pendulum) * size ** (parameters.n + 1) * (pi / 2 - rho * size)
     )
     return np.asarray(weight_moment(pendulum) * ratio * np.sign(phi), dtype=np.float64)
-
-
-@dataclass(frozen=True)
-class MomentLoop:
-    """One full swing, +alpha to -alpha and back: a closed curve of `2 points` places.
-
-    `phi_rad` holds the way back first (falling), then forth; the friction moment jumps at both
-    turning points, which therefore appear twice.
-    """
-
-    phi_rad: NDArray[np.float64]
-    friction_n_m: NDArray[np.float64]
-    elastic_n_m: NDArray[np.float64]
-    total_n_m: NDArray[np.float64]
-
-
-def moment_loop(
-    amplitude_rad: float, parameters: ContactParameters, pendulum: PendulumOnBall, *, points: int = 201
-) -> MomentLoop:
-    """The three loops of Table 4 at an amplitude, its change within the cycle left out."""
-    if not amplitude_rad > 0:
-        raise DataError(f"amplitude {amplitude_rad} rad: a loop needs a positive one")
-    down = np.linspace(amplitude_rad, -amplitude_rad, points)
-    phi = np.concatenate([down, down[::-1]])
-    direction = np.repeat([-1.0, 1.0], points)
-    friction = friction_moment(phi, direction, parameters, pendulum)
-    elastic = elastic_moment(phi, parameters, pendulum)
-    return MomentLoop(phi, friction, elastic, friction + elastic)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,6 +1,7 @@
 """Moments of the contact (Table 4), correlations of the fit, runs of a series beside each other."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ def loop_figure(
 ) -> Drawing:
     """The three loops of Table 4 with the rectangle of the adhesive work."""
     amplitude_rad = amplitude_arcsec * ARCSEC_RAD
-    loop = moment_loop(amplitude_rad, parameters, pendulum)
+    loop = moment_loop(amplitude_rad, asdict(parameters), pendulum)
     work = cycle_work(amplitude_rad, parameters, pendulum)
     phi = loop.phi_rad / ARCSEC_RAD
     closed = np.append(phi, phi[0])

@@ -1,6 +1,7 @@
 """The analysing layout's content for a record: its fits as curves, and the report's numbers as text."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -129,7 +130,9 @@ def _loops(run: RunAnalysis, amplitude: float) -> list[Curve]:
     pendulum = pendulum_of(run.tree)
     if pendulum is None:
         raise RecordError(f"{run.record}: its results name no pendulum; rig fit makes them anew")
-    loop = moment_loop(amplitude * run.unit_rad, parameters_of(run.tree["fits"][FitMethod.EXACT]), pendulum)
+    loop = moment_loop(
+        amplitude * run.unit_rad, asdict(parameters_of(run.tree["fits"][FitMethod.EXACT])), pendulum
+    )
     closed = np.append(np.arange(len(loop.phi_rad)), 0)
     angle = loop.phi_rad[closed] / run.unit_rad
     moments = {"dissipative": loop.friction_n_m, "elastic": loop.elastic_n_m, "total": loop.total_n_m}

@@ -7,9 +7,25 @@ The half-swing map is derived in `half_swing` and compiled in `half_swing_kernel
 columns are in `half_swing_columns`, what they start from in `start_values`.
 """
 
+from collections.abc import Mapping
+
 from processing.contact.half_swing import half_swings
 from processing.contact.half_swing_columns import LARGEST, SMALLEST, HalfSwingColumns
-from processing.contact.law import Law, Parameter
+from processing.contact.law import Array, BranchMoments, Law, Parameter
+from processing.contact.moments import elastic_moment, friction_moment
+from processing.contact.parameters import ContactParameters, PendulumOnBall
+
+
+def _branch_moments(
+    phi_rad: Array, direction: Array, values: Mapping[str, float], pendulum: PendulumOnBall
+) -> BranchMoments:
+    """Eqs. 1 and 3; a linear drag is not part of them."""
+    parameters = ContactParameters(**{name: values[name] for name in PAPER.names()})
+    return BranchMoments(
+        friction_moment(phi_rad, direction, parameters, pendulum),
+        elastic_moment(phi_rad, parameters, pendulum),
+    )
+
 
 PAPER = Law(
     name="paper",
@@ -37,6 +53,7 @@ PAPER = Law(
             "gamma_pa", "γ", "Pa", "stiffness of the elastic adhesion", "Eq. 3", lower=0.0, logarithmic=True
         ),
     ),
+    branch_moments=_branch_moments,
     half_swing_map=half_swings,
     columns=HalfSwingColumns,
     uncalibrated={

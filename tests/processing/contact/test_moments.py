@@ -1,11 +1,14 @@
 """Loops, work and losses: what is drawn must be what is lost."""
 
+from dataclasses import asdict
+
 import numpy as np
 import pytest
 
 from processing.contact.half_swing import turning_points_of
+from processing.contact.loops import moment_loop
 from processing.contact.losses import measured_losses, model_losses
-from processing.contact.moments import cycle_work, elastic_moment, moment_loop, weight_moment
+from processing.contact.moments import cycle_work, elastic_moment, weight_moment
 from processing.contact.parameters import ContactParameters
 from processing.errors import DataError
 from tests.processing.fit.decays import ARCSEC, PAIRS, decay, paper_pair, without
@@ -15,7 +18,7 @@ from tests.processing.fit.decays import ARCSEC, PAIRS, decay, paper_pair, withou
 def test_area_of_the_loop_is_the_work_per_cycle(flat: str) -> None:
     parameters, pendulum = paper_pair(flat)
     alpha = 3.1 * ARCSEC  # Table 4
-    loop = moment_loop(alpha, parameters, pendulum, points=20_001)
+    loop = moment_loop(alpha, asdict(parameters), pendulum, points=20_001)
     work = cycle_work(alpha, parameters, pendulum)
     # trapezoid over |phi|^p: the kink at zero costs (1/points)^(1+p), 1e-7
     area = -np.trapezoid(loop.friction_n_m, loop.phi_rad)
@@ -23,7 +26,7 @@ def test_area_of_the_loop_is_the_work_per_cycle(flat: str) -> None:
     total = -np.trapezoid(loop.total_n_m, loop.phi_rad)
     assert total == pytest.approx(work.dissipated_j, rel=1e-6), "the elastic part gives back what it takes"
     c_only = ContactParameters(0.0, 1.0, parameters.c, parameters.n, parameters.period0_s, 0.0)
-    rectangle = moment_loop(alpha, c_only, pendulum)
+    rectangle = moment_loop(alpha, asdict(c_only), pendulum)
     assert -np.trapezoid(rectangle.friction_n_m, rectangle.phi_rad) == pytest.approx(
         work.adhesive_j, rel=1e-12
     )

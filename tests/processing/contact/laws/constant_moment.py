@@ -12,6 +12,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from processing.contact import HalfSwings, HeldColumn, Law, Parameter, PendulumOnBall
+from processing.contact.law import BranchMoments
+from processing.contact.moments import weight_moment
 from processing.periods import mean_period, reference_amplitude
 from processing.swing import TurningPoints
 
@@ -36,6 +38,12 @@ def _half_swings(q: Array, index: NDArray[np.int64]) -> tuple[Array, Array, Arra
 
 def _map(parameters: Array, index: NDArray[np.int64]) -> HalfSwings:
     return HalfSwings(*_half_swings(parameters, index))
+
+
+def _branch_moments(
+    phi_rad: Array, direction: Array, values: Mapping[str, float], pendulum: PendulumOnBall
+) -> BranchMoments:
+    return BranchMoments(-weight_moment(pendulum) * values["c"] * np.sign(direction), np.zeros_like(phi_rad))
 
 
 class ConstantMomentColumns:
@@ -78,6 +86,7 @@ CONSTANT_MOMENT = Law(
         Parameter("c", "c", "1", "friction over m g R", "M = -m g R c sign(phi')", lower=0.0),
         Parameter("period0_s", "T₀", "s", "period", "I phi'' = -m g R phi", lower=0.0),
     ),
+    branch_moments=_branch_moments,
     half_swing_map=_map,
     columns=ConstantMomentColumns,
 )

@@ -5,7 +5,7 @@ from types import MappingProxyType
 import numpy as np
 import pytest
 
-from processing.contact import AMPLITUDE, LAWS, TIME, Law, laws
+from processing.contact import AMPLITUDE, LAWS, TIME, Law, laws, moment_loop, weight_moment
 from processing.fit import fit_exact, identifiability
 from processing.fit.exact_model import ExactModel
 from tests.processing.contact.laws.constant_moment import CONSTANT_MOMENT, constant_moment_decay
@@ -65,6 +65,13 @@ def test_a_law_of_ones_own_is_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
         pulls.append((result.values - truth) / result.standard_uncertainty)
     assert np.all(np.abs(np.mean(pulls, axis=0)) < 4 / np.sqrt(20))
     assert np.all((np.std(pulls, axis=0) > 0.6) & (np.std(pulls, axis=0) < 1.5))
+
+
+def test_the_loop_of_its_moments_encloses_the_work_of_a_cycle() -> None:
+    _, pendulum = paper_pair("steel")
+    loop = moment_loop(_FIRST, {"c": _C, "period0_s": _PERIOD_S}, pendulum, law=CONSTANT_MOMENT)
+    work = -np.trapezoid(loop.total_n_m, loop.phi_rad)
+    assert work == pytest.approx(4 * weight_moment(pendulum) * _C * _FIRST)
 
 
 def test_its_parameters_are_judged_like_any_other() -> None:

@@ -1,0 +1,47 @@
+"""Loops that the moments of a law draw over a full swing (Eq. 7)."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from processing.contact.law import Law
+from processing.contact.laws import PAPER
+from processing.contact.parameters import PendulumOnBall
+from processing.errors import DataError
+
+
+@dataclass(frozen=True)
+class MomentLoop:
+    """One full swing, +alpha to -alpha and back: a closed curve of `2 points` places.
+
+    `phi_rad` holds the way back first (falling), then forth; the friction moment jumps at both
+    turning points, which therefore appear twice.
+    """
+
+    phi_rad: NDArray[np.float64]
+    friction_n_m: NDArray[np.float64]
+    elastic_n_m: NDArray[np.float64]
+    total_n_m: NDArray[np.float64]
+
+
+def moment_loop(
+    amplitude_rad: float,
+    values: Mapping[str, float],
+    pendulum: PendulumOnBall,
+    *,
+    law: Law = PAPER,
+    points: int = 201,
+) -> MomentLoop:
+    """The three loops of Table 4 at an amplitude, its change within the cycle left out.
+
+    `values` are the law's parameters by name, in SI units.
+    """
+    if not amplitude_rad > 0:
+        raise DataError(f"amplitude {amplitude_rad} rad: a loop needs a positive one")
+    down = np.linspace(amplitude_rad, -amplitude_rad, points)
+    phi = np.concatenate([down, down[::-1]])
+    direction = np.repeat([-1.0, 1.0], points)
+    moments = law.branch_moments(phi, direction, values, pendulum)
+    return MomentLoop(phi, *moments, moments.friction_n_m + moments.elastic_n_m)
