@@ -7,7 +7,7 @@ PIP    := $(BIN)/python -m pip --disable-pip-version-check
 INSTALL = $(PIP) install --quiet
 
 .DELETE_ON_ERROR:
-.PHONY: demo test test-quick test-kernel bench lint format pins clean
+.PHONY: demo test test-quick test-kernel bench lint format schema pins clean
 
 demo: $(VENV)/.installed
 	$(BIN)/rig run configs/demo.toml $(ARGS)
@@ -30,6 +30,10 @@ lint: $(VENV)/.installed-test
 format: $(VENV)/.installed-test
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
+
+# The JSON schema of results.json follows from the values in rig/analysis/results.py.
+schema: $(VENV)/.installed
+	$(BIN)/python -c 'from rig.analysis import results_schema; print(results_schema(), end="")' > docs/results.schema.json
 
 bench: $(VENV)/.installed-test
 	-$(PIP) install --quiet ".[bench]"

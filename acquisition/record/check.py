@@ -5,7 +5,6 @@ import struct
 import zlib
 from collections import Counter, defaultdict
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import IO, Literal, NamedTuple
 
@@ -18,6 +17,7 @@ from acquisition.record.digest import sha256_of
 from acquisition.record.reader import RecordReader
 from acquisition.record.schemas import parse_message_type
 from acquisition.record.topics import PACKAGE, SPOT, WINDOW
+from acquisition.record.utc import utc_text
 from processing.errors import RecordError
 
 _BLOCK_BYTES = 4 * 1024 * 1024
@@ -78,7 +78,7 @@ def check_record(path: Path, results: Path | None = None) -> list[Finding]:
                 Finding(
                     "error",
                     f"the file was cut short: {lost} bytes behind the last complete record at "
-                    f"{_utc(contents.end_ns)}; rig recover makes a whole file of it",
+                    f"{utc_text(contents.end_ns)}; rig recover makes a whole file of it",
                 )
             )
         tally = _Tally()
@@ -104,7 +104,7 @@ def _check_chunks(reader: RecordReader, tally: _Tally) -> list[Finding]:
     followed = frozenset(n for n, c in contents.channels.items() if c.topic in (SPOT.topic, WINDOW.topic))
     findings = []
     for place in contents.chunks:
-        span = f"{_utc(place.start_ns)} to {_utc(place.end_ns)}"
+        span = f"{utc_text(place.start_ns)} to {utc_text(place.end_ns)}"
         where = f"chunk at byte {place.offset} ({_topics(contents, place)}, {span})"
         try:
             chunk = open_chunk(reader.file, place)
@@ -223,7 +223,7 @@ def _check_order(contents: Contents, tally: _Tally) -> list[Finding]:
         Finding(
             "error",
             f"{contents.channels[number].topic}: time runs backwards {count} times, first at "
-            f"{_utc(tally.first_backwards_ns[number])}",
+            f"{utc_text(tally.first_backwards_ns[number])}",
         )
         for number, count in sorted(tally.backwards.items())
         if number in contents.channels and contents.channels[number].topic in (SPOT.topic, WINDOW.topic)
@@ -289,10 +289,3 @@ def _check_hash(path: Path, results: Path) -> Finding:
 def _topics(contents: Contents, place: ChunkPlace) -> str:
     names = sorted(contents.channels[n].topic for n in place.channels if n in contents.channels)
     return " ".join(names) or "topics unknown"
-
-
-def _utc(time_ns: int) -> str:
-    try:
-        return datetime.fromtimestamp(time_ns * 1e-9, UTC).isoformat(timespec="milliseconds")
-    except (ValueError, OverflowError, OSError):
-        return f"{time_ns} ns"

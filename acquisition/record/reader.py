@@ -1,5 +1,6 @@
 """Reads a record, whole or cut short, chunk by chunk: memory stays flat however large the file is."""
 
+import datetime
 import logging
 import math
 from collections.abc import Iterator
@@ -32,6 +33,7 @@ from acquisition.record.topics import (
     RecordedLosses,
     RecordedWindow,
 )
+from acquisition.record.utc import utc
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import RecordError
 from processing.swing import Swing
@@ -136,6 +138,15 @@ class RecordReader:
     def epoch_offset_ns(self) -> int:
         """What was added to the frames' clock to give UTC."""
         return int(self.metadata["record"]["epoch_offset_ns"])
+
+    @property
+    def full_scale_dn(self) -> int:
+        """Largest grey value of the camera; 255 where an older record does not say."""
+        return int(self.metadata.get("camera", {}).get("full_scale_dn", "255"))
+
+    def utc(self, time_ns: int) -> datetime.datetime:
+        """A time of the record's clock in UTC."""
+        return utc(time_ns + self.epoch_offset_ns)
 
     @property
     def deflection_unit(self) -> DeflectionUnit:

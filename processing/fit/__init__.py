@@ -2,7 +2,7 @@
 
 from processing.fit.apparatus import Quantity, RigQuantities
 from processing.fit.asymptotic import fit_asymptotic
-from processing.fit.determination import Determination, identifiability, strong_correlations
+from processing.fit.determination import Determination, Verdict, identifiability, strong_correlations
 from processing.fit.drag import DragVerdict, drag_verdict
 from processing.fit.exact import fit_exact
 from processing.fit.remeasure import agree, known_motion, measured_again
@@ -39,6 +39,7 @@ __all__ = [
     "Quantity",
     "RigQuantities",
     "SeriesResult",
+    "Verdict",
     "agree",
     "average_curves",
     "budgets",

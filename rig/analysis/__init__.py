@@ -1,53 +1,89 @@
 """From a record or a table to results: laws of the contact, other instruments, verdicts, results.json."""
 
-from rig.analysis.contact_laws import points_in_true_time, settled_swings
-from rig.analysis.contact_tree import evaluation_tree, series_tree
-from rig.analysis.contact_verdicts import evaluate
-from rig.analysis.curves import Curves, curves_of, parameters_of, pendulum_of
-from rig.analysis.record_fit import analyse_record, analyse_run, combine, fit_records, free_name
-from rig.analysis.results import RunResult, fit_tree, results_tree, write_results
+from rig.analysis.contact_laws import points_in_true_time, settled_swings, surface_energies
+from rig.analysis.contact_series import combined_series
+from rig.analysis.contact_verdicts import evaluate, fit_results
+from rig.analysis.curves import Curves, curves_of
+from rig.analysis.determined import bound_text, determined_text, series_verdicts
+from rig.analysis.encoding import JsonObject
+from rig.analysis.instrument_results import DecrementTable, InstrumentResults, PeriodTable, SwingPlane
+from rig.analysis.record_fit import AnalysedRun, analyse_record, analyse_run, session_results
+from rig.analysis.results import (
+    NOT_DETERMINED,
+    AveragedCurves,
+    Budget,
+    CombinedParameter,
+    Correlation,
+    Determination,
+    Drag,
+    Fit,
+    MonteCarlo,
+    RunResults,
+    Series,
+    SessionResults,
+    StoredTurningPoints,
+    SurfaceEnergies,
+    SurfaceEnergy,
+    TableResults,
+)
 from rig.analysis.results_file import (
     RESULTS_NAME,
-    Motion,
-    Picture,
-    ReportSource,
-    RunData,
+    encoded,
+    free_path,
     read_results,
-    read_source,
     recorded_results,
     results_path,
+    results_schema,
+    write_results,
 )
 from rig.analysis.screen import print_results
 from rig.analysis.table_fit import fit_trajectory
 
 __all__ = [
+    "NOT_DETERMINED",
     "RESULTS_NAME",
+    "AnalysedRun",
+    "AveragedCurves",
+    "Budget",
+    "CombinedParameter",
+    "Correlation",
     "Curves",
-    "Motion",
-    "Picture",
-    "ReportSource",
-    "RunData",
-    "RunResult",
+    "DecrementTable",
+    "Determination",
+    "Drag",
+    "Fit",
+    "InstrumentResults",
+    "JsonObject",
+    "MonteCarlo",
+    "PeriodTable",
+    "RunResults",
+    "Series",
+    "SessionResults",
+    "StoredTurningPoints",
+    "SurfaceEnergies",
+    "SurfaceEnergy",
+    "SwingPlane",
+    "TableResults",
     "analyse_record",
     "analyse_run",
-    "combine",
+    "bound_text",
+    "combined_series",
     "curves_of",
+    "determined_text",
+    "encoded",
     "evaluate",
-    "evaluation_tree",
-    "fit_records",
+    "fit_results",
     "fit_trajectory",
-    "fit_tree",
-    "free_name",
-    "parameters_of",
-    "pendulum_of",
+    "free_path",
     "points_in_true_time",
     "print_results",
     "read_results",
-    "read_source",
     "recorded_results",
     "results_path",
-    "results_tree",
-    "series_tree",
+    "results_schema",
+    "series_verdicts",
+    "session_results",
     "settled_swings",
+    "surface_energies",
     "write_results",
 ]

@@ -2,11 +2,12 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from processing.contact import PendulumOnBall
+from processing.contact import PendulumOnBall, surface_energy
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import DataError
+from processing.estimate import Estimate
 from processing.fit import (
     FitMethod,
     FitResult,
@@ -18,7 +19,7 @@ from processing.fit import (
 )
 from processing.least_squares import Loss
 from processing.swing import KnownMotion, Swing, TurningPoints, turning_points
-from rig.analysis.contact_tree import energy_tree
+from rig.analysis.results import SurfaceEnergies, SurfaceEnergy
 from rig.settings import FitSettings
 
 
@@ -27,7 +28,7 @@ class DecayFits:
     """Both fits of one decay; `problem` says in one line why they are missing."""
 
     fits: Mapping[str, FitResult]
-    surface_energy: Mapping[str, Any]
+    surface_energy: SurfaceEnergies | None
     problem: str = ""
 
 
@@ -73,7 +74,7 @@ def fit_decay(points: TurningPoints, pendulum: PendulumOnBall | None, settings: 
     """Asymptotic and exact fit of turning points; a decay that cannot be fitted is said, not raised."""
     if pendulum is None:
         return DecayFits(
-            {}, {}, "no [pendulum] in the configuration: state mass_kg and ball_radius_m to fit the contact"
+            {}, None, "no [pendulum] in the configuration: state mass_kg and ball_radius_m to fit the contact"
         )
     loss = _loss(settings)
     try:
@@ -84,12 +85,24 @@ def fit_decay(points: TurningPoints, pendulum: PendulumOnBall | None, settings: 
             FitMethod.EXACT: fit_exact(points, pendulum, drag=settings.drag, loss=loss),
         }
     except DataError as error:
-        return DecayFits({}, {}, str(error))
-    energies = {name: energy_tree(fit.estimate("c"), pendulum) for name, fit in fits.items()}
-    return DecayFits(
-        fits, {**energies[FitMethod.EXACT], FitMethod.ASYMPTOTIC: energies[FitMethod.ASYMPTOTIC]}
-    )
+        return DecayFits({}, None, str(error))
+    return DecayFits(fits, surface_energies(fits, pendulum))
 
 
 def _loss(settings: FitSettings) -> Loss:
     return "soft_l1" if settings.robust else "linear"
+
+
+def surface_energies(fits: Mapping[str, FitResult], pendulum: PendulumOnBall) -> SurfaceEnergies:
+    """Surface energy after every fit."""
+    energies = {name: surface_energy_of(fit.estimate("c"), pendulum) for name, fit in fits.items()}
+    default = energies.pop(FitMethod.EXACT)
+    return SurfaceEnergies(default.table2, default.eq2, energies)
+
+
+def surface_energy_of(c: Estimate, pendulum: PendulumOnBall) -> SurfaceEnergy:
+    """Both forms of the surface energy; each is proportional to c, and so is its uncertainty."""
+    value, u = surface_energy(c.value, pendulum), surface_energy(c.standard_uncertainty, pendulum)
+    return SurfaceEnergy(
+        Estimate(value.table2_j_per_m2, u.table2_j_per_m2), Estimate(value.eq2_j_per_m2, u.eq2_j_per_m2)
+    )

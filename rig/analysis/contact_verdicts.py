@@ -1,9 +1,8 @@
 """What stands behind a fit's numbers: drag, identifiability, budget, Monte Carlo, contact, work."""
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import NamedTuple
+from collections.abc import Mapping
+from dataclasses import astuple, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,12 +12,11 @@ from processing.angle import ARCSEC_RAD
 from processing.contact import HertzContact, PendulumOnBall, cycle_work, hertz_contact
 from processing.errors import DataError
 from processing.estimate import Estimate
+from processing.fit import Budget as GumBudget
+from processing.fit import Determination as Identified
 from processing.fit import (
-    Budget,
-    Determination,
     DragVerdict,
     FitResult,
-    Propagated,
     Quantity,
     RigQuantities,
     budgets,
@@ -31,52 +29,27 @@ from processing.fit import (
     strong_correlations,
     work_per_cycle_j,
 )
+from processing.fit import Propagated as Sampled
 from processing.swing import TurningPoints
+from rig.analysis.results import (
+    Budget,
+    BudgetSource,
+    Correlation,
+    Determination,
+    Drag,
+    Fit,
+    Hertz,
+    MonteCarlo,
+    Propagated,
+    RunResults,
+    Work,
+)
 from rig.instrument import balls, material
 from rig.settings import Configuration, TimebaseSettings
 
 DRAWS = 10_000
 TABLE4_AMPLITUDE_ARCSEC = 3.1
 """Amplitude at which the paper's Table 4 draws its loops."""
-
-
-class WorkPerCycle(NamedTuple):
-    """Work of one cycle in J: 4A, its adhesive part 4A_t, that of a linear drag beside them."""
-
-    amplitude_arcsec: float
-    dissipated_j: Estimate
-    adhesive_j: Estimate
-    drag_j: float
-
-
-@dataclass(frozen=True)
-class Evaluation:
-    """Verdicts and uncertainties of one run's exact fit.
-
-    `rig` and `contact` are None where the contact radius is stated instead of calculated after
-    Hertz; there is no budget and no Monte Carlo then, and `notes` says so.
-    """
-
-    pendulum: PendulumOnBall
-    rig: RigQuantities | None
-    contact: HertzContact | None
-    drag: DragVerdict | None
-    determinations: Sequence[Determination]
-    strong_correlations: Sequence[tuple[str, str, float]]
-    budgets: Mapping[str, Budget]
-    propagated: Mapping[str, Propagated]
-    seed: int
-    work: Sequence[WorkPerCycle]
-    notes: Sequence[str]
-
-    def lines(self) -> list[str]:
-        """The essentials, a line each, for a terminal."""
-        found = [self.drag.text] if self.drag else []
-        found += [item.text for item in self.determinations if item.verdict != "determined"]
-        if self.strong_correlations:
-            pairs = ", ".join(f"{a}/{b} {value:+.3f}" for a, b, value in self.strong_correlations[:3])
-            found.append(f"hardly told apart (correlation): {pairs}")
-        return [*found, *self.notes]
 
 
 def rig_quantities(config: Configuration, fast_ratio: float = 0.0) -> RigQuantities | None:
@@ -129,16 +102,20 @@ def contact_of(rig: RigQuantities) -> HertzContact:
 
 
 def evaluate(
+    run: RunResults,
     points: TurningPoints,
     pendulum: PendulumOnBall,
     exact: FitResult,
     rig: RigQuantities | None,
     seed: int,
-) -> Evaluation:
-    """Everything that is said about an exact fit beyond its numbers.
+) -> RunResults:
+    """The run with everything that is said about its exact fit beyond the fit's own numbers.
 
     Parameters
     ----------
+    rig
+        None where the contact radius is stated instead of calculated after Hertz: there is no budget and
+        no Monte Carlo then.
     seed
         Of the Monte Carlo draws, so that the same record gives the same intervals.
 
@@ -148,20 +125,21 @@ def evaluate(
     open) is said in `notes`; nothing is raised for it.
     """
     notes: list[str] = []
-    drag: DragVerdict | None = None
-    determinations: Sequence[Determination] = ()
+    drag: Drag | None = None
+    determinations: tuple[Determination, ...] = ()
     try:
-        drag = drag_verdict(points, pendulum, loss=exact.loss, without=None if exact.has_drag else exact)
+        found = drag_verdict(points, pendulum, loss=exact.loss, without=None if exact.has_drag else exact)
+        drag = _drag(found)
+        if found.significant and not exact.has_drag:
+            notes.append("the reported fit leaves that drag out; fit.drag = true reports the fit with it")
     except DataError as error:
         notes.append(f"no drag verdict: {error}")
     try:
-        determinations = identifiability(points, pendulum, exact)
+        determinations = tuple(_determination(item) for item in identifiability(points, pendulum, exact))
     except DataError as error:
         notes.append(f"no identifiability verdict: {error}")
-    if drag is not None and drag.significant and not exact.has_drag:
-        notes.append("the reported fit leaves that drag out; fit.drag = true reports the fit with it")
-    tables: Mapping[str, Budget] = {}
-    propagated: Mapping[str, Propagated] = {}
+    tables: Mapping[str, GumBudget] = {}
+    propagated: Mapping[str, Sampled] = {}
     if rig is None:
         notes.append("no uncertainty budget: the contact radius is stated, not calculated after Hertz")
     else:
@@ -176,27 +154,98 @@ def evaluate(
             propagated = monte_carlo(fitted_contact(exact), rig, rng, draws=DRAWS, against=tables)
         except DataError as error:
             notes.append(f"no Monte Carlo: {error}")
-    return Evaluation(
+    return replace(
+        run,
         pendulum=pendulum,
-        rig=rig,
-        contact=contact_of(rig) if rig is not None else None,
+        hertz=None if rig is None else _hertz(contact_of(rig)),
         drag=drag,
-        determinations=determinations,
-        strong_correlations=strong_correlations(exact),
-        budgets=tables,
-        propagated=propagated,
-        seed=seed,
-        work=[
+        identifiability=determinations,
+        strong_correlations=tuple(strong_correlations(exact)),
+        budget=budget_results(tables),
+        monte_carlo=MonteCarlo(DRAWS, seed, {name: _propagated(item) for name, item in propagated.items()})
+        if propagated
+        else None,
+        work_per_cycle=tuple(
             _work(amplitude, exact, pendulum, rig if propagated else None, seed)
             for amplitude in (TABLE4_AMPLITUDE_ARCSEC, float(points.amplitude[0]) / ARCSEC_RAD)
-        ],
-        notes=notes,
+        ),
+        notes=tuple(notes),
     )
+
+
+def fit_results(fit: FitResult) -> Fit:
+    """What is reported of one fit."""
+    return Fit(
+        parameters=fit.estimates(),
+        mean_period_s=fit.mean_period_s,
+        arae_decay=fit.arae_decay,
+        arae_period=fit.arae_period,
+        chi2_per_dof=fit.chi2_per_dof,
+        degrees_of_freedom=fit.dof,
+        correlation=Correlation(tuple(fit.names), tuple(map(tuple, fit.correlation.tolist()))),
+        outliers=fit.outliers,
+        warnings=fit.warnings,
+    )
+
+
+def budget_results(found: Mapping[str, GumBudget]) -> dict[str, Budget]:
+    """What is reported of uncertainty budgets, by quantity."""
+    return {
+        name: Budget(
+            unit=budget.unit,
+            value=budget.value,
+            standard_uncertainty=budget.standard_uncertainty,
+            degrees_of_freedom=budget.dof,
+            coverage_factor_95=budget.coverage_factor,
+            expanded_uncertainty_95=budget.expanded,
+            sources=tuple(BudgetSource(*astuple(line)) for line in budget.lines),
+        )
+        for name, budget in found.items()
+    }
+
+
+def _hertz(contact: HertzContact) -> Hertz:
+    return Hertz(
+        Estimate(contact.radius_m, contact.u_radius_m),
+        Estimate(contact.depth_m, contact.u_depth_m),
+        Estimate(contact.angle_rad, contact.u_angle_rad),
+    )
+
+
+def _drag(found: DragVerdict) -> Drag:
+    return Drag(
+        drag_s=found.drag_s,
+        f_statistic=found.f_statistic,
+        p_value=found.p_value,
+        aic_difference=found.aic_difference,
+        relative_shift_b=found.shift_b,
+        relative_shift_c=found.shift_c,
+        significant=found.significant,
+        text=found.text,
+        with_drag=found.with_drag.estimates(),
+    )
+
+
+def _determination(item: Identified) -> Determination:
+    return Determination(
+        name=item.name,
+        verdict=item.verdict,
+        value=item.value,
+        standard_uncertainty=item.standard_uncertainty,
+        lower_95=item.lower,
+        upper_95=item.upper,
+        profile_likelihood=item.profiled,
+        text=item.text,
+    )
+
+
+def _propagated(item: Sampled) -> Propagated:
+    return Propagated(item.mean, item.standard_uncertainty, item.lower, item.upper, item.gum_holds)
 
 
 def _work(
     amplitude_arcsec: float, exact: FitResult, pendulum: PendulumOnBall, rig: RigQuantities | None, seed: int
-) -> WorkPerCycle:
+) -> Work:
     """Work per cycle with the scatter that fit and apparatus leave it; NaN uncertainty where unknown."""
     amplitude_rad = amplitude_arcsec * ARCSEC_RAD
     work = cycle_work(amplitude_rad, exact.parameters, pendulum)
@@ -214,7 +263,7 @@ def _work(
         moment = inputs["mass_kg"] * inputs["gravity_m_per_s2"] * inputs["ball_radius_m"]
         u_dissipated = float(np.std(work_per_cycle_j(amplitude_rad, without_drag, inputs), ddof=1))
         u_adhesive = float(np.std(4 * moment * reported["c"] * amplitude_rad, ddof=1))
-    return WorkPerCycle(
+    return Work(
         amplitude_arcsec,
         Estimate(work.dissipated_j, u_dissipated),
         Estimate(work.adhesive_j, u_adhesive),

@@ -1,27 +1,25 @@
 """The fitted curves, drawn again from the parameters in results.json: nothing is fitted here."""
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from processing.contact import (
-    ContactParameters,
+    AMPLITUDE,
+    TIME,
     PendulumOnBall,
     decay_path,
     path_nodes,
     period,
     turning_points_of,
 )
-from processing.contact.laws import PAPER
 from processing.errors import DataError
 from processing.fit import FitMethod, super_smooth
 from processing.periods import full_periods
 from processing.swing import TurningPoints
-from rig.presentation import number
+from rig.analysis.results import Fit, RunResults
 
 Array = NDArray[np.float64]
 
@@ -47,30 +45,17 @@ class Curves:
     smooth_s: Array
 
 
-def parameters_of(fit: Mapping[str, Any]) -> ContactParameters:
-    """The contact parameters of one fit in results.json."""
-    drag = number(fit, "drag_s")
-    values = {name: number(fit, name) for name in PAPER.names()}
-    return ContactParameters(**values, drag_s=0.0 if math.isnan(drag) else drag)
-
-
-def pendulum_of(run: Mapping[str, Any]) -> PendulumOnBall | None:
-    """The pendulum that a run's laws were fitted with; None where there are no laws."""
-    tree = run.get("pendulum")
-    return PendulumOnBall(**tree) if tree else None
-
-
-def curves_of(points: TurningPoints, run: Mapping[str, Any]) -> Curves | None:
+def curves_of(points: TurningPoints, run: RunResults) -> Curves | None:
     """The curves of one run; None where it was not fitted."""
-    pendulum, fits = pendulum_of(run), run.get("fits") or {}
+    pendulum, fits = run.pendulum, run.fits
     if pendulum is None or not set(FitMethod) <= set(fits):
         return None
     exact_rad, exact_time_s = _exact(points, fits[FitMethod.EXACT], pendulum)
     periods = full_periods(points)
     at = periods.where
-    asymptotic = parameters_of(fits[FitMethod.ASYMPTOTIC])
+    asymptotic = fits[FitMethod.ASYMPTOTIC].contact()
     amplitude = points.amplitude[at]
-    printed = bool((run.get("settings") or {}).get("printed_055"))
+    printed = bool(run.settings.get("printed_055"))
     try:
         smooth = super_smooth(amplitude, periods.period_s, periods.u_period_s)
     except DataError:
@@ -89,21 +74,21 @@ def curves_of(points: TurningPoints, run: Mapping[str, Any]) -> Curves | None:
     )
 
 
-def _exact(points: TurningPoints, fit: Mapping[str, Any], pendulum: PendulumOnBall) -> tuple[Array, Array]:
+def _exact(points: TurningPoints, fit: Fit, pendulum: PendulumOnBall) -> tuple[Array, Array]:
     """Amplitude and time of the half-swing map at the half-cycles of the data."""
     index = points.index - points.index[0]
-    start = number(fit, "initial_amplitude_rad")
-    amplitude, time = turning_points_of(parameters_of(fit), pendulum, start, int(index[-1]))
-    return amplitude[index], time[index] + number(fit, "start_time_s")
+    start = fit.estimate(AMPLITUDE.key).value
+    amplitude, time = turning_points_of(fit.contact(), pendulum, start, int(index[-1]))
+    return amplitude[index], time[index] + fit.estimate(TIME.key).value
 
 
-def _asymptotic(points: TurningPoints, fit: Mapping[str, Any]) -> Array:
+def _asymptotic(points: TurningPoints, fit: Fit) -> Array:
     """Eq. 5 (with its linear term where one was fitted) at the times of the data."""
-    known = parameters_of(fit)
-    mean = number(fit, "mean_period_s")
+    known = fit.contact()
+    mean = fit.mean_period_s.value
     s = (points.time_s - points.time_s[0]) * (4 / mean)
     # Eq. 5 in units of T/4: a linear drag enters its rate as this much of the amplitude
     linear = known.drag_s * math.pi**2 / (2 * mean)
-    start = number(fit, "initial_amplitude_rad")
+    start = fit.estimate(AMPLITUDE.key).value
     path, _ = decay_path(s, start, known.b / (known.p + 1), known.p, known.c, linear, *path_nodes())
     return np.asarray(path, dtype=np.float64)

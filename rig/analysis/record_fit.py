@@ -1,11 +1,9 @@
-"""From a closed record to fits: the record alone is read, results stand beside it."""
+"""From a closed record to its results: fits, verdicts, what other kinds of pendulum report."""
 
-import datetime
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -14,19 +12,36 @@ from acquisition.record.reader import RecordReader
 from acquisition.record.topics import ENVIRONMENT
 from processing.angle import ARCSEC_RAD
 from processing.deflections import Deflections, DeflectionUnit
-from processing.fit import FitMethod, FitResult
-from processing.swing import Swing
+from processing.fit import FitMethod, FitResult, RigQuantities
+from processing.swing import Swing, TurningPoints
 from rig.analysis.contact_laws import DecayFits, fit_decay, points_in_true_time, settled_swings
-from rig.analysis.contact_tree import series_tree
-from rig.analysis.contact_verdicts import Evaluation, evaluate, fast_ratio, rig_quantities
-from rig.analysis.other_instruments import Air, reduce_run
+from rig.analysis.contact_series import combined_series
+from rig.analysis.contact_verdicts import evaluate, fast_ratio, fit_results, rig_quantities
+from rig.analysis.other_instruments import Air, Reduction, reduce_run
 from rig.analysis.other_instruments_series import reduce_series
-from rig.analysis.results import RunResult, results_tree, write_results
+from rig.analysis.results import RunResults, Series, SessionResults, StoredTurningPoints
+from rig.analysis.results_file import relative_record
 from rig.instrument import judge_calibration, pendulum_on_ball, recorded_configuration
 from rig.settings import Configuration
 
 
-def analyse_record(path: Path, overrides: Sequence[str] = ()) -> RunResult:
+@dataclass(frozen=True)
+class AnalysedRun:
+    """The results of one run, and what a series of runs needs beyond them.
+
+    `points` are the turning points that were fitted. `reduction` is there for a pendulum that is not
+    described by the contact's laws, `rig` where the contact radius is calculated after Hertz.
+    """
+
+    record: Path
+    results: RunResults
+    points: TurningPoints
+    fits: Mapping[str, FitResult]
+    rig: RigQuantities | None = None
+    reduction: Reduction | None = None
+
+
+def analyse_record(path: Path, overrides: Sequence[str] = ()) -> AnalysedRun:
     """Fit one closed record; `overrides` change its configuration (fit settings, pendulum) for this fit."""
     with RecordReader(path) as reader:
         config = recorded_configuration(reader, overrides)
@@ -42,24 +57,25 @@ def analyse_run(
     deflections: Deflections,
     *,
     dropped_frames: int,
-) -> RunResult:
+) -> AnalysedRun:
     """Fit half-cycles and deflections that came from a record: those in it, or what a replay made of it."""
     times_ns = deflections.times_ns
-    began, ended = (_utc(reader, times_ns[at]) if len(times_ns) else _utc(reader, 0) for at in (0, -1))
+    began, ended = (reader.utc(int(times_ns[at]) if len(times_ns) else 0) for at in (0, -1))
     calibration, doubts = judge_calibration(config, reader.attachments, began, ended)
-    result = _analyse_swings(reader.path, swings, config, deflections, recorded_air(reader, config))
-    warnings = [*result.warnings, *doubts]
+    run = _analyse_swings(reader.path, swings, config, deflections, recorded_air(reader, config))
+    warnings = [*run.results.warnings, *doubts]
     if reader.truncated:
         warnings.append(reader.cut_notice)
     warnings += [f"damaged chunk: {damage.what}" for damage in reader.damages]
-    return replace(
-        result,
+    results = replace(
+        run.results,
         frames=len(times_ns),
         dropped_frames=dropped_frames,
         losses=reader.losses(),
         warnings=tuple(warnings),
         calibration=calibration,
     )
+    return replace(run, results=results)
 
 
 def recorded_air(reader: RecordReader, config: Configuration) -> Air:
@@ -78,7 +94,7 @@ def recorded_air(reader: RecordReader, config: Configuration) -> Air:
 
 def _analyse_swings(
     path: Path, swings: Sequence[Swing], config: Configuration, deflections: Deflections, air: Air
-) -> RunResult:
+) -> AnalysedRun:
     """Reduce the half-cycles of one run as its kind of pendulum asks.
 
     `path` is the record that they come from, `deflections` and `air` what it holds beside them.
@@ -93,66 +109,58 @@ def _analyse_swings(
         decay = fit_decay(points, pendulum, config.fit)
     else:
         decay = DecayFits(
-            {}, {}, "the record has no calibration (no [lever]): amplitudes are in px, the laws need rad"
+            {}, None, "the record has no calibration (no [lever]): amplitudes are in px, the laws need rad"
         )
-    warnings = _fit_warnings(decay.fits)
-    sha256 = sha256_of(path)
-    evaluation: Evaluation | None = None
-    if decay.fits and pendulum is not None:
-        seed = int(sha256[:12], 16)
-        quantities = rig_quantities(config, fast_ratio(deflections.x, deflections.y))
-        evaluation = evaluate(points, pendulum, decay.fits[FitMethod.EXACT], quantities, seed)
-    return RunResult(
-        record=path,
-        sha256=sha256,
-        frames=0,
-        dropped_frames=0,
+    results = replace(
+        _file_of(path),
+        unit=unit.shown,
         half_cycles=len(points),
         initial_amplitude_arcsec=float(points.amplitude[0]) / unit.shown_size if len(points) else math.nan,
         final_amplitude_arcsec=float(points.amplitude[-1]) / unit.shown_size if len(points) else math.nan,
-        fits=decay.fits,
+        measured_again_on=settled.motion,
+        fits={name: fit_results(fit) for name, fit in decay.fits.items()},
         surface_energy_j_per_m2=decay.surface_energy,
         problem=decay.problem,
-        warnings=tuple(dict.fromkeys(warnings)),
-        points=points,
-        evaluation=evaluation,
+        warnings=tuple(dict.fromkeys(_fit_warnings(decay.fits))),
         settings=config.fit.model_dump(),
-        motion=settled.motion,
-        unit=unit.shown,
+        turning_points=StoredTurningPoints.of(points, settled.swings, unit, clock_rate),
     )
+    rig = rig_quantities(config, fast_ratio(deflections.x, deflections.y))
+    if decay.fits and pendulum is not None:
+        seed = int(results.sha256[:12], 16)
+        results = evaluate(results, points, pendulum, decay.fits[FitMethod.EXACT], rig, seed)
+    return AnalysedRun(path, results, points, decay.fits, rig)
 
 
 def _reduced(
     path: Path, swings: Sequence[Swing], config: Configuration, deflections: Deflections, air: Air
-) -> RunResult:
+) -> AnalysedRun:
     """A run of a pendulum that is not described by the contact's laws."""
     u_scale = config.lever.u_scale_relative if config.lever is not None else 0.0
     reduction = reduce_run(config.instrument, swings, deflections, air, u_scale)
     points = reduction.points
-    return RunResult(
-        record=path,
-        sha256=sha256_of(path),
-        frames=0,
-        dropped_frames=0,
+    results = replace(
+        _file_of(path),
+        unit="arcsec",
         half_cycles=len(points),
         initial_amplitude_arcsec=float(points.amplitude[0]) / ARCSEC_RAD if len(points) else math.nan,
         final_amplitude_arcsec=float(points.amplitude[-1]) / ARCSEC_RAD if len(points) else math.nan,
-        fits={},
-        surface_energy_j_per_m2={},
         problem=reduction.problem,
-        points=points,
         settings=config.instrument.model_dump(mode="json"),
-        reduction=reduction,
+        instrument=reduction.values,
+        turning_points=StoredTurningPoints.of(points, reduction.swings, deflections.unit, 1.0),
     )
+    return AnalysedRun(path, results, points, {}, reduction=reduction)
+
+
+def _file_of(path: Path) -> RunResults:
+    """Results that say no more than which file they are of."""
+    return RunResults(record=path.name, sha256=sha256_of(path), record_bytes=path.stat().st_size)
 
 
 def _clock_rate(config: Configuration) -> float:
     """True seconds in one of the camera's clock, as its calibration has it."""
     return config.timebase.camera_rate if config.timebase is not None else 1.0
-
-
-def _utc(reader: RecordReader, time_ns: int) -> datetime.datetime:
-    return datetime.datetime.fromtimestamp((int(time_ns) + reader.epoch_offset_ns) * 1e-9, datetime.UTC)
 
 
 def _fit_warnings(fits: Mapping[str, FitResult]) -> list[str]:
@@ -167,46 +175,31 @@ def _fit_warnings(fits: Mapping[str, FitResult]) -> list[str]:
     ]
 
 
-def combine(runs: Sequence[RunResult]) -> dict[str, Any]:
-    """Parameters of a series: see `processing.fit.series`; empty for fewer than two fitted runs.
+def session_results(runs: Sequence[AnalysedRun], folder: Path) -> SessionResults:
+    """What is written of one or more runs; records are named relative to the folder of the file."""
+    return SessionResults(
+        runs=tuple(replace(run.results, record=relative_record(run.record, folder)) for run in runs),
+        series=_series(runs),
+    )
+
+
+def _series(runs: Sequence[AnalysedRun]) -> Series | None:
+    """Parameters of a series; None for fewer than two fitted runs.
 
     Of other instruments, what their runs say together: places on the sample, the reference.
     """
     reductions = [run.reduction for run in runs if run.reduction is not None]
     if reductions:
-        values, _ = reduce_series(reductions)
-        return {"instrument": values} if values else {}
-    fitted = [run for run in runs if run.fits and run.points is not None and run.evaluation is not None]
-    first = fitted[0].evaluation if fitted else None
-    if len(fitted) < 2 or first is None:
-        return {}
-    return series_tree(
+        found = reduce_series(reductions)
+        return None if found is None else Series(runs=len(reductions), instrument=found)
+    fitted = [run for run in runs if run.fits]
+    pendulum = fitted[0].results.pendulum if fitted else None
+    if len(fitted) < 2 or pendulum is None:
+        return None
+    return combined_series(
         {name: [run.fits[name] for run in fitted] for name in fitted[0].fits},
-        [run.points for run in fitted if run.points is not None],
-        first.pendulum,
-        first.rig,
-        printed_curvature=bool(fitted[0].settings.get("printed_055")),
+        [run.points for run in fitted],
+        pendulum,
+        fitted[0].rig,
+        printed_curvature=bool(fitted[0].results.settings.get("printed_055")),
     )
-
-
-def fit_records(paths: Sequence[Path], output: Path | None, overrides: Sequence[str]) -> int:
-    """`rig fit` on records: results.json in `output` or beside the first record; exit status."""
-    from rig.analysis.screen import print_results
-
-    results = [analyse_record(path, overrides) for path in paths]
-    folder = output or paths[0].parent
-    target = folder / "results.json"
-    if target.exists() and output is None:
-        target = free_name(folder, "results", ".json")
-    folder.mkdir(parents=True, exist_ok=True)
-    write_results(target, results_tree(results, folder, combine(results)))
-    print_results(results, [("results", target)])
-    return 1 if any(result.problem for result in results) else 0
-
-
-def free_name(folder: Path, stem: str, suffix: str) -> Path:
-    """First of stem-2, stem-3... that does not exist: a fit made again stands beside the earlier one."""
-    number = 2
-    while (folder / f"{stem}-{number}{suffix}").exists():
-        number += 1
-    return folder / f"{stem}-{number}{suffix}"

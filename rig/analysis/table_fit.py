@@ -3,7 +3,6 @@
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,10 +10,13 @@ from numpy.typing import NDArray
 from processing.decay_summary import DecaySummary, summarise_decay
 from processing.deflections import slow_deflections
 from processing.errors import DataError
+from processing.estimate import Estimate
 from processing.swing import Swing, SwingDetector, estimate_noise, turning_points
 from rig.analysis.contact_laws import DecayFits, fit_decay, settled_swings
+from rig.analysis.contact_verdicts import fit_results
 from rig.analysis.position_table import Trajectory, read_trajectory
-from rig.analysis.results import SCHEMA, fit_tree, write_results
+from rig.analysis.results import TableResults
+from rig.analysis.results_file import RESULTS_NAME, write_results
 from rig.analysis.screen import parameter_table
 from rig.instrument import pendulum_on_ball
 from rig.presentation import print_table, with_uncertainty
@@ -53,17 +55,18 @@ def fit_trajectory(
             "needed: the samples hold no free decay, or too little of one"
         )
     summary = summarise_decay(points)
-    laws = DecayFits({}, {}, _why_no_laws(trajectory, config))
+    laws = DecayFits({}, None, _why_no_laws(trajectory, config))
     if config is not None and not laws.problem:
         pendulum = pendulum_on_ball(config)
         deflections = slow_deflections(trajectory.times_ns, deflection, noise)
         points = turning_points(settled_swings(swings, deflections, pendulum, config.fit).swings)
         laws = fit_decay(points, pendulum, config.fit)
-    _print(path, trajectory, swings, summary, noise / scale, laws)
+    results = _results(path, trajectory, summary, laws)
+    _print(path, trajectory, swings, summary, noise / scale, results)
     if output is not None:
         output.mkdir(parents=True, exist_ok=True)
-        write_results(output / "results.json", _tree(path, trajectory, summary, laws))
-        print(f"results      {output / 'results.json'}")
+        write_results(output / RESULTS_NAME, results)
+        print(f"results      {output / RESULTS_NAME}")
     return 0
 
 
@@ -95,7 +98,7 @@ def _print(
     swings: list[Swing],
     summary: DecaySummary,
     noise: float,
-    laws: DecayFits,
+    results: TableResults,
 ) -> None:
     scale = trajectory.scale_rad or 1.0
     unit = trajectory.unit
@@ -117,24 +120,23 @@ def _print(
     else:
         q = math.pi / summary.decrement
         print(f"  quality factor {with_uncertainty(q, q * summary.u_decrement / summary.decrement)}")
-    if laws.fits:
-        print_table(parameter_table(laws.fits, laws.surface_energy))
-    if laws.problem:
-        print(f"  contact: {laws.problem}")
+    if results.fits:
+        print_table(parameter_table(results.fits, results.surface_energy_j_per_m2))
+    if results.problem:
+        print(f"  contact: {results.problem}")
 
 
-def _tree(path: Path, trajectory: Trajectory, summary: DecaySummary, laws: DecayFits) -> dict[str, Any]:
+def _results(path: Path, trajectory: Trajectory, summary: DecaySummary, laws: DecayFits) -> TableResults:
     scale = trajectory.scale_rad or 1.0
-    return {
-        "schema": SCHEMA,
-        "trajectory": path.as_posix(),
-        "unit": trajectory.unit,
-        "half_cycles": summary.half_cycles,
-        "initial_amplitude": summary.initial_amplitude / scale,
-        "final_amplitude": summary.final_amplitude / scale,
-        "period_s": {"value": summary.period_s, "standard_uncertainty": summary.u_period_s},
-        "log_decrement": {"value": summary.decrement, "standard_uncertainty": summary.u_decrement},
-        "fits": {name: fit_tree(fit) for name, fit in laws.fits.items()},
-        "surface_energy_j_per_m2": dict(laws.surface_energy),
-        "problem": laws.problem,
-    }
+    return TableResults(
+        trajectory=path.as_posix(),
+        unit=trajectory.unit,
+        half_cycles=summary.half_cycles,
+        initial_amplitude=summary.initial_amplitude / scale,
+        final_amplitude=summary.final_amplitude / scale,
+        period_s=Estimate(summary.period_s, summary.u_period_s),
+        log_decrement=Estimate(summary.decrement, summary.u_decrement),
+        fits={name: fit_results(fit) for name, fit in laws.fits.items()},
+        surface_energy_j_per_m2=laws.surface_energy,
+        problem=laws.problem,
+    )

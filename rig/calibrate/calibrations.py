@@ -22,7 +22,7 @@ from calibration.timebase import FRAME_JITTER_LIMIT_S, relate_clocks, unwrap_cou
 from processing.errors import ConfigurationError, DataError
 from rig.calibrate.filing import Filing, file_calibration
 from rig.calibrate.inputs import LadderFile, frames_of, read_ladder, read_transfer
-from rig.calibrate.spots import mean_spot, spots_of_record, utc
+from rig.calibrate.spots import mean_spot, spots_of_record
 from rig.devices import ntp_state
 from rig.instrument import recorded_configuration
 
@@ -171,7 +171,7 @@ def calibrate_clock(record: Path, filing: Filing, counter_bits: int | None) -> P
         if reader.metadata.get("camera", {}).get("has_clock") == "False":
             raise DataError(f"{record}: its camera has no clock of its own; there is nothing to relate")
         table = reader.spots()
-        began = utc(reader, int(table["time_ns"][0]) if len(table) else 0)
+        began = reader.utc(int(table["time_ns"][0]) if len(table) else 0)
     device = table["device_time_ns"].astype(np.int64)
     if counter_bits is not None:
         device = unwrap_counter(device, counter_bits)

@@ -117,7 +117,7 @@ def frames_of(path: Path) -> tuple[list[Image], int]:
     """
     if path.suffix == ".mcap":
         with RecordReader(path) as reader:
-            full_scale = int(reader.metadata.get("camera", {}).get("full_scale_dn", "255"))
+            full_scale = reader.full_scale_dn
             images = [frame.image for frame, _ in zip(reader.images(), range(_MOST_FRAMES), strict=False)]
         if not images:
             raise DataError(f"{path}: holds no whole frames")

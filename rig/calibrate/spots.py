@@ -38,7 +38,7 @@ def spots_of_record(record: Path) -> tuple[Deflections, datetime.datetime]:
     """
     with RecordReader(record) as reader:
         table = reader.spots()
-        began = utc(reader, int(table["time_ns"][0]) if len(table) else 0)
+        began = reader.utc(int(table["time_ns"][0]) if len(table) else 0)
     bad = SpotFlag.LOST | SpotFlag.SATURATED | SpotFlag.EDGE
     good = table[(table["flags"].astype(np.int64) & int(bad)) == 0] if len(table) else table
     saturated = 0.0
@@ -53,8 +53,3 @@ def spots_of_record(record: Path) -> tuple[Deflections, datetime.datetime]:
         )
     x_px, y_px, u_x_px, u_y_px = (good[name].copy() for name in ("x_px", "y_px", "u_x_px", "u_y_px"))
     return Deflections(good["time_ns"].copy(), x_px, y_px, u_x_px, u_y_px, DeflectionUnit.PX), began
-
-
-def utc(reader: RecordReader, time_ns: int) -> datetime.datetime:
-    """Time of a record's clock in UTC."""
-    return datetime.datetime.fromtimestamp((time_ns + reader.epoch_offset_ns) * 1e-9, datetime.UTC)

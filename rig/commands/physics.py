@@ -1,5 +1,6 @@
 """`rig fit`."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -42,6 +43,25 @@ def fit(
         raise typer.Exit(
             fit_trajectory(files[0], output, config, time, position or [], unit, overrides=set_ or [])
         )
-    from rig.analysis import fit_records
-
     raise typer.Exit(fit_records(files, output, overrides=set_ or []))
+
+
+def fit_records(paths: Sequence[Path], output: Path | None, overrides: Sequence[str]) -> int:
+    """Fit records; results.json in `output` or beside the first record. Returns the exit status."""
+    from rig.analysis import (
+        RESULTS_NAME,
+        analyse_record,
+        free_path,
+        print_results,
+        session_results,
+        write_results,
+    )
+
+    runs = [analyse_record(path, overrides) for path in paths]
+    folder = output or paths[0].parent
+    folder.mkdir(parents=True, exist_ok=True)
+    target = free_path(folder) if output is None else folder / RESULTS_NAME
+    results = session_results(runs, folder)
+    write_results(target, results)
+    print_results(results, [("results", target)])
+    return 1 if any(run.problem for run in results.runs) else 0

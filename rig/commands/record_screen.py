@@ -1,11 +1,11 @@
 """What `rig info`, `rig check` and `rig recover` print."""
 
-import datetime
 from pathlib import Path
 
 from acquisition.record.check import check_record
 from acquisition.record.info import record_info
 from acquisition.record.recover import recover
+from acquisition.record.utc import utc_text
 
 _HIDDEN = {"record"}
 
@@ -17,7 +17,7 @@ def print_info(path: Path) -> None:
     print(f"{path}: {_size(info.size_bytes)}, {state}")
     print(f"schema {info.schema_version}, written by {info.library}")
     if info.start_ns:
-        print(f"{_utc(info.start_ns)} to {_utc(info.end_ns)}, {info.duration_s:.1f} s")
+        print(f"{utc_text(info.start_ns)} to {utc_text(info.end_ns)}, {info.duration_s:.1f} s")
     for topic, count in info.messages.items():
         print(f"  {topic:<20} {count}")
     if info.losses is not None:
@@ -51,16 +51,11 @@ def recover_record(path: Path, output: Path | None) -> None:
     target = output or path.with_name(f"{path.stem}-recovered{path.suffix}")
     recovery = recover(path, target)
     counts = ", ".join(f"{count} {topic.lstrip('/')}" for topic, count in recovery.messages.items() if count)
-    print(f"{target}: {counts or 'no messages'}, up to {_utc(recovery.end_ns)}")
-    print(f"lost: {recovery.lost_bytes} bytes after the last complete chunk")
+    print(f"{target}: {counts or 'no messages'}, up to {utc_text(recovery.end_ns)}")
+    print(f"lost: {recovery.lost_bytes} bytes behind the last complete chunk")
     for damage in recovery.lost:
         topics = ", ".join(damage.topics)
-        print(f"lost: {topics} from {_utc(damage.start_ns)} to {_utc(damage.end_ns)}: {damage.what}")
-
-
-def _utc(time_ns: int) -> str:
-    moment = datetime.datetime.fromtimestamp(time_ns * 1e-9, tz=datetime.UTC)
-    return f"{moment:%Y-%m-%d %H:%M:%S}.{time_ns // 1_000_000 % 1000:03d} UTC"
+        print(f"lost: {topics} from {utc_text(damage.start_ns)} to {utc_text(damage.end_ns)}: {damage.what}")
 
 
 def _size(count: int) -> str:

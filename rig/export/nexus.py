@@ -5,7 +5,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from numpy.typing import NDArray
+
 from processing.errors import ConfigurationError
+from rig.analysis import JsonObject
 from rig.export.run import ExportedRun, columns_of, flat_results, unit_of
 
 
@@ -47,7 +50,7 @@ def write_nexus(path: Path, runs: Sequence[ExportedRun]) -> None:
                 _results(entry, run.results)
 
 
-def _data(entry: Any, name: str, columns: Mapping[str, Any], signal: str, axis: str) -> None:
+def _data(entry: Any, name: str, columns: Mapping[str, NDArray[Any]], signal: str, axis: str) -> None:
     group = entry.create_group(name)
     group.attrs["NX_class"] = "NXdata"
     if signal in columns:
@@ -62,7 +65,7 @@ def _data(entry: Any, name: str, columns: Mapping[str, Any], signal: str, axis: 
             group[f"{key[2:]}_errors"] = group[key]
 
 
-def _results(entry: Any, results: Mapping[str, Any]) -> None:
+def _results(entry: Any, results: JsonObject) -> None:
     group = entry.create_group("results")
     group.attrs["NX_class"] = "NXcollection"
     group["json"] = json.dumps(results)

@@ -14,7 +14,7 @@ from acquisition.record.digest import sha256_of
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import SPOT, SWING
 from processing.errors import RecordError
-from rig.analysis import RESULTS_NAME, read_results
+from rig.analysis import RESULTS_NAME, JsonObject, RunResults, encoded, read_results
 from rig.instrument import CONFIGURATION_NAME
 
 _UNITS = {
@@ -43,23 +43,22 @@ class ExportedRun:
     name: str
     spots: NDArray[Any]
     swings: NDArray[Any]
-    results: Mapping[str, Any]
+    results: JsonObject
     provenance: Mapping[str, str]
 
 
 def read_runs(source: Path) -> list[ExportedRun]:
     """Runs of a folder with results.json, or of one record (with the results beside it, if any)."""
     if source.is_dir():
-        tree = read_results(source)
-        return [_read_run(source / str(run.get("record", "")), run) for run in tree["runs"]]
-    results: Mapping[str, Any] = {}
+        return [_read_run(source / run.record, run) for run in read_results(source).runs]
+    results = None
     if (source.parent / RESULTS_NAME).exists():
-        runs = read_results(source.parent)["runs"]
-        results = next((run for run in runs if run.get("record") == source.name), {})
+        runs = read_results(source.parent).runs
+        results = next((run for run in runs if run.record == source.name), None)
     return [_read_run(source, results)]
 
 
-def _read_run(path: Path, results: Mapping[str, Any]) -> ExportedRun:
+def _read_run(path: Path, results: RunResults | None) -> ExportedRun:
     with RecordReader(path) as reader:
         provenance = {"record": path.name, "deflection_unit": reader.deflection_unit}
         for section, texts in reader.metadata.items():
@@ -69,12 +68,13 @@ def _read_run(path: Path, results: Mapping[str, Any]) -> ExportedRun:
             provenance["configuration"] = json.dumps(json.loads(configuration))
         spots, swings = reader.table(SPOT.topic), reader.table(SWING.topic)
     provenance["sha256"] = sha256_of(path)
-    if results and results.get("sha256") != provenance["sha256"]:
+    if results is not None and results.sha256 != provenance["sha256"]:
         raise RecordError(
             f"{path}: is not the record that {RESULTS_NAME} was made from (another hash); "
             "rig fit makes new results"
         )
-    return ExportedRun(path.stem, spots, swings, results, provenance)
+    found = {} if results is None else encoded(results)
+    return ExportedRun(path.stem, spots, swings, found, provenance)
 
 
 def unit_of(name: str) -> str:
@@ -85,7 +85,7 @@ def unit_of(name: str) -> str:
     return _UNITS.get(word, "")
 
 
-def flat_results(tree: Mapping[str, Any], above: str = "") -> list[tuple[str, float | str]]:
+def flat_results(tree: JsonObject, above: str = "") -> list[tuple[str, float | str]]:
     """Results as dotted names and values; what is not determined is NaN, lists are numbered from 0."""
     rows: list[tuple[str, float | str]] = []
     for key, value in tree.items():

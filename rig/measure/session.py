@@ -10,12 +10,11 @@ from acquisition.record.reader import RecordReader
 from acquisition.record.recover import recover
 from processing.errors import ConfigurationError, RecordError, RigError
 from rig.analysis import (
-    RunResult,
+    AnalysedRun,
     analyse_record,
-    combine,
-    free_name,
+    free_path,
     print_results,
-    results_tree,
+    session_results,
     write_results,
 )
 from rig.devices import Devices
@@ -176,17 +175,15 @@ def _report(config: Configuration, folder: Path, made: _Made, *, json_lines: boo
     if made.stopped and records and not _wants_fit():
         say(f"record {records[-1]}; rig fit {records[-1]} fits it later")
         records = records[:-1]
-    results = [analyse_record(record) for record in records]
-    if not results:
+    runs = [analyse_record(record) for record in records]
+    if not runs:
         return 1
     # without a calibration there is nothing to fit, which is no failure
-    failed = failed or (any(result.problem for result in results) and config.lever is not None)
-    path = folder / "results.json"
-    if path.exists():
-        path = free_name(folder, "results", ".json")
-    tree = results_tree(results, folder, combine(results))
-    write_results(path, tree)
-    paths = _paths(folder, results, path)
+    failed = failed or (any(run.results.problem for run in runs) and config.lever is not None)
+    path = free_path(folder)
+    results = session_results(runs, folder)
+    write_results(path, results)
+    paths = _paths(folder, runs, path)
     try:
         paths.append(("report", make_report(path)))
     except RigError as error:
@@ -262,9 +259,9 @@ def _wants_fit() -> bool:
     return answer.strip().lower() in {"", "y", "yes"}
 
 
-def _paths(folder: Path, results: list[RunResult], path: Path) -> list[tuple[str, Path]]:
+def _paths(folder: Path, runs: list[AnalysedRun], path: Path) -> list[tuple[str, Path]]:
     paths = []
-    for run in results:
+    for run in runs:
         paths.append(("record", run.record))
         paths += [("Rerun file", rrd) for rrd in sorted(folder.glob(f"{run.record.stem}*.rrd"))]
     return [*paths, ("results", path)]

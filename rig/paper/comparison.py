@@ -4,12 +4,19 @@ import math
 from collections.abc import Sequence
 
 from processing.angle import ARCSEC_RAD
-from processing.contact import MATERIALS, STANDARD_GRAVITY_M_PER_S2, cycle_work, hertz_contact, surface_energy
+from processing.contact import (
+    MATERIALS,
+    STANDARD_GRAVITY_M_PER_S2,
+    ContactParameters,
+    cycle_work,
+    hertz_contact,
+    surface_energy,
+)
+from processing.contact.laws import PAPER
 from processing.fit import FitMethod
-from rig.analysis import parameters_of
 from rig.paper.printed import BALL, BALL_RADIUS_M, LOOP_AMPLITUDE_ARCSEC, MASS_KG, PAIRS
 from rig.paper.simulation import PairSeries
-from rig.presentation import Cell, Table, number, plain, power, with_uncertainty
+from rig.presentation import Cell, Table, plain, power, with_uncertainty
 
 AGREES = "agrees"
 CONTRADICTION = "known contradiction"
@@ -23,6 +30,9 @@ _FITS_HEAD = (
     FitMethod.EXACT.heading, "difference", FitMethod.ASYMPTOTIC.heading, "difference", "verdict",
 )  # fmt: skip
 _HEAD = ("", "", "printed", *_FITS_HEAD)
+
+
+_BOTH = (FitMethod.EXACT, FitMethod.ASYMPTOTIC)
 
 
 def table1() -> Table:
@@ -94,8 +104,8 @@ def table4(found: Sequence[PairSeries]) -> Table:
         name = series.pair.name.removeprefix("steel on ")
         amplitude_rad = LOOP_AMPLITUDE_ARCSEC * ARCSEC_RAD
         truth = cycle_work(amplitude_rad, series.parameters, series.pendulum)
-        fitted = cycle_work(amplitude_rad, parameters_of(series.series[FitMethod.EXACT]), series.pendulum)
-        paper = cycle_work(amplitude_rad, parameters_of(series.series[FitMethod.ASYMPTOTIC]), series.pendulum)
+        fitted = cycle_work(amplitude_rad, _contact(series, FitMethod.EXACT), series.pendulum)
+        paper = cycle_work(amplitude_rad, _contact(series, FitMethod.ASYMPTOTIC), series.pendulum)
         for what, attribute in (("4A", "dissipated_j"), ("4Aₜ", "adhesive_j")):
             expected, exact, way = (getattr(work, attribute) * 1e15 for work in (truth, fitted, paper))
             rows.append(
@@ -118,17 +128,19 @@ def table4(found: Sequence[PairSeries]) -> Table:
     )  # fmt: skip
 
 
+def _contact(series: PairSeries, method: FitMethod) -> ContactParameters:
+    """The combined parameters of a series as the laws take them."""
+    found = series.series.fits[method]
+    return ContactParameters(**{name: found[name].value for name in PAPER.names()})
+
+
 def _fitted(
     series: PairSeries, name: str, parameter: str, unit: str, printed: float, scale: float, last_digit: float
 ) -> list[Cell]:
     """One fitted parameter of the series: agrees within its 95 % interval or as rounded in print."""
-    exact, asymptotic = (
-        series.series[FitMethod.EXACT][parameter],
-        series.series[FitMethod.ASYMPTOTIC][parameter],
-    )
-    value, u = number(exact, "value") / scale, number(exact, "standard_uncertainty") / scale
-    half = number(exact, "expanded_uncertainty_95") / scale
-    other = number(asymptotic, "value") / scale
+    exact, asymptotic = (series.series.fits[method][parameter] for method in _BOTH)
+    value, u = exact.value / scale, exact.standard_uncertainty / scale
+    half, other = exact.expanded_uncertainty_95 / scale, asymptotic.value / scale
     difference = value - printed
     if abs(difference) <= half:
         verdict = f"{AGREES} (95 %)"
@@ -143,16 +155,14 @@ def _fitted(
 def _energy(series: PairSeries, form: str) -> list[Cell]:
     """Surface energy: Table 2's own form has to agree, Eq. 2 as printed is known not to."""
     printed = series.pair.surface_energy_j_per_m2 * 1e3
-    exact = series.series["surface_energy_j_per_m2"][form]
-    value, u = number(exact, "value") * 1e3, number(exact, "standard_uncertainty") * 1e3
-    c = series.series[FitMethod.EXACT]["c"]["value"]
-    other = value / c * series.series[FitMethod.ASYMPTOTIC]["c"]["value"]
+    energy = series.series.surface_energy_j_per_m2
+    assert energy is not None  # the fits of a simulated series converge
+    estimate = energy.table2 if form == "table2" else energy.eq2
+    value, u = estimate.value * 1e3, estimate.standard_uncertainty * 1e3
+    exact, asymptotic = (series.series.fits[method]["c"] for method in _BOTH)
+    other = value / exact.value * asymptotic.value
     label = "σ, m g R c/(2a²)" if form == "table2" else "σ, Eq. 2: m g c/(2a)"
-    half = (
-        u
-        * number(series.series[FitMethod.EXACT]["c"], "expanded_uncertainty_95")
-        / number(series.series[FitMethod.EXACT]["c"], "standard_uncertainty")
-    )
+    half = u * exact.expanded_uncertainty_95 / exact.standard_uncertainty
     of_printed_c = surface_energy(series.pair.c, series.pendulum).table2_j_per_m2 * 1e3
     if form == "eq2":
         verdict = CONTRADICTION
@@ -171,7 +181,7 @@ def _energy(series: PairSeries, form: str) -> list[Cell]:
 
 def _arae(series: PairSeries, key: str, printed: float) -> list[Cell]:
     """Relative errors tell of the noise, which is the simulated rig's, not the paper's."""
-    values = [number(series.run["fits"][name], key) for name in (FitMethod.EXACT, FitMethod.ASYMPTOTIC)]
+    values = [float(getattr(series.run.fits[method], key)) for method in _BOTH]
     label = "ARAE, Eq. 8" if key == "arae_decay" else "ARAE, Eq. 9"
     return [
         series.pair.name, label, "1", printed, values[0], math.nan, values[1], math.nan, math.nan,

@@ -6,11 +6,11 @@ from pathlib import Path
 from processing.angle import ARCSEC_RAD
 from processing.errors import RecordError
 from processing.fit import FitMethod
-from rig.analysis import curves_of, parameters_of
+from rig.analysis import curves_of
 from rig.paper.comparison import table1, table2, table3, table4
 from rig.paper.printed import CONTRADICTIONS, LOOP_AMPLITUDE_ARCSEC, PAIRS, SOURCE
 from rig.paper.simulation import NOISE_ARCSEC, PairSeries, simulate_pair
-from rig.presentation import Table, number, print_tables
+from rig.presentation import Table, print_tables
 from rig.report import (
     Drawing,
     figures_contact,
@@ -79,7 +79,8 @@ def write_paper(output: Path, found: Sequence[PairSeries], tables: Sequence[Tabl
 def _drawings(series: PairSeries) -> list[Drawing]:
     points, motion = series.points[0], series.motion
     curves = curves_of(points, series.run)
-    period_s = number(series.run["fits"][FitMethod.EXACT], "mean_period_s")
+    exact = series.run.fits[FitMethod.EXACT]
+    period_s = exact.mean_period_s.value
     drawings = [
         figures_motion.slow_figure(motion, period_s),
         figures_motion.fast_figure(motion, period_s),
@@ -91,6 +92,5 @@ def _drawings(series: PairSeries) -> list[Drawing]:
             figures_laws.period_figure(curves),
             figures_laws.smooth_figure(curves),
         ]
-    exact = parameters_of(series.run["fits"][FitMethod.EXACT])
-    drawings.append(figures_contact.loop_figure(exact, series.pendulum, LOOP_AMPLITUDE_ARCSEC))
+    drawings.append(figures_contact.loop_figure(exact.contact(), series.pendulum, LOOP_AMPLITUDE_ARCSEC))
     return drawings

@@ -1,8 +1,7 @@
 """Simulated series of the paper's contact pairs, from the equations of motion to fits."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -18,7 +17,15 @@ from processing.contact import MATERIALS, ContactParameters, PendulumOnBall, pen
 from processing.deflections import slow_deflections
 from processing.fit import FitMethod, FitResult, Quantity, RigQuantities, fit_asymptotic, fit_exact
 from processing.swing import SwingDetector, TurningPoints, turning_points
-from rig.analysis import Motion, evaluate, evaluation_tree, fit_tree, series_tree, settled_swings
+from rig.analysis import (
+    RunResults,
+    Series,
+    combined_series,
+    evaluate,
+    fit_results,
+    settled_swings,
+    surface_energies,
+)
 from rig.paper.printed import (
     BALL,
     BALL_RADIUS_M,
@@ -29,6 +36,7 @@ from rig.paper.printed import (
     RUNS,
     PrintedPair,
 )
+from rig.report import Motion
 from rig.settings import FitSettings
 
 NOISE_ARCSEC = 0.0027
@@ -37,15 +45,15 @@ NOISE_ARCSEC = 0.0027
 
 @dataclass(frozen=True)
 class PairSeries:
-    """One contact pair simulated and analysed: `run` and `series` in the form of results.json."""
+    """One contact pair simulated and analysed; `run` is the first of its runs."""
 
     pair: PrintedPair
     parameters: ContactParameters
     pendulum: PendulumOnBall
     points: Sequence[TurningPoints]
     motion: Motion
-    run: Mapping[str, Any]
-    series: Mapping[str, Any]
+    run: RunResults
+    series: Series
 
 
 def printed_parameters(pair: PrintedPair, b_exponent: int) -> ContactParameters:
@@ -89,11 +97,14 @@ def simulate_pair(pair: PrintedPair, b_exponent: int, seed: int) -> PairSeries:
         Quantity(MASS_KG), Quantity(BALL_RADIUS_M), MATERIALS[BALL], MATERIALS[pair.flat],
         Quantity(1.0), Quantity(1.0),
     )  # fmt: skip
-    run = {
-        "fits": {name: fit_tree(found[0]) for name, found in fits.items()},
-        **evaluation_tree(evaluate(runs[0], pendulum, fits[FitMethod.EXACT][0], rig, seed)),
-    }
-    return PairSeries(pair, truth, pendulum, runs, shown, run, series_tree(fits, runs, pendulum, rig))
+    first = {name: found[0] for name, found in fits.items()}
+    run = RunResults(
+        record="",
+        fits={name: fit_results(fit) for name, fit in first.items()},
+        surface_energy_j_per_m2=surface_energies(first, pendulum),
+    )
+    run = evaluate(run, runs[0], pendulum, first[FitMethod.EXACT], rig, seed)
+    return PairSeries(pair, truth, pendulum, runs, shown, run, combined_series(fits, runs, pendulum, rig))
 
 
 def _settings(pair: PrintedPair, truth: ContactParameters) -> SimulationSettings:

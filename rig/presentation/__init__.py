@@ -2,7 +2,6 @@
 
 from rig.presentation import palette
 from rig.presentation.balance import balance_drawn, balance_numbers, balance_panels, balance_table
-from rig.presentation.determined import determined_text, series_verdicts
 from rig.presentation.numbers import NOT_KNOWN, number, plain, power, with_uncertainty
 from rig.presentation.printing import plain_values, print_json_line, print_table, say
 from rig.presentation.quantities import SOURCES, Quantity, law_parameters, quantity
@@ -22,7 +21,6 @@ __all__ = [
     "balance_numbers",
     "balance_panels",
     "balance_table",
-    "determined_text",
     "law_parameters",
     "number",
     "palette",
@@ -35,6 +33,5 @@ __all__ = [
     "print_verdicts",
     "quantity",
     "say",
-    "series_verdicts",
     "with_uncertainty",
 ]

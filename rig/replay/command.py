@@ -10,12 +10,13 @@ from typing import Literal
 from acquisition.record.reader import RecordReader
 from processing.errors import ConfigurationError
 from rig.analysis import (
-    RunResult,
+    RESULTS_NAME,
+    AnalysedRun,
     analyse_record,
     analyse_run,
     print_results,
     recorded_results,
-    results_tree,
+    session_results,
     write_results,
 )
 from rig.instrument import recorded_configuration
@@ -91,14 +92,15 @@ def replay_record(
         )
         if partial:
             part = f"replayed from {replay.begun_s:.2f} s to {replay.position_s:.2f} s of the record"
-            run = replace(run, warnings=(part, *run.warnings))
+            run = replace(run, results=replace(run.results, warnings=(part, *run.results.warnings)))
     _say_differences(record, replay, result, run, partial=partial)
-    print_results([run], [])
+    results = session_results([run], output or record.parent)
+    print_results(results, [])
     if output is not None:
         output.mkdir(parents=True, exist_ok=True)
-        write_results(output / "results.json", results_tree([run], output, {}))
-        print(f"results      {output / 'results.json'}")
-    return 1 if run.problem and config.lever is not None and not partial else 0
+        write_results(output / RESULTS_NAME, results)
+        print(f"results      {output / RESULTS_NAME}")
+    return 1 if run.results.problem and config.lever is not None and not partial else 0
 
 
 def _view(
@@ -109,8 +111,7 @@ def _view(
     rrd: Path | None,
     mode: ViewMode,
 ) -> Viewer:
-    full_scale_dn = int(reader.metadata.get("camera", {}).get("full_scale_dn", "255"))
-    view = start_view(config, rrd, mode, "measuring", f"replay of {record.stem}", full_scale_dn)
+    view = start_view(config, rrd, mode, "measuring", f"replay of {record.stem}", reader.full_scale_dn)
 
     def close() -> None:
         counts = view.close()
@@ -124,7 +125,7 @@ def _view(
 
 
 def _say_differences(
-    record: Path, replay: Replay, result: Replayed, run: RunResult, *, partial: bool
+    record: Path, replay: Replay, result: Replayed, run: AnalysedRun, *, partial: bool
 ) -> None:
     """Spots and half-cycles against the record, fitted numbers against the results of the whole record."""
     if replay.sought:
@@ -136,8 +137,8 @@ def _say_differences(
     print_comparison(result.comparison, partial=partial)
     if partial:
         return
-    source, known = recorded_results(record, run.sha256)
+    source, known = recorded_results(record, run.results.sha256)
     if known is None and not result.comparison.identical:
-        source, known = "fitted", results_tree([analyse_record(record)], record.parent, {})["runs"][0]
+        source, known = "fitted", analyse_record(record).results
     if known is not None:
-        print_changes(parameter_changes(known, results_tree([run], record.parent, {})["runs"][0]), source)
+        print_changes(parameter_changes(known, run.results), source)

@@ -1,7 +1,7 @@
 """What a replay made of a record against what had been recorded: spots, half-cycles, fitted parameters."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import astuple, dataclass
 from typing import Any, NamedTuple
 
@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from processing.contact.laws import PAPER
+from processing.estimate import Estimate
 from processing.fit import FitMethod
 from processing.spot import Spot
 from processing.swing import Swing
-from rig.presentation import plain_values
+from rig.analysis import JsonObject, RunResults, encoded
 
 _SAME_SWING = 0.25
 """Two turning points are one where they are no further apart than this part of a half period."""
@@ -128,35 +129,36 @@ class ReplayComparison:
         )
 
 
-def parameter_changes(recorded: Mapping[str, Any], replayed: Mapping[str, Any]) -> list[Change]:
-    """What was fitted to a run, from two trees of its results that both hold it, in their order.
+def parameter_changes(recorded: RunResults, replayed: RunResults) -> list[Change]:
+    """What was fitted to a run, of two results of it: what both hold, in the replayed one's order.
 
     Contact parameters are named ``fits.exact.b`` and so on, those of other pendulums ``instrument...``.
     """
-    old, new = (
-        {**_contact(tree), **dict(_estimates(tree.get("instrument") or {}, "instrument."))}
-        for tree in (plain_values(recorded), plain_values(replayed))
-    )
+    old, new = ({**_contact(run), **_instrument(run)} for run in (recorded, replayed))
     return [Change(name, old[name], new[name]) for name in new if name in old]
 
 
-def _contact(tree: Mapping[str, Any]) -> dict[str, tuple[float, float]]:
-    fits = tree.get("fits") or {}
+def _contact(run: RunResults) -> dict[str, Estimate]:
     return {
-        f"fits.{fit}.{name}": estimate
-        for fit in FitMethod
-        for name, estimate in _estimates(fits.get(fit) or {})
-        if name in PAPER.names(drag=True)
+        f"fits.{method}.{name}": fit.parameters[name]
+        for method in (FitMethod.EXACT, FitMethod.ASYMPTOTIC)
+        if (fit := run.fits.get(method)) is not None
+        for name in PAPER.names(drag=True)
+        if name in fit.parameters and all(map(math.isfinite, fit.parameters[name]))
     }
 
 
-def _estimates(tree: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, tuple[float, float]]]:
+def _instrument(run: RunResults) -> dict[str, Estimate]:
+    return {} if run.instrument is None else dict(_estimates(encoded(run.instrument), "instrument."))
+
+
+def _estimates(tree: JsonObject, above: str) -> Iterator[tuple[str, Estimate]]:
     for key, value in tree.items():
-        if not isinstance(value, Mapping):
+        if not isinstance(value, dict):
             continue
-        u = value.get("standard_uncertainty")
-        if isinstance(value.get("value"), int | float) and isinstance(u, int | float):
-            yield f"{above}{key}", (float(value["value"]), float(u))
+        found, u = value.get("value"), value.get("standard_uncertainty")
+        if isinstance(found, int | float) and isinstance(u, int | float):
+            yield f"{above}{key}", Estimate(float(found), float(u))
         else:
             yield from _estimates(value, f"{above}{key}.")
 

@@ -253,5 +253,4 @@ def _spots(table: NDArray[Any]) -> list[Spot]:
 
 
 def _sensor(config: Configuration, reader: RecordReader) -> SensorModel:
-    full_scale_dn = float(reader.metadata.get("camera", {}).get("full_scale_dn", "255"))
-    return sensor_model(config, full_scale_dn)
+    return sensor_model(config, float(reader.full_scale_dn))

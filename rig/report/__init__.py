@@ -3,12 +3,15 @@
 from rig.report import figures_contact, figures_laws, figures_motion, html
 from rig.report.comparison import compare
 from rig.report.drawing import Drawing, styled
+from rig.report.run_data import Motion, RunData, turning_points_again
 from rig.report.session_report import make_report, save_figures, save_tables
 from rig.report.tables import instrument_table, parameter_table, quality_table
 from rig.report.tables_uncertainty import series_table
 
 __all__ = [
     "Drawing",
+    "Motion",
+    "RunData",
     "compare",
     "figures_contact",
     "figures_laws",
@@ -22,4 +25,5 @@ __all__ = [
     "save_tables",
     "series_table",
     "styled",
+    "turning_points_again",
 ]

@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 from math import isfinite, nan
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from scipy.special import stdtrit
@@ -12,15 +11,20 @@ from processing.contact.laws import PAPER
 from processing.errors import RecordError
 from processing.estimate import Estimate
 from processing.fit import Combined, Comparison, FitMethod, FittedContact, SeriesResult, compare_series
-from rig.analysis import read_results
+from rig.analysis import (
+    CombinedParameter,
+    Determination,
+    Fit,
+    SessionResults,
+    determined_text,
+    read_results,
+    series_verdicts,
+)
 from rig.presentation import (
     Cell,
     Table,
-    determined_text,
-    number,
     plain,
     quantity,
-    series_verdicts,
 )
 from rig.report import html
 from rig.report.drawing import styled
@@ -40,8 +44,12 @@ def compare(folders: Sequence[Path], output: Path | None) -> list[Table]:
     """
     if len(folders) < 2:
         raise RecordError(f"{len(folders)} folder: a comparison needs at least two sessions")
-    series = {_label(folder, folders): series_of(folder) for folder in folders}
-    verdicts = [verdicts_of(folder) for folder in folders]
+    sessions = [read_results(folder) for folder in folders]
+    series = {
+        _label(folder, folders): series_of(found, folder)
+        for folder, found in zip(folders, sessions, strict=True)
+    }
+    verdicts = [verdicts_of(found) for found in sessions]
     tables = [values_table(series, verdicts), differences_table(compare_series(series))]
     if output is not None:
         files = output.parent / output.stem
@@ -70,20 +78,19 @@ def _label(folder: Path, folders: Sequence[Path]) -> str:
     return name if sum(other.resolve().name == name for other in folders) == 1 else str(folder)
 
 
-def series_of(folder: Path) -> SeriesResult:
+def series_of(session: SessionResults, folder: Path) -> SeriesResult:
     """The exact parameters of a session: the combined ones of a series, else those of its one fitted run.
 
     Raises RecordError where nothing was fitted.
     """
-    tree = read_results(folder)
-    combined = (tree.get("series") or {}).get(FitMethod.EXACT)
+    combined = _combined_of(session)
     if combined:
         parameters = {name: _combined(name, item) for name, item in combined.items()}
     else:
-        fitted = [run for run in tree["runs"] if run.get("fits")]
+        fitted = [run for run in session.runs if run.fits]
         if not fitted:
-            raise RecordError(f"{folder}: no run of it was fitted ({tree['runs'][0].get('problem')})")
-        parameters = _single(fitted[0]["fits"][FitMethod.EXACT])
+            raise RecordError(f"{folder}: no run of it was fitted ({session.runs[0].problem})")
+        parameters = _single(fitted[0].fits[FitMethod.EXACT])
     names = tuple(parameters)
     u = np.array([parameters[name].standard_uncertainty for name in names])
     together = FittedContact(
@@ -93,36 +100,38 @@ def series_of(folder: Path) -> SeriesResult:
     return SeriesResult(parameters, (), together)
 
 
-def verdicts_of(folder: Path) -> dict[str, Mapping[str, Any]]:
+def verdicts_of(session: SessionResults) -> dict[str, Determination]:
     """By parameter, whether a session's data determine it, as its report says it."""
-    tree = read_results(folder)
-    combined = (tree.get("series") or {}).get(FitMethod.EXACT)
+    combined = _combined_of(session)
     if combined:
-        return dict(series_verdicts(combined))
-    fitted: Mapping[str, Any] = next((run for run in tree["runs"] if run.get("fits")), {})
-    return {item["name"]: item for item in fitted.get("identifiability") or []}
+        return series_verdicts(combined)
+    return next((run.verdicts() for run in session.runs if run.fits), {})
 
 
-def _combined(name: str, item: Mapping[str, Any]) -> Combined:
+def _combined_of(session: SessionResults) -> Mapping[str, CombinedParameter]:
+    return {} if session.series is None else session.series.fits.get(FitMethod.EXACT, {})
+
+
+def _combined(name: str, item: CombinedParameter) -> Combined:
     return Combined(
         name,
-        number(item, "value"),
-        number(item, "standard_uncertainty"),
-        int(number(item, "degrees_of_freedom")),
-        number(item, "expanded_uncertainty_95"),
-        number(item, "within_runs"),
-        number(item, "between_runs"),
-        number(item, "p_homogeneous"),
-        tuple(Estimate(number(run, "value"), number(run, "standard_uncertainty")) for run in item["runs"]),
+        item.value,
+        item.standard_uncertainty,
+        item.degrees_of_freedom,
+        item.expanded_uncertainty_95,
+        item.within_runs,
+        item.between_runs,
+        item.p_homogeneous,
+        item.runs,
     )
 
 
-def _single(fit: Mapping[str, Any]) -> dict[str, Combined]:
+def _single(fit: Fit) -> dict[str, Combined]:
     """One run as a series of its own: what scatters between runs is not known of it."""
-    dof = int(number(fit, "degrees_of_freedom"))
+    dof = fit.degrees_of_freedom
     found = {}
     for name in PAPER.names():
-        value, u = number(fit, name), number(fit, name, "standard_uncertainty")
+        value, u = fit.estimate(name)
         if isfinite(value) and isfinite(u):
             half = float(stdtrit(dof, 0.975)) * u
             found[name] = Combined(name, value, u, dof, half, u, 0.0, nan, (Estimate(value, u),))
@@ -130,7 +139,7 @@ def _single(fit: Mapping[str, Any]) -> dict[str, Combined]:
 
 
 def values_table(
-    series: Mapping[str, SeriesResult], verdicts: Sequence[Mapping[str, Mapping[str, Any]]]
+    series: Mapping[str, SeriesResult], verdicts: Sequence[Mapping[str, Determination]]
 ) -> Table:
     """One row a parameter, one column a series; what is not determined as interval or bound."""
     names = [name for name in PAPER.names() if any(name in found.parameters for found in series.values())]

@@ -2,14 +2,14 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from typing import Any
 
 import numpy as np
 
 from processing.angle import ARCSEC_RAD
 from processing.contact import ContactParameters, PendulumOnBall, cycle_work, moment_loop, weight_moment
 from processing.fit import FitMethod
-from rig.presentation import number, palette, plain, quantity
+from rig.analysis import Correlation, Series
+from rig.presentation import palette, plain, quantity
 from rig.report.drawing import ASYMPTOTIC, DATA, EXACT, INK, Drawing, canvas
 
 
@@ -60,12 +60,10 @@ def loop_figure(
     )
 
 
-def correlation_figure(correlation: Mapping[str, Any]) -> Drawing:
+def correlation_figure(correlation: Correlation) -> Drawing:
     """Correlation matrix of the exact fit as a map with its numbers."""
-    names = [quantity(name).symbol for name in correlation["names"]]
-    matrix = np.array(
-        [[np.nan if v is None else v for v in row] for row in correlation["matrix"]], dtype=np.float64
-    )
+    names = [quantity(name).symbol for name in correlation.names]
+    matrix = np.array(correlation.matrix, dtype=np.float64)
     figure = canvas(3.0)
     axes = figure.subplots()
     figure.subplots_adjust(left=0.05, right=0.985, bottom=0.09, top=0.975)
@@ -90,25 +88,24 @@ def correlation_figure(correlation: Mapping[str, Any]) -> Drawing:
     )
 
 
-def series_figure(series: Mapping[str, Any]) -> Drawing:
+def series_figure(series: Series) -> Drawing:
     """Every parameter of every run, and the combined value with its 95 % interval."""
-    fitted = series.get(FitMethod.EXACT) or series[FitMethod.ASYMPTOTIC]
-    names = list(fitted)
+    method = FitMethod.EXACT if FitMethod.EXACT in series.fits else next(iter(series.fits))
+    combined = series.fits[method]
+    names = list(combined)
     figure = canvas(0.35 + 1.55 * ((len(names) + 2) // 3))
     panels = figure.subplots((len(names) + 2) // 3, 3, squeeze=False)
     figure.subplots_adjust(left=0.115, right=0.985, bottom=0.11, top=0.93, wspace=0.55, hspace=0.5)
     for axes, name in zip(panels.flat, names, strict=False):
         scale = quantity(name).factor
-        item = fitted[name]
-        runs = item["runs"]
-        x = np.arange(1, len(runs) + 1)
-        values = np.array([number(run, "value") for run in runs]) * scale
-        u = np.array([number(run, "standard_uncertainty") for run in runs]) * scale
-        middle, expanded = item["value"] * scale, (item["expanded_uncertainty_95"] or np.nan) * scale
+        item = combined[name]
+        x = np.arange(1, len(item.runs) + 1)
+        values, u = np.array(item.runs).T * scale
+        middle, expanded = item.value * scale, item.expanded_uncertainty_95 * scale
         axes.axhspan(middle - expanded, middle + expanded, color=EXACT, alpha=0.15, lw=0)
         axes.axhline(middle, color=EXACT, lw=1.0)
         axes.errorbar(x, values, u, fmt="o", color=DATA, ms=3.5, elinewidth=0.8, capsize=2)
-        axes.set_xlim(0.5, len(runs) + 0.5)
+        axes.set_xlim(0.5, len(item.runs) + 0.5)
         axes.set_xticks(x)
         axes.set_title(quantity(name).label)
         axes.ticklabel_format(axis="y", useOffset=False, scilimits=(-3, 4))

@@ -1,33 +1,31 @@
 """What users of other pendulums expect: decrement and period against amplitude, the plane that turns."""
 
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
 
+from rig.analysis import DecrementTable, InstrumentResults, PeriodTable, SwingPlane
 from rig.report.drawing import DATA, EXACT, INK, SMOOTH, Drawing, canvas
 
 
-def instrument_figures(values: Mapping[str, Any]) -> list[Drawing]:
-    """Figures of a run's ``instrument`` values; those whose numbers are there."""
+def instrument_figures(values: InstrumentResults) -> list[Drawing]:
+    """Figures of what a run reports; those whose numbers are there."""
     drawings = []
-    if "decrement_against_amplitude" in values:
-        drawings.append(_decrement(values["decrement_against_amplitude"]))
-    if "table" in values:
-        drawings.append(_period(values["table"]))
-    if "swing_plane" in values:
-        drawings.append(_plane(values["swing_plane"]))
+    if values.decrement_against_amplitude is not None:
+        drawings.append(_decrement(values.decrement_against_amplitude))
+    if values.table is not None:
+        drawings.append(_period(values.table))
+    if values.swing_plane is not None:
+        drawings.append(_plane(values.swing_plane))
     return drawings
 
 
-def _decrement(table: Mapping[str, Any]) -> Drawing:
+def _decrement(table: DecrementTable) -> Drawing:
     figure = canvas(2.8)
     axes = figure.subplots()
     figure.subplots_adjust(left=0.12, right=0.97, bottom=0.17, top=0.95)
     axes.errorbar(
-        table["amplitude_deg"],
-        table["log_decrement"],
-        yerr=table["u_log_decrement"],
+        table.amplitude_deg,
+        table.log_decrement,
+        yerr=table.u_log_decrement,
         fmt="o",
         color=DATA,
         ecolor=INK,
@@ -44,17 +42,17 @@ def _decrement(table: Mapping[str, Any]) -> Drawing:
     )
 
 
-def _period(table: Mapping[str, Any]) -> Drawing:
+def _period(table: PeriodTable) -> Drawing:
     figure = canvas(3.2)
     axes = figure.subplots()
     figure.subplots_adjust(left=0.12, right=0.97, bottom=0.15, top=0.95)
-    amplitude = np.array(table["amplitude_deg"])
+    amplitude = table.amplitude_deg
     order = np.argsort(amplitude)
-    axes.plot(amplitude, table["period_s"], "o", color=DATA, label="measured")
-    axes.plot(amplitude[order], np.array(table["circular_law_s"])[order], color=EXACT, label="ideal pendulum")
+    axes.plot(amplitude, table.period_s, "o", color=DATA, label="measured")
+    axes.plot(amplitude[order], table.circular_law_s[order], color=EXACT, label="ideal pendulum")
     axes.plot(
         amplitude[order],
-        np.array(table["alpha_squared_over_16_s"])[order],
+        table.alpha_squared_over_16_s[order],
         "--",
         color=SMOOTH,
         label="1 + alpha²/16",
@@ -70,11 +68,11 @@ def _period(table: Mapping[str, Any]) -> Drawing:
     )
 
 
-def _plane(table: Mapping[str, Any]) -> Drawing:
+def _plane(table: SwingPlane) -> Drawing:
     figure = canvas(2.6)
     axes = figure.subplots()
     figure.subplots_adjust(left=0.12, right=0.97, bottom=0.18, top=0.95)
-    axes.plot(table["time_s"], table["direction_deg"], "o", color=DATA)
+    axes.plot(table.time_s, table.direction_deg, "o", color=DATA)
     axes.set_xlabel("time / s")
     axes.set_ylabel("direction / degrees")
     return Drawing(

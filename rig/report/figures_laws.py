@@ -1,5 +1,7 @@
 """Decay, period, residuals, losses against the fitted laws (Figs. 12 to 14)."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from matplotlib.figure import Figure
 
@@ -137,7 +139,7 @@ def _period(curves: Curves, models: dict[str, tuple[Array, str, float]]) -> Figu
     return figure
 
 
-def residual_figure(points: TurningPoints, curves: Curves, outliers: list[int]) -> Drawing:
+def residual_figure(points: TurningPoints, curves: Curves, outliers: Sequence[int]) -> Drawing:
     """Residuals of the exact fit in units of their standard uncertainty."""
     figure = canvas(3.6)
     grid = figure.add_gridspec(2, 2, width_ratios=[3.2, 1.0])

@@ -5,9 +5,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
-from rig.analysis import Motion, Picture
 from rig.presentation import palette
 from rig.report.drawing import INK, Array, Drawing, canvas, envelope, thinned
+from rig.report.run_data import Motion, Picture
 
 _ZOOM_CYCLES = 6.0
 _LINE_POINTS = 1500

@@ -2,25 +2,28 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 from processing.contact.laws import PAPER
 from processing.errors import RecordError
+from processing.estimate import Estimate
 from processing.fit import FitMethod
 from rig.analysis import (
     Curves,
-    ReportSource,
-    RunData,
+    Determination,
+    Drag,
+    RunResults,
+    Series,
+    SurfaceEnergy,
     curves_of,
-    parameters_of,
-    pendulum_of,
-    read_source,
+    determined_text,
     results_path,
+    series_verdicts,
 )
-from rig.presentation import Table, determined_text, number, plain, quantity, series_verdicts
+from rig.presentation import Table, plain, quantity
 from rig.report import figures_contact, figures_laws, figures_motion, html
 from rig.report.drawing import Drawing, png, styled, svg
 from rig.report.figures_instruments import instrument_figures
+from rig.report.run_data import ReportSource, RunData, read_source
 from rig.report.tables import run_tables
 from rig.report.tables_uncertainty import budget_table, series_table
 
@@ -44,7 +47,7 @@ def make_report(folder: Path, output: Path | None = None) -> Path:
     body = [*_summary(source)]
     try:
         files.mkdir(parents=True, exist_ok=True)
-        if source.series:
+        if source.series is not None:
             body += _series(source.series, files)
         for number_, run in enumerate(source.runs, start=1):
             body += _run(run, files / f"run-{number_}", alone=len(source.runs) == 1)
@@ -63,21 +66,17 @@ def _title(source: ReportSource) -> tuple[str, str]:
     if session.get("operator"):
         words.append(f"operator {session['operator']}")
     words += [word for word in (session.get("contact_history"), session.get("notes")) if word]
-    what = "a pendulum on one ball" if source.runs[0].results.get("fits") else "a pendulum"
+    what = "a pendulum on one ball" if source.runs[0].results.fits else "a pendulum"
     return title, f"Free decay of {what}: " + ", ".join(words)
 
 
 def _summary(source: ReportSource) -> list[str]:
-    run = source.runs[0].results
-    series, body = source.series, [html.heading("Summary")]
-    exact = series.get(FitMethod.EXACT) or (run.get("fits") or {}).get(FitMethod.EXACT) or {}
-    energy = series.get("surface_energy_j_per_m2") or run.get("surface_energy_j_per_m2") or {}
+    run, series = source.runs[0].results, source.series
+    body = [html.heading("Summary")]
+    exact, energy, verdicts = _headline(run, series)
     if exact:
-        verdicts = {item["name"]: item for item in run.get("identifiability") or []}
-        if series.get(FitMethod.EXACT):
-            verdicts = series_verdicts(exact)
         body.append(html.key_values(_key_results(exact, energy, verdicts)))
-        what = "combined over the runs" if series else "of the run"
+        what = "combined over the runs" if series is not None else "of the run"
         body.append(
             html.paragraph(
                 f"Exact fit {what}, value ± standard uncertainty of the swings; "
@@ -87,81 +86,83 @@ def _summary(source: ReportSource) -> list[str]:
         )
     for data in source.runs:
         body.append(html.paragraph(_sentence(data)))
-        if data.results.get("problem"):
-            body.append(f'<div class="warn">{html.escape("No fit: " + data.results["problem"])}</div>')
+        if data.results.problem:
+            body.append(f'<div class="warn">{html.escape("No fit: " + data.results.problem)}</div>')
     if len(source.runs) == 1:
         body.append(html.notes(_doubts(source.runs[0])))
     return body
 
 
+def _headline(
+    run: RunResults, series: Series | None
+) -> tuple[Mapping[str, Estimate], SurfaceEnergy | None, Mapping[str, Determination]]:
+    """Parameters, surface energy and verdicts that are reported first: those of the series, or of the run."""
+    combined = {} if series is None else series.fits.get(FitMethod.EXACT, {})
+    if series is not None and combined:
+        parameters = {n: Estimate(item.value, item.standard_uncertainty) for n, item in combined.items()}
+        return parameters, series.surface_energy_j_per_m2, series_verdicts(combined)
+    fit = run.fits.get(FitMethod.EXACT)
+    return {} if fit is None else fit.parameters, run.surface_energy_j_per_m2, run.verdicts()
+
+
 def _key_results(
-    exact: Mapping[str, Any], energy: Mapping[str, Any], verdicts: Mapping[str, Any]
+    exact: Mapping[str, Estimate], energy: SurfaceEnergy | None, verdicts: Mapping[str, Determination]
 ) -> list[tuple[str, str]]:
-    items = []
-    if energy:
-        name = "surface_energy_table2_j_per_m2"
-        value, u = number(energy["table2"], "value"), number(energy["table2"], "standard_uncertainty")
-        items.append((quantity(name).label, determined_text(name, value, u, verdicts)))
-    for name in PAPER.names():
-        if name not in exact:
-            continue
-        value, u = number(exact, name), number(exact, name, "standard_uncertainty")
-        items.append((quantity(name).label, determined_text(name, value, u, verdicts)))
-    return items
+    items = [(name, exact[name]) for name in PAPER.names() if name in exact]
+    if energy is not None:
+        items.insert(0, ("surface_energy_table2_j_per_m2", energy.table2))
+    return [(quantity(name).label, determined_text(name, *value, verdicts)) for name, value in items]
 
 
 def _sentence(run: RunData) -> str:
     results, unit = run.results, run.motion.unit
-    first, last = number(results, "initial_amplitude_arcsec"), number(results, "final_amplitude_arcsec")
+    first, last = results.initial_amplitude_arcsec, results.final_amplitude_arcsec
     length = run.motion.time_s[-1] - run.motion.time_s[0] if len(run.motion.time_s) else 0.0
+    left_out = len(run.stored.left_out_flags)
     return (
-        f"{run.title}: {results['half_cycles']} half-cycles from {first:.2f} to {last:.2f} {unit} in "
-        f"{length / 60:.1f} min; {results['frames']} frames, {results['dropped_frames']} dropped; "
-        f"{len(run.flagged)} half-cycle{'s' if len(run.flagged) != 1 else ''} flagged and left out."
+        f"{run.title}: {results.half_cycles} half-cycles from {first:.2f} to {last:.2f} {unit} in "
+        f"{length / 60:.1f} min; {results.frames} frames, {results.dropped_frames} dropped; "
+        f"{left_out} half-cycle{'s' if left_out != 1 else ''} flagged and left out."
     )
 
 
 def _doubts(run: RunData) -> list[str]:
     results = run.results
-    lines = [_drag_sentence(results["drag"])] if results.get("drag") else []
-    pairs = results.get("strong_correlations") or []
+    lines = [_drag_sentence(results.drag)] if results.drag is not None else []
+    pairs = results.strong_correlations
     if pairs:
         names = ", ".join(f"{quantity(a).symbol} and {quantity(b).symbol} ({r:+.3f})" for a, b, r in pairs)
         lines.append(f"Hardly told apart by the data (correlation): {names}.")
-    lines += [
-        f"{item['text']}." for item in results.get("identifiability") or [] if item["verdict"] != "determined"
-    ]
-    return [*lines, *(results.get("notes") or []), *(results.get("warnings") or []), *run.notes]
+    lines += [f"{item.text}." for item in results.identifiability if item.verdict != "determined"]
+    return [*lines, *results.notes, *results.warnings, *run.notes]
 
 
-def _drag_sentence(drag: Mapping[str, Any]) -> str:
-    value, u = number(drag["drag_s"], "value"), number(drag["drag_s"], "standard_uncertainty")
-    b, c = (100 * number(drag, f"relative_shift_{name}") for name in ("b", "c"))
-    head = "A linear drag is in the data" if drag["significant"] else drag["text"].split(":")[0].capitalize()
+def _drag_sentence(drag: Drag) -> str:
+    head = "A linear drag is in the data" if drag.significant else drag.text.split(":")[0].capitalize()
     numbers = (
-        f"{head}: {quantity('drag_s').text(value, u)} s, F = {plain(number(drag, 'f_statistic'), 3)} (chance "
-        f"{plain(number(drag, 'p_value'), 2)}), AIC {number(drag, 'aic_difference'):+.1f}; "
-        f"fitted with it, b moves by {b:+.2f} % and c by {c:+.2f} %."
+        f"{head}: {quantity('drag_s').text(*drag.drag_s)} s, F = {plain(drag.f_statistic, 3)} (chance "
+        f"{plain(drag.p_value, 2)}), AIC {drag.aic_difference:+.1f}; fitted with it, b moves by "
+        f"{100 * drag.relative_shift_b:+.2f} % and c by {100 * drag.relative_shift_c:+.2f} %."
     )
     return numbers.replace("-", "−")
 
 
-def _series(series: Mapping[str, Any], files: Path) -> list[str]:
+def _series(series: Series, files: Path) -> list[str]:
     body = [html.heading("Series", new_page=True)]
-    tables = [series_table(series), budget_table(series.get("budget") or {}, "series-budget")]
+    tables = [series_table(series), budget_table(series.budget, "series-budget")]
     tables = [table for table in tables if table.rows]
     apart = [
-        f"Run {item['run']} disagrees with the others in {quantity(item['name']).symbol}: "
-        f"{number(item, 'deviation'):+.1f} standard uncertainties."
-        for item in series.get("disagreements") or []
+        f"Run {item.run} disagrees with the others in {quantity(item.name).symbol}: "
+        f"{item.deviation:+.1f} standard uncertainties."
+        for item in series.disagreements
     ]
-    if FitMethod.EXACT in series and not apart:
+    if FitMethod.EXACT in series.fits and not apart:
         apart = ["No run disagrees with the others."]
-    apart += series.get("problems") or []
+    apart += series.problems
     if tables:
         body.append(html.table(tables[0]))
     body.append(html.notes(apart))
-    if FitMethod.EXACT in series or FitMethod.ASYMPTOTIC in series:
+    if series.fits:
         with styled():
             body += save_figures([figures_contact.series_figure(series)], files)
     body += [html.table(table) for table in tables[1:]]
@@ -185,8 +186,8 @@ def _run(run: RunData, files: Path, *, alone: bool) -> list[str]:
     if not alone:
         body.append(html.paragraph(_sentence(run)))
         body.append(html.notes(_doubts(run)))
-    instrument = run.results.get("instrument") or {}
-    body.append(html.notes(list(instrument.get("text") or [])))
+    if run.results.instrument is not None:
+        body.append(html.notes(run.results.instrument.text))
     body += take("kind-decrement", "kind-period", "kind-plane")
     body += take("instrument", "parameters")
     body.append(html.side_by_side(take("quality", "hertz")))
@@ -199,8 +200,9 @@ def _run(run: RunData, files: Path, *, alone: bool) -> list[str]:
 
 
 def _drawings(run: RunData, curves: Curves | None) -> list[Drawing]:
-    fits, motion, points = run.results.get("fits") or {}, run.motion, run.points
-    period_s = number(fits[FitMethod.EXACT], "mean_period_s") if fits else _period(run)
+    motion, points = run.motion, run.points
+    fit = run.results.fits.get(FitMethod.EXACT)
+    period_s = _period(run) if fit is None else fit.mean_period_s.value
     drawings = [figures_motion.frame_figure(run.picture)] if run.picture else []
     if len(motion.time_s) > 1:
         drawings += [
@@ -210,17 +212,18 @@ def _drawings(run: RunData, curves: Curves | None) -> list[Drawing]:
         ]
     if len(points) >= 3:
         drawings.append(figures_laws.decay_figure(points, curves, motion.unit, run.unit_rad))
-    drawings += instrument_figures(run.results.get("instrument") or {})
-    pendulum = pendulum_of(run.results)
-    if curves is not None and pendulum is not None:
-        exact = parameters_of(fits[FitMethod.EXACT])
+    if run.results.instrument is not None:
+        drawings += instrument_figures(run.results.instrument)
+    pendulum = run.results.pendulum
+    if curves is not None and pendulum is not None and fit is not None:
+        exact = fit.contact()
         drawings += [
             figures_laws.period_figure(curves),
             figures_laws.smooth_figure(curves),
-            figures_laws.residual_figure(points, curves, fits[FitMethod.EXACT].get("outliers") or []),
+            figures_laws.residual_figure(points, curves, fit.outliers),
             figures_contact.loop_figure(exact, pendulum),
             figures_laws.loss_figure(points, exact, pendulum),
-            figures_contact.correlation_figure(fits[FitMethod.EXACT]["correlation"]),
+            figures_contact.correlation_figure(fit.correlation),
         ]
     return drawings
 

@@ -2,12 +2,15 @@
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+
+from pydantic import JsonValue
 
 from processing.contact.laws import PAPER
+from processing.estimate import Estimate
 from processing.fit import FitMethod
-from rig.analysis import Curves, RunData
-from rig.presentation import Cell, Table, determined_text, number, plain, quantity, with_uncertainty
+from rig.analysis import Curves, RunResults, determined_text, encoded
+from rig.presentation import Cell, Table, plain, quantity, with_uncertainty
+from rig.report.run_data import RunData
 from rig.report.tables_uncertainty import budget_table, identifiability_table, monte_carlo_table
 
 
@@ -15,7 +18,7 @@ def run_tables(run: RunData, curves: Curves | None) -> list[Table]:
     """All tables of one run; a table without content is left out."""
     results = run.results
     tables = [instrument_table(results), half_cycle_table(run, curves)]
-    if results.get("fits"):
+    if results.fits:
         tables = [
             parameter_table(results),
             quality_table(results),
@@ -23,7 +26,7 @@ def run_tables(run: RunData, curves: Curves | None) -> list[Table]:
             work_table(results),
             drag_table(results),
             identifiability_table(results),
-            budget_table(results.get("budget") or {}),
+            budget_table(results.budget),
             monte_carlo_table(results),
             correlation_table(results),
             *tables,
@@ -31,11 +34,11 @@ def run_tables(run: RunData, curves: Curves | None) -> list[Table]:
     return [table for table in tables if table.rows]
 
 
-def instrument_table(results: Mapping[str, Any]) -> Table:
+def instrument_table(results: RunResults) -> Table:
     """What is reported of another kind of pendulum: every number with its name of results.json."""
     rows: list[list[Cell]] = []
     shown = []
-    for name, value, u in _numbers(results.get("instrument") or {}):
+    for name, value, u in _numbers({} if results.instrument is None else encoded(results.instrument)):
         rows.append([name, value, u])
         text = value if isinstance(value, str) else with_uncertainty(value, u)
         shown.append([name.replace("_", " ").replace(".", ": "), text])
@@ -45,12 +48,13 @@ def instrument_table(results: Mapping[str, Any]) -> Table:
     )  # fmt: skip
 
 
-def _numbers(tree: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, float | str, float]]:
+def _numbers(tree: Mapping[str, JsonValue], above: str = "") -> Iterator[tuple[str, float | str, float]]:
+    """Every number with its dotted name and its standard uncertainty, NaN where it has none."""
     for key, value in tree.items():
         name = f"{above}{key}"
-        if isinstance(value, Mapping) and "value" in value:
-            yield name, number(value, "value"), number(value, "standard_uncertainty")
-        elif isinstance(value, Mapping):
+        if isinstance(value, dict) and "value" in value:
+            yield name, _float(value["value"]), _float(value.get("standard_uncertainty"))
+        elif isinstance(value, dict):
             yield from _numbers(value, f"{name}.")
         elif isinstance(value, list) and len(value) <= _SHORT_LIST:
             yield from _numbers({str(place): item for place, item in enumerate(value, start=1)}, f"{name}.")
@@ -60,32 +64,37 @@ def _numbers(tree: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, fl
             yield name, float(value), math.nan
 
 
+def _float(value: JsonValue) -> float:
+    return float(value) if isinstance(value, int | float) else math.nan
+
+
 _SHORT_LIST = 12
 """Longer lists (a value for every half-cycle) stay in results.json."""
 
 
-def parameter_table(results: Mapping[str, Any]) -> Table:
+def parameter_table(results: RunResults) -> Table:
     """Parameters and surface energies of both fits; what is not determined as interval or bound."""
-    fits, energy = results["fits"], results.get("surface_energy_j_per_m2") or {}
-    verdicts = {item["name"]: item for item in results.get("identifiability") or []}
+    asymptotic, exact = results.fits[FitMethod.ASYMPTOTIC], results.fits[FitMethod.EXACT]
+    entries: list[tuple[str, Estimate, Estimate]] = [
+        (name, asymptotic.estimate(name), exact.estimate(name))
+        for name in PAPER.names(drag=True)
+        if name in exact.parameters
+    ]
+    energy = results.surface_energy_j_per_m2
+    if energy is not None:
+        other = energy.others[FitMethod.ASYMPTOTIC]
+        entries += [
+            ("surface_energy_table2_j_per_m2", other.table2, energy.table2),
+            ("surface_energy_eq2_j_per_m2", other.eq2, energy.eq2),
+        ]
+    verdicts = results.verdicts()
     rows: list[list[Cell]] = []
     shown = []
-    entries: list[tuple[str, list[Mapping[str, Any]]]] = [
-        (name, [fits[method].get(name) or {} for method in FitMethod])
-        for name in PAPER.names(drag=True)
-        if name in fits[FitMethod.EXACT]
-    ]
-    if energy:
-        for key in ("table2", "eq2"):
-            entries.append(
-                (f"surface_energy_{key}_j_per_m2", [energy[FitMethod.ASYMPTOTIC][key], energy[key]])
-            )
-    for name, estimates in entries:
+    for name, first, second in entries:
         shown_as = quantity(name)
-        pairs = [(number(fit, "value"), number(fit, "standard_uncertainty")) for fit in estimates]
-        rows.append([name, *pairs[0], *pairs[1]])
-        text = determined_text(name, *pairs[1], verdicts)
-        shown.append([shown_as.symbol, shown_as.text(*pairs[0]), text, shown_as.unit])
+        rows.append([name, *first, *second])
+        text = determined_text(name, *second, verdicts)
+        shown.append([shown_as.symbol, shown_as.text(*first), text, shown_as.unit])
     return Table(
         "parameters",
         "Parameters of the contact",
@@ -98,20 +107,19 @@ def parameter_table(results: Mapping[str, Any]) -> Table:
     )
 
 
-def quality_table(results: Mapping[str, Any]) -> Table:
+def quality_table(results: RunResults) -> Table:
     """chi2/dof, ARAE of Eqs. 8 and 9, outliers of both fits."""
-    fits = results["fits"]
+    fits = [results.fits[method] for method in (FitMethod.ASYMPTOTIC, FitMethod.EXACT)]
     keys = {
         "chi2_per_dof": "χ² per degree of freedom",
         "degrees_of_freedom": "degrees of freedom",
         "arae_decay": "ARAE of the amplitudes, Eq. 8",
         "arae_period": "ARAE of the periods, Eq. 9",
     }
-    rows: list[list[Cell]] = [[key, *(number(fits[method], key) for method in FitMethod)] for key in keys]
+    rows: list[list[Cell]] = [[key, *(float(getattr(fit, key)) for fit in fits)] for key in keys]
     shown = [[keys[str(row[0])], *(plain(float(v), 3) for v in row[1:])] for row in rows]
-    lists = [fits[method].get("outliers") or [] for method in FitMethod]
-    rows.append(["outlying_half_cycles", *(" ".join(map(str, found)) for found in lists)])
-    shown.append(["outlying half-cycles", *(_listed(found) for found in lists)])
+    rows.append(["outlying_half_cycles", *(" ".join(map(str, fit.outliers)) for fit in fits)])
+    shown.append(["outlying half-cycles", *(_listed(fit.outliers) for fit in fits)])
     return Table(
         "quality", "Quality of the fits", ("quantity", *FitMethod), rows,
         ("", *(method.heading for method in FitMethod)), shown,
@@ -123,36 +131,32 @@ def _listed(items: Sequence[int]) -> str:
     return f"{len(items)}: {text}{', …' if len(items) > 8 else ''}" if items else "none"
 
 
-def hertz_table(results: Mapping[str, Any]) -> Table:
+def hertz_table(results: RunResults) -> Table:
     """Contact after Hertz (Table 1 of the paper)."""
     rows: list[list[Cell]] = []
     shown = []
-    for key, name in (
-        ("radius_m", "contact_radius_m"), ("depth_m", "contact_depth_m"), ("angle_rad", "contact_angle_rad"),
-    ):  # fmt: skip
-        item = (results.get("hertz") or {}).get(key)
-        if item is None:
-            continue
-        value, u = number(item, "value"), number(item, "standard_uncertainty")
-        rows.append([name, value, u])
-        shown.append([quantity(name).symbol, quantity(name).text(value, u), quantity(name).unit])
+    if results.hertz is not None:
+        for key in ("radius_m", "depth_m", "angle_rad"):
+            name = f"contact_{key}"
+            value: Estimate = getattr(results.hertz, key)
+            rows.append([name, *value])
+            shown.append([quantity(name).symbol, quantity(name).text(*value), quantity(name).unit])
     return Table(
         "hertz", "Contact after Hertz", ("quantity", "value", "standard_uncertainty"), rows,
         ("", "value", "unit"), shown,
     )  # fmt: skip
 
 
-def work_table(results: Mapping[str, Any]) -> Table:
+def work_table(results: RunResults) -> Table:
     """4A and 4A_t at the amplitude of Table 4 and at the start of the run."""
     rows: list[list[Cell]] = []
     shown = []
-    for item in results.get("work_per_cycle") or []:
-        both = [item["dissipated_4a_j"], item["adhesive_4at_j"]]
-        pairs = [(number(tree, "value"), number(tree, "standard_uncertainty")) for tree in both]
-        rows.append([item["amplitude_arcsec"], *pairs[0], *pairs[1]])
-        share = pairs[1][0] / pairs[0][0] if pairs[0][0] else math.nan
+    for item in results.work_per_cycle:
+        pairs = (item.dissipated_4a_j, item.adhesive_4at_j)
+        rows.append([item.amplitude_arcsec, *pairs[0], *pairs[1]])
+        share = pairs[1].value / pairs[0].value if pairs[0].value else math.nan
         texts = [with_uncertainty(value * 1e15, u * 1e15) for value, u in pairs]
-        shown.append([plain(item["amplitude_arcsec"], 4), *texts, f"{100 * share:.1f} %"])
+        shown.append([plain(item.amplitude_arcsec, 4), *texts, f"{100 * share:.1f} %"])
     return Table(
         "work", "Work over one cycle",
         ("amplitude_arcsec", "4A_j", "u_4A_j", "4A_t_j", "u_4A_t_j"), rows,
@@ -160,36 +164,31 @@ def work_table(results: Mapping[str, Any]) -> Table:
     )  # fmt: skip
 
 
-def drag_table(results: Mapping[str, Any]) -> Table:
+def drag_table(results: RunResults) -> Table:
     """The comparison of the exact fit with and without a linear drag."""
-    drag = results.get("drag") or {}
-    if not drag:
+    drag = results.drag
+    if drag is None:
         return Table("drag", "", (), ())
-    value, u = number(drag["drag_s"], "value"), number(drag["drag_s"], "standard_uncertainty")
     keys = ("f_statistic", "p_value", "aic_difference", "relative_shift_b", "relative_shift_c")
-    rows: list[list[Cell]] = [["drag_s", value], ["u_drag_s", u]]
-    rows += [[key, number(drag, key)] for key in keys]
-    rows.append(["significant", str(bool(drag["significant"]))])
-    numbers = [number(drag, key) for key in keys]
+    rows: list[list[Cell]] = [["drag_s", drag.drag_s.value], ["u_drag_s", drag.drag_s.standard_uncertainty]]
+    rows += [[key, getattr(drag, key)] for key in keys]
+    rows.append(["significant", str(drag.significant)])
     shown = [
-        ["linear drag", f"{quantity('drag_s').text(value, u)} s"],
-        ["F-test", f"F = {plain(numbers[0], 3)}, chance without drag {plain(numbers[1], 2)}"],
-        ["AIC with − without", plain(numbers[2], 3)],
-        ["b moves by", f"{100 * numbers[3]:+.2f} %".replace("-", "−")],
-        ["c moves by", f"{100 * numbers[4]:+.2f} %".replace("-", "−")],
-        ["verdict", "a linear drag is in the data" if drag["significant"] else drag["text"].split(":")[0]],
+        ["linear drag", f"{quantity('drag_s').text(*drag.drag_s)} s"],
+        ["F-test", f"F = {plain(drag.f_statistic, 3)}, chance without drag {plain(drag.p_value, 2)}"],
+        ["AIC with − without", plain(drag.aic_difference, 3)],
+        ["b moves by", f"{100 * drag.relative_shift_b:+.2f} %".replace("-", "−")],
+        ["c moves by", f"{100 * drag.relative_shift_c:+.2f} %".replace("-", "−")],
+        ["verdict", "a linear drag is in the data" if drag.significant else drag.text.split(":")[0]],
     ]
     return Table("drag", "Is there a linear drag?", ("quantity", "value"), rows, ("", ""), shown)
 
 
-def correlation_table(results: Mapping[str, Any]) -> Table:
+def correlation_table(results: RunResults) -> Table:
     """The correlation matrix of the exact fit, for the file; the report draws it."""
-    tree = results["fits"][FitMethod.EXACT]["correlation"]
-    rows: list[list[Cell]] = [
-        [name, *(math.nan if v is None else v for v in row)]
-        for name, row in zip(tree["names"], tree["matrix"], strict=True)
-    ]
-    return Table("correlation", "Correlation matrix", ("", *tree["names"]), rows)
+    found = results.fits[FitMethod.EXACT].correlation
+    rows: list[list[Cell]] = [[name, *row] for name, row in zip(found.names, found.matrix, strict=True)]
+    return Table("correlation", "Correlation matrix", ("", *found.names), rows)
 
 
 def half_cycle_table(run: RunData, curves: Curves | None) -> Table:

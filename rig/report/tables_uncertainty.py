@@ -2,40 +2,43 @@
 
 import math
 from collections.abc import Mapping
-from typing import Any
 
+from processing.estimate import Estimate
 from processing.fit import FitMethod
-from rig.presentation import (
-    SOURCES,
-    Cell,
-    Table,
+from rig.analysis import (
+    NOT_DETERMINED,
+    AveragedCurves,
+    Budget,
+    MonteCarlo,
+    RunResults,
+    Series,
     determined_text,
-    number,
-    plain,
-    power,
-    quantity,
     series_verdicts,
 )
+from rig.presentation import SOURCES, Cell, Table, plain, power, quantity
 
 _NEGLIGIBLE = 0.005
 """Share of the variance below which a source is shown with others in one line."""
 
 
-def identifiability_table(results: Mapping[str, Any]) -> Table:
+def identifiability_table(results: RunResults) -> Table:
     """Which parameters the data determine."""
     rows: list[list[Cell]] = []
     shown = []
-    for item in results.get("identifiability") or []:
-        shown_as = quantity(item["name"])
-        value, u = number(item, "value"), number(item, "standard_uncertainty")
-        low, high = number(item, "lower_95"), number(item, "upper_95")
-        rows.append([item["name"], item["verdict"], value, u, low, high, str(item["profile_likelihood"])])
-        relative = abs(u / value) if value else math.inf
+    for item in results.identifiability:
+        shown_as = quantity(item.name)
+        rows.append(
+            [
+                item.name, item.verdict, item.value, item.standard_uncertainty, item.lower_95, item.upper_95,
+                str(item.profile_likelihood),
+            ]
+        )  # fmt: skip
+        relative = abs(item.standard_uncertainty / item.value) if item.value else math.inf
         shown.append(
             [
-                shown_as.symbol, item["verdict"], plain(relative, 2),
-                _interval(low * shown_as.factor, high * shown_as.factor), shown_as.unit,
-                "profile likelihood" if item["profile_likelihood"] else "covariance",
+                shown_as.symbol, item.verdict, plain(relative, 2),
+                _interval(item.lower_95 * shown_as.factor, item.upper_95 * shown_as.factor), shown_as.unit,
+                "profile likelihood" if item.profile_likelihood else "covariance",
             ]
         )  # fmt: skip
     return Table(
@@ -58,34 +61,33 @@ def _interval(low: float, high: float) -> str:
     return f"({plain(low / unit, digits)} … {plain(high / unit, digits)}){power(exponent)}"
 
 
-def budget_table(budget: Mapping[str, Any], name: str = "budget") -> Table:
+def budget_table(budget: Mapping[str, Budget], name: str = "budget") -> Table:
     """GUM budgets of all quantities, largest contribution first."""
     rows: list[list[Cell]] = []
     shown = []
     for key, item in budget.items():
         scale = quantity(key).factor
-        value, u = number(item, "value"), number(item, "standard_uncertainty")
-        factor = number(item, "coverage_factor_95")
+        value, u = item.value, item.standard_uncertainty
         head = [quantity(key).label, quantity(key).text(value, u)]
-        head.append(f"± {plain(number(item, 'expanded_uncertainty_95') * scale, 2)} (k = {factor:.2f})")
+        head.append(f"± {plain(item.expanded_uncertainty_95 * scale, 2)} (k = {item.coverage_factor_95:.2f})")
         small = []
-        for line in item["sources"]:
-            contribution, share = number(line, "contribution"), number(line, "share")
+        for line in item.sources:
+            contribution, share = line.contribution, line.share
             rows.append(
                 [
-                    key, value, u, line["source"], line["type"], number(line, "u_source"),
-                    number(line, "sensitivity"), contribution, share,
+                    key, value, u, line.source, line.type, line.u_source, line.sensitivity,
+                    contribution, share,
                 ]
             )  # fmt: skip
             if share < _NEGLIGIBLE:
                 small.append(contribution)
                 continue
-            cells = [SOURCES.get(line["source"], line["source"]), line["type"]]
+            cells = [SOURCES.get(line.source, line.source), line.type]
             shown.append([*head, *cells, plain(contribution * scale, 2), f"{100 * share:.1f} %"])
             head = [""] * 3
         if small:
             rest = math.hypot(*small)
-            count = f"{len(small)} more" if len(small) < len(item["sources"]) else f"{len(small)} sources"
+            count = f"{len(small)} more" if len(small) < len(item.sources) else f"{len(small)} sources"
             shown.append([*head, count, "", plain(rest * scale, 2), f"{100 * (rest / u) ** 2:.2f} %"])
     return Table(
         name, "Uncertainty budget (GUM)",
@@ -98,49 +100,48 @@ def budget_table(budget: Mapping[str, Any], name: str = "budget") -> Table:
     )  # fmt: skip
 
 
-def monte_carlo_table(results: Mapping[str, Any]) -> Table:
+def monte_carlo_table(results: RunResults) -> Table:
     """Monte Carlo after JCGM 101 beside the budget."""
-    tree = results.get("monte_carlo") or {}
-    budget = results.get("budget") or {}
+    found = results.monte_carlo or MonteCarlo()
     rows: list[list[Cell]] = []
     shown = []
-    for name, item in (tree.get("quantities") or {}).items():
+    for name, item in found.quantities.items():
         scale = quantity(name).factor
-        mean, u = number(item, "mean"), number(item, "standard_uncertainty")
-        low, high = number(item, "lower_95"), number(item, "upper_95")
-        rows.append([name, mean, u, low, high, str(item["gum_holds"])])
+        mean, u, low, high = item.mean, item.standard_uncertainty, item.lower_95, item.upper_95
+        rows.append([name, mean, u, low, high, str(item.gum_holds)])
         if u == 0:
             continue
-        value, half = number(budget[name], "value"), number(budget[name], "expanded_uncertainty_95")
+        value, half = results.budget[name].value, results.budget[name].expanded_uncertainty_95
         shown.append(
             [
                 quantity(name).label, quantity(name).text(mean, u),
                 _interval(low * scale, high * scale),
                 _interval((value - half) * scale, (value + half) * scale),
-                "agrees" if item["gum_holds"] else "take Monte Carlo's",
+                "agrees" if item.gum_holds else "take Monte Carlo's",
             ]
         )  # fmt: skip
-    draws = tree.get("draws", 0)
     return Table(
-        "monte-carlo", f"Monte Carlo propagation (JCGM 101), {draws:,} draws".replace(",", " "),
+        "monte-carlo", f"Monte Carlo propagation (JCGM 101), {found.draws:,} draws".replace(",", " "),
         ("quantity", "mean", "standard_uncertainty", "lower_95", "upper_95", "gum_holds"), rows,
         ("", "mean ± u", "95 % interval", "budget's interval", "budget"), shown,
     )  # fmt: skip
 
 
-def series_table(series: Mapping[str, Any]) -> Table:
+def series_table(series: Series) -> Table:
     """A series combined: exact, asymptotic, and the paper's way."""
     rows: list[list[Cell]] = []
     shown = []
-    exact, asymptotic = series.get(FitMethod.EXACT) or {}, series.get(FitMethod.ASYMPTOTIC) or {}
-    average = series.get("averaged_curves") or {}
+    exact, asymptotic = (series.fits.get(method, {}) for method in (FitMethod.EXACT, FitMethod.ASYMPTOTIC))
+    average = series.averaged_curves or AveragedCurves()
     verdicts = series_verdicts(exact)
     for name in exact or asymptotic:
         shown_as = quantity(name)
-        item = exact.get(name) or {}
-        cells = [number(item, key) for key in _SERIES_KEYS]
-        trees = [tree.get(name) or {} for tree in (asymptotic, average)]
-        others = [(number(tree, "value"), number(tree, "standard_uncertainty")) for tree in trees]
+        cells = [getattr(exact.get(name), key, math.nan) for key in _SERIES_KEYS]
+        item = asymptotic.get(name)
+        others = [
+            NOT_DETERMINED if item is None else Estimate(item.value, item.standard_uncertainty),
+            average.parameters.get(name, NOT_DETERMINED),
+        ]
         rows.append([name, *cells, *others[0], *others[1]])
         between = cells[4] * shown_as.factor
         shown.append(

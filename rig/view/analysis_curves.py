@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,43 +13,29 @@ from processing.angle import ARCSEC_RAD
 from processing.contact import moment_loop
 from processing.errors import RecordError
 from processing.fit import FitMethod
-from processing.swing import TurningPoints, turning_points
-from rig.analysis import (
-    Curves,
-    analyse_record,
-    curves_of,
-    parameters_of,
-    pendulum_of,
-    read_source,
-    recorded_results,
-    results_tree,
-)
-from rig.presentation import Table, number
-from rig.report import instrument_table, parameter_table, quality_table
+from processing.swing import TurningPoints
+from rig.analysis import Curves, RunResults, analyse_record, curves_of, recorded_results
+from rig.presentation import Table
+from rig.report import instrument_table, parameter_table, quality_table, turning_points_again
 from rig.rerun import Curve, Floats
 
 
 class RunAnalysis(NamedTuple):
-    """One record with what was fitted to it: a run of results.json, and the turning points behind it."""
+    """The results of one record, and the turning points behind them."""
 
     record: Path
-    tree: Mapping[str, Any]
+    results: RunResults
     points: TurningPoints
     unit_rad: float
 
 
 def run_analysis(record: Path) -> RunAnalysis:
     """From the results beside the record where they are of this very file; fitted now where not."""
-    name, known = recorded_results(record, sha256_of(record))
-    if known is not None:
-        runs = read_source(record.parent / name).runs
-        run = next(run for run in runs if run.results.get("sha256") == known["sha256"])
-        return RunAnalysis(record, run.results, run.points, run.unit_rad)
-    found = analyse_record(record)
-    tree = results_tree([found], record.parent, {})["runs"][0]
-    points = found.points if found.points is not None else turning_points(())
+    _, known = recorded_results(record, sha256_of(record))
+    results = analyse_record(record).results if known is None else known
     with RecordReader(record) as reader:
-        return RunAnalysis(record, tree, points, 1.0 if reader.deflection_unit == "px" else ARCSEC_RAD)
+        stored = results.turning_points or turning_points_again(reader, results)
+    return RunAnalysis(record, results, stored.points(), 1.0 if stored.unit == "px" else ARCSEC_RAD)
 
 
 def analysis_curves(run: RunAnalysis) -> list[Curve]:
@@ -58,7 +44,7 @@ def analysis_curves(run: RunAnalysis) -> list[Curve]:
     amplitude = points.amplitude / unit
     u = points.u_amplitude / unit
     drawn = [Curve("decay", "measured", points.time_s, amplitude, u, "points")]
-    curves = curves_of(points, run.tree)
+    curves = curves_of(points, run.results)
     if curves is None:
         return drawn
     decay = {FitMethod.ASYMPTOTIC: curves.asymptotic_rad, FitMethod.EXACT: curves.exact_rad}
@@ -88,7 +74,7 @@ def overlaid_curves(runs: Mapping[str, RunAnalysis]) -> list[Curve]:
     for name, run in runs.items():
         points, unit = run.points, run.unit_rad
         drawn.append(Curve("decay", name, points.time_s, points.amplitude / unit, None, "points"))
-        curves = curves_of(points, run.tree)
+        curves = curves_of(points, run.results)
         if curves is None:
             continue
         residual = (points.amplitude - curves.exact_rad) / unit
@@ -106,33 +92,31 @@ def report_text(runs: Mapping[str, RunAnalysis]) -> str:
     """What the fits say, in Markdown, run after run."""
     parts: list[str] = []
     for run in runs.values():
-        tree = run.tree
+        results = run.results
         parts.append(f"## {run.record.stem}")
-        first, last = (number(tree, f"{end}_amplitude_arcsec") for end in ("initial", "final"))
+        first, last = results.initial_amplitude_arcsec, results.final_amplitude_arcsec
         unit = "arcsec" if run.unit_rad != 1.0 else "px"
-        parts.append(f"{tree.get('half_cycles', 0)} half-cycles, {first:.2f} to {last:.2f} {unit}")
-        if tree.get("problem"):
-            parts.append(f"no fit: {tree['problem']}")
-        if tree.get("fits"):
-            parameters = parameter_table(tree)
+        parts.append(f"{results.half_cycles} half-cycles, {first:.2f} to {last:.2f} {unit}")
+        if results.problem:
+            parts.append(f"no fit: {results.problem}")
+        if results.fits:
+            parameters = parameter_table(results)
             # one fit below the other: a panel is narrow
             parts += [_markdown(parameters, column) for column in (2, 1)]
-            parts.append(_markdown(quality_table(tree)))
-        instrument = instrument_table(tree)
+            parts.append(_markdown(quality_table(results)))
+        instrument = instrument_table(results)
         if instrument.rows:
             parts.append(_markdown(instrument))
-        parts += [f"- {warning}" for warning in tree.get("warnings") or ()]
+        parts += [f"- {warning}" for warning in results.warnings]
     return "\n\n".join(parts)
 
 
 def _loops(run: RunAnalysis, amplitude: float) -> list[Curve]:
     """Moments over one swing of an amplitude: lost (Eq. 1), elastic (Eq. 3) and their sum."""
-    pendulum = pendulum_of(run.tree)
+    pendulum, fit = run.results.pendulum, run.results.fits[FitMethod.EXACT]
     if pendulum is None:
         raise RecordError(f"{run.record}: its results name no pendulum; rig fit makes them anew")
-    loop = moment_loop(
-        amplitude * run.unit_rad, asdict(parameters_of(run.tree["fits"][FitMethod.EXACT])), pendulum
-    )
+    loop = moment_loop(amplitude * run.unit_rad, asdict(fit.contact()), pendulum)
     closed = np.append(np.arange(len(loop.phi_rad)), 0)
     angle = loop.phi_rad[closed] / run.unit_rad
     moments = {"dissipative": loop.friction_n_m, "elastic": loop.elastic_n_m, "total": loop.total_n_m}

@@ -10,8 +10,8 @@ from typer.testing import CliRunner
 
 from processing.errors import ConfigurationError
 from processing.instruments.descriptions import INSTRUMENTS
-from rig.analysis.record_fit import fit_records
 from rig.cli import app
+from rig.commands.physics import fit_records
 from rig.measure.session import measure_session, simulate_record
 from rig.settings.configuration import load_configuration
 

@@ -1,6 +1,7 @@
 """Numbers as they are printed: digits by the uncertainty, powers of ten, what is not determined."""
 
 import math
+from dataclasses import replace
 from decimal import Context, Decimal, localcontext
 
 import numpy as np
@@ -8,7 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig.presentation.determined import bound_text, determined_text, series_verdicts
+from rig.analysis.determined import bound_text, determined_text, series_verdicts
+from rig.analysis.results import CombinedParameter, Determination
 from rig.presentation.numbers import plain, rounded, with_uncertainty
 from rig.report.drawing import envelope, thinned
 
@@ -77,19 +79,19 @@ def test_a_plain_number_keeps_its_digits(value: float, digits: int) -> None:
 
 
 def test_what_is_not_determined_is_a_bound_or_an_interval() -> None:
-    verdict = {"verdict": "upper bound", "value": 1e-9, "lower_95": 0.0, "upper_95": 2.34e-8}
+    verdict = Determination(name="c", verdict="upper bound", value=1e-9, lower_95=0.0, upper_95=2.34e-8)
     assert bound_text(verdict) == "< 2.3 × 10⁻⁸ (95 %)"
-    assert bound_text({**verdict, "verdict": "undetermined"}) == "not determined"
+    assert bound_text(replace(verdict, verdict="undetermined")) == "not determined"
     energy = determined_text("surface_energy_table2_j_per_m2", 2.75e-3, 1e-3, {"c": verdict})
     assert energy == "< 64 (95 %)"  # 2.34e-8 times 2.75e-3/1e-9 J/m^2
 
 
 def test_a_series_that_scatters_too_much_gives_a_bound() -> None:
-    item = {"value": -1.2e-8, "standard_uncertainty": 8e-9, "expanded_uncertainty_95": 3.4e-8}
-    found = series_verdicts({"c": item, "p": {**item, "value": 0.9, "standard_uncertainty": 0.01}})
-    assert found["c"]["verdict"] == "upper bound"
-    assert found["c"]["upper_95"] == pytest.approx(2.2e-8)
-    assert found["p"]["verdict"] == "determined"
+    item = CombinedParameter(value=-1.2e-8, standard_uncertainty=8e-9, expanded_uncertainty_95=3.4e-8)
+    found = series_verdicts({"c": item, "p": replace(item, value=0.9, standard_uncertainty=0.01)})
+    assert found["c"].verdict == "upper bound"
+    assert found["c"].upper_95 == pytest.approx(2.2e-8)
+    assert found["p"].verdict == "determined"
 
 
 def test_an_envelope_holds_every_extreme() -> None:

@@ -10,8 +10,8 @@ from acquisition.record.writer import RecordWriter
 from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import Spot, SpotFlag
 from processing.swing import Swing
-from rig.analysis.record_fit import analyse_record, combine
-from rig.analysis.results import results_tree, write_results
+from rig.analysis.record_fit import analyse_record, session_results
+from rig.analysis.results_file import write_results
 from rig.instrument.provenance import CONFIGURATION_NAME
 from rig.report.session_report import make_report
 from rig.settings.configuration import Configuration
@@ -47,8 +47,7 @@ def session_in_pixels(folder: Path, *, lost: bool) -> Path:
             writer.write_swing(
                 Swing(index, turn_ns, 1e-4, amplitude, 0.01, 2.0, 1e-4, 0.0, 1 - 2 * (index % 2), 0)
             )
-    results = [analyse_record(record)]
-    write_results(folder / "results.json", results_tree(results, folder, combine(results)))
+    write_results(folder / "results.json", session_results([analyse_record(record)], folder))
     return folder
 
 

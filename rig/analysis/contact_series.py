@@ -1,0 +1,84 @@
+"""A series of runs of one contact pair: every fit combined, and the paper's way beside it."""
+
+from collections.abc import Mapping, Sequence
+
+from processing.contact import PendulumOnBall
+from processing.errors import DataError
+from processing.fit import (
+    Combined,
+    FitMethod,
+    FitResult,
+    RigQuantities,
+    SeriesResult,
+    average_curves,
+    budgets,
+    combine_runs,
+    fit_asymptotic,
+)
+from processing.swing import TurningPoints
+from rig.analysis.contact_laws import surface_energy_of
+from rig.analysis.contact_verdicts import budget_results
+from rig.analysis.results import AveragedCurves, CombinedParameter, Disagreement, Series
+
+
+def combined_series(
+    fits: Mapping[str, Sequence[FitResult]],
+    points: Sequence[TurningPoints],
+    pendulum: PendulumOnBall,
+    rig: RigQuantities | None,
+    *,
+    printed_curvature: bool = False,
+) -> Series:
+    """Parameters over the runs; what cannot be combined is said in `problems`.
+
+    Parameters
+    ----------
+    fits
+        By method, one fit a run.
+    points
+        The turning points of the same runs, for the averaged curve.
+    """
+    combined: dict[str, SeriesResult] = {}
+    problems: list[str] = []
+    for method, results in fits.items():
+        try:
+            combined[method] = combine_runs(results)
+        except DataError as error:
+            problems.append(f"{method}: {error}")
+    averaged = None
+    try:
+        average = fit_asymptotic(average_curves(points), pendulum, printed_curvature=printed_curvature)
+        averaged = AveragedCurves(average.estimates(), average.arae_decay, average.arae_period)
+    except DataError as error:
+        problems.append(f"averaged curves: {error}")
+    default = combined.get(FitMethod.EXACT)
+    return Series(
+        runs=len(points),
+        fits={
+            method: {name: _parameter(item) for name, item in found.parameters.items()}
+            for method, found in combined.items()
+        },
+        surface_energy_j_per_m2=surface_energy_of(default.parameters["c"].estimate, pendulum)
+        if default
+        else None,
+        budget=budget_results(budgets(default.measured, rig)) if default and rig else {},
+        disagreements=tuple(
+            Disagreement(item.run + 1, item.name, item.deviation)
+            for item in (default.disagreements if default else ())
+        ),
+        averaged_curves=averaged,
+        problems=tuple(problems),
+    )
+
+
+def _parameter(item: Combined) -> CombinedParameter:
+    return CombinedParameter(
+        value=item.value,
+        standard_uncertainty=item.standard_uncertainty,
+        expanded_uncertainty_95=item.expanded,
+        degrees_of_freedom=item.dof,
+        within_runs=item.within,
+        between_runs=item.between,
+        p_homogeneous=item.p_homogeneous,
+        runs=item.runs,
+    )

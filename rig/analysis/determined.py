@@ -1,0 +1,46 @@
+"""How a parameter is shown that the data may not determine: value, interval or bound."""
+
+from collections.abc import Mapping
+
+from processing.estimate import WELL_DETERMINED
+from processing.fit import Verdict
+from rig.analysis.results import CombinedParameter, Determination
+from rig.presentation import law_parameters, plain, quantity
+
+
+def determined_text(name: str, value: float, u: float, verdicts: Mapping[str, Determination]) -> str:
+    """Value and uncertainty where the data determine the parameter, else its interval or bound.
+
+    A surface energy is c times what is known of the apparatus, and shares c's verdict.
+    """
+    shown = quantity(name)
+    is_energy = name.startswith("surface_energy")
+    verdict = verdicts.get("c" if is_energy else name)
+    if verdict is None or verdict.verdict == "determined":
+        return shown.text(value, u)
+    per_parameter = value / verdict.value if is_energy else 1.0
+    return bound_text(verdict, shown.factor * per_parameter)
+
+
+def series_verdicts(combined: Mapping[str, CombinedParameter]) -> dict[str, Determination]:
+    """Verdicts on a series' parameters by their 95 % intervals."""
+    found = {}
+    for name, item in combined.items():
+        low, high = item.value - item.expanded_uncertainty_95, item.value + item.expanded_uncertainty_95
+        kind: Verdict = "determined"
+        if item.standard_uncertainty > WELL_DETERMINED * abs(item.value):
+            kind = "upper bound" if low <= 0 and law_parameters()[name].lower == 0 else "interval"
+        found[name] = Determination(name=name, verdict=kind, value=item.value, lower_95=low, upper_95=high)
+    return found
+
+
+def bound_text(verdict: Determination, scale: float = 1.0) -> str:
+    """`low … high` or a bound, 95 %."""
+    low, high = verdict.lower_95 * scale, verdict.upper_95 * scale
+    if verdict.verdict in ("interval", "determined"):
+        return f"{plain(low, 3)} … {plain(high, 3)} (95 %)"
+    if verdict.verdict == "upper bound":
+        return f"< {plain(high, 2)} (95 %)"
+    if verdict.verdict == "lower bound":
+        return f"> {plain(low, 2)} (95 %)"
+    return "not determined"

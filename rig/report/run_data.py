@@ -1,0 +1,191 @@
+"""What a report is made of: results.json, and what only the records that it names hold."""
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.frame import Frame
+from acquisition.record.digest import sha256_of
+from acquisition.record.reader import RecordReader
+from processing.angle import ARCSEC_RAD
+from processing.errors import RecordError, RigError
+from processing.fit import measured_again
+from processing.swing import TurningPoints
+from rig.analysis import (
+    JsonObject,
+    RunResults,
+    Series,
+    StoredTurningPoints,
+    points_in_true_time,
+    read_results,
+)
+from rig.instrument import CONFIGURATION_NAME, recorded_configuration
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Deflection of every frame in `unit` (arcsec, or px without calibration); NaN where lost."""
+
+    time_s: Array
+    x: Array
+    y: Array
+    unit: str
+
+
+@dataclass(frozen=True)
+class Picture:
+    """One whole frame and the spot that was found in it."""
+
+    frame: Frame
+    x_px: float
+    y_px: float
+    sigma_px: float
+
+
+@dataclass(frozen=True)
+class RunData:
+    """One run: its results, the turning points that were fitted, its motion.
+
+    `motion` counts time from the first turning point, as `stored` does. `provenance` is text by section
+    and key.
+    """
+
+    title: str
+    results: RunResults
+    stored: StoredTurningPoints
+    motion: Motion
+    picture: Picture | None
+    provenance: Mapping[str, Mapping[str, str]]
+    notes: Sequence[str] = ()
+
+    @property
+    def points(self) -> TurningPoints:
+        """The turning points as the fits took them."""
+        return self.stored.points()
+
+    @property
+    def unit_rad(self) -> float:
+        """What an amplitude is divided by for display."""
+        return ARCSEC_RAD if self.motion.unit == "arcsec" else 1.0
+
+
+@dataclass(frozen=True)
+class ReportSource:
+    """A session: its runs and their series, None where they make none."""
+
+    folder: Path
+    series: Series | None
+    runs: Sequence[RunData]
+
+
+def read_source(source: Path) -> ReportSource:
+    """Results of a folder (or a results file) and the records they were made from.
+
+    Raises RecordError for a folder without results, or with a record that is not there.
+    """
+    results = read_results(source)
+    folder = source if source.is_dir() else source.parent
+    runs = [_read_run(folder, run, number) for number, run in enumerate(results.runs, start=1)]
+    return ReportSource(folder, results.series, runs)
+
+
+def _read_run(folder: Path, results: RunResults, number: int) -> RunData:
+    path = folder / results.record
+    notes: list[str] = []
+    with RecordReader(path) as reader:
+        spots = reader.spots()
+        picture = _picture(reader, spots, notes)
+        deflections = reader.deflections(spots)
+        provenance: dict[str, Mapping[str, str]] = {
+            "file": {"record": path.name, "sha256": results.sha256},
+            **reader.metadata,
+        }
+        configuration = reader.attachments.get(CONFIGURATION_NAME)
+        rate = _clock_rate(reader, notes)
+        stored = results.turning_points or turning_points_again(reader, results)
+        if reader.truncated:
+            notes.append("the record was cut short")
+    if not _is_same_record(path, results):
+        notes.append("the record is not the one that the results were made from: its hash differs")
+    if configuration is not None:
+        provenance["configuration"] = _flat(json.loads(configuration))
+    first_ns = stored.first_ns or (int(spots["time_ns"][0]) if len(spots) else 0)
+    motion = Motion(
+        (spots["time_ns"] - first_ns) * 1e-9 * rate,
+        deflections.shown_x,
+        deflections.shown_y,
+        deflections.unit.shown,
+    )
+    if results.calibration:
+        provenance["calibration"] = _flat(results.calibration)
+    return RunData(f"Run {number}", results, stored, motion, picture, provenance, notes)
+
+
+def _is_same_record(path: Path, results: RunResults) -> bool:
+    """Whether a record is the one that was analysed, by its size; by its hash where that is not known.
+
+    The reader checks every chunk by its own sum: that a file has been damaged is not found out here.
+    """
+    if results.record_bytes is not None:
+        return path.stat().st_size == results.record_bytes
+    return sha256_of(path) == results.sha256
+
+
+def turning_points_again(reader: RecordReader, results: RunResults) -> StoredTurningPoints:
+    """Turning points for results of schema 1, which do not hold them.
+
+    Those that were fitted where the results say on which motion they were measured again; else as detected.
+    """
+    deflections, clock_rate = reader.deflections(reader.spots()), _clock_rate(reader, [])
+    motion, swings = results.measured_again_on, reader.swings()
+    if motion is not None:
+        swings = measured_again(swings, deflections.times_ns, deflections.y, deflections.u_y, motion)
+    points = points_in_true_time(swings, clock_rate)
+    return StoredTurningPoints.of(points, swings, deflections.unit, clock_rate)
+
+
+def _clock_rate(reader: RecordReader, notes: list[str]) -> float:
+    """True seconds per second of the camera's clock, with which the fits counted too."""
+    try:
+        timebase = recorded_configuration(reader).timebase
+    except RecordError as error:
+        notes.append(f"times are the camera's own: {error}")
+        return 1.0
+    return 1.0 if timebase is None else timebase.camera_rate
+
+
+def _picture(reader: RecordReader, spots: NDArray[Any], notes: list[str]) -> Picture | None:
+    """The first whole frame with a spot in it; a record without one is reported without one."""
+    try:
+        for frame in reader.images():
+            rows = np.nonzero(spots["sequence"] == frame.sequence)[0]
+            if len(rows) and math.isfinite(float(spots["x_px"][rows[0]])):
+                row = spots[rows[0]]
+                sigma = 0.5 * float(row["sigma_x_px"] + row["sigma_y_px"])
+                return Picture(frame, float(row["x_px"]), float(row["y_px"]), sigma)
+    except (RigError, ValueError) as error:
+        notes.append(f"no frame could be read: {error}")
+    return None
+
+
+def _flat(tree: JsonObject, above: str = "") -> dict[str, str]:
+    """Nested tables as dotted keys, what is not stated left out."""
+    found: dict[str, str] = {}
+    for key, value in tree.items():
+        name = f"{above}{key}"
+        if isinstance(value, dict):
+            found |= _flat(value, f"{name}.")
+        elif isinstance(value, list) and all(isinstance(item, dict) for item in value):
+            for place, item in enumerate(value, start=1):
+                found |= _flat(item, f"{name}.{place}.") if isinstance(item, dict) else {}
+        elif value is not None and value != "":
+            found[name] = f"{value:.10g}" if isinstance(value, float) else str(value)
+    return found

@@ -1,0 +1,125 @@
+"""results.json: both ways without loss, earlier versions, faults in one line, the published schema."""
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from processing.errors import RecordError
+from rig.analysis.results import RunResults, SessionResults
+from rig.analysis.results_file import encoded, read_results, results_schema, write_results
+
+SCHEMA_FILE = Path(__file__).resolve().parents[3] / "docs" / "results.schema.json"
+
+
+def results_of(folder: Path) -> dict[str, Any]:
+    tree: dict[str, Any] = json.loads((folder / "results.json").read_text())
+    return tree
+
+
+def changed(folder: Path, tree: dict[str, Any]) -> Path:
+    folder.mkdir(exist_ok=True)
+    (folder / "results.json").write_text(json.dumps(tree))
+    return folder
+
+
+def test_what_is_read_is_written_the_same(measured_series: Path, tmp_path: Path) -> None:
+    found = read_results(measured_series)
+    write_results(tmp_path / "results.json", found)
+    assert (tmp_path / "results.json").read_text() == (measured_series / "results.json").read_text()
+
+
+def test_the_fitted_turning_points_are_stored(measured_series: Path) -> None:
+    run = read_results(measured_series).runs[0]
+    stored = run.turning_points
+    assert stored is not None
+    points = stored.points()
+    assert len(points) == run.half_cycles
+    assert points.time_s[0] == 0.0
+    assert np.all(points.u_amplitude > 0)
+    assert len(stored.left_out_time_s) == len(stored.left_out_amplitude) == len(stored.left_out_flags)
+    assert np.all(stored.left_out_flags != 0)
+
+
+def test_arrays_stand_on_one_line_each(measured_series: Path) -> None:
+    lines = (measured_series / "results.json").read_text().splitlines()
+    times = [line for line in lines if line.strip().startswith('"time_s": [')]
+    assert len(times) == 2
+    assert all(line.rstrip(",").endswith("]") for line in times)
+
+
+def test_null_says_not_determined(measured_series: Path, tmp_path: Path) -> None:
+    tree = results_of(measured_series)
+    tree["runs"][0]["fits"]["exact"]["c"]["standard_uncertainty"] = None
+    tree["runs"][0]["identifiability"][0]["upper_95"] = None
+    found = read_results(changed(tmp_path, tree))
+    assert math.isnan(found.runs[0].fits["exact"].estimate("c").standard_uncertainty)
+    assert math.isnan(found.runs[0].identifiability[0].upper_95)
+    assert encoded(found) == tree
+
+
+def test_the_first_version_is_read(measured_series: Path, tmp_path: Path) -> None:
+    """Without what was added since, with empty objects where nothing was evaluated, with unknown keys."""
+    tree = results_of(measured_series)
+    tree["schema"] = 1
+    for run in tree["runs"]:
+        del run["turning_points"], run["unit"], run["record_bytes"]
+        run |= {"hertz": {}, "drag": {}, "monte_carlo": {}, "losses": None, "of_another_version": 3}
+    found = read_results(changed(tmp_path, tree))
+    assert found.schema == 1
+    assert found.runs[0].turning_points is None
+    assert found.runs[0].drag is None
+    assert found.runs[0].fits["exact"].estimate("b").value == tree["runs"][0]["fits"]["exact"]["b"]["value"]
+
+
+@pytest.mark.parametrize(
+    ("keys", "value", "words"),
+    [
+        (("runs", 0, "half_cycles"), "many", r'runs\[0\]\.half_cycles is "many", not a valid integer'),
+        (
+            ("runs", 0, "fits", "exact", "b"),
+            {"value": 1.0},
+            r"fits\.exact\.\S*\.standard_uncertainty is missing",
+        ),
+        (("runs", 1, "fits", "exact", "b", "value"), [1], r"b\.value is \[1\], not a valid number"),
+        (("runs", 0), 7, r"runs\[0\] is 7, not"),
+        (("runs",), [], "names no runs"),
+        (("schema",), 99, "schema 99 was written by a later version"),
+    ],
+)
+def test_a_fault_is_one_line_that_names_file_key_and_remedy(
+    measured_series: Path, tmp_path: Path, keys: tuple[str | int, ...], value: object, words: str
+) -> None:
+    tree = results_of(measured_series)
+    place: Any = tree
+    for key in keys[:-1]:
+        place = place[key]
+    place[keys[-1]] = value
+    with pytest.raises(RecordError, match=words) as error:
+        read_results(changed(tmp_path, tree))
+    text = str(error.value)
+    assert str(tmp_path / "results.json") in text
+    assert "\n" not in text
+    assert "pydantic" not in text
+
+
+def test_nothing_is_written_over(tmp_path: Path) -> None:
+    (tmp_path / "results.json").write_text("{}")
+    with pytest.raises(RecordError, match="exists already and is not overwritten"):
+        write_results(tmp_path / "results.json", SessionResults(runs=(RunResults(record="run-1.mcap"),)))
+
+
+def test_the_published_schema_is_current() -> None:
+    """`make schema` writes it anew."""
+    assert SCHEMA_FILE.read_text(encoding="utf-8") == results_schema()
+
+
+def test_the_schema_names_every_key_of_a_file(measured_series: Path) -> None:
+    schema = json.loads(results_schema())
+    run = schema["$defs"]["RunResults"]["properties"]
+    assert set(results_of(measured_series)["runs"][0]) <= set(run)
+    assert "chi2_per_dof" in schema["$defs"]["Fit"]["properties"]
+    assert schema["$defs"]["Fit"]["additionalProperties"]["required"] == ["value", "standard_uncertainty"]
