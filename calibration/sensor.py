@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from processing.errors import DataError
+from processing.robust import robust_scatter
 
 Image = NDArray[np.uint8] | NDArray[np.uint16]
 
@@ -192,9 +193,7 @@ def photon_transfer(
 def _hot_pixels(dark_map: NDArray[np.float64]) -> NDArray[np.int64]:
     flat = dark_map.reshape(-1)
     middle = float(np.median(flat))
-    sigma = max(
-        1.4826 * float(np.median(np.abs(flat - middle))), float(np.percentile(flat, 84) - middle), 0.2
-    )
+    sigma = max(robust_scatter(flat, middle), float(np.percentile(flat, 84) - middle), 0.2)
     return np.nonzero(flat > middle + 8.0 * sigma)[0]
 
 

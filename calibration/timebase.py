@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from processing.errors import DataError
+from processing.robust import robust_scatter
 
 FRAME_JITTER_LIMIT_S = 15e-6
 """Frame-time jitter up to this is invisible in the turning points' times; 100 us doubles their error."""
@@ -144,11 +145,6 @@ def relate_clocks(
     )
 
 
-def _robust_sigma(values: NDArray[np.float64]) -> float:
-    # 1.4826: the median absolute deviation of a normal distribution is sigma / 1.4826
-    return float(1.4826 * np.median(np.abs(values - np.median(values))))
-
-
 def _jumps(since_s: NDArray[np.float64], ahead_s: NDArray[np.float64]) -> list[int]:
     """Frames at which the relation steps and stays; medians tell a jump from a late frame."""
     window = _JUMP_WINDOW
@@ -158,8 +154,8 @@ def _jumps(since_s: NDArray[np.float64], ahead_s: NDArray[np.float64]) -> list[i
     flat = ahead_s - rate * since_s
     views = np.median(np.lib.stride_tricks.sliding_window_view(flat, window), axis=1)
     step = views[window:] - views[:-window]
-    noise = _robust_sigma(np.diff(flat)) / np.sqrt(2.0)
-    limit = max(8.0 * noise, 8.0 * _robust_sigma(step), 1e-6)
+    noise = robust_scatter(np.diff(flat)) / np.sqrt(2.0)
+    limit = max(8.0 * noise, 8.0 * robust_scatter(step), 1e-6)
     found: list[int] = []
     candidates = np.nonzero(np.abs(step) > limit)[0]
     while len(candidates):
@@ -176,10 +172,10 @@ def _huber(
     design: NDArray[np.float64], values: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
     solution = np.linalg.lstsq(design, values, rcond=None)[0]
-    sigma = _robust_sigma(values - design @ solution)
+    sigma = robust_scatter(values - design @ solution)
     for _ in range(60):
         residual = values - design @ solution
-        sigma = max(_robust_sigma(residual), 1e-12)
+        sigma = max(robust_scatter(residual), 1e-12)
         weight = np.minimum(1.0, _HUBER * sigma / np.maximum(np.abs(residual), 1e-300))
         root = np.sqrt(weight)[:, None]
         new = np.linalg.lstsq(design * root, values * root[:, 0], rcond=None)[0]

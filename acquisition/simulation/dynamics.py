@@ -6,7 +6,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.simulation import integrator
-from acquisition.simulation.integrator import ANGLE, COLUMNS, DIRECTION, RATE, TIME, ModeConstants
+from acquisition.simulation.integrator import (
+    ANGLE,
+    COLUMNS,
+    DIRECTION,
+    LENGTH,
+    POLYNOMIAL,
+    RATE,
+    START,
+    TIME,
+    ModeConstants,
+)
 from acquisition.simulation.settings import ContactTruth, FastModeTruth, SimulationSettings
 from processing.errors import ConfigurationError
 
@@ -92,7 +102,7 @@ class Motion:
         self._held = False
         self._state[:] = 0.0, held_rad, 0.0, 0.0
         if start_s > 0:
-            self._rows[0, :3] = 0.0, start_s, held_rad
+            self._rows[0, : POLYNOMIAL + 1] = 0.0, start_s, held_rad
             self._n_rows = 1
         self._state[:] = start_s, angle_rad, rate_rad_per_s, 0.0
         self._set_direction()
@@ -188,16 +198,17 @@ class Motion:
         """Forget what was integrated beyond `time_s`."""
         angles, rates = np.empty(1), np.empty(1)
         row, _ = integrator.sample(self._rows, self._row, self._n_rows, np.array([time_s]), 0, angles, rates)
-        begin_s = self._rows[row, 0]
-        self._rows[row, 1:] = self._cut(self._rows[row], time_s - begin_s)
+        begin_s = self._rows[row, START]
+        self._rows[row, LENGTH:] = self._cut(self._rows[row], time_s - begin_s)
         self._n_rows = row + 1
         self._state[:3] = time_s, angles[0], rates[0]
         self._set_direction()
 
     @staticmethod
     def _cut(row: NDArray[np.float64], length_s: float) -> NDArray[np.float64]:
-        ratio = length_s / row[1]
-        return np.concatenate(([length_s], row[2:] * ratio ** np.arange(COLUMNS - 2)))
+        """Length and polynomial of a step cut short."""
+        ratio = length_s / row[LENGTH]
+        return np.concatenate(([length_s], row[POLYNOMIAL:] * ratio ** np.arange(COLUMNS - POLYNOMIAL)))
 
 
 def motions(settings: SimulationSettings) -> tuple[Motion, Motion]:

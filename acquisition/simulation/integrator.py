@@ -29,8 +29,10 @@ LONGEST_STEP_RAD = 0.35
 SHORTEST_STEP_RAD = 1e-4
 """Steps that touch phi = 0: what |phi|^p leaves there is below 2e-12 of the amplitude even for p = 0.4."""
 
-COLUMNS = STAGES + 4
-"""A row of the trajectory: start time, length, then the coefficients of phi in (t - start)/length."""
+START, LENGTH, POLYNOMIAL = 0, 1, 2
+COLUMNS = POLYNOMIAL + STAGES + 2
+"""A row, one step of the motion: start time in s, length in s, then from `POLYNOMIAL` on the coefficients of
+phi, in rad, as a polynomial in (t - start)/length."""
 
 TIME, ANGLE, RATE, DIRECTION = 0, 1, 2, 3
 """Entries of a state. Direction is the sign of the motion, 0 where friction holds the pendulum."""
@@ -203,13 +205,14 @@ def advance(
         direction = state[DIRECTION]
         row = rows[n_rows]
         row[:] = 0.0
-        row[0] = state[TIME]
-        row[2] = angle
+        row[START] = state[TIME]
+        row[POLYNOMIAL] = angle
         if direction == 0.0:
-            row[1] = stop_s - state[TIME]
+            row[LENGTH] = stop_s - state[TIME]
             state[TIME] = stop_s
             n_rows += 1
             continue
+        # steps that shrink towards phi = 0 in a geometric series, and grow again behind it: see above
         inward = angle * direction < 0.0
         from_zero_s = math.atan2(w0 * abs(angle), abs(rate)) / w0
         h = min(longest_s, max(shortest_s, (0.62 if inward else 1.6) * from_zero_s))
@@ -229,13 +232,15 @@ def advance(
             h = _length_to(RATE, angle, rate, direction, h, mode, rule, f)
             end_angle, end_rate = _stages(angle, rate, direction, h, mode, rule, f)
             end_rate = 0.0
-        row[1] = h
-        row[3] = h * rate
+        row[LENGTH] = h
+        row[POLYNOMIAL + 1] = h * rate
+        # phi'' as a polynomial in theta = (t - start)/h is integrated twice: theta^k becomes
+        # theta^(k+2)/((k+1)(k+2))
         for k in range(STAGES):
             total = 0.0
             for j in range(STAGES):
                 total += rule.to_polynomial[k, j] * f[j]
-            row[4 + k] = h * h * total / ((k + 1) * (k + 2))
+            row[POLYNOMIAL + 2 + k] = h * h * total / ((k + 1) * (k + 2))
         n_rows += 1
         state[TIME] += h
         state[ANGLE] = end_angle
@@ -265,16 +270,17 @@ def sample(
     row = first_row
     for i in range(first, times_s.shape[0]):
         t = times_s[i]
-        while row < n_rows and t > rows[row, 0] + rows[row, 1]:
+        while row < n_rows and t > rows[row, START] + rows[row, LENGTH]:
             row += 1
         if row == n_rows:
             return row, i
-        theta = (t - rows[row, 0]) / rows[row, 1] if rows[row, 1] > 0.0 else 0.0
+        theta = (t - rows[row, START]) / rows[row, LENGTH] if rows[row, LENGTH] > 0.0 else 0.0
         angle = 0.0
         rate = 0.0
-        for k in range(COLUMNS - 1, 1, -1):
+        # Horner's rule for the polynomial and its derivative together
+        for k in range(COLUMNS - 1, POLYNOMIAL - 1, -1):
             rate = rate * theta + angle
             angle = angle * theta + rows[row, k]
         angles[i] = angle
-        rates[i] = rate / rows[row, 1] if rows[row, 1] > 0.0 else 0.0
+        rates[i] = rate / rows[row, LENGTH] if rows[row, LENGTH] > 0.0 else 0.0
     return row, times_s.shape[0]

@@ -1,4 +1,4 @@
-"""Compiles the kernels before there is anything to lose."""
+"""Compiles the kernels before a measurement begins."""
 
 import numpy as np
 
@@ -9,11 +9,11 @@ _FRAMES_PER_S, _SECONDS, _RATE, _LOSS = 20.0, 60.0, 1.5, 0.01
 
 
 def compile_kernels() -> None:
-    """Go once through everything that is compiled at its first use.
+    """Run everything once that is compiled at its first use.
 
-    That takes about 20 s on the first run after an installation, a few tenths of a second later on,
-    when the compiled kernels are read from their cache. Call it before a measurement: compiled at the
-    first swing they would hold the samples up.
+    This takes about 20 s on the first run after an installation, a few tenths of a second later on,
+    when the compiled kernels are read from their cache. Call it before a measurement: a compilation at
+    the first swing would block the samples' processing.
     """
     time_s = np.arange(0.0, _SECONDS, 1.0 / _FRAMES_PER_S)
     phase = _RATE * time_s

@@ -1,4 +1,4 @@
-"""One half-cycle against its samples: linearised model, normal equations, two least-squares answers.
+"""The model of one half-cycle, linearised at its samples: state, normal equations, step to the next one.
 
 The state of the pendulum at a turning point, every entry a float64:
 
@@ -8,8 +8,8 @@ The state of the pendulum at a turning point, every entry a float64:
 `RATE`                angular frequency, rad/s, of the linear part of the waveform's equation
 `SHAPE` .. +6         damping, dry, rise, p, stiff, n, bend (see waveform)
 `CENTRE`, `DRIFT`     rest position at the reference time, and its rate per s
-`FAST` .. +3          fast mode: cosine and sine part at the reference time, angular
-                      frequency in rad/s, damping in 1/s
+`FAST_COSINE` ..      fast mode: cosine and sine part at the reference time, angular
+`FAST_DAMPING`        frequency in rad/s, damping in 1/s
 ====================  =====================================================================
 """
 
@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 
 from processing.swing.waveform import DAMPING, LOG_RATIO, NODES_BEFORE, SHAPES, STEP, Table, locate, tabulate
 
-AMPLITUDE, TIME, RATE, SHAPE, CENTRE, DRIFT, FAST = 0, 1, 2, 3, 10, 11, 12
+AMPLITUDE, TIME, RATE, SHAPE, CENTRE, DRIFT = 0, 1, 2, 3, 10, 11
+FAST_COSINE, FAST_SINE, FAST_RATE, FAST_DAMPING = 12, 13, 14, 15
 STATES = 16
 
 Vector = NDArray[np.float64]
@@ -75,7 +76,8 @@ def tabulate_state(
 
     The shape terms are expanded to first order about those of `anchor`, another state. As long as
     the anchor stays, what half-cycles say about terms that they hardly tell apart adds up
-    consistently; expanded anew at every step it would pretend to knowledge that nobody has.
+    consistently; expanded anew at every step it would count the same information again and again, and
+    the covariance would come out too small.
     """
     wanted = np.empty(SHAPES + 1, dtype=np.int64)
     count, bent = 0, False
@@ -114,7 +116,15 @@ def linearise(
     residual: Vector,
     jacobian: Matrix,
 ) -> None:
-    """Residuals and their model's derivatives by the active entries of the state, at every sample.
+    """Residuals, and the model's derivatives by the active entries of the state, at every sample.
+
+    With tau the time since the reference time, s = (tau - TIME) RATE the phase, y(s) the tabulated
+    half-swing and A the amplitude, the model is
+
+        CENTRE + DRIFT tau + side A y(s)
+            + exp(-FAST_DAMPING tau) [FAST_COSINE cos(FAST_RATE tau) + FAST_SINE sin(FAST_RATE tau)]
+
+    y is interpolated between the table's nodes by the cubic that has its values and slopes (Hermite).
 
     A sample outside the table (further than a third of a period before or half a period after the
     turning point) gets the residual NaN.
@@ -124,7 +134,7 @@ def linearise(
     y_shape = np.empty(SHAPES)
     fast = bent = False
     for column in active:
-        fast |= column >= FAST
+        fast |= column >= FAST_COSINE
         bent |= SHAPE + DAMPING < column < SHAPE + SHAPES
     for k in range(DAMPING + 1, SHAPES):
         bent |= x[SHAPE + k] != 0.0
@@ -134,6 +144,7 @@ def linearise(
         if node < 0:
             residual[i] = math.nan
             continue
+        # before the turning point the table's nodes run backwards in phase
         h = STEP if node >= NODES_BEFORE else -STEP
         g = 1.0 - f
         h00, h10 = (1.0 + 2.0 * f) * g * g, f * g * g * h
@@ -147,6 +158,7 @@ def linearise(
                 y_shape[column - SHAPE] = (
                     h00 * row[node, 0] + h10 * row[node, 1] + h01 * row[node + 1, 0] + h11 * row[node + 1, 1]
                 )
+        # d(A y)/dA = y + dy/d(ln r), since ln r = ln(A/reference)
         by_amplitude = y
         if bent:
             row = table[1 + LOG_RATIO]
@@ -156,10 +168,10 @@ def linearise(
         model = x[CENTRE] + x[DRIFT] * tau[i] + signed * y
         cosine = sine = 0.0
         if fast:
-            decay = math.exp(-x[FAST + 3] * tau[i])
-            cosine = decay * math.cos(x[FAST + 2] * tau[i])
-            sine = decay * math.sin(x[FAST + 2] * tau[i])
-            model += x[FAST] * cosine + x[FAST + 1] * sine
+            decay = math.exp(-x[FAST_DAMPING] * tau[i])
+            cosine = decay * math.cos(x[FAST_RATE] * tau[i])
+            sine = decay * math.sin(x[FAST_RATE] * tau[i])
+            model += x[FAST_COSINE] * cosine + x[FAST_SINE] * sine
         residual[i] = deflection[i] - model
         for n, column in enumerate(active):
             if column == AMPLITUDE:
@@ -174,14 +186,14 @@ def linearise(
                 value = 1.0
             elif column == DRIFT:
                 value = tau[i]
-            elif column == FAST:
+            elif column == FAST_COSINE:
                 value = cosine
-            elif column == FAST + 1:
+            elif column == FAST_SINE:
                 value = sine
-            elif column == FAST + 2:
-                value = tau[i] * (x[FAST + 1] * cosine - x[FAST] * sine)
+            elif column == FAST_RATE:
+                value = tau[i] * (x[FAST_SINE] * cosine - x[FAST_COSINE] * sine)
             else:
-                value = -tau[i] * (x[FAST] * cosine + x[FAST + 1] * sine)
+                value = -tau[i] * (x[FAST_COSINE] * cosine + x[FAST_SINE] * sine)
             jacobian[i, n] = value
 
 
@@ -214,7 +226,12 @@ def normal_equations(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def propagate(x: Vector, turn: Matrix, elapsed: float) -> tuple[Vector, Matrix]:
-    """State at the next turning point, `elapsed` s after this one's reference time, and its derivatives."""
+    """State at the next turning point and its derivatives by this one's state.
+
+    The next reference time lies `elapsed` s after this one. With the phase s' of the next turning point
+    and the remaining part a of the amplitude (see `turn` in waveform), A' = a A and
+    TIME' = TIME + s'/RATE - elapsed; the centre goes on by its drift, the fast mode turns by its phase.
+    """
     following = x.copy()
     transition = np.eye(STATES)
     rate = x[RATE]
@@ -230,14 +247,14 @@ def propagate(x: Vector, turn: Matrix, elapsed: float) -> tuple[Vector, Matrix]:
             transition[TIME, SHAPE + k] = turn[0, 1 + k] / rate
     following[CENTRE] = x[CENTRE] + x[DRIFT] * elapsed
     transition[CENTRE, DRIFT] = elapsed
-    decay = math.exp(-x[FAST + 3] * elapsed)
-    cosine, sine = decay * math.cos(x[FAST + 2] * elapsed), decay * math.sin(x[FAST + 2] * elapsed)
-    following[FAST] = x[FAST] * cosine + x[FAST + 1] * sine
-    following[FAST + 1] = x[FAST + 1] * cosine - x[FAST] * sine
-    transition[FAST, FAST] = transition[FAST + 1, FAST + 1] = cosine
-    transition[FAST, FAST + 1], transition[FAST + 1, FAST] = sine, -sine
-    transition[FAST, FAST + 2] = elapsed * following[FAST + 1]
-    transition[FAST + 1, FAST + 2] = -elapsed * following[FAST]
-    transition[FAST, FAST + 3] = -elapsed * following[FAST]
-    transition[FAST + 1, FAST + 3] = -elapsed * following[FAST + 1]
+    decay = math.exp(-x[FAST_DAMPING] * elapsed)
+    cosine, sine = decay * math.cos(x[FAST_RATE] * elapsed), decay * math.sin(x[FAST_RATE] * elapsed)
+    following[FAST_COSINE] = x[FAST_COSINE] * cosine + x[FAST_SINE] * sine
+    following[FAST_SINE] = x[FAST_SINE] * cosine - x[FAST_COSINE] * sine
+    transition[FAST_COSINE, FAST_COSINE] = transition[FAST_SINE, FAST_SINE] = cosine
+    transition[FAST_COSINE, FAST_SINE], transition[FAST_SINE, FAST_COSINE] = sine, -sine
+    transition[FAST_COSINE, FAST_RATE] = elapsed * following[FAST_SINE]
+    transition[FAST_SINE, FAST_RATE] = -elapsed * following[FAST_COSINE]
+    transition[FAST_COSINE, FAST_DAMPING] = -elapsed * following[FAST_COSINE]
+    transition[FAST_SINE, FAST_DAMPING] = -elapsed * following[FAST_SINE]
     return following, transition

@@ -1,9 +1,17 @@
-"""What the samples of one half-cycle say, given what earlier half-cycles taught.
+"""Fit of one half-cycle to its samples, given what earlier half-cycles taught.
 
 Two answers come from the same linearised equations. The *local* one is reported: amplitude and
 time from this half-cycle's own samples, with only the shape, the frequency, the centre and the fast
 mode known beforehand, so that errors of neighbouring half-cycles stay nearly independent. The
 *full* one, which also knows the predicted amplitude and time, is carried on to the next half-cycle.
+
+With J the derivatives of the model at the present state x0, W the samples' weights, r the residuals,
+H = J^T W J and g = J^T W r, a prior of mean m and precision S gives
+
+    x = x0 + (H + S)^-1 [g + S (m - x0)]
+
+The full answer has the inverse of the predicted covariance as S. For the local one the rows and columns
+of amplitude and time in S are zero, and the rest is the inverse of the rest of the covariance.
 """
 
 import math
@@ -12,6 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from processing.robust import MAD_TO_SIGMA
 from processing.swing.half_cycle import (
     AMPLITUDE,
     CENTRE,
@@ -34,6 +43,9 @@ _GATE = 6.0
 _ITERATIONS = 4
 _SEEN = 2.5
 """Drift in standard uncertainties from which on it is believed."""
+
+_ENOUGH = 0.02
+"""Part of the amplitude's uncertainty that the linearisation may leave."""
 
 
 class HalfCycleFit(NamedTuple):
@@ -72,6 +84,7 @@ def excess(chi2: float, degrees: float) -> float:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _longest_hole(tau: Vector, deflection: Vector, start: float, end: float) -> float:
+    """Longest stretch of the window without a sample, s."""
     hole, last = 0.0, start
     for i in range(len(tau)):
         if deflection[i] == deflection[i]:
@@ -82,6 +95,7 @@ def _longest_hole(tau: Vector, deflection: Vector, start: float, end: float) -> 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _worst_segment(residual: Vector, weight: Vector, count: int) -> float:
+    """Largest `excess` of one of SEGMENTS stretches: a short disturbance drowns in the whole chi-square."""
     size = max(count // SEGMENTS, 4)
     worst, total, n = -math.inf, 0.0, 0
     for i in range(len(residual)):
@@ -96,9 +110,10 @@ def _worst_segment(residual: Vector, weight: Vector, count: int) -> float:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _gate(residual: Vector, jacobian: Matrix, step: Vector, weight: Vector) -> int:
-    """Take single wild samples out (weight 0); how many there were.
+    """Reject single wild samples (weight 0); how many there were.
 
-    Wild against the median of all residuals too: one wild sample pulls the whole fit along.
+    A sample is wild if its residual after the step is _GATE times both its own uncertainty and the robust
+    scatter of all: a single wild sample shifts the whole fit, and then all residuals are large.
     """
     n = len(residual)
     size, count, largest = np.empty(n), 0, 0.0
@@ -112,7 +127,7 @@ def _gate(residual: Vector, jacobian: Matrix, step: Vector, weight: Vector) -> i
             count += 1
     if largest <= _GATE:
         return 0
-    threshold = _GATE * max(1.0, 1.4826 * float(np.median(size[:count])))
+    threshold = _GATE * max(1.0, MAD_TO_SIGMA * float(np.median(size[:count])))
     gated, k = 0, 0
     for i in range(n):
         if weight[i] > 0.0 and residual[i] == residual[i]:
@@ -125,7 +140,11 @@ def _gate(residual: Vector, jacobian: Matrix, step: Vector, weight: Vector) -> i
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _forget_drift(mean: Vector, covariance: Matrix, active: Indices) -> None:
-    """Take the drift as zero where it is not seen: four times less scatter of the centre for a start."""
+    """Take the drift as zero where it is not significant: the centre then scatters four times less.
+
+    The prior is conditioned on drift = 0: with v its variance and c its column of the covariance C,
+    mean <- mean - c drift/v and C <- C - c c^T/v.
+    """
     for d in range(len(active)):
         if active[d] != DRIFT:
             continue
@@ -222,12 +241,15 @@ def fit_half_cycle(
                 break
         if not valid:
             break
-        phase = abs(local[1] * current[RATE])
-        u_amplitude = math.sqrt(local_covariance[0, 0])
-        step = phase + abs(local[0] / current[AMPLITUDE])
+        # amplitude and time are always active, and come first. What the linearisation leaves is about the
+        # square of the step, as a part of the amplitude
+        phase = abs(local[TIME] * current[RATE])
+        u_amplitude = math.sqrt(local_covariance[AMPLITUDE, AMPLITUDE])
+        step = phase + abs(local[AMPLITUDE] / current[AMPLITUDE])
         for i in range(k):
             column = active[i]
             if SHAPE <= column < SHAPE + SHAPES:
+                # the exponents act on terms that are themselves small
                 flat = column in (SHAPE + P, SHAPE + N)
                 step += abs(local[i]) * (0.05 if flat else 1.0)
             elif column == RATE:
@@ -235,7 +257,7 @@ def fit_half_cycle(
         if phase > 1.0:
             valid = False
             break
-        settled = abs(current[AMPLITUDE]) * step * step < 0.02 * u_amplitude
+        settled = abs(current[AMPLITUDE]) * step * step < _ENOUGH * u_amplitude
         if settled or iteration == _ITERATIONS - 1:
             break
         for i in range(k):
@@ -256,6 +278,8 @@ def fit_half_cycle(
         offset[j] = x[active[j]] - current[active[j]]
     right += predicted @ offset
     full = full_covariance @ right
+    # cost of a step d: chi2 - 2 d.g + d.H d of the samples, (d - e).S (d - e) of the prior with e = m - x0.
+    # The two answers' difference is the chi-square of amplitude and time against their prediction
     away = full - offset
     cost_full = chi2 - 2.0 * np.dot(full, score) + np.dot(full, information @ full)
     cost_full += np.dot(away, predicted @ away)
@@ -277,8 +301,8 @@ def fit_half_cycle(
         valid,
         moved[AMPLITUDE],
         moved[TIME],
-        math.sqrt(local_covariance[0, 0]),
-        math.sqrt(local_covariance[1, 1]),
+        math.sqrt(local_covariance[AMPLITUDE, AMPLITUDE]),
+        math.sqrt(local_covariance[TIME, TIME]),
         moved[CENTRE] + moved[DRIFT] * moved[TIME],
         math.sqrt(2.0 / weight.sum()),
         chi2_local * noise_scale * noise_scale,

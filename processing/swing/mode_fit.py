@@ -10,15 +10,30 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from processing.swing.spectral_line import line
+
 Floats = NDArray[np.float64]
 
 TERMS = 18
-SLOW, FAST, TURN, X, Y = 0, 2, 4, 6, 12
-"""Places of rate and damping of each mode, of k, and of the six linear terms of each coordinate:
-rest, drift, cosine and sine of the slow mode, cosine and sine of the fast one."""
+SLOW_RATE, SLOW_DAMPING, FAST_RATE, FAST_DAMPING, TURNING, WIDENING = range(6)
+"""Places of the terms that both coordinates share: angular frequency and damping of each mode, Re k, Im k."""
 
+X, Y = 6, 12
+"""First places of the six linear terms of each coordinate ..."""
+
+REST, DRIFT, SLOW_COSINE, SLOW_SINE, FAST_COSINE, FAST_SINE = range(6)
+"""... and their order."""
+
+_FAST_TERMS = (
+    FAST_RATE,
+    FAST_DAMPING,
+    X + FAST_COSINE,
+    X + FAST_SINE,
+    Y + FAST_COSINE,
+    Y + FAST_SINE,
+)
 EVERY = list(range(TERMS))
-SLOW_ONLY = [k for k in EVERY if k not in (FAST, FAST + 1, X + 4, X + 5, Y + 4, Y + 5)]
+SLOW_ONLY = [k for k in EVERY if k not in _FAST_TERMS]
 _STEPS = 8
 _NOISE_LIKE = 4.0
 _SEEN = 4.0
@@ -49,7 +64,7 @@ class Samples(NamedTuple):
         return float((across + (self.y - self.y.mean()) ** 2 * self.weights_y).sum())
 
     def rescaled(self, x_factor: float, y_factor: float) -> "Samples":
-        """With variances so many times larger."""
+        """The samples with variances multiplied by these factors."""
         return self._replace(weights_x=self.weights_x / x_factor, weights_y=self.weights_y / y_factor)
 
 
@@ -87,14 +102,14 @@ def slow_fit(samples: Samples, slow_period_s: float, alike: bool) -> Fit | None:
     else:
         rate = 2.0 * math.pi / slow_period_s
     start = np.zeros(TERMS)
-    start[SLOW] = rate
+    start[SLOW_RATE] = rate
     fit = fit_terms(start, SLOW_ONLY, samples, rate)
     return fit if fit.explains(samples, alike) else None
 
 
 def with_fast_mode(slow: Fit, samples: Samples, alike: bool) -> tuple[Fit, float]:
     """The fit with a fast mode, where one is seen; else the slow one and the strongest line's size in x."""
-    slow_rate = float(slow.p[SLOW])
+    slow_rate = float(slow.p[SLOW_RATE])
     top = min(_FASTEST * slow_rate, 0.8 * math.pi * len(samples.t) / samples.span_s)
     rates = np.arange(_SLOWEST_FAST * slow_rate, top, math.pi / samples.span_s)
     if len(rates) == 0:
@@ -102,16 +117,16 @@ def with_fast_mode(slow: Fit, samples: Samples, alike: bool) -> tuple[Fit, float
     left = samples._replace(x=slow.left_x, y=slow.left_y)
     rate, limit = _strongest(*left, rates)
     start = slow.p.copy()
-    start[FAST] = rate
+    start[FAST_RATE] = rate
     fit = fit_terms(start, EVERY, samples, slow_rate)
-    if fast_mode_seen(fit, alike) and fit.p[FAST] > 1.5 * fit.p[SLOW]:
+    if fast_mode_seen(fit, alike) and fit.p[FAST_RATE] > 1.5 * fit.p[SLOW_RATE]:
         return fit, 0.0
     return slow, limit
 
 
 def fast_mode_seen(fit: Fit, alike: bool) -> bool:
     """Whether the fast mode's four parts, taken together, are far from zero."""
-    places = [X + 4, X + 5, Y + 4, Y + 5]
+    places = [X + FAST_COSINE, X + FAST_SINE, Y + FAST_COSINE, Y + FAST_SINE]
     part = fit.p[places]
     scale = fit.chi2 / max(2 * len(fit.left_x) - TERMS, 1)
     covariance = fit.covariance[np.ix_(places, places)] * (scale if alike else max(scale, 1.0))
@@ -126,8 +141,8 @@ def fit_terms(p: Floats, active: list[int], samples: Samples, slow_rate: float) 
     places = np.array(active)
     p = p.copy()
     ridge = np.zeros(TERMS)
-    # a damping that takes the whole motion within a period is none, nor is a line that turns as fast
-    ridge[[SLOW + 1, FAST + 1, TURN, TURN + 1]] = 1.0 / (0.2 * slow_rate) ** 2
+    # a weak prior: what is damped out within a period is no oscillation, nor does a line turn that fast
+    ridge[[SLOW_DAMPING, FAST_DAMPING, TURNING, WIDENING]] = 1.0 / (0.2 * slow_rate) ** 2
     covariance = np.zeros((TERMS, TERMS))
     limit = 0.5 * math.pi / samples.span_s
     for step in range(_STEPS):
@@ -139,15 +154,18 @@ def fit_terms(p: Floats, active: list[int], samples: Samples, slow_rate: float) 
         small = np.linalg.pinv(part * np.outer(scale, scale), rcond=1e-12, hermitian=True)
         change = np.zeros(TERMS)
         change[places] = scale * (small @ (scale * score[places]))
-        for place in (SLOW, FAST):
+        for place in (SLOW_RATE, FAST_RATE):
             change[place] = min(max(change[place], -limit), limit)
         p = p + change
-        for place in (SLOW + 1, FAST + 1, TURN, TURN + 1):
+        for place in (SLOW_DAMPING, FAST_DAMPING, TURNING, WIDENING):
             p[place] = min(max(p[place], -6.0 * limit), 6.0 * limit)
         covariance[np.ix_(places, places)] = small * np.outer(scale, scale)
         # what a step of the rates leaves undone goes with its square; the first only finds the amplitudes
-        u_slow, u_fast = math.sqrt(covariance[SLOW, SLOW]), math.sqrt(covariance[FAST, FAST])
-        if step > 1 and abs(change[SLOW]) <= 0.01 * u_slow and abs(change[FAST]) <= 0.01 * u_fast:
+        u_slow, u_fast = (
+            math.sqrt(covariance[SLOW_RATE, SLOW_RATE]),
+            math.sqrt(covariance[FAST_RATE, FAST_RATE]),
+        )
+        if step > 1 and abs(change[SLOW_RATE]) <= 0.01 * u_slow and abs(change[FAST_RATE]) <= 0.01 * u_fast:
             break
     _, _, chi2, left_x, left_y = _equations(p, *samples)
     return Fit(p, covariance, active, chi2, left_x, left_y)
@@ -157,38 +175,48 @@ def fit_terms(p: Floats, active: list[int], samples: Samples, slow_rate: float) 
 def _equations(
     p: Floats, t: Floats, x: Floats, y: Floats, weights_x: Floats, weights_y: Floats
 ) -> tuple[Floats, Floats, float, Floats, Floats]:
-    """Normal equations in all terms, chi-square and residuals."""
-    terms, common, columns = len(p), 6, 12
+    """Normal equations in all terms, chi-square and residuals.
+
+    The coupling k mixes the coordinates' slow parts: x has X + k t Y, y has Y - k t X (see modes).
+    """
+    terms, common, columns = len(p), X, 12
     information, score = np.zeros((terms, terms)), np.zeros(terms)
     left_x, left_y = np.empty(len(t)), np.empty(len(t))
     row, places = np.empty(columns), np.empty(columns, dtype=np.int64)
     chi2 = 0.0
     for i in range(len(t)):
         s = t[i]
-        slow, fast = math.exp(-p[1] * s), math.exp(-p[3] * s)
-        slow_c, slow_s = slow * math.cos(p[0] * s), slow * math.sin(p[0] * s)
-        fast_c, fast_s = fast * math.cos(p[2] * s), fast * math.sin(p[2] * s)
-        row[6], row[7], row[8], row[9], row[10], row[11] = 1.0, s, slow_c, slow_s, fast_c, fast_s
+        slow, fast = math.exp(-p[SLOW_DAMPING] * s), math.exp(-p[FAST_DAMPING] * s)
+        slow_c, slow_s = slow * math.cos(p[SLOW_RATE] * s), slow * math.sin(p[SLOW_RATE] * s)
+        fast_c, fast_s = fast * math.cos(p[FAST_RATE] * s), fast * math.sin(p[FAST_RATE] * s)
+        # derivatives by a coordinate's own linear terms, in their order
+        row[common + REST], row[common + DRIFT] = 1.0, s
+        row[common + SLOW_COSINE], row[common + SLOW_SINE] = slow_c, slow_s
+        row[common + FAST_COSINE], row[common + FAST_SINE] = fast_c, fast_s
         for coordinate in range(2):
-            first = common if coordinate == 0 else common + 6
-            other = common + 6 if coordinate == 0 else common
+            first = X if coordinate == 0 else Y
+            other = Y if coordinate == 0 else X
             way = s if coordinate == 0 else -s
             # the other coordinate's slow motion, and a quarter period later
-            turned = p[other + 2] * slow_c + p[other + 3] * slow_s
-            widened = p[other + 3] * slow_c - p[other + 2] * slow_s
-            cosine = p[first + 2] + way * (p[4] * p[other + 2] + p[5] * p[other + 3])
-            sine = p[first + 3] + way * (p[4] * p[other + 3] - p[5] * p[other + 2])
+            turned = p[other + SLOW_COSINE] * slow_c + p[other + SLOW_SINE] * slow_s
+            widened = p[other + SLOW_SINE] * slow_c - p[other + SLOW_COSINE] * slow_s
+            cosine = p[first + SLOW_COSINE] + way * (
+                p[TURNING] * p[other + SLOW_COSINE] + p[WIDENING] * p[other + SLOW_SINE]
+            )
+            sine = p[first + SLOW_SINE] + way * (
+                p[TURNING] * p[other + SLOW_SINE] - p[WIDENING] * p[other + SLOW_COSINE]
+            )
             slow_part = cosine * slow_c + sine * slow_s
-            fast_part = p[first + 4] * fast_c + p[first + 5] * fast_s
-            row[0] = s * (sine * slow_c - cosine * slow_s)
-            row[1] = -s * slow_part
-            row[2] = s * (p[first + 5] * fast_c - p[first + 4] * fast_s)
-            row[3] = -s * fast_part
-            row[4] = way * turned
-            row[5] = way * widened
+            fast_part = p[first + FAST_COSINE] * fast_c + p[first + FAST_SINE] * fast_s
+            row[SLOW_RATE] = s * (sine * slow_c - cosine * slow_s)
+            row[SLOW_DAMPING] = -s * slow_part
+            row[FAST_RATE] = s * (p[first + FAST_SINE] * fast_c - p[first + FAST_COSINE] * fast_s)
+            row[FAST_DAMPING] = -s * fast_part
+            row[TURNING] = way * turned
+            row[WIDENING] = way * widened
             for k in range(columns):
                 places[k] = k if k < common else first + k - common
-            model = p[first] + p[first + 1] * s + slow_part + fast_part
+            model = p[first + REST] + p[first + DRIFT] * s + slow_part + fast_part
             if coordinate == 0:
                 left, weight = x[i] - model, weights_x[i]
                 left_x[i] = left
@@ -216,23 +244,11 @@ def _strongest(
     for rate in rates:
         power, amplitude_x = 0.0, 0.0
         for coordinate in range(2):
-            cc = cs = ss = c_value = s_value = 0.0
-            for i in range(len(t)):
-                c, s = math.cos(rate * t[i]), math.sin(rate * t[i])
-                weight = weights_x[i] if coordinate == 0 else weights_y[i]
-                value = x[i] if coordinate == 0 else y[i]
-                cc += weight * c * c
-                cs += weight * c * s
-                ss += weight * s * s
-                c_value += weight * c * value
-                s_value += weight * s * value
-            determinant = cc * ss - cs * cs
-            if determinant > 1e-6 * cc * ss:
-                cosine = (ss * c_value - cs * s_value) / determinant
-                sine = (cc * s_value - cs * c_value) / determinant
-                power += cosine * c_value + sine * s_value
-                if coordinate == 0:
-                    amplitude_x = math.hypot(cosine, sine)
+            value, weight = (x, weights_x) if coordinate == 0 else (y, weights_y)
+            line_power, cosine, sine = line(rate, t, value, weight)
+            power += line_power
+            if coordinate == 0:
+                amplitude_x = math.hypot(cosine, sine)
         if power > best_power:
             best_power, best_rate, best_x = power, rate, amplitude_x
     return best_rate, best_x

@@ -16,11 +16,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from processing.errors import DataError
 from processing.swing.mode_fit import (
+    DRIFT,
     EVERY,
-    FAST,
-    SLOW,
+    FAST_COSINE,
+    FAST_RATE,
+    REST,
+    SLOW_COSINE,
+    SLOW_RATE,
     TERMS,
-    TURN,
+    TURNING,
     Fit,
     Samples,
     X,
@@ -139,8 +143,8 @@ def separate_modes(
     if not math.isnan(slow_period_s) and not math.isnan(fast_period_s):
         # both known from before: no search
         start = np.zeros(TERMS)
-        start[SLOW], start[FAST] = 2.0 * math.pi / slow_period_s, 2.0 * math.pi / fast_period_s
-        fit = fit_terms(start, EVERY, samples, float(start[SLOW]))
+        start[SLOW_RATE], start[FAST_RATE] = 2.0 * math.pi / slow_period_s, 2.0 * math.pi / fast_period_s
+        fit = fit_terms(start, EVERY, samples, float(start[SLOW_RATE]))
         if not (fit.explains(samples, alike) and fast_mode_seen(fit, alike)):
             fit = None
     limit = 0.0
@@ -149,7 +153,7 @@ def separate_modes(
         if slow is None:
             return None
         fit, limit = with_fast_mode(slow, samples, alike)
-    if not fit.p[SLOW] * samples.span_s > 1.8 * math.pi:
+    if not fit.p[SLOW_RATE] * samples.span_s > 1.8 * math.pi:
         return None
     dof = max(len(t) - len(fit.active) / 2.0, 1.0)
     misfit_x = float((fit.left_x**2 * samples.weights_x).sum()) / dof
@@ -158,7 +162,7 @@ def separate_modes(
     if min(misfit_x, misfit_y) > 0.0 and max(misfit_x, misfit_y) > lowest:
         # each coordinate by its own scatter: friction bends the long one, not the other
         samples = samples.rescaled(max(misfit_x, lowest), max(misfit_y, lowest))
-        fit = fit_terms(fit.p, fit.active, samples, float(fit.p[SLOW]))
+        fit = fit_terms(fit.p, fit.active, samples, float(fit.p[SLOW_RATE]))
     return _result(middle_ns, fit, limit)
 
 
@@ -223,17 +227,17 @@ def _result(time_ns: int, fit: Fit, limit: float) -> TwoModes:
     u = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     return TwoModes(
         time_ns=time_ns,
-        slow=_mode(p, covariance, SLOW, 2),
-        fast=_mode(p, covariance, FAST, 4) if FAST in fit.active else None,
+        slow=_mode(p, covariance, SLOW_RATE, SLOW_COSINE),
+        fast=_mode(p, covariance, FAST_RATE, FAST_COSINE) if FAST_RATE in fit.active else None,
         fast_limit=limit,
-        rest_x=float(p[X]),
-        u_rest_x=float(u[X]),
-        rest_y=float(p[Y]),
-        u_rest_y=float(u[Y]),
-        drift_x_per_s=float(p[X + 1]),
-        u_drift_x_per_s=float(u[X + 1]),
-        drift_y_per_s=float(p[Y + 1]),
-        u_drift_y_per_s=float(u[Y + 1]),
-        turning_rad_per_s=float(p[TURN]),
-        u_turning_rad_per_s=float(u[TURN]),
+        rest_x=float(p[X + REST]),
+        u_rest_x=float(u[X + REST]),
+        rest_y=float(p[Y + REST]),
+        u_rest_y=float(u[Y + REST]),
+        drift_x_per_s=float(p[X + DRIFT]),
+        u_drift_x_per_s=float(u[X + DRIFT]),
+        drift_y_per_s=float(p[Y + DRIFT]),
+        u_drift_y_per_s=float(u[Y + DRIFT]),
+        turning_rad_per_s=float(p[TURNING]),
+        u_turning_rad_per_s=float(u[TURNING]),
     )

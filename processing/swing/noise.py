@@ -4,11 +4,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from processing.errors import DataError
+from processing.robust import robust_scatter
 
 _ORDER = 5
 """Order of the differences: a swing sampled 20 times a period still leaves less than 1e-3 of itself."""
-
-_MAD_TO_SIGMA = 1.482602218505602
 
 
 def estimate_noise(times_ns: ArrayLike, deflection: ArrayLike) -> float:
@@ -54,5 +53,5 @@ def estimate_noise(times_ns: ArrayLike, deflection: ArrayLike) -> float:
     apart = t[:, :, None] - t[:, None, :] + np.eye(_ORDER + 1)
     weights = 1.0 / (apart / np.abs(apart).max(axis=(1, 2), keepdims=True)).prod(axis=2)
     left = (weights * y).sum(axis=1) / np.sqrt((weights**2).sum(axis=1))
-    noise = _MAD_TO_SIGMA * float(np.median(np.abs(left)))
+    noise = robust_scatter(left, middle=0.0)
     return max(noise, float(rounding))

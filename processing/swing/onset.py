@@ -11,7 +11,7 @@ from processing.swing.half_cycle import AMPLITUDE, RATE, TIME
 from processing.swing.half_cycle_fit import HalfCycleFit, fit_half_cycle
 from processing.swing.judgement import judge, turned
 from processing.swing.known_motion import KnownMotion
-from processing.swing.pivots import SEARCH_STATE, Pivot, regular, search
+from processing.swing.pivots import FOUND, FOUND_TIME, SEARCH_STATE, Pivot, regular, search
 from processing.swing.prediction import window
 from processing.swing.sample_buffer import SampleBuffer
 from processing.swing.swing import SwingFlag
@@ -93,7 +93,7 @@ class OnsetSearch:
         self._lost_ns = lost_ns
         self._searched = position + samples.dropped
         self._state = np.zeros(SEARCH_STATE)
-        self._marks = np.zeros(3, dtype=np.int64)
+        self._marks = np.zeros(FOUND_TIME + 1, dtype=np.int64)
         self._pivots: list[Pivot] = []
         self._ready_ns: int | None = None
 
@@ -122,7 +122,7 @@ class OnsetSearch:
                 self._forget()
                 return self._last_attempt() if final else None
             self._searched = found + samples.dropped
-            self._pivots.append(Pivot(int(self._marks[2]), float(self._state[5])))
+            self._pivots.append(Pivot(int(self._marks[FOUND_TIME]), float(self._state[FOUND])))
             del self._pivots[:-_PIVOTS]
             if len(self._pivots) == _PIVOTS and regular(self._pivots) and not self._foreign():
                 self._ready_ns = self._pivots[-1].time_ns + _spacing_ns(self._pivots) * 6 // 10

@@ -13,7 +13,15 @@ REVERSAL = 0.25
 NOISE_REVERSAL = 8.0
 """... and by this many standard uncertainties of a sample."""
 
+DIRECTION, HIGHEST, LOWEST, LAST_PIVOT, LAST_RANGE, FOUND, BEFORE_LAST, LAST, SEEN, HAS_PIVOT = range(10)
+"""Places in the state of the search: sense of the motion (0 unknown), running extremes, deflection of the
+last pivot, range of the last swing, deflection of the pivot just found, the two samples before and how many
+of them there are, whether there was a pivot."""
+
 SEARCH_STATE = 10
+
+HIGHEST_TIME, LOWEST_TIME, FOUND_TIME = range(3)
+"""Places in the marks: times in ns of the running extremes and of the pivot just found."""
 
 
 class Pivot(NamedTuple):
@@ -41,47 +49,44 @@ def search(
     """Go through samples `first` to `last` until a turning point is certain.
 
     Returns the number of the sample after the one that made it certain, or ``-1`` when none was.
-    `state` (SEARCH_STATE floats, zeros to start with) and `marks` (times of the two running extremes, then
-    time of the turning point found) carry the search from one block to the next; ``state[5]`` is the
-    deflection there. A median of three takes single wild samples out.
+    `state` (SEARCH_STATE floats, zeros to start with) and `marks` (three times) carry the search from one
+    block to the next. A median of three takes single wild samples out.
     """
-    # 0 direction, 1 running maximum, 2 running minimum, 3 last pivot, 4 last swing's range, 5 found
-    # 6, 7 the two samples before, 8 how many of them there are, 9 whether there was a pivot
     for i in range(first, last):
         raw = deflection[i]
         if raw != raw:
             continue
-        if state[8] < 2.0:
-            if state[8] == 0.0:
-                state[1], state[2] = -math.inf, math.inf
-            state[6], state[7] = state[7], raw
-            state[8] += 1.0
+        if state[SEEN] < 2.0:
+            if state[SEEN] == 0.0:
+                state[HIGHEST], state[LOWEST] = -math.inf, math.inf
+            state[BEFORE_LAST], state[LAST] = state[LAST], raw
+            state[SEEN] += 1.0
             continue
-        value = _middle(state[6], state[7], raw)
-        state[6], state[7] = state[7], raw
-        if value > state[1]:
-            state[1] = value
-            marks[0] = times_ns[i]
-        if value < state[2]:
-            state[2] = value
-            marks[1] = times_ns[i]
-        threshold = max(REVERSAL * state[4], NOISE_REVERSAL * u_deflection[i])
+        value = _middle(state[BEFORE_LAST], state[LAST], raw)
+        state[BEFORE_LAST], state[LAST] = state[LAST], raw
+        if value > state[HIGHEST]:
+            state[HIGHEST] = value
+            marks[HIGHEST_TIME] = times_ns[i]
+        if value < state[LOWEST]:
+            state[LOWEST] = value
+            marks[LOWEST_TIME] = times_ns[i]
+        threshold = max(REVERSAL * state[LAST_RANGE], NOISE_REVERSAL * u_deflection[i])
         found = False
-        if state[0] >= 0.0 and state[1] - value > threshold:
-            state[5], marks[2] = state[1], marks[0]
-            state[0] = -1.0
-            state[2], marks[1] = value, times_ns[i]
+        if state[DIRECTION] >= 0.0 and state[HIGHEST] - value > threshold:
+            state[FOUND], marks[FOUND_TIME] = state[HIGHEST], marks[HIGHEST_TIME]
+            state[DIRECTION] = -1.0
+            state[LOWEST], marks[LOWEST_TIME] = value, times_ns[i]
             found = True
-        elif state[0] <= 0.0 and value - state[2] > threshold:
-            state[5], marks[2] = state[2], marks[1]
-            state[0] = 1.0
-            state[1], marks[0] = value, times_ns[i]
+        elif state[DIRECTION] <= 0.0 and value - state[LOWEST] > threshold:
+            state[FOUND], marks[FOUND_TIME] = state[LOWEST], marks[LOWEST_TIME]
+            state[DIRECTION] = 1.0
+            state[HIGHEST], marks[HIGHEST_TIME] = value, times_ns[i]
             found = True
         if found:
-            if state[9] > 0.0:
-                state[4] = abs(state[5] - state[3])
-            state[3] = state[5]
-            state[9] = 1.0
+            if state[HAS_PIVOT] > 0.0:
+                state[LAST_RANGE] = abs(state[FOUND] - state[LAST_PIVOT])
+            state[LAST_PIVOT] = state[FOUND]
+            state[HAS_PIVOT] = 1.0
             return i + 1
     return -1
 

@@ -9,7 +9,10 @@ from processing.swing.half_cycle import (
     AMPLITUDE,
     CENTRE,
     DRIFT,
-    FAST,
+    FAST_COSINE,
+    FAST_DAMPING,
+    FAST_RATE,
+    FAST_SINE,
     RATE,
     SHAPE,
     STATES,
@@ -66,10 +69,10 @@ def predict(
     wander[SHAPE + N] = 1e-4
     wander[CENTRE] = 0.01 * resolution
     wander[DRIFT] = SLOPE_WANDER * resolution / elapsed
-    wander[FAST] = wander[FAST + 1] = 0.1 * resolution
-    size = math.hypot(x[FAST], x[FAST + 1]) + resolution
-    wander[FAST + 2] = 1e-2 * resolution / (size * elapsed)
-    wander[FAST + 3] = 1e-2 * resolution / (size * elapsed)
+    wander[FAST_COSINE] = wander[FAST_SINE] = 0.1 * resolution
+    size = math.hypot(x[FAST_COSINE], x[FAST_SINE]) + resolution
+    wander[FAST_RATE] = 1e-2 * resolution / (size * elapsed)
+    wander[FAST_DAMPING] = 1e-2 * resolution / (size * elapsed)
     moved = np.zeros((STATES, STATES))
     carried = np.zeros((STATES, STATES))
     for i in active:

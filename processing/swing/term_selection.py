@@ -1,4 +1,4 @@
-"""Which terms the motion needs: damping alone, dry friction and anharmonic elasticity, a fast mode."""
+"""Which terms of the motion the samples call for: damping alone, friction and elasticity, a fast mode."""
 
 import math
 from collections.abc import Sequence
@@ -11,7 +11,10 @@ from processing.swing.half_cycle import (
     AMPLITUDE,
     CENTRE,
     DRIFT,
-    FAST,
+    FAST_COSINE,
+    FAST_DAMPING,
+    FAST_RATE,
+    FAST_SINE,
     RATE,
     SHAPE,
     STATES,
@@ -23,13 +26,14 @@ from processing.swing.half_cycle import (
 )
 from processing.swing.known_motion import KnownMotion
 from processing.swing.pivots import Pivot
+from processing.swing.spectral_line import line
 from processing.swing.waveform import BEND, DAMPING, DRY, NODES, RISE, SHAPES, STIFF, N, P
 
 PLACE: tuple[int, ...] = (AMPLITUDE, TIME, CENTRE, DRIFT)
 LINEAR: tuple[int, ...] = (AMPLITUDE, TIME, RATE, SHAPE + DAMPING, CENTRE, DRIFT)
 ANHARMONIC: tuple[int, ...] = tuple(range(SHAPE + 1, SHAPE + SHAPES))
 ANHARMONIC_LINEAR: tuple[int, ...] = (SHAPE + DRY, SHAPE + RISE, SHAPE + STIFF, SHAPE + BEND)
-FAST_MODE: tuple[int, ...] = (FAST, FAST + 1, FAST + 2, FAST + 3)
+FAST_MODE: tuple[int, ...] = (FAST_COSINE, FAST_SINE, FAST_RATE, FAST_DAMPING)
 
 _GAIN_PER_TERM = 3.5
 """Fall of chi-square that one more term must earn."""
@@ -66,13 +70,13 @@ def prior(start: Vector, anharmonic: bool) -> tuple[Vector, Vector]:
     """
     mean, sigma = start.copy(), np.full(STATES, math.inf)
     mean[SHAPE : SHAPE + SHAPES] = 0.0
-    mean[[DRIFT, FAST, FAST + 1, FAST + 3]] = 0.0
+    mean[[DRIFT, FAST_COSINE, FAST_SINE, FAST_DAMPING]] = 0.0
     sigma[[AMPLITUDE, CENTRE]] = 3.0 * start[AMPLITUDE]
     sigma[TIME], sigma[RATE] = 1.0 / start[RATE], 0.3 * start[RATE]
-    sigma[[FAST, FAST + 1]] = 3.0 * start[AMPLITUDE]
+    sigma[[FAST_COSINE, FAST_SINE]] = 3.0 * start[AMPLITUDE]
     sigma[DRIFT] = 0.2 * start[AMPLITUDE] * start[RATE] / math.pi
-    sigma[FAST + 2] = 0.2 * start[RATE]
-    sigma[FAST + 3] = 0.05 * start[RATE]
+    sigma[FAST_RATE] = 0.2 * start[RATE]
+    sigma[FAST_DAMPING] = 0.05 * start[RATE]
     sigma[SHAPE + DAMPING] = 0.2
     if anharmonic:
         loss = relative_loss(start) + 1e-4
@@ -174,7 +178,7 @@ def best_of(arcs: Sequence[Arc]) -> Arc:
     """The one whose terms have earned their place."""
     # where the samples' uncertainties are too small, every term would seem to earn its place
     floor = max(1.0, min(a.chi2 / max(a.samples - len(a.active), 1) for a in arcs))
-    toll = [_GAIN_PER_TERM * len(a.active) + _FAST_MODE_TOLL * (FAST in a.active) for a in arcs]
+    toll = [_GAIN_PER_TERM * len(a.active) + _FAST_MODE_TOLL * (FAST_COSINE in a.active) for a in arcs]
     cost = [a.chi2 / floor + t for a, t in zip(arcs, toll, strict=True)]
     return arcs[int(np.argmin(cost))]
 
@@ -184,7 +188,7 @@ def _with_fast_mode(arc: Arc, halves: Sequence[HalfCycleSamples]) -> Arc | None:
     if guess is None:
         return None
     start = arc.states[0].copy()
-    start[FAST + 2], start[FAST], start[FAST + 1] = guess
+    start[FAST_RATE], start[FAST_COSINE], start[FAST_SINE] = guess
     mean, sigma = prior(start, anharmonic=len(arc.active) > len(LINEAR))
     return fit_arc(start, mean, sigma, halves, arc.reference, (*arc.active.tolist(), *FAST_MODE))
 
@@ -195,22 +199,9 @@ def _strongest_line(
 ) -> tuple[float, float, float]:
     best_power, best_rate, best_cosine, best_sine = -1.0, 0.0, 0.0, 0.0
     for rate in rates:
-        cc = cs = ss = cy = sy = 0.0
-        for i in range(len(time_s)):
-            if not weight[i] > 0.0:
-                continue
-            c, s = math.cos(rate * time_s[i]), math.sin(rate * time_s[i])
-            cc += weight[i] * c * c
-            cs += weight[i] * c * s
-            ss += weight[i] * s * s
-            cy += weight[i] * c * residual[i]
-            sy += weight[i] * s * residual[i]
-        determinant = cc * ss - cs * cs
-        if determinant > 1e-6 * cc * ss:
-            cosine, sine = (ss * cy - cs * sy) / determinant, (cc * sy - cs * cy) / determinant
-            power = cosine * cy + sine * sy
-            if power > best_power:
-                best_power, best_rate, best_cosine, best_sine = power, rate, cosine, sine
+        power, cosine, sine = line(rate, time_s, residual, weight)
+        if power > best_power:
+            best_power, best_rate, best_cosine, best_sine = power, rate, cosine, sine
     return best_rate, best_cosine, best_sine
 
 

@@ -32,7 +32,7 @@ NODES = NODES_BEFORE + NODES_AFTER
 _SMALLEST_EXPONENT = 1e-3
 _NEAREST = 1e-9
 _NEAREST_SLOPE = 1e-2
-"""Closest approach to zero, in amplitudes, of logarithms and of slopes, which have no end there."""
+"""Closest approach to zero, in amplitudes, of logarithms and of slopes, which diverge there."""
 
 Table = NDArray[np.float64]
 """(2 + SHAPES, NODES, 2): y and dy/ds, and their derivatives by the terms and by ln r."""
@@ -53,7 +53,12 @@ def _box(logarithm: float, power: float, exponent: float) -> tuple[float, float]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _acceleration(y: float, v: float, sense: float, shape: Vector, by: Vector) -> float:
-    """y'' and, in `by`, its derivatives by the terms, by ln r, by y and by v."""
+    """y'' and, in `by`, its derivatives by the terms, by ln r, by y and by v.
+
+    `sense` is +1 after the turning point and -1 before it, where time is run backwards; v = dy/ds is
+    negative after it, so that friction pushes y'' upwards. With L = ln(r |y|), u = exp(L):
+    d box(u, q)/d ln u = u^q, from which the slopes by ln r and by y follow.
+    """
     by[DAMPING] = -2.0 * sense * v
     by[SHAPES + 1] = -1.0
     by[SHAPES + 2] = -2.0 * sense * shape[DAMPING]

@@ -12,6 +12,7 @@ from acquisition.record.events import Event, EventKind
 from processing.angle import ARCSEC_RAD
 from processing.deflections import DeflectionUnit
 from processing.errors import DataError, DeviceError
+from processing.robust import robust_scatter
 from rig.devices import Devices, FrameStream, OpenCamera, goes_dark_by_itself, wait_for_command
 from rig.instrument import Optics, Snapshot
 from rig.measure import preflight
@@ -239,7 +240,9 @@ class PhasesBeforeRecord:
         recent = recent[recent.found]
         if not len(recent):
             raise DataError("release: no spot was found for a second; see the laser and the beam's path")
-        threshold = 8.0 * max(_scatter(recent.x), _scatter(recent.y), float(np.median(recent.u_y)))
+        threshold = 8.0 * max(
+            robust_scatter(recent.x), robust_scatter(recent.y), float(np.median(recent.u_y))
+        )
         if self._unit is DeflectionUnit.RAD:
             threshold = max(self._config.start.trigger_arcsec * ARCSEC_RAD, threshold)
         return (float(np.median(recent.x)), float(np.median(recent.y))), threshold
@@ -270,11 +273,6 @@ def _drift_per_min(times_s: np.ndarray, values: np.ndarray) -> float:
     return 60.0 * abs(float(np.polyfit(times_s[good] - times_s[good][0], values[good], 1)[0]))
 
 
-def _scatter(values: np.ndarray) -> float:
-    """Robust standard deviation."""
-    return 1.4826 * float(np.median(np.abs(values - np.median(values))))
-
-
 def _frame_noise(values: np.ndarray) -> float:
     """Robust standard deviation of what differs from one frame to the next."""
-    return _scatter(np.diff(values)) / math.sqrt(2.0)
+    return robust_scatter(np.diff(values)) / math.sqrt(2.0)
