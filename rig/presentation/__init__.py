@@ -2,7 +2,7 @@
 
 from rig.presentation import palette
 from rig.presentation.balance import balance_drawn, balance_numbers, balance_panels, balance_table
-from rig.presentation.numbers import NOT_KNOWN, number, plain, power, with_uncertainty
+from rig.presentation.numbers import NOT_KNOWN, plain, power, with_uncertainty
 from rig.presentation.printing import plain_values, print_json_line, print_table, say
 from rig.presentation.quantities import SOURCES, Quantity, law_parameters, quantity
 from rig.presentation.table import Cell, Table
@@ -22,7 +22,6 @@ __all__ = [
     "balance_panels",
     "balance_table",
     "law_parameters",
-    "number",
     "palette",
     "plain",
     "plain_values",

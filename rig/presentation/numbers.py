@@ -4,9 +4,8 @@ The same string stands on the terminal, in the report, in comparisons and in Rer
 """
 
 import math
-from collections.abc import Mapping
 from decimal import Context, Decimal
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 NOT_KNOWN: Final = "–"
 MINUS: Final = "−"
@@ -85,10 +84,3 @@ def plain(value: float, digits: int = 4) -> str:
 def _decimal(value: float) -> Decimal:
     """The number as Python prints it, so that 4.95 is halfway between 4.9 and 5.0."""
     return Decimal(repr(float(value)))
-
-
-def number(tree: Mapping[str, Any], name: str, key: str = "value") -> float:
-    """A value of results.json as a float, NaN where it is null or not there."""
-    entry = tree.get(name)
-    value = entry.get(key) if isinstance(entry, Mapping) else entry
-    return float(value) if isinstance(value, int | float) else math.nan

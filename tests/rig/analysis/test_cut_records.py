@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from acquisition.record.recover import recover
-from rig.analysis.record_fit import fit_records
+from rig.commands.physics import fit_records
 from rig.measure.session import resume_session
 from rig.replay.command import replay_record
 from rig.view.recorded import write_rrd
