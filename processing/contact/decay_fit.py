@@ -12,11 +12,19 @@ from processing.errors import DataError
 from processing.least_squares import Loss, Solution, propagate, solve
 from processing.swing import TurningPoints
 
+_B, _P, _C, _D = range(4)
+"""Columns by name; the last one is always the first amplitude."""
+
 
 def fit_decay(
     points: TurningPoints, reference: float, mean_period: float, drag: bool, loss: Loss
 ) -> tuple[Solution, NDArray[np.float64]]:
-    """Columns b, p, c, (d,) start, in units of the reference and of T/4."""
+    """Fit ``dx/ds = -(c + b x^p/(p+1) + d x)`` to the amplitudes.
+
+    Returns the solution with columns b, p, c, (d,) first amplitude, in units of the reference and of
+    s = 4 t/T, and the fitted amplitudes in the unit of the points. With d the search runs in the
+    coordinates of `straight`.
+    """
     x = points.amplitude / reference
     u = points.u_amplitude / reference
     s = (points.time_s - points.time_s[0]) * (4 / mean_period)
@@ -27,10 +35,10 @@ def fit_decay(
         """b, p, c, (d,) start, and their derivatives by the solver's columns."""
         out, matrix = values.copy(), np.eye(len(values))
         if drag:
-            coordinates = [0, 1, 3]
-            out[1], out[3], by = from_straight(*values[coordinates].tolist())
-            matrix[1, coordinates], matrix[3, coordinates] = by
-            out[0] = matrix[0, 0] = np.exp(values[0])
+            coordinates = [_B, _P, _D]
+            out[_P], out[_D], by = from_straight(*values[coordinates].tolist())
+            matrix[_P, coordinates], matrix[_D, coordinates] = by
+            out[_B] = matrix[_B, _B] = np.exp(values[_B])
         return out, matrix
 
     def curve(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -38,14 +46,14 @@ def fit_decay(
         b, p, c = known[:3]
         if not -0.6 < p < 6.0:
             return np.full_like(x, np.nan), np.full((len(x), len(values)), np.nan)
-        d = known[3] if drag else 0.0
+        d = known[_D] if drag else 0.0
         path, gradient = decay_path(s, known[-1], b / (p + 1), p, c, d, *nodes)
         jacobian = np.empty((len(s), len(values)))
-        jacobian[:, 0] = gradient[:, 1] / (p + 1)
-        jacobian[:, 1] = gradient[:, 2] - gradient[:, 1] * b / (p + 1) ** 2
-        jacobian[:, 2] = gradient[:, 3]
+        jacobian[:, _B] = gradient[:, 1] / (p + 1)
+        jacobian[:, _P] = gradient[:, 2] - gradient[:, 1] * b / (p + 1) ** 2
+        jacobian[:, _C] = gradient[:, 3]
         if drag:
-            jacobian[:, 3] = gradient[:, 4]
+            jacobian[:, _D] = gradient[:, 4]
         jacobian[:, -1] = gradient[:, 0]
         return path, jacobian @ matrix
 
@@ -61,16 +69,16 @@ def fit_decay(
     lower[-1] = 0.1 * x.max()
     if drag:
         # as in the exact fit: beyond several times the loss, b and drag only cancel
-        lower[0], upper[0] = -30.0, np.log(6 * abs(np.log(x[0] / x[-1])) / (s[-1] - s[0]))
+        lower[_B], upper[_B] = -30.0, np.log(6 * abs(np.log(x[0] / x[-1])) / (s[-1] - s[0]))
     else:
-        lower[1], upper[1] = -0.5, 5.0
+        lower[_P], upper[_P] = -0.5, 5.0
     # Noise can make the grid's best start end before the data do; a slower decay does not.
     for slower in (1.0, 0.9, 0.7, 0.5, 0.3, 0.1):
         b, c = b0 * slower, first.c * slower
         start = np.array([b, first.p, c, *([first.d * slower] if drag else []), first.start])
         if drag:
-            start[0] = np.log(b)
-            start[1], start[3] = to_straight(float(start[0]), first.p, first.d * slower)
+            start[_B] = np.log(b)
+            start[_P], start[_D] = to_straight(float(start[_B]), first.p, first.d * slower)
         start = np.clip(start, lower + 1e-9, upper - 1e-9)
         if np.all(np.isfinite(model(start)[0])):
             break

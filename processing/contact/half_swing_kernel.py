@@ -32,8 +32,15 @@ def _shape(
 ) -> bool:
     """g and its root at the nodes of one quarter; False where the pendulum cannot pass.
 
-    `work`, the drag's share, is the solution of an equation: what is handed in is the guess from
-    which the iteration starts.
+    The energy taken from or left to the motion since the turning point, over A^2 sin^2(theta)/2:
+
+        g = 1 - pi kappa A^n/(n+2) (1 - cos^(n+2))/sin^2
+              + 2 kappa rho A^(n+1)/(n+3) (1 - cos^(n+3))/sin^2                    (Eq. 3)
+              + side 2 [b A^(p-1)/(p+1) (1 - cos^(p+1))/sin^2 + (c/A)/(1 + cos)]    (Eq. 1)
+              + side 2 drag/sin^2 integral_0^theta sin^2 sqrt(g) dtheta'
+
+    `side` is -1 on leaving a turning point, +1 on arriving. Only the drag makes g implicit: `work`,
+    the integral's share, is handed in as the guess from which an iteration starts.
     """
     elastic1 = -np.pi * q[KAPPA] * a ** q[N] / (q[N] + 2)
     elastic2 = 2 * q[KAPPA] * q[RHO] * a ** (q[N] + 1) / (q[N] + 3)
@@ -78,7 +85,7 @@ def _shape(
 def _energy(
     q: NDArray[np.float64], side: float, a: float, root: NDArray[np.float64], across: NDArray[np.float64]
 ) -> float:
-    """Twice the kinetic energy at the zero crossing over A^2: g there."""
+    """Twice the kinetic energy at the zero crossing over A^2: g at theta = pi/2."""
     total = (
         1
         - np.pi * q[KAPPA] * a ** q[N] / (q[N] + 2)
@@ -178,7 +185,8 @@ def _quarter(
     time_gradient: NDArray[np.float64],
     energy_gradient: NDArray[np.float64],
 ) -> float:
-    """Time of one quarter in units of T0, and gradients of it and of the energy ``a^2 g/2``."""
+    """Time of one quarter in units of T0, ``integral dtheta/(2 pi sqrt(g))``, and gradients of it and of
+    the energy ``a^2 g/2`` at the zero crossing."""
     source = np.empty(NODES)
     adjoint = np.empty(NODES)
     drag_work = np.zeros(NODES)
