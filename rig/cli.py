@@ -3,7 +3,6 @@
 Heavy imports stand inside the commands, so that ``rig --help`` answers at once.
 """
 
-import io
 import logging
 import sys
 from typing import Annotated
@@ -14,6 +13,7 @@ from processing.errors import ConfigurationError, RigError
 from rig.commands import calibration, camera, instruments, measure, physics, records, reporting
 from rig.commands import session as session_commands
 from rig.interruption import reason_of, terminated_by_signals
+from rig.terminal_encoding import spell_out_what_is_missing
 
 app = typer.Typer(
     name="rig",
@@ -59,10 +59,7 @@ def main() -> None:
 
     Exit status 2 for wrong usage, 1 for a failed measurement, 130 where Ctrl-C, SIGTERM or SIGHUP ended it.
     """
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):
-            # where the terminal's encoding lacks a character (10⁻³ on an old Windows console)
-            stream.reconfigure(errors="replace")
+    spell_out_what_is_missing()
     debug = "--debug" in sys.argv
     if debug:
         # accepted anywhere on the line, because that is where one adds it after an error

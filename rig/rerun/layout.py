@@ -4,7 +4,7 @@ Each run's entities lie below its own name (a single run has none), so that seve
 each other. Spatial views of Rerun point their y axis down: everything drawn in one carries -Y, and
 the graticule's labels say +Y, so that up is up.
 
-The trajectory is stored once, in arcsec, and seen in two ways. Its entity TRAJECTORY carries a
+The trajectory is stored once, in the unit of the setup, and seen in two ways. Its entity TRAJECTORY carries a
 transform that makes the present amplitude fill the axes (they step down 150, 100, 70, 50 arcsec ...
 as the swing decays), and EQUAL above it one that stretches X. A view with its origin at EQUAL shows
 equal scales, one with its origin at STRETCHED sees X stretched.

@@ -113,9 +113,10 @@ class LogLine(NamedTuple):
 class Curve(NamedTuple):
     """One curve of the analysing layout, as points (data) or as a line (a fit).
 
-    The panels' axes: ``decay`` time s, amplitude arcsec; ``residuals`` time s, arcsec; ``period``
-    amplitude arcsec, period s; ``period_residuals`` amplitude arcsec, ms; ``loops`` angle arcsec,
-    moment uN m. NaN breaks a line. `u_y`, where given, is drawn as bars of +-1.
+    The panels' axes: ``decay`` time s, amplitude; ``residuals`` time s, residual of the amplitude;
+    ``period`` amplitude, period s; ``period_residuals`` amplitude, ms; ``loops`` angle, moment µN m.
+    Amplitudes and angles are in the unit of the setup. NaN breaks a line. `u_y`, where given, is drawn
+    as bars of one standard uncertainty to either side.
     """
 
     panel: Panel
@@ -127,6 +128,8 @@ class Curve(NamedTuple):
 
 
 class Fits(NamedTuple):
+    """Curves of the analysing layout, and the report's text as Markdown."""
+
     run: str
     curves: tuple[Curve, ...]
     text: str

@@ -13,6 +13,7 @@ from rig.analysis.determined import bound_text, determined_text, series_verdicts
 from rig.analysis.results import CombinedParameter, Determination
 from rig.presentation.numbers import plain, rounded, with_uncertainty
 from rig.report.drawing import envelope, thinned
+from rig.terminal_encoding import spelled
 
 
 @pytest.mark.parametrize(
@@ -43,6 +44,11 @@ def test_a_sign_where_the_direction_matters() -> None:
     assert with_uncertainty(2e-7, 1e-9, signed=True) == "(+2.000 ± 0.010) × 10⁻⁷"
     assert with_uncertainty(-2.0, 0.0123, signed=True) == "−2.000 ± 0.012"
     assert with_uncertainty(2.0, math.nan, signed=True) == "+2.0000"
+
+
+def test_a_terminal_without_the_characters_gets_them_spelled_out() -> None:
+    assert spelled(with_uncertainty(-3.73315e-3, 1e-7)) == "(-3.73315 +- 0.00010) x 10^-3"
+    assert spelled("γ / MPa, b / rad⁻ᵖ, 5°") == "gamma / MPa, b / rad^-p, 5 deg"
 
 
 FINITE = st.floats(allow_nan=False, allow_infinity=False)
