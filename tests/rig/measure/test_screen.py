@@ -23,15 +23,34 @@ SEEN = Snapshot(
 )
 
 
-def display(folder: Path, output: io.StringIO, *, json_lines: bool = False) -> RunDisplay:
+def display(
+    folder: Path,
+    output: io.StringIO,
+    *,
+    json_lines: bool = False,
+    unit: DeflectionUnit = DeflectionUnit.RAD,
+) -> RunDisplay:
     console = Console(file=output, width=118, height=40)
-    return RunDisplay("run 1", 2.0, DeflectionUnit.RAD, folder, json_lines=json_lines, console=console)
+    return RunDisplay("run 1", 2.0, unit, folder, json_lines=json_lines, console=console)
 
 
-def screen(folder: Path, snapshot: Snapshot) -> str:
+def screen(folder: Path, snapshot: Snapshot, unit: DeflectionUnit = DeflectionUnit.RAD) -> str:
     output = io.StringIO()
-    Console(file=output, width=118, height=40).print(display(folder, output).screen(snapshot))
+    Console(file=output, width=118, height=40).print(display(folder, output, unit=unit).screen(snapshot))
     return output.getvalue()
+
+
+def test_without_a_lever_the_screen_says_px_and_knows_no_end(tmp_path: Path) -> None:
+    """The final amplitude is configured in arcsec: amplitudes in px never reach it."""
+    measuring = Snapshot(phase="measuring", amplitude=124.0)
+    calibrated = screen(tmp_path, measuring)
+    assert "124.000 arcsec" in calibrated
+    assert "to 2 arcsec" in calibrated
+    shown = screen(tmp_path, measuring, DeflectionUnit.PX)
+    assert "124.000 px" in shown
+    assert "not known: no lever" in shown
+    assert "arcsec" not in shown
+    assert "to 2" not in shown
 
 
 def test_the_screen_shows_the_age_of_frames_and_the_losses(tmp_path: Path) -> None:
