@@ -10,7 +10,6 @@ import numpy as np
 from acquisition.record.digest import sha256_of
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import ENVIRONMENT
-from processing.angle import ARCSEC_RAD
 from processing.deflections import Deflections, DeflectionUnit
 from processing.fit import FitMethod, FitResult, RigQuantities
 from processing.swing import Swing, TurningPoints
@@ -112,11 +111,7 @@ def _analyse_swings(
             {}, None, "the record has no calibration (no [lever]): amplitudes are in px, the laws need rad"
         )
     results = replace(
-        _file_of(path),
-        unit=unit.shown,
-        half_cycles=len(points),
-        initial_amplitude_arcsec=float(points.amplitude[0]) / unit.shown_size if len(points) else math.nan,
-        final_amplitude_arcsec=float(points.amplitude[-1]) / unit.shown_size if len(points) else math.nan,
+        _head(path, points, deflections.unit),
         measured_again_on=settled.motion,
         fits={name: fit_results(fit) for name, fit in decay.fits.items()},
         surface_energy_j_per_m2=decay.surface_energy,
@@ -140,11 +135,7 @@ def _reduced(
     reduction = reduce_run(config.instrument, swings, deflections, air, u_scale)
     points = reduction.points
     results = replace(
-        _file_of(path),
-        unit="arcsec",
-        half_cycles=len(points),
-        initial_amplitude_arcsec=float(points.amplitude[0]) / ARCSEC_RAD if len(points) else math.nan,
-        final_amplitude_arcsec=float(points.amplitude[-1]) / ARCSEC_RAD if len(points) else math.nan,
+        _head(path, points, deflections.unit),
         problem=reduction.problem,
         settings=config.instrument.model_dump(mode="json"),
         instrument=reduction.values,
@@ -153,9 +144,22 @@ def _reduced(
     return AnalysedRun(path, results, points, {}, reduction=reduction)
 
 
-def _file_of(path: Path) -> RunResults:
-    """Results that say no more than which file they are of."""
-    return RunResults(record=path.name, sha256=sha256_of(path), record_bytes=path.stat().st_size)
+def _head(path: Path, points: TurningPoints, unit: DeflectionUnit) -> RunResults:
+    """Which file the results are of, how many half-cycles were used, and over which amplitudes."""
+    found = points.amplitude / unit.shown_size
+    initial, final = (float(found[0]), float(found[-1])) if len(found) else (math.nan, math.nan)
+    in_arcsec = unit is DeflectionUnit.RAD
+    return RunResults(
+        record=path.name,
+        sha256=sha256_of(path),
+        record_bytes=path.stat().st_size,
+        half_cycles=len(points),
+        amplitude_unit=unit.shown,
+        initial_amplitude=initial,
+        final_amplitude=final,
+        initial_amplitude_arcsec=initial if in_arcsec else math.nan,
+        final_amplitude_arcsec=final if in_arcsec else math.nan,
+    )
 
 
 def _clock_rate(config: Configuration) -> float:

@@ -33,7 +33,8 @@ from rig.analysis.encoding import (
 from rig.analysis.instrument_results import InstrumentResults, InstrumentSeries
 
 SCHEMA = 2
-"""Version of the file. 1, the first, has no `unit`, `record_bytes` and `turning_points`."""
+"""Version of the file. 1, the first, has no `amplitude_unit`, `record_bytes` and `turning_points`, and px
+under the names in arcsec of a record without a lever."""
 
 NOT_DETERMINED = Estimate(nan, nan)
 
@@ -242,19 +243,22 @@ class RunResults:
     `record` is relative to the folder of the file where it can be. `losses` says who lost the frames that
     are missing; None where an older record does not. `measured_again_on` is the motion on which the fitted
     turning points were measured again (see `processing.fit.remeasure`); None: they are as detected.
-    `initial_amplitude_arcsec` and `final_amplitude_arcsec` are in `unit`: in px, against their names, of a
-    record without calibration. What follows from a fit (`pendulum` to `notes`) is empty where there is none.
+    `initial_amplitude` and `final_amplitude` are in `amplitude_unit`: arcsec, or px of a record without a
+    lever; those in arcsec are not determined then. What follows from a fit (`pendulum` to `notes`) is empty
+    where there is none.
     """
 
     record: str
     sha256: str = ""
     record_bytes: int | None = None
-    unit: str | None = None
     frames: int = 0
     dropped_frames: int = 0
     losses: Annotated[FrameLosses, AsObject] | None = None
     half_cycles: int = 0
     measured_again_on: KnownMotion | None = None
+    amplitude_unit: str | None = None
+    initial_amplitude: Number = nan
+    final_amplitude: Number = nan
     initial_amplitude_arcsec: Number = nan
     final_amplitude_arcsec: Number = nan
     fits: Mapping[str, Annotated[Fit, Beside("parameters")]] = field(default_factory=dict)

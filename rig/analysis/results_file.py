@@ -78,6 +78,11 @@ def read_results(source: Path) -> SessionResults:
         raise RecordError(
             f"{path}: schema {version} was written by a later version; this one reads up to {SCHEMA}"
         )
+    if version == 1:
+        for run in filter(lambda run: isinstance(run, dict), tree["runs"]):
+            # in whichever unit the record has
+            for end in ("initial", "final"):
+                run.setdefault(f"{end}_amplitude", run.get(f"{end}_amplitude_arcsec"))
     try:
         found: SessionResults = _codec(SessionResults).validate_python(tree)
     except ValidationError as error:

@@ -17,8 +17,9 @@ def print_results(results: SessionResults, paths: Sequence[tuple[str, Path]]) ->
     console = Console()
     for number, run in enumerate(results.runs, start=1):
         head = (
-            f"run {number}: {run.half_cycles} half-cycles, {run.initial_amplitude_arcsec:.2f} to "
-            f"{run.final_amplitude_arcsec:.2f} {run.unit}, {run.frames} frames, {run.dropped_frames} dropped"
+            f"run {number}: {run.half_cycles} half-cycles, {run.initial_amplitude:.2f} to "
+            f"{run.final_amplitude:.2f} {run.amplitude_unit}, {run.frames} frames, "
+            f"{run.dropped_frames} dropped"
         )
         console.print(head, highlight=False, markup=False)
         if run.problem:

@@ -116,7 +116,7 @@ def _key_results(
 
 def _sentence(run: RunData) -> str:
     results, unit = run.results, run.motion.unit
-    first, last = results.initial_amplitude_arcsec, results.final_amplitude_arcsec
+    first, last = results.initial_amplitude, results.final_amplitude
     length = run.motion.time_s[-1] - run.motion.time_s[0] if len(run.motion.time_s) else 0.0
     left_out = len(run.stored.left_out_flags)
     return (

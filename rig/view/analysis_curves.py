@@ -94,7 +94,7 @@ def report_text(runs: Mapping[str, RunAnalysis]) -> str:
     for run in runs.values():
         results = run.results
         parts.append(f"## {run.record.stem}")
-        first, last = results.initial_amplitude_arcsec, results.final_amplitude_arcsec
+        first, last = results.initial_amplitude, results.final_amplitude
         unit = "arcsec" if run.unit_rad != 1.0 else "px"
         parts.append(f"{results.half_cycles} half-cycles, {first:.2f} to {last:.2f} {unit}")
         if results.problem:

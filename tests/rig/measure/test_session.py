@@ -81,6 +81,10 @@ def test_a_session_leaves_records_a_view_and_results(short_session: Path) -> Non
         assert run["frames"] == pytest.approx(12000, abs=70)
         assert run["half_cycles"] >= 55
         assert run["initial_amplitude_arcsec"] == pytest.approx(124, rel=0.02)
+        assert (run["amplitude_unit"], run["initial_amplitude"]) == (
+            "arcsec",
+            run["initial_amplitude_arcsec"],
+        )
         for fit in run["fits"].values():
             for name in TRUTH["glass"]:
                 assert fit[name]["standard_uncertainty"] > 0

@@ -1,9 +1,11 @@
 """A record without calibration, one without swings: what can be said is said, plainly."""
 
+import json
 import math
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from acquisition.frame import Frame
 from acquisition.record.writer import RecordWriter
@@ -60,6 +62,15 @@ def test_without_calibration_the_report_is_in_pixels_and_says_so(tmp_path: Path)
     assert not (files / "fig13-period.svg").exists()
     head = (files / "half-cycles.csv").read_text().splitlines()[0]
     assert head == "index,time_s,u_time_s,amplitude_px,u_amplitude_px"
+
+
+def test_results_of_a_record_without_calibration_call_px_px(tmp_path: Path) -> None:
+    folder = session_in_pixels(tmp_path / "px", lost=False)
+    run = json.loads((folder / "results.json").read_text(encoding="utf-8"))["runs"][0]
+    assert (run["initial_amplitude_arcsec"], run["final_amplitude_arcsec"]) == (None, None)
+    assert run["amplitude_unit"] == "px"
+    assert run["initial_amplitude"] == pytest.approx(100.0)
+    assert run["final_amplitude"] == pytest.approx(68.39, abs=0.005)
 
 
 def test_a_run_without_a_spot_is_reported_as_that(tmp_path: Path) -> None:
