@@ -10,6 +10,10 @@ from pathlib import Path
 
 import pytest
 
+from acquisition.record.reader import RecordReader
+from processing.angle import ARCSEC_RAD
+from tests.rig.view.rrd_contents import scalars
+
 pytestmark = pytest.mark.slow
 ROOT = Path(__file__).resolve().parents[1]
 COPIED = ("rig", "acquisition", "calibration", "processing", "tests", "configs")
@@ -40,19 +44,18 @@ def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def put(copy: Path, place: str, content: str) -> None:
-    """A file, or lines that go to the top of a table (`FILE, in NAME`) or above it (`FILE, above NAME`)."""
-    name, _, where = place.partition(", ")
+    """Make a file, or add lines to one below the line with a text (`FILE, after "TEXT"`)."""
+    name, _, text = place.partition(", after ")
     path = copy / name
-    if not where:
+    if not text:
         assert not path.exists(), f"{name} is there already"
         path.write_text(content, encoding="utf-8")
         return
-    before = path.read_text(encoding="utf-8")
-    how, table = where.split()
-    pattern = rf"^{table}\b[^\n]*[\[({{]\n" if how == "in" else rf"^(?={table}\b)"
-    found = re.search(pattern, before, re.MULTILINE)
-    assert found is not None, f"{name} has no table {table}"
-    path.write_text(before[: found.end()] + content + before[found.end() :], encoding="utf-8")
+    lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
+    found = [row for row, line in enumerate(lines) if text.strip('"') in line]
+    assert len(found) == 1, f"{name}: {len(found)} lines with {text}"
+    lines.insert(found[0] + 1, content)
+    path.write_text("".join(lines), encoding="utf-8")
 
 
 def run(tree: Path, command: str) -> str:
@@ -96,3 +99,18 @@ def test_a_laser_passes_the_tests_of_lasers(tree: Path) -> None:
     (tested,) = said.values()
     assert re.search(r"\b1\d passed", tested), tested
     run(tree, "rig camera show laser.toml")
+
+
+def test_a_quantity_of_the_balance_is_recorded_and_drawn(tree: Path) -> None:
+    run_all(tree, "Adding a quantity of the balance")
+    with RecordReader(tree / "balance.mcap") as record:
+        recorded = record.table("/balance")["rest_distance_rad"]
+    times_s, shown = scalars(tree / "balance.rrd", "/balance/rest_distance/value")
+    assert len(times_s) == len(recorded) > 3
+    assert shown == pytest.approx(recorded / ARCSEC_RAD)
+
+
+def test_a_law_is_fitted(tree: Path) -> None:
+    said = run_all(tree, "Adding a law of the contact")
+    assert " passed" in said["pytest tests/processing/contact/laws"]
+    assert "failed" not in said["pytest tests/processing/contact/laws"]
