@@ -1,6 +1,6 @@
-"""What the laboratory and the faults do to frames: jitter, drift, fading, bursts, losses.
+"""Disturbances of the laboratory and faults: jitter, drift, fading, bursts, losses.
 
-Everything depends on the seed, the run and the frame's number alone, never on when it is asked for.
+Everything depends on the seed, the run and the frame's number alone, not on when it is requested.
 """
 
 import math

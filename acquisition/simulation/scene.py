@@ -34,7 +34,7 @@ class Plan(NamedTuple):
 
 
 class Readings(NamedTuple):
-    """How the camera reads the sensor out: region, depth, brightness. Times of exposure are short."""
+    """How the camera reads the sensor out. Motion during an exposure is neglected."""
 
     x0_px: int
     y0_px: int
@@ -162,7 +162,7 @@ class Scene:
         return image
 
     def _command(self, state: RigState, time_s: float) -> None:
-        """Let the controller's outputs act from `time_s` on."""
+        """Apply the controller's outputs from `time_s` on."""
         before, self._commanded = self._commanded, state
         release = self._settings.release
         if (state.starter, state.brake) != (before.starter, before.brake):

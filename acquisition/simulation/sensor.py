@@ -59,7 +59,7 @@ class Pixels(NamedTuple):
 
 
 class Readout(NamedTuple):
-    """Plain numbers of the readout, for the kernel."""
+    """Numbers that the readout needs, for the kernel."""
 
     gain_e_per_dn: float
     black_level_dn: float

@@ -1,4 +1,4 @@
-"""What the simulated rig is made of: every number of its truth, with its unit.
+"""Settings of the simulated rig: every true value, with its unit.
 
 The defaults are the demonstration: a steel ball on K8 glass with the parameters of the paper,
 on a sensor of 320x640 pixels at 100 frames/s.

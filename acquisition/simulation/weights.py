@@ -23,7 +23,7 @@ class TrimWeight(NamedTuple):
 
 
 class TrimmedPendulum:
-    """A pendulum whose mass centre lies off its place, and the weights that trim it.
+    """A pendulum whose mass centre lies beside its intended place, and the weights that trim it.
 
     Parameters
     ----------
@@ -31,10 +31,12 @@ class TrimmedPendulum:
         Rest position and period here are those of the untrimmed pendulum.
     weights
         By name.
+    lower_m
+        How much further than the ball's radius the mass centre lies below the ball's centre.
     seed
-        Of the error with which a turn is set by hand.
+        Of the random errors with which turns are set by hand.
     u_turns
-        That error's standard deviation.
+        Standard deviation of such an error, in turns.
     """
 
     def __init__(
