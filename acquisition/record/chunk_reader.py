@@ -80,17 +80,6 @@ def messages_in(data: bytes, channels: frozenset[int] | None = None) -> Iterator
         place = following
 
 
-def records_in(data: bytes, opcodes: frozenset[int]) -> Iterator[tuple[int, bytes]]:
-    """Schemas and channels that other programs put into chunks."""
-    place = 0
-    while place + _HEAD.size <= len(data):
-        opcode, length = _HEAD.unpack_from(data, place)
-        place += _HEAD.size
-        if opcode in opcodes:
-            yield opcode, data[place : place + length]
-        place += length
-
-
 def _decompressed(compression: bytes, data: bytes, size: int) -> bytes:
     try:
         chunk = Chunk(compression.decode(), data, 0, 0, 0, size)

@@ -129,6 +129,3 @@ WINDOW = _message(
 """Pixels row by row; with `byte_planes` 1 first the low byte of every pixel, then the high byte."""
 EVENT = _message("Event", "/event", *_ints("time_ns"), tail=(("kind", "text"), ("text", "text")))
 ENVIRONMENT = message_type_of(Environment, f"{PACKAGE}.Environment", "/environment")
-
-PIXEL_TOPICS = (WINDOW.topic, IMAGE_TOPIC)
-"""Topics with chunks of their own, so that who wants numbers does not read pixels."""

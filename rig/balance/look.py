@@ -6,12 +6,10 @@ from types import TracebackType
 from typing import Self
 
 from acquisition.frame import Frame
-from calibration.axes import Axes
 from processing.balance import Balance
 from processing.errors import ConfigurationError, DataError
-from processing.spot import SpotTracker
 from rig.devices import Devices, FrameStream
-from rig.instrument import Block, Pipeline, camera_settings, frame_policy, prepare_kernels, sensor_model
+from rig.instrument import Block, camera_settings, frame_policy, optics_of, prepare_kernels
 from rig.presentation import say
 from rig.settings import Configuration
 from rig.view import Viewer, start_view
@@ -45,7 +43,7 @@ class LooksView:
                 say(f"view: {note}")
 
     def begin(self, first: Frame, full_scale_dn: int) -> None:
-        """A look begins; its frames' clock may have begun anew."""
+        """A look begins; the frames' clock may have been reset."""
         mode = self._config.view.mode
         if mode == "none" and self._rrd is None:
             return
@@ -73,8 +71,8 @@ def look(
         raise ConfigurationError("rig balance needs [lever]: without it nothing is known in arcsec")
     found: Balance | None = None
     with devices.camera(config) as camera:
-        sensor = sensor_model(config, camera.info.full_scale_dn)
-        prepare_kernels(sensor, say)
+        optics = optics_of(config, camera.info.full_scale_dn)
+        prepare_kernels(optics.sensor, say)
         camera.camera.start()
         stream = FrameStream(
             camera.camera,
@@ -87,7 +85,7 @@ def look(
             if first is None:
                 raise DataError("the camera delivered no frame at all")
             shape = (first.image.shape[0], first.image.shape[1])
-            pipeline = Pipeline(SpotTracker(sensor), config.lever, config.axes or Axes(), shape)
+            pipeline = optics.pipeline(shape)
             view.begin(first, camera.info.full_scale_dn)
             end_ns = first.time_ns + round(1e9 * config.balance.seconds)
             while not stream.drained:

@@ -1,14 +1,11 @@
 """`rig calibrate`: records and tables in, one calibration file out."""
 
-from rig.calibrate.calibrations import (
-    calibrate_axes,
-    calibrate_clock,
-    calibrate_lever,
-    calibrate_pointing,
-    calibrate_sensor,
-    check_known_angle,
-)
+from rig.calibrate.axes import calibrate_axes
+from rig.calibrate.clock import calibrate_clock
 from rig.calibrate.filing import Filing
+from rig.calibrate.lever import calibrate_lever, check_known_angle
+from rig.calibrate.pointing import calibrate_pointing
+from rig.calibrate.sensor import calibrate_sensor
 
 __all__ = [
     "Filing",

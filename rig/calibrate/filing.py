@@ -1,12 +1,14 @@
-"""Where a calibration goes and what stands in its file beside the values: who, when, from what."""
+"""The file of a calibration: where it goes, who made it, when, from which sources."""
 
 import datetime
 import getpass
 import socket
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from acquisition.record.digest import sha256_of
 from calibration.store import CalibrationFile, Kind, Source, write_calibration
@@ -54,6 +56,19 @@ def file_calibration(
         details=dict(details),
     )
     return write_calibration(filing.folder, calibration)
+
+
+def details_of(found: Any, *left_out: str) -> dict[str, Any]:
+    """Fields of a dataclass as plain values for a calibration file: arrays as lists, parts as tables."""
+    return {name: _plain(value) for name, value in asdict(found).items() if name not in left_out}
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    if isinstance(value, dict):
+        return {name: _plain(part) for name, part in value.items()}
+    return [_plain(part) for part in value] if isinstance(value, list | tuple) else value
 
 
 def _user() -> str:

@@ -56,7 +56,7 @@ class ControlSnapshot:
 class ControlService(DeviceThread):
     """Owns a `Controller` from `start` to `close`, which puts every output into its safe state.
 
-    Every command returns a future at once. Its error is a DeviceError: what the controller
+    Every command returns a future immediately. Its error is a DeviceError: what the controller
     refused, that it is lost, or `Overdue` when the command waited longer than its time limit,
     for a command that comes late must not act. After the controller was lost its outputs are in
     their safe state and stay there: the service opens it again but lights no laser by itself.

@@ -63,7 +63,7 @@ class Worker:
         """Queue a call, ahead of the others where urgent; the future carries its result or error.
 
         A call that was not begun within timeout_s is not made: its future raises `Overdue`. After
-        `close` the future raises DeviceError at once.
+        `close` the future raises DeviceError immediately.
         """
         future: Future[T] = Future()
         job = _Job((0 if urgent else 1, next(self._count)), time.monotonic() + timeout_s, call, future)

@@ -1,4 +1,4 @@
-"""Camera, controller, laser and sensors: found, looked over, opened in order, closed in reverse."""
+"""Camera, controller, laser and sensors: found, checked, opened in order, closed in reverse."""
 
 from rig.devices import picture
 from rig.devices.auto_exposure import find_exposure

@@ -1,4 +1,4 @@
-"""An exposure that brings the peak to a stated part of full scale, found once and then fixed."""
+"""Find an exposure that brings the spot's peak to a wanted part of full scale, and leave it set."""
 
 import statistics
 from typing import NamedTuple

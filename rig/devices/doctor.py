@@ -1,4 +1,4 @@
-"""`rig doctor`: the whole rig looked over, without switching anything on."""
+"""`rig doctor`: checks the whole rig without switching anything on."""
 
 import os
 import shutil
@@ -17,7 +17,7 @@ from processing.errors import RigError
 from rig.control import check_controller, check_environment, check_laser
 from rig.devices.devices import Devices
 from rig.devices.usb_checks import check_usb_cameras, check_usb_memory
-from rig.instrument import check_materials, complete, sensor_model
+from rig.instrument import check_materials, complete
 from rig.presentation import Verdict, print_json_line, print_verdicts
 from rig.settings import Configuration
 
@@ -89,7 +89,6 @@ def check_camera(config: Configuration, devices: Devices) -> Iterator[Verdict]:
                 "; ".join(camera.notes) or "taken as asked",
                 "ask for what the camera can do" if camera.notes else "",
             )
-            sensor_model(config, info.full_scale_dn)
             camera.camera.start()
             begun_s = time.monotonic()
             count = frame_bytes = 0

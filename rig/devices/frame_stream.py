@@ -1,4 +1,4 @@
-"""The camera's thread: frames without interruption from preflight to the end of a run."""
+"""The camera's thread: it reads frames from the preflight to the end of a run, and reconnects."""
 
 import logging
 import threading
@@ -122,7 +122,7 @@ class FrameStream:
         silent_s = 0.0
         try:
             while not self._stop.is_set():
-                # a source that waits for us may take its time; one that runs by itself may not
+                # a source that makes frames on demand may take its time; a free-running camera may not
                 patience_s = self._timeout_s if self.policy == "wait" else line.patience_s(self._timeout_s)
                 patience_s = min(patience_s, self._timeout_s - silent_s)
                 try:

@@ -1,4 +1,4 @@
-"""The newest frames of a camera for someone who looks on: what is seen is now."""
+"""The newest frames of a camera, for a live picture: older ones are dropped."""
 
 import threading
 import time
@@ -17,7 +17,7 @@ def watch_latest(
     """Blocks of `at_least` frames, five a second at most; older ones are dropped by the queue.
 
     The camera is configured and stopped; it is stopped again in the end, at the monotonic time
-    `end_s`, when its source ends, or when the one who looks on goes away. What the camera raises
+    `end_s`, when its source ends, or when the caller stops iterating. What the camera raises
     is raised here.
     """
     errors: list[Exception] = []

@@ -48,7 +48,7 @@ def check_usb_cameras(serial: str | None) -> Iterator[Verdict]:
 
 
 def check_usb_memory(frame_bytes: int, memory: Path = _USBFS_MEMORY) -> tuple[Verdict, ...]:
-    """Whether Linux lends enough memory to USB transfers for some frames to be under way at once."""
+    """Whether Linux lends enough memory to USB transfers for several frames under way at the same time."""
     if sys.platform != "linux" or not memory.is_file():
         return ()
     limit_mb = int(memory.read_text())

@@ -9,20 +9,11 @@ from rig.instrument.balance import (
     turn_text,
 )
 from rig.instrument.calibration import judge_calibration
-from rig.instrument.configured import (
-    balls,
-    camera_settings,
-    check_materials,
-    complete,
-    frame_policy,
-    make_camera,
-    material,
-    pendulum_on_ball,
-    sensor_model,
-    setting_differences,
-)
+from rig.instrument.complete_configuration import complete
+from rig.instrument.configured_camera import camera_settings, frame_policy, make_camera, setting_differences
 from rig.instrument.kernels import prepare_kernels
-from rig.instrument.optics import Optics, optics_of
+from rig.instrument.optics import Optics, optics_of, sensor_model
+from rig.instrument.pendulum import balls, check_materials, material, pendulum_on_ball
 from rig.instrument.pipeline import Block, Deflector, Pipeline
 from rig.instrument.provenance import (
     CONFIGURATION_NAME,

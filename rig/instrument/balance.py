@@ -16,7 +16,7 @@ from processing.balance import (
     mass_centre_height_m,
 )
 from processing.contact import frequency_drop, stiffness_ratio
-from rig.instrument.configured import pendulum_on_ball
+from rig.instrument.pendulum import pendulum_on_ball
 from rig.presentation import with_uncertainty
 from rig.settings import Configuration
 

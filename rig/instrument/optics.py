@@ -6,7 +6,6 @@ from calibration.axes import Axes
 from calibration.lever import Lever, deflection_unit
 from processing.deflections import DeflectionUnit
 from processing.spot import SensorModel, SpotTracker
-from rig.instrument.configured import sensor_model
 from rig.instrument.pipeline import Deflector, Pipeline
 from rig.settings import Configuration
 
@@ -40,3 +39,13 @@ class Optics:
 def optics_of(config: Configuration, full_scale_dn: float) -> Optics:
     """The optics as configured, for a camera whose pixels saturate at `full_scale_dn`."""
     return Optics(sensor_model(config, full_scale_dn), config.lever, config.axes or Axes())
+
+
+def sensor_model(config: Configuration, full_scale_dn: float) -> SensorModel:
+    """Noise model of the sensor for the tracker; without [sensor] one that is typical of small CMOS sensors.
+
+    A typical 10 ke- full well is assumed then; uncertainties follow the fit's own chi2 upward.
+    """
+    if config.sensor is not None:
+        return config.sensor
+    return SensorModel(gain_e_per_dn=10_000.0 / full_scale_dn, read_noise_e=7.0, full_scale_dn=full_scale_dn)

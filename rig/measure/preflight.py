@@ -251,7 +251,7 @@ def controller(words: str, wanted: bool) -> Verdict:
 
 
 def laser(now: LaserNow | None, goes_dark_by_itself: bool) -> Verdict:
-    """Whether a laser that is ours is lit; a warning where nothing but this program switches it off."""
+    """Whether the laser that this program drives is lit; warns where nothing else could switch it off."""
     if now is None:
         return Verdict("laser", True, measured="none is configured", limit="lit", made=False)
     if not now.on:

@@ -218,7 +218,7 @@ def simulate_record(config: Configuration, source: Path, record: Path) -> int:
 
 
 def session_folder(config: Configuration, source: Path, output: Path | None) -> Path:
-    """Folder of this session, made; one that holds a run already is refused, never written over."""
+    """Folder of this session, made; one that holds a run already is rejected, never written over."""
     if output is None:
         now = datetime.datetime.now().astimezone()
         name = f"{now:%Y-%m-%dT%H-%M-%S}-{source.stem}"

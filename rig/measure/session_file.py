@@ -1,4 +1,4 @@
-"""What a session folder says of its session: which runs were made, how each ended, what is missing."""
+"""`session.json`: which runs of a session were made, how each ended, which are missing."""
 
 import datetime
 import json

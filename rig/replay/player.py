@@ -17,7 +17,7 @@ SEEK_S: Final = 10.0
 _TICK_S = 0.05
 _LATEST_S = 0.5
 _MOST_FRAMES = {False: 10_000, True: 64}
-"""Frames put through at once, with their spots as recorded and tracked again: keys wait for no longer."""
+"""Frames processed between two looks at the keys: with their recorded spots, and tracked again."""
 
 
 class Display(Protocol):
@@ -188,7 +188,7 @@ class Player:
         self._forget()
 
     def _forget(self) -> None:
-        """Counts begin anew where the pipeline does."""
+        """Start the counts again, as the pipeline does."""
         start_ns, begun_s = self._replay.start_ns, self._replay.begun_s
         begun_ns = start_ns + round(begun_s * 1e9)
         self._frames = self._missing = self._lost = self._half_cycles = 0

@@ -1,4 +1,4 @@
-"""A record through the same pipeline again, as fast or as slowly as one likes, from any place in it."""
+"""A record through the same pipeline again, at any pace and from any place in it."""
 
 import math
 from collections.abc import Iterator
@@ -10,12 +10,11 @@ from numpy.typing import NDArray
 from acquisition.frame import Frame
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import WINDOW, RecordedWindow
-from calibration.axes import Axes
 from processing.deflections import Deflections, joined
 from processing.errors import RecordError
-from processing.spot import SensorModel, Spot, SpotFlag, SpotTracker
+from processing.spot import Spot, SpotFlag
 from processing.swing import Swing
-from rig.instrument import Block, Pipeline, frame_shape, recorded_configuration, sensor_model
+from rig.instrument import Block, frame_shape, optics_of, recorded_configuration
 from rig.replay.comparison import Comparison, ReplayComparison
 from rig.settings import Configuration
 
@@ -189,10 +188,7 @@ class Replay:
 
     def _begin(self, time_ns: int) -> None:
         shape = self._shape
-        axes = self._config.axes or Axes()
-        self._pipeline = Pipeline(
-            SpotTracker(_sensor(self._config, self._reader)), self._config.lever, axes, shape
-        )
+        self._pipeline = optics_of(self._config, self._reader.full_scale_dn).pipeline(shape)
         from_ns = None if time_ns <= self.start_ns else time_ns
         self._tables = self._reader.spot_blocks(from_ns)
         self._table, self._row = self._table[:0], 0
@@ -222,7 +218,7 @@ class Replay:
         """Spots of the frames; windows and rows are both in the frames' order."""
         spots: list[Spot] = []
         for sequence in rows["sequence"].tolist():
-            # a window whose spot lies in a damaged chunk is passed over
+            # a window whose spot was in a damaged chunk is skipped
             while self._window is None or self._window.sequence < sequence:
                 self._window = next(self._windows, None)
                 if self._window is None:
@@ -250,7 +246,3 @@ class Replay:
 def _spots(table: NDArray[Any]) -> list[Spot]:
     columns = [table[name].tolist() for name in Spot._fields]
     return [Spot(*row) for row in zip(*columns, strict=True)]
-
-
-def _sensor(config: Configuration, reader: RecordReader) -> SensorModel:
-    return sensor_model(config, float(reader.full_scale_dn))

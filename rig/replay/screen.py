@@ -59,7 +59,7 @@ class ReplayLine:
         """Bring the line up to date."""
         now_s = self._clock()
         interval_s = _LINE_INTERVAL_S if self._terminal else _PLAIN_INTERVAL_S
-        # what a key has done is shown at once
+        # the effect of a key is shown immediately
         moving = snapshot.phase != "paused" and prompt is None and snapshot.elapsed_s < length_s
         if (moving or not self._terminal) and now_s - self._shown_s < interval_s:
             return

@@ -32,7 +32,7 @@ from processing.instruments.plane import along_plane, swing_plane
 from processing.instruments.rolling import rolling_friction
 from processing.instruments.turning import refined
 from processing.swing import SwingDetector, TurningPoints, turning_points
-from rig.instrument.configured import complete, pendulum_on_ball
+from rig.instrument import complete, pendulum_on_ball
 from rig.settings.configuration import load_configuration
 
 CONFIGS = Path(__file__).resolve().parents[3] / "configs" / "instruments"

@@ -10,8 +10,8 @@ from acquisition.simulation.true_path import noisy, true_path
 from acquisition.simulation.weights import TrimmedPendulum, TrimWeight, imperfect_weights
 from processing.angle import ARCSEC_RAD
 from processing.balance import Balance, BalanceEstimator, BalanceLimits, WeightResponses, mass_centre_height_m
+from rig.instrument import complete
 from rig.instrument.balance import elastic_drop, nominal_effects
-from rig.instrument.configured import complete
 from rig.settings.configuration import Configuration
 
 CONFIG = complete(Configuration())

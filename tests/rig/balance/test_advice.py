@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from processing.balance import BalanceLimits, WeightResponses, mass_centre_height_m
-from rig.balance.session import BalancingSession
+from rig.balance.learned_turns import LearnedTurns
 from rig.instrument.balance import nominal_effects
 from tests.rig.balance.cases import CONFIG, follow_advice, seen, state_of, trimmed_pendulum
 from tests.rig.view.rrd_contents import column, scalars
@@ -113,5 +113,5 @@ def test_a_history_that_was_cut_short_is_read_as_far_as_it_goes(tmp_path: Path) 
     history = tmp_path / "history.jsonl"
     turn = {"weight": "x", "turns": 3.0, "before": [30.0, 0, 0], "after": [0.0, 0, 0], "u": [0.01] * 3}
     history.write_text(json.dumps(turn) + "\n" + json.dumps(turn)[:40] + "\n[]\n")
-    session = BalancingSession(CONFIG, history)
+    session = LearnedTurns(CONFIG, history)
     assert session.responses.pairs == {"x": 1, "y": 0, "height": 0}

@@ -11,7 +11,7 @@ from acquisition.record.reader import RecordReader
 from calibration.store import read_calibration, write_calibration
 from processing.errors import ConfigurationError, RigError
 from rig.analysis.record_fit import analyse_record
-from rig.calibrate.calibrations import (
+from rig.calibrate import (
     calibrate_axes,
     calibrate_clock,
     calibrate_lever,

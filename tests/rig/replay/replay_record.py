@@ -9,7 +9,7 @@ from acquisition.record.writer import RecordWriter
 from acquisition.simulation.true_path import true_path
 from calibration.axes import Axes
 from processing.spot import Spot, SpotFlag, SpotTracker
-from rig.instrument.configured import complete, sensor_model
+from rig.instrument import complete, sensor_model
 from rig.instrument.pipeline import Pipeline
 from rig.instrument.provenance import configuration_attachments
 from rig.settings.configuration import load_configuration

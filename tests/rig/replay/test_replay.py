@@ -16,11 +16,11 @@ from processing.spot import SpotFlag
 from rig.analysis.record_fit import analyse_record
 from rig.instrument.provenance import recorded_configuration
 from rig.instrument.snapshot import Snapshot
-from rig.replay.command import replay_record, speed_of
 from rig.replay.comparison import parameter_changes
 from rig.replay.keys import KeyParser, Keys
 from rig.replay.player import Player
 from rig.replay.replay import Replay
+from rig.replay.replay_record import replay_record, speed_of
 from rig.replay.screen import ReplayLine
 from tests.rig.replay.replay_record import GAP_FRAME, LOST_FRAME, RATE_HZ, make_record
 

@@ -3,7 +3,7 @@ from pathlib import Path
 import pytest
 
 from processing.errors import ConfigurationError
-from rig.instrument.configured import check_materials, complete, pendulum_on_ball
+from rig.instrument import check_materials, complete, pendulum_on_ball
 from rig.settings.configuration import Configuration, load_configuration
 
 CONFIGS = Path(__file__).resolve().parents[3] / "configs"

@@ -11,8 +11,8 @@ from acquisition.record.reader import RecordReader
 from acquisition.record.topics import BALANCE_TOPIC
 from processing.angle import ARCSEC_RAD
 from processing.balance import Balance
+from rig.instrument import complete
 from rig.instrument.balance import advice_text
-from rig.instrument.configured import complete
 from rig.instrument.provenance import recorded_configuration
 from rig.replay.replay import Replay
 from rig.settings.configuration import load_configuration

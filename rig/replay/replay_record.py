@@ -130,7 +130,7 @@ def _say_differences(
     """Spots and half-cycles against the record, fitted numbers against the results of the whole record."""
     if replay.sought:
         print(
-            f"begun anew at {replay.begun_s:.2f} s by going back: "
+            f"restarted at {replay.begun_s:.2f} s by going back: "
             "the results are not compared with the recorded ones"
         )
         return

@@ -1,0 +1,57 @@
+"""`rig calibrate clock`: the camera's clock against the host's."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+
+from acquisition.record.reader import RecordReader
+from calibration.timebase import FRAME_JITTER_LIMIT_S, relate_clocks, unwrap_counter
+from processing.errors import DataError
+from rig.calibrate.filing import Filing, details_of, file_calibration
+from rig.devices import ntp_state
+from rig.instrument import recorded_configuration
+
+
+def calibrate_clock(record: Path, filing: Filing, counter_bits: int | None) -> Path:
+    """Camera clock against the host's monotonic clock."""
+    with RecordReader(record) as reader:
+        config = recorded_configuration(reader)
+        if config.simulated and config.on_demand:
+            raise DataError(
+                f"{record}: its frames were made on demand; simulation.real_time = true paces them"
+            )
+        if reader.metadata.get("camera", {}).get("has_clock") == "False":
+            raise DataError(f"{record}: its camera has no clock of its own; there is nothing to relate")
+        table = reader.spots()
+        began = reader.utc(int(table["time_ns"][0]) if len(table) else 0)
+    device = table["device_time_ns"].astype(np.int64)
+    if counter_bits is not None:
+        device = unwrap_counter(device, counter_bits)
+    relation = relate_clocks(
+        device, table["host_time_ns"].astype(np.int64), table["sequence"].astype(np.int64)
+    )
+    ntp = ntp_state()
+    notes = [f"clock jump of {jump.step_s:.3g} s at frame {jump.frame}" for jump in relation.jumps]
+    if relation.frame_jitter_s > FRAME_JITTER_LIMIT_S:
+        notes.append(
+            f"frame times jitter by {relation.frame_jitter_s * 1e6:.3g} us, swings need "
+            f"{FRAME_JITTER_LIMIT_S * 1e6:g} us"
+        )
+    if not ntp.synchronised:
+        notes.append(f"the host's clock is not known to be synchronised with UTC ({ntp.text})")
+    values = {
+        "camera_rate": relation.rate,
+        "u_camera_rate": math.hypot(relation.u_rate, ntp.u_rate),
+    }
+    details = {
+        "drift_ppm": relation.drift_ppm,
+        "u_drift_ppm": relation.u_drift_ppm,
+        **details_of(relation, "rate", "u_rate", "device_reference_ns", "host_reference_ns"),
+    }
+    details["frame_jitter_limit_s"] = FRAME_JITTER_LIMIT_S
+    details["ntp"] = ntp.text
+    details["ntp_synchronised"] = ntp.synchronised
+    return file_calibration(
+        "clock", filing, "camera against host, robust line", values, details, [record], notes, began
+    )

@@ -1,0 +1,89 @@
+"""`rig calibrate lever` and `check`: pixels to radians, from geometry or from known tilts and shifts."""
+
+import datetime
+from pathlib import Path
+from typing import Any
+
+from calibration.at_rest import require_rest
+from calibration.known_angle import check_scale
+from calibration.lever import Lever
+from calibration.lever_fit import LadderFit, fit_ladder, lever_from_shifts, lever_from_tilts
+from calibration.lever_geometry import lever_from_geometry
+from calibration.store import read_calibration
+from processing.errors import ConfigurationError
+from rig.calibrate.filing import Filing, details_of, file_calibration
+from rig.calibrate.inputs import LadderFile, read_ladder
+from rig.calibrate.spots import mean_spot, spots_of_record
+
+
+def calibrate_lever(ladder: Path, filing: Filing) -> Path:
+    """Lever from its geometry, or from a ladder of tilts or shifts: see `read_ladder`."""
+    table = read_ladder(ladder)
+    if table.geometry is not None:
+        found = lever_from_geometry(table.geometry)
+        details = {
+            "u_scale_relative": found.lever.u_scale_relative,
+            **details_of(found, "lever"),
+        }
+        return file_calibration(
+            "lever", filing, "geometry, traced", _plain_lever(found.lever), details, [ladder]
+        )
+    fit, sources, began = _climb(ladder, table)
+    if table.kind == "tilt":
+        lever = lever_from_tilts(fit, table.needed("pixel_pitch_m"))
+    else:
+        lever = lever_from_shifts(fit, table.needed("arm_m"), table.u_arm_m)
+    details = {**_ladder_details(fit, table), "u_scale_relative": lever.u_scale_relative}
+    method = f"ladder of {len(table.step)} {table.kind}s"
+    return file_calibration("lever", filing, method, _plain_lever(lever), details, sources, fit.notes, began)
+
+
+def check_known_angle(ladder: Path, lever: Path, filing: Filing) -> Path:
+    """Known tilts against a lever in use."""
+    table = read_ladder(ladder)
+    if table.kind != "tilt" or table.geometry is not None:
+        raise ConfigurationError(f"{ladder}: known tilts are needed for a check (kind = 'tilt')")
+    in_use = Lever.model_validate(read_calibration(lever, "lever").values)
+    fit, sources, began = _climb(ladder, table)
+    check = check_scale(in_use, fit)
+    details = {**details_of(check), **_ladder_details(fit, table)}
+    notes = list(fit.notes)
+    if check.moved:
+        notes.append(
+            f"scale off by {100 * (check.ratio - 1):+.3g} %, u = {100 * check.u_both:.2g} %: calibrate again"
+        )
+    method = f"{len(table.step)} known tilts against {lever.name}"
+    return file_calibration("check", filing, method, {}, details, [*sources, lever], notes, began)
+
+
+def _climb(path: Path, table: LadderFile) -> tuple[LadderFit, list[Path], datetime.datetime | None]:
+    """The ladder's fit, the files that it rests on, and when it was climbed."""
+    sources, began = [path], None
+    rows = []
+    for number, step in enumerate(table.step, 1):
+        if step.record is None:
+            rows.append((step.x_px, step.y_px, step.u_px, step.u_px))
+            continue
+        record = path.parent / step.record
+        spots, step_began = spots_of_record(record)
+        require_rest(spots.times_s, spots.x, spots.y, f"step {number}, {record}")
+        sources.append(record)
+        began = step_began if began is None else max(began, step_began)
+        rows.append(mean_spot(spots))
+    return (
+        fit_ladder(table.steps(rows), table.kind, u_reference_relative=table.u_reference_relative),
+        sources,
+        began,
+    )
+
+
+def _ladder_details(fit: LadderFit, table: LadderFile) -> dict[str, Any]:
+    return {
+        "reference": [table.in_si(step.reference) for step in table.step],
+        "u_reference_relative": table.u_reference_relative,
+        **details_of(fit, "notes"),
+    }
+
+
+def _plain_lever(lever: Lever) -> dict[str, Any]:
+    return lever.model_dump(exclude_none=True)
