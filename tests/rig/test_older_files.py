@@ -75,8 +75,12 @@ def check_no_key_is_lost(new: Any, old: Any) -> None:
 def check_same_run(new: dict[str, Any], old: dict[str, Any]) -> None:
     for key in ("sha256", "frames", "dropped_frames", "losses", "half_cycles"):
         assert new[key] == old[key], key
-    for key in ("initial_amplitude_arcsec", "final_amplitude_arcsec"):
-        assert new[key] == pytest.approx(old[key], rel=1e-6)
+    for end in ("initial", "final"):
+        # schema 1 had px, too, under the name in arcsec
+        before = old[f"{end}_amplitude_arcsec"]
+        assert new[f"{end}_amplitude"] == pytest.approx(before, rel=1e-6)
+        in_arcsec = new["amplitude_unit"] == "arcsec"
+        assert new[f"{end}_amplitude_arcsec"] == (pytest.approx(before, rel=1e-6) if in_arcsec else None)
 
 
 def test_info() -> None:
