@@ -1,1 +1,48 @@
-"""The instrument put together: command line, configuration, session, control, view, report."""
+"""The instrument put together; `import rig` gives scripts and notebooks the names in `__all__` (docs/api.md).
+
+Each name is imported when it is first used, so that `import rig` alone, and `rig --help`, load nothing.
+"""
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from processing.deflections import Deflections
+    from processing.errors import RigError
+    from rig.analysis import SessionResults, TableResults, read_results, write_results
+    from rig.scripting import Record, Session, figures, fit, fit_table, open_record, open_session
+
+__all__ = [
+    "Deflections",
+    "Record",
+    "RigError",
+    "Session",
+    "SessionResults",
+    "TableResults",
+    "figures",
+    "fit",
+    "fit_table",
+    "open_record",
+    "open_session",
+    "read_results",
+    "write_results",
+]
+_PLACES = {
+    "Deflections": "processing.deflections",
+    "RigError": "processing.errors",
+    "SessionResults": "rig.analysis",
+    "TableResults": "rig.analysis",
+    "read_results": "rig.analysis",
+    "write_results": "rig.analysis",
+}
+"""Modules of the names; those that are not listed are in rig.scripting."""
+
+
+def __getattr__(name: str) -> Any:
+    if name not in __all__:
+        raise AttributeError(f"module 'rig' has no attribute {name!r}")
+    return getattr(importlib.import_module(_PLACES.get(name, "rig.scripting")), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -37,7 +37,7 @@ from rig.analysis.results_file import (
     write_results,
 )
 from rig.analysis.screen import print_results
-from rig.analysis.table_fit import fit_trajectory
+from rig.analysis.table_fit import analyse_table, fit_trajectory
 
 __all__ = [
     "NOT_DETERMINED",
@@ -66,6 +66,7 @@ __all__ = [
     "TableResults",
     "analyse_record",
     "analyse_run",
+    "analyse_table",
     "bound_text",
     "combined_series",
     "curves_of",

@@ -53,8 +53,11 @@ def _text(value: object, indent: str = "") -> str:
 
 
 def results_path(source: Path) -> Path:
-    """The results of a folder, or the results file itself."""
-    return source / RESULTS_NAME if source.is_dir() else source
+    """A results file as it is named, or the latest of a folder: results-2.json comes after results.json."""
+    if not source.is_dir():
+        return source
+    later = [path for path in source.glob("results-*.json") if path.stem.removeprefix("results-").isdecimal()]
+    return max(later, key=lambda path: int(path.stem.removeprefix("results-")), default=source / RESULTS_NAME)
 
 
 def read_results(source: Path) -> SessionResults:

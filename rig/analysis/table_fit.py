@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -25,22 +26,26 @@ from rig.settings import Configuration, load_configuration
 _USABLE = 4
 
 
-def fit_trajectory(
-    path: Path,
-    output: Path | None,
-    config_path: Path | None,
-    time: str | None,
-    positions: list[str],
-    unit: str,
-    overrides: Sequence[str],
-) -> int:
-    """Detect the swings of a trajectory, print decay and period, fit the laws where unit and pendulum allow.
+@dataclass(frozen=True)
+class AnalysedTable:
+    """A table, the half-cycles and the noise of a sample found in it, and what follows."""
 
-    Two positions are first turned onto the direction of the larger motion. Returns the exit status.
-    Raises DataError where no decay can be had, with the reason.
+    trajectory: Trajectory
+    swings: Sequence[Swing]
+    summary: DecaySummary
+    noise: float
+    results: TableResults
+
+
+def analyse_table(
+    path: Path, config: Configuration | None, time: str | None, positions: Sequence[str], unit: str
+) -> AnalysedTable:
+    """Detect the swings of a trajectory; fit the laws where unit and pendulum allow.
+
+    Two positions are first turned onto the direction of the larger motion. Raises DataError where no decay
+    can be had, with the reason.
     """
-    trajectory = read_trajectory(path, time, positions, unit)
-    config = load_configuration(config_path, overrides) if config_path else None
+    trajectory = read_trajectory(path, time, list(positions), unit)
     scale = trajectory.scale_rad or 1.0
     deflection = along_motion(trajectory.positions) * scale
     noise = estimate_noise(trajectory.times_ns, deflection)
@@ -62,10 +67,25 @@ def fit_trajectory(
         points = turning_points(settled_swings(swings, deflections, pendulum, config.fit).swings)
         laws = fit_decay(points, pendulum, config.fit)
     results = _results(path, trajectory, summary, laws)
-    _print(path, trajectory, swings, summary, noise / scale, results)
+    return AnalysedTable(trajectory, swings, summary, noise / scale, results)
+
+
+def fit_trajectory(
+    path: Path,
+    output: Path | None,
+    config_path: Path | None,
+    time: str | None,
+    positions: list[str],
+    unit: str,
+    overrides: Sequence[str],
+) -> int:
+    """Analyse a table, print decay, period and fits, write results.json. Returns the exit status."""
+    config = load_configuration(config_path, overrides) if config_path else None
+    table = analyse_table(path, config, time, positions, unit)
+    _print(path, table)
     if output is not None:
         output.mkdir(parents=True, exist_ok=True)
-        write_results(output / RESULTS_NAME, results)
+        write_results(output / RESULTS_NAME, table.results)
         print(f"results      {output / RESULTS_NAME}")
     return 0
 
@@ -92,21 +112,15 @@ def _why_no_laws(trajectory: Trajectory, config: Configuration | None) -> str:
     return ""
 
 
-def _print(
-    path: Path,
-    trajectory: Trajectory,
-    swings: list[Swing],
-    summary: DecaySummary,
-    noise: float,
-    results: TableResults,
-) -> None:
+def _print(path: Path, table: AnalysedTable) -> None:
+    trajectory, summary, results = table.trajectory, table.summary, table.results
     scale = trajectory.scale_rad or 1.0
     unit = trajectory.unit
     print(f"{path}: {len(trajectory.times_ns)} samples, {', '.join(trajectory.names)} in {unit}")
     if trajectory.skipped_rows:
         print(f"  {trajectory.skipped_rows} rows without the right number of columns were left out")
-    print(f"  noise of a sample {noise:.3g} {unit}, from the scatter about a smooth curve")
-    flagged = len(swings) - summary.half_cycles
+    print(f"  noise of a sample {table.noise:.3g} {unit}, from the scatter about a smooth curve")
+    flagged = len(table.swings) - summary.half_cycles
     print(
         f"  {summary.half_cycles} half-cycles ({flagged} more flagged and left out), amplitude "
         f"{summary.initial_amplitude / scale:.4g} to {summary.final_amplitude / scale:.4g} {unit}"

@@ -4,7 +4,7 @@ from rig.report import figures_contact, figures_laws, figures_motion, html
 from rig.report.comparison import compare
 from rig.report.drawing import Drawing, styled
 from rig.report.run_data import Motion, RunData, turning_points_again
-from rig.report.session_report import make_report, save_figures, save_tables
+from rig.report.session_report import draw_run, make_report, save_figures, save_tables
 from rig.report.tables import instrument_table, parameter_table, quality_table
 from rig.report.tables_uncertainty import series_table
 
@@ -13,6 +13,7 @@ __all__ = [
     "Motion",
     "RunData",
     "compare",
+    "draw_run",
     "figures_contact",
     "figures_laws",
     "figures_motion",

@@ -59,6 +59,18 @@ def make_report(folder: Path, output: Path | None = None) -> Path:
     return target
 
 
+def draw_run(source: Path, number: int) -> list[Drawing]:
+    """The figures of one run, counted from 1, of a session's folder or a results file.
+
+    Raises RecordError where there are no results, no such run, or no record.
+    """
+    runs = read_source(source).runs
+    if not 1 <= number <= len(runs):
+        raise RecordError(f"{source}: run {number} is not there; it has runs 1 to {len(runs)}")
+    run = runs[number - 1]
+    return _drawings(run, _curves(run))
+
+
 def _title(source: ReportSource) -> tuple[str, str]:
     session = source.runs[0].provenance.get("session", {})
     title = session.get("sample") or source.folder.resolve().name
@@ -172,7 +184,7 @@ def _series(series: Series, files: Path) -> list[str]:
 
 def _run(run: RunData, files: Path, *, alone: bool) -> list[str]:
     files.mkdir(parents=True, exist_ok=True)
-    curves = curves_of(run.points, run.results) if len(run.points) >= 3 else None
+    curves = _curves(run)
     tables = run_tables(run, curves)
     save_tables(tables, files)
     shown = {table.name: html.table(table) for table in tables if table.shown}
@@ -197,6 +209,10 @@ def _run(run: RunData, files: Path, *, alone: bool) -> list[str]:
     body += take("correlation", "budget", "monte-carlo")
     body += take("fig00-frame", "fig09-y", "fig10-x", "fig11-trajectory")
     return [*body, *shown.values(), *figures.values()]
+
+
+def _curves(run: RunData) -> Curves | None:
+    return curves_of(run.points, run.results) if len(run.points) >= 3 else None
 
 
 def _drawings(run: RunData, curves: Curves | None) -> list[Drawing]:

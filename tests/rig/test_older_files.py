@@ -213,6 +213,7 @@ def test_an_interrupted_session_goes_on(folder: Path) -> None:
     assert [entry["state"] for entry in state["entries"]] == ["complete", "interrupted", "complete"]
     new, (old,) = results("series/results-2.json")["runs"], results("series/results.json")["runs"]
     assert [run["record"] for run in new] == ["run-1.mcap", "run-3.mcap"]
+    assert "report-2.html" in rig("report series"), "a folder's results are the latest ones"
     check_same_run(new[0], old)
     check_same_fits(new[0]["fits"], old["fits"])
 

@@ -1,0 +1,79 @@
+"""`import rig` as docs/api.md describes it: every example is run, and nothing is loaded before it is used."""
+
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import rig
+
+ROOT = Path(__file__).resolve().parents[2]
+OLDER = Path(__file__).parent / "data" / "older"
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with a session in runs/first, and a table."""
+    shutil.copytree(OLDER / "series", tmp_path / "runs" / "first")
+    shutil.copytree(OLDER / "calibrations", tmp_path / "calibrations")
+    for name in ("decay.csv", "session.toml"):
+        shutil.copy(OLDER / name, tmp_path)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_every_example_runs(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    blocks = re.findall(r"^```python\n(.*?)^```$", (ROOT / "docs" / "api.md").read_text("utf-8"), re.M | re.S)
+    assert len(blocks) >= 7
+    names: dict[str, Any] = {}
+    for block in blocks:
+        exec(block, names)
+    assert "run-7.mcap: no such record" in capsys.readouterr().out
+    assert (folder / "decay.png").stat().st_size > 10_000
+    assert names["deflections"].unit == "rad"
+    assert len(names["deflections"]) == 577
+    assert names["good"]["amplitude_rad"][0] == pytest.approx(118 * np.pi / 648000, rel=0.01)
+    assert set(names["record"].events()["kind"]) >= {"start", "stop"}
+    assert names["b"].value == pytest.approx(0.03, rel=0.02)
+    assert names["table"].fits["exact"].parameters["p"].value == pytest.approx(0.944, rel=0.01)
+    reread = rig.read_results(folder / "robust.json")
+    assert reread.runs[0].fits["exact"].parameters == names["again"].runs[0].fits["exact"].parameters
+
+
+def test_a_session_is_a_series(folder: Path) -> None:
+    session = rig.open_session(folder / "runs" / "first")
+    (run,) = rig.fit(session).runs
+    assert run.sha256 == session.results.runs[0].sha256
+    assert sum(1 for _ in session.records[0].windows()) == 577
+    assert sum(1 for _ in session.records[0].images()) == 1
+    with pytest.raises(rig.RigError, match="run 2"):
+        session.figures(2)
+
+
+def test_an_uncalibrated_record_says_px() -> None:
+    record = rig.open_record(OLDER / "uncalibrated" / "run-1.mcap")
+    assert record.unit == "px"
+    assert record.deflections().unit == "px"
+    assert "amplitude_px" in record.swings().dtype.names
+
+
+def test_every_name_is_there_and_no_other() -> None:
+    for name in rig.__all__:
+        assert getattr(rig, name).__doc__
+    assert set(rig.__all__) <= set(dir(rig))
+    text = (ROOT / "docs" / "api.md").read_text("utf-8")
+    functions = {name for name in rig.__all__ if name.islower()}
+    assert {name for name in functions if f"rig.{name}(" not in text} == set()
+    with pytest.raises(AttributeError, match="no attribute 'nonsense'"):
+        _ = rig.nonsense
+
+
+def test_importing_rig_loads_nothing() -> None:
+    code = "import sys, rig; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert {"numpy", "pydantic", "matplotlib", "rig.scripting"}.isdisjoint(done.stdout.split())
