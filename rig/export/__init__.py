@@ -1,5 +1,5 @@
 """`rig export`: spots, half-cycles and results for other programs."""
 
-from rig.export.export_session import export_session
+from rig.export.session_export import export_session
 
 __all__ = ["export_session"]

@@ -1,5 +1,5 @@
 """`rig replay`: a record through the same pipeline again, compared with what was recorded."""
 
-from rig.replay.replay_record import replay_record
+from rig.replay.record_replay import replay_record
 
 __all__ = ["replay_record"]

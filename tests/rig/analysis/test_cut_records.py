@@ -9,7 +9,7 @@ import pytest
 from acquisition.record.recover import recover
 from rig.commands.physics import fit_records
 from rig.measure.session import resume_session
-from rig.replay.replay_record import replay_record
+from rig.replay.record_replay import replay_record
 from rig.view.recorded import write_rrd
 from tests.rig.replay.replay_record import make_record
 

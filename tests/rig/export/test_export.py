@@ -12,8 +12,8 @@ from pyarrow import csv, parquet
 
 from acquisition.record.reader import RecordReader
 from processing.errors import ConfigurationError, RecordError
-from rig.export.export_session import export_session
 from rig.export.run import flat_results, unit_of
+from rig.export.session_export import export_session
 
 h5py = pytest.importorskip("h5py")
 

@@ -19,8 +19,8 @@ from rig.instrument.snapshot import Snapshot
 from rig.replay.comparison import parameter_changes
 from rig.replay.keys import KeyParser, Keys
 from rig.replay.player import Player
+from rig.replay.record_replay import replay_record, speed_of
 from rig.replay.replay import Replay
-from rig.replay.replay_record import replay_record, speed_of
 from rig.replay.screen import ReplayLine
 from tests.rig.replay.replay_record import GAP_FRAME, LOST_FRAME, RATE_HZ, make_record
 
