@@ -5,11 +5,13 @@ import shlex
 import subprocess
 import sys
 import textwrap
+import tomllib
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from rig.settings import validate_configuration
 from tests.rig.replay.replay_record import RATE_HZ, make_record
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -48,6 +50,17 @@ def test_pictures_and_pages_that_are_linked_exist() -> None:
         for target in re.findall(r"\]\(([^)#]+)", document.read_text(encoding="utf-8")):
             if "://" not in target:
                 assert (document.parent / target).exists(), f"{document.name}: {target}"
+
+
+def test_configurations_that_are_shown_are_valid() -> None:
+    found = 0
+    for document in DOCUMENTS:
+        text = document.read_text(encoding="utf-8")
+        blocks = re.findall(r"^ {4}\[[a-z_.0-9]+\]\n(?:(?: {4}.*)?\n)+", text, re.MULTILINE)
+        for block in [*blocks, *re.findall(r"^```toml\n(.*?)^```", text, re.MULTILINE | re.DOTALL)]:
+            validate_configuration(tomllib.loads(textwrap.dedent(block)), document.name)
+            found += 1
+    assert found >= 4
 
 
 def test_the_snippet_about_records_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
