@@ -52,6 +52,13 @@ def test_pictures_and_pages_that_are_linked_exist() -> None:
                 assert (document.parent / target).exists(), f"{document.name}: {target}"
 
 
+def test_files_that_are_named_exist() -> None:
+    rooms = ("rig/", "acquisition/", "calibration/", "processing/", "tests/", "docs/", "configs/")
+    for document in [*DOCUMENTS, *sorted((ROOT / "docs" / "decisions").glob("*.md"))]:
+        for name in re.findall(r"`([\w./-]+)`", document.read_text(encoding="utf-8")):
+            assert not name.startswith(rooms) or (ROOT / name).exists(), f"{document.name}: {name}"
+
+
 def test_configurations_that_are_shown_are_valid() -> None:
     found = 0
     for document in DOCUMENTS:
