@@ -6,8 +6,10 @@ from rig.analysis.contact_verdicts import evaluate, fit_results
 from rig.analysis.curves import Curves, curves_of
 from rig.analysis.determined import bound_text, determined_text, series_verdicts
 from rig.analysis.encoding import JsonObject
+from rig.analysis.fit_tables import parameter_table, quality_table
 from rig.analysis.instrument_results import DecrementTable, InstrumentResults, PeriodTable, SwingPlane
 from rig.analysis.record_fit import AnalysedRun, analyse_record, analyse_run, session_results
+from rig.analysis.remarks import remarks
 from rig.analysis.results import (
     NOT_DETERMINED,
     AveragedCurves,
@@ -76,10 +78,13 @@ __all__ = [
     "fit_results",
     "fit_trajectory",
     "free_path",
+    "parameter_table",
     "points_in_true_time",
     "print_results",
+    "quality_table",
     "read_results",
     "recorded_results",
+    "remarks",
     "results_path",
     "results_schema",
     "series_verdicts",

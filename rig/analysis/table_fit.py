@@ -15,12 +15,12 @@ from processing.estimate import Estimate
 from processing.swing import Swing, SwingDetector, estimate_noise, turning_points
 from rig.analysis.contact_laws import DecayFits, fit_decay, settled_swings
 from rig.analysis.contact_verdicts import fit_results
+from rig.analysis.fit_tables import parameter_table, quality_table
 from rig.analysis.position_table import Trajectory, read_trajectory
 from rig.analysis.results import TableResults
 from rig.analysis.results_file import RESULTS_NAME, write_results
-from rig.analysis.screen import parameter_table
 from rig.instrument import pendulum_on_ball
-from rig.presentation import print_table, with_uncertainty
+from rig.presentation import print_tables, with_uncertainty
 from rig.settings import Configuration, load_configuration
 
 _USABLE = 4
@@ -135,7 +135,8 @@ def _print(path: Path, table: AnalysedTable) -> None:
         q = math.pi / summary.decrement
         print(f"  quality factor {with_uncertainty(q, q * summary.u_decrement / summary.decrement)}")
     if results.fits:
-        print_table(parameter_table(results.fits, results.surface_energy_j_per_m2))
+        parameters = parameter_table(results.fits, results.surface_energy_j_per_m2, {})
+        print_tables([parameters, quality_table(results.fits)])
     if results.problem:
         print(f"  contact: {results.problem}")
 

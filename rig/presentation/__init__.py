@@ -3,7 +3,7 @@
 from rig.presentation import palette
 from rig.presentation.balance import balance_drawn, balance_numbers, balance_panels, balance_table
 from rig.presentation.numbers import NOT_KNOWN, plain, power, with_uncertainty
-from rig.presentation.printing import plain_values, print_json_line, print_table, say
+from rig.presentation.printing import plain_values, print_json_line, say
 from rig.presentation.quantities import SOURCES, Quantity, law_parameters, quantity
 from rig.presentation.table import Cell, Table
 from rig.presentation.terminal import print_tables
@@ -27,7 +27,6 @@ __all__ = [
     "plain_values",
     "power",
     "print_json_line",
-    "print_table",
     "print_tables",
     "print_verdicts",
     "quantity",

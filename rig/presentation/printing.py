@@ -6,9 +6,6 @@ import sys
 from collections.abc import Mapping
 from typing import Any
 
-from rich.console import Console
-from rich.table import Table
-
 
 def say(text: str, *, error: bool = False) -> None:
     """One line on stderr, where it does not mix with what a program reads from stdout."""
@@ -18,11 +15,6 @@ def say(text: str, *, error: bool = False) -> None:
 def print_json_line(kind: str, values: Mapping[str, Any]) -> None:
     """One JSON object on one line of stdout; what is not a number is null."""
     print(json.dumps({"kind": kind, **plain_values(values)}), flush=True)
-
-
-def print_table(table: Table) -> None:
-    """A table on stdout."""
-    Console().print(table)
 
 
 def plain_values(value: Any) -> Any:

@@ -54,6 +54,7 @@ _PER_MIN: Final = 60.0
 QUANTITIES: Final[Mapping[str, Quantity]] = {
     # of the fits
     "chi2_per_dof": Quantity("χ²/dof", "", "χ² per degree of freedom"),
+    "degrees_of_freedom": Quantity("dof", "", "degrees of freedom"),
     "arae_decay": Quantity("ARAE (8)", "%", "ARAE of the amplitudes, Eq. 8", 100.0),
     "arae_period": Quantity("ARAE (9)", "%", "ARAE of the periods, Eq. 9", 100.0),
     "surface_energy_table2_j_per_m2": Quantity("σ (Table 2's form)", "mJ/m²", "surface energy", 1e3),

@@ -5,7 +5,7 @@ from rig.report.comparison import compare
 from rig.report.drawing import Drawing, styled
 from rig.report.run_data import Motion, RunData, turning_points_again
 from rig.report.session_report import draw_run, make_report, save_figures, save_tables
-from rig.report.tables import instrument_table, parameter_table, quality_table
+from rig.report.tables import instrument_table
 from rig.report.tables_uncertainty import series_table
 
 __all__ = [
@@ -20,8 +20,6 @@ __all__ = [
     "html",
     "instrument_table",
     "make_report",
-    "parameter_table",
-    "quality_table",
     "save_figures",
     "save_tables",
     "series_table",

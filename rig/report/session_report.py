@@ -10,16 +10,16 @@ from processing.fit import FitMethod
 from rig.analysis import (
     Curves,
     Determination,
-    Drag,
     RunResults,
     Series,
     SurfaceEnergy,
     curves_of,
     determined_text,
+    remarks,
     results_path,
     series_verdicts,
 )
-from rig.presentation import Table, plain, quantity
+from rig.presentation import Table, quantity
 from rig.report import figures_contact, figures_laws, figures_motion, html
 from rig.report.drawing import Drawing, png, styled, svg
 from rig.report.figures_instruments import instrument_figures
@@ -101,7 +101,7 @@ def _summary(source: ReportSource) -> list[str]:
         if data.results.problem:
             body.append(f'<div class="warn">{html.escape("No fit: " + data.results.problem)}</div>')
     if len(source.runs) == 1:
-        body.append(html.notes(_doubts(source.runs[0])))
+        body.append(html.notes([*remarks(source.runs[0].results), *source.runs[0].notes]))
     return body
 
 
@@ -136,27 +136,6 @@ def _sentence(run: RunData) -> str:
         f"{length / 60:.1f} min; {results.frames} frames, {results.dropped_frames} dropped; "
         f"{left_out} half-cycle{'s' if left_out != 1 else ''} flagged and left out."
     )
-
-
-def _doubts(run: RunData) -> list[str]:
-    results = run.results
-    lines = [_drag_sentence(results.drag)] if results.drag is not None else []
-    pairs = results.strong_correlations
-    if pairs:
-        names = ", ".join(f"{quantity(a).symbol} and {quantity(b).symbol} ({r:+.3f})" for a, b, r in pairs)
-        lines.append(f"Hardly told apart by the data (correlation): {names}.")
-    lines += [f"{item.text}." for item in results.identifiability if item.verdict != "determined"]
-    return [*lines, *results.notes, *results.warnings, *run.notes]
-
-
-def _drag_sentence(drag: Drag) -> str:
-    head = "A linear drag is in the data" if drag.significant else drag.text.split(":")[0].capitalize()
-    numbers = (
-        f"{head}: {quantity('drag_s').text(*drag.drag_s)} s, F = {plain(drag.f_statistic, 3)} (chance "
-        f"{plain(drag.p_value, 2)}), AIC {drag.aic_difference:+.1f}; fitted with it, b moves by "
-        f"{100 * drag.relative_shift_b:+.2f} % and c by {100 * drag.relative_shift_c:+.2f} %."
-    )
-    return numbers.replace("-", "−")
 
 
 def _series(series: Series, files: Path) -> list[str]:
@@ -197,7 +176,7 @@ def _run(run: RunData, files: Path, *, alone: bool) -> list[str]:
     body = [html.heading(run.title, new_page=not alone)]
     if not alone:
         body.append(html.paragraph(_sentence(run)))
-        body.append(html.notes(_doubts(run)))
+        body.append(html.notes([*remarks(run.results), *run.notes]))
     if run.results.instrument is not None:
         body.append(html.notes(run.results.instrument.text))
     body += take("kind-decrement", "kind-period", "kind-plane")

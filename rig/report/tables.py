@@ -1,14 +1,13 @@
 """Tables of a run: its fits and what follows from them. Every number comes from results.json."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 
 from pydantic import JsonValue
 
-from processing.contact.laws import PAPER
 from processing.estimate import Estimate
 from processing.fit import FitMethod
-from rig.analysis import Curves, RunResults, determined_text, encoded
+from rig.analysis import Curves, RunResults, encoded, parameter_table, quality_table
 from rig.presentation import Cell, Table, plain, quantity, with_uncertainty
 from rig.report.run_data import RunData
 from rig.report.tables_uncertainty import budget_table, identifiability_table, monte_carlo_table
@@ -20,8 +19,8 @@ def run_tables(run: RunData, curves: Curves | None) -> list[Table]:
     tables = [instrument_table(results), half_cycle_table(run, curves)]
     if results.fits:
         tables = [
-            parameter_table(results),
-            quality_table(results),
+            parameter_table(results.fits, results.surface_energy_j_per_m2, results.verdicts()),
+            quality_table(results.fits),
             hertz_table(results),
             work_table(results),
             drag_table(results),
@@ -70,65 +69,6 @@ def _float(value: JsonValue) -> float:
 
 _SHORT_LIST = 12
 """Longer lists (a value for every half-cycle) stay in results.json."""
-
-
-def parameter_table(results: RunResults) -> Table:
-    """Parameters and surface energies of both fits; what is not determined as interval or bound."""
-    asymptotic, exact = results.fits[FitMethod.ASYMPTOTIC], results.fits[FitMethod.EXACT]
-    entries: list[tuple[str, Estimate, Estimate]] = [
-        (name, asymptotic.estimate(name), exact.estimate(name))
-        for name in PAPER.names(drag=True)
-        if name in exact.parameters
-    ]
-    energy = results.surface_energy_j_per_m2
-    if energy is not None:
-        other = energy.others[FitMethod.ASYMPTOTIC]
-        entries += [
-            ("surface_energy_table2_j_per_m2", other.table2, energy.table2),
-            ("surface_energy_eq2_j_per_m2", other.eq2, energy.eq2),
-        ]
-    verdicts = results.verdicts()
-    rows: list[list[Cell]] = []
-    shown = []
-    for name, first, second in entries:
-        shown_as = quantity(name)
-        rows.append([name, *first, *second])
-        text = determined_text(name, *second, verdicts)
-        shown.append([shown_as.symbol, shown_as.text(*first), text, shown_as.unit])
-    return Table(
-        "parameters",
-        "Parameters of the contact",
-        ("parameter", *(column for method in FitMethod for column in (method, f"u_{method}"))),
-        rows,
-        ("", *(method.heading for method in FitMethod), "unit"),
-        shown,
-        "Value ± standard uncertainty of the swings alone; the budget adds the apparatus. Eqs. 5 and 6 are "
-        "asymptotic and biased by some per cent; the exact map is not.",
-    )
-
-
-def quality_table(results: RunResults) -> Table:
-    """chi2/dof, ARAE of Eqs. 8 and 9, outliers of both fits."""
-    fits = [results.fits[method] for method in (FitMethod.ASYMPTOTIC, FitMethod.EXACT)]
-    keys = {
-        "chi2_per_dof": "χ² per degree of freedom",
-        "degrees_of_freedom": "degrees of freedom",
-        "arae_decay": "ARAE of the amplitudes, Eq. 8",
-        "arae_period": "ARAE of the periods, Eq. 9",
-    }
-    rows: list[list[Cell]] = [[key, *(float(getattr(fit, key)) for fit in fits)] for key in keys]
-    shown = [[keys[str(row[0])], *(plain(float(v), 3) for v in row[1:])] for row in rows]
-    rows.append(["outlying_half_cycles", *(" ".join(map(str, fit.outliers)) for fit in fits)])
-    shown.append(["outlying half-cycles", *(_listed(fit.outliers) for fit in fits)])
-    return Table(
-        "quality", "Quality of the fits", ("quantity", *FitMethod), rows,
-        ("", *(method.heading for method in FitMethod)), shown,
-    )  # fmt: skip
-
-
-def _listed(items: Sequence[int]) -> str:
-    text = ", ".join(str(item) for item in items[:8])
-    return f"{len(items)}: {text}{', …' if len(items) > 8 else ''}" if items else "none"
 
 
 def hertz_table(results: RunResults) -> Table:

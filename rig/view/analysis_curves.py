@@ -14,9 +14,17 @@ from processing.contact import moment_loop
 from processing.errors import RecordError
 from processing.fit import FitMethod
 from processing.swing import TurningPoints
-from rig.analysis import Curves, RunResults, analyse_record, curves_of, recorded_results
+from rig.analysis import (
+    Curves,
+    RunResults,
+    analyse_record,
+    curves_of,
+    parameter_table,
+    quality_table,
+    recorded_results,
+)
 from rig.presentation import Table
-from rig.report import instrument_table, parameter_table, quality_table, turning_points_again
+from rig.report import instrument_table, turning_points_again
 from rig.rerun import Curve, Floats
 
 
@@ -100,10 +108,10 @@ def report_text(runs: Mapping[str, RunAnalysis]) -> str:
         if results.problem:
             parts.append(f"no fit: {results.problem}")
         if results.fits:
-            parameters = parameter_table(results)
+            parameters = parameter_table(results.fits, results.surface_energy_j_per_m2, results.verdicts())
             # one fit below the other: a panel is narrow
             parts += [_markdown(parameters, column) for column in (2, 1)]
-            parts.append(_markdown(quality_table(results)))
+            parts.append(_markdown(quality_table(results.fits)))
         instrument = instrument_table(results)
         if instrument.rows:
             parts.append(_markdown(instrument))

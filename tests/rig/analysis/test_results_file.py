@@ -66,7 +66,7 @@ def test_the_first_version_is_read(measured_series: Path, tmp_path: Path) -> Non
     tree = results_of(measured_series)
     tree["schema"] = 1
     for run in tree["runs"]:
-        del run["turning_points"], run["unit"], run["record_bytes"]
+        del run["turning_points"], run["amplitude_unit"], run["record_bytes"]
         run |= {"hertz": {}, "drag": {}, "monte_carlo": {}, "losses": None, "of_another_version": 3}
     found = read_results(changed(tmp_path, tree))
     assert found.schema == 1

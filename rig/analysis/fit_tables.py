@@ -1,0 +1,90 @@
+"""Tables of the fitted parameters and of the quality of the fits, for terminal, report and Rerun."""
+
+from collections.abc import Mapping, Sequence
+
+from processing.contact.laws import PAPER
+from processing.estimate import Estimate
+from processing.fit import FitMethod
+from rig.analysis.determined import determined_text
+from rig.analysis.results import NOT_DETERMINED, Determination, Fit, SurfaceEnergies
+from rig.presentation import Cell, Table, plain, quantity
+
+
+def parameter_table(
+    fits: Mapping[str, Fit], energy: SurfaceEnergies | None, verdicts: Mapping[str, Determination]
+) -> Table:
+    """Parameters and surface energies, a column for each fit.
+
+    `verdicts` are those on the default fit's parameters: in its column one that the data do not determine is
+    shown as an interval or a bound.
+    """
+    methods = _in_order(fits)
+    entries: list[tuple[str, list[Estimate | None]]] = [
+        (name, [fits[method].parameters.get(name) for method in methods]) for name in PAPER.names(drag=True)
+    ]
+    if energy is not None:
+        of_fits = [energy.of(method) for method in methods]
+        entries += [
+            (
+                "surface_energy_table2_j_per_m2",
+                [None if found is None else found.table2 for found in of_fits],
+            ),
+            ("surface_energy_eq2_j_per_m2", [None if found is None else found.eq2 for found in of_fits]),
+        ]
+    rows: list[list[Cell]] = []
+    shown = []
+    for name, estimates in entries:
+        if not any(estimates):
+            continue
+        rows.append([name, *(number for found in estimates for number in found or NOT_DETERMINED)])
+        texts = [
+            "" if found is None
+            else determined_text(name, *found, verdicts if method == FitMethod.EXACT else {})
+            for method, found in zip(methods, estimates, strict=True)
+        ]  # fmt: skip
+        shown.append([quantity(name).symbol, *texts, quantity(name).unit])
+    return Table(
+        "parameters",
+        "Parameters of the contact",
+        ("parameter", *(column for method in methods for column in (method, f"u_{method}"))),
+        rows,
+        ("", *map(_heading, methods), "unit"),
+        shown,
+        "Value ± standard uncertainty of the swings alone; the budget adds the apparatus. Eqs. 5 and 6 are "
+        "asymptotic and biased by some per cent; the exact map is not.",
+    )
+
+
+def quality_table(fits: Mapping[str, Fit]) -> Table:
+    """chi2/dof, degrees of freedom, ARAE of Eqs. 8 and 9 and the outliers, a column for each fit."""
+    methods = _in_order(fits)
+    rows: list[list[Cell]] = []
+    shown = []
+    for key in ("chi2_per_dof", "degrees_of_freedom", "arae_decay", "arae_period"):
+        values = [getattr(fits[method], key) for method in methods]
+        form = quantity(key)
+        texts = [str(v) if isinstance(v, int) else plain(v * form.factor, 3) for v in values]
+        rows.append([key, *values])
+        shown.append([form.name, *texts, form.unit])
+    outliers = [fits[method].outliers for method in methods]
+    rows.append(["outlying_half_cycles", *(" ".join(map(str, found)) for found in outliers)])
+    shown.append(["outlying half-cycles", *map(_listed, outliers), ""])
+    return Table(
+        "quality", "Quality of the fits", ("quantity", *methods), rows,
+        ("", *map(_heading, methods), "unit"), shown,
+    )  # fmt: skip
+
+
+def _in_order(fits: Mapping[str, Fit]) -> list[str]:
+    known = [method.value for method in FitMethod if method in fits]
+    return [*known, *(name for name in fits if name not in known)]
+
+
+def _heading(method: str) -> str:
+    """A file may hold fits of a method that is not known here."""
+    return {known.value: known.heading for known in FitMethod}.get(method, method)
+
+
+def _listed(items: Sequence[int]) -> str:
+    text = ", ".join(str(item) for item in items[:8])
+    return f"{len(items)}: {text}{', …' if len(items) > 8 else ''}" if items else "none"
