@@ -6,7 +6,7 @@ Every field has a default: files of earlier versions, which lack some of them, a
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from math import nan
+from math import isfinite, nan
 from typing import Annotated, Literal
 
 import numpy as np
@@ -278,6 +278,16 @@ class RunResults:
     notes: tuple[str, ...] = ()
     instrument: Annotated[InstrumentResults | None, LeftOut] = None
     turning_points: StoredTurningPoints | None = None
+
+    def half_cycles_text(self, unit: str, before_amplitudes: str = ", ") -> str:
+        """`33 half-cycles, 123.24 to 101.09 arcsec`, or that there are none.
+
+        `unit` is that of the record's deflections as shown, which files of schema 1 do not name.
+        """
+        if not self.half_cycles or not isfinite(self.initial_amplitude):
+            return f"{self.half_cycles or 'no'} half-cycles"
+        first, last = self.initial_amplitude, self.final_amplitude
+        return f"{self.half_cycles} half-cycles{before_amplitudes}{first:.2f} to {last:.2f} {unit}"
 
     def verdicts(self) -> dict[str, Determination]:
         """By parameter, whether the data determine it."""

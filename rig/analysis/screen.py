@@ -16,8 +16,7 @@ def print_results(results: SessionResults, paths: Sequence[tuple[str, Path]]) ->
     console = Console()
     for number, run in enumerate(results.runs, start=1):
         head = (
-            f"run {number}: {run.half_cycles} half-cycles, {run.initial_amplitude:.2f} to "
-            f"{run.final_amplitude:.2f} {run.amplitude_unit}, {run.frames} frames, "
+            f"run {number}: {run.half_cycles_text(run.amplitude_unit or '')}, {run.frames} frames, "
             f"{run.dropped_frames} dropped"
         )
         console.print(head, highlight=False, markup=False)

@@ -149,7 +149,11 @@ class Devices:
         return found
 
     def environment(self) -> tuple[float, float, float]:
-        """Temperature in °C, humidity in %, pressure in Pa: sensor, controller, else what the user states."""
+        """Temperature in °C, humidity in % and pressure in Pa, as last measured by sensor or controller.
+
+        NaN for what is not measured. What the user states instead is in the record's metadata: it is no
+        reading, and has no time.
+        """
         if self.sensor is not None:
             air = self.sensor.latest.environment
             return air.temperature_c, air.humidity_percent, air.pressure_pa

@@ -128,11 +128,10 @@ def _key_results(
 
 def _sentence(run: RunData) -> str:
     results, unit = run.results, run.motion.unit
-    first, last = results.initial_amplitude, results.final_amplitude
     length = run.motion.time_s[-1] - run.motion.time_s[0] if len(run.motion.time_s) else 0.0
     left_out = len(run.stored.left_out_flags)
     return (
-        f"{run.title}: {results.half_cycles} half-cycles from {first:.2f} to {last:.2f} {unit} in "
+        f"{run.title}: {results.half_cycles_text(unit, ' from ')} in "
         f"{length / 60:.1f} min; {results.frames} frames, {results.dropped_frames} dropped; "
         f"{left_out} half-cycle{'s' if left_out != 1 else ''} flagged and left out."
     )

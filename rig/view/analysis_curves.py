@@ -102,9 +102,8 @@ def report_text(runs: Mapping[str, RunAnalysis]) -> str:
     for run in runs.values():
         results = run.results
         parts.append(f"## {run.record.stem}")
-        first, last = results.initial_amplitude, results.final_amplitude
         unit = "arcsec" if run.unit_rad != 1.0 else "px"
-        parts.append(f"{results.half_cycles} half-cycles, {first:.2f} to {last:.2f} {unit}")
+        parts.append(results.half_cycles_text(unit))
         if results.problem:
             parts.append(f"no fit: {results.problem}")
         if results.fits:

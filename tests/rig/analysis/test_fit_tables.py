@@ -78,3 +78,11 @@ def test_a_fit_that_only_one_method_made_has_empty_cells_for_the_other() -> None
     assert table.head == ("", "exact map", "another", "unit")
     assert rows["p"][0] == ""
     assert rows["c"][1] == ""
+
+
+def test_a_run_without_half_cycles_says_so(capsys: pytest.CaptureFixture[str]) -> None:
+    run = RunResults(record="run-1.mcap", frames=99, amplitude_unit="arcsec", problem="too few half-cycles")
+    print_results(SessionResults(runs=(run,)), [])
+    printed = capsys.readouterr().out
+    assert "run 1: no half-cycles, 99 frames, 0 dropped" in printed
+    assert "nan" not in printed
