@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from processing.angle import ARCSEC_RAD
 from processing.errors import RecordError
 from processing.fit import FitMethod
 from rig.analysis import curves_of
@@ -88,7 +87,7 @@ def _drawings(series: PairSeries) -> list[Drawing]:
     ]
     if curves is not None:
         drawings += [
-            figures_laws.decay_figure(points, curves, motion.unit, ARCSEC_RAD),
+            figures_laws.decay_figure(points, curves, motion.unit),
             figures_laws.period_figure(curves),
             figures_laws.smooth_figure(curves),
         ]

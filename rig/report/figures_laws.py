@@ -7,6 +7,7 @@ from matplotlib.figure import Figure
 
 from processing.angle import ARCSEC_RAD
 from processing.contact import ContactParameters, PendulumOnBall, measured_losses, model_losses
+from processing.deflections import DeflectionUnit
 from processing.errors import DataError
 from processing.fit import FitMethod
 from processing.swing import TurningPoints
@@ -30,11 +31,11 @@ _BARS = 150
 _RINGS = 90
 
 
-def decay_figure(points: TurningPoints, curves: Curves | None, unit: str, unit_scale: float) -> Drawing:
+def decay_figure(points: TurningPoints, curves: Curves | None, unit: DeflectionUnit) -> Drawing:
     """alpha(t), the paper's Fig. 12, with residuals below; data alone where nothing was fitted."""
     figure = canvas(4.2 if curves else 2.8)
     shown = thinned(len(points), _DOTS)
-    time = points.time_s[shown]
+    time, size = points.time_s[shown], unit.shown_size
     if curves is None:
         top = figure.subplots()
         figure.subplots_adjust(left=0.095, right=0.985, bottom=0.15, top=0.97)
@@ -42,23 +43,23 @@ def decay_figure(points: TurningPoints, curves: Curves | None, unit: str, unit_s
     else:
         top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=[2.2, 1.0])
         figure.subplots_adjust(left=0.095, right=0.985, bottom=0.1, top=0.98, hspace=0.06)
-        residual = (points.amplitude - curves.asymptotic_rad) / unit_scale * 1e3
-        exact_residual = (points.amplitude - curves.exact_rad) / unit_scale * 1e3
+        residual = (points.amplitude - curves.asymptotic_rad) / size * 1e3
+        exact_residual = (points.amplitude - curves.exact_rad) / size * 1e3
         bottom.plot(time, residual[shown], ".", color=ASYMPTOTIC, ms=2.0, label="Eq. 5")
         bottom.plot(time, exact_residual[shown], ".", color=EXACT, ms=2.0, label=FitMethod.EXACT)
         bottom.axhline(0, color=INK, lw=0.6)
         span(bottom, np.concatenate([residual, exact_residual]), 0.002, 0.1)
         bottom.set_xlabel("t / s")
-        bottom.set_ylabel(f"data − fit / 10⁻³ {unit}")
+        bottom.set_ylabel(f"data − fit / 10⁻³ {unit.shown}")
     rings = thinned(len(points), _RINGS)
     top.plot(
-        points.time_s[rings], points.amplitude[rings] / unit_scale, "o", mfc="none", mec=DATA, mew=0.8,
+        points.time_s[rings], points.amplitude[rings] / size, "o", mfc="none", mec=DATA, mew=0.8,
         ms=4.0, label="turning points" + (" (some)" if len(points) > _RINGS else ""), zorder=5,
     )  # fmt: skip
     if curves is not None:
-        top.plot(points.time_s, curves.asymptotic_rad / unit_scale, color=ASYMPTOTIC, lw=2.0, label="Eq. 5")
-        top.plot(points.time_s, curves.exact_rad / unit_scale, color=EXACT, lw=0.9, label=FitMethod.EXACT)
-    top.set_ylabel(f"α / {unit}")
+        top.plot(points.time_s, curves.asymptotic_rad / size, color=ASYMPTOTIC, lw=2.0, label="Eq. 5")
+        top.plot(points.time_s, curves.exact_rad / size, color=EXACT, lw=0.9, label=FitMethod.EXACT)
+    top.set_ylabel(f"α / {unit.shown}")
     top.set_xlim(0, points.time_s[-1] * 1.005)
     top.set_ylim(bottom=0)
     top.legend(loc="upper right")

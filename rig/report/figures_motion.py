@@ -70,7 +70,7 @@ def slow_figure(motion: Motion, period_s: float) -> Drawing:
         "fig09-y",
         "Fig. 9: Y(t)",
         "Slow mode. Above, the whole run as the band between the extremes; below, its beginning and its end.",
-        _motion_figure(motion.time_s, motion.y, "Y", motion.unit, palette.BLUE, period_s),
+        _motion_figure(motion.time_s, motion.y, "Y", motion.unit.shown, palette.BLUE, period_s),
     )
 
 
@@ -80,7 +80,7 @@ def fast_figure(motion: Motion, period_s: float) -> Drawing:
         "fig10-x",
         "Fig. 10: X(t)",
         "Fast mode and what of the slow one shows in X; drawn like Y(t), on its own scale.",
-        _motion_figure(motion.time_s, motion.x, "X", motion.unit, palette.VERMILLION, period_s),
+        _motion_figure(motion.time_s, motion.x, "X", motion.unit.shown, palette.VERMILLION, period_s),
     )
 
 
@@ -138,8 +138,8 @@ def trajectory_figure(motion: Motion, period_s: float) -> Drawing:
     left.set_title("one scale")
     right.set_title("X stretched")
     for axes in (left, right):
-        axes.set_xlabel(f"X / {motion.unit}")
-        axes.set_ylabel(f"Y / {motion.unit}")
+        axes.set_xlabel(f"X / {motion.unit.shown}")
+        axes.set_ylabel(f"Y / {motion.unit.shown}")
     right.legend(loc="lower right", handlelength=1.2)
     return Drawing(
         "fig11-trajectory",

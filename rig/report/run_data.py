@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from acquisition.frame import Frame
 from acquisition.record.digest import sha256_of
 from acquisition.record.reader import RecordReader
-from processing.angle import ARCSEC_RAD
+from processing.deflections import DeflectionUnit
 from processing.errors import RecordError, RigError
 from processing.fit import measured_again
 from processing.swing import TurningPoints
@@ -32,12 +32,12 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Motion:
-    """Deflection of every frame in `unit` (arcsec, or px without calibration); NaN where lost."""
+    """Deflection of every frame as shown, so in `unit.shown` (arcsec or px); NaN where the spot was lost."""
 
     time_s: Array
     x: Array
     y: Array
-    unit: str
+    unit: DeflectionUnit
 
 
 @dataclass(frozen=True)
@@ -70,11 +70,6 @@ class RunData:
     def points(self) -> TurningPoints:
         """The turning points as the fits took them."""
         return self.stored.points()
-
-    @property
-    def unit_rad(self) -> float:
-        """What an amplitude is divided by for display."""
-        return ARCSEC_RAD if self.motion.unit == "arcsec" else 1.0
 
 
 @dataclass(frozen=True)
@@ -122,7 +117,7 @@ def _read_run(folder: Path, results: RunResults, number: int) -> RunData:
         (spots["time_ns"] - first_ns) * 1e-9 * rate,
         deflections.shown_x,
         deflections.shown_y,
-        deflections.unit.shown,
+        deflections.unit,
     )
     if results.calibration:
         provenance["calibration"] = _flat(results.calibration)

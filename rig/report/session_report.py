@@ -127,7 +127,7 @@ def _key_results(
 
 
 def _sentence(run: RunData) -> str:
-    results, unit = run.results, run.motion.unit
+    results, unit = run.results, run.motion.unit.shown
     length = run.motion.time_s[-1] - run.motion.time_s[0] if len(run.motion.time_s) else 0.0
     left_out = len(run.stored.left_out_flags)
     return (
@@ -205,7 +205,7 @@ def _drawings(run: RunData, curves: Curves | None) -> list[Drawing]:
             figures_motion.trajectory_figure(motion, period_s),
         ]
     if len(points) >= 3:
-        drawings.append(figures_laws.decay_figure(points, curves, motion.unit, run.unit_rad))
+        drawings.append(figures_laws.decay_figure(points, curves, motion.unit))
     if run.results.instrument is not None:
         drawings += instrument_figures(run.results.instrument)
     pendulum = run.results.pendulum

@@ -134,13 +134,18 @@ def correlation_table(results: RunResults) -> Table:
 def half_cycle_table(run: RunData, curves: Curves | None) -> Table:
     """Every half-cycle that was fitted, with the models beside it, for the file."""
     points, unit = run.points, run.motion.unit
-    columns = ["index", "time_s", "u_time_s", f"amplitude_{unit}", f"u_amplitude_{unit}"]
+    size = unit.shown_size
+    columns = ["index", "time_s", "u_time_s", f"amplitude_{unit.shown}", f"u_amplitude_{unit.shown}"]
     arrays = [
         points.index, points.time_s, points.u_time_s,
-        points.amplitude / run.unit_rad, points.u_amplitude / run.unit_rad,
+        points.amplitude / size, points.u_amplitude / size,
     ]  # fmt: skip
     if curves is not None:
-        columns += [f"asymptotic_{unit}", f"exact_{unit}", "exact_time_s"]
-        arrays += [curves.asymptotic_rad / run.unit_rad, curves.exact_rad / run.unit_rad, curves.exact_time_s]
+        columns += [f"asymptotic_{unit.shown}", f"exact_{unit.shown}", "exact_time_s"]
+        arrays += [
+            curves.asymptotic_rad / size,
+            curves.exact_rad / size,
+            curves.exact_time_s,
+        ]
     rows = list(zip(*(array.tolist() for array in arrays), strict=True))
     return Table("half-cycles", "Half-cycles", columns, rows)

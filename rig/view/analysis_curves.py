@@ -9,8 +9,8 @@ import numpy as np
 
 from acquisition.record.digest import sha256_of
 from acquisition.record.reader import RecordReader
-from processing.angle import ARCSEC_RAD
 from processing.contact import moment_loop
+from processing.deflections import DeflectionUnit
 from processing.errors import RecordError
 from processing.fit import FitMethod
 from processing.swing import TurningPoints
@@ -34,7 +34,7 @@ class RunAnalysis(NamedTuple):
     record: Path
     results: RunResults
     points: TurningPoints
-    unit_rad: float
+    unit: DeflectionUnit
 
 
 def run_analysis(record: Path) -> RunAnalysis:
@@ -43,14 +43,14 @@ def run_analysis(record: Path) -> RunAnalysis:
     results = analyse_record(record).results if known is None else known
     with RecordReader(record) as reader:
         stored = results.turning_points or turning_points_again(reader, results)
-    return RunAnalysis(record, results, stored.points(), 1.0 if stored.unit == "px" else ARCSEC_RAD)
+    return RunAnalysis(record, results, stored.points(), stored.unit)
 
 
 def analysis_curves(run: RunAnalysis) -> list[Curve]:
     """Data with both fits, residuals, T(alpha), moment loops; of a run without fits its data alone."""
-    points, unit = run.points, run.unit_rad
-    amplitude = points.amplitude / unit
-    u = points.u_amplitude / unit
+    points, size = run.points, run.unit.shown_size
+    amplitude = points.amplitude / size
+    u = points.u_amplitude / size
     drawn = [Curve("decay", "measured", points.time_s, amplitude, u, "points")]
     curves = curves_of(points, run.results)
     if curves is None:
@@ -60,12 +60,12 @@ def analysis_curves(run: RunAnalysis) -> list[Curve]:
         FitMethod.ASYMPTOTIC: curves.asymptotic_period_s,
         FitMethod.EXACT: curves.exact_period_s,
     }
-    at = curves.period_rad / unit
+    at = curves.period_rad / size
     for method, model_rad in decay.items():
         name = f"{method} fit"
-        drawn.append(Curve("decay", name, points.time_s, model_rad / unit))
+        drawn.append(Curve("decay", name, points.time_s, model_rad / size))
         u_bars = u if method is FitMethod.EXACT else None
-        drawn.append(Curve("residuals", name, points.time_s, amplitude - model_rad / unit, u_bars, "points"))
+        drawn.append(Curve("residuals", name, points.time_s, amplitude - model_rad / size, u_bars, "points"))
     drawn.append(Curve("period", "measured", at, curves.period_s, curves.u_period_s, "points"))
     for method, model_s in period.items():
         name = f"{method} fit"
@@ -80,18 +80,18 @@ def overlaid_curves(runs: Mapping[str, RunAnalysis]) -> list[Curve]:
     """Several runs in one set of axes: of each its data, the exact fit's residuals and its largest loop."""
     drawn: list[Curve] = []
     for name, run in runs.items():
-        points, unit = run.points, run.unit_rad
-        drawn.append(Curve("decay", name, points.time_s, points.amplitude / unit, None, "points"))
+        points, size = run.points, run.unit.shown_size
+        drawn.append(Curve("decay", name, points.time_s, points.amplitude / size, None, "points"))
         curves = curves_of(points, run.results)
         if curves is None:
             continue
-        residual = (points.amplitude - curves.exact_rad) / unit
-        at = curves.period_rad / unit
+        residual = (points.amplitude - curves.exact_rad) / size
+        at = curves.period_rad / size
         drawn += [
             Curve("residuals", name, points.time_s, residual, None, "points"),
             Curve("period", name, at, curves.period_s, None, "points"),
             Curve("period_residuals", name, at, _residual_ms(curves), None, "points"),
-            _loops(run, float(points.amplitude[0]) / unit)[-1]._replace(name=name),
+            _loops(run, float(points.amplitude[0]) / size)[-1]._replace(name=name),
         ]
     return drawn
 
@@ -102,8 +102,7 @@ def report_text(runs: Mapping[str, RunAnalysis]) -> str:
     for run in runs.values():
         results = run.results
         parts.append(f"## {run.record.stem}")
-        unit = "arcsec" if run.unit_rad != 1.0 else "px"
-        parts.append(results.half_cycles_text(unit))
+        parts.append(results.half_cycles_text(run.unit.shown))
         if results.problem:
             parts.append(f"no fit: {results.problem}")
         if results.fits:
@@ -123,9 +122,9 @@ def _loops(run: RunAnalysis, amplitude: float) -> list[Curve]:
     pendulum, fit = run.results.pendulum, run.results.fits[FitMethod.EXACT]
     if pendulum is None:
         raise RecordError(f"{run.record}: its results name no pendulum; rig fit makes them anew")
-    loop = moment_loop(amplitude * run.unit_rad, asdict(fit.contact()), pendulum)
+    loop = moment_loop(amplitude * run.unit.shown_size, asdict(fit.contact()), pendulum)
     closed = np.append(np.arange(len(loop.phi_rad)), 0)
-    angle = loop.phi_rad[closed] / run.unit_rad
+    angle = loop.phi_rad[closed] / run.unit.shown_size
     moments = {"dissipative": loop.friction_n_m, "elastic": loop.elastic_n_m, "total": loop.total_n_m}
     return [Curve("loops", name, angle, 1e6 * moment[closed]) for name, moment in moments.items()]
 
