@@ -176,6 +176,7 @@ def evaluate(
 def fit_results(fit: FitResult) -> Fit:
     """What is reported of one fit."""
     return Fit(
+        law=fit.law.name,
         parameters=fit.estimates(),
         mean_period_s=fit.mean_period_s,
         arae_decay=fit.arae_decay,

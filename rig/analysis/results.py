@@ -51,10 +51,12 @@ class Correlation:
 class Fit:
     """One fit of one decay: parameters by name, and how well the curve describes the data.
 
-    `arae_decay` and `arae_period` are the mean relative errors of Eqs. 8 and 9. `outliers` are indices of
-    half-cycles.
+    `law` names the law of `processing.contact.laws` that was fitted, empty in files of earlier
+    versions. `arae_decay` and `arae_period` are the mean relative errors of Eqs. 8 and 9. `outliers` are
+    indices of half-cycles.
     """
 
+    law: str = ""
     parameters: Annotated[Mapping[str, Value], Entries] = field(default_factory=dict)
     mean_period_s: Value = NOT_DETERMINED
     arae_decay: Number = nan
