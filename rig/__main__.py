@@ -1,4 +1,4 @@
-"""``python -m rig``."""
+"""Runs the command line as ``python -m rig``."""
 
 from rig.cli import main
 

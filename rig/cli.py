@@ -1,6 +1,6 @@
-"""The command line: parses, calls, and turns an error into one line and an exit status.
+"""The command line: parses arguments, calls commands, turns errors into one line and an exit status.
 
-Heavy imports stand inside the commands, so that ``rig --help`` answers at once.
+Heavy imports are made inside the commands, so that ``rig --help`` responds immediately.
 """
 
 import logging
@@ -45,7 +45,7 @@ def _options(
 
 
 class _PresentStderr(logging.Handler):
-    """Writes to the standard error of the moment: above a live screen, not into the middle of it."""
+    """Logs to the current `sys.stderr`, which a live screen replaces in order to print above itself."""
 
     def emit(self, record: logging.LogRecord) -> None:
         try:
@@ -57,18 +57,18 @@ class _PresentStderr(logging.Handler):
 def main() -> None:
     """Entry point of the ``rig`` script.
 
-    Exit status 2 for wrong usage, 1 for a failed measurement, 130 where Ctrl-C, SIGTERM or SIGHUP ended it.
+    Exit status 2 for wrong usage, 1 for a failed measurement, 130 after Ctrl-C, SIGTERM or SIGHUP.
     """
     spell_out_what_is_missing()
     debug = "--debug" in sys.argv
     if debug:
-        # accepted anywhere on the line, because that is where one adds it after an error
+        # accepted anywhere, because users append it to the command that has just failed
         sys.argv = [sys.argv[0], "--debug", *(word for word in sys.argv[1:] if word != "--debug")]
     try:
         with terminated_by_signals():
             status = app(standalone_mode=False)
     except (typer.Abort, KeyboardInterrupt) as ended:
-        # the command-line library makes an Abort of an interrupt
+        # typer turns KeyboardInterrupt into Abort
         interrupt = ended.__cause__ if isinstance(ended, typer.Abort) else ended
         reason = reason_of(interrupt if isinstance(interrupt, KeyboardInterrupt) else KeyboardInterrupt())
         print(f"rig: {reason}", file=sys.stderr)
@@ -84,11 +84,11 @@ def main() -> None:
 
 
 def _say(error: Exception) -> int:
-    """One line on stderr for an error, and its exit status."""
+    """Print one line on stderr for an error; returns the exit status."""
     if isinstance(error, RigError):
         text, status = str(error), 2 if isinstance(error, ConfigurationError) else 1
     elif hasattr(error, "format_message"):
-        # wrong usage, as the command-line library reports it
+        # wrong usage, reported by typer
         text, status = error.format_message(), 2
     else:
         text, status = f"{type(error).__name__}: {error} (--debug shows where)", 1

@@ -1,7 +1,7 @@
-"""Being told to end: Ctrl-C, SIGTERM, and the terminal that is closed, all as one kind of exception.
+"""Ctrl-C, SIGTERM and SIGHUP (a closed terminal) as one kind of exception.
 
-Whatever is open is closed by the same ``with`` blocks that close it after any other error: the
-record is complete, the laser dark, the port given back.
+The ``with`` blocks that clean up after any error then also clean up here: the record is completed,
+the laser is switched off, ports are closed.
 """
 
 import contextlib
@@ -15,11 +15,11 @@ _SAID = {"SIGTERM": "terminated", "SIGHUP": "terminated: the terminal was closed
 
 
 class Terminated(KeyboardInterrupt):
-    """The program is to end now and to ask nobody anything; the text says who wants it."""
+    """The program must end without asking the user anything; the text says why."""
 
 
 def reason_of(interrupt: KeyboardInterrupt) -> str:
-    """Why the program ends, in words for the record."""
+    """Why the program ends, as text for the record."""
     return str(interrupt) if isinstance(interrupt, Terminated) else BY_USER
 
 
@@ -27,10 +27,9 @@ def reason_of(interrupt: KeyboardInterrupt) -> str:
 def terminated_by_signals() -> Iterator[None]:
     """Turn the first SIGTERM or SIGHUP into `Terminated` in the main thread; restore the handlers afterwards.
 
-    A second signal is not heard, so that it cannot break off the closing of laser and record. What
-    is ignored already (``nohup``) stays ignored. A terminal that has gone takes no more output and
-    must not fail a program that is about to end: what is said after SIGHUP is said to nobody.
-    Enter it in the main thread.
+    Further signals are ignored, so that they cannot interrupt the closing of laser and record. Signals
+    that are already ignored (``nohup``) stay ignored. After SIGHUP all output is discarded, because
+    writing to the closed terminal would raise an error. To be entered in the main thread.
     """
     known = [getattr(signal, name) for name in _SAID if hasattr(signal, name)]
     terminals = [fd for fd in (0, 1, 2) if os.isatty(fd)]
@@ -48,7 +47,7 @@ def terminated_by_signals() -> Iterator[None]:
         raise Terminated(_SAID[name])
 
     before = {each: signal.getsignal(each) for each in known}
-    # None: a handler that Python did not set, and could not set again
+    # None: a handler not set from Python, which could not be restored
     taken = {each: handler for each, handler in before.items() if handler not in (None, signal.SIG_IGN)}
     try:
         for each in taken:

@@ -1,4 +1,4 @@
-"""What stands for a character that a terminal's encoding lacks: `x 10^-3` for `× 10⁻³`."""
+"""Replaces characters that a terminal's encoding lacks by ASCII: `x 10^-3` for `× 10⁻³`."""
 
 import codecs
 import io
@@ -13,7 +13,7 @@ _SPELLED: Final = {
 
 
 def spelled(text: str) -> str:
-    """The text in ASCII; a character that cannot be spelled out becomes a question mark."""
+    """The text in ASCII; a character without a replacement becomes a question mark."""
     parts = []
     raised = False
     for character in text:
@@ -26,7 +26,7 @@ def spelled(text: str) -> str:
 
 
 def spell_out_what_is_missing() -> None:
-    """Let standard output and error spell out what their encoding lacks, instead of failing."""
+    """Make stdout and stderr replace characters that their encoding lacks, instead of raising an error."""
     codecs.register_error("spelled", _spell)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):

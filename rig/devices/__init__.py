@@ -1,4 +1,4 @@
-"""Camera, controller, laser and sensors: found, checked, opened in order, closed in reverse."""
+"""Finds, checks, opens and closes the devices: camera, controller, laser and sensors."""
 
 from rig.devices import picture
 from rig.devices.auto_exposure import find_exposure

@@ -1,4 +1,4 @@
-"""Find an exposure that brings the spot's peak to a wanted part of full scale, and leave it set."""
+"""Finds the exposure time at which the peak of the spot is a given fraction of full scale."""
 
 import statistics
 from typing import NamedTuple
@@ -13,7 +13,7 @@ _TOLERANCE = 0.03
 
 
 class Exposure(NamedTuple):
-    """What was found: the settings as the camera read them back, the peak as a part of full scale."""
+    """The settings read back from the camera, and the peak as a fraction of full scale."""
 
     applied: CameraSettings
     exposure_us: float
@@ -23,23 +23,23 @@ class Exposure(NamedTuple):
 def find_exposure(
     camera: Camera, info: CameraInfo, applied: CameraSettings, target: float = 0.7, timeout_s: float = 5.0
 ) -> Exposure:
-    """Vary the exposure until the peak is at `target` of full scale (within 3 % of it), then leave it.
+    """Vary the exposure time until the peak is at `target` of full scale, within 3 % of it.
 
     Parameters
     ----------
     camera
-        Open, configured and stopped; it is stopped again afterwards.
+        Open, configured and stopped; it is stopped again afterwards and keeps the exposure time.
     applied
         Settings that the camera has read back.
 
     Raises
     ------
     DeviceError
-        The camera has no exposure time, stays dark or saturated, or the target can't be reached.
+        The camera has no adjustable exposure time, or the target cannot be reached.
     """
     exposure_us = applied.exposure_us
     if exposure_us is None:
-        raise DeviceError(f"{info.model}: has no exposure time that could be set; dim the laser instead")
+        raise DeviceError(f"{info.model}: the exposure time cannot be set; reduce the laser power instead")
     # a longer exposure would slow the camera down
     longest_us = 0.95e6 / applied.frame_rate_hz if applied.frame_rate_hz else 1e6
     seen: PictureFigures | None = None
@@ -75,7 +75,7 @@ def _look(camera: Camera, info: CameraInfo, timeout_s: float) -> PictureFigures:
         while len(seen) < _FRAMES:
             frame = camera.read(timeout_s)
             if frame is None:
-                raise DeviceError(f"{info.model}: has no more frames; an exposure needs a live camera")
+                raise DeviceError(f"{info.model}: no more frames; finding an exposure needs a live camera")
             seen.append(figures(frame.image, info.full_scale_dn))
     finally:
         camera.stop()

@@ -1,11 +1,11 @@
-"""A camera's features as lines for a terminal: value, unit, what may be set."""
+"""A camera's features as lines for a terminal: value, unit, allowed values."""
 
 from collections.abc import Iterable, Iterator
 
 from acquisition.cameras.usb3vision.features import FeatureReading
 from acquisition.cameras.usb3vision.genapi.node import Access
 
-# A limit as large as the type of the number is none that anyone has set.
+# Cameras report the largest number of the type for a feature without a limit.
 _NO_LIMIT = 2.0**62
 
 

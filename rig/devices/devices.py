@@ -1,4 +1,4 @@
-"""The instrument's devices: opened in order, closed in reverse, always."""
+"""Opens the devices of a session in a safe order, and closes them in reverse order."""
 
 import logging
 import math
@@ -30,7 +30,7 @@ _log = logging.getLogger(__name__)
 
 
 class OpenCamera(NamedTuple):
-    """A camera that is configured; `notes` are the settings that it did not take as asked."""
+    """A configured camera; `notes` lists the settings that differ from the requested ones."""
 
     camera: Camera
     info: CameraInfo
@@ -40,9 +40,9 @@ class OpenCamera(NamedTuple):
 class Devices:
     """Controller, sensor and laser of one session, and the camera of each run; a context manager.
 
-    Opened in the order controller, sensor, laser, camera and closed in reverse, whatever happens: closing
-    turns the laser off. What is not configured is not opened. Laser and controller stay on between the
-    runs of a series.
+    The configured devices are opened in the order controller, sensor, laser, camera, and closed in reverse
+    order, also after an error; closing turns the laser off. Laser and controller stay on between the runs
+    of a series.
     """
 
     def __init__(self, config: Configuration) -> None:
@@ -88,7 +88,7 @@ class Devices:
 
     @contextmanager
     def camera(self, config: Configuration) -> Iterator[OpenCamera]:
-        """The camera of one run, opened and configured; closed on the way out."""
+        """Context manager: the camera of one run, opened and configured."""
         camera: Camera
         if self._inputs is not None:
             camera = SimulatedCamera(config.simulation, config.faults, self._inputs)
@@ -102,14 +102,14 @@ class Devices:
             camera.close()
 
     def make_controller(self) -> Controller:
-        """The configured controller, not opened yet; a simulated one acts on the simulated rig."""
+        """Make the configured controller without opening it; a simulated one acts on the simulated rig."""
         config = self._config
         limit_w = config.laser.max_power_w
         if config.controller.kind == "serial":
             return Controller(config.controller, limit_w)
         inputs = self._inputs or RigInputs()
         if config.laser.kind != "controller":
-            # a laser that this program does not drive is on all the time
+            # a laser that this program does not control is always on
             inputs.laser(config.simulation.optics.laser_w)
         return simulated_controller(
             config.controller,
@@ -124,23 +124,23 @@ class Devices:
         )
 
     def light(self) -> str:
-        """Switch the laser on; returns what was done, in words. Raises as `rig.devices.laser.light`."""
+        """Switch the laser on; returns what was done. Raises as `rig.devices.laser.light`."""
         return light(self._config.laser, self.control, self.laser)
 
     def laser_now(self) -> LaserNow | None:
-        """State of the laser; None where this program drives none. Never blocks."""
+        """State of the laser; None if this program controls none. Never blocks."""
         if self._config.laser.kind == "none":
             return None
         return laser_now(self._config.laser, self.control, self.laser)
 
     def required_control(self, who: str) -> ControlService:
-        """The controller; ConfigurationError where `who` needs one and there is none."""
+        """The controller; raises ConfigurationError, naming `who` needs it, if there is none."""
         if self.control is None:
             raise ConfigurationError(f"{who} needs a controller: set controller.kind to serial or simulated")
         return self.control
 
     def take_events(self) -> list[tuple[EventKind, str]]:
-        """(kind, text) of what the devices did since the last call; never blocks."""
+        """Events of the devices since the last call, as (kind, text); never blocks."""
         found = [(EventKind.CONTROLLER, text) for text in self.control.take_events()] if self.control else []
         if self.laser is not None:
             found += [(EventKind.LASER, text) for text in self.laser.take_events()]
@@ -151,8 +151,8 @@ class Devices:
     def environment(self) -> tuple[float, float, float]:
         """Temperature in °C, humidity in % and pressure in Pa, as last measured by sensor or controller.
 
-        NaN for what is not measured. What the user states instead is in the record's metadata: it is no
-        reading, and has no time.
+        NaN for what is not measured. Values stated by the user are not readings and have no time; they
+        are stored in the record's metadata only.
         """
         if self.sensor is not None:
             air = self.sensor.latest.environment
@@ -163,7 +163,7 @@ class Devices:
         return math.nan, math.nan, math.nan
 
     def describe(self) -> str:
-        """Laser and controller in a few words; empty without them."""
+        """State of laser and controller in a few words; empty without them."""
         laser = self.laser_now()
         words = [] if laser is None else ["laser on" if laser.on else f"laser {laser.words}"]
         if self.control is None:
@@ -187,4 +187,4 @@ class Devices:
 
 
 def _unwired(_: float) -> None:
-    """Stands in for the controller's laser output where the laser is not wired to it."""
+    """Laser output of the controller if the laser is not connected to it."""

@@ -1,4 +1,4 @@
-"""`rig doctor`: checks the whole rig without switching anything on."""
+"""The command `rig doctor`: checks the whole rig without switching anything on."""
 
 import os
 import shutil
@@ -28,7 +28,7 @@ _STEADY_CLOCKS = {"tsc", "kvm-clock", "hyperv_clocksource_tsc_page", "arch_sys_c
 
 
 def examine(config: Configuration, *, json_lines: bool = False) -> int:
-    """Every check in turn; exit status 1 where one says no."""
+    """Print all checks; returns exit status 1 if one fails, else 0."""
     checks = []
     for check in _checks(complete(config)):
         checks.append(check)
@@ -54,7 +54,7 @@ def _checks(config: Configuration) -> Iterator[Verdict]:
 
 
 def check_settings(config: Configuration) -> Iterator[Verdict]:
-    """Whether the configuration says what a fit needs."""
+    """Check that the configuration contains what a fit needs."""
     try:
         check_materials(config)
         pendulum = config.pendulum is not None
@@ -86,8 +86,8 @@ def check_camera(config: Configuration, devices: Devices) -> Iterator[Verdict]:
             yield Verdict(
                 "camera settings",
                 not camera.notes,
-                "; ".join(camera.notes) or "taken as asked",
-                "ask for what the camera can do" if camera.notes else "",
+                "; ".join(camera.notes) or "as requested",
+                "request only what the camera supports" if camera.notes else "",
             )
             camera.camera.start()
             begun_s = time.monotonic()
@@ -117,7 +117,7 @@ def check_camera(config: Configuration, devices: Devices) -> Iterator[Verdict]:
 
 
 def check_disk(output: Path) -> Verdict:
-    """Room where the sessions go, and whether it can be written."""
+    """Check the free space in the output folder, and whether it is writable."""
     place = output
     while not place.exists():
         place = place.parent if place.parent != place else Path()
@@ -134,17 +134,17 @@ def check_disk(output: Path) -> Verdict:
 
 
 def check_clock(source: str) -> Verdict:
-    """The kernel's clock source; a slow one makes arrival times uneven."""
+    """Check the kernel's clock source; with a slow one the arrival times of frames jitter."""
     if not source:
-        return Verdict("clock", True, "this system does not name its clock source")
+        return Verdict("clock", True, "this system does not report its clock source")
     ok = source in _STEADY_CLOCKS
     return Verdict("clock", ok, source, "" if ok else "boot with clocksource=tsc where the processor has it")
 
 
 def check_governor(governor: str, processors: int) -> Verdict:
-    """Whether the processor slows itself down while frames come."""
+    """Check that the processor does not reduce its frequency while frames arrive."""
     if not governor:
-        return Verdict("processor", True, f"{processors} cores; nothing governs their frequency here")
+        return Verdict("processor", True, f"{processors} cores; no frequency governor")
     ok = governor not in {"powersave", "conservative"}
     return Verdict(
         "processor",

@@ -1,4 +1,4 @@
-"""The camera's thread: it reads frames from the preflight to the end of a run, and reconnects."""
+"""The camera thread: reads frames from the preflight to the end of a run, and reconnects the camera."""
 
 import logging
 import threading
@@ -17,10 +17,10 @@ _QUEUE_BYTES = 256 * 1024 * 1024
 
 
 class FrameStream:
-    """Camera thread -> bounded queue; reconnects after an unplugging; counts what was lost.
+    """Reads a camera in a thread into a bounded queue, reconnects it after unplugging, counts lost frames.
 
-    `policy` says whether the camera is held back ("wait") or loses frames, counted, when we are
-    too slow. `ended` says in words why no more frames come, `failure` holds the error that did it.
+    With `policy` "wait" the camera waits while the queue is full, otherwise frames are dropped and
+    counted. `ended` is a text that says why the stream ended, `failure` the error that ended it.
     """
 
     def __init__(
@@ -50,9 +50,9 @@ class FrameStream:
         self._camera.start()
 
     def begin(self) -> Frame | None:
-        """Wait for the first frame and start the thread; None where the source has none.
+        """Wait for the first frame and start the thread; None if the source is empty.
 
-        Raises FrameTimeout after the time allowed.
+        Raises FrameTimeout if no frame arrives within the timeout.
         """
         first = self._first_frame()
         if first is None:
@@ -64,20 +64,20 @@ class FrameStream:
         return first
 
     def take(self, at_most: int, timeout_s: float) -> list[Frame]:
-        """Up to `at_most` frames in order; empty after the timeout, and when drained."""
+        """Up to `at_most` frames in order; empty after the timeout, and if drained."""
         return [] if self._queue is None else self._queue.take(at_most, timeout_s)
 
     def take_events(self) -> list[tuple[EventKind, str]]:
-        """(kind, text) of what happened to the camera since the last call."""
+        """Events of the camera since the last call, as (kind, text)."""
         taken, self._events = self._events, []
         return taken
 
     def request_stop(self) -> None:
-        """No more frames; may come from any thread."""
+        """End the stream; may be called from any thread."""
         self._stop.set()
 
     def close(self) -> None:
-        """End the thread; the camera is stopped, not closed. An error of the camera's goes to `failure`."""
+        """End the thread; the camera is stopped, not closed. Its error is kept in `failure`."""
         self._stop.set()
         if self._queue is not None:
             self._queue.close()
@@ -90,12 +90,12 @@ class FrameStream:
 
     @property
     def drained(self) -> bool:
-        """Ended, and every frame taken."""
+        """True if the stream has ended and every frame has been taken."""
         return self._queue is not None and self._queue.drained
 
     @property
     def losses(self) -> FrameLosses:
-        """Frames lost since the start, by who lost them."""
+        """Frames lost since the start, by cause."""
         unqueued = 0 if self._queue is None else self._queue.dropped
         return FrameLosses.of(self._camera.status, unqueued=unqueued, while_unplugged=self._line.missing)
 
@@ -122,7 +122,7 @@ class FrameStream:
         silent_s = 0.0
         try:
             while not self._stop.is_set():
-                # a source that makes frames on demand may take its time; a free-running camera may not
+                # a source on demand may be slow; silence of a free-running camera is reported early
                 patience_s = self._timeout_s if self.policy == "wait" else line.patience_s(self._timeout_s)
                 patience_s = min(patience_s, self._timeout_s - silent_s)
                 try:
@@ -141,7 +141,7 @@ class FrameStream:
                     silent_s = 0.0
                     continue
                 if frame is None:
-                    self.ended = self.ended or "the camera has come to its end"
+                    self.ended = self.ended or "the camera delivered its last frame"
                     break
                 if silent_s:
                     self._events.append(
@@ -182,5 +182,5 @@ class FrameStream:
 
 
 def _capacity(frame: Frame) -> int:
-    """Frames that may wait: a bounded amount of memory, at least a few, at most about a thousand."""
+    """Length of the queue for a bounded amount of memory; at least a few, at most about 1000 frames."""
     return max(8, min(1024, _QUEUE_BYTES // max(frame.image.nbytes, 1)))

@@ -1,11 +1,11 @@
-"""How well this host's clock is known to follow UTC."""
+"""How closely the clock of this host follows UTC, according to chrony or systemd."""
 
 import shutil
 import subprocess
 from dataclasses import dataclass
 
 _RATE_UNSYNCHRONISED = 50e-6
-"""What a free-running crystal of a computer may be off."""
+"""Relative standard uncertainty of a computer's free-running quartz oscillator."""
 _PATIENCE_S = 3.0
 
 
@@ -19,13 +19,13 @@ class HostClock:
 
 
 def ntp_state() -> HostClock:
-    """What chrony says, else what systemd says; without either the clock counts as free-running."""
+    """State reported by chrony, else by systemd; without either the clock is taken as free-running."""
     tracking = _ask("chronyc", "-n", "tracking")
     if tracking:
         fields = dict(line.split(":", 1) for line in tracking.splitlines() if ":" in line)
         fields = {key.strip(): value.strip() for key, value in fields.items()}
         locked = fields.get("Leap status") == "Normal"
-        # "0.012 ppm": how far the rate may be wrong by chrony's own account
+        # "0.012 ppm": chrony's estimate of the error of the rate
         skew = fields.get("Skew", "").split()
         u_rate = float(skew[0]) * 1e-6 if locked and skew else _RATE_UNSYNCHRONISED
         shown = ("Reference ID", "Stratum", "System time", "Frequency", "Skew", "Leap status")

@@ -1,7 +1,7 @@
-"""The laser of a session: switched on in the order that is safe, and its state.
+"""Switches the laser of a session on in a safe order, and reads its state.
 
-It is turned off when `Devices` closes, whatever ended the session: `LaserService` and `ControlService`
-(rig.control) leave their device dark when their thread ends.
+The laser is turned off when `Devices` closes: `LaserService` and `ControlService` (rig.control)
+switch it off at the end of their thread, also after an error.
 """
 
 import time
@@ -19,22 +19,23 @@ WIRE_IT = "wire its interlock through the controller's enable relay and set lase
 
 
 class LaserNow(NamedTuple):
-    """Whether the laser is lit, and its state in words; `on` is False where it does not answer."""
+    """Whether the laser is on, and its state as text; `on` is False if it does not answer."""
 
     on: bool
     words: str
 
 
 def goes_dark_by_itself(settings: LaserSettings) -> bool:
-    """Whether something but this program switches the laser off when this program is killed."""
+    """Whether the hardware switches the laser off if this program is killed."""
     return settings.kind == "controller" or settings.interlock == "controller"
 
 
 def light(settings: LaserSettings, control: ControlService | None, laser: LaserService | None) -> str:
-    """Switch the laser on where it is dark; returns what was done, in words, nothing where it was lit.
+    """Switch the laser on; returns a text that says what was done, empty if the laser was already on.
 
-    Raises DeviceError: refused, silent, an interlock is open, or the laser's interlock is not wired
-    through the controller although it is said to be. ConfigurationError: a controller is needed.
+    Raises DeviceError if the laser refuses or does not answer, if an interlock is open, or if the laser's
+    interlock is not wired through the controller as configured. Raises ConfigurationError if a
+    controller is needed and none is configured.
     """
     if settings.kind == "none" or laser_now(settings, control, laser).on:
         return ""
@@ -42,7 +43,7 @@ def light(settings: LaserSettings, control: ControlService | None, laser: LaserS
         if control is None:
             raise ConfigurationError(_needs_controller("laser.kind"))
         if settings.power_w <= 0:
-            raise ConfigurationError("laser.power_w = 0: state the power that the laser shall have")
+            raise ConfigurationError("laser.power_w = 0: set it to the wanted power in W")
         wait_for_command(control.set_laser_power_w(settings.power_w))
         wait_for_command(control.laser_on())
         return f"laser on, {settings.power_w * 1e3:g} mW"
@@ -58,7 +59,7 @@ def light(settings: LaserSettings, control: ControlService | None, laser: LaserS
                 "laser.interlock = 'controller', but the laser's interlock is closed while the controller's "
                 "relay is open: wire it through the relay, or set laser.interlock = 'own'"
             )
-        # the relay alone: the controller's own power stays 0
+        # this closes only the relay, because the controller's own power setting is 0
         wait_for_command(control.laser_on())
         _wait(laser, lambda state: state.interlock_closed)
     if settings.power_w > 0:
@@ -90,7 +91,7 @@ def laser_now(
 
 
 def wait_for_command(command: "Future[Any]", patience_s: float = _COMMAND_S) -> None:
-    """Wait until a command was carried out; raises its DeviceError, and one where it takes too long."""
+    """Wait until a command was carried out; raises its DeviceError, also if it takes too long."""
     try:
         command.result(patience_s)
     except TimeoutError:

@@ -1,4 +1,4 @@
-"""The newest frames of a camera, for a live picture: older ones are dropped."""
+"""The newest frames of a camera, for a live picture."""
 
 import threading
 import time
@@ -14,11 +14,11 @@ _LOOK_S = 0.2
 def watch_latest(
     camera: Camera, queue: FrameQueue, at_least: int, end_s: float, timeout_s: float = 5.0
 ) -> Iterator[list[Frame]]:
-    """Blocks of `at_least` frames, five a second at most; older ones are dropped by the queue.
+    """Yield blocks of `at_least` frames, at most five per second; the queue drops older frames.
 
-    The camera is configured and stopped; it is stopped again in the end, at the monotonic time
-    `end_s`, when its source ends, or when the caller stops iterating. What the camera raises
-    is raised here.
+    The camera must be configured and stopped. It runs until the monotonic time `end_s`, until its
+    source ends, or until the caller stops iterating, and is then stopped. Errors of the camera are
+    raised here.
     """
     errors: list[Exception] = []
 

@@ -1,4 +1,4 @@
-"""What a picture says while one aligns laser and camera: brightness, saturation, sharpness."""
+"""Brightness, saturation and sharpness of a picture, for aligning laser and camera."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -21,15 +21,14 @@ class PictureFigures(NamedTuple):
     Attributes
     ----------
     peak
-        Brightest value as a part of full scale, single hot pixels left out (median of 3 x 3).
+        Brightest value as a fraction of full scale, without single hot pixels (median of 3 x 3).
     saturated_px
         Pixels at full scale.
     background
-        Median of the picture as a part of full scale.
+        Median of the picture as a fraction of full scale.
     sharpness_per_px
-        Square root of the energy of the gradient over that of the light above the background. For a
-        round Gaussian spot of standard deviation s it is 1 / s; it grows as the spot gets smaller,
-        whatever the exposure. 0 for a picture without light.
+        sqrt(sum |grad I|^2 / sum I^2), where I is the light above the background. For a round Gaussian
+        spot of standard deviation s it is 1 / s, whatever the exposure. 0 for a picture without light.
     """
 
     peak: float
@@ -43,7 +42,7 @@ def figures(image: Image, full_scale_dn: int) -> PictureFigures:
     calm = cv2.medianBlur(image, 3)
     background_dn = float(np.median(image))
     light = calm.astype(np.float64) - background_dn
-    # a tenth of the peak is taken away: what is dimmer is noise for this purpose
+    # subtract a tenth of the peak, to exclude the noise of the background
     light = np.maximum(light - _FLOOR * light.max(initial=0.0), 0.0)
     rows, columns = np.gradient(light)
     energy = float(np.sum(light * light))
@@ -57,7 +56,7 @@ def figures(image: Image, full_scale_dn: int) -> PictureFigures:
 
 
 def average(frames: Sequence[Frame]) -> Image:
-    """Mean of frames in the depth of the camera: speckle and noise go down with their number."""
+    """Mean of frames, in their pixel type; reduces noise and speckle."""
     first = frames[0].image
     total = np.zeros(first.shape, np.float64)
     for frame in frames:
@@ -67,7 +66,7 @@ def average(frames: Sequence[Frame]) -> Image:
 
 
 def histogram_bars(image: Image, full_scale_dn: int, bars: int = 16, width: int = 50) -> list[str]:
-    """Lines of a histogram with a logarithmic length, for a terminal."""
+    """Lines of a histogram for a terminal; the length of a bar is logarithmic in the count."""
     counts: NDArray[np.int64] = np.histogram(image, bars, (0, full_scale_dn + 1))[0]
     longest = np.log1p(counts.max())
     lines = []

@@ -1,4 +1,4 @@
-"""Whether this computer is fit for a USB camera: plain values for a table."""
+"""Checks whether this computer can operate a USB camera: permission, USB speed, buffer memory."""
 
 import sys
 from collections.abc import Iterator
@@ -14,15 +14,15 @@ _BUFFERED_FRAMES = 8
 
 
 def check_usb_camera(camera: FoundCamera) -> tuple[Verdict, ...]:
-    """Permission, and the speed that the port has agreed on."""
+    """Check the permission to open the camera, and the negotiated USB speed."""
     rule = udev_rule()
     allowed = Verdict(
         "camera permission",
         camera.accessible,
-        camera.name if camera.accessible else f"{camera.name} may not be opened",
+        camera.name if camera.accessible else f"no permission to open {camera.name}",
         ""
         if camera.accessible
-        else f"Linux gives USB devices to root alone until a rule says otherwise: sudo cp {rule} "
+        else f"only root may open USB devices unless a udev rule allows it: sudo cp {rule} "
         "/etc/udev/rules.d, sudo udevadm control --reload, then plug the camera in again",
     )
     slow = camera.usb_speed.split()[0].lower() in _SLOW if camera.usb_speed else False
@@ -36,7 +36,7 @@ def check_usb_camera(camera: FoundCamera) -> tuple[Verdict, ...]:
 
 
 def check_usb_cameras(serial: str | None) -> Iterator[Verdict]:
-    """Every USB3 Vision camera that may be the one with this serial number; nothing where there is none."""
+    """Check the USB3 Vision cameras that may have this serial number; None: all of them."""
     try:
         cameras = find_cameras()
     except DeviceError as missing:
@@ -48,12 +48,12 @@ def check_usb_cameras(serial: str | None) -> Iterator[Verdict]:
 
 
 def check_usb_memory(frame_bytes: int, memory: Path = _USBFS_MEMORY) -> tuple[Verdict, ...]:
-    """Whether Linux lends enough memory to USB transfers for several frames under way at the same time."""
+    """Check that Linux allows enough memory for the USB transfers of several frames at the same time."""
     if sys.platform != "linux" or not memory.is_file():
         return ()
     limit_mb = int(memory.read_text())
     wanted_mb = -(-_BUFFERED_FRAMES * frame_bytes // 2**20)
-    # 0 means without a limit
+    # 0 means no limit
     enough = limit_mb == 0 or limit_mb >= wanted_mb
     return (
         Verdict(

@@ -1,4 +1,4 @@
-"""The instrument as configured: calibration in use, pipeline, provenance, events."""
+"""The configured instrument: calibration, pipeline from frames to swings, provenance, state of a run."""
 
 from rig.instrument.balance import (
     DIRECTIONS,

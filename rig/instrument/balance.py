@@ -1,4 +1,4 @@
-"""The balance in the terms of one rig: its limits, its weights, its height, and the advice for a moment."""
+"""Applies the configuration to a measured balance: effects of the weights, height, advice to the operator."""
 
 import math
 from collections.abc import Sequence
@@ -27,10 +27,10 @@ DIRECTIONS = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "height": (0.0, 0.0, 1
 
 
 def nominal_effects(config: Configuration) -> dict[str, tuple[Floats, Floats] | None]:
-    """What a turn of each weight should do by its mass and thread, (arcsec, arcsec, m), with uncertainty.
+    """Expected effect of one turn of each weight, from its mass and thread, with standard uncertainty.
 
-    A fifth of the shift is doubted, in every direction, since no screw lies quite along its axis. None:
-    not known.
+    An effect is (tilt in x in arcsec, tilt in y in arcsec, height of the mass centre in m); None: unknown.
+    Its uncertainty is a fifth of the shift in every direction, since no screw is exactly along its axis.
     """
     pendulum = config.pendulum
     effects: dict[str, tuple[Floats, Floats] | None] = {}
@@ -41,14 +41,14 @@ def nominal_effects(config: Configuration) -> dict[str, tuple[Floats, Floats] | 
             continue
         shift_m = weight.sense * weight.mass_kg / pendulum.mass_kg * weight.pitch_m
         tilt_arcsec = shift_m / pendulum.ball_radius_m / ARCSEC_RAD
-        # the height weight moves down: the mass centre is then less too high
+        # a positive turn moves the height weight down, and the mass centre with it
         turn = np.array([tilt_arcsec, tilt_arcsec, -shift_m])
         effects[name] = (np.array(DIRECTIONS[name]) * turn, _U_NOMINAL * np.abs(turn))
     return effects
 
 
 def elastic_drop(config: Configuration, amplitude_rad: float) -> float:
-    """How much of the frequency the contact's elasticity takes at an amplitude (Eq. 6)."""
+    """Relative reduction of the frequency by the elasticity of the contact at an amplitude (Eq. 6)."""
     pendulum = pendulum_on_ball(config)
     if pendulum is None or config.balance.gamma_pa == 0:
         return 0.0
@@ -58,7 +58,7 @@ def elastic_drop(config: Configuration, amplitude_rad: float) -> float:
 
 
 def height_of(config: Configuration, balance: Balance) -> tuple[float, float]:
-    """How much too high the mass centre is, in m, with its uncertainty from the period; NaN: not known."""
+    """Excess height of the mass centre in m, from the period, and its uncertainty; NaN if unknown."""
     pendulum, inertia = config.pendulum, config.balance.inertia_kg_m2
     if pendulum is None or inertia is None:
         return math.nan, math.nan
@@ -70,7 +70,7 @@ def height_of(config: Configuration, balance: Balance) -> tuple[float, float]:
 
 
 def turn_text(turn: Turn | None, faults: Sequence[Fault]) -> str:
-    """One line: which weight, how many turns, which way."""
+    """One line that says which weight to turn, by how much and in which direction."""
     if turn is not None:
         way = "clockwise" if turn.turns > 0 else "anticlockwise"
         return f"turn weight {turn.weight}: {abs(turn.turns):.2f} turns {way} ({turn.why})"
@@ -84,10 +84,10 @@ def _verdict(faults: Sequence[Fault]) -> str:
 
 
 def advice_text(config: Configuration, balance: Balance, learned: WeightResponses | None = None) -> str:
-    """What is wrong with a balance and what to turn, in Markdown.
+    """Faults of a balance and the weight to turn, in Markdown.
 
-    From what the weights should do, or from what `rig balance` has `learned` that turns really do.
-    Empty without a calibration, when nothing is known in arcsec.
+    Uses the effects `learned` by `rig balance` if given, else the expected ones. Empty without a
+    calibration of the lever, because the limits are in arcsec.
     """
     if config.lever is None:
         return ""

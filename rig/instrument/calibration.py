@@ -1,4 +1,4 @@
-"""Calibration files in use: they fill the configuration, go into the record, are judged in the results."""
+"""Calibration files: fill the configuration, are attached to the record and checked for validity."""
 
 import datetime
 from collections.abc import Mapping
@@ -17,10 +17,10 @@ _SECTIONS: Mapping[Kind, str] = {"sensor": "sensor", "lever": "lever", "axes": "
 
 
 def fill_from_files(config: Configuration) -> Configuration:
-    """The configuration with the sections that its calibration files give.
+    """The configuration with the sections given by its calibration files.
 
-    Raises ConfigurationError: a file that is missing, of another kind or no calibration; a section
-    that is stated and calibrated with different values. An expired file fills too: the results say so.
+    Raises ConfigurationError for a file that is missing, of another kind or not a calibration, and for
+    a section that is also stated with different values. An expired file is used; the results report it.
     """
     update: dict[str, Any] = {}
     for kind, section in _SECTIONS.items():
@@ -37,7 +37,7 @@ def fill_from_files(config: Configuration) -> Configuration:
         stated = getattr(config, section)
         if stated not in (None, values):
             raise ConfigurationError(
-                f"[{section}] is stated and calibration.{kind} = {str(path)!r} gives other values; "
+                f"[{section}] differs from the values in calibration.{kind} = {str(path)!r}; "
                 "leave one of them out"
             )
         update[section] = values
@@ -48,7 +48,7 @@ def fill_from_files(config: Configuration) -> Configuration:
 
 
 def calibration_attachments(config: Configuration) -> dict[str, bytes]:
-    """The files in use, as they are, by their names in a record."""
+    """Contents of the calibration files in use, by their names in a record."""
     paths = {kind: getattr(config.calibration, kind) for kind in (*_SECTIONS, "pointing")}
     found = {f"{PREFIX}{kind}.toml": _read(path) for kind, path in paths.items() if path is not None}
     for number, path in enumerate(config.calibration.checks, 1):
@@ -62,15 +62,15 @@ def judge_calibration(
     began: datetime.datetime,
     ended: datetime.datetime,
 ) -> tuple[dict[str, Any], list[str]]:
-    """What the results say of the calibration of one run, and what is to be warned of.
+    """The calibration part of a run's results, and warnings.
 
     Parameters
     ----------
     config, attachments
-        Of the record. Checks that `config` names and the record does not hold are read from their
-        files, since the check after a series comes when its records are closed.
+        Those of the record. Checks named in `config` but missing in the record are read from their
+        files, because the check after a series is made when its records are already closed.
     began, ended
-        Of the run.
+        Start and end of the run.
     """
     tree: dict[str, Any] = {}
     warnings: list[str] = []
@@ -85,7 +85,7 @@ def judge_calibration(
         elif config.simulated:
             tree[kind] = {
                 "validity": "simulated",
-                "text": "what the simulated rig knows of itself, or was told",
+                "text": "true values of the simulated rig, or stated in the configuration",
             }
         elif getattr(config, section) is not None:
             tree[kind] = {
@@ -122,7 +122,7 @@ def _checks(
     began: datetime.datetime,
     ended: datetime.datetime,
 ) -> tuple[list[dict[str, Any]], list[str]]:
-    """Known-angle checks around the run, in order of time; a scale that moved is a warning."""
+    """Known-angle checks before and after the run, in order of time; warns of a changed scale."""
     raw = [data for name, data in sorted(attachments.items()) if name.startswith(f"{PREFIX}check-")]
     raw += [_read(path) for path in config.calibration.checks if path.is_file()]
     found = [(parse_calibration(data, "check", "check"), data) for data in dict.fromkeys(raw)]
@@ -130,7 +130,7 @@ def _checks(
     warnings = []
     if len(found) < len(config.calibration.checks):
         gone = [str(path) for path in config.calibration.checks if not path.is_file()]
-        warnings.append(f"known-angle checks that cannot be read: {', '.join(gone)}")
+        warnings.append(f"known-angle checks that could not be read: {', '.join(gone)}")
     for check, _ in found:
         if check.details.get("moved"):
             ratio, u = check.details["ratio"], check.details["u_both"]
@@ -159,4 +159,4 @@ def _read(path: Path) -> bytes:
     try:
         return path.read_bytes()
     except OSError as error:
-        raise ConfigurationError(f"{path}: no calibration can be read: {error.strerror or error}") from None
+        raise ConfigurationError(f"{path}: cannot read the calibration: {error.strerror or error}") from None

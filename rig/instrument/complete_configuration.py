@@ -1,4 +1,4 @@
-"""A configuration with every section filled that can be: by calibration files or the simulated rig."""
+"""Fills missing sections of a configuration from calibration files or from the simulated rig."""
 
 from rig.instrument.calibration import fill_from_files
 from rig.instrument.simulated_rig import fill_from_truth
@@ -6,6 +6,6 @@ from rig.settings import Configuration
 
 
 def complete(config: Configuration) -> Configuration:
-    """Fill the sections that are not stated: from calibration files, and from a simulated rig's truth."""
+    """Fill missing sections from calibration files and from the true values of a simulated rig."""
     config = fill_from_files(config)
     return fill_from_truth(config) if config.simulated else config

@@ -1,4 +1,4 @@
-"""The camera as configured: which one, what is asked of it, and what it did not take."""
+"""Makes the configured camera and compares its settings with the requested ones."""
 
 from acquisition.camera import Camera, CameraSettings
 from acquisition.cameras import drivers
@@ -7,7 +7,7 @@ from rig.settings import Configuration
 
 
 def make_camera(config: Configuration) -> Camera:
-    """The configured camera, not opened yet."""
+    """Make the configured camera without opening it."""
     name = config.camera.driver
     sections = drivers.find_driver(name).sections
     if sections:
@@ -16,12 +16,12 @@ def make_camera(config: Configuration) -> Camera:
 
 
 def camera_settings(config: Configuration) -> CameraSettings:
-    """What is asked of the camera, without the choice of the camera."""
+    """The settings requested from the camera."""
     return CameraSettings(**{name: getattr(config.camera, name) for name in CameraSettings.model_fields})
 
 
 def setting_differences(asked: CameraSettings, applied: CameraSettings) -> list[str]:
-    """One line for each setting that the camera did not take as it was asked."""
+    """One line for each setting in which the camera differs from the request."""
     lines = []
     for name, wanted in asked.model_dump(exclude_none=True).items():
         got = getattr(applied, name)
@@ -31,10 +31,10 @@ def setting_differences(asked: CameraSettings, applied: CameraSettings) -> list[
             and abs(got - wanted) <= 1e-3 * abs(wanted)
         )
         if got != wanted and not near:
-            lines.append(f"camera.{name} = {wanted} was asked, the camera says {got}")
+            lines.append(f"camera.{name} = {wanted} was requested, the camera reports {got}")
     return lines
 
 
 def frame_policy(config: Configuration) -> Policy:
-    """Sources that can wait are held back and lose nothing; a real camera cannot wait."""
+    """Policy for a full queue: sources on demand wait and lose no frame; a real camera cannot wait."""
     return "wait" if config.on_demand else "every"

@@ -1,4 +1,4 @@
-"""Compiles what is compiled at its first use, before a camera delivers frames that could be lost."""
+"""Compiles the numba kernels before a camera delivers frames, which would be lost meanwhile."""
 
 import threading
 from collections.abc import Callable
@@ -13,12 +13,12 @@ _SAY_AFTER_S = 2.0
 
 
 def prepare_kernels(sensor: SensorModel, say: Callable[[str], None]) -> None:
-    """Track a drawn spot and detect drawn swings once.
+    """Track a synthetic spot and detect synthetic swings once, which compiles the kernels.
 
-    After an installation that takes about a minute, later on (from the cache) less than a second.
-    `say` gets a line where it takes longer than two seconds.
+    This takes about a minute after an installation, and less than a second afterwards (from the cache).
+    `say` is called with one line if it takes longer than two seconds.
     """
-    text = "compiling the numerical kernels; once after an installation, about a minute"
+    text = "compiling the numerical kernels (only once after an installation, about a minute)"
     timer = threading.Timer(_SAY_AFTER_S, say, [text])
     timer.daemon = True
     timer.start()
@@ -30,7 +30,7 @@ def prepare_kernels(sensor: SensorModel, say: Callable[[str], None]) -> None:
 
 
 def _track(sensor: SensorModel) -> None:
-    """A frame that is searched and one that is followed, in the type that such a camera delivers."""
+    """Track two frames of the camera's pixel type: the first is searched, the second is followed."""
     y, x = np.mgrid[0:_SIDE_PX, 0:_SIDE_PX] - 0.5 * (_SIDE_PX - 1)
     spot = 0.5 * sensor.full_scale_dn * np.exp(-0.5 * (x**2 + y**2) / _SIGMA_PX**2)
     image = spot.astype(np.uint8 if sensor.full_scale_dn <= np.iinfo(np.uint8).max else np.uint16)

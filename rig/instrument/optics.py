@@ -1,4 +1,4 @@
-"""What turns an image into a deflection: the sensor's noise model, the light lever, the pendulum's axes."""
+"""The optics that turn an image into a deflection: sensor noise model, light lever, pendulum axes."""
 
 from dataclasses import dataclass
 
@@ -19,15 +19,15 @@ class Optics:
     axes: Axes
 
     def tracker(self) -> SpotTracker:
-        """A tracker that has not seen a spot yet."""
+        """A new tracker."""
         return SpotTracker(self.sensor)
 
     def deflector(self, sensor_shape: tuple[int, int]) -> Deflector:
-        """Spots to deflections, on a sensor of (ny, nx) pixels."""
+        """Converts spots to deflections, on a sensor of (ny, nx) pixels."""
         return Deflector(self.lever, self.axes, sensor_shape)
 
     def pipeline(self, sensor_shape: tuple[int, int]) -> Pipeline:
-        """Frames to deflections and half-cycles; it has not seen a frame yet."""
+        """A new pipeline from frames to deflections and half-cycles."""
         return Pipeline(self.tracker(), self.lever, self.axes, sensor_shape)
 
     @property
@@ -42,9 +42,10 @@ def optics_of(config: Configuration, full_scale_dn: float) -> Optics:
 
 
 def sensor_model(config: Configuration, full_scale_dn: float) -> SensorModel:
-    """Noise model of the sensor for the tracker; without [sensor] one that is typical of small CMOS sensors.
+    """Noise model of the sensor for the tracker.
 
-    A typical 10 ke- full well is assumed then; uncertainties follow the fit's own chi2 upward.
+    Without [sensor] a full well of 10 000 electrons is assumed, typical of small CMOS sensors; the
+    tracker increases its uncertainties if the chi2 of its fit shows that they are too small.
     """
     if config.sensor is not None:
         return config.sensor

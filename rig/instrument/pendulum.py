@@ -1,4 +1,4 @@
-"""The pendulum as configured: mass, balls, contact, materials."""
+"""The configured pendulum: mass, number of balls, contact radius, materials."""
 
 from processing.contact import Material, PendulumOnBall
 from processing.contact import material as material_by_name
@@ -8,11 +8,11 @@ from rig.settings import Configuration
 
 
 def pendulum_on_ball(config: Configuration) -> PendulumOnBall | None:
-    """Mass, ball and contact radius (Hertz, where it is not stated); None without [pendulum]."""
+    """Mass, ball and contact radius (from Hertz's theory if not stated); None without [pendulum]."""
     pendulum = config.pendulum
     if pendulum is None:
         return None
-    # what one ball carries: moments and energies are then those of one ball
+    # the load of one ball, so that moments and energies are those of one contact
     mass_kg = pendulum.mass_kg / balls(config)
     if pendulum.contact_radius_m is not None:
         return PendulumOnBall(
@@ -28,17 +28,17 @@ def pendulum_on_ball(config: Configuration) -> PendulumOnBall | None:
 
 
 def balls(config: Configuration) -> int:
-    """How many equal balls share the weight."""
+    """Number of equal balls that share the weight."""
     return config.instrument.description().supports
 
 
 def material(config: Configuration, name: str) -> Material:
-    """A material by name, the configuration's own before the paper's."""
+    """A material by name; those of the configuration take precedence over those of the paper."""
     return material_by_name(name, config.materials)
 
 
 def check_materials(config: Configuration) -> None:
-    """Raise ConfigurationError for a material that nobody knows, before anything is measured."""
+    """Raise ConfigurationError for an unknown material, before anything is measured."""
     if config.pendulum is not None and config.pendulum.contact_radius_m is None:
         try:
             pendulum_on_ball(config)

@@ -1,4 +1,4 @@
-"""Frames -> spots -> deflections -> swings: the same object live, in replay and in tests."""
+"""The pipeline from frames to spots, deflections and swings, used live, in replay and in tests."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -16,9 +16,9 @@ from processing.swing import Swing, SwingDetector
 
 
 class Block(NamedTuple):
-    """What became of some consecutive frames: a spot and a deflection a frame.
+    """Results of some consecutive frames: one spot and one deflection per frame.
 
-    `swings` and `balances` are those that this block completed; they may belong to earlier frames.
+    `swings` and `balances` are those completed by this block; they may have begun in earlier blocks.
     """
 
     spots: list[Spot]
@@ -28,16 +28,18 @@ class Block(NamedTuple):
 
 
 class Pipeline:
-    """Synchronous and without a clock: the result depends on the frames alone, not on their blocks.
+    """Tracks the spot, computes deflections and detects swings, frame by frame.
+
+    The result depends only on the frames and their timestamps, not on their division into blocks.
 
     Parameters
     ----------
     tracker
-        Follows the spot; holds the last one.
+        Follows the spot from frame to frame.
     lever, axes
-        Calibration. `lever` None: there is none, and deflections are in px, see `Deflector`.
+        Calibration. Without a lever (None) deflections are in px, see `Deflector`.
     sensor_shape
-        (ny, nx) of the whole sensor, whose middle is the reference where the lever states none.
+        (ny, nx) of the whole sensor; its centre is the reference if the lever states none.
     """
 
     def __init__(
@@ -50,10 +52,10 @@ class Pipeline:
         self._balance = BalanceEstimator()
 
     def process(self, frames: Sequence[Frame], origins_px: Sequence[tuple[int, int]] | None = None) -> Block:
-        """Track and measure some frames, in order.
+        """Track the spot in some consecutive frames, and continue with `measure`.
 
-        `origins_px` are the sensor coordinates (x, y) of each image's first pixel, where images are
-        windows cut out of the sensor; None: whole frames.
+        If the images are windows cut out of whole frames, `origins_px` are the sensor coordinates (x, y)
+        of the first pixel of each; None for whole frames.
         """
         if origins_px is None:
             spots = [self.tracker.track(frame.image) for frame in frames]
@@ -65,26 +67,26 @@ class Pipeline:
         return self.measure(np.array([frame.time_ns for frame in frames], dtype=np.int64), spots)
 
     def measure(self, times_ns: NDArray[np.int64], spots: list[Spot]) -> Block:
-        """Everything after the tracker, for spots that are known already."""
+        """Deflections, swings and balances from spots that were tracked before."""
         return self.detect(spots, self._deflector(times_ns, spots))
 
     def detect(self, spots: list[Spot], deflections: Deflections) -> Block:
-        """Swings and balance from deflections that are known already (replay without tracking)."""
+        """Swings and balances from known deflections (replay without tracking)."""
         at = deflections
         swings = self._detector.update(at.times_ns, at.y, at.u_y)
         balances = self._balance.update(at.times_ns, at.x, at.y, at.u_x, at.u_y)
         return Block(spots, deflections, swings, balances)
 
     def finish(self) -> list[Swing]:
-        """Swings that the end of the samples completes."""
+        """Swings that are completed by the end of the samples."""
         return self._detector.finish()
 
 
 class Deflector:
-    """Turns spots into deflections: tilts along the pendulum's axes, in rad.
+    """Converts spots to deflections: tilts along the pendulum's axes, in rad.
 
     Without a lever they are displacements along the sensor's axes (x to the right, y upward), in px.
-    `reference_px` is the place (x, y) of the spot at zero tilt, `unit` the unit of what comes out.
+    `reference_px` is the position (x, y) of the spot at zero tilt, `unit` the unit of the deflections.
     """
 
     def __init__(self, lever: Lever | None, axes: Axes, sensor_shape: tuple[int, int]) -> None:
@@ -100,7 +102,7 @@ class Deflector:
             )
 
     def __call__(self, times_ns: NDArray[np.int64], spots: Sequence[Spot]) -> Deflections:
-        """Deflections of spots that were seen at these times."""
+        """Deflections of spots measured at these times."""
         table = np.array([spot[:4] for spot in spots], dtype=np.float64).reshape(-1, 4)
         x_px, y_px, u_x_px, u_y_px = table.T
         if self._lever is None:

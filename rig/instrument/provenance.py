@@ -1,4 +1,4 @@
-"""Where a record comes from: configuration, versions, host; and reading it back."""
+"""Provenance of a record (configuration, software versions, host), written to it and read back."""
 
 import importlib.metadata
 import platform
@@ -21,7 +21,7 @@ _PACKAGES = ("optical-pendulum-rig", "numpy", "scipy", "numba", "opencv-python-h
 
 
 def versions() -> dict[str, str]:
-    """Versions of what has a part in the numbers."""
+    """Versions of this program and of the libraries that influence the numbers."""
     found = {"python": platform.python_version(), "platform": platform.platform()}
     for name in _PACKAGES:
         try:
@@ -32,7 +32,7 @@ def versions() -> dict[str, str]:
 
 
 def session_metadata(config: Configuration, info: CameraInfo, first: Frame) -> dict[str, dict[str, str]]:
-    """Metadata of a record, by section: who, what, with which camera and versions, frames of which shape."""
+    """Metadata of a record, by section: session, conditions, camera, software versions, shape of frames."""
     session = config.session
     environment = config.environment.model_dump(exclude_none=True)
     camera = {
@@ -61,7 +61,7 @@ def session_metadata(config: Configuration, info: CameraInfo, first: Frame) -> d
 
 
 def configuration_attachments(config: Configuration, source: Path) -> dict[str, bytes]:
-    """The complete configuration, the user's own file as it was, the calibration files in use."""
+    """Files to attach to a record: the complete configuration, the user's original file, calibrations."""
     attachments = {CONFIGURATION_NAME: config.model_dump_json(indent=1).encode()}
     if source.is_file() and source.suffix == ".toml":
         attachments[SOURCE_NAME] = source.read_bytes()
@@ -73,7 +73,7 @@ def frame_shape(reader: RecordReader) -> tuple[int, int]:
     frame = reader.metadata.get("frame")
     if frame is None:
         raise RecordError(
-            f"{reader.path}: does not say how large its frames were; it was not made by rig run"
+            f"{reader.path}: the size of the frames is missing; the record was not made by rig run"
         )
     return int(frame["height_px"]), int(frame["width_px"])
 
@@ -82,7 +82,7 @@ def recorded_configuration(reader: RecordReader, overrides: Sequence[str] = ()) 
     """The configuration that a record was made with, with ``KEY=VALUE`` overrides applied."""
     attachment = reader.attachments.get(CONFIGURATION_NAME)
     if attachment is None:
-        raise RecordError(f"{reader.path}: holds no configuration; it was not made by rig run")
+        raise RecordError(f"{reader.path}: contains no configuration; it was not made by rig run")
     try:
         config = Configuration.model_validate_json(attachment)
     except ValidationError as error:

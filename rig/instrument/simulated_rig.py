@@ -1,4 +1,4 @@
-"""What the simulated rig knows of itself: the sections of the configuration that follow from its truth."""
+"""Fills missing sections of the configuration from the true values of the simulated rig."""
 
 import math
 from dataclasses import replace
@@ -15,10 +15,10 @@ SIMULATED_FLAT = "simulated_flat"
 
 
 def fill_from_truth(config: Configuration) -> Configuration:
-    """Sensor, lever, axes, pendulum, materials and balance, where they are not stated.
+    """Fill sensor, lever, axes, pendulum, materials and balance if they are not stated.
 
-    The calibration is then perfect, so that ``--set simulation...`` changes the truth and what the
-    analysis is told of the apparatus together.
+    The calibration is then perfect: ``--set simulation...`` changes the simulated apparatus and the
+    values that the analysis uses for it together.
     """
     truth = config.simulation
     return config.model_copy(
@@ -81,7 +81,7 @@ def _pendulum(truth: SimulationSettings) -> PendulumSettings:
 
 
 def _balance(truth: SimulationSettings, balance: BalanceSettings) -> BalanceSettings:
-    """The inertia about the contact that gives the stated period, and the elasticity of the contact."""
+    """Add the inertia about the contact that gives the stated period, and the elasticity of the contact."""
     if balance.inertia_kg_m2 is not None:
         return balance
     contact = truth.contact

@@ -1,4 +1,4 @@
-"""What a run looks like at one moment, for terminal, view and programs."""
+"""The state of a run at one moment, for the terminal, the view and other programs."""
 
 import math
 from dataclasses import dataclass, field
@@ -8,12 +8,11 @@ from acquisition.frame_losses import FrameLosses
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """State of a run at one moment, frozen. The amplitude is in arcsec (px without calibration).
+    """State of a run at one moment. The amplitude is in arcsec, or in px without a lever calibration.
 
-    `frame_age_s` is how long ago the oldest of the frames processed last arrived, when their processing
-    began: it grows while we fall behind. `losses` are the dropped frames by who lost them, as the camera
-    counts them now. `instruction` is what the operator is asked to do; `controller` says how the
-    controller stands.
+    `frame_age_s` is the time between the arrival of the oldest frame of the last block and the start of
+    its processing; it grows if processing is too slow. `losses` are the dropped frames by cause, as
+    counted by the camera. `instruction` is a request to the operator, `controller` the controller's state.
     """
 
     phase: str = "waiting for the first frame"

@@ -1,4 +1,4 @@
-"""Configuration: one TOML file and its overrides become frozen models."""
+"""Configuration: reads a TOML file and command-line overrides into frozen, validated models."""
 
 from rig.settings.balance import BalanceSettings
 from rig.settings.calibration import TimebaseSettings

@@ -1,4 +1,4 @@
-"""[calibration]: the files in use; [timebase]: the section that the clock's file fills."""
+"""Sections [calibration], the calibration files in use, and [timebase], filled by the clock's file."""
 
 from pathlib import Path
 
@@ -6,18 +6,25 @@ from pydantic import BaseModel, Field
 
 
 class CalibrationSettings(BaseModel, frozen=True, extra="forbid"):
-    """Calibration files in use; each fills a section that is then not stated. Paths from where rig is run."""
+    """Calibration files in use. Each replaces a section of this file, which is then left out.
+
+    Relative paths start at the folder in which rig is run.
+    """
 
     sensor: Path | None = Field(default=None, description="fills [sensor]")
     lever: Path | None = Field(default=None, description="fills [lever]")
     axes: Path | None = Field(default=None, description="fills [axes]")
     clock: Path | None = Field(default=None, description="fills [timebase]")
-    pointing: Path | None = Field(default=None, description="kept with the record")
-    checks: tuple[Path, ...] = Field(default=(), description="known-angle checks before and after the series")
+    pointing: Path | None = Field(
+        default=None, description="result of rig calibrate pointing, stored with the record"
+    )
+    checks: tuple[Path, ...] = Field(
+        default=(), description="known-angle checks made before and after the series"
+    )
 
 
 class TimebaseSettings(BaseModel, frozen=True, extra="forbid"):
-    """The camera's clock against true time."""
+    """Rate of the camera's clock relative to true time."""
 
     camera_rate: float = Field(
         default=1.0, gt=0.9, lt=1.1, description="true seconds per second of the camera"

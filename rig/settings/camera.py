@@ -1,4 +1,4 @@
-"""[camera]: which camera, and a section for each driver of the registry."""
+"""Section [camera]: the choice of the camera, its settings, and a subsection for each registered driver."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -15,11 +15,13 @@ from processing.errors import ConfigurationError
 
 
 class CameraChoice(CameraSettings, frozen=True, extra="forbid"):
-    """Which camera, and what is asked of it."""
+    """The choice of the camera, and the settings requested from it."""
 
     driver: str = "simulated"
-    serial: str | None = Field(default=None, description="needed only where several are plugged in")
-    timeout_s: float = Field(default=5.0, gt=0, description="no frame for so long means a stall")
+    serial: str | None = Field(default=None, description="needed only if several cameras are plugged in")
+    timeout_s: float = Field(
+        default=5.0, gt=0, description="the camera counts as stalled after this time without a frame"
+    )
 
     @field_validator("driver")
     @classmethod
@@ -29,12 +31,12 @@ class CameraChoice(CameraSettings, frozen=True, extra="forbid"):
         return driver
 
     def driver_settings(self) -> BaseModel:
-        """Section ``[camera.NAME]`` of the chosen driver, with ``camera.serial`` where it states none.
+        """Section ``[camera.NAME]`` of the chosen driver; its serial number defaults to ``camera.serial``.
 
         Raises
         ------
         ConfigurationError
-            The section has no defaults and is missing, or the driver knows no serial numbers.
+            The section is missing and has no defaults, or the driver has no serial numbers.
         """
         stated: BaseModel | None = getattr(self, self.driver)
         if stated is None:
@@ -48,12 +50,12 @@ class CameraChoice(CameraSettings, frozen=True, extra="forbid"):
             return stated
         if "serial" not in type(stated).model_fields:
             raise ConfigurationError(
-                f"camera.serial = {self.serial!r}: {self.driver!r} knows no serial numbers; leave it out"
+                f"camera.serial = {self.serial!r}: {self.driver!r} has no serial numbers; leave it out"
             )
         return stated.model_copy(update={"serial": self.serial})
 
 
-# A type checker does not know the sections of the registry; code asks `driver_settings` for one.
+# The sections are made from the registry, so a type checker cannot see them; code uses `driver_settings`.
 if TYPE_CHECKING:
     CameraSection = CameraChoice
 else:

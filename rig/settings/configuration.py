@@ -1,4 +1,4 @@
-"""One TOML file becomes frozen models. An unknown key, a wrong value, a missing file: one clear line.
+"""Reads a TOML configuration into frozen models; every error is reported in one line.
 
 A file may begin with ``extends = "other.toml"`` (relative to itself) and then states only what
 differs. On the command line ``--set a.b.c=value`` replaces any key by its dotted path.
@@ -34,27 +34,27 @@ from rig.settings.phases import PhaseSettings, PreflightSettings, StartSettings
 
 
 class Section(BaseModel, frozen=True, extra="forbid"):
-    """A table of the configuration; a key it does not know is an error."""
+    """A table of the configuration; an unknown key is an error."""
 
 
 class SessionSettings(Section, frozen=True):
-    """What is measured, by whom, and when a run ends."""
+    """The sample, the operator, the number of runs, and when a run ends."""
 
     operator: str = ""
     sample: str = ""
     notes: str = ""
-    contact_history: str = Field(default="", description="age, cleaning, earlier loads of the contact")
+    contact_history: str = Field(default="", description="age, cleaning and earlier loads of the contact")
     runs: int = Field(default=1, ge=1, le=1000)
     initial_amplitude_arcsec: float = Field(
-        default=124.0, gt=0, description="wanted at the start; see [start]"
+        default=124.0, gt=0, description="wanted at the start of a run; see [start]"
     )
-    final_amplitude_arcsec: float = Field(default=2.0, gt=0, description="a run ends below this")
-    max_duration_s: float = Field(default=7200.0, gt=0, description="a run ends after this, reached or not")
-    output: Path = Field(default=Path("runs"), description="folder in which each session makes its own")
+    final_amplitude_arcsec: float = Field(default=2.0, gt=0, description="a run ends below this amplitude")
+    max_duration_s: float = Field(default=7200.0, gt=0, description="a run ends after this time in any case")
+    output: Path = Field(default=Path("runs"), description="each session makes a folder in it")
 
 
 class EnvironmentConditions(Section, frozen=True):
-    """What the laboratory was like, as the user states it; copied into the record."""
+    """Conditions in the laboratory as stated by the user; stored in the record."""
 
     temperature_c: float | None = Field(default=None, gt=-100, lt=200)
     humidity_percent: float | None = Field(default=None, ge=0, le=100)
@@ -62,7 +62,7 @@ class EnvironmentConditions(Section, frozen=True):
 
 
 class PendulumSettings(Section, frozen=True):
-    """The pendulum, its ball and what it stands on. `u_` are standard uncertainties."""
+    """The pendulum, its ball and the plate it stands on. `u_...` are standard uncertainties."""
 
     mass_kg: float = Field(gt=0)
     u_mass_kg: float = Field(default=0.0, ge=0)
@@ -71,24 +71,24 @@ class PendulumSettings(Section, frozen=True):
     ball_material: str = "steel"
     flat_material: str = "glass_k8"
     contact_radius_m: float | None = Field(
-        default=None, gt=0, lt=1e-2, description="of the contact spot; None: Hertz, from the materials"
+        default=None, gt=0, lt=1e-2, description="of the contact; if left out, Hertz's radius"
     )
     gravity_m_per_s2: float = Field(default=STANDARD_GRAVITY_M_PER_S2, gt=0)
     u_gravity_m_per_s2: float = Field(default=0.0, ge=0)
 
 
 class RecordSettings(Section, frozen=True):
-    """What of the frames is kept."""
+    """Image data that a record keeps."""
 
     windows: bool = Field(
         default=True,
-        description="raw pixels around the spot, every frame, lossless; replay --retrack needs them",
+        description="pixels around the spot of every frame, lossless; needed by rig replay --retrack",
     )
     full_frame_interval_s: float = Field(default=10.0, gt=0)
 
 
 class ViewSettings(Section, frozen=True):
-    """Rerun. `mode` of a live view; the .rrd file is written beside the record where `file` is true."""
+    """The live view in Rerun. If `file` is true, an .rrd file is written next to the record."""
 
     mode: Literal["none", "spawn", "web"] = "none"
     layout: Literal["balancing", "measuring", "analysing"] = "measuring"
@@ -97,13 +97,15 @@ class ViewSettings(Section, frozen=True):
 
 
 class FitSettings(Section, frozen=True):
-    """How the laws are fitted."""
+    """Options of the fits."""
 
     printed_055: bool = Field(
-        default=False, description="Eq. 6 with the printed 0.55, not the computed factor"
+        default=False, description="use the factor 0.55 printed in Eq. 6, not the computed one"
     )
-    robust: bool = Field(default=False, description="a loss that does not follow outlying half-cycles")
-    drag: bool = Field(default=False, description="report the fits with a linear drag term")
+    robust: bool = Field(
+        default=False, description="use a loss function that is robust to outlying half-cycles"
+    )
+    drag: bool = Field(default=False, description="also report the fits with a linear drag term")
 
 
 class Configuration(Section, frozen=True):
@@ -144,26 +146,26 @@ class Configuration(Section, frozen=True):
 
     @property
     def simulated(self) -> bool:
-        """The camera looks at the simulated rig, whose truth `simulation` is."""
+        """True if the camera is the simulated rig, described by [simulation]."""
         return self.camera.driver == "simulated"
 
     @property
     def on_demand(self) -> bool:
-        """Frames are made or read when asked for: the camera waits for us and loses nothing."""
+        """True if frames are simulated or read from files on request, so that none can be lost."""
         paced = self.simulated and self.simulation.real_time
         return find_driver(self.camera.driver).on_demand and not paced
 
     @property
     def deflection_unit(self) -> DeflectionUnit:
-        """The unit of deflections and amplitudes: rad, or px without [lever]."""
+        """Unit of deflections and amplitudes: rad, or px without [lever]."""
         return deflection_unit(self.lever)
 
 
 def load_configuration(path: Path, overrides: Iterable[str] = ()) -> Configuration:
     """Read a configuration file and apply ``KEY=VALUE`` overrides.
 
-    Raises ConfigurationError in one line: no such file, no TOML, unknown key (with the nearest
-    known one), value of the wrong type or out of range.
+    Raises ConfigurationError, in one line, for a missing file, invalid TOML, an unknown key (naming
+    the nearest known one), or a value of the wrong type or out of range.
     """
     tree = read_toml_tree(path)
     apply_overrides(tree, overrides)
@@ -171,7 +173,7 @@ def load_configuration(path: Path, overrides: Iterable[str] = ()) -> Configurati
 
 
 def read_toml_tree(path: Path, seen: tuple[Path, ...] = ()) -> dict[str, Any]:
-    """The file as nested dictionaries, with what it extends merged below it."""
+    """Read a file as nested dictionaries, merged over the file that it extends."""
     if path.resolve() in seen:
         raise ConfigurationError(f"{path}: extends itself; remove one of the 'extends' lines")
     try:
@@ -193,7 +195,7 @@ def read_toml_tree(path: Path, seen: tuple[Path, ...] = ()) -> dict[str, Any]:
 
 
 def validate_configuration(tree: Mapping[str, Any], source: str) -> Configuration:
-    """Nested dictionaries -> frozen models; ConfigurationError names the first fault and counts the rest."""
+    """Validate nested dictionaries; a ConfigurationError names the first fault and counts the others."""
     try:
         return Configuration.model_validate(tree)
     except ValidationError as error:
@@ -250,7 +252,7 @@ def _one_line(fault: ErrorDetails) -> str:
 
 
 def section_fields(section: type) -> dict[str, FieldInfo]:
-    """Fields of a section, be it a pydantic model or a plain dataclass of `processing`."""
+    """Fields of a section, which is a pydantic model or a plain dataclass of `processing`."""
     if issubclass(section, BaseModel):
         return section.model_fields
     if not is_pydantic_dataclass(section):
@@ -259,7 +261,7 @@ def section_fields(section: type) -> dict[str, FieldInfo]:
 
 
 def section_of(field: FieldInfo) -> type | None:
-    """The section that a field holds, one alone or a table of them; None for a plain value."""
+    """The section class of a field that holds a section or a table of sections; None for a plain value."""
     found = (c for c in _parts(field.annotation) if isinstance(c, type) and get_origin(c) is None)
     return next((c for c in found if issubclass(c, BaseModel) or is_dataclass(c)), None)
 

@@ -1,4 +1,4 @@
-"""[instrument]: the kind of pendulum, and values that replace those of its description."""
+"""Section [instrument]: the kind of pendulum, and values that replace those of its description."""
 
 import math
 from dataclasses import replace
@@ -10,35 +10,35 @@ from processing.instruments import DEGREE_RAD, INSTRUMENTS, Description, Limits
 
 
 class InstrumentSettings(BaseModel, frozen=True, extra="forbid"):
-    """The kind selects a description (`rig instruments` lists them); None keeps its value."""
+    """`kind` selects a built-in description (see `rig instruments`); a key left out keeps its value."""
 
     kind: str = "single_ball"
     mass_kg: float | None = Field(
-        default=None, gt=0, description="as weighed, compared with the standard's where it limits it"
+        default=None, gt=0, description="as weighed; compared with the limits of the standard, if it has any"
     )
     support_radius_m: float | None = Field(default=None, gt=0, lt=1, description="ball, roller or axis")
     u_support_radius_m: float = Field(default=0.0, ge=0)
     lever_m: float | None = Field(
-        default=None, gt=0, description="mass centre from the axis about which the pendulum turns"
+        default=None, gt=0, description="distance of the mass centre from the axis of rotation"
     )
     u_lever_m: float = Field(default=0.0, ge=0)
     start_amplitude_deg: float | None = Field(default=None, gt=0, lt=90)
     end_amplitude_deg: float | None = Field(default=None, gt=0, lt=90)
-    period_s: float | None = Field(default=None, gt=0, description="that the standard asks for on glass")
+    period_s: float | None = Field(default=None, gt=0, description="required by the standard on glass")
     period_tolerance_s: float | None = Field(default=None, gt=0)
-    glass_time_s: float | None = Field(default=None, gt=0, description="damping time asked for on glass")
+    glass_time_s: float | None = Field(default=None, gt=0, description="damping time required on glass")
     glass_tolerance_s: float | None = Field(default=None, gt=0)
-    glass_time_at_least: bool = Field(default=False, description="glass_time_s is a lower limit only")
+    glass_time_at_least: bool = Field(default=False, description="glass_time_s is only a lower limit")
     temperature_c: float | None = Field(default=None, gt=-100, lt=200)
     temperature_tolerance_c: float | None = Field(default=None, gt=0)
     humidity_percent: float | None = Field(default=None, ge=0, le=100)
     humidity_tolerance_percent: float | None = Field(default=None, gt=0)
-    scale_divisions: float = Field(default=100.0, gt=0, description="Herbert's scale, end to end")
+    scale_divisions: float = Field(default=100.0, gt=0, description="length of Herbert's scale")
     reference_runs: tuple[int, ...] = Field(
-        default=(), description="runs on the glass plate or reference sample, counted from 1"
+        default=(), description="numbers, from 1, of the runs on glass or on the reference sample"
     )
     reference_time_s: float | None = Field(
-        default=None, gt=0, description="damping time of the reference, where it was measured elsewhere"
+        default=None, gt=0, description="damping time of the reference if it was measured elsewhere"
     )
     u_reference_time_s: float = Field(default=0.0, ge=0)
 
@@ -46,7 +46,7 @@ class InstrumentSettings(BaseModel, frozen=True, extra="forbid"):
     @classmethod
     def _described(cls, kind: str) -> str:
         if kind not in INSTRUMENTS:
-            raise ValueError(f"no such instrument; there are {', '.join(INSTRUMENTS)}")
+            raise ValueError(f"unknown instrument; choose one of {', '.join(INSTRUMENTS)}")
         return kind
 
     @model_validator(mode="after")
@@ -62,7 +62,7 @@ class InstrumentSettings(BaseModel, frozen=True, extra="forbid"):
         return self
 
     def description(self) -> Description:
-        """The table's entry with what is overridden here."""
+        """The built-in description with the values overridden here."""
         table = INSTRUMENTS[self.kind]
         tolerance = math.inf if self.glass_time_at_least else self.glass_tolerance_s
         return replace(
@@ -87,7 +87,7 @@ class InstrumentSettings(BaseModel, frozen=True, extra="forbid"):
 
 
 def _limits(table: Limits | None, value: float | None, tolerance: float | None) -> Limits | None:
-    """The table's limits with what is given; a value alone, where the table has none, needs a tolerance."""
+    """The built-in limits with the given values; if there are none, a value needs a tolerance as well."""
     if table is None:
         return None if value is None or tolerance is None else Limits(value, tolerance)
     return Limits(

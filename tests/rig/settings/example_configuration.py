@@ -1,6 +1,6 @@
-"""Makes configs/rig-example.toml from the models themselves: ``python -m tests.rig.example_configuration``.
+"""Makes configs/rig-example.toml from the models: ``python -m tests.rig.settings.example_configuration``.
 
-A test holds the file to what this makes, so that it never lacks a key or keeps a dead one.
+A test compares the file with this output, so that no key is missing or obsolete.
 """
 
 import json
@@ -20,7 +20,7 @@ HEAD = """\
 # else from another file. On the command line: --set session.runs=3
 # A key that is misspelt, out of range or of the wrong type is an error, never ignored.
 """
-# What is set rather than only shown, so that the file is a start and not only a list.
+# Keys that are set instead of commented out, so that the file works as a starting point.
 ACTIVE: dict[str, Any] = {
     "session.operator": "your name",
     "session.sample": "steel ball on K8 glass, cleaned with ethanol",

@@ -8,7 +8,9 @@ from pathlib import Path
 import pydantic
 from pydantic import BaseModel
 
-Key = tuple[type[BaseModel], str]
+from rig.settings.balance import BalanceSettings
+
+Key = tuple[type, str]
 _PYDANTIC = str(Path(pydantic.__file__).parent)
 _DEPTH = 4
 
@@ -41,11 +43,19 @@ def keys_read() -> Iterator[set[Key]]:
             seen.add((model, name))
         return plain(self, name)
 
+    def reading_balance(self: BalanceSettings, name: str) -> object:
+        if name in BalanceSettings.__dataclass_fields__ and not _called_by_pydantic(2):
+            seen.add((BalanceSettings, name))
+        return object.__getattribute__(self, name)
+
     BaseModel.__getattribute__ = reading  # type: ignore[method-assign]
+    # the one section with keys of its own that is a plain dataclass
+    BalanceSettings.__getattribute__ = reading_balance  # type: ignore[method-assign]
     try:
         yield seen
     finally:
         BaseModel.__getattribute__ = plain  # type: ignore[method-assign]
+        del BalanceSettings.__getattribute__
 
 
 def is_read(key: Key, seen: set[Key]) -> bool:

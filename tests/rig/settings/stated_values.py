@@ -7,7 +7,7 @@ import numpy as np
 
 from acquisition.camera import CameraInfo
 from acquisition.frame import Frame
-from processing.balance import Balance
+from processing.balance import Balance, find_faults
 from processing.instruments import DEGREE_RAD
 from processing.spot import Spot
 from processing.swing import Swing
@@ -17,7 +17,6 @@ from rig.analysis.other_instruments_series import reduce_series
 from rig.analysis.record_fit import _clock_rate
 from rig.instrument import (
     height_of,
-    limits_of,
     nominal_effects,
     optics_of,
     pendulum_on_ball,
@@ -60,7 +59,7 @@ def balance(config: Configuration) -> Any:
     effects = {
         name: None if e is None else [v.tolist() for v in e] for name, e in nominal_effects(config).items()
     }
-    return repr((limits_of(config), height_of(config, seen), effects))
+    return repr((find_faults(seen, (1.0, 0.0), config.balance), height_of(config, seen), effects))
 
 
 def instrument(config: Configuration) -> Any:
@@ -72,7 +71,7 @@ def instrument(config: Configuration) -> Any:
             settings = stated.model_copy(update={"kind": kind, "reference_runs": references})
             runs = [reduce_run(settings, _decay(b), None, Air(22.0, 48.0), 1e-3) for b in (0.01, 0.02, 0.03)]
             found.append([run.values for run in runs])
-            found.append(reduce_series(runs)[0])
+            found.append(repr(reduce_series(runs)))
     return repr(found)
 
 

@@ -128,4 +128,4 @@ def test_what_is_added_to_a_registry_is_configured_made_and_found(copy: Path) ->
     assert "Torch decay" in lines
     assert any("plumb_line" in line and "A weight on a thread." in line for line in lines)
     assert "laser.kind = 'torhc': no such laser; there are none, controller, torch, " in lines[-2]
-    assert "instrument.kind = 'plum_line': no such instrument; there are plumb_line, " in lines[-1]
+    assert "instrument.kind = 'plum_line': unknown instrument; choose one of plumb_line, " in lines[-1]

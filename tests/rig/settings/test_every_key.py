@@ -22,10 +22,10 @@ from calibration.axes import Axes
 from calibration.lever import Lever
 from rig.instrument import complete
 from rig.settings import Configuration
-from rig.settings.configuration import RecordSettings
+from rig.settings.configuration import RecordSettings, section_fields, section_of
 from tests.rig.settings import program_at_work as program
 from tests.rig.settings import stated_values as stated
-from tests.rig.settings.example_configuration import _is_table_of, _model
+from tests.rig.settings.example_configuration import _is_table_of
 from tests.rig.settings.key_readers import Key, is_read, keys_read
 
 OBSERVED: dict[str, Callable[[Configuration], Any]] = {
@@ -93,10 +93,10 @@ OTHER: dict[str, Any] = {
 """Changed values that do not follow from the present one."""
 
 
-def leaves(path: str = "", model: type[BaseModel] = Configuration) -> Iterator[tuple[str, Key]]:
+def leaves(path: str = "", model: type = Configuration) -> Iterator[tuple[str, Key]]:
     """Every key by its dotted path, with the model that has it; materials under the name `mine`."""
-    for name, field in model.model_fields.items():
-        inner = _model(field)
+    for name, field in section_fields(model).items():
+        inner = section_of(field)
         if inner is None:
             yield f"{path}{name}", (model, name)
         else:
