@@ -1,6 +1,17 @@
 """From a record or a table to results: laws of the contact, other instruments, verdicts, results.json."""
 
 from rig.analysis.contact_laws import points_in_true_time, settled_swings, surface_energies
+from rig.analysis.contact_results import (
+    NOT_DETERMINED,
+    Budget,
+    Correlation,
+    Determination,
+    Drag,
+    Fit,
+    MonteCarlo,
+    SurfaceEnergies,
+    SurfaceEnergy,
+)
 from rig.analysis.contact_series import combined_series
 from rig.analysis.contact_verdicts import evaluate, fit_results
 from rig.analysis.curves import Curves, curves_of
@@ -11,21 +22,11 @@ from rig.analysis.instrument_results import DecrementTable, InstrumentResults, P
 from rig.analysis.record_fit import AnalysedRun, analyse_record, analyse_run, session_results
 from rig.analysis.remarks import remarks
 from rig.analysis.results import (
-    NOT_DETERMINED,
     AveragedCurves,
-    Budget,
     CombinedParameter,
-    Correlation,
-    Determination,
-    Drag,
-    Fit,
-    MonteCarlo,
     RunResults,
     Series,
     SessionResults,
-    StoredTurningPoints,
-    SurfaceEnergies,
-    SurfaceEnergy,
     TableResults,
 )
 from rig.analysis.results_file import (
@@ -39,6 +40,7 @@ from rig.analysis.results_file import (
     write_results,
 )
 from rig.analysis.screen import print_results
+from rig.analysis.stored_turning_points import StoredTurningPoints
 from rig.analysis.table_fit import analyse_table, fit_trajectory
 
 __all__ = [

@@ -19,7 +19,7 @@ from processing.fit import (
 )
 from processing.least_squares import Loss
 from processing.swing import KnownMotion, Swing, TurningPoints, turning_points
-from rig.analysis.results import SurfaceEnergies, SurfaceEnergy
+from rig.analysis.contact_results import SurfaceEnergies, SurfaceEnergy
 from rig.settings import FitSettings
 
 

@@ -31,7 +31,7 @@ from processing.fit import (
 )
 from processing.fit import Propagated as Sampled
 from processing.swing import TurningPoints
-from rig.analysis.results import (
+from rig.analysis.contact_results import (
     Budget,
     BudgetSource,
     Correlation,
@@ -41,9 +41,9 @@ from rig.analysis.results import (
     Hertz,
     MonteCarlo,
     Propagated,
-    RunResults,
     Work,
 )
+from rig.analysis.results import RunResults
 from rig.instrument import balls, material
 from rig.settings import Configuration, TimebaseSettings
 

@@ -19,7 +19,8 @@ from processing.errors import DataError
 from processing.fit import FitMethod, super_smooth
 from processing.periods import full_periods
 from processing.swing import TurningPoints
-from rig.analysis.results import Fit, RunResults
+from rig.analysis.contact_results import Fit
+from rig.analysis.results import RunResults
 
 Array = NDArray[np.float64]
 

@@ -4,7 +4,8 @@ from collections.abc import Mapping
 
 from processing.estimate import WELL_DETERMINED
 from processing.fit import Verdict
-from rig.analysis.results import CombinedParameter, Determination
+from rig.analysis.contact_results import Determination
+from rig.analysis.results import CombinedParameter
 from rig.presentation import law_parameters, plain, quantity
 
 

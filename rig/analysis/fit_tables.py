@@ -5,8 +5,8 @@ from collections.abc import Mapping, Sequence
 from processing.contact.laws import PAPER
 from processing.estimate import Estimate
 from processing.fit import FitMethod
+from rig.analysis.contact_results import NOT_DETERMINED, Determination, Fit, SurfaceEnergies
 from rig.analysis.determined import determined_text
-from rig.analysis.results import NOT_DETERMINED, Determination, Fit, SurfaceEnergies
 from rig.presentation import Cell, Table, plain, quantity
 
 

@@ -18,8 +18,9 @@ from rig.analysis.contact_series import combined_series
 from rig.analysis.contact_verdicts import evaluate, fast_ratio, fit_results, rig_quantities
 from rig.analysis.other_instruments import Air, Reduction, reduce_run
 from rig.analysis.other_instruments_series import reduce_series
-from rig.analysis.results import RunResults, Series, SessionResults, StoredTurningPoints
+from rig.analysis.results import RunResults, Series, SessionResults
 from rig.analysis.results_file import relative_record
+from rig.analysis.stored_turning_points import StoredTurningPoints
 from rig.instrument import judge_calibration, pendulum_on_ball, recorded_configuration
 from rig.settings import Configuration
 

@@ -1,6 +1,7 @@
 """What is said about a run's fits beyond their numbers, the same on the terminal and in reports."""
 
-from rig.analysis.results import Drag, RunResults
+from rig.analysis.contact_results import Drag
+from rig.analysis.results import RunResults
 from rig.presentation import plain, quantity
 
 

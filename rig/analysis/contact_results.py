@@ -1,0 +1,172 @@
+"""What is reported of the contact: the fits of its laws, and what follows from them.
+
+Field names are keys of results.json; see `rig.analysis.results`.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from math import nan
+from typing import Annotated, Literal
+
+from processing.contact import DRAG, ContactParameters
+from processing.contact.laws import PAPER
+from processing.estimate import Estimate
+from processing.fit import FitMethod, Verdict
+from rig.analysis.encoding import (
+    Entries,
+    Number,
+    Value,
+)
+
+NOT_DETERMINED = Estimate(nan, nan)
+
+
+@dataclass(frozen=True, slots=True)
+class Correlation:
+    """Correlation matrix of a fit's parameters, row by row."""
+
+    names: tuple[str, ...] = ()
+    matrix: tuple[tuple[Number, ...], ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Fit:
+    """One fit of one decay: parameters by name, and how well the curve describes the data.
+
+    `law` names the law of `processing.contact.laws` that was fitted, empty in files of earlier
+    versions. `arae_decay` and `arae_period` are the mean relative errors of Eqs. 8 and 9. `outliers` are
+    indices of half-cycles.
+    """
+
+    law: str = ""
+    parameters: Annotated[Mapping[str, Value], Entries] = field(default_factory=dict)
+    mean_period_s: Value = NOT_DETERMINED
+    arae_decay: Number = nan
+    arae_period: Number = nan
+    chi2_per_dof: Number = nan
+    degrees_of_freedom: int = 0
+    correlation: Correlation = field(default_factory=Correlation)
+    outliers: tuple[int, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+    def estimate(self, name: str) -> Estimate:
+        """A parameter; NaN where the fit has none of that name."""
+        return self.parameters.get(name, NOT_DETERMINED)
+
+    def contact(self) -> ContactParameters:
+        """The contact parameters as the laws take them."""
+        values = {name: self.estimate(name).value for name in PAPER.names()}
+        drag = self.parameters.get(DRAG.key)
+        return ContactParameters(**values, drag_s=0.0 if drag is None else drag.value)
+
+
+@dataclass(frozen=True, slots=True)
+class SurfaceEnergy:
+    """Energy of adhesion in J/m^2 in the paper's two forms: that of Table 2, and Eq. 2 as printed."""
+
+    table2: Value
+    eq2: Value
+
+
+@dataclass(frozen=True, slots=True)
+class SurfaceEnergies(SurfaceEnergy):
+    """Surface energy after the default fit; those after the other fits by the fit's name."""
+
+    others: Annotated[Mapping[str, SurfaceEnergy], Entries] = field(default_factory=dict)
+
+    def of(self, method: str) -> SurfaceEnergy | None:
+        """The surface energy after one fit."""
+        return self if method == FitMethod.EXACT else self.others.get(method)
+
+
+@dataclass(frozen=True, slots=True)
+class Hertz:
+    """The contact after Hertz."""
+
+    radius_m: Value
+    depth_m: Value
+    angle_rad: Value
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Drag:
+    """Whether a linear drag is in the data: the default fit with it against that without."""
+
+    drag_s: Value = NOT_DETERMINED
+    f_statistic: Number = nan
+    p_value: Number = nan
+    aic_difference: Number = nan
+    relative_shift_b: Number = nan
+    relative_shift_c: Number = nan
+    significant: bool = False
+    text: str = ""
+    with_drag: Mapping[str, Value] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Determination:
+    """What the data say of one parameter: a value, an interval, a bound or nothing."""
+
+    name: str
+    verdict: Verdict
+    value: Number
+    standard_uncertainty: Number = nan
+    lower_95: Number
+    upper_95: Number
+    profile_likelihood: bool = False
+    text: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class BudgetSource:
+    """One source of uncertainty: type A from the data, type B stated; `share` of the variance."""
+
+    source: str
+    type: Literal["A", "B"]
+    u_source: Number
+    sensitivity: Number
+    contribution: Number
+    share: Number
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Budget:
+    """Uncertainty budget of one quantity after the GUM, largest contribution first."""
+
+    unit: str = ""
+    value: Number
+    standard_uncertainty: Number
+    degrees_of_freedom: Number = nan
+    coverage_factor_95: Number
+    expanded_uncertainty_95: Number
+    sources: tuple[BudgetSource, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Propagated:
+    """One quantity by Monte Carlo; `gum_holds` says whether the budget's interval agrees with it."""
+
+    mean: Number
+    standard_uncertainty: Number
+    lower_95: Number
+    upper_95: Number
+    gum_holds: bool
+
+
+@dataclass(frozen=True, slots=True)
+class MonteCarlo:
+    """Monte Carlo propagation after JCGM 101."""
+
+    draws: int = 0
+    seed: int = 0
+    quantities: Mapping[str, Propagated] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Work:
+    """Work of one cycle: all of it (4A), the part of adhesion (4A_t), that of a linear drag."""
+
+    amplitude_arcsec: Number
+    dissipated_4a_j: Value
+    adhesive_4at_j: Value
+    drag_j: Number = 0.0

@@ -1,0 +1,61 @@
+"""The fitted turning points as they stand in results.json, so that a report need not find them again."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from processing.deflections import DeflectionUnit
+from processing.swing import Swing, TurningPoints
+from rig.analysis.encoding import (
+    Floats,
+    Integers,
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StoredTurningPoints:
+    """The turning points that were fitted, and the half-cycles that were left out.
+
+    Times are in true seconds from `first_ns`, the record's time of the first turning point. Amplitudes are
+    in `unit`. `left_out_flags` are those of `processing.swing.SwingFlag`.
+    """
+
+    first_ns: int = 0
+    unit: DeflectionUnit = DeflectionUnit.RAD
+    index: Integers = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    time_s: Floats = field(default_factory=lambda: np.empty(0))
+    u_time_s: Floats = field(default_factory=lambda: np.empty(0))
+    amplitude: Floats = field(default_factory=lambda: np.empty(0))
+    u_amplitude: Floats = field(default_factory=lambda: np.empty(0))
+    left_out_time_s: Floats = field(default_factory=lambda: np.empty(0))
+    left_out_amplitude: Floats = field(default_factory=lambda: np.empty(0))
+    left_out_flags: Integers = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+
+    @classmethod
+    def of(
+        cls, points: TurningPoints, swings: Sequence[Swing], unit: DeflectionUnit, clock_rate: float
+    ) -> "StoredTurningPoints":
+        """`points` were made of `swings`, of whose seconds each takes `clock_rate` true ones."""
+        first_ns = next((swing.turn_time_ns for swing in swings if swing.flags == 0), None)
+        if first_ns is None:
+            first_ns = swings[0].turn_time_ns if swings else 0
+        left_out = [swing for swing in swings if swing.flags]
+        return cls(
+            first_ns=first_ns,
+            unit=unit,
+            index=points.index,
+            time_s=points.time_s,
+            u_time_s=points.u_time_s,
+            amplitude=points.amplitude,
+            u_amplitude=points.u_amplitude,
+            left_out_time_s=np.array(
+                [(swing.turn_time_ns - first_ns) * 1e-9 * clock_rate for swing in left_out]
+            ),
+            left_out_amplitude=np.array([swing.amplitude for swing in left_out]),
+            left_out_flags=np.array([swing.flags for swing in left_out], dtype=np.int64),
+        )
+
+    def points(self) -> TurningPoints:
+        """As the fits take them."""
+        return TurningPoints(self.index, self.time_s, self.u_time_s, self.amplitude, self.u_amplitude)
