@@ -15,7 +15,7 @@ from processing.errors import DataError, DeviceError
 from processing.robust import robust_scatter
 from rig.devices import Devices, FrameStream, OpenCamera, goes_dark_by_itself, wait_for_command
 from rig.instrument import Optics, Snapshot
-from rig.measure import preflight
+from rig.measure import frame_checks, preflight
 from rig.measure.end_of_run import StopRequest
 from rig.measure.phase_wait import PhaseWait, Stopped
 from rig.measure.recent_frames import RecentFrames
@@ -155,7 +155,7 @@ class PhasesBeforeRecord:
             )
             self._wait.progress = f"drift {drift:.2f} {self._unit.shown}/min"
             if self._unit is DeflectionUnit.PX:
-                self._wait.progress += f", not checked: {preflight.NO_LEVER}"
+                self._wait.progress += f", not checked: {frame_checks.NO_LEVER}"
                 return True
             return drift <= phases.warm_up_drift_arcsec_per_min
 
@@ -180,7 +180,7 @@ class PhasesBeforeRecord:
         limits = config.preflight
         self.verdicts = [
             preflight.camera(self._camera.info.driver, self._camera.notes),
-            *preflight.check_look(
+            *frame_checks.check_look(
                 frames.look(resting, limits.duration_s),
                 config,
                 self._camera.info.full_scale_dn,

@@ -13,11 +13,8 @@ from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
-from rich.console import Console, Group, RenderableType
+from rich.console import Console, RenderableType
 from rich.live import Live
-from rich.panel import Panel
-from rich.table import Table
-from rich.text import Text
 
 from acquisition.frame import Frame
 from acquisition.record.events import Event
@@ -26,6 +23,8 @@ from processing.decay_forecast import Forecast, forecast
 from processing.deflections import DeflectionUnit
 from rig.instrument import Block, Snapshot
 from rig.measure.preflight import table_tree
+from rig.measure.rates import Rates
+from rig.measure.run_panel import run_panel
 from rig.presentation import Verdict, print_json_line, print_verdicts, say
 
 _PLAIN_INTERVAL_S = 5.0
@@ -66,7 +65,7 @@ class RunDisplay:
         self._swings: deque[tuple[float, float, float]] = deque(maxlen=_SWINGS_KEPT)
         self._balance: Balance | None = None
         self._notes: deque[str] = deque(maxlen=12)
-        self._rates = _Rates()
+        self._rates = Rates()
         self._forecast = _NO_FORECAST
         self._forecast_s = 0.0
 
@@ -150,33 +149,14 @@ class RunDisplay:
 
     def screen(self, snapshot: Snapshot) -> RenderableType:
         """The whole screen, no wider and no higher than the terminal."""
-        width, height = self._console.size
-        table = Table.grid(padding=(0, 1))
-        wide = width >= 120
-        for _ in range(4 if wide else 2):
-            table.add_column(style="dim", no_wrap=True)
-            table.add_column(no_wrap=True, overflow="ellipsis")
-        rows = self._rows(snapshot)
-        if wide:
-            half = (len(rows) + 1) // 2
-            left, right = rows[:half], [*rows[half:], ("", "")]
-            for k in range(half):
-                table.add_row(*left[k], *right[k])
-        else:
-            for row in rows:
-                table.add_row(*row)
-        parts: list[RenderableType] = [
-            Text.assemble((f"{self._title}  ", "bold"), (snapshot.phase, "bold cyan"), no_wrap=True),
-            self._bar(snapshot, width - 4),
-            table,
-        ]
-        if snapshot.instruction:
-            parts.append(Text(f">>> {snapshot.instruction.upper()} <<<", style="bold reverse"))
-        used = 4 + (len(rows) + 1) // 2 if wide else 4 + len(rows)
-        room = max(1, min(10, height - used - 3 - bool(snapshot.instruction)))
-        notes = list(self._notes)[-room:]
-        parts += [Text(note, style="dim", no_wrap=True, overflow="ellipsis") for note in notes]
-        return Panel(Group(*parts), width=width - 1, padding=(0, 1))
+        return run_panel(
+            self._title,
+            snapshot,
+            self._fraction(snapshot),
+            self._rows(snapshot),
+            list(self._notes),
+            self._console.size,
+        )
 
     def _rows(self, snapshot: Snapshot) -> list[tuple[str, str]]:
         unit, balance = self._unit.shown, self._balance
@@ -249,13 +229,6 @@ class RunDisplay:
         done = math.log(self._initial / max(snapshot.amplitude, self._final))
         return max(0.0, min(1.0, done / math.log(self._initial / self._final)))
 
-    def _bar(self, snapshot: Snapshot, width: int) -> Text:
-        part = self._fraction(snapshot)
-        room = max(width - 8, 10)
-        full = round(part * room)
-        rest = ("━" * (room - full), "bright_black")
-        return Text.assemble(("━" * full, "green"), rest, f" {100 * part:3.0f} %")
-
     def _plain(self, snapshot: Snapshot) -> str:
         amplitude = (
             "" if math.isnan(snapshot.amplitude) else f"{snapshot.amplitude:7.2f} {self._unit.shown}  "
@@ -264,32 +237,6 @@ class RunDisplay:
         tail = f"  {snapshot.reason}" if snapshot.reason else ""
         phase = "" if snapshot.phase == "measuring" else f"{snapshot.phase}  "
         return f"{phase}t {snapshot.elapsed_s:7.1f} s  {amplitude}{snapshot.frames} frames ({losses}){tail}"
-
-
-class _Rates:
-    """Frames and bytes per second over the last few seconds of the host's time."""
-
-    def __init__(self) -> None:
-        self._points: deque[tuple[float, int, int]] = deque(maxlen=50)
-
-    def take(self, snapshot: Snapshot) -> None:
-        if self._points and snapshot.frames < self._points[-1][1]:
-            self._points.clear()
-        self._points.append((time.monotonic(), snapshot.frames, snapshot.record_bytes))
-
-    @property
-    def frames_hz(self) -> float:
-        return self._rate(1)
-
-    @property
-    def bytes_per_s(self) -> float:
-        return self._rate(2)
-
-    def _rate(self, column: int) -> float:
-        if len(self._points) < 2:
-            return 0.0
-        first, last = self._points[0], self._points[-1]
-        return float(last[column] - first[column]) / max(last[0] - first[0], 1e-9)
 
 
 def _clock(seconds: float) -> str:

@@ -13,8 +13,8 @@ from processing.angle import ARCSEC_RAD
 from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import Spot, SpotFlag
 from rig.devices.laser import LaserNow
-from rig.measure import preflight
-from rig.measure.preflight import Look
+from rig.measure import frame_checks, preflight
+from rig.measure.frame_checks import Look
 from rig.presentation.verdict import Verdict
 from rig.presentation.verdict_table import print_verdicts
 from rig.settings.phases import PreflightSettings
@@ -52,22 +52,22 @@ def look(x: float, y: float, unit: DeflectionUnit) -> Look:
 
 
 def test_spot_that_is_mostly_there() -> None:
-    assert preflight.spot_found(spots(1000), LIMITS).ok
-    assert_no(preflight.spot_found(spots(98) + spots(2, flags=SpotFlag.LOST), LIMITS))
-    assert_no(preflight.spot_found([], LIMITS))
+    assert frame_checks.spot_found(spots(1000), LIMITS).ok
+    assert_no(frame_checks.spot_found(spots(98) + spots(2, flags=SpotFlag.LOST), LIMITS))
+    assert_no(frame_checks.spot_found([], LIMITS))
 
 
 @pytest.mark.parametrize(("amplitude_dn", "ok"), [(10.0, False), (60.0, True), (200.0, True), (245.0, False)])
 def test_exposure_has_a_lower_and_an_upper_limit(amplitude_dn: float, ok: bool) -> None:
-    verdict = preflight.exposure(spots(50, amplitude_dn=amplitude_dn), 255.0, LIMITS)
+    verdict = frame_checks.exposure(spots(50, amplitude_dn=amplitude_dn), 255.0, LIMITS)
     assert verdict.ok is ok
     if not ok:
         assert_no(verdict)
 
 
 def test_saturation() -> None:
-    assert preflight.saturation(spots(100), LIMITS).ok
-    assert_no(preflight.saturation(spots(50, flags=SpotFlag.SATURATED) + spots(50), LIMITS))
+    assert frame_checks.saturation(spots(100), LIMITS).ok
+    assert_no(frame_checks.saturation(spots(50, flags=SpotFlag.SATURATED) + spots(50), LIMITS))
 
 
 def test_a_line_of_vibration_is_named_with_its_frequency() -> None:
@@ -77,25 +77,25 @@ def test_a_line_of_vibration_is_named_with_its_frequency() -> None:
     shaken = stability(
         times, noise + 0.5 * ARCSEC_RAD * np.sin(2 * math.pi * 50.0 * times), np.full(2000, 0.01 * ARCSEC_RAD)
     )
-    floor, still = preflight.noise_and_vibration(quiet, quiet, DeflectionUnit.RAD, LIMITS)
+    floor, still = frame_checks.noise_and_vibration(quiet, quiet, DeflectionUnit.RAD, LIMITS)
     assert floor.ok
     assert still.ok
-    _, shaking = preflight.noise_and_vibration(quiet, shaken, DeflectionUnit.RAD, LIMITS)
+    _, shaking = frame_checks.noise_and_vibration(quiet, shaken, DeflectionUnit.RAD, LIMITS)
     assert_no(shaking)
     assert "50.0 Hz (mains" in shaking.measured
 
 
 def test_a_swinging_pendulum_has_no_noise_floor_and_that_is_no_fault() -> None:
-    verdicts = preflight.noise_and_vibration(None, None, DeflectionUnit.RAD, LIMITS)
+    verdicts = frame_checks.noise_and_vibration(None, None, DeflectionUnit.RAD, LIMITS)
     assert all(v.ok and not v.made and v.measured == "not measured" and v.reason for v in verdicts)
 
 
 def test_what_was_not_checked_and_what_is_a_warning_is_not_called_go() -> None:
     verdicts = [
-        *preflight.noise_and_vibration(None, None, DeflectionUnit.RAD, LIMITS),
-        preflight.spot_found(spots(100), LIMITS),
+        *frame_checks.noise_and_vibration(None, None, DeflectionUnit.RAD, LIMITS),
+        frame_checks.spot_found(spots(100), LIMITS),
         preflight.laser(LaserNow(True, "on, 0.5 mW"), goes_dark_by_itself=False),
-        preflight.disk(1, 5000.0, 500.0, 3600.0),
+        frame_checks.disk(1, 5000.0, 500.0, 3600.0),
     ]
     text = StringIO()
     print_verdicts(Console(file=text, width=100), verdicts)
@@ -115,8 +115,8 @@ def test_what_was_not_checked_and_what_is_a_warning_is_not_called_go() -> None:
 
 
 def test_rest_position_far_from_the_reference() -> None:
-    assert preflight.rest_position(look(3e-8, 0.0, DeflectionUnit.RAD), LIMITS).ok
-    assert_no(preflight.rest_position(look(3e-8, 70 * ARCSEC_RAD, DeflectionUnit.RAD), LIMITS))
+    assert frame_checks.rest_position(look(3e-8, 0.0, DeflectionUnit.RAD), LIMITS).ok
+    assert_no(frame_checks.rest_position(look(3e-8, 70 * ARCSEC_RAD, DeflectionUnit.RAD), LIMITS))
 
 
 def test_px_are_called_px_and_not_held_against_limits_in_arcsec() -> None:
@@ -130,8 +130,8 @@ def test_px_are_called_px_and_not_held_against_limits_in_arcsec() -> None:
             np.full(2000, size_px),
         )
         verdicts = [
-            *preflight.noise_and_vibration(shaken, shaken, DeflectionUnit.PX, LIMITS),
-            preflight.rest_position(look(size_px, 70 * size_px, DeflectionUnit.PX), LIMITS),
+            *frame_checks.noise_and_vibration(shaken, shaken, DeflectionUnit.PX, LIMITS),
+            frame_checks.rest_position(look(size_px, 70 * size_px, DeflectionUnit.PX), LIMITS),
         ]
         for verdict in verdicts:
             assert " px" in verdict.measured
@@ -144,24 +144,24 @@ def test_px_are_called_px_and_not_held_against_limits_in_arcsec() -> None:
 
 
 def test_clock_that_jitters() -> None:
-    assert preflight.clock(frames(200), LIMITS).ok
-    assert_no(preflight.clock(frames(200, jitter_s=5e-4), LIMITS))
-    assert_no(preflight.clock(frames(10), LIMITS))
+    assert frame_checks.clock(frames(200), LIMITS).ok
+    assert_no(frame_checks.clock(frames(200, jitter_s=5e-4), LIMITS))
+    assert_no(frame_checks.clock(frames(10), LIMITS))
     without = [frame._replace(device_time_ns=-1) for frame in frames(200)]
-    assert preflight.clock(without, LIMITS).ok
+    assert frame_checks.clock(without, LIMITS).ok
 
 
 def test_frame_rate_and_losses() -> None:
-    assert preflight.frame_rate(frames(500), 100.0, LIMITS).ok
-    slow = preflight.frame_rate(frames(500, 80.0), 100.0, LIMITS)
+    assert frame_checks.frame_rate(frames(500), 100.0, LIMITS).ok
+    slow = frame_checks.frame_rate(frames(500, 80.0), 100.0, LIMITS)
     assert_no(slow)
     assert "80.00 Hz" in slow.measured
-    assert_no(preflight.frame_rate(frames(500, missing=10), 100.0, LIMITS))
+    assert_no(frame_checks.frame_rate(frames(500, missing=10), 100.0, LIMITS))
 
 
 def test_disk_holds_the_longest_run_or_not() -> None:
-    assert preflight.disk(10**10, 5000.0, 500.0, 3600.0).ok
-    assert_no(preflight.disk(10**9, 5000.0, 500.0, 3600.0))
+    assert frame_checks.disk(10**10, 5000.0, 500.0, 3600.0).ok
+    assert_no(frame_checks.disk(10**9, 5000.0, 500.0, 3600.0))
 
 
 def test_air_and_controller() -> None:
@@ -175,8 +175,8 @@ def test_air_and_controller() -> None:
 
 
 def test_what_stands_against_a_run_is_one_line() -> None:
-    bad = preflight.disk(1, 5000.0, 500.0, 3600.0)
-    assert preflight.failures([preflight.spot_found(spots(10), LIMITS)]) == ""
+    bad = frame_checks.disk(1, 5000.0, 500.0, 3600.0)
+    assert preflight.failures([frame_checks.spot_found(spots(10), LIMITS)]) == ""
     line = preflight.failures([bad])
     assert "disk space" in line
     assert bad.remedy in line

@@ -1,0 +1,263 @@
+"""What some seconds of frames say before a run: spot, exposure, noise, rest position, rate, clock, disk.
+
+Each check turns plain values into one verdict with reason and remedy.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from acquisition.frame import Frame
+from calibration.stability import Stability, stability
+from calibration.timebase import relate_clocks
+from processing.deflections import Deflections, DeflectionUnit, Floats
+from processing.errors import DataError
+from processing.spot import Spot, SpotFlag
+from rig.presentation import Verdict
+from rig.settings import Configuration, PreflightSettings
+
+_SPOT_BYTES = 260
+NO_LEVER = "no lever: values in px have no limit in arcsec"
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """Some seconds of frames, and the spot and deflection of each frame whose deflection is kept.
+
+    `resting` False: the pendulum may be swinging.
+    """
+
+    frames: Sequence[Frame]
+    spots: Sequence[Spot]
+    deflections: Deflections
+    resting: bool
+
+
+def spot_found(spots: Sequence[Spot], limits: PreflightSettings) -> Verdict:
+    """Whether there is a spot in nearly every frame."""
+    lost = float(np.mean([bool(spot.flags & SpotFlag.LOST) for spot in spots])) if spots else 1.0
+    ok = lost <= limits.max_lost_fraction
+    return Verdict(
+        "spot found",
+        ok,
+        "" if ok else "no spot in too many frames",
+        "" if ok else "laser on? beam on the sensor? raise exposure_us",
+        measured=f"{100 * (1 - lost):.1f} % of {len(spots)} frames",
+        limit=f"{100 * (1 - limits.max_lost_fraction):g} %",
+    )
+
+
+def exposure(spots: Sequence[Spot], full_scale_dn: float, limits: PreflightSettings) -> Verdict:
+    """The spot's peak against the sensor's full scale."""
+    peaks = [s.amplitude_dn + s.background_dn for s in spots if not s.flags & SpotFlag.LOST]
+    limit = f"{100 * limits.min_peak_fraction:g} to {100 * limits.max_peak_fraction:g} % of full scale"
+    if not peaks:
+        return Verdict(
+            "exposure",
+            False,
+            "there is nothing to measure",
+            "find the spot first",
+            measured="no spot",
+            limit=limit,
+        )
+    peak = float(np.median(peaks)) / full_scale_dn
+    dark, bright = peak < limits.min_peak_fraction, peak > limits.max_peak_fraction
+    reason = "too dark: noisy" if dark else "too bright: saturates" if bright else ""
+    remedy = "raise exposure_us or the laser" if dark else "lower exposure_us or the laser" if bright else ""
+    return Verdict("exposure", not reason, reason, remedy, measured=f"peak {100 * peak:.0f} %", limit=limit)
+
+
+def saturation(spots: Sequence[Spot], limits: PreflightSettings) -> Verdict:
+    """Frames with pixels at full scale."""
+    part = float(np.mean([bool(spot.flags & SpotFlag.SATURATED) for spot in spots])) if spots else 0.0
+    ok = part <= limits.max_saturated_fraction
+    return Verdict(
+        "saturation",
+        ok,
+        "" if ok else "pixels at full scale are lost to the fit",
+        "" if ok else "lower exposure_us or the laser's power",
+        measured=f"{100 * part:.1f} % of frames",
+        limit=f"{100 * limits.max_saturated_fraction:g} %",
+    )
+
+
+def noise_and_vibration(
+    x: Stability | None, y: Stability | None, unit: DeflectionUnit, limits: PreflightSettings
+) -> list[Verdict]:
+    """Noise floor of one frame and the strongest line of the spectrum, of a spot at rest."""
+    noise_limit = f"{limits.max_noise_arcsec:g} arcsec"
+    line_limit = f"{limits.max_vibration_arcsec:g} arcsec"
+    if x is None or y is None:
+        return [_not_at_rest("noise floor", noise_limit), _not_at_rest("vibration", line_limit)]
+    noise = max(x.noise, y.noise) / unit.shown_size
+    lines = sorted([*x.lines, *y.lines], key=lambda line: -line.amplitude)
+    strongest = lines[0].amplitude / unit.shown_size if lines else 0.0
+    named = f" ({lines[0].name})" if lines and lines[0].name else ""
+    words = f"{strongest:.3f} {unit.shown} at {lines[0].frequency_hz:.1f} Hz{named}" if lines else "no line"
+    quiet, still = noise <= limits.max_noise_arcsec, strongest <= limits.max_vibration_arcsec
+    verdicts = [
+        Verdict(
+            "noise floor",
+            quiet,
+            "" if quiet else "the spot jumps more than it should",
+            "" if quiet else "more light, a smaller gain; shield the beam from air",
+            measured=f"{noise:.4f} {unit.shown} a frame",
+            limit=noise_limit,
+        ),
+        Verdict(
+            "vibration",
+            still,
+            "" if still else "the base shakes",
+            "" if still else "find what runs at this frequency; decouple the table",
+            measured=words,
+            limit=line_limit,
+        ),
+    ]
+    return [_against_arcsec(verdict, unit) for verdict in verdicts]
+
+
+def rest_position(look: Look, limits: PreflightSettings) -> Verdict:
+    """Where the spot rests, from the reference of the lever (without one, the sensor's middle)."""
+    limit = f"{limits.max_rest_offset_arcsec:g} arcsec"
+    at = look.deflections
+    if not look.resting:
+        return _not_at_rest("rest position", limit)
+    if not at.found.any():
+        return Verdict(
+            "rest position",
+            False,
+            "nothing to measure",
+            "find the spot first",
+            measured="no spot",
+            limit=limit,
+        )
+    x, y = np.nanmedian(at.shown_x), np.nanmedian(at.shown_y)
+    ok = math.hypot(x, y) <= limits.max_rest_offset_arcsec
+    verdict = Verdict(
+        "rest position",
+        ok,
+        "" if ok else "the swing will leave the middle of the sensor",
+        "" if ok else "rig balance says which weight to turn; or move the camera",
+        measured=f"X {x:+.1f}, Y {y:+.1f} {at.unit.shown}",
+        limit=limit,
+    )
+    return _against_arcsec(verdict, at.unit)
+
+
+def clock(frames: Sequence[Frame], limits: PreflightSettings) -> Verdict:
+    """The camera's clock against the host's, and how even the frames come."""
+    limit = f"jitter {limits.max_clock_jitter_us:g} us"
+    if frames and frames[0].device_time_ns < 0:
+        return Verdict("clock", True, measured="the camera has none; the host's is used", limit=limit)
+    try:
+        relation = relate_clocks(
+            np.array([frame.device_time_ns for frame in frames]),
+            np.array([frame.host_time_ns for frame in frames]),
+            np.array([frame.sequence for frame in frames]),
+        )
+    except DataError as error:
+        return Verdict("clock", False, str(error), "restart the camera", measured="not measured", limit=limit)
+    jitter_us = relation.frame_jitter_s * 1e6
+    ok = jitter_us <= limits.max_clock_jitter_us
+    return Verdict(
+        "clock",
+        ok,
+        "" if ok else "frames come unevenly; turning times suffer",
+        "" if ok else "a fixed frame_rate_hz, the camera's own clock, no free-running trigger",
+        measured=f"jitter {jitter_us:.1f} us, {relation.drift_ppm:+.0f} ± {relation.u_drift_ppm:.0f} ppm",
+        limit=limit,
+    )
+
+
+def frame_rate(frames: Sequence[Frame], asked_hz: float | None, limits: PreflightSettings) -> Verdict:
+    """Measured rate against what was asked, and frames lost."""
+    limit = f"{100 * limits.max_frame_rate_error:g} %, losses {100 * limits.max_dropped_fraction:g} %"
+    span_s = (frames[-1].time_ns - frames[0].time_ns) * 1e-9 if len(frames) > 1 else 0.0
+    if span_s <= 0:
+        return Verdict(
+            "frame rate",
+            False,
+            "the camera hardly delivers",
+            "see the camera",
+            measured="too few frames",
+            limit=limit,
+        )
+    numbers = frames[-1].sequence - frames[0].sequence
+    rate_hz = numbers / span_s
+    lost = 1.0 - (len(frames) - 1) / numbers
+    wrong = asked_hz is not None and abs(rate_hz / asked_hz - 1.0) > limits.max_frame_rate_error
+    lossy = lost > limits.max_dropped_fraction
+    return Verdict(
+        "frame rate",
+        not (wrong or lossy),
+        f"{asked_hz:g} Hz was asked" if wrong else "frames are being lost" if lossy else "",
+        "exposure too long, or the bus too slow" if wrong else "another port or cable" if lossy else "",
+        measured=f"{rate_hz:.2f} Hz, {100 * lost:.2f} % lost",
+        limit=limit,
+    )
+
+
+def disk(
+    free_bytes: int, bytes_per_frame: float, rate_hz: float, duration_s: float, *, windows: bool = True
+) -> Verdict:
+    """Room for the longest run that the configuration allows; `windows`: raw pixels are recorded too."""
+    need = bytes_per_frame * rate_hz * duration_s
+    ok = free_bytes >= need
+    return Verdict(
+        "disk space",
+        ok,
+        "" if ok else "a run of full length does not fit",
+        "" if ok else f"free space, or another -o{', or record.windows = false' if windows else ''}",
+        measured=f"{free_bytes / 1e9:.1f} GB free",
+        limit=f"{need / 1e9:.1f} GB for {duration_s:g} s",
+    )
+
+
+def check_look(
+    look: Look, config: Configuration, full_scale_dn: float, window_bytes: float, free_bytes: int
+) -> list[Verdict]:
+    """Everything that some seconds of frames can tell."""
+    limits, at = config.preflight, look.deflections
+    still_x = _still(at.times_s, at.x, at.u_x) if look.resting else None
+    still_y = _still(at.times_s, at.y, at.u_y) if look.resting else None
+    span_s = max(float(at.times_s[-1]), 1e-9) if len(at) else 1.0
+    rate_hz = len(look.frames) / span_s
+    bytes_per_frame = _SPOT_BYTES + (window_bytes if config.record.windows else 0.0)
+    bytes_per_frame += look.frames[0].image.nbytes / (config.record.full_frame_interval_s * rate_hz)
+    return [
+        spot_found(look.spots, limits),
+        exposure(look.spots, full_scale_dn, limits),
+        saturation(look.spots, limits),
+        *noise_and_vibration(still_x, still_y, at.unit, limits),
+        rest_position(look, limits),
+        frame_rate(look.frames, config.camera.frame_rate_hz, limits),
+        clock(look.frames, limits),
+        disk(
+            free_bytes,
+            bytes_per_frame,
+            rate_hz,
+            config.session.max_duration_s,
+            windows=config.record.windows,
+        ),
+    ]
+
+
+def _not_at_rest(name: str, limit: str) -> Verdict:
+    reason = "the pendulum may be swinging (start.way = 'at once')"
+    return Verdict(name, True, reason, measured="not measured", limit=limit, made=False)
+
+
+def _against_arcsec(verdict: Verdict, unit: DeflectionUnit) -> Verdict:
+    """The verdict on a limit in arcsec; none where the value is in px."""
+    if unit is DeflectionUnit.RAD:
+        return verdict
+    return replace(verdict, ok=True, reason=NO_LEVER, remedy="", made=False)
+
+
+def _still(times_s: Floats, values: Floats, u: Floats) -> Stability | None:
+    try:
+        return stability(times_s, values, u)
+    except DataError:
+        return None
