@@ -1,4 +1,4 @@
-"""A measurement session: preflight, runs, recorder, end of a run, what the terminal shows."""
+"""A measurement session: preflight checks, runs, recording, end of a run, display on the terminal."""
 
 from rig.measure.session import measure_session, resume_session, simulate_record
 

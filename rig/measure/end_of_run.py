@@ -1,4 +1,4 @@
-"""When a run ends: a limit is reached, someone asks for it, or something fails."""
+"""Decides when a run ends: at a limit, on request, or after an error."""
 
 import logging
 import threading
@@ -15,17 +15,17 @@ _BELOW_IN_A_ROW = 3
 
 @dataclass(frozen=True, slots=True)
 class EndLimits:
-    """A run ends below an amplitude (in the unit of the deflections; 0: never) and after a time."""
+    """A run ends below an amplitude (in the unit of the deflections; 0: no limit) and after a time."""
 
     final_amplitude: float
     max_duration_s: float
 
 
 class EndOfRun:
-    """Watches one run for its limits.
+    """Checks the limits of one run.
 
-    The amplitude must stay below its limit for three half-cycles in a row, so that one disturbed
-    half-cycle does not end a measurement of an hour.
+    The amplitude must stay below its limit for three consecutive half-cycles, so that one disturbed
+    half-cycle does not end a long measurement.
     """
 
     def __init__(self, limits: EndLimits) -> None:
@@ -33,7 +33,7 @@ class EndOfRun:
         self._below = 0
 
     def reason(self, swings: Sequence[Swing], elapsed_s: float) -> str | None:
-        """None while the run goes on; else the reason, as it is recorded."""
+        """Why the run must end, as text for the record; None while it continues."""
         for swing in swings:
             self._below = self._below + 1 if swing.amplitude < self._limits.final_amplitude else 0
             if self._below >= _BELOW_IN_A_ROW:
@@ -44,10 +44,10 @@ class EndOfRun:
 
 
 class StopRequest:
-    """Whether the run is to end, and why: the first reason given is the one that is recorded.
+    """Whether the run is to end, and why; the first reason given is recorded.
 
-    `failure` is the first error, if one ended the run. `skip_waiting` (after Ctrl-C) leaves frames
-    unprocessed that a camera which waits for us has still to deliver. May be used from any thread.
+    `failure` is the first error, if an error ended the run. With `skip_waiting` (after Ctrl-C) frames
+    that a source on demand has still to deliver are not processed. May be used from any thread.
     """
 
     def __init__(self, stream: FrameStream) -> None:
@@ -68,7 +68,7 @@ class StopRequest:
             self._stream.request_stop()
 
     def failed(self, error: Exception) -> None:
-        """End the run because of an error; one that is not ours is logged with its trace."""
+        """End the run because of an error; unexpected errors (not RigError) are logged with traceback."""
         if self.failure is None:
             self.failure = error
         if not isinstance(error, RigError):
@@ -76,7 +76,7 @@ class StopRequest:
         self.because(str(error))
 
     def close_stream(self) -> None:
-        """Close the camera's stream; an error of the camera counts where no other was given."""
+        """Close the camera's stream; an error of the camera is kept if there was no other."""
         self._asked.set()
         self._stream.close()
         if self._stream.failure is not None:

@@ -24,9 +24,9 @@ NO_LEVER = "no lever: values in px have no limit in arcsec"
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """Some seconds of frames, and the spot and deflection of each frame whose deflection is kept.
+    """Some seconds of frames, with the spots and deflections measured in them.
 
-    `resting` False: the pendulum may be swinging.
+    `resting` is False if the pendulum may be swinging.
     """
 
     frames: Sequence[Frame]
@@ -36,7 +36,7 @@ class Look:
 
 
 def spot_found(spots: Sequence[Spot], limits: PreflightSettings) -> Verdict:
-    """Whether there is a spot in nearly every frame."""
+    """Check that nearly every frame has a spot."""
     lost = float(np.mean([bool(spot.flags & SpotFlag.LOST) for spot in spots])) if spots else 1.0
     ok = lost <= limits.max_lost_fraction
     return Verdict(
@@ -50,7 +50,7 @@ def spot_found(spots: Sequence[Spot], limits: PreflightSettings) -> Verdict:
 
 
 def exposure(spots: Sequence[Spot], full_scale_dn: float, limits: PreflightSettings) -> Verdict:
-    """The spot's peak against the sensor's full scale."""
+    """Check the peak of the spot against the sensor's full scale."""
     peaks = [s.amplitude_dn + s.background_dn for s in spots if not s.flags & SpotFlag.LOST]
     limit = f"{100 * limits.min_peak_fraction:g} to {100 * limits.max_peak_fraction:g} % of full scale"
     if not peaks:
@@ -70,7 +70,7 @@ def exposure(spots: Sequence[Spot], full_scale_dn: float, limits: PreflightSetti
 
 
 def saturation(spots: Sequence[Spot], limits: PreflightSettings) -> Verdict:
-    """Frames with pixels at full scale."""
+    """Check how many frames have pixels at full scale."""
     part = float(np.mean([bool(spot.flags & SpotFlag.SATURATED) for spot in spots])) if spots else 0.0
     ok = part <= limits.max_saturated_fraction
     return Verdict(
@@ -86,7 +86,7 @@ def saturation(spots: Sequence[Spot], limits: PreflightSettings) -> Verdict:
 def noise_and_vibration(
     x: Stability | None, y: Stability | None, unit: DeflectionUnit, limits: PreflightSettings
 ) -> list[Verdict]:
-    """Noise floor of one frame and the strongest line of the spectrum, of a spot at rest."""
+    """Check the noise of one frame and the strongest spectral line of a spot at rest."""
     noise_limit = f"{limits.max_noise_arcsec:g} arcsec"
     line_limit = f"{limits.max_vibration_arcsec:g} arcsec"
     if x is None or y is None:
@@ -101,7 +101,7 @@ def noise_and_vibration(
         Verdict(
             "noise floor",
             quiet,
-            "" if quiet else "the spot jumps more than it should",
+            "" if quiet else "the spot is too noisy",
             "" if quiet else "more light, a smaller gain; shield the beam from air",
             measured=f"{noise:.4f} {unit.shown} a frame",
             limit=noise_limit,
@@ -119,7 +119,7 @@ def noise_and_vibration(
 
 
 def rest_position(look: Look, limits: PreflightSettings) -> Verdict:
-    """Where the spot rests, from the reference of the lever (without one, the sensor's middle)."""
+    """Check the rest position against the reference of the lever (without one, the sensor's centre)."""
     limit = f"{limits.max_rest_offset_arcsec:g} arcsec"
     at = look.deflections
     if not look.resting:
@@ -138,7 +138,7 @@ def rest_position(look: Look, limits: PreflightSettings) -> Verdict:
     verdict = Verdict(
         "rest position",
         ok,
-        "" if ok else "the swing will leave the middle of the sensor",
+        "" if ok else "the swing will not be centred on the sensor",
         "" if ok else "rig balance says which weight to turn; or move the camera",
         measured=f"X {x:+.1f}, Y {y:+.1f} {at.unit.shown}",
         limit=limit,
@@ -147,7 +147,7 @@ def rest_position(look: Look, limits: PreflightSettings) -> Verdict:
 
 
 def clock(frames: Sequence[Frame], limits: PreflightSettings) -> Verdict:
-    """The camera's clock against the host's, and how even the frames come."""
+    """Check the jitter of the frame times, and report the drift of the camera's clock against the host's."""
     limit = f"jitter {limits.max_clock_jitter_us:g} us"
     if frames and frames[0].device_time_ns < 0:
         return Verdict("clock", True, measured="the camera has none; the host's is used", limit=limit)
@@ -172,7 +172,7 @@ def clock(frames: Sequence[Frame], limits: PreflightSettings) -> Verdict:
 
 
 def frame_rate(frames: Sequence[Frame], asked_hz: float | None, limits: PreflightSettings) -> Verdict:
-    """Measured rate against what was asked, and frames lost."""
+    """Check the measured frame rate against the requested one, and the losses."""
     limit = f"{100 * limits.max_frame_rate_error:g} %, losses {100 * limits.max_dropped_fraction:g} %"
     span_s = (frames[-1].time_ns - frames[0].time_ns) * 1e-9 if len(frames) > 1 else 0.0
     if span_s <= 0:
@@ -192,7 +192,7 @@ def frame_rate(frames: Sequence[Frame], asked_hz: float | None, limits: Prefligh
     return Verdict(
         "frame rate",
         not (wrong or lossy),
-        f"{asked_hz:g} Hz was asked" if wrong else "frames are being lost" if lossy else "",
+        f"{asked_hz:g} Hz was requested" if wrong else "frames are being lost" if lossy else "",
         "exposure too long, or the bus too slow" if wrong else "another port or cable" if lossy else "",
         measured=f"{rate_hz:.2f} Hz, {100 * lost:.2f} % lost",
         limit=limit,
@@ -202,7 +202,7 @@ def frame_rate(frames: Sequence[Frame], asked_hz: float | None, limits: Prefligh
 def disk(
     free_bytes: int, bytes_per_frame: float, rate_hz: float, duration_s: float, *, windows: bool = True
 ) -> Verdict:
-    """Room for the longest run that the configuration allows; `windows`: raw pixels are recorded too."""
+    """Check the free space for the longest run allowed; `windows`: raw pixels are recorded too."""
     need = bytes_per_frame * rate_hz * duration_s
     ok = free_bytes >= need
     return Verdict(
@@ -218,7 +218,7 @@ def disk(
 def check_look(
     look: Look, config: Configuration, full_scale_dn: float, window_bytes: float, free_bytes: int
 ) -> list[Verdict]:
-    """Everything that some seconds of frames can tell."""
+    """All checks that are made from some seconds of frames."""
     limits, at = config.preflight, look.deflections
     still_x = _still(at.times_s, at.x, at.u_x) if look.resting else None
     still_y = _still(at.times_s, at.y, at.u_y) if look.resting else None
@@ -250,7 +250,7 @@ def _not_at_rest(name: str, limit: str) -> Verdict:
 
 
 def _against_arcsec(verdict: Verdict, unit: DeflectionUnit) -> Verdict:
-    """The verdict on a limit in arcsec; none where the value is in px."""
+    """The verdict on a limit in arcsec; marked as not made if the value is in px."""
     if unit is DeflectionUnit.RAD:
         return verdict
     return replace(verdict, ok=True, reason=NO_LEVER, remedy="", made=False)

@@ -1,4 +1,4 @@
-"""Frames, gaps and losses of a run, and which frames are kept whole."""
+"""Counts frames, gaps and losses of a run, and selects the whole frames to record."""
 
 from collections.abc import Sequence
 
@@ -12,7 +12,7 @@ _LOST_IMAGE_INTERVAL_S = 1.0
 
 
 class FrameCounts:
-    """Counts from the first frame on; frames are numbered from it, whatever number the camera gives."""
+    """Counts of one run; its frames are numbered from its first frame, not by the camera's numbers."""
 
     def __init__(self, first: Frame, full_frame_interval_ns: int, *, keep_windows: bool) -> None:
         self.start_ns = first.time_ns
@@ -30,7 +30,7 @@ class FrameCounts:
 
     @property
     def elapsed_s(self) -> float:
-        """From the first frame to the last one counted."""
+        """Time from the first frame to the last one counted."""
         return (self.last_ns - self.start_ns) * 1e-9
 
     def numbered(self, frames: Sequence[Frame]) -> list[Frame]:
@@ -40,7 +40,7 @@ class FrameCounts:
         return [frame._replace(sequence=frame.sequence - self._first_number) for frame in frames]
 
     def entry(self, frames: Sequence[Frame], block: Block, pipeline: Pipeline) -> Entry:
-        """What of these (numbered) frames goes into the record."""
+        """The entry that the record gets for these (numbered) frames."""
         events: list[Event] = []
         images: list[Frame] = []
         windows = []

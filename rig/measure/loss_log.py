@@ -1,4 +1,4 @@
-"""The losses that belong to one record: written when they change, and at its end."""
+"""Losses to be written to a record: whenever they change, and at its end."""
 
 from acquisition.frame_losses import FrameLosses
 from acquisition.record.topics import RecordedLosses
@@ -8,7 +8,7 @@ _INTERVAL_NS = 1_000_000_000
 
 
 class LossLog:
-    """Losses of a stream since a record began; `from_start` counts also what was lost before."""
+    """Losses of a stream since a record began; with `from_start` also those before the record."""
 
     def __init__(self, stream: FrameStream, *, from_start: bool) -> None:
         self._stream = stream
@@ -18,11 +18,11 @@ class LossLog:
 
     @property
     def now(self) -> FrameLosses:
-        """Lost so far."""
+        """Losses so far."""
         return self._stream.losses.since(self._before)
 
     def due(self, time_ns: int) -> RecordedLosses | None:
-        """What is to be recorded now: changed losses, once a second of the frames' time."""
+        """The losses to be recorded now, if they have changed; at most once per second of frame time."""
         now = self.now
         if now == self._written or time_ns < self._due_ns:
             return None
@@ -30,6 +30,6 @@ class LossLog:
         return self.last(time_ns)
 
     def last(self, time_ns: int) -> RecordedLosses:
-        """The losses as they stand, to be recorded whether they have changed or not."""
+        """The present losses, to be recorded in any case."""
         self._written = self.now
         return RecordedLosses(time_ns, *self._written)

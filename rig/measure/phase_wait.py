@@ -1,4 +1,4 @@
-"""Waiting for one phase before a record: until it is reached, its time limit is past, or it is stopped."""
+"""Waits for a phase before the record: until it is reached, times out, or the run is stopped."""
 
 from collections.abc import Callable
 
@@ -10,13 +10,13 @@ from rig.measure.recent_frames import RecentFrames
 
 
 class Stopped(Exception):
-    """The operator has ended the wait, or no more frames come."""
+    """The operator stopped the wait, or the frames have ended."""
 
 
 class PhaseWait:
-    """Waits for one phase after the other: takes frames, reports the state, keeps events.
+    """Waits for one phase after another: takes frames, reports the state, collects events.
 
-    `progress` says in words how far the present phase is.
+    `progress` is a text that describes the progress of the present phase.
     """
 
     def __init__(
@@ -32,7 +32,7 @@ class PhaseWait:
         self.events: list[Event] = []
 
     def note(self, kind: str, text: str) -> None:
-        """Keep an event, at the time of the newest frame."""
+        """Add an event at the time of the newest frame."""
         self.events.append(Event(self.frames.now_ns, kind, text))
 
     def until_reached(
@@ -43,9 +43,9 @@ class PhaseWait:
         instruction: str = "",
         every_s: float = 0.0,
     ) -> None:
-        """Take frames until `reached` is true, which is asked every `every_s`.
+        """Take frames until `reached` returns True; it is called every `every_s` seconds.
 
-        Raises DataError past the limit, `Stopped` when asked to stop or when no more frames come.
+        Raises DataError after `limit_s`, and `Stopped` if the run is stopped or the frames end.
         """
         frames = self.frames
         begun_ns = frames.now_ns

@@ -1,4 +1,4 @@
-"""The phases before a record: rest, warm-up, preflight, release. Each has a time limit."""
+"""The phases before a record: rest, warm-up, preflight and release, each with a time limit."""
 
 import math
 import shutil
@@ -25,14 +25,15 @@ from rig.settings import Configuration
 _AT_ONCE_FRAMES = 100
 _BRAKE_AGAIN_NS = 2_000_000_000
 _RESTING_NOISES = 6.0
-"""Half the range of tens of thousands of frames at rest, in standard deviations of one, and some more."""
+"""Limit of half the range at rest in standard deviations of one frame; noise alone stays below it."""
 
 
 class PhasesBeforeRecord:
-    """What is done before the record of a run begins; run once for every attempt at a start.
+    """The phases before the record of a run; `run` is called for every attempt at a start.
 
     `verdicts` is the preflight table, `starter_pulse_s` the pulse of the next attempt. With `force` a
-    no-go is recorded and the run goes on. `folder` is where the record goes, for the room on its disk.
+    failed preflight is recorded and the run continues. `folder` is the folder of the record, whose free
+    disk space is checked.
     """
 
     def __init__(
@@ -62,16 +63,16 @@ class PhasesBeforeRecord:
     def run(
         self, stream: FrameStream, report: Callable[[Snapshot], None], stop: StopRequest
     ) -> tuple[list[Frame], list[Event]]:
-        """Go through the phases; returns the frames that the record begins with, and what happened.
+        """Go through the phases; returns the frames with which the record begins, and the events so far.
 
-        No frames: the run was stopped, or the source has come to its end. Raises RigError with the
-        reason where the run must not begin.
+        There are no frames if the run was stopped or the source has ended. Raises RigError with the
+        reason if the run must not begin.
         """
         config = self._config
         window_s = max(
             config.phases.rest_window_s, config.phases.warm_up_window_s, config.preflight.duration_s
         )
-        # the preflight looks at whole frames too
+        # the preflight needs whole frames too
         kept_s = max(config.start.pretrigger_s, config.preflight.duration_s)
         frames = RecentFrames(stream, self._optics, kept_s, window_s)
         self._wait = PhaseWait(frames, report, stop)
@@ -94,7 +95,7 @@ class PhasesBeforeRecord:
         return [frame for frame in frames.frames if frame.time_ns >= kept_from_ns], self._wait.events
 
     def correct_starter(self, first_amplitude: float) -> None:
-        """Correct the next starter pulse by the amplitude that the last one gave; in px it tells nothing."""
+        """Scale the next starter pulse by the amplitude that the last one gave; not if that is in px."""
         wanted_rad = self._config.session.initial_amplitude_arcsec * ARCSEC_RAD
         wanted_rad *= 0.5 * (self._config.start.lowest_amplitude + self._config.start.highest_amplitude)
         if first_amplitude > 0 and self._unit is DeflectionUnit.RAD:
@@ -102,9 +103,9 @@ class PhasesBeforeRecord:
             self.starter_pulse_s = min(self.starter_pulse_s * factor, self._config.controller.starter_max_s)
 
     def _come_to_rest(self) -> None:
-        """Wait until X and Y stay within the limit for a whole window, with the brake where there is one.
+        """Wait until X and Y stay within the limit for a whole window; use the brake if there is one.
 
-        Without a lever the limit is what the noise from frame to frame explains.
+        Without a lever the limit follows from the noise between successive frames.
         """
         phases, shown = self._config.phases, self._unit.shown
         window_ns = round(phases.rest_window_s * 1e9)
@@ -137,7 +138,7 @@ class PhasesBeforeRecord:
         self._brake(False)
 
     def _warm_up(self) -> None:
-        """Wait until the resting spot hardly drifts any more; only with a laser that this program lights."""
+        """Wait until the drift of the resting spot is small; only if this program switches the laser on."""
         laser, phases = self._config.laser, self._config.phases
         if laser.kind == "none" or self._warm:
             return
@@ -173,7 +174,7 @@ class PhasesBeforeRecord:
         self._check(resting=True)
 
     def _check(self, resting: bool) -> None:
-        """The go / no-go table; raises DataError for a no-go that is not forced."""
+        """Make the preflight table; raises DataError if a check fails, unless forced."""
         if not preflight_wanted(self._config):
             return
         config, frames = self._config, self._wait.frames
@@ -235,7 +236,7 @@ class PhasesBeforeRecord:
         wait.until_reached("release", self._config.phases.release_max_s, moved, instruction)
 
     def _place(self) -> tuple[tuple[float, float], float]:
-        """The spot's median of the last second, and the distance from there that cannot be noise."""
+        """Median position in the last second, and the smallest distance from it that is not noise."""
         recent = self._wait.frames.since(self._wait.frames.now_ns - 1_000_000_000)
         recent = recent[recent.found]
         if not len(recent):
@@ -258,7 +259,7 @@ class PhasesBeforeRecord:
 
 
 def preflight_wanted(config: Configuration) -> bool:
-    """Whether the preflight is made; 'auto' leaves it out where frames are made on demand."""
+    """Whether the preflight is made; 'auto' omits it if frames come on demand."""
     when = config.preflight.when
     if when == "auto":
         return not config.on_demand
@@ -266,7 +267,7 @@ def preflight_wanted(config: Configuration) -> bool:
 
 
 def _drift_per_min(times_s: np.ndarray, values: np.ndarray) -> float:
-    """Slope of a line, per minute, without its sign; infinite without enough samples."""
+    """Absolute slope of a fitted line, per minute; infinite with too few samples."""
     good = np.isfinite(values)
     if good.sum() < 10:
         return math.inf
@@ -274,5 +275,5 @@ def _drift_per_min(times_s: np.ndarray, values: np.ndarray) -> float:
 
 
 def _frame_noise(values: np.ndarray) -> float:
-    """Robust standard deviation of what differs from one frame to the next."""
+    """Robust standard deviation of one frame, from differences of successive frames."""
     return robust_scatter(np.diff(values)) / math.sqrt(2.0)

@@ -10,7 +10,7 @@ from rig.settings import PreflightSettings
 
 
 def air(environment: tuple[float, float, float], expected: bool, limits: PreflightSettings) -> Verdict:
-    """Temperature within limits, where a sensor is configured."""
+    """Check the temperature, if a sensor is configured."""
     temperature_c, humidity_percent, pressure_pa = environment
     limit = f"{limits.min_temperature_c:g} to {limits.max_temperature_c:g} °C"
     if not expected:
@@ -32,7 +32,7 @@ def air(environment: tuple[float, float, float], expected: bool, limits: Preflig
 
 
 def controller(words: str, wanted: bool) -> Verdict:
-    """Whether the controller answers and its interlock is closed; `words` as `Devices.describe` has them."""
+    """Check that the controller answers and its interlock is closed; `words` is from `Devices.describe`."""
     if not wanted:
         return Verdict("controller", True, measured="none is configured", limit="answers", made=False)
     ok = "interlock closed" in words
@@ -47,7 +47,7 @@ def controller(words: str, wanted: bool) -> Verdict:
 
 
 def laser(now: LaserNow | None, goes_dark_by_itself: bool) -> Verdict:
-    """Whether the laser that this program drives is lit; warns where nothing else could switch it off."""
+    """Check that the laser is on; warns if only this program can switch it off."""
     if now is None:
         return Verdict("laser", True, measured="none is configured", limit="lit", made=False)
     if not now.on:
@@ -61,19 +61,19 @@ def laser(now: LaserNow | None, goes_dark_by_itself: bool) -> Verdict:
 
 
 def camera(driver: str, notes: Sequence[str]) -> Verdict:
-    """Settings that the camera took."""
+    """Check that the camera accepted the requested settings."""
     return Verdict(
         "camera",
         not notes,
         "; ".join(notes),
-        "ask for what the camera can do" if notes else "",
+        "request only what the camera supports" if notes else "",
         measured=driver,
-        limit="settings as asked",
+        limit="settings as requested",
     )
 
 
 def failures(verdicts: Sequence[Verdict]) -> str:
-    """What stands against the run, in one line; empty for go."""
+    """The failed checks in one line; empty if all passed."""
     bad = [f"{v.name}: {v.measured} (limit {v.limit}); {v.remedy}" for v in verdicts if not v.ok]
     return "; ".join(bad)
 

@@ -1,4 +1,4 @@
-"""The last seconds of frames before a record begins, and the spots in them."""
+"""Keeps the last seconds of frames before a record begins, and tracks the spots in them."""
 
 from collections import deque
 
@@ -16,10 +16,10 @@ _RING_BYTES = 256 * 1024 * 1024
 
 
 class RecentFrames:
-    """Takes frames as they come, tracks them, keeps the deflections of the last `window_s` seconds.
+    """Takes frames, tracks the spot, and keeps the deflections of the last `window_s` seconds.
 
-    The frames themselves are kept for `frames_s` seconds (less where they would need more than 256 MiB):
-    a release is seen only after it has happened, and the record shall begin before it.
+    The frames themselves are kept for `frames_s` seconds (fewer if they would need more than 256 MiB),
+    because a release is detected only afterwards, and the record must begin before it.
     """
 
     def __init__(
@@ -40,7 +40,7 @@ class RecentFrames:
         self.seen = 0
 
     def advance(self) -> bool:
-        """Take in some frames; False when no more will come."""
+        """Take some frames; False if the stream has ended."""
         block = self._stream.take(_BLOCK_FRAMES, 0.1)
         if not block:
             return not self._stream.drained
@@ -66,12 +66,12 @@ class RecentFrames:
 
     @property
     def frames(self) -> list[Frame]:
-        """The frames that are kept, oldest first."""
+        """The kept frames, oldest first."""
         return list(self._frames)
 
     @property
     def newest(self) -> tuple[float, float]:
-        """(x, y) of the newest frame; NaN where the spot is lost."""
+        """Deflection (x, y) of the newest frame; NaN if the spot is lost."""
         if not self._blocks:
             return np.nan, np.nan
         deflections = self._blocks[-1][1]
@@ -90,7 +90,7 @@ class RecentFrames:
         return Look(frames, spots[len(spots) - len(deflections) :], deflections, resting)
 
     def window_bytes(self) -> float:
-        """Mean size of what a record keeps of a frame."""
+        """Mean number of bytes that a record needs per frame."""
         if not self._frames:
             return 0.0
         image = self._frames[-1].image

@@ -1,4 +1,4 @@
-"""The file of one run: where it is, and what it holds beside the measurement."""
+"""The record file of one run: its path, and the attachments stored with the measurement."""
 
 import json
 from collections.abc import Sequence
@@ -16,7 +16,7 @@ from rig.settings import Configuration
 
 @dataclass(frozen=True, slots=True)
 class RecordFile:
-    """A record to be made; `source` is the user's configuration file, which is attached as it is."""
+    """A record to be written; `source` is the user's configuration file, which is attached unchanged."""
 
     path: Path
     config: Configuration
@@ -25,9 +25,9 @@ class RecordFile:
     optics: Optics
 
     def open(self, epoch_offset_ns: int, first: Frame, preflight: Sequence[Verdict]) -> RecordWriter:
-        """Begin the file with configuration, provenance and preflight table.
+        """Create the file with configuration, provenance and preflight table.
 
-        `epoch_offset_ns` leads from the frames' clock to UTC.
+        `epoch_offset_ns` is UTC minus the time of the frames' clock.
         """
         attachments = configuration_attachments(self.config, self.source)
         if preflight:
@@ -48,7 +48,7 @@ class RecordFile:
         return writer
 
     def set_aside(self, attempt: int) -> Path:
-        """Rename the record of a start that was not accepted; returns its new name."""
+        """Rename the record of a rejected start; returns its new path."""
         aside = self.path.with_name(f"{self.path.stem}-start-{attempt}{self.path.suffix}")
         self.path.rename(aside)
         return aside

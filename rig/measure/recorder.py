@@ -1,4 +1,4 @@
-"""The thread that owns the record."""
+"""Writes the record in a thread of its own."""
 
 import logging
 import queue
@@ -16,11 +16,11 @@ from rig.instrument import Block
 
 _log = logging.getLogger(__name__)
 _IDLE_S = 0.2
-"""So often it is asked whether to flush, where nothing comes."""
+"""Interval of the check whether to flush, while no entries arrive."""
 
 
 class Window(NamedTuple):
-    """Raw pixels around the spot; (x0, y0) is the first pixel's place on the sensor."""
+    """Raw pixels around the spot; (x0, y0) are the sensor coordinates of the first pixel."""
 
     image: Image
     x0_px: int
@@ -29,7 +29,7 @@ class Window(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """What the recorder is handed for some consecutive frames."""
+    """Data to be recorded for some consecutive frames."""
 
     sequences: Sequence[int] = ()
     device_times_ns: Sequence[int] = ()
@@ -43,10 +43,10 @@ class Entry:
 
 
 class Recorder:
-    """Writes entries in order, flushes by itself, keeps the first error.
+    """Writes entries in order, flushes regularly, keeps the first error.
 
-    `put` waits when the disk is behind: nothing that was measured is dropped here. After an error
-    (a full disk, a pulled drive) entries are thrown away and `error` says why; the session looks.
+    `put` waits if the disk is slow, so that no measured data are lost. After an error (a full disk, a
+    removed drive) further entries are discarded; the session has to check `error`.
     """
 
     def __init__(self, writer: RecordWriter, capacity: int = 16) -> None:
@@ -67,11 +67,11 @@ class Recorder:
         return self._writer.bytes_written
 
     def put(self, entry: Entry) -> None:
-        """Hand an entry over."""
+        """Queue an entry; waits while the queue is full."""
         self._entries.put(entry)
 
     def close(self) -> None:
-        """Write what is waiting and close the file; `error` holds what went wrong, if anything."""
+        """Write the queued entries and close the file; see `error` afterwards."""
         self._entries.put(None)
         self._thread.join()
 
@@ -125,7 +125,7 @@ class Recorder:
 
 
 def cut_window(frame: Frame, spot: Spot, bounds_px: tuple[int, int, int, int] | None) -> Window | None:
-    """Copy of the pixels that tracking can be repeated from; None where there is no spot."""
+    """Copy of the pixels from which tracking can be repeated; None without a spot."""
     if bounds_px is None:
         return None
     x0, y0, x1, y1 = bounds_px

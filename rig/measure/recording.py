@@ -1,4 +1,4 @@
-"""One record being made: frames through the pipeline into the file until the run ends."""
+"""Makes one record: processes frames and writes the results to the file until the run ends."""
 
 import math
 import time
@@ -22,7 +22,7 @@ _BLOCK_FRAMES = 64
 
 
 class Recording:
-    """Works in the processing thread. Without a `judge` any start is accepted."""
+    """Makes one record, in the processing thread. Without a `judge` any start is accepted."""
 
     def __init__(
         self,
@@ -42,9 +42,9 @@ class Recording:
         self._judge = judge
 
     def make(self, begun: list[Frame], events: list[Event]) -> str:
-        """Record until the run ends; returns why the start was not accepted, or nothing.
+        """Record until the run ends; returns why the start was rejected, else an empty text.
 
-        `begun` are the frames that the record begins with, `events` what happened before them.
+        `begun` are the frames with which the record begins, `events` the events before them.
         """
         first, parts, stream, status = begun[0], self._parts, self._stream, self._status
         pipeline = parts.optics.pipeline((first.image.shape[0], first.image.shape[1]))
@@ -55,13 +55,13 @@ class Recording:
         self._recorder.put(Entry(events=events))
         status.tell_events(counts.start_ns, events)
         rejected = ""
-        # frames of a camera that waits for us are all processed; of any other, those behind a stop are not
+        # frames from a source on demand are all processed; those of a live camera only until the stop
         while begun or not (stream.drained or (self._stop and stream.policy != "wait")):
             taken = begun[:_BLOCK_FRAMES] or stream.take(_BLOCK_FRAMES, 0.1)
             taken_ns = time.monotonic_ns()
             begun = begun[_BLOCK_FRAMES:]
             if not taken:
-                # that the camera is silent is recorded while it is silent
+                # record events without waiting for frames, so that a silent camera is noted immediately
                 new = self._device_events(counts.last_ns)
                 if new:
                     self._recorder.put(Entry(events=new))
@@ -79,7 +79,7 @@ class Recording:
                     losses=self._losses.due(counts.last_ns),
                 )
             )
-            # frames of a camera that waits for us are made on demand and have no age
+            # frames made on demand have no age
             age_s = math.nan if stream.policy == "wait" else (taken_ns - taken[0].host_time_ns) * 1e-9
             self._publish("measuring", counts, block.swings, age_s)
             status.tell(counts.start_ns, frames, block, new)
@@ -107,7 +107,7 @@ class Recording:
         return rejected
 
     def _device_events(self, time_ns: int) -> list[Event]:
-        """What camera, controller, laser and sensors did since the last call."""
+        """Events of camera, controller, laser and sensors since the last call."""
         happened = self._stream.take_events() + self._status.take_events()
         return [Event(time_ns, kind, text) for kind, text in happened]
 

@@ -1,4 +1,4 @@
-"""One run: its threads, its attempts at a start, from the first frame to a closed record."""
+"""Executes one run in several threads, from the first attempt at a start to the closed record."""
 
 import logging
 import threading
@@ -23,7 +23,10 @@ _log = logging.getLogger(__name__)
 
 
 class Run:
-    """Camera thread -> bounded queue -> processing thread -> recorder thread; the main thread shows it."""
+    """One run: camera thread -> bounded queue -> processing thread -> recorder thread.
+
+    The main thread displays the run.
+    """
 
     def __init__(self, parts: RunParts) -> None:
         self._parts = parts
@@ -39,7 +42,7 @@ class Run:
         return self._status.snapshot
 
     def request_stop(self, reason: str) -> None:
-        """End the run soon; the first reason given is the one that is recorded."""
+        """End the run soon; the first reason given is recorded."""
         self._stop.because(reason)
 
     def execute(
@@ -47,8 +50,8 @@ class Run:
     ) -> RunOutcome:
         """Measure until the run ends; returns with the record closed.
 
-        Ctrl-C and `Terminated` end it as `request_stop` does, and immediately where the camera waits
-        for us. If the screen is gone (`show` raises OSError), the run goes on without it.
+        Ctrl-C and `Terminated` end it like `request_stop`, and immediately if frames come on demand. If
+        the terminal was closed (`show` raises OSError), the run continues without it.
         """
         self._stream.start_camera()
         worker = threading.Thread(target=self._process, name="processing", daemon=True)
@@ -63,7 +66,7 @@ class Run:
                     self._stop.skip_waiting = True
                     self.request_stop(reason_of(error))
         finally:
-            # also after an interrupt or an error has left the loop: no record is left half written
+            # also after an interrupt or an error in the loop, so that the record is complete
             self.request_stop("the program has failed")
             worker.join()
         return RunOutcome(self.snapshot, self.snapshot.half_cycles, self._stop.failure, interrupt)
@@ -71,7 +74,7 @@ class Run:
     def _watch(
         self, show: Callable[[Snapshot], None], interval_s: float, is_alive: Callable[[], bool]
     ) -> Callable[[Snapshot], None]:
-        """Show the run until it ends; returns what to show it with from then on."""
+        """Show the run until it ends; returns the function to be used for further output."""
         done = False
         while not done:
             done = self._done.wait(interval_s) or not is_alive()
@@ -80,12 +83,12 @@ class Run:
                     show(instructing)
                 show(self.snapshot)
             except OSError as error:
-                _log.warning("the run is not shown any more: %s", error)
+                _log.warning("the display of the run failed, the run continues: %s", error)
                 return _show_nothing
         return show
 
     def _process(self) -> None:
-        """The processing thread: owns the pipeline from the first frame to the closed record."""
+        """The processing thread, from the first frame to the closed record."""
         try:
             first = self._stream.begin()
             if first is None:
@@ -97,7 +100,7 @@ class Run:
         except Exception as error:
             self._stop.failed(error)
         finally:
-            # whatever fails here as well, the main thread must learn that the run has ended
+            # the main thread must learn that the run has ended, whatever else fails here
             try:
                 self._shut_down()
             except Exception as error:
@@ -106,7 +109,7 @@ class Run:
                 self._done.set()
 
     def _attempt(self, number: int, epoch_offset_ns: int) -> bool:
-        """Prepare, record, judge the start; False where it was rejected and is to be repeated."""
+        """Make one attempt at a start and record it; False if it was rejected and is to be repeated."""
         parts = self._parts
         frames, events = self._first_frames()
         self._losses = LossLog(self._stream, from_start=parts.phases is None)
@@ -132,7 +135,7 @@ class Run:
         return False
 
     def _first_frames(self) -> tuple[list[Frame], list[Event]]:
-        """The frames that the record begins with, at least one, and what happened before them."""
+        """The frames with which the record begins, at least one, and the events before them."""
         phases, stream = self._parts.phases, self._stream
         if phases is not None:
             frames, events = phases.run(stream, self._status.prepare, self._stop)
@@ -160,4 +163,4 @@ class Run:
 
 
 def _show_nothing(_: Snapshot) -> None:
-    """Stands in for a screen that is gone."""
+    """Used in place of a terminal that was closed."""

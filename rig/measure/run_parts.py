@@ -1,4 +1,4 @@
-"""What a run is made of, who watches it, and how it ended."""
+"""The parts of a run, the interface of its watchers, and its outcome."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -16,9 +16,9 @@ from rig.measure.start_judge import StartLimits
 
 
 class Watcher(Protocol):
-    """Is told what a run does: the terminal's screen, the viewer. Called in the processing thread.
+    """Receives the progress of a run, for example the display or the viewer.
 
-    Must return immediately and never raise.
+    Its methods are called in the processing thread, must return immediately and must not raise.
     """
 
     def block(self, start_ns: int, frames: Sequence[Frame], block: Block) -> None:
@@ -35,29 +35,29 @@ class Watcher(Protocol):
 
 
 def _not_noted(_record: Path, _reason: str) -> None:
-    """Nobody wants to know of rejected starts."""
+    """Default of `RunParts.start_rejected`: does nothing."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunParts:
-    """What a run is made of.
+    """The parts of a run.
 
     Attributes
     ----------
     stream
         The camera's frames; the camera is open and configured, not started.
     optics
-        What turns frames into deflections.
+        Calibrated values for the conversion of frames to deflections.
     record
-        The file that the run is recorded in.
+        The file to which the run is recorded.
     end
         Limits of amplitude and time at which the run ends.
     phases
-        What is done before the record begins; None: it begins with the camera's first frame.
+        Phases before the record; None: the record begins with the camera's first frame.
     start
-        Which starts are accepted; None: any.
+        Limits for accepting a start; None: any start is accepted.
     start_rejected
-        Called with the new name of a record whose start was not accepted, and the reason.
+        Called with the new path of the record of a rejected start, and the reason.
     devices
         Controller, laser and environment sensor, whose events and readings are recorded.
     environment_period_s
@@ -82,8 +82,8 @@ class RunParts:
 class RunOutcome:
     """How a run ended.
 
-    `failure` is the error that ended it, None where it ended as intended. `interrupt` is what the
-    main thread got from Ctrl-C or a signal; the record is closed in either case.
+    `failure` is the error that ended it, None for a regular end. `interrupt` is the exception raised in
+    the main thread by Ctrl-C or a signal. The record is closed in any case.
     """
 
     snapshot: Snapshot

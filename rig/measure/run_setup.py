@@ -1,4 +1,4 @@
-"""One run of a session: camera, phases, record, view and terminal put together and run."""
+"""Sets up camera, phases, record, view and display for one run of a session, and executes it."""
 
 import errno
 import shutil
@@ -27,9 +27,9 @@ _RESERVE_BYTES = 50 * 1024 * 1024
 
 @dataclass(frozen=True, slots=True)
 class RunPlan:
-    """One run to be made.
+    """A run to be made.
 
-    `start_rejected` is called with the new name of each record whose start was not accepted, and why.
+    `start_rejected` is called with the new path of the record of each rejected start, and the reason.
     """
 
     config: Configuration
@@ -42,7 +42,7 @@ class RunPlan:
 
 
 def measure_run(plan: RunPlan, devices: Devices) -> RunOutcome:
-    """One run into one record; camera and view are closed whatever happens."""
+    """Measure one run into one record; camera and view are closed in any case."""
     record = plan.record
     if record.exists():
         raise ConfigurationError(f"{record}: exists already and is never overwritten; choose another output")
@@ -87,7 +87,7 @@ def _execute(plan: RunPlan, devices: Devices, camera: OpenCamera, watchers: list
         ),
         optics=optics,
         record=RecordFile(record, config, plan.source, camera.info, optics),
-        # without a lever the amplitude is not known in arcsec: the run ends by time
+        # without a lever the amplitude in arcsec is unknown, and only the time limit applies
         end=EndLimits(
             final_amplitude * ARCSEC_RAD if optics.unit is DeflectionUnit.RAD else 0.0,
             config.session.max_duration_s,

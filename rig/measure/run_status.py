@@ -1,4 +1,4 @@
-"""The status of a run as others see it: newest snapshot, events, readings of the environment."""
+"""The status of a run for the display and watchers: snapshot, events, readings of the environment."""
 
 import math
 from collections import deque
@@ -21,13 +21,13 @@ class RunStatus:
     Parameters
     ----------
     watchers
-        Are told of every block, event and snapshot, in the processing thread.
+        Receive every block, event and snapshot, in the processing thread.
     devices
-        Controller, laser and environment sensor; None where there are none.
+        Controller, laser and environment sensor; None without devices.
     unit
-        Unit of the swings' amplitudes; snapshots hold them as they are shown.
+        Unit of the swings' amplitudes; snapshots contain them in arcsec or px.
     environment_period_s
-        Time between two readings of the environment that are recorded.
+        Time between two recorded readings of the environment.
     """
 
     def __init__(
@@ -46,19 +46,19 @@ class RunStatus:
         self.snapshot = Snapshot()
 
     def take_instructions(self) -> Iterable[Snapshot]:
-        """Snapshots with an instruction to the operator that were not taken yet, oldest first.
+        """Snapshots with an instruction to the operator since the last call, oldest first.
 
-        An instruction that was given and withdrawn between two looks at `snapshot` is not missed.
+        They include short-lived instructions that a caller who only reads `snapshot` could miss.
         """
         while self._instructions:
             yield self._instructions.popleft()
 
     def begin_record(self) -> None:
-        """Forget the half-cycles of a start that was not accepted."""
+        """Discard the half-cycles of a rejected start."""
         self.snapshot = replace(self.snapshot, half_cycles=0, amplitude=math.nan, period_s=math.nan)
 
     def prepare(self, snapshot: Snapshot) -> None:
-        """The state while no record is open, as the phases before it report it."""
+        """Publish the state before the record, as reported by the phases."""
         instruction_before = self.snapshot.instruction
         self.snapshot = self._with_devices(snapshot)
         if snapshot.instruction and snapshot.instruction != instruction_before:
@@ -67,7 +67,7 @@ class RunStatus:
             watcher.snapshot(self.snapshot)
 
     def publish(self, snapshot: Snapshot, swings: Sequence[Swing]) -> None:
-        """The state while a record is open; amplitude and period of the last swing are filled in."""
+        """Publish the state during the record, with amplitude and period of the last swing."""
         before, last = self.snapshot, swings[-1] if swings else None
         amplitude, period_s = before.amplitude, before.period_s
         if last is not None:
@@ -83,7 +83,7 @@ class RunStatus:
         )
 
     def tell(self, start_ns: int, frames: Sequence[Frame], block: Block, events: Iterable[Event]) -> None:
-        """A block with its events, and the state after it."""
+        """Pass a block, its events and the state after it to the watchers."""
         for watcher in self._watchers:
             watcher.block(start_ns, frames, block)
         self.tell_events(start_ns, events)
@@ -91,17 +91,17 @@ class RunStatus:
             watcher.snapshot(self.snapshot)
 
     def tell_events(self, start_ns: int, events: Iterable[Event]) -> None:
-        """Events alone."""
+        """Pass events to the watchers."""
         for event in events:
             for watcher in self._watchers:
                 watcher.event(start_ns, event)
 
     def take_events(self) -> list[tuple[EventKind, str]]:
-        """(kind, text) of what controller, laser and sensors did since the last call."""
+        """Events of controller, laser and sensors since the last call, as (kind, text)."""
         return [] if self._devices is None else self._devices.take_events()
 
     def environment(self, time_ns: int) -> Environment | None:
-        """A reading of the environment, once a period; None in between, and where nothing is measured."""
+        """A reading of the environment, once per period; None in between and without a sensor."""
         if self._devices is None or time_ns < self._environment_due_ns:
             return None
         self._environment_due_ns = time_ns + self._environment_period_ns

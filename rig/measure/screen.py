@@ -1,4 +1,4 @@
-"""The live screen of a run: one screen on a terminal, a line every few seconds elsewhere, or JSON lines."""
+"""Displays a run: a live screen on a terminal, otherwise a line every few seconds, or JSON lines."""
 
 import math
 import os
@@ -35,10 +35,9 @@ _NO_FORECAST = Forecast(math.nan, math.nan)
 
 
 class RunDisplay:
-    """Shows one run: as its watcher it only takes notes, the main thread draws the screen.
+    """Displays one run: as a watcher it only collects values, the main thread draws the screen.
 
-    The bar counts the logarithm of the amplitude from where the run began to where it ends, since
-    that is what a decay does evenly.
+    The progress bar is linear in the logarithm of the amplitude, which decreases roughly evenly with time.
     """
 
     def __init__(
@@ -52,7 +51,7 @@ class RunDisplay:
         console: Console | None = None,
     ) -> None:
         self._title = title
-        # where a run in px will end is not known: the final amplitude is configured in arcsec
+        # the final amplitude is configured in arcsec, hence unknown for a run in px
         self._final = final_amplitude_arcsec if unit is DeflectionUnit.RAD else math.nan
         self._unit = unit
         self._folder = folder
@@ -84,7 +83,7 @@ class RunDisplay:
     # -- as a watcher, in the run's thread -----------------------------------
 
     def block(self, start_ns: int, frames: Sequence[Frame], block: Block) -> None:
-        """Keep the numbers of half-cycles and balance."""
+        """Keep half-cycles and balance."""
         for swing in block.swings:
             if not swing.flags:
                 self._swings.append((swing.turn_time_ns * 1e-9, swing.amplitude, swing.u_amplitude))
@@ -99,19 +98,19 @@ class RunDisplay:
             self.line("event", {"elapsed_s": elapsed_s, "event": event.kind, "text": event.text})
 
     def snapshot(self, snapshot: Snapshot) -> None:
-        """Nothing: the main thread shows snapshots."""
+        """Does nothing; the main thread shows snapshots."""
 
     # -- in the main thread --------------------------------------------------
 
     def show_preflight(self, verdicts: Sequence[Verdict]) -> None:
-        """Print the preflight table, which stays above the screen."""
+        """Print the preflight table above the live screen."""
         if self._json:
             self.line("preflight", {"table": table_tree(verdicts)})
         else:
             print_verdicts(self._console, verdicts)
 
     def line(self, kind: str, values: dict[str, Any]) -> None:
-        """One line of JSON on stdout; once its reader is gone it is dropped, for the measurement goes on."""
+        """Print one line of JSON on stdout; a closed stdout is ignored, so that the measurement continues."""
         try:
             print_json_line(kind, {"run": self._title, **values})
         except BrokenPipeError:
@@ -120,7 +119,7 @@ class RunDisplay:
             os.close(nowhere)
 
     def show(self, snapshot: Snapshot) -> None:
-        """Bring the display up to date; cheap enough for ten times a second."""
+        """Update the display; fast enough to be called ten times a second."""
         if math.isnan(self._initial) and not math.isnan(snapshot.amplitude):
             self._initial = snapshot.amplitude
         self._rates.take(snapshot)
@@ -148,7 +147,7 @@ class RunDisplay:
         self._phase = first_word
 
     def screen(self, snapshot: Snapshot) -> RenderableType:
-        """The whole screen, no wider and no higher than the terminal."""
+        """The whole screen, cut to the size of the terminal."""
         return run_panel(
             self._title,
             snapshot,
@@ -195,7 +194,7 @@ class RunDisplay:
 
     def _prediction(self) -> str:
         if math.isnan(self._final):
-            return "not known: no lever"
+            return "unknown: no lever"
         left_s, u_s = self._forecast
         if math.isnan(left_s):
             return "too early to say"

@@ -1,4 +1,4 @@
-"""A session: one or more runs of one contact pair, each recorded, then fitted from its record."""
+"""A session: records one or more runs of one contact pair, then fits each of them."""
 
 import datetime
 import sys
@@ -34,11 +34,11 @@ def measure_session(
     force: bool = False,
     json_lines: bool = False,
 ) -> int:
-    """Measure `session.runs` runs, fit each from its closed record, write results.json.
+    """Measure `session.runs` runs, fit each from its closed record, and write results.json.
 
-    `force` passes over a preflight's no-go. With `json_lines` stdout carries one JSON object a
-    line instead of a table. Returns the exit status: 0 where every run ended as it should and was
-    fitted, 1 otherwise. Raises ConfigurationError for an output folder that holds a run already.
+    `force` continues after a failed preflight. With `json_lines` stdout gets one JSON object per
+    line instead of a table. Returns the exit status: 0 if every run ended regularly and was fitted,
+    else 1. Raises ConfigurationError for an output folder that already contains a run.
     """
     config = complete(config)
     check_materials(config)
@@ -52,10 +52,10 @@ def measure_session(
 
 
 def resume_session(folder: Path, *, force: bool = False, json_lines: bool = False) -> int:
-    """Go on with a session that was interrupted: complete runs are kept, the missing ones made.
+    """Continue an interrupted session: complete runs are kept, the missing ones are made.
 
-    A record that was cut stays as it is; a whole copy of it is made beside it. New runs get new
-    numbers. Returns the exit status as `measure_session`.
+    A truncated record is left unchanged and a repaired copy is made next to it. New runs get new
+    numbers. Returns the exit status like `measure_session`.
     """
     file = SessionFile.opened(folder)
     try:
@@ -69,7 +69,7 @@ def resume_session(folder: Path, *, force: bool = False, json_lines: bool = Fals
         missing = file.state.runs_wanted - len(file.state.complete)
         say(f"{folder}: {len(file.state.complete)} of {file.state.runs_wanted} runs are complete")
         if missing <= 0 and (folder / "results.json").exists():
-            say("nothing is missing")
+            say("no run is missing")
             return 0
         with Devices(config) as devices:
             made = _make_runs(
@@ -81,14 +81,14 @@ def resume_session(folder: Path, *, force: bool = False, json_lines: bool = Fals
 
 
 def _notice_cut(record: Path) -> None:
-    """A record that was whole when its run was over may have been cut since, by a copy that failed."""
+    """Report a record that was complete at the end of its run but is truncated now, e.g. by a failed copy."""
     with RecordReader(record) as reader:
         if reader.truncated:
             say(reader.cut_notice)
 
 
 def _close_interrupted(file: SessionFile, entry: RunEntry) -> None:
-    """Make a whole copy of a record that was cut short; the cut one is only read."""
+    """Make a repaired copy of a truncated record, which itself is not changed."""
     record = file.folder / entry.record
     whole = record.with_name(f"{record.stem}-recovered{record.suffix}")
     name, reason = "", "the session was interrupted"
@@ -104,7 +104,7 @@ def _close_interrupted(file: SessionFile, entry: RunEntry) -> None:
 
 
 class _Made(NamedTuple):
-    """Records that there are, and how the making of them ended."""
+    """The records made, and how the session ended."""
 
     records: list[Path]
     failed: bool
@@ -120,7 +120,7 @@ def _make_runs(
     force: bool,
     json_lines: bool,
 ) -> _Made:
-    """Make the runs that are missing. Raises `Terminated`, with everything closed and noted."""
+    """Make the missing runs. Raises `Terminated` after everything is closed and session.json is written."""
     folder = file.folder
     records = [folder / entry.record for entry in file.state.complete]
     failed = stopped = False
@@ -137,7 +137,7 @@ def _make_runs(
             _numbered(config, number), source, record, f"run {number}", force, json_lines, start_rejected
         )
         try:
-            # dark again after a run in which an interlock opened or the controller was lost
+            # the laser may be off after a run in which an interlock opened or the controller was lost
             if lit := devices.light():
                 say(lit)
             outcome = measure_run(plan, devices)
@@ -167,8 +167,8 @@ def _make_runs(
 
 
 def _report(config: Configuration, folder: Path, made: _Made, *, json_lines: bool) -> int:
-    """Fit all that are complete or just made, write the results; the laser is dark by now."""
-    # what draws figures takes a second to load, which the first frame must not wait for
+    """Fit the complete and the new records and write the results; the laser is already off."""
+    # importing matplotlib takes a second, which must not delay the first frame
     from rig.report import make_report
 
     records, failed = made.records, made.failed
@@ -178,7 +178,7 @@ def _report(config: Configuration, folder: Path, made: _Made, *, json_lines: boo
     runs = [analyse_record(record) for record in records]
     if not runs:
         return 1
-    # without a calibration there is nothing to fit, which is no failure
+    # without a calibration nothing can be fitted, which does not count as a failure
     failed = failed or (any(run.results.problem for run in runs) and config.lever is not None)
     path = free_path(folder)
     results = session_results(runs, folder)
@@ -187,7 +187,7 @@ def _report(config: Configuration, folder: Path, made: _Made, *, json_lines: boo
     try:
         paths.append(("report", make_report(path)))
     except RigError as error:
-        # records and results are what counts, and they are there
+        # records and results are complete, so a missing report is not fatal
         say(f"no report: {error}", error=True)
     if json_lines:
         print_json_line("results", {"path": str(path), "failed": failed})
@@ -218,7 +218,7 @@ def simulate_record(config: Configuration, source: Path, record: Path) -> int:
 
 
 def session_folder(config: Configuration, source: Path, output: Path | None) -> Path:
-    """Folder of this session, made; one that holds a run already is rejected, never written over."""
+    """Create the folder of this session; raises ConfigurationError if it already contains a run."""
     if output is None:
         now = datetime.datetime.now().astimezone()
         name = f"{now:%Y-%m-%dT%H-%M-%S}-{source.stem}"
@@ -241,7 +241,7 @@ def session_folder(config: Configuration, source: Path, output: Path | None) -> 
 
 
 def _numbered(config: Configuration, number: int) -> Configuration:
-    """Run `number` of a simulated series has draws of its own."""
+    """The configuration of run `number`; each simulated run gets its own random numbers."""
     if not config.simulated or number == 1:
         return config
     seed = (config.simulation.seed + 1_000_003 * (number - 1)) % 2**63
@@ -249,11 +249,11 @@ def _numbered(config: Configuration, number: int) -> Configuration:
 
 
 def _wants_fit() -> bool:
-    """After Ctrl-C: offer the fit of what there is; without a terminal to ask at, it is made."""
+    """After Ctrl-C ask whether to fit the record; without a terminal it is fitted."""
     if not (sys.stdin.isatty() and sys.stderr.isatty()):
         return True
     try:
-        answer = input("The record is closed. Fit what there is? [Y/n] ")
+        answer = input("The record is closed. Fit it now? [Y/n] ")
     except (EOFError, KeyboardInterrupt):
         return False
     return answer.strip().lower() in {"", "y", "yes"}

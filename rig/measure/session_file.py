@@ -1,4 +1,4 @@
-"""`session.json`: which runs of a session were made, how each ended, which are missing."""
+"""The file `session.json`: which runs of a session were made, how each ended, which are missing."""
 
 import datetime
 import json
@@ -13,7 +13,7 @@ from processing.errors import ConfigurationError, RecordError
 try:
     import fcntl
 except ImportError:  # pragma: no cover
-    # no such lock on this system: two sessions in one folder are then not prevented
+    # no file locks on this system; two sessions in one folder are then not prevented
     fcntl = None  # type: ignore[assignment]
 
 STATE_NAME = "session.json"
@@ -21,7 +21,7 @@ RunState = Literal["recording", "complete", "stopped", "rejected", "failed", "in
 
 
 class RunEntry(BaseModel, frozen=True, extra="forbid"):
-    """One run or attempt: its record's name, how it stands, and why it ended."""
+    """One run or attempt: the name of its record, its state, and why it ended."""
 
     number: int
     record: str
@@ -33,7 +33,7 @@ class RunEntry(BaseModel, frozen=True, extra="forbid"):
 
 
 class SessionState(BaseModel, frozen=True, extra="forbid"):
-    """The whole file. `configuration` is complete, so that a session goes on without any other file."""
+    """The whole file. `configuration` is complete, so that a session can be resumed without other files."""
 
     schema_version: int = 1
     source: str
@@ -43,16 +43,16 @@ class SessionState(BaseModel, frozen=True, extra="forbid"):
 
     @property
     def complete(self) -> list[RunEntry]:
-        """Runs that count."""
+        """Complete runs."""
         return [entry for entry in self.entries if entry.state == "complete"]
 
     @property
     def next_number(self) -> int:
-        """A number that no run has had."""
+        """The next unused run number."""
         return 1 + max((entry.number for entry in self.entries), default=0)
 
     def with_entry(self, entry: RunEntry) -> Self:
-        """The same with this entry in place of the one with its record, or added."""
+        """A copy in which this entry replaces the one of the same record, or is added."""
         kept = [old for old in self.entries if old.record != entry.record]
         return self.model_copy(update={"entries": (*kept, entry)})
 
@@ -67,7 +67,7 @@ class SessionFile:
 
     @classmethod
     def made(cls, folder: Path, source: Path, runs: int, configuration: dict[str, Any]) -> Self:
-        """A new session's."""
+        """Create the file of a new session."""
         file = cls(folder, SessionState(source=str(source), runs_wanted=runs, configuration=configuration))
         file._take_lock()
         file.save(file.state)
@@ -75,13 +75,13 @@ class SessionFile:
 
     @classmethod
     def opened(cls, folder: Path) -> Self:
-        """An earlier session's. Raises ConfigurationError: there is none, or it is still running."""
+        """Open the file of an earlier session; raises ConfigurationError if it is missing or still in use."""
         path = folder / STATE_NAME
         try:
             state = SessionState.model_validate_json(path.read_bytes())
         except FileNotFoundError:
             raise ConfigurationError(
-                f"{folder}: holds no session to go on with ({STATE_NAME} is missing)"
+                f"{folder}: contains no session to resume ({STATE_NAME} is missing)"
             ) from None
         except (OSError, ValidationError) as error:
             raise ConfigurationError(f"{path}: cannot be read: {str(error).splitlines()[0]}") from None
@@ -90,7 +90,7 @@ class SessionFile:
         return file
 
     def note(self, number: int, record: str, state: RunState, reason: str = "", recovered: str = "") -> None:
-        """Write down how a run stands."""
+        """Save the state of a run."""
         now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
         before = next((entry for entry in self.state.entries if entry.record == record), None)
         begun = before.begun_utc if before is not None else now
@@ -110,7 +110,7 @@ class SessionFile:
         )
 
     def save(self, state: SessionState) -> None:
-        """Replace the file: after a power cut there is the old one or the new one, never half of one."""
+        """Replace the file atomically, so that a power failure leaves either the old or the new file."""
         path = self.folder / STATE_NAME
         new = path.with_suffix(".json.new")
         try:
@@ -124,7 +124,7 @@ class SessionFile:
         self.state = state
 
     def close(self) -> None:
-        """Give the lock back."""
+        """Release the lock."""
         if self._lock is not None:
             self._lock.close()
             self._lock = None

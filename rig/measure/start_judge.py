@@ -1,4 +1,4 @@
-"""Whether the start of a run is accepted, judged by its first half-cycles."""
+"""Accepts or rejects the start of a run by its first half-cycles."""
 
 import math
 from collections.abc import Sequence
@@ -14,10 +14,10 @@ from rig.settings import Configuration
 
 @dataclass(frozen=True, slots=True)
 class StartLimits:
-    """Between which limits the first amplitude and the transverse motion must lie.
+    """Limits of the first amplitude and of the transverse motion.
 
-    Amplitudes are in `unit`; in px they have no limits, since those are configured in arcsec.
-    `attempts` starts are made before the run fails.
+    Amplitudes are in `unit`; in px they are not limited, because the limits are configured in arcsec.
+    After `attempts` rejected starts the run fails.
     """
 
     lowest_amplitude: float
@@ -29,7 +29,7 @@ class StartLimits:
 
 
 def start_limits(config: Configuration, optics: Optics) -> StartLimits:
-    """The limits as configured."""
+    """The configured limits."""
     wanted_rad = config.session.initial_amplitude_arcsec * ARCSEC_RAD
     start, in_px = config.start, optics.unit is DeflectionUnit.PX
     return StartLimits(
@@ -45,7 +45,7 @@ def start_limits(config: Configuration, optics: Optics) -> StartLimits:
 class StartJudge:
     """Judges one start by its first two unflagged half-cycles and the balance of its first periods.
 
-    `first_amplitude` is the largest of those half-cycles, 0 before one was seen.
+    `first_amplitude` is the larger amplitude of these half-cycles, 0 before the first.
     """
 
     def __init__(self, limits: StartLimits) -> None:
@@ -56,7 +56,7 @@ class StartJudge:
         self.first_amplitude = 0.0
 
     def rejection(self, swings: Sequence[Swing], balances: Sequence[Balance], elapsed_s: float) -> str:
-        """Why the start is not accepted; empty while it is being judged and after it was accepted."""
+        """Why the start is rejected; empty while it is being judged and after it was accepted."""
         limits = self._limits
         if self._accepted:
             return ""

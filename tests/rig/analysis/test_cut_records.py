@@ -62,4 +62,4 @@ def test_resume_looks_at_the_records_that_were_complete(
     (line,) = (line for line in said.splitlines() if "cut short" in line)
     assert line.startswith(f"{record}: ")
     assert f"rig recover {record}" in line
-    assert "nothing is missing" in said
+    assert "no run is missing" in said

@@ -203,7 +203,7 @@ def test_a_series_that_was_killed_goes_on(tmp_path: Path) -> None:
     assert [run["record"] for run in results["runs"]] == ["run-1.mcap", "run-3.mcap", "run-4.mcap"]
     again = rig("run", "--resume", folder)
     assert again.returncode == 0
-    assert "nothing is missing" in again.stderr
+    assert "no run is missing" in again.stderr
 
 
 def test_resume_wants_a_session(tmp_path: Path) -> None:

@@ -48,7 +48,7 @@ def test_without_a_lever_the_screen_says_px_and_knows_no_end(tmp_path: Path) -> 
     assert "to 2 arcsec" in calibrated
     shown = screen(tmp_path, measuring, DeflectionUnit.PX)
     assert "124.000 px" in shown
-    assert "not known: no lever" in shown
+    assert "unknown: no lever" in shown
     assert "arcsec" not in shown
     assert "to 2" not in shown
 
