@@ -25,10 +25,8 @@ def print_results(results: SessionResults, paths: Sequence[tuple[str, Path]]) ->
         if run.fits:
             parameters = parameter_table(run.fits, run.surface_energy_j_per_m2, run.verdicts())
             print_tables([parameters, quality_table(run.fits)])
-        for line in run.instrument.text if run.instrument else ():
+        for line in (*(run.instrument.text if run.instrument else ()), *remarks(run)):
             console.print(f"  {line}", highlight=False, markup=False, soft_wrap=True)
-        for line in remarks(run):
-            console.print(f"  {line}", highlight=False, markup=False)
     if results.series is not None and results.series.instrument is not None:
         for line in results.series.instrument.text:
             console.print(line, highlight=False, markup=False)

@@ -7,14 +7,17 @@ from rich.table import Table as RichTable
 
 from rig.presentation.table import Table
 
+_NUMBERS_BEGIN_WITH = tuple("0123456789−-+(<>–")
+
 
 def print_tables(tables: Sequence[Table]) -> None:
-    """The tables on the terminal, as wide as they need."""
+    """The tables on the terminal, as wide as they need; columns that are mostly numbers are right-aligned."""
     console = Console(width=None if Console().is_terminal else 170)
     for content in tables:
         drawn = RichTable(title=content.title, title_justify="left", box=None, pad_edge=False)
-        for place, cell in enumerate(content.head):
-            drawn.add_column(cell, justify="left" if place in (0, 1, len(content.head) - 1) else "right")
+        for place, heading in enumerate(content.head):
+            numbers = sum(row[place].startswith(_NUMBERS_BEGIN_WITH) for row in content.shown)
+            drawn.add_column(heading, justify="right" if 2 * numbers > len(content.shown) else "left")
         for row in content.shown:
             drawn.add_row(*row)
         console.print(drawn)

@@ -22,6 +22,7 @@ from rig.analysis import (
     parameter_table,
     quality_table,
     recorded_results,
+    remarks,
 )
 from rig.presentation import Table
 from rig.report import instrument_table, turning_points_again
@@ -113,7 +114,7 @@ def report_text(runs: Mapping[str, RunAnalysis]) -> str:
         instrument = instrument_table(results)
         if instrument.rows:
             parts.append(_markdown(instrument))
-        parts += [f"- {warning}" for warning in results.warnings]
+        parts += [f"- {line}" for line in remarks(results)]
     return "\n\n".join(parts)
 
 
