@@ -1,4 +1,4 @@
-"""Names for what the fitting kernels share: parameters, working arrays, windows, and the result of a fit."""
+"""Data shared by the fitting kernels: parameter indices, working arrays, windows and the result of a fit."""
 
 from typing import NamedTuple
 
@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 
 AMPLITUDE, X, Y, SIGMA_X, SIGMA_Y, BACKGROUND, COVARIANCE, SECOND_AMPLITUDE, SECOND_X, SECOND_Y = range(10)
-"""Places of the fitted parameters, px and DN.
+"""Indices of the fitted parameters; positions and sigmas in px, amplitudes and background in DN.
 
-The spot's covariance matrix is [[sigma_x^2, c], [c, sigma_y^2]] with c in `COVARIANCE`, so that
-`SIGMA_X` and `SIGMA_Y` are the standard deviations along the pixel axes, also of a tilted spot. A
-second spot has the same shape as the first.
+The covariance matrix of the spot's light distribution is [[sigma_x^2, c], [c, sigma_y^2]], with c (px^2) at
+the index `COVARIANCE`. `SIGMA_X` and `SIGMA_Y` are therefore the standard deviations along the pixel
+axes even when the spot is tilted. A second spot is given the same shape as the first.
 """
 
 PARAMETERS = 10
@@ -23,7 +23,7 @@ TILTED = 7
 """Number of parameters of one tilted spot: the first seven."""
 
 GATE = 25.0
-"""Squared residual, in variances of the pixel, above which a pixel counts as an outlier."""
+"""A pixel is an outlier if its squared residual exceeds this many times its variance."""
 
 REACH = 4.5
 """Half-width of the fitted window in standard deviations of the spot."""
@@ -39,7 +39,7 @@ class Window(NamedTuple):
 
 
 class Place(NamedTuple):
-    """Where an image lies on the sensor: the sensor coordinates of its first pixel, the sensor's size."""
+    """Position of an image on the sensor: sensor coordinates of its first pixel, and the sensor's size."""
 
     origin_x: int
     origin_y: int
@@ -48,10 +48,10 @@ class Place(NamedTuple):
 
 
 class Workspace(NamedTuple):
-    """Arrays that a fit works in."""
+    """Parameters and working arrays of a fit."""
 
     parameters: Floats
-    """(PARAMETERS,) improved in place."""
+    """(PARAMETERS,) fitted parameters; the fit updates them in place."""
     information: Floats
     """(PARAMETERS, PARAMETERS) Fisher information at the last step."""
     factor: Floats
@@ -59,22 +59,22 @@ class Workspace(NamedTuple):
 
 
 class Fitted(NamedTuple):
-    """How a fit ended; the parameters themselves are in the workspace."""
+    """Result of a fit; the parameters themselves are in the workspace."""
 
     done: bool
-    """False: it did not converge, or this kind of fit does not suit the spot."""
+    """False if the fit did not converge or this kind of fit does not suit the spot."""
     chi2: float
     pixels: int
-    """Pixels that were kept."""
+    """Number of pixels used."""
     saturated: int
-    """Pixels left out because the model expects them at full scale."""
+    """Number of pixels left out because the model expects them at full scale."""
     outliers: int
-    """Pixels left out because of their residual."""
+    """Number of pixels left out because of their residual."""
     size: int
     """Order of the information matrix: UPRIGHT or PARAMETERS."""
     tilted: bool
     two: bool
-    """Whether the covariance, and a second spot, were fitted."""
+    """`tilted`: the covariance was fitted. `two`: a second spot was fitted."""
 
 
 WORKSPACE_SHAPE = (1 + 2 * PARAMETERS, PARAMETERS)
@@ -82,16 +82,16 @@ WORKSPACE_SHAPE = (1 + 2 * PARAMETERS, PARAMETERS)
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def workspace_of(array: Floats) -> Workspace:
-    """`Workspace` in an array of WORKSPACE_SHAPE.
+    """`Workspace` made of views of an array of WORKSPACE_SHAPE.
 
-    It comes from Python as one array because every argument costs time in the call.
+    Python passes one array because every argument of a compiled function adds to the time of the call.
     """
     return Workspace(array[0], array[1 : 1 + PARAMETERS], array[1 + PARAMETERS : 1 + 2 * PARAMETERS])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def as_kind(fitted: Fitted, size: int, tilted: bool, two: bool) -> Fitted:
-    """The same result under another kind of spot."""
+    """The same result with `size`, `tilted` and `two` replaced."""
     return Fitted(
         fitted.done, fitted.chi2, fitted.pixels, fitted.saturated, fitted.outliers, size, tilted, two
     )

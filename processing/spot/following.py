@@ -1,4 +1,8 @@
-"""One frame when the spot was seen in the last one: fit it from where it should be now."""
+"""Fit of the spot in a frame, started from the position expected from the previous frames.
+
+The upright fit is tried first because it is the fastest; the general fit (tilted spot, second spot) is used
+where the spot needs it.
+"""
 
 import math
 
@@ -25,7 +29,7 @@ from processing.spot.spot import Image
 from processing.spot.upright_fit import TILT_EVIDENCE, fit_upright
 
 SEARCH = -1
-"""In the place of the flags: the spot was not found where it was expected."""
+"""Returned in place of the flags if the spot was not found at the expected position."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -40,7 +44,29 @@ def follow(
     tables: NDArray[np.float32],
     noise_values: Floats,
 ) -> Result:
-    """Spot of one frame from the last one's; flags are `SEARCH` where it is not where it should be."""
+    """Fit the spot of one frame, starting from the spot of the previous frame.
+
+    Parameters
+    ----------
+    image : (ny, nx)
+        A frame or a window cut out of it.
+    origin_x, origin_y, sensor_nx, sensor_ny
+        Fields of `Place`.
+    memory
+        The tracker's state (see `memory`); updated.
+    work_array
+        Working memory of shape WORKSPACE_SHAPE.
+    tables : (TABLE_ROWS, LARGEST_TABLE)
+        Working memory of the upright fit.
+    noise_values
+        Fields of `PixelNoise`.
+
+    Returns
+    -------
+    Result
+        Fields of a `Spot`. If the spot is not at the expected position, the flags are `SEARCH`, every other
+        field is NaN and the whole frame has to be searched.
+    """
     place = Place(origin_x, origin_y, sensor_nx, sensor_ny)
     work = workspace_of(work_array)
     noise = pixel_noise_of(noise_values)
@@ -51,13 +77,14 @@ def follow(
         upright = fit_upright(image, work, False, noise, tables)
         one = upright.fitted
         if one.done:
-            # three frames in a row must say so before the spot is taken for tilted: the general fit that
-            # follows from then on costs many times the time
+            # A tilt must be significant in three frames in a row before the spot is treated as tilted,
+            # because the general fit, used from then on, takes many times as long.
             memory[TILT_HINTS] = memory[TILT_HINTS] + 1.0 if abs(upright.tilt) > TILT_EVIDENCE else 0.0
             tilted = memory[TILT_HINTS] >= 3.0
             return finish(
                 image, place, memory, work, noise, as_kind(one, one.size, tilted, False), followed=True
             )
+        # the failed upright fit has changed the parameters: restore the start values
         expect(memory, place, work.parameters)
     fitted = fit_general(image, work, tilted, two, noise, REACH)
     if not fitted.done or not _plausible(work.parameters, memory, noise, fitted):
@@ -68,7 +95,11 @@ def follow(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _plausible(p: Floats, memory: Floats, noise: PixelNoise, fitted: Fitted) -> bool:
-    """The spot that was followed still looks like itself; else it is looked for anew."""
+    """Whether the fitted spot resembles that of the previous frame; if not, the whole frame is searched.
+
+    Size within a factor of two, amplitude above 5 % of the previous one, and significant against the noise.
+    Otherwise the fit may have followed a reflection or a hot pixel instead of the laser spot.
+    """
     ratio_x = p[SIGMA_X] / memory[LAST + SIGMA_X]
     ratio_y = p[SIGMA_Y] / memory[LAST + SIGMA_Y]
     return (

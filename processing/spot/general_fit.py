@@ -1,6 +1,9 @@
-"""Fit of any spot: tilted, saturated, with outliers, with a second spot. Double precision, slower.
+"""Maximum-likelihood fit of any spot: tilted, saturated, with outliers, or with a second spot.
 
-A pixel at distance (u, v) from the centre of a spot with covariance matrix C, P = C^-1, is expected to hold
+It works in double precision and is slower than the fit of `upright_fit`.
+
+The expected value of a pixel at distance (u, v) from the centre of a spot with covariance matrix C is, with
+P = C^-1, background B and amplitude A,
 
     mu = B + A f,   f = g [1 + (q_x^2 - P_xx + q_y^2 - P_yy)/24],   g = exp(-(u, v) P (u, v)^T / 2)
 
@@ -11,9 +14,10 @@ Fisher scoring: with the variance s^2 of each pixel from the model itself, and d
 
     gradient = sum d (I - mu)/s^2,   information = sum d d^T/s^2,   p <- p + information^-1 gradient
 
-until the step is a small part of the standard uncertainty. The derivatives are those of g with f in
-its place. What they lack, of the order of the bracket's correction, causes no bias: the residuals have
-the expectation zero, whatever they are multiplied by.
+until the step is a small fraction of the standard uncertainty. The derivatives are those of g, multiplied
+by the square bracket; the derivative of the bracket itself is neglected. This causes no bias: at the
+true parameters the residuals I - mu have the expectation zero, so that the gradient vanishes on average
+whatever factors the residuals are multiplied by.
 """
 
 import math
@@ -47,7 +51,7 @@ from processing.spot.spot import Image
 
 _PASSES = 80
 _SWINGING = 12
-"""Passes after which the fit is believed to swing between two places, and is damped."""
+"""Number of passes after which the fit is assumed to oscillate; steps are then halved."""
 
 _FAR = 2.0 * 20.7
 """(u, v) P (u, v)^T beyond which the light is less than 1e-9 of the peak."""
@@ -55,7 +59,7 @@ _FAR = 2.0 * 20.7
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def inverse_covariance(p: Floats) -> tuple[float, float, float]:
-    """P = C^-1 of the spot: xx, yy, xy."""
+    """Elements xx, yy and xy of P = C^-1, in px^-2."""
     xx, yy = p[SIGMA_X] * p[SIGMA_X], p[SIGMA_Y] * p[SIGMA_Y]
     determinant = xx * p[SIGMA_Y] * p[SIGMA_Y] - p[COVARIANCE] * p[COVARIANCE]
     return yy / determinant, xx / determinant, -p[COVARIANCE] / determinant
@@ -73,16 +77,33 @@ def score_general(
     gradient: Floats,
     matrix: Floats,
 ) -> tuple[float, int, int, int]:
-    """Gradient and Fisher information over a window.
+    """Gradient and Fisher information of the log likelihood, summed over a window.
 
-    Left out are pixels that the MODEL expects within three standard deviations of full scale, because
-    a choice by the data would keep the pixels whose noise happened to be low and bias the fit, and
-    pixels whose squared residual exceeds `gate` variances.
+    Two kinds of pixels are left out. The first are those that the model expects within three standard
+    deviations of full scale. The model decides and not the measured value: choosing by the data would
+    keep the pixels whose noise happened to be negative, and bias the fit. The second are outliers, whose
+    squared residual exceeds `gate` variances.
+
+    Parameters
+    ----------
+    image : (ny, nx), DN
+    window
+        Pixels to sum over.
+    p : (PARAMETERS,)
+    tilted, two
+        Whether the covariance and the second spot are fitted.
+    noise
+        Noise model of a pixel.
+    gate
+        Limit of the squared residual, in variances.
+    gradient, matrix : (PARAMETERS,), (PARAMETERS, PARAMETERS)
+        Overwritten with the gradient and the information matrix. A parameter that is not fitted has the
+        gradient 0 and the row and column of a unit matrix.
 
     Returns
     -------
     chi2, pixels, saturated, outliers
-        Chi-square and number of the pixels kept; numbers of those left out.
+        Chi-square and number of the pixels used, and the numbers of pixels left out.
     """
     pxx, pyy, pxy = inverse_covariance(p)
     for k in range(PARAMETERS):
@@ -92,7 +113,7 @@ def score_general(
     derivative = np.zeros(PARAMETERS)
     derivative[BACKGROUND] = 1.0
     floor = background_variance(p[BACKGROUND], noise)
-    # only what is fitted is summed: the sums take most of the time
+    # the sums take most of the time: leave out the trailing parameters that are not fitted
     size = PARAMETERS if two else (TILTED if tilted else UPRIGHT)
     chi2 = 0.0
     pixels = 0
@@ -110,7 +131,8 @@ def score_general(
             if exponent < _FAR:
                 f = math.exp(-0.5 * exponent) * (1.0 + (qx * qx - pxx + qy * qy - pyy) / 24.0)
             light = p[AMPLITUDE] * f
-            # dg/dC = g q q^T / 2; C_xx = sigma_x^2 makes dg/dsigma_x = g q_x^2 sigma_x, and C_xy counts twice
+            # dg/dC = g q q^T / 2. With C_xx = sigma_x^2 this gives dg/dsigma_x = g q_x^2 sigma_x. The
+            # covariance stands in C twice (C_xy and C_yx), hence dg/dc = g q_x q_y.
             derivative[AMPLITUDE] = f
             derivative[X] = light * qx
             derivative[Y] = light * qy
@@ -133,6 +155,8 @@ def score_general(
                 derivative[SECOND_AMPLITUDE] = f2
                 derivative[SECOND_X] = light2 * qx2
                 derivative[SECOND_Y] = light2 * qy2
+            # shot noise and uneven response need a positive light; the second spot's amplitude, or the
+            # bracket of f far from the centre, can make the model negative
             lit = max(light, 0.0)
             variance = floor + lit * (noise.dn_per_e + lit * noise.prnu2)
             mu = p[BACKGROUND] + light
@@ -153,7 +177,7 @@ def score_general(
                 wk = weight * derivative[k]
                 for m in range(k + 1):
                     matrix[k, m] += wk * derivative[m]
-    # a parameter that is not fitted gets a row of the unit matrix: its step is zero
+    # a row and column of the unit matrix give a parameter that is not fitted the step zero
     for k in range(PARAMETERS):
         if (k == COVARIANCE and not tilted) or (k >= SECOND_AMPLITUDE and not two):
             for m in range(PARAMETERS):
@@ -180,10 +204,15 @@ def window_of(p: Floats, nx: int, ny: int, reach: float) -> Window:
 def fit_general(
     image: Image, work: Workspace, tilted: bool, two: bool, noise: PixelNoise, reach: float
 ) -> Fitted:
-    """Fisher scoring to convergence; `work.parameters` is improved in place.
+    """Fisher scoring until convergence; `work.parameters` holds the start values and is updated in place.
 
-    The gate follows the scatter of what it keeps: it starts wide, so that a poor start is not taken for
-    outliers, and where the beam is not Gaussian it stays as wide as the misfit.
+    The limit for outliers follows the scatter of the pixels used. It is infinite at first, so that large
+    residuals of poor start values are not taken for outliers, and it stays wide where the beam is not
+    Gaussian, in proportion to the misfit.
+
+    `reach` is the half-width of the window in standard deviations of the spot. The result has
+    ``done = False`` if there is no convergence, too few pixels are left, or the parameters leave their
+    physical range.
     """
     ny, nx = image.shape
     p = work.parameters
@@ -203,7 +232,8 @@ def fit_general(
         if pixels < 12 or not cholesky(work.information, size, work.factor):
             break
         solve(work.factor, size, gradient, step)
-        # the longest step allowed, along each parameter: beyond it the expansion about p says nothing
+        # Limit the step in each parameter: further away the linear expansion about p is not valid. `worst` is
+        # the largest step in units of its limit.
         limit = 0.5 * min(p[SIGMA_X], p[SIGMA_Y])
         worst = max(abs(step[X]), abs(step[Y])) / limit
         worst = max(
@@ -215,11 +245,11 @@ def fit_general(
         if two:
             worst = max(worst, max(abs(step[SECOND_X]), abs(step[SECOND_Y])) / limit)
         shrink = 1.0 if worst <= 1.0 else 1.0 / worst
-        # pixels that come and go with the mask or the gate can make the fit swing between two places
+        # pixels that are left out in one pass and used in the next can make the fit oscillate
         damping = 1.0 if count < _SWINGING else 0.5
         for k in range(size):
             p[k] += damping * shrink * step[k]
-        # |c| < sigma_x sigma_y, or the covariance matrix is not positive definite
+        # the covariance matrix is positive definite only for |c| < sigma_x sigma_y
         bound = 0.98 * p[SIGMA_X] * p[SIGMA_Y]
         p[COVARIANCE] = min(max(p[COVARIANCE], -bound), bound)
         if not (
@@ -235,7 +265,7 @@ def fit_general(
             and -2 * p[SIGMA_Y] <= p[Y] <= ny - 1 + 2 * p[SIGMA_Y]
         ):
             break
-        # a window that still moved with the last, tiny steps would make the fit swing, too
+        # a window that moved with the last small steps could also make the fit oscillate
         if count < 3 or worst > 0.1:
             window = window_of(p, nx, ny, reach)
         scatter = max(1.0, chi2 / max(pixels - UPRIGHT, 1))

@@ -1,4 +1,4 @@
-"""Cholesky factor of a small matrix, and what follows from it."""
+"""Cholesky factor of a small matrix, solution of its equations and diagonal of its inverse."""
 
 import math
 
@@ -11,7 +11,7 @@ Floats = NDArray[np.float64]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def cholesky(matrix: Floats, size: int, factor: Floats) -> bool:
-    """Lower factor L of a symmetric positive definite matrix, L L^T = matrix; False where it is not one."""
+    """Lower factor L, L L^T = matrix, of the first `size` rows; False if it is not positive definite."""
     for k in range(size):
         for m in range(k + 1):
             total = matrix[k, m]

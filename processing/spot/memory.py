@@ -1,4 +1,4 @@
-"""What the tracker remembers from one frame to the next."""
+"""State of the tracker between frames: the last spot, its last displacement, and the kind of fit it needs."""
 
 import numpy as np
 from numba import njit
@@ -15,26 +15,26 @@ from processing.spot.fit_values import (
 )
 
 FOLLOWS = 0
-"""1.0 while a spot is followed. The other entries are not read before a search has set them."""
+"""1.0 while a spot is being followed, else 0.0. A search sets the other entries before they are read."""
 LAST = 1
-"""First of the PARAMETERS of the last frame's spot, positions in sensor coordinates."""
+"""Index of the first of the PARAMETERS of the last frame's spot; positions are in sensor coordinates."""
 STEP_X, STEP_Y = LAST + PARAMETERS, LAST + PARAMETERS + 1
-"""How far the spot moved from the last frame but one to the last, px."""
+"""Displacement of the spot between the last two frames, px."""
 TILTED, TWO = LAST + PARAMETERS + 2, LAST + PARAMETERS + 3
-"""1.0 where the last spot was fitted as tilted, or with a second one."""
+"""1.0 if the last spot was fitted as tilted, and with a second spot, respectively."""
 TILT_HINTS = LAST + PARAMETERS + 4
-"""Frames in a row in which an upright fit gave evidence of a tilt."""
+"""Number of consecutive frames in which the upright fit found a significant tilt."""
 _SIZE = LAST + PARAMETERS + 5
 
 
 def empty_memory() -> Floats:
-    """Memory that knows of no spot."""
+    """Memory before the first frame."""
     return np.zeros(_SIZE)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def forget(memory: Floats) -> None:
-    """No spot is followed any more."""
+    """Stop following: the next frame is searched as a whole."""
     memory[FOLLOWS] = 0.0
     memory[STEP_X] = 0.0
     memory[STEP_Y] = 0.0
@@ -42,7 +42,11 @@ def forget(memory: Floats) -> None:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def expect(memory: Floats, place: Place, p: Floats) -> None:
-    """Parameters expected in the next image: the last spot, moved by its last step once more."""
+    """Write the parameters expected in the next image into `p`.
+
+    The last spot is displaced once more by its last displacement. Positions in `p` are relative to the
+    image's first pixel.
+    """
     for k in range(PARAMETERS):
         p[k] = memory[LAST + k]
     p[X] += memory[STEP_X] - place.origin_x
@@ -53,7 +57,7 @@ def expect(memory: Floats, place: Place, p: Floats) -> None:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def remember(memory: Floats, place: Place, p: Floats, fitted: Fitted, followed: bool) -> None:
-    """Keep what was fitted. A spot that was searched for has no step: nobody saw it move."""
+    """Store the fitted spot. After a search the displacement is unknown and is set to zero."""
     x = p[X] + place.origin_x
     y = p[Y] + place.origin_y
     if followed:

@@ -1,4 +1,4 @@
-"""From the end of a fit to the reported spot: second spot, flags, uncertainties."""
+"""From a converged fit to the reported spot: test for a second spot, flags, standard uncertainties."""
 
 import math
 
@@ -32,9 +32,9 @@ from processing.spot.sensor_model import PixelNoise, background_variance
 from processing.spot.spot import Image, SpotFlag
 
 Result = tuple[float, float, float, float, float, float, float, float, float, float, int]
-"""Fields of a `Spot` in order. A plain tuple: numba hands it to Python faster than a NamedTuple."""
+"""Fields of a `Spot` in order. It is a plain tuple because numba returns that faster than a NamedTuple."""
 
-# numba takes no IntFlag
+# numba does not support IntFlag
 _SATURATED = SpotFlag.SATURATED.value
 _EDGE = SpotFlag.EDGE.value
 _LOST = SpotFlag.LOST.value
@@ -46,7 +46,7 @@ _MULTIPLE = SpotFlag.MULTIPLE.value
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def lost(memory: Floats) -> Result:
-    """No spot was found."""
+    """Result for a frame without a spot: NaN and the flag LOST; the next frame is searched as a whole."""
     forget(memory)
     nan = math.nan
     return nan, nan, nan, nan, nan, nan, nan, nan, nan, nan, _LOST
@@ -54,10 +54,11 @@ def lost(memory: Floats) -> Result:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def significant(p: Floats, noise: PixelNoise, fitted: Fitted) -> bool:
-    """The spot's light stands out of the noise of its own area, and is not made of outliers.
+    """Whether the spot is significant against the background noise and does not consist of outliers.
 
-    A matched filter sees an amplitude A on a background of standard deviation s with the signal to noise
-    ratio A sqrt(pi sigma_x sigma_y)/s, which must exceed 4.
+    A matched filter detects a Gaussian spot of amplitude A on a background of standard deviation s with the
+    signal-to-noise ratio A sqrt(pi sigma_x sigma_y)/s, which must exceed 4. (In the code both sides are
+    multiplied by 2.)
     """
     floor = background_variance(p[BACKGROUND], noise)
     area = 4.0 * math.pi * p[SIGMA_X] * p[SIGMA_Y]
@@ -74,20 +75,21 @@ def finish(
     fitted: Fitted,
     followed: bool,
 ) -> Result:
-    """Look for a second spot where the residuals ask for one, then report and remember."""
+    """Fit a second spot if the residuals indicate one, store the spot in `memory`, return its fields."""
     p = work.parameters
-    # chi-square has the standard deviation sqrt(2 n); 5 % more is allowed for a beam not quite Gaussian
+    # Chi-square of n pixels has the standard deviation sqrt(2 n). A further 5 % is allowed for a beam that is
+    # not exactly Gaussian.
     if not fitted.two and fitted.chi2 > (fitted.pixels - UPRIGHT) * 1.05 + 6.0 * math.sqrt(
         2.0 * fitted.pixels
     ):
         fitted = try_second(image, work, noise, fitted)
-        # the trial has overwritten the information that the uncertainties come from
+        # the fit of two spots has overwritten the information matrix, which the uncertainties are taken from
         _information(image, work, noise, fitted)
         if not cholesky(work.information, PARAMETERS, work.factor):
             return lost(memory)
         fitted = as_kind(fitted, PARAMETERS, fitted.tilted, fitted.two)
     elif fitted.two and not p[SECOND_AMPLITUDE] > 0.003 * p[AMPLITUDE]:
-        # the second spot has faded away
+        # the second spot has become negligible: fit a single spot from the next frame on
         fitted = as_kind(fitted, fitted.size, fitted.tilted, False)
     remember(memory, place, p, fitted, followed)
     return _report(place, work, noise, fitted)
@@ -95,7 +97,7 @@ def finish(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _information(image: Image, work: Workspace, noise: PixelNoise, fitted: Fitted) -> None:
-    """Information at the final parameters."""
+    """Fisher information at the final parameters, written into `work.information`."""
     ny, nx = image.shape
     p = work.parameters
     gate = GATE * max(1.0, fitted.chi2 / max(fitted.pixels - UPRIGHT, 1))
@@ -114,13 +116,14 @@ def _information(image: Image, work: Workspace, noise: PixelNoise, fitted: Fitte
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _report(place: Place, work: Workspace, noise: PixelNoise, fitted: Fitted) -> Result:
-    """Position on the sensor, uncertainties, axes and flags."""
+    """Fields of the `Spot`: position on the sensor, uncertainties, principal axes and flags."""
     p = work.parameters
     x = p[X] + place.origin_x
     y = p[Y] + place.origin_y
     unknowns = UPRIGHT + (1 if fitted.tilted else 0) + (3 if fitted.two else 0)
     chi2_per_dof = fitted.chi2 / max(fitted.pixels - unknowns, 1)
-    # u^2 = (information^-1)_kk max(1, chi2/dof): a misfit widens the uncertainty, luck does not narrow it
+    # u^2 = (information^-1)_kk max(1, chi2/dof): a misfit enlarges the uncertainty, but a chi-square that
+    # happens to be small does not reduce it
     inflate = math.sqrt(max(1.0, chi2_per_dof))
     u_x = inflate * math.sqrt(inverse_diagonal(work.factor, fitted.size, X))
     u_y = inflate * math.sqrt(inverse_diagonal(work.factor, fitted.size, Y))
@@ -148,7 +151,7 @@ def _report(place: Place, work: Workspace, noise: PixelNoise, fitted: Fitted) ->
         mean = 0.5 * (p[SIGMA_X] * p[SIGMA_X] + p[SIGMA_Y] * p[SIGMA_Y])
         half = 0.5 * (p[SIGMA_X] * p[SIGMA_X] - p[SIGMA_Y] * p[SIGMA_Y])
         root = math.hypot(half, p[COVARIANCE])
-        # the axis nearer to x keeps the name of x, so that the two do not swap from frame to frame
+        # sigma_1 belongs to the axis nearer to x, so that the axes do not change places between frames
         sign = 1.0 if half >= 0.0 else -1.0
         sigma_1 = math.sqrt(max(mean + sign * root, 1e-12))
         sigma_2 = math.sqrt(max(mean - sign * root, 1e-12))

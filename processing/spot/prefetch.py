@@ -1,4 +1,7 @@
-"""Telling the processor which pixels will be needed soon; a frame that has just arrived is in no cache."""
+"""Prefetch instructions: load pixels into the processor's cache before they are needed.
+
+A frame that has just arrived from the camera is in no cache; waiting for memory would take most of the time.
+"""
 
 from collections.abc import Callable
 from typing import Any, cast
@@ -15,7 +18,7 @@ _READ, _KEEP, _DATA = 0, 3, 1
 
 @intrinsic
 def _prefetch(typing_context: Any, image: Any, place: Any) -> Any:
-    """Code for `prefetch`."""
+    """Generate the LLVM prefetch instruction for `prefetch`."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         array = context.make_array(signature.args[0])(context, builder, arguments[0])
@@ -30,15 +33,19 @@ def _prefetch(typing_context: Any, image: Any, place: Any) -> Any:
 
 
 prefetch = cast(Callable[[Image, int], None], _prefetch)
-"""Begin to load the cache line of an image's element, counted in C order; beyond its end it does nothing.
+"""Start loading the cache line of an image element; the index counts elements in C order.
 
-Compiled code only. A hint: it changes no value, reads nothing that the program sees, and cannot fail.
+It can be called from compiled code only. It is a hint to the processor and has no effect on the result, also
+for an index beyond the end of the image.
 """
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def prefetch_window(image: Image, x0: int, y0: int, nx: int, ny: int) -> None:
-    """Begin to load nx x ny pixels from (x0, y0) on: the rows of a window lie too far apart to be guessed."""
+    """Start loading nx x ny pixels from (x0, y0) on.
+
+    The processor's own prefetching does not recognise the rows of a window, which are far apart in memory.
+    """
     width = image.shape[1]
     in_a_line = LINE_BYTES // image.itemsize
     for y in range(y0, y0 + ny):

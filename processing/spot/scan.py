@@ -1,4 +1,8 @@
-"""Where on a whole frame the spot may be: one pass at the speed of memory, past hot pixels."""
+"""Search of a whole frame for its brightest area, insensitive to hot pixels and limited by memory bandwidth.
+
+The frame is divided into bands of BAND_ROWS rows. A scan reduces every band to one row that holds, for each
+column, the highest value met. The brightest place is then located in the few rows so obtained.
+"""
 
 import numpy as np
 from numba import njit
@@ -9,23 +13,26 @@ from processing.spot.spot import Image
 
 BAND_ROWS = 32
 BAND_STEP = 256
-"""Bands are wider than the image, up to a multiple of this and two more: no remainder is done one by one."""
+"""A band is padded to a multiple of this width, plus two pixels, so that vector loops have no remainder."""
 _SAMPLES_Y = 16
 _SAMPLES_X = 32
 SAMPLES = _SAMPLES_Y * _SAMPLES_X
 
 _BLOCK = 64
-"""Pixels of a row between two looks ahead: the loads then never come in bursts that have to queue."""
+"""Pixels of a row between two prefetches: small enough that the loads do not come in bursts and queue."""
 _ROWS_AHEAD = 4
 
-# The loops over a row are written as selections between values of the pixels' own type: a built-in
-# maximum, or a sum, would be widened to 64 bits and no longer become vector code. They run over slices
-# of a constant length, which spares the compiler the remainder.
+# The loops over a row use conditional expressions on values of the pixels' own type: min(), max() or a sum
+# would be widened to 64 bits, and the compiler would not vectorise them. They run over slices of constant
+# length, so that no remainder loop is needed.
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _raise_narrow(image: Image, first: int, last: int, line: Image) -> None:
-    """Raise `line` to the lowest pixel of each column between two rows, for images less than a block wide."""
+    """As in `scan_every_row`, for images narrower than _BLOCK.
+
+    `line` becomes the maximum of itself and the lowest pixel of each column in rows `first` to `last`.
+    """
     for x in range(image.shape[1]):
         value = image[first, x]
         for y in range(first + 1, last + 1):
@@ -35,9 +42,10 @@ def _raise_narrow(image: Image, first: int, last: int, line: Image) -> None:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def scan_every_row(image: Image, bands: Image) -> None:
-    """Into each band's row: the highest of the minima of four pixels one above the other.
+    """For each band and column, find the highest of the minima of four pixels one above the other.
 
-    A hot pixel has neighbours that are not; a spot covers four rows.
+    The minimum rejects hot pixels, whose neighbours are dark, and keeps a spot, which covers at least four
+    rows. The results are written into `bands`.
     """
     ny, nx = image.shape
     pixels = image.reshape(ny * nx)
@@ -46,19 +54,19 @@ def scan_every_row(image: Image, bands: Image) -> None:
         line = bands[band]
         line[:nx] = 0
         for y in range(band * BAND_ROWS, min(ny, (band + 1) * BAND_ROWS), 4):
-            # the last rows of a frame are read twice rather than not at all
+            # if the number of rows is no multiple of four, the last group overlaps the one before
             top = max(0, min(y, ny - 4))
             if nx < _BLOCK:
                 _raise_narrow(image, top, top + 3, line)
                 continue
             start = top * nx
-            # by itself the processor does not see that four rows side by side are one stream
+            # the processor's own prefetching does not recognise four rows read in parallel as a stream
             ahead = start + 8 * nx
             for x in range(0, nx, _BLOCK):
                 for place in range(ahead, ahead + 4 * _BLOCK, in_a_line):
                     prefetch(image, place)
                 ahead += 4 * _BLOCK
-                # the last block overlaps the one before, which changes no highest or lowest value
+                # the last block overlaps the one before, which does not change the maxima
                 column = min(x, nx - _BLOCK)
                 first = start + column
                 row0 = pixels[first : first + _BLOCK]
@@ -75,7 +83,7 @@ def scan_every_row(image: Image, bands: Image) -> None:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def scan_some_rows(image: Image, row_step: int, bands: Image) -> None:
-    """Into each band's row: the highest pixel of a column over every `row_step`-th row."""
+    """For each band and column, write the highest pixel among every `row_step`-th row into `bands`."""
     ny, nx = image.shape
     in_a_line = LINE_BYTES // image.itemsize
     for band in range((ny + BAND_ROWS - 1) // BAND_ROWS):
@@ -94,7 +102,7 @@ def scan_some_rows(image: Image, row_step: int, bands: Image) -> None:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _highest_of_three(line: Image, first: int, count: int) -> int:
-    """Highest minimum of three neighbours."""
+    """Highest of the minima of three neighbouring pixels, for `count` triples from `first` on."""
     left = line[first : first + count]
     middle = line[first + 1 : first + 1 + count]
     right = line[first + 2 : first + 2 + count]
@@ -110,13 +118,19 @@ def _highest_of_three(line: Image, first: int, count: int) -> int:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def of_three(image: Image, x: int, y: int) -> int:
-    """Lowest of a pixel and its neighbours to the left and right."""
+    """Lowest of a pixel and its neighbours to the left and right: a hot pixel does not raise it."""
     return int(min(min(image[y, x - 1], image[y, x]), image[y, x + 1]))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def brightest(image: Image, bands: Image) -> tuple[int, int, int]:
-    """Brightest place after a scan: lowest of three neighbours in the frame itself, x, y."""
+    """Brightest place after a scan.
+
+    Returns
+    -------
+    peak, x, y
+        Value of `of_three` there, in DN, and the position in px.
+    """
     ny, nx = image.shape
     width = bands.shape[1] - 2
     band = 0
@@ -132,7 +146,7 @@ def brightest(image: Image, bands: Image) -> tuple[int, int, int]:
         first_x += BAND_STEP
     while min(min(line[first_x], line[first_x + 1]), line[first_x + 2]) < best:
         first_x += 1
-    # the middle of a plateau, as a saturated spot's is
+    # take the middle of a plateau, as a saturated spot has one
     stop = first_x
     while stop < nx - 2 and min(min(line[stop], line[stop + 1]), line[stop + 2]) == best:
         stop += 1
@@ -140,7 +154,8 @@ def brightest(image: Image, bands: Image) -> tuple[int, int, int]:
     prefetch_window(image, x - 1, max(0, band * BAND_ROWS - 1), 3, BAND_ROWS + 2)
     peak = -1
     first = last = band * BAND_ROWS
-    # a spot of several rows' plateau is met in its middle too; one row on, where a band cuts the spot
+    # Along y also take the middle of a plateau. One row more on either side, in case the border of two bands
+    # cuts through the spot.
     for y in range(max(0, band * BAND_ROWS - 1), min(ny, (band + 1) * BAND_ROWS + 1)):
         value = of_three(image, x, y)
         if value > peak:
@@ -154,7 +169,10 @@ def brightest(image: Image, bands: Image) -> tuple[int, int, int]:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _ranked(sample: NDArray[np.int64], rank: int, bits: int) -> int:
-    """Value of a rank: the highest of which at most `rank` are lower, found bit by bit."""
+    """Order statistic: the highest value of `bits` bits such that at most `rank` of the sample are lower.
+
+    It is built up from the highest bit down, which needs no sorting.
+    """
     value = 0
     for bit in range(bits - 1, -1, -1):
         trial = value | (1 << bit)
@@ -168,7 +186,7 @@ def _ranked(sample: NDArray[np.int64], rank: int, bits: int) -> int:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def background_of(image: Image, row_step: int, sample: NDArray[np.int64]) -> tuple[float, float]:
-    """Median and robust standard deviation of a grid of 512 pixels, in rows that a scan has read."""
+    """Median and robust standard deviation, DN, of a grid of 512 pixels in rows that the scan has read."""
     ny, nx = image.shape
     count = 0
     for j in range(_SAMPLES_Y):
@@ -179,14 +197,18 @@ def background_of(image: Image, row_step: int, sample: NDArray[np.int64]) -> tup
             count += 1
     bits = 8 * image.itemsize
     middle = _ranked(sample, count // 2, bits)
-    # the lower quantile, since light only adds; 0.8416 standard deviations below the mean
+    # The 20 % quantile of a normal distribution lies 0.8416 standard deviations below its mean. The lower
+    # half is used because light, from the spot or a reflection, only raises pixels.
     low = _ranked(sample, count // 5, bits)
     return float(middle), max((middle - low) / 0.8416, 0.3)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def brightest_block(image: Image, size: int, clip: float) -> tuple[float, int, int]:
-    """Highest mean of a block, pixels clipped at `clip` so that a hot one counts for little: mean, x, y."""
+    """Highest mean of a block of size x size pixels: mean in DN, and x, y of its centre.
+
+    Pixels are clipped at `clip`, so that a hot pixel contributes little.
+    """
     ny, nx = image.shape
     best = -1.0
     best_x = nx // 2

@@ -1,4 +1,4 @@
-"""One frame of which nothing is known: find the spot on the whole of it, then fit."""
+"""Search of a whole frame for the spot, followed by its fit, without knowledge of earlier frames."""
 
 import math
 
@@ -45,12 +45,15 @@ Integers = NDArray[np.int64]
 
 _NEAR_PX = 32
 _SMALLEST_SPOT_PX = 0.7
-"""Below it a bright place is a cluster of hot pixels."""
+"""A smaller fitted sigma means a cluster of hot pixels and not a spot."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _climb(image: Image, peak: int, x: int, y: int) -> tuple[int, int]:
-    """The row that was hit need not be the brightest: up or down from it, value and y."""
+    """Climb up or down column `x` to its local maximum; returns the value there and y.
+
+    Needed because a scan of every `row_step`-th row does not usually meet the spot's brightest row.
+    """
     ny = image.shape[0]
     for _ in range(64):
         moved = False
@@ -68,7 +71,10 @@ def _climb(image: Image, peak: int, x: int, y: int) -> tuple[int, int]:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _fit_any(image: Image, work: Workspace, noise: PixelNoise) -> Fitted:
-    """General fit, tilted where the tilt is significant."""
+    """General fit of a single spot; as upright unless its tilt is significant (five standard deviations).
+
+    The result has ``done = False`` also for a spot that is too small or not significant.
+    """
     p = work.parameters
     fitted = fit_general(image, work, True, False, noise, REACH)
     tilted = False
@@ -103,11 +109,18 @@ def search(
     mask: NDArray[np.uint8],
     stack: Integers,
 ) -> Result:
-    """Spot of one frame without knowing of any before it.
+    """Find and fit the spot of one frame.
 
-    The first pass reads every `row_step`-th row; where that gives no clean spot, every row is read. A clean,
-    upright spot is fitted from its chords; any other by the general fit, from its areas; a spot too faint
-    to stand out pixel by pixel from the brightest block.
+    Methods are tried from the fastest to the most general:
+
+    1. A scan of every `row_step`-th row, start values from the spot's chords at half maximum, upright fit.
+    2. The same after a scan of every row.
+    3. Start values from the areas above two levels, general fit: tilted, saturated or irregular spots.
+    4. Start values from the brightest block of pixels, general fit: a spot too faint to be seen in
+       single pixels.
+
+    `bands`, `sample`, `mask` and `stack` are working memory, `row_step` belongs to the scan; for the other
+    parameters see `follow`. Returns the fields of a `Spot`, with the flag LOST if nothing was found.
     """
     place = Place(origin_x, origin_y, sensor_nx, sensor_ny)
     work = workspace_of(work_array)
@@ -122,13 +135,14 @@ def search(
         else:
             scan_every_row(image, bands)
         if attempt == 0:
-            # after the scan, which has brought these rows into the cache
+            # after the scan, because these rows are in the cache by then
             background, spread = background_of(image, row_step, sample)
-            # the highest of some 1e5 to 1e6 normal values lies about 5 standard deviations up
+            # the highest of 1e5 to 1e6 normally distributed values lies about 5 standard deviations above the
+            # mean: 6 excludes noise
             threshold = background + 6.0 * spread
         peak, x, y = brightest(image, bands)
         if attempt == 0 and row_step > 1:
-            # most rows about the place have not been read yet
+            # most rows around this position have not been read yet
             prefetch_window(image, x - _NEAR_PX, y - _NEAR_PX, 2 * _NEAR_PX, 2 * _NEAR_PX)
         peak, y = _climb(image, peak, x, y)
         if peak > threshold and start_on_chords(image, x, y, background, peak, p):
@@ -147,7 +161,7 @@ def search(
             return finish(image, place, memory, work, noise, fitted, followed=False)
     size = 8 if min(image.shape) >= 24 else 3
     mean, x, y = brightest_block(image, size, background + 8.0 * spread)
-    # the mean of size^2 pixels has the standard deviation spread / size
+    # the mean of size^2 pixels has the standard deviation spread / size; again 6 standard deviations
     if mean > background + 6.0 * spread / size:
         p[:] = 0.0
         p[AMPLITUDE] = max(1.3 * (mean - background), 0.5)

@@ -1,4 +1,4 @@
-"""A second spot that overlaps: seen in the residuals, then fitted together with the first."""
+"""Second spot (such as a reflection) that overlaps the first: found in the residuals, then fitted jointly."""
 
 import math
 
@@ -24,16 +24,20 @@ from processing.spot.sensor_model import PixelNoise, background_variance
 from processing.spot.spot import Image
 
 _ONE, _TWO = 6, 9
-"""Unknowns with one upright spot, and with a second one of the same shape."""
+"""Number of unknowns of one upright spot, and of two of the same shape."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def find_second(image: Image, p: Floats, noise: PixelNoise) -> bool:
-    """Where the residuals of a fit show a second spot, put a start for it into `p`.
+    """Look for a second spot in the residuals of a fit; if there is one, write start values for it into `p`.
 
-    Residuals are averaged over blocks of about one sigma, which gathers most of the light of a spot of
-    the same size; one must stand out by eight standard deviations, 1.5 sigma or further from the centre,
-    where residuals are not the first spot's own misfit.
+    Residuals are summed over blocks of about 0.7 sigma, which gather much of the light of a spot of the
+    same size. With r the residuals and s^2 their variances from the noise model, a block's significance is
+
+        sum r / sqrt(sum s^2),
+
+    which must exceed 8, at a distance of more than 1.5 sigma from the centre: nearer to it, residuals come
+    from the first spot's own deviation from a Gaussian. Pixels near full scale do not count.
     """
     ny, nx = image.shape
     window = window_of(p, nx, ny, REACH)
@@ -69,12 +73,14 @@ def find_second(image: Image, p: Floats, noise: PixelNoise) -> bool:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def try_second(image: Image, work: Workspace, noise: PixelNoise, one: Fitted) -> Fitted:
-    """Joint fit of two spots, where it removes at least half of what one spot leaves; else `one` again.
+    """Fit two spots jointly and return that fit if it is clearly better; otherwise return `one` unchanged.
 
-    What is left is the excess of chi-square per degree of freedom over 1. The second spot must be the
-    fainter one and lie more than 1.2 sigma away, or both would describe the same light.
+    It is clearly better if the excess of chi-square per degree of freedom over 1 falls by at least half.
+    The second spot must be the fainter one, and the two must lie more than 1.2 sigma apart; otherwise
+    both would describe the same light. `work.information` and `work.factor` are overwritten in any case.
     """
     p = work.parameters
+    # fit a copy, so that the single spot's parameters remain if the second spot is rejected
     trial = p.copy()
     if not find_second(image, trial, noise):
         return one

@@ -1,4 +1,4 @@
-"""Noise of a pixel, as the fit weighs it."""
+"""Noise model of a pixel, from which the fit takes its weights."""
 
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -10,23 +10,23 @@ from numpy.typing import NDArray
 from processing.errors import DataError
 
 LEAST_VARIANCE_DN2 = 1.0 / 12.0
-"""Variance of rounding to whole DN, which every pixel has."""
+"""Variance of rounding to whole DN (uniform distribution of width 1), the least that a pixel can have."""
 
 
 class PixelNoise(NamedTuple):
-    """Variance and limit of a pixel's value, for the kernels.
+    """Noise model in the form used by the kernels.
 
     A pixel with background B and the spot's light L has the variance
     ``at_zero_dn2 + (B + L) dn_per_e + L^2 prnu2`` in DN^2.
     """
 
     at_zero_dn2: float
-    """Variance's straight line in the pixel's value, extrapolated to value 0."""
+    """The variance is a straight line in the pixel's value; this is its value extrapolated to 0 DN."""
     dn_per_e: float
-    """Inverse gain: shot noise has the variance light / gain."""
+    """Inverse gain, DN per electron: shot noise has the variance light * dn_per_e."""
     full_scale_dn: float
     prnu2: float
-    """Squared relative spread of the pixels' response."""
+    """Squared relative standard deviation of the pixels' response (photo-response non-uniformity)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,10 +72,9 @@ class SensorModel:
 
     @property
     def pixel_noise(self) -> PixelNoise:
-        """The same for the kernels.
+        """The same model in the form used by the kernels.
 
-        The variance at value 0 is an extrapolation below the pedestal, where no pixel is; it is
-        negative for a high pedestal.
+        The variance at 0 DN is an extrapolation below the pedestal, and is negative for a high pedestal.
         """
         return PixelNoise(
             at_zero_dn2=self.dark_variance_dn2 - self.pedestal_dn / self.gain_e_per_dn,
@@ -87,11 +86,11 @@ class SensorModel:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def pixel_noise_of(values: NDArray[np.float64]) -> PixelNoise:
-    """`PixelNoise` from an array of its fields (numba recognises a NamedTuple from Python only slowly)."""
+    """`PixelNoise` from an array of its fields; numba takes a NamedTuple argument from Python only slowly."""
     return PixelNoise(values[0], values[1], values[2], values[3])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def background_variance(background_dn: float, noise: PixelNoise) -> float:
-    """Variance in DN^2 of a pixel that holds the background alone."""
+    """Variance in DN^2 of a pixel that receives only the background."""
     return float(max(noise.at_zero_dn2 + background_dn * noise.dn_per_e, LEAST_VARIANCE_DN2))

@@ -7,11 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 Image = NDArray[np.uint8] | NDArray[np.uint16]
-"""Pixels (ny, nx)."""
+"""Pixel values in DN, shape (ny, nx)."""
 
 
 class SpotFlag(IntFlag):
-    """What was found wrong with a spot; 0 where nothing was."""
+    """Problems found with a spot, one bit each; 0 if there are none."""
 
     SATURATED = 1
     """Pixels that the model expects at full scale were left out."""
@@ -22,19 +22,20 @@ class SpotFlag(IntFlag):
     LOW_SNR = 8
     """The amplitude is less than about five times the noise of one pixel."""
     POOR_FIT = 16
-    """The residuals are larger than noise explains: the beam is not the model's."""
+    """The residuals are larger than the noise: the beam profile is not a Gaussian."""
     OUTLIERS = 32
-    """Single pixels (hot, cosmic) were gated out."""
+    """Single pixels (hot pixels, cosmic rays) were left out because of their residuals."""
     MULTIPLE = 64
-    """A second spot overlaps or competes; the brighter one is reported."""
+    """A second spot overlaps the first; the brighter one is reported."""
 
 
 class Spot(NamedTuple):
-    """Spot of one frame. Pixel (0, 0) has its centre at (0.0, 0.0); x to the right, y down.
+    """Spot of one frame. The centre of pixel (0, 0) is at (0.0, 0.0); x points right, y down.
 
-    `u_x_px` and `u_y_px` are standard uncertainties: the inverse Fisher matrix's diagonal, times
-    sqrt(max(1, chi2_per_dof)). `sigma_x_px` is the standard deviation along the axis that lies at
-    `rotation_rad` from x towards y. A lost spot has NaN everywhere but in `flags`.
+    `u_x_px` and `u_y_px` are standard uncertainties: square roots of the diagonal of the inverse Fisher
+    information, times sqrt(max(1, chi2_per_dof)). `sigma_x_px` is the standard deviation of the light
+    along the principal axis at the angle `rotation_rad` from x towards y, `sigma_y_px` that along the
+    other principal axis. If the spot is lost, every field but `flags` is NaN.
     """
 
     x_px: float
@@ -51,4 +52,4 @@ class Spot(NamedTuple):
 
 
 SPOT_DTYPE = np.dtype([(name, np.float64) for name in Spot._fields[:-1]] + [("flags", np.int64)])
-"""One row of a table of spots: the fields of `Spot`."""
+"""Row of a table of spots, with the fields of `Spot`."""

@@ -1,4 +1,4 @@
-"""Starts of the fit at a bright place: along chords where the spot is clean, from areas where it is not."""
+"""Start values of the fit at a bright place: from chords for a clean spot, from areas for any other."""
 
 import math
 from typing import NamedTuple
@@ -28,7 +28,7 @@ _WIDTH_OF_SIGMA = 2.0 * math.sqrt(2.0 * math.log(2.0))
 
 
 class _Area(NamedTuple):
-    """Connected pixels above a level: their number, sums of their coordinates, the box they lie in."""
+    """Connected pixels above a level: number, sums of coordinates and their products, and bounding box."""
 
     pixels: int
     x: float
@@ -44,7 +44,10 @@ class _Area(NamedTuple):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _crossing(image: Image, x: int, y: int, dx: int, dy: int, level: float) -> float:
-    """Distance from (x, y) to where the light falls below a level, between pixels; NaN at an edge."""
+    """Distance in px from (x, y) to where the light falls below a level, along the direction (dx, dy).
+
+    Interpolated linearly between pixels; NaN if the image's edge comes first.
+    """
     ny, nx = image.shape
     before = float(image[y, x])
     distance = 0
@@ -62,9 +65,10 @@ def _crossing(image: Image, x: int, y: int, dx: int, dy: int, level: float) -> f
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def start_on_chords(image: Image, x: int, y: int, background: float, peak: int, p: Floats) -> bool:
-    """Start from the chords at half height along a row and a column; False where there are none.
+    """Start values from the chords at half maximum along a row and a column, written into `p`.
 
-    The middles of the chords lead to an ellipse's centre in two rounds.
+    Moving to the middle of a chord along x, then along y, converges to the centre of an ellipse;
+    two rounds suffice. Returns False if a chord reaches the edge or is shorter than 2 px.
     """
     ny, nx = image.shape
     for _ in range(2):
@@ -108,7 +112,7 @@ def _flood(
     mark: int,
     stack: NDArray[np.int64],
 ) -> _Area:
-    """Pixels at or above `level` that are connected to (x, y); `mask` gets `mark` there."""
+    """Flood fill: pixels at or above `level` connected to (x, y); `mask` is set to `mark` there."""
     ny, nx = image.shape
     sum_x = sum_y = sum_xx = sum_yy = sum_xy = 0.0
     x_first = x_last = x
@@ -156,10 +160,15 @@ def start_on_areas(
     stack: NDArray[np.int64],
     p: Floats,
 ) -> bool:
-    """Start of the fit from the areas above two levels about a bright place.
+    """Start values from the areas above two levels around a bright place, written into `p`.
 
-    The area above the background and a level l is 2 pi sigma_1 sigma_2 ln(A/l), an ellipse's: two areas
-    give the product of the sigmas and, where the top is clipped, the amplitude A that it would have.
+    The pixels of a Gaussian spot that exceed the background by more than l form an ellipse of area
+
+        2 pi sigma_1 sigma_2 ln(A/l).
+
+    Two areas give the product of the sigmas and, if the spot is clipped at full scale, the amplitude A that
+    it would have without clipping. Second moments of the outer area give the shape. Returns False if there
+    is no such area.
     """
     light = peak - background
     if light <= 0.0:
@@ -171,7 +180,7 @@ def start_on_areas(
         upper = background + 0.95 * light
     inner = _flood(image, x, y, upper, mask, 1, stack)
     outer = _flood(image, x, y, lower, mask, 2, stack)
-    # the mask is left clean for the next frame; the outer area's box holds the inner one
+    # clear the mask for the next frame; the bounding box of the outer area contains the inner one
     mask[outer.y_first : outer.y_last + 1, outer.x_first : outer.x_last + 1] = 0
     if outer.pixels < 3:
         return False
@@ -185,13 +194,14 @@ def start_on_areas(
     amplitude = light
     if clipped:
         amplitude = (upper - background) * math.exp(min(inner.pixels / (2.0 * math.pi * spread), 5.0))
-    # an ellipse of uniform weight with half-axes h has the variances h^2/4, and here h^2 = 2 sigma^2 ln(A/l);
-    # 1/12 is the variance of a position within a pixel
+    # An ellipse of uniform weight with half axes h has the variances h^2/4, and here h^2 = 2 sigma^2 ln(A/l).
+    # 1/12 px^2 is the variance of a uniform position within a pixel.
     scale = 2.0 / math.log(max(amplitude / (lower - background), 1.2))
     xx = (outer.xx / outer.pixels - mean_x * mean_x + 1.0 / 12.0) * scale
     yy = (outer.yy / outer.pixels - mean_y * mean_y + 1.0 / 12.0) * scale
     xy = (outer.xy / outer.pixels - mean_x * mean_y) * scale
-    # an area lit so evenly that the limits below act is no compact spot; the fit will reject it
+    # The limits below keep the start values valid. They take effect only for an area that is no compact spot,
+    # which the fit then rejects.
     p[AMPLITUDE] = amplitude
     p[X] = mean_x
     p[Y] = mean_y

@@ -1,4 +1,4 @@
-"""Follows the laser spot from frame to frame."""
+"""Tracking of the laser spot from frame to frame."""
 
 import math
 from typing import Any
@@ -23,9 +23,10 @@ _SPOT = tuple.__new__
 
 
 class _Writable:
-    """A read-only array's memory without the read-only mark.
+    """Array interface to a read-only array's memory that does not declare it read-only.
 
-    To numba a read-only array is a type of its own, for which it would compile every kernel a second time.
+    numba treats read-only arrays as a separate type and would compile every kernel a second time for them.
+    The kernels do not write to the image.
     """
 
     def __init__(self, image: Image) -> None:
@@ -36,7 +37,7 @@ class _Writable:
 
 
 def _plain(images: Image) -> Image:
-    """The image in C order, aligned, and of the one type that the kernels are compiled for."""
+    """The image in C order, aligned, and of the array type that the kernels are compiled for."""
     if not (images.flags.c_contiguous and images.flags.aligned):
         return images.copy(order="C")
     memory: Any = _Writable(images)
@@ -47,17 +48,22 @@ def _plain(images: Image) -> Image:
 class SpotTracker:
     """Maximum-likelihood position of the spot, with standard uncertainties and flags.
 
-    An elliptical Gaussian, integrated over the pixels, is fitted by Fisher scoring with the weights of
-    the sensor's noise, started from the last frame and the spot's last step. A frame in which the
-    spot is not where it should be is searched as a whole.
+    An elliptical Gaussian, integrated over the pixels, is fitted by Fisher scoring with weights from the
+    sensor's noise model. The start values are the previous frame's spot, displaced by its last movement.
+    If the spot is not found there, the whole frame is searched.
 
     Parameters
     ----------
     sensor
         Noise and full scale of a pixel.
     row_step
-        The search reads every `row_step`-th row first, and all of them where that gives no clean spot; 1
-        reads all from the start.
+        A search reads every `row_step`-th row first, and every row if that finds no clean spot. With 1,
+        every row is read at once.
+
+    Raises
+    ------
+    DataError
+        A `row_step` below 1.
     """
 
     def __init__(self, sensor: SensorModel, *, row_step: int = 8) -> None:
@@ -74,7 +80,7 @@ class SpotTracker:
         self._bands: Image = np.zeros((1, 1), dtype=np.uint8)
 
     def reset(self) -> None:
-        """Forget the last frame: the next one is searched as a whole."""
+        """Forget the last frame, so that the next one is searched as a whole."""
         self._memory[FOLLOWS] = 0.0
 
     def track(
@@ -87,10 +93,11 @@ class SpotTracker:
         image
             Shape (ny, nx), uint8 or uint16.
         origin_px
-            Sensor coordinates (x, y) of the image's first pixel, where the image is a window cut out of
-            the sensor; positions come out in sensor coordinates.
+            Sensor coordinates (x, y) of the image's first pixel, if the image is a window of the sensor.
+            The returned position is in sensor coordinates.
         sensor_shape
-            (ny, nx) of the sensor; a window's own edges then do not count as the sensor's.
+            (ny, nx) of the sensor, so that the edges of a window are not taken for those of the sensor
+            (flag EDGE). None: the image is the whole sensor.
 
         Raises
         ------
@@ -118,9 +125,10 @@ class SpotTracker:
         return _SPOT(Spot, found)
 
     def record_window(self, spot: Spot, shape: tuple[int, int]) -> tuple[int, int, int, int]:
-        """Pixels (x0, y0, x1, y1) of a frame from which this spot can be tracked again.
+        """Window x0 <= x < x1, y0 <= y < y1 of a frame that has to be recorded to fit this spot again later.
 
-        The fit's window and a margin, cut at the frame's edges; the whole frame for a lost spot.
+        Returns (x0, y0, x1, y1): the window of the fit and a margin, within the frame; for a lost spot
+        the whole frame.
         """
         ny, nx = shape
         if spot.flags & SpotFlag.LOST:

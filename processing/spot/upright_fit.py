@@ -1,4 +1,7 @@
-"""Fit of an upright, clean spot: a few passes of the quick scoring."""
+"""Fast fit of a clean spot whose axes lie along the pixels, by Fisher scoring with `upright_score`.
+
+It serves nearly every frame of a measurement. A spot that it does not suit is left to `general_fit`.
+"""
 
 import math
 from typing import NamedTuple
@@ -32,26 +35,26 @@ from processing.spot.upright_score import ALONG_Y, SMALLEST_SIGMA_PX, informatio
 _PASSES = 10
 LARGEST_TABLE = 2048
 _VECTOR = 32
-"""Pixels of a vector instruction, at most."""
+"""Largest number of pixels that one vector instruction handles."""
 
 _MOST_OUTLIERS = 8
 _LARGEST_SCATTER = 1.3
-"""Chi-square per pixel above which the spot is not a clean upright one."""
+"""Chi-square per pixel above which the spot is not treated as clean and upright."""
 
 _LEFT_OVER = 0.03
-"""Part of a standard uncertainty that may be left when the passes stop: it adds 0.05 % to the scatter."""
+"""Allowed numerical error as a fraction of the standard uncertainty; it adds 0.05 % to the scatter."""
 
 TILT_EVIDENCE = 6.0
-"""Standard deviations of the tilt from which on a spot is not taken for upright."""
+"""Significance of the tilt, in standard deviations, above which a spot is not treated as upright."""
 
 
 class UprightFit(NamedTuple):
-    """How an upright fit ended."""
+    """Result of an upright fit."""
 
     fitted: Fitted
     tilt: float
-    """Evidence of a tilt in standard deviations: gradient by the covariance, over the root of its
-    information (a score test)."""
+    """Significance of a tilt in standard deviations: the gradient by the covariance, divided by the square
+    root of its information (score test)."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -63,10 +66,11 @@ def _not_done() -> UprightFit:
 def fit_upright(
     image: Image, work: Workspace, rough: bool, noise: PixelNoise, tables: NDArray[np.float32]
 ) -> UprightFit:
-    """Scoring from a good start; `work.parameters` is improved in place.
+    """Fisher scoring; `work.parameters` holds the start values and is updated in place.
 
-    From a `rough` start the first passes read some of the rows only. Not done where the model
-    saturates, more than single pixels stand out, or it does not settle: then the general fit is needed.
+    With rough start values (`rough`) the first passes read only some of the rows. The result has
+    ``done = False`` if the model reaches full scale, too many pixels are outliers, or the fit does not
+    converge; the general fit is needed then.
     """
     ny, nx = image.shape
     p = work.parameters
@@ -77,8 +81,8 @@ def fit_upright(
     opened = rough
     gate = GATE
     if rough:
-        # from a rough start residuals are large on the spot itself; half the amplitude on a dark pixel is
-        # still no consequence of a poor start but a hot pixel
+        # Rough start values leave large residuals on the spot itself. But a residual of half the amplitude
+        # on a dark pixel cannot come from them: it is a hot pixel.
         floor = background_variance(p[BACKGROUND], noise)
         gate = max(4.0 * GATE, 0.25 * p[AMPLITUDE] * p[AMPLITUDE] / floor)
     for _ in range(_PASSES):
@@ -89,7 +93,7 @@ def fit_upright(
         window = window_of(p, nx, ny, REACH)
         x0, y0 = window.x0, window.y0
         wx, wy = window.x1 - x0, window.y1 - y0
-        # whole vectors: a remainder of pixels done one by one would cost more than the wider row
+        # widen rows to whole vectors: the remaining pixels one by one would take longer than a wider row
         wider = (wx + _VECTOR - 1) // _VECTOR * _VECTOR
         left = x0 - (wider - wx) // 2
         if left >= 0 and left + wider <= nx:
@@ -109,13 +113,14 @@ def fit_upright(
         outliers = wx * wy - int(kept)
         many = outliers > _MOST_OUTLIERS + 0.002 * wx * wy
         if many and not opened:
-            # the spot has moved further than expected, so that much of its light counts as outliers:
-            # the pixels left would hardly tell where to. Once without a gate
+            # The spot has moved further than expected, and much of its light is rejected as outliers. The
+            # remaining pixels would hardly tell where it went: repeat once without a limit for outliers.
             opened = True
             gate = math.inf
             continue
         if not informed:
-            # sums over a grid as fine as sigma are exact, except where the image's edge cuts the spot
+            # sums over a grid with steps of sigma are exact (see `information`), unless the image's edge cuts
+            # the spot
             step_x = max(1, int(p[SIGMA_X])) if x0 > 0 and x0 + wx < nx else 1
             step_y = max(1, int(p[SIGMA_Y])) if y0 > 0 and y0 + wy < ny else 1
             information(
@@ -135,8 +140,9 @@ def fit_upright(
             return _not_done()
         if abs(step[X]) > p[SIGMA_X] or abs(step[Y]) > p[SIGMA_Y]:
             return _not_done()
-        # scoring neglects second derivatives, which couple the parameters: what is left in x after a step
-        # is about its own step times the others', in units of sigma
+        # Scoring neglects the second derivatives of the model, which couple the parameters. The error
+        # left in x after a step is therefore about the product of its own step and the sum of all
+        # steps, in units of sigma.
         sigma = min(p[SIGMA_X], p[SIGMA_Y])
         others = (
             abs(step[X])
@@ -163,14 +169,15 @@ def fit_upright(
             p[k] += step[k]
         scatter = chi2 / max(kept, 1.0)
         settled = gate <= GATE * _LARGEST_SCATTER
-        # chi-square falls by gradient . step with a step in the range where the model is linear
+        # within the range where the model is linear, a step reduces chi-square by gradient . step
         expected = chi2
         if others < 0.5 * sigma:
             for k in range(UPRIGHT):
                 expected -= gradient[k] * step[k]
         gate = GATE * max(1.0, expected / max(kept, 1.0))
         if changed:
-            # the information depends on size and amplitude, hardly on the place
+            # the information matrix depends on size and amplitude, hardly on the position: compute it again
+            # only when these have changed
             informed = False
         elif rough:
             rough = False

@@ -1,7 +1,7 @@
-"""Quick scoring of a spot whose axes lie along the pixels: rows times columns.
+"""Fast gradient and Fisher information of a spot whose axes lie along the pixels.
 
-The light of pixel (i, j) is A e_i e_j, the product of one pixel-integrated Gaussian along x and one
-along y, and so are its derivatives. With the two profiles tabulated a pixel costs a handful of
+The light of pixel (i, j) is A e_i e_j, the product of a pixel-integrated Gaussian along x and one along y,
+and its derivatives are such products too. With the two profiles tabulated, a pixel takes a few
 multiplications in single precision, which the compiler turns into vector instructions.
 """
 
@@ -27,26 +27,31 @@ from processing.spot.spot import Image
 Singles = NDArray[np.float32]
 
 SMALLEST_SIGMA_PX = 1.5
-"""Below it the expansion of the pixel integral in the pixel's width is not accurate enough."""
+"""Smallest sigma for which the expansion of the pixel integral in the pixel's width is accurate enough."""
 
 VALUE, BY_CENTRE, BY_SIGMA = range(3)
-"""Rows of a profile: the pixel-integrated Gaussian, and its derivatives by centre and sigma."""
+"""Rows of a profile: the pixel-integrated Gaussian and its derivatives with respect to centre and sigma."""
 
 ALONG_Y = 3
-"""First row of the profile along y in a table that holds both; that along x begins at row 0."""
+"""First row of the profile along y in a table of both profiles; the profile along x starts at row 0."""
 
 TABLE_ROWS = 6
 
 
 @njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
 def profile(table: Singles, first: int, count: int, centre: float, sigma: float) -> None:
-    """Pixel-integrated Gaussian of unit peak density, its derivatives in centre and sigma.
+    """Tabulate a pixel-integrated Gaussian of unit peak density and its derivatives by centre and sigma.
 
-    The integral over a pixel is the density times 1 + h2/24 + h4/1920, h2 and h4 being Hermite
-    polynomials of u = (i - centre)/sigma over sigma^2 and sigma^4 (Taylor in the pixel's width;
-    the next term is below 3e-7 for sigma of 3 px). From one pixel to the next the exponential
-    changes by a ratio that itself changes by the constant exp(-1/sigma^2): two multiplications instead
-    of an exponential, outward from the centre so that rounding errors stay relative to a falling value.
+    Taylor expansion in the pixel's width gives the integral over a pixel as the density times
+
+        1 + He2(u)/(24 sigma^2) + He4(u)/(1920 sigma^4),   u = (i - centre)/sigma,
+
+    with the Hermite polynomials He2 = u^2 - 1 and He4 = u^4 - 6 u^2 + 3; the next term is below 3e-7
+    for sigma = 3 px.
+
+    From one pixel to the next the density exp(-u^2/2) changes by a ratio, which itself changes by the
+    constant factor exp(-1/sigma^2): two multiplications replace an exponential. The recursion runs outward
+    from the centre, so that rounding errors remain small relative to the falling value.
     """
     s2 = 1.0 / (sigma * sigma)
     inverse = 1.0 / sigma
@@ -99,12 +104,17 @@ def score(
     gate: float,
     gradient: Floats,
 ) -> tuple[float, float]:
-    """Gradient of the log likelihood in the first TILTED parameters, chi2, pixels kept.
+    """Gradient of the log likelihood by the first TILTED parameters, written into `gradient`.
 
-    The gradient's element p is the sum over pixels of (dmu/dp)(I - mu)/variance. The covariance c is 0
-    here; its gradient tells whether the spot is tilted (dmu/dc is the product of the derivatives by x
-    and y, over A). Every `row_step`-th row stands for those between. Pixels whose squared residual
-    exceeds `gate` variances are left out.
+    Element p is the sum over pixels of (dmu/dp)(I - mu)/variance. The covariance c is zero here; the
+    gradient by it tells whether the spot is tilted (dmu/dc = (dmu/dx)(dmu/dy)/(A f), f being the light of
+    unit amplitude). Every `row_step`-th row is summed and represents the rows between. Pixels whose
+    squared residual exceeds `gate` variances are left out.
+
+    Returns
+    -------
+    chi2, kept
+        Chi-square and number of the pixels used, both scaled by `row_step`.
     """
     one = np.float32(1.0)
     zero = np.float32(0.0)
@@ -113,7 +123,7 @@ def score(
     shot = np.float32(inverse_gain)
     spread = np.float32(uneven)
     limit = np.float32(gate)
-    # plain slices, and selections instead of branches: only so the loop below becomes vector code
+    # the compiler vectorises the loop below only with plain slices and without branches
     ex = table[VALUE, :nx]
     dx = table[BY_CENTRE, :nx]
     wx = table[BY_SIGMA, :nx]
@@ -174,11 +184,11 @@ def information(
     step_y: int,
     matrix: Floats,
 ) -> None:
-    """Fisher information of the first TILTED parameters, symmetric, from every step-th row and column.
+    """Fisher information of the first TILTED parameters, summed over every step-th row and column.
 
-    Element (p, q) is the sum over pixels of (dmu/dp)(dmu/dq)/variance. Sums of Gaussians over a grid that
-    is finer than sigma are exact to many digits (the error falls as exp(-2 pi^2 sigma^2/step^2)), so that
-    steps of up to sigma lose no accuracy.
+    Element (p, q) is the sum over pixels of (dmu/dp)(dmu/dq)/variance; `matrix` is overwritten. The sum of a
+    Gaussian over a grid with steps of up to sigma equals its integral to many digits (Poisson summation:
+    the relative error is about exp(-2 pi^2 sigma^2/step^2)), so that such steps lose no accuracy.
     """
     for k in range(TILTED):
         for m in range(k + 1):
@@ -188,8 +198,8 @@ def information(
     for j in range(step_y // 2, ny, step_y):
         rows += 1
         columns = 0
-        # a derivative is a factor of the row times a profile along x (or 1): along a row all elements are
-        # made of ten weighted sums of products of the profiles e, d, w
+        # Each derivative is a factor that depends on the row times a profile along x (or 1). All elements
+        # of the matrix therefore follow from ten weighted sums of products of the profiles e, d, w per row.
         see = sed = sew = sdd = sdw = sww = se = sd = sw = s1 = 0.0
         for i in range(step_x // 2, nx, step_x):
             columns += 1
@@ -243,8 +253,8 @@ def information(
         matrix[COVARIANCE, SIGMA_Y] += dy * wy * sed
         matrix[COVARIANCE, BACKGROUND] += dy * sd
         matrix[COVARIANCE, COVARIANCE] += dy * dy * sdd
-    # of all derivatives only the background's reaches to the window's edge, where the last step may stick
-    # out or fall short
+    # Only the derivative by the background does not vanish at the window's edge, where the grid may extend
+    # beyond the window or end before it: scale its sum to the number of pixels.
     matrix[BACKGROUND, BACKGROUND] *= nx * ny / (rows * columns * step_x * step_y)
     for k in range(TILTED):
         for m in range(k + 1):

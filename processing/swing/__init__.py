@@ -1,4 +1,4 @@
-"""Swings of a decay: turning points with uncertainties, separation of the two modes."""
+"""Analysis of a decaying oscillation: turning points with uncertainties, separation of two modes."""
 
 from processing.swing.compilation import compile_kernels
 from processing.swing.detector import SwingDetector

@@ -1,7 +1,13 @@
-"""Several half-cycles in one least-squares fit, tied together by the motion from one to the next.
+"""Joint least-squares fit of several consecutive half-cycles (an arc) with one state of the pendulum.
 
-The starting point of everything that is followed later, and the way to judge a half-cycle by what
-its neighbours say: the fit can be told to forget one of them.
+The unknown is the state x_1 at the first turning point. The equation of motion carries it from half-cycle
+to half-cycle, x_(k+1) = f(x_k), with the transition matrices F_k = dx_k/dx_1. With the derivatives J_k of
+the samples by x_k, weights W_k and residuals r_k, half-cycle k contributes to the normal equations in x_1
+
+    information_k = F_k^T J_k^T W_k J_k F_k,   score_k = F_k^T J_k^T W_k r_k.
+
+The arc of the first half-cycles starts the detector. Because the contributions are stored separately, a
+half-cycle can also be removed from the solution again, and be compared with a prediction by the others.
 """
 
 import math
@@ -31,12 +37,16 @@ from processing.swing.waveform import NODES, SHAPES, zero_phases
 
 _STEPS = 30
 _SETTLED = 0.1
-"""Fall of the cost below which another step is not worth taking."""
+"""The fit has converged if a step reduces the cost (chi-square and prior) by less than this."""
 
 
 @dataclass(frozen=True, slots=True)
 class HalfCycleSamples:
-    """Samples of one half-cycle; `tau_s` counts from `reference_ns`."""
+    """Samples of one half-cycle.
+
+    `tau_s` is the time since `reference_ns`. `side` is +1 or -1, the sign of the deflection from the centre
+    at the turning point. A NaN `deflection` is ignored. `u_deflection` is the standard uncertainty.
+    """
 
     reference_ns: int
     side: int
@@ -57,24 +67,28 @@ class _Walk(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Arc:
-    """Several half-cycles (m) tied by the motion, in k terms."""
+    """Joint fit of m half-cycles in k free entries of the state (see `half_cycle` for the state)."""
 
     states: Matrix
-    """(m, STATES): state at each."""
+    """(m, STATES): state at each turning point."""
     transitions: NDArray[np.float64]
-    """(m, k, k): derivative of each state by the first, active entries only."""
+    """(m, k, k): derivative of each state by the first one, active entries only."""
     information: NDArray[np.float64]
-    """(m, k, k): each half-cycle's own, in terms of the first one's state."""
+    """(m, k, k): information of each half-cycle's samples about the first state."""
     score: Matrix
-    """(m, k)"""
+    """(m, k): score of each half-cycle's samples, by the first state."""
     windows: Matrix
-    """(m, 2): start and end of each half-cycle in s from its reference time."""
+    """(m, 2): start and end of each half-cycle (its zero crossings), s after its reference time."""
     chi2_each: Matrix
     """(m, 2): chi-square and number of samples of each half-cycle."""
     chi2: float
+    """Chi-square of all samples."""
     prior: Matrix
+    """(k, k): information of the prior about the first state."""
     active: Indices
+    """(k,): free entries of the state."""
     reference: float
+    """Amplitude to which the shape terms refer, unit of the deflection."""
 
     @property
     def samples(self) -> int:
@@ -105,10 +119,10 @@ def _walk_kernel(
     deflection: Vector,
     u_deflection: Vector,
 ) -> tuple[Matrix, NDArray[np.float64], NDArray[np.float64], Matrix, Matrix, Matrix, bool]:
-    """Every half-cycle's equations along the motion that starts from `x0`, in terms of `x0`.
+    """Normal equations of every half-cycle in terms of the first state `x0`; fields of `_Walk` but the last.
 
-    Half-cycle k has the samples from ``bounds[k]`` to ``bounds[k + 1]``, and is followed by the next
-    after ``steps[k]`` s. The last value says whether the motion stayed a motion.
+    Half-cycle k has the samples ``bounds[k]`` to ``bounds[k + 1]``; the next reference time is ``steps[k]`` s
+    later. The last value returned is False if a state became infinite or the amplitude not positive.
     """
     k, halves = len(active), len(sides)
     states = np.empty((halves, STATES))
@@ -141,7 +155,7 @@ def _walk_kernel(
 
 
 class _Samples(NamedTuple):
-    """Half-cycles one after the other, as the kernel wants them."""
+    """Samples of consecutive half-cycles, concatenated for `_walk_kernel`."""
 
     sides: Vector
     steps: Vector
@@ -179,11 +193,25 @@ def fit_arc(
     reference: float,
     terms: tuple[int, ...],
 ) -> Arc | None:
-    """Least squares for the state at the first of `halves`, all half-cycles tied by the motion.
+    """Fit the state at the first turning point to the samples of all `halves`, by Gauss-Newton.
 
-    `prior_sigma` is the width of the prior around `prior_mean` (inf where there is none), `terms`
-    are the entries of the state that are free; the others stay as in `start`. Returns None when no
-    solution is found.
+    Parameters
+    ----------
+    start : (STATES,)
+        Start values; entries that are not in `terms` keep them.
+    prior_mean, prior_sigma : (STATES,)
+        Mean and standard deviation of a normal prior; inf where there is none.
+    halves
+        Consecutive half-cycles.
+    reference
+        Amplitude to which the shape terms refer.
+    terms
+        Entries of the state that are free.
+
+    Returns
+    -------
+    Arc or None
+        None if no solution is found.
     """
     active = np.array(sorted(terms), dtype=np.int64)
     prior = np.diag(1.0 / prior_sigma[active] ** 2)
@@ -201,8 +229,8 @@ def fit_arc(
             best_cost, best_x, best_walk = cost, x, walk
             if gain < _SETTLED and part == 1.0:
                 break
-            # Gauss-Newton; shortened along its direction only, because a damped step
-            # would not move at all in the directions that the samples hardly determine
+            # Gauss-Newton with step halving. Levenberg-Marquardt damping is not used: it would prevent any
+            # progress along directions that the samples hardly determine.
             part = min(1.0, 4.0 * part)
             total = prior + walk.information.sum(axis=0)
             if not invert(total, covariance):
@@ -230,9 +258,10 @@ def gain_of_more(
     halves: Sequence[HalfCycleSamples],
     terms: tuple[int, ...],
 ) -> float:
-    """By how much chi-square would fall with more `terms` than the arc has, to first order (score test).
+    """Estimate how much chi-square would fall if more `terms` were free (score test, no iteration).
 
-    `start` is the arc's first state with the new terms at values that change nothing.
+    With the score g and the information H at the present solution, the fall is g^T H^-1 g. `start` is the
+    arc's first state with the new terms at values that leave the motion unchanged.
     """
     active = np.array(sorted(terms), dtype=np.int64)
     prior = np.diag(1.0 / prior_sigma[active] ** 2)
@@ -245,7 +274,10 @@ def gain_of_more(
 
 
 def state_on_arc(arc: Arc, k: int, left_out: int | None = None) -> tuple[Vector, Matrix]:
-    """State and covariance at half-cycle `k`, as if half-cycle `left_out` had not been seen."""
+    """State (STATES,) and covariance at half-cycle `k`, optionally without the samples of `left_out`.
+
+    Leaving out subtracts that half-cycle's information and score from the normal equations of the arc.
+    """
     total = arc.prior + arc.information.sum(axis=0)
     if left_out is not None:
         total = total - arc.information[left_out]
@@ -261,9 +293,10 @@ def state_on_arc(arc: Arc, k: int, left_out: int | None = None) -> tuple[Vector,
 
 
 def state_before(arc: Arc, first_ns: int) -> tuple[Vector, Matrix, int]:
-    """State, covariance and reference time (ns) one half-cycle before the arc, its own turning point open.
+    """Prediction for the half-cycle before the arc: state, covariance and reference time in ns.
 
-    `first_ns` is the reference time of the arc's first half-cycle.
+    Amplitude and time get wide uncertainties (10 % of the amplitude and of the half period), because that
+    half-cycle may hold the release or a kick. `first_ns` is the reference time of the arc's first half-cycle.
     """
     x, covariance = state_on_arc(arc, 0)
     table, turn = np.zeros((2 + SHAPES, NODES, 2)), np.zeros((2, 2 + SHAPES))

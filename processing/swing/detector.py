@@ -1,4 +1,4 @@
-"""Swing detector: samples of a decaying oscillation in, turning points with uncertainties out."""
+"""Swing detector: turning points of a decaying oscillation, with uncertainties, from a stream of samples."""
 
 import math
 
@@ -13,28 +13,37 @@ from processing.swing.sample_buffer import SampleBuffer
 from processing.swing.swing import Swing, SwingFlag
 
 _OFF = 0.05
-"""Half periods by which a turning point may be off after a disturbance, the motion being the same ..."""
+"""Largest deviation of a turning point, in half periods, for the motion after a disturbance to count as the
+same as before it (no new release)."""
 
 _GROWN, _SHRUNK = 1.02, 0.8
-"""... and the amplitude's part of the one before it, the smaller limit for every half period between."""
+"""Limits of the ratio of the amplitudes after and before a disturbance, for the same purpose. The lower one
+applies per half period."""
 
 
 class SwingDetector:
-    """Finds every half-cycle of a decaying oscillation as the samples come in.
+    """Finds every half-cycle of a decaying oscillation while the samples arrive.
 
-    Period, centre, damping, dry friction and anharmonic elasticity, a drift of the rest position
-    and a second, faster mode are learned as it runs. Each turning point is fitted to the samples of
-    its own half-cycle, from zero crossing to zero crossing; what several cycles share comes from the
-    others. Errors of neighbouring half-cycles are therefore nearly independent; what those before them
-    got wrong about friction and stiffness shifts times of many together, though, by less than their
-    uncertainties. A motion that is `known` has no such shifts (see `processing.fit.remeasure`). The first
-    four half-cycles come together, each later one with the first sample after its end.
+    Period, centre, damping, dry friction, anharmonic stiffness, a drift of the rest position and a second,
+    faster mode are estimated in the course of the record, as in a Kalman filter with one step per
+    half-cycle. The amplitude and time of each turning point are fitted to the samples of its own
+    half-cycle only, from zero crossing to zero crossing; the other parameters come mainly from the
+    half-cycles before. Errors of neighbouring half-cycles are therefore nearly independent. Errors
+    of friction and stiffness shift the times of many half-cycles in common, by less than their
+    uncertainties; if the motion is `known`, there are no such shifts (see `processing.fit.remeasure`).
 
-    A release or kick begins a new count only in time: `Swing.index` goes on in half periods. Half-cycles
-    without enough samples are missing, doubtful ones flagged (`SwingFlag`). After three disturbed
-    half-cycles in a row the oscillation is looked for anew, from the first of them on.
+    The first four half-cycles are returned together, each later one with the first sample after its end.
 
-    The swings do not depend on how the samples are cut into blocks. Memory is bounded.
+    `Swing.index` counts half periods and continues through a release or a kick. Half-cycles with too few
+    samples are missing, doubtful ones are flagged (`SwingFlag`). After three disturbed half-cycles in a
+    row a new search for the oscillation starts at the first of them.
+
+    The result does not depend on how the samples are divided into blocks. Memory is bounded.
+
+    Parameters
+    ----------
+    known
+        Frequency and shape of the motion, if they are known from a fit; they are then not estimated.
 
     Examples
     --------
@@ -59,25 +68,25 @@ class SwingDetector:
         self._broken_off: Swing | None = None
 
     def update(self, times_ns: ArrayLike, deflection: ArrayLike, u_deflection: ArrayLike) -> list[Swing]:
-        """Take in samples and return the half-cycles that they complete.
+        """Add samples and return the half-cycles that they complete.
 
         Parameters
         ----------
-        times_ns : (n,) int64, ns, never running backwards, from block to block either
+        times_ns : (n,) int64, ns, not decreasing, also from one block to the next
         deflection : (n,) any unit; NaN where the spot was lost
-        u_deflection : (n,) standard uncertainty of each, same unit, positive where there is a deflection
+        u_deflection : (n,) standard uncertainties, same unit, positive where the deflection is not NaN
 
         Raises
         ------
         DataError
-            Lengths differ, times run backwards, or an uncertainty is not positive. Nothing of the
-            block has been taken in then.
+            Lengths differ, times decrease, or an uncertainty is not positive. Nothing of the block is
+            added then.
         """
         self._samples.append(times_ns, deflection, u_deflection)
         return self._process(final=False)
 
     def finish(self) -> list[Swing]:
-        """End of the samples: return what the last, unfinished half-cycle still carries."""
+        """End of the record: return the last half-cycle, although it is incomplete, if it was measured."""
         return self._process(final=True)
 
     def _process(self, final: bool) -> list[Swing]:
@@ -92,7 +101,7 @@ class SwingDetector:
                 return swings
 
     def _begin(self, onset: Onset, swings: list[Swing]) -> None:
-        """Report the half-cycles of an onset and follow it from there."""
+        """Report the half-cycles of a new oscillation and start following it."""
         if math.isnan(self._half_period_s):
             self._half_period_s = onset.half_period_s
         index = 0
@@ -113,7 +122,11 @@ class SwingDetector:
         self._samples.forget_before(self._samples.position(self._follower.start_ns))
 
     def _continuation(self, before: Swing, first: FirstHalfCycle) -> SwingFlag:
-        """START where the motion after a disturbance is another one than before it."""
+        """Flag START if the motion after a disturbance differs from the motion before it; otherwise no flag.
+
+        It is the same if the time since the last good turning point is a whole number of half periods with
+        the right parity, and the amplitude has neither grown nor fallen faster than a decay.
+        """
         time_s = (first.half.reference_ns - before.turn_time_ns) * 1e-9 + first.result.time_s
         halves = time_s / self._half_period_s
         off = abs(math.remainder(halves - int(first.half.side != before.side), 2.0))
@@ -122,13 +135,16 @@ class SwingDetector:
         return SwingFlag.START if off > _OFF or grown or shrunk else SwingFlag(0)
 
     def _index_after(self, last: Swing, time_ns: int, side: int) -> int:
-        """Index of a half-cycle after a break: half periods since the last, odd where the sides differ."""
+        """Index of the first half-cycle after an interruption.
+
+        The last index plus the nearest number of half periods that is odd if the sides differ, even if not.
+        """
         halves = (time_ns - last.turn_time_ns) * 1e-9 / self._half_period_s
         odd = int(side != last.side)
         return last.index + 2 * round((halves - odd) / 2) + odd
 
     def _follow(self, follower: Follower, swings: list[Swing], final: bool) -> bool:
-        """Take the present half-cycle if its samples are complete; False when there is nothing to do."""
+        """Measure the present half-cycle if all its samples have arrived; False if not."""
         if self._samples.last_ns < (follower.start_ns if final else follower.end_ns):
             return False
         index, reference_ns, side = follower.index, follower.reference_ns, follower.side

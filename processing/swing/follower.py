@@ -1,4 +1,11 @@
-"""Follows one oscillation from half-cycle to half-cycle."""
+"""Follows one oscillation from half-cycle to half-cycle: an extended Kalman filter with adaptive noise.
+
+Each half-cycle is predicted (`prediction`), measured (`half_cycle_fit`) and judged (`judgement`). An
+undisturbed one updates the state. The process noise adapts in two ways. `_agility` multiplies the variance
+by which all terms may change and grows while measured turning points contradict the predictions.
+`_restlessness` does so for the drift of the rest position and grows while its corrections are larger than
+expected.
+"""
 
 import math
 from collections import deque
@@ -16,38 +23,48 @@ from processing.swing.term_selection import extend
 from processing.swing.waveform import DAMPING, RISE
 
 _NOISE_MEMORY = 15
-"""Half-cycles whose median chi-square says how far the samples' uncertainties are believed."""
+"""Number of half-cycles whose median reduced chi-square gives the factor on the samples' uncertainties."""
 
 _REFITS = (8, 16, 32, 64)
 _LINEAR_REFITS = (6, 8, 10, 12, 16, 24, 32, 64)
 _ANCHORS = (128, 256, 512, 1024)
-"""Half-cycles after which the whole arc so far is fitted anew, or just expanded about a new state."""
+"""Numbers of half-cycles after which all of them are fitted again jointly (refits; the second list is for a
+model that is still a damped sinusoid), and indices at which the waveform is expanded about the present state
+(anchors)."""
 
 _JUMP = 100.0
-"""Chi-square (two degrees) of a half-cycle against its prediction that speaks of a kick."""
+"""Chi-square (two degrees of freedom) of a turning point against its prediction above which it was a kick."""
 
 _SURPRISED = 3.0
+"""Running mean of that chi-square per degree of freedom above which the predictions are considered wrong."""
 _CALM = 100.0
+"""Restlessness below which an insignificant drift of the centre may be set to zero."""
 _RESTLESS_AT_FIRST = 30.0
 _WITHIN = 0.15
-"""Part of the wandering from one half-cycle to the next that falls on a turning point within one."""
+"""Effect of the centre's wandering on a turning point, relative to its wandering from one half-cycle to the
+next."""
 _ARC_EXCESS = 4.0
-"""Deviations of chi-square up to which a long arc without any wandering is believed."""
+"""Largest chi-square, in standard deviations above its expectation, for which an arc without process noise is
+accepted."""
 _MOST_RESTLESS = 1e12
 _SETTLED = 8
+"""Number of half-cycles before which an unexpected turning point is blamed on a wrong start, not on a
+kick."""
 _PATIENCE = 3
-"""Disturbed half-cycles in a row after which the oscillation counts as lost."""
+"""Number of disturbed half-cycles in a row after which the oscillation counts as lost."""
 
 _RUNAWAY = 10.0
+"""Amplitude, relative to the reference, above which the filter has diverged."""
 _BLUR = 0.1
-"""Uncertainty of the next turning point, in half periods, at which it counts as lost."""
+"""Uncertainty of the next turning point's time, in half periods, above which the oscillation counts as
+lost."""
 
 
 class Follower:
     """State of the oscillation, carried from half-cycle to half-cycle."""
 
     def __init__(self, onset: Onset, index: int) -> None:
-        """Start after an onset; `index` is that of its last half-cycle."""
+        """Start from a newly found oscillation; `index` is the index of its last half-cycle."""
         arc, last = onset.arc, onset.halves[-1]
         self.index = index
         self.side = last.side
@@ -63,7 +80,7 @@ class Follower:
         self._surprise = 1.0
         self._restlessness = _RESTLESS_AT_FIRST
         self._correction = 1.0
-        # a motion that is known is not learned
+        # with a known motion, frequency and shape are fixed and no refits are needed
         learns = RATE in arc.active
         self._history: list[HalfCycleSamples] | None = list(onset.halves) if learns else None
         self._first = arc.states[0].copy()
@@ -91,18 +108,21 @@ class Follower:
 
     @property
     def lost(self) -> bool:
-        """Whether the oscillation has to be looked for anew."""
+        """Whether the oscillation is lost and a new search is needed."""
         if not 0.0 < self._x[AMPLITUDE] < _RUNAWAY * self._reference:
             return True
         blurred = math.sqrt(self._covariance[TIME, TIME]) > _BLUR * self.half_period_s
         return blurred or self.misses >= _PATIENCE
 
     def take(self, half: HalfCycleSamples) -> tuple[HalfCycleFit, SwingFlag]:
-        """Measure the present half-cycle, learn from it unless it was disturbed, and go on to the next."""
+        """Measure the present half-cycle, update the state unless it was disturbed, and go on to the next.
+
+        Returns the measurement and its flags; 0 if nothing was wrong.
+        """
         result = self._measure(half, self._covariance)
         flags = self._judge(result)
         if not result.valid or flags & SwingFlag.VIBRATION or result.surprise > _JUMP:
-            # the rest position may have moved: see whether that explains it
+            # the rest position may have moved: test whether that explains the misfit
             again = self._measure_restless(half)
             flags_again = self._judge(again)
             if again.valid and not flags_again & SwingFlag.VIBRATION and again.surprise < _JUMP:
@@ -120,7 +140,7 @@ class Follower:
         else:
             if self.misses == 0:
                 self.first_miss_ns = self.start_ns
-            # a stretch without samples is no disturbance: the motion is known through it
+            # a gap in the samples is no disturbance: the motion can be predicted through it
             self.misses += result.samples > 0
         self._advance()
         return result, flags
@@ -141,12 +161,17 @@ class Follower:
             half.deflection,
             half.u_deflection,
         )
-        # a centre that wanders from half-cycle to half-cycle also wanders within one
+        # A centre that wanders between half-cycles also wanders within one, which the model of a linear drift
+        # does not describe: enlarge the uncertainties accordingly.
         wider = math.sqrt(1.0 + (_WITHIN * SLOPE_WANDER) ** 2 * self._restlessness)
         return result._replace(u_amplitude=result.u_amplitude * wider, u_time_s=result.u_time_s * wider)
 
     def _measure_restless(self, half: HalfCycleSamples) -> HalfCycleFit:
-        """Measure with a centre that may have moved anywhere since, and be moving as fast."""
+        """Measure with wide uncertainties of the centre and its drift, for a rest position that has moved.
+
+        A first fit, with the centre free within the amplitude, finds the shift. The second one allows for
+        a shift of that size and a drift of that shift per half period.
+        """
         loose = self._covariance.copy()
         loose[CENTRE, CENTRE] += self._x[AMPLITUDE] ** 2
         shift = float(self._measure(half, loose).state[CENTRE] - self._x[CENTRE])
@@ -161,7 +186,11 @@ class Follower:
         return judge(result, self.noise_scale, float(self._x[TIME]), self.half_period_s)
 
     def _learn_restlessness(self, result: HalfCycleFit) -> None:
-        """Let the centre wander as much as it does: its corrections must be as large as expected."""
+        """Adapt the process noise of the drift so that the centre's corrections are as large as expected.
+
+        If the filter is consistent, a correction has the variance P - P', the covariance of the centre before
+        and after the measurement. The running mean of correction^2/(P - P') should be 1.
+        """
         expected = self._covariance[CENTRE, CENTRE] - result.covariance[CENTRE, CENTRE]
         if expected > 0.0:
             correction = (result.state[CENTRE] - self._x[CENTRE]) ** 2 / expected
@@ -174,7 +203,7 @@ class Follower:
     def _learn(self, result: HalfCycleFit) -> SwingFlag:
         jumped = result.surprise > _JUMP and self._surprise < _SURPRISED
         if jumped and self._age < _SETTLED:
-            # too early for a kick to be told from a start that was misunderstood
+            # too early to distinguish a kick from a wrong model at the start: search again
             self.misses = _PATIENCE
             self.first_miss_ns = self.start_ns
             return SwingFlag.VIBRATION
@@ -190,14 +219,15 @@ class Follower:
             self._accept_jump(result)
             return SwingFlag.START
         self._refit()
-        # damping acts linearly enough at every step, and changes for good over a long decay
+        # The model is nearly linear in the damping, which changes considerably over a long decay: expand
+        # about its present value at every step.
         self._anchor[SHAPE + DAMPING] = self._x[SHAPE + DAMPING]
         if self.index in _ANCHORS:
             self._anchor = self._x.copy()
         return SwingFlag(0)
 
     def _accept_jump(self, result: HalfCycleFit) -> None:
-        """Take amplitude and time as measured, whatever was predicted; the motion before is another one."""
+        """After a kick, replace amplitude and time by the measured ones and drop the motion before it."""
         self._history = None
         self._x[AMPLITUDE], self._x[TIME] = result.amplitude, result.time_s
         for k, u in ((AMPLITUDE, result.u_amplitude), (TIME, result.u_time_s)):
@@ -212,10 +242,11 @@ class Follower:
         self.noise_scale = math.sqrt(median) if median > 1.0 + 4.0 * scatter else 1.0
 
     def _refit(self) -> None:
-        """Fit all half-cycles so far anew, as one arc, whenever their number has doubled.
+        """Fit all half-cycles so far again jointly, each time their number has about doubled.
 
-        The steps from half-cycle to half-cycle are linearised; terms that the first few of them
-        hardly determine would keep the trace of where that was done.
+        The filter linearises the motion at each step. Terms that the first half-cycles hardly determine
+        would otherwise keep an error from the poor states about which they were linearised. The joint fit
+        also decides whether the anharmonic terms are needed.
         """
         refits = _REFITS if SHAPE + RISE in self._active else _LINEAR_REFITS
         if self._history is None or len(self._history) not in refits:
@@ -230,7 +261,11 @@ class Follower:
             self._history = None
 
     def _adopt(self, arc: Arc) -> None:
-        """Go on from the last state of an arc, which knows of no wandering of the rest position."""
+        """Continue from the last state of an arc.
+
+        The arc has no process noise, so the variances of centre and drift are enlarged by what a random walk
+        of the drift adds over its half-cycles.
+        """
         self._active = arc.active
         self._x, self._covariance = state_on_arc(arc, len(arc.states) - 1)
         self._covariance *= self.noise_scale**2
@@ -241,7 +276,7 @@ class Follower:
         self._covariance[CENTRE, CENTRE] += (slope * halves * self.half_period_s) ** 2 / 30.0
 
     def _advance(self) -> None:
-        # each sample belongs to one half-cycle: the next window starts where this one ended
+        # no sample may be used twice: the next window starts where this one ended
         end_s = self._end_s
         step_ns, self._x, self._covariance, self._end_s = predict(
             self._x,

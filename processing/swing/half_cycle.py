@@ -1,16 +1,19 @@
-"""The model of one half-cycle, linearised at its samples: state, normal equations, step to the next one.
+"""Linearised model of one half-cycle: state, normal equations, step to the next turning point.
 
 The state of the pendulum at a turning point, every entry a float64:
 
 ====================  =====================================================================
 `AMPLITUDE`           distance of the turning point from the centre, unit of the deflection
 `TIME`                time of the turning point in s after the reference time
-`RATE`                angular frequency, rad/s, of the linear part of the waveform's equation
-`SHAPE` .. +6         damping, dry, rise, p, stiff, n, bend (see waveform)
-`CENTRE`, `DRIFT`     rest position at the reference time, and its rate per s
-`FAST_COSINE` ..      fast mode: cosine and sine part at the reference time, angular
-`FAST_DAMPING`        frequency in rad/s, damping in 1/s
+`RATE`                angular frequency in rad/s of the linear part of the waveform's equation
+`SHAPE` .. +6         damping, dry, rise, p, stiff, n, bend (see `waveform`), dimensionless
+`CENTRE`, `DRIFT`     rest position at the reference time, and its rate of change per s
+`FAST_COSINE` ..      fast mode: cosine and sine amplitude at the reference time (unit of the
+`FAST_DAMPING`        deflection), angular frequency in rad/s, damping in 1/s
 ====================  =====================================================================
+
+Each half-cycle has its own reference time, a whole number of ns, so that times in s stay small and lose no
+digits. Only the active entries of the state are free; the others are constants.
 """
 
 import math
@@ -32,7 +35,11 @@ Indices = NDArray[np.int64]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def invert(matrix: Matrix, inverse: Matrix) -> bool:
-    """Inverse of a symmetric positive definite matrix, scaled to a unit diagonal first; False if not one."""
+    """Inverse of a symmetric positive definite matrix by its Cholesky factor; False if it is not one.
+
+    The matrix is scaled to a unit diagonal first, because the entries of the state have different units and
+    their variances differ by many orders of magnitude.
+    """
     n = len(matrix)
     scale = np.empty(n)
     for i in range(n):
@@ -72,12 +79,15 @@ def invert(matrix: Matrix, inverse: Matrix) -> bool:
 def tabulate_state(
     x: Vector, anchor: Vector, reference: float, active: Indices, table: Table, turn: Matrix
 ) -> None:
-    """Table of the half-swing that belongs to the state `x`, and its derivatives by the active entries.
+    """Tabulate the half-swing of the state `x` and its derivatives by the active shape terms.
 
-    The shape terms are expanded to first order about those of `anchor`, another state. As long as
-    the anchor stays, what half-cycles say about terms that they hardly tell apart adds up
-    consistently; expanded anew at every step it would count the same information again and again, and
-    the covariance would come out too small.
+    The half-swing is expanded to first order in the shape terms about those of `anchor`, another state. While
+    the anchor is kept, all half-cycles give information about the same linear combinations of terms
+    that are hard to distinguish. With a new expansion at every step these combinations would change,
+    the filter would gain information in all of them, and the covariance would be too small (the
+    inconsistency known of extended Kalman filters).
+
+    `table` and `turn` are overwritten (see `waveform.tabulate`).
     """
     wanted = np.empty(SHAPES + 1, dtype=np.int64)
     count, bent = 0, False
@@ -89,7 +99,7 @@ def tabulate_state(
     for k in range(DAMPING + 1, SHAPES):
         bent |= anchor[SHAPE + k] != 0.0
     if bent:
-        # damping alone looks the same at every amplitude, all others do not
+        # with damping alone the waveform does not depend on the amplitude; with any other term it does
         wanted[count] = LOG_RATIO
         count += 1
     shape = np.empty(SHAPES + 1)
@@ -116,18 +126,18 @@ def linearise(
     residual: Vector,
     jacobian: Matrix,
 ) -> None:
-    """Residuals, and the model's derivatives by the active entries of the state, at every sample.
+    """Residuals and derivatives of the model by the active entries of the state, at every sample.
 
-    With tau the time since the reference time, s = (tau - TIME) RATE the phase, y(s) the tabulated
-    half-swing and A the amplitude, the model is
+    With the time tau since the reference time, the phase s = (tau - TIME) RATE, the tabulated half-swing y(s)
+    and the amplitude A, the model is
 
         CENTRE + DRIFT tau + side A y(s)
             + exp(-FAST_DAMPING tau) [FAST_COSINE cos(FAST_RATE tau) + FAST_SINE sin(FAST_RATE tau)]
 
-    y is interpolated between the table's nodes by the cubic that has its values and slopes (Hermite).
+    y is interpolated between the table's nodes by cubic Hermite polynomials from values and slopes.
 
-    A sample outside the table (further than a third of a period before or half a period after the
-    turning point) gets the residual NaN.
+    A sample outside the table (more than a third of a period before or half a period after the turning point)
+    gets the residual NaN and is ignored by `normal_equations`. `residual` and `jacobian` are overwritten.
     """
     amplitude, rate = x[AMPLITUDE], x[RATE]
     signed = side * amplitude
@@ -144,7 +154,7 @@ def linearise(
         if node < 0:
             residual[i] = math.nan
             continue
-        # before the turning point the table's nodes run backwards in phase
+        # before the turning point the nodes of the table are in order of falling phase
         h = STEP if node >= NODES_BEFORE else -STEP
         g = 1.0 - f
         h00, h10 = (1.0 + 2.0 * f) * g * g, f * g * g * h
@@ -201,9 +211,9 @@ def linearise(
 def normal_equations(
     residual: Vector, jacobian: Matrix, weight: Vector, information: Matrix, score: Vector
 ) -> tuple[float, int]:
-    """Weighted information matrix and score; sum of squared normalised residuals and their number.
+    """Information matrix J^T W J and score J^T W r; returns chi-square r^T W r and the number of samples.
 
-    Samples with weight 0 or residual NaN do not count.
+    Samples with the weight 0 or the residual NaN are ignored.
     """
     n = len(score)
     information[:] = 0.0
@@ -226,11 +236,15 @@ def normal_equations(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def propagate(x: Vector, turn: Matrix, elapsed: float) -> tuple[Vector, Matrix]:
-    """State at the next turning point and its derivatives by this one's state.
+    """State at the next turning point and its derivatives by the present state (transition matrix).
 
-    The next reference time lies `elapsed` s after this one. With the phase s' of the next turning point
-    and the remaining part a of the amplitude (see `turn` in waveform), A' = a A and
-    TIME' = TIME + s'/RATE - elapsed; the centre goes on by its drift, the fast mode turns by its phase.
+    The next reference time is `elapsed` s after the present one. With the phase s' of the next turning point
+    and the remaining fraction a of the amplitude (`turn` of `waveform.tabulate`)
+
+        A' = a A,   TIME' = TIME + s'/RATE - elapsed,   CENTRE' = CENTRE + DRIFT elapsed,
+
+    and the phasor of the fast mode is rotated by its phase FAST_RATE elapsed and damped. A negative `elapsed`
+    is allowed for centre and fast mode.
     """
     following = x.copy()
     transition = np.eye(STATES)

@@ -1,17 +1,18 @@
-"""Fit of one half-cycle to its samples, given what earlier half-cycles taught.
+"""Fit of one half-cycle to its samples, with the prediction from earlier half-cycles as a prior.
 
-Two answers come from the same linearised equations. The *local* one is reported: amplitude and
-time from this half-cycle's own samples, with only the shape, the frequency, the centre and the fast
-mode known beforehand, so that errors of neighbouring half-cycles stay nearly independent. The
-*full* one, which also knows the predicted amplitude and time, is carried on to the next half-cycle.
+The same linearised equations give two solutions. The *local* solution is reported: amplitude and time
+come from this half-cycle's own samples, and the prior covers only shape, frequency, centre and fast
+mode. Errors of neighbouring half-cycles thus remain nearly independent. The *full* solution also uses the
+predicted amplitude and time; it is the Kalman filter's updated state, carried on to the next half-cycle.
 
-With J the derivatives of the model at the present state x0, W the samples' weights, r the residuals,
+With the derivatives J of the model at the present state x0, the samples' weights W and residuals r,
 H = J^T W J and g = J^T W r, a prior of mean m and precision S gives
 
     x = x0 + (H + S)^-1 [g + S (m - x0)]
 
-The full answer has the inverse of the predicted covariance as S. For the local one the rows and columns
-of amplitude and time in S are zero, and the rest is the inverse of the rest of the covariance.
+For the full solution S is the inverse of the predicted covariance. For the local solution the rows and
+columns of amplitude and time in S are zero (no prior), and the remaining block is the inverse of the
+corresponding block of the covariance.
 """
 
 import math
@@ -42,14 +43,18 @@ SEGMENTS = 8
 _GATE = 6.0
 _ITERATIONS = 4
 _SEEN = 2.5
-"""Drift in standard uncertainties from which on it is believed."""
+"""Significance of the drift, in standard uncertainties, above which it is used."""
 
 _ENOUGH = 0.02
-"""Part of the amplitude's uncertainty that the linearisation may leave."""
+"""Allowed error of the linearisation, as a fraction of the amplitude's uncertainty."""
 
 
 class HalfCycleFit(NamedTuple):
-    """Local amplitude and time with covariance, the full posterior, and how well the samples fit."""
+    """Local amplitude and time with uncertainties, the full solution, and the quality of the fit.
+
+    If `valid` is False there was no solution, and every float but `hole_s` is NaN. `centre` is the rest
+    position at the turning point. `state` and `covariance` are the full solution.
+    """
 
     valid: bool
     amplitude: float
@@ -58,24 +63,25 @@ class HalfCycleFit(NamedTuple):
     u_time_s: float
     centre: float
     resolution: float
-    """Uncertainty that the amplitude would have if all else were known."""
+    """Uncertainty that the amplitude would have if all other parameters were known, unit of the
+    deflection."""
     chi2: float
-    """Sum of squared residuals over the samples' own variances, at the local solution."""
+    """Chi-square of the samples at the local solution, with their uncertainties as given (no noise scale)."""
     samples: int
     outliers: int
     worst_excess: float
-    """Largest excess of a segment's chi-square, in standard deviations of a normal variable."""
+    """Largest `excess` of the chi-square of one of SEGMENTS parts of the half-cycle."""
     surprise: float
-    """Chi-square (two degrees) of the local amplitude and time against the prediction."""
+    """Chi-square (two degrees of freedom) of the local amplitude and time against the prediction."""
     hole_s: float
-    """Longest stretch of the window without a sample."""
+    """Longest gap between samples within the window, s."""
     state: Vector
     covariance: Matrix
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def excess(chi2: float, degrees: float) -> float:
-    """Chi-square as a standard normal deviate (Wilson and Hilferty 1931)."""
+    """Chi-square converted to a standard normal deviate (Wilson and Hilferty 1931)."""
     if degrees < 1.0:
         return 0.0
     spread = 2.0 / (9.0 * degrees)
@@ -84,7 +90,7 @@ def excess(chi2: float, degrees: float) -> float:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _longest_hole(tau: Vector, deflection: Vector, start: float, end: float) -> float:
-    """Longest stretch of the window without a sample, s."""
+    """Longest gap between samples within the window, s."""
     hole, last = 0.0, start
     for i in range(len(tau)):
         if deflection[i] == deflection[i]:
@@ -95,7 +101,7 @@ def _longest_hole(tau: Vector, deflection: Vector, start: float, end: float) -> 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _worst_segment(residual: Vector, weight: Vector, count: int) -> float:
-    """Largest `excess` of one of SEGMENTS stretches: a short disturbance drowns in the whole chi-square."""
+    """Largest `excess` among SEGMENTS parts; a short disturbance would not show in the total chi-square."""
     size = max(count // SEGMENTS, 4)
     worst, total, n = -math.inf, 0.0, 0
     for i in range(len(residual)):
@@ -110,10 +116,11 @@ def _worst_segment(residual: Vector, weight: Vector, count: int) -> float:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _gate(residual: Vector, jacobian: Matrix, step: Vector, weight: Vector) -> int:
-    """Reject single wild samples (weight 0); how many there were.
+    """Reject outliers by setting their weight to 0; returns their number.
 
-    A sample is wild if its residual after the step is _GATE times both its own uncertainty and the robust
-    scatter of all: a single wild sample shifts the whole fit, and then all residuals are large.
+    A sample is an outlier if its residual after the step exceeds _GATE times its uncertainty, and also _GATE
+    times the robust scatter of all samples. The second condition is needed because a single outlier shifts
+    the whole fit, so that the residuals of good samples are large too.
     """
     n = len(residual)
     size, count, largest = np.empty(n), 0, 0.0
@@ -140,10 +147,12 @@ def _gate(residual: Vector, jacobian: Matrix, step: Vector, weight: Vector) -> i
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _forget_drift(mean: Vector, covariance: Matrix, active: Indices) -> None:
-    """Take the drift as zero where it is not significant: the centre then scatters four times less.
+    """Set the drift to zero if it is not significant; this reduces the scatter of the centre four times.
 
-    The prior is conditioned on drift = 0: with v its variance and c its column of the covariance C,
-    mean <- mean - c drift/v and C <- C - c c^T/v.
+    The prior is conditioned on drift = 0. With the variance v of the drift and its column c of the
+    covariance C,
+
+        mean <- mean - c drift/v,   C <- C - c c^T/v.
     """
     for d in range(len(active)):
         if active[d] != DRIFT:
@@ -178,19 +187,19 @@ def fit_half_cycle(
     deflection: Vector,
     u_deflection: Vector,
 ) -> HalfCycleFit:
-    """Fit one half-cycle.
+    """Fit one half-cycle by Gauss-Newton, with rejection of outliers.
 
     Parameters
     ----------
-    x, covariance : predicted state and its covariance (see half_cycle)
-    anchor : state about whose shape terms the waveform is expanded
-    side : +1.0 or -1.0
+    x, covariance : predicted state and its covariance (see `half_cycle`)
+    anchor : state about whose shape terms the waveform is expanded (see `tabulate_state`)
+    side : +1.0 or -1.0, sign of the deflection at the turning point
     reference : amplitude to which the shape terms in `x` refer
-    active : entries of the state that are in use, ascending
+    active : free entries of the state, ascending; AMPLITUDE and TIME must be the first two
     noise_scale : factor on every standard uncertainty
-    calm : whether a drift too small to be seen may be taken as none
-    start, end : the half-cycle's window, s relative to the reference time
-    tau, deflection, u_deflection : (n,) the samples in the window; NaN deflections do not count
+    calm : whether an insignificant drift may be set to zero
+    start, end : window of the half-cycle, s after the reference time
+    tau, deflection, u_deflection : (n,) samples in the window; NaN deflections are ignored
     """
     k = len(active)
     n = len(tau)
@@ -208,7 +217,7 @@ def fit_half_cycle(
     mean = x.copy()
     if calm:
         _forget_drift(mean, covered, active)
-    # the information of all but amplitude and time, these two being free
+    # prior of the local solution: the inverse of the covariance without amplitude and time, which are free
     inner = np.empty((k - 2, k - 2))
     valid = invert(covered[2:, 2:].copy(), inner) and valid
     shared[2:, 2:] = inner
@@ -241,15 +250,15 @@ def fit_half_cycle(
                 break
         if not valid:
             break
-        # amplitude and time are always active, and come first. What the linearisation leaves is about the
-        # square of the step, as a part of the amplitude
+        # amplitude and time are always active and come first. The relative error of the linearisation is
+        # about the square of the step.
         phase = abs(local[TIME] * current[RATE])
         u_amplitude = math.sqrt(local_covariance[AMPLITUDE, AMPLITUDE])
         step = phase + abs(local[AMPLITUDE] / current[AMPLITUDE])
         for i in range(k):
             column = active[i]
             if SHAPE <= column < SHAPE + SHAPES:
-                # the exponents act on terms that are themselves small
+                # the exponents multiply terms that are themselves small
                 flat = column in (SHAPE + P, SHAPE + N)
                 step += abs(local[i]) * (0.05 if flat else 1.0)
             elif column == RATE:
@@ -278,8 +287,9 @@ def fit_half_cycle(
         offset[j] = x[active[j]] - current[active[j]]
     right += predicted @ offset
     full = full_covariance @ right
-    # cost of a step d: chi2 - 2 d.g + d.H d of the samples, (d - e).S (d - e) of the prior with e = m - x0.
-    # The two answers' difference is the chi-square of amplitude and time against their prediction
+    # The cost of a step d is chi2 - 2 d.g + d.H d from the samples and (d - e).S (d - e) from the prior, with
+    # e = m - x0. The difference of the two solutions' costs is the chi-square of amplitude and time against
+    # their prediction.
     away = full - offset
     cost_full = chi2 - 2.0 * np.dot(full, score) + np.dot(full, information @ full)
     cost_full += np.dot(away, predicted @ away)

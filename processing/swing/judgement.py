@@ -1,22 +1,22 @@
-"""What a measured half-cycle is worth, and what is wrong with it."""
+"""Quality checks of a measured half-cycle, which give its flags."""
 
 from processing.swing.arc import HalfCycleSamples
 from processing.swing.half_cycle_fit import HalfCycleFit, excess
 from processing.swing.swing import SwingFlag
 
 _EXCESS = 5.0
-"""A half-cycle whose chi-square lies this many deviations high was disturbed."""
+"""Chi-square, in standard deviations above its expectation, above which a half-cycle was disturbed."""
 
 _SEGMENT_EXCESS = 5.5
 _OUTLIERS = 0.03
 _SHIFT = 0.15
-"""Largest believable difference of measured and predicted time, as a part of the half period."""
+"""Largest accepted difference of measured and predicted time, as a fraction of the half period."""
 
 _HOLE = 0.12
-"""Longest stretch without samples that goes unflagged, as a part of the half period ..."""
+"""Longest gap between samples that is not flagged, as a fraction of the half period ..."""
 
 _HOLE_SPACINGS = 3.5
-"""... and in spacings of the samples."""
+"""... and in mean spacings of the samples; the longer of the two applies."""
 
 _FEWEST = 7
 _FAINT = 5.0
@@ -25,7 +25,7 @@ _FAINT = 5.0
 def judge(
     result: HalfCycleFit, noise_scale: float, predicted_time_s: float, half_period_s: float
 ) -> SwingFlag:
-    """Flags of a valid measurement; 0 where nothing is wrong."""
+    """Flags of a valid measurement; 0 if all checks are passed."""
     flags = SwingFlag(0)
     spacing = half_period_s / (result.samples + 1)
     if result.samples < _FEWEST or result.hole_s > max(_HOLE * half_period_s, _HOLE_SPACINGS * spacing):
@@ -45,5 +45,5 @@ def judge(
 
 
 def turned(result: HalfCycleFit, half: HalfCycleSamples) -> bool:
-    """Whether the turning point lies among the samples, so that it was seen and not inferred."""
+    """Whether the turning point lies between the first and last sample, so that it is not extrapolated."""
     return result.valid and len(half.tau_s) > 0 and bool(half.tau_s[0] <= result.time_s <= half.tau_s[-1])

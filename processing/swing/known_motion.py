@@ -1,4 +1,4 @@
-"""A motion that is known from elsewhere, so that a half-cycle has only to be found on it."""
+"""Known frequency and waveform of the motion, so that only amplitude, time and centre have to be fitted."""
 
 from dataclasses import dataclass
 
@@ -11,10 +11,10 @@ from processing.swing.waveform import SHAPES
 
 @dataclass(frozen=True, slots=True)
 class KnownMotion:
-    """Frequency and shape of the half-swing at every amplitude (see waveform).
+    """Frequency and shape of the half-swing at every amplitude (see `waveform` for the equation).
 
-    `rate_rad_per_s` belongs to the linear part of the waveform's equation at the amplitude `reference`,
-    which has the unit of the deflection. The others are dimensionless.
+    `rate_rad_per_s` is the angular frequency of the linear part of the waveform's equation at the amplitude
+    `reference`, which has the unit of the deflection. The other fields are dimensionless.
     """
 
     rate_rad_per_s: float
@@ -28,7 +28,7 @@ class KnownMotion:
     bend: float = 0.0
 
     def put_into(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The state `x` (see half_cycle) with this motion's frequency and shape."""
+        """Copy of the state `x` (see `half_cycle`) with this motion's frequency and shape."""
         out = np.array(x, dtype=np.float64)
         assert out.shape == (STATES,)
         out[RATE] = self.rate_rad_per_s

@@ -1,6 +1,6 @@
-"""Least squares of a slow and a fast damped ellipse: terms, normal equations, search for lines.
+"""Least-squares fit of a slow and a fast damped ellipse: terms, normal equations, search for spectral lines.
 
-See modes for the model.
+The model is given in `modes`.
 """
 
 import math
@@ -16,10 +16,10 @@ Floats = NDArray[np.float64]
 
 TERMS = 18
 SLOW_RATE, SLOW_DAMPING, FAST_RATE, FAST_DAMPING, TURNING, WIDENING = range(6)
-"""Places of the terms that both coordinates share: angular frequency and damping of each mode, Re k, Im k."""
+"""Indices of the terms shared by both coordinates: angular frequency and damping of each mode, Re k, Im k."""
 
 X, Y = 6, 12
-"""First places of the six linear terms of each coordinate ..."""
+"""Index of the first of the six linear terms of each coordinate ..."""
 
 REST, DRIFT, SLOW_COSINE, SLOW_SINE, FAST_COSINE, FAST_SINE = range(6)
 """... and their order."""
@@ -37,15 +37,15 @@ SLOW_ONLY = [k for k in EVERY if k not in _FAST_TERMS]
 _STEPS = 8
 _NOISE_LIKE = 4.0
 _SEEN = 4.0
-"""Amplitude in standard uncertainties from which on a fast mode is believed."""
+"""Significance of the amplitude, in standard uncertainties, above which a fast mode is accepted."""
 
 _FASTEST = 25.0
 _SLOWEST_FAST = 2.2
-"""Range of the fast mode's frequency, in slow ones."""
+"""Range in which a fast mode is searched, in multiples of the slow mode's frequency."""
 
 
 class Samples(NamedTuple):
-    """Times from the middle in s, coordinates, and one over their variances."""
+    """Times in s from the middle of the samples, coordinates, and their weights (inverse variances)."""
 
     t: Floats
     x: Floats
@@ -59,12 +59,12 @@ class Samples(NamedTuple):
 
     @property
     def variation(self) -> float:
-        """Chi-square of no motion at all."""
+        """Chi-square of a model without motion."""
         across = (self.x - self.x.mean()) ** 2 * self.weights_x
         return float((across + (self.y - self.y.mean()) ** 2 * self.weights_y).sum())
 
     def rescaled(self, x_factor: float, y_factor: float) -> "Samples":
-        """The samples with variances multiplied by these factors."""
+        """Copy with the variances of the coordinates multiplied by these factors."""
         return self._replace(weights_x=self.weights_x / x_factor, weights_y=self.weights_y / y_factor)
 
 
@@ -79,10 +79,10 @@ class Fit(NamedTuple):
     left_y: Floats
 
     def explains(self, samples: Samples, alike: bool) -> bool:
-        """Whether most of the variation is motion: half of it, and nearly all that the noise is not.
+        """Whether the fit explains more than half of the variation, and nearly all that is not noise.
 
-        A stretch half at rest and half swinging is no swing. Uncertainties that are just `alike` tell
-        nothing about the noise.
+        The second condition rejects a record that is at rest for one part and swings for the other. With
+        `alike` the uncertainties are equal and of unknown size, and give no information about the noise.
         """
         part = self.chi2 / max(samples.variation, 1e-300)
         noise_like = alike or self.chi2 < _NOISE_LIKE * 2 * len(samples.t)
@@ -90,7 +90,10 @@ class Fit(NamedTuple):
 
 
 def slow_fit(samples: Samples, slow_period_s: float, alike: bool) -> Fit | None:
-    """The slow mode alone."""
+    """Fit of the slow mode alone; None if it does not explain the samples.
+
+    If `slow_period_s` is NaN, the fit starts from the strongest spectral line.
+    """
     if math.isnan(slow_period_s):
         spacing = 0.5 * math.pi / samples.span_s
         highest = min(0.8 * math.pi * len(samples.t) / samples.span_s, 400.0 * spacing)
@@ -108,7 +111,11 @@ def slow_fit(samples: Samples, slow_period_s: float, alike: bool) -> Fit | None:
 
 
 def with_fast_mode(slow: Fit, samples: Samples, alike: bool) -> tuple[Fit, float]:
-    """The fit with a fast mode, where one is seen; else the slow one and the strongest line's size in x."""
+    """Fit with a fast mode and 0.0 if one is significant; otherwise the slow fit and a limit.
+
+    The limit is the amplitude in x of the strongest spectral line in the residuals; NaN if the samples
+    cannot show one.
+    """
     slow_rate = float(slow.p[SLOW_RATE])
     top = min(_FASTEST * slow_rate, 0.8 * math.pi * len(samples.t) / samples.span_s)
     rates = np.arange(_SLOWEST_FAST * slow_rate, top, math.pi / samples.span_s)
@@ -125,7 +132,7 @@ def with_fast_mode(slow: Fit, samples: Samples, alike: bool) -> tuple[Fit, float
 
 
 def fast_mode_seen(fit: Fit, alike: bool) -> bool:
-    """Whether the fast mode's four parts, taken together, are far from zero."""
+    """Whether the fast mode's four amplitudes together differ significantly from zero (Wald test)."""
     places = [X + FAST_COSINE, X + FAST_SINE, Y + FAST_COSINE, Y + FAST_SINE]
     part = fit.p[places]
     scale = fit.chi2 / max(2 * len(fit.left_x) - TERMS, 1)
@@ -141,7 +148,7 @@ def fit_terms(p: Floats, active: list[int], samples: Samples, slow_rate: float) 
     places = np.array(active)
     p = p.copy()
     ridge = np.zeros(TERMS)
-    # a weak prior: what is damped out within a period is no oscillation, nor does a line turn that fast
+    # a weak prior excludes oscillations damped out within a period and rotations of the ellipse as fast
     ridge[[SLOW_DAMPING, FAST_DAMPING, TURNING, WIDENING]] = 1.0 / (0.2 * slow_rate) ** 2
     covariance = np.zeros((TERMS, TERMS))
     limit = 0.5 * math.pi / samples.span_s
@@ -160,7 +167,8 @@ def fit_terms(p: Floats, active: list[int], samples: Samples, slow_rate: float) 
         for place in (SLOW_DAMPING, FAST_DAMPING, TURNING, WIDENING):
             p[place] = min(max(p[place], -6.0 * limit), 6.0 * limit)
         covariance[np.ix_(places, places)] = small * np.outer(scale, scale)
-        # what a step of the rates leaves undone goes with its square; the first only finds the amplitudes
+        # The error left by a step of the rates is proportional to its square. The first steps find the
+        # amplitudes only, so that convergence is not judged by them.
         u_slow, u_fast = (
             math.sqrt(covariance[SLOW_RATE, SLOW_RATE]),
             math.sqrt(covariance[FAST_RATE, FAST_RATE]),
@@ -175,9 +183,9 @@ def fit_terms(p: Floats, active: list[int], samples: Samples, slow_rate: float) 
 def _equations(
     p: Floats, t: Floats, x: Floats, y: Floats, weights_x: Floats, weights_y: Floats
 ) -> tuple[Floats, Floats, float, Floats, Floats]:
-    """Normal equations in all terms, chi-square and residuals.
+    """Information matrix and score in all terms, chi-square, residuals in x and y.
 
-    The coupling k mixes the coordinates' slow parts: x has X + k t Y, y has Y - k t X (see modes).
+    The coupling k mixes the slow parts of the coordinates: x has X + k t Y, y has Y - k t X (see `modes`).
     """
     terms, common, columns = len(p), X, 12
     information, score = np.zeros((terms, terms)), np.zeros(terms)
@@ -197,7 +205,7 @@ def _equations(
             first = X if coordinate == 0 else Y
             other = Y if coordinate == 0 else X
             way = s if coordinate == 0 else -s
-            # the other coordinate's slow motion, and a quarter period later
+            # the other coordinate's slow motion, and the same a quarter of a period later
             turned = p[other + SLOW_COSINE] * slow_c + p[other + SLOW_SINE] * slow_s
             widened = p[other + SLOW_SINE] * slow_c - p[other + SLOW_COSINE] * slow_s
             cosine = p[first + SLOW_COSINE] + way * (
@@ -239,7 +247,7 @@ def _equations(
 def _strongest(
     t: Floats, x: Floats, y: Floats, weights_x: Floats, weights_y: Floats, rates: Floats
 ) -> tuple[float, float]:
-    """Angular frequency of the strongest line of both coordinates, and its amplitude in x."""
+    """Angular frequency of the strongest line, by its power in both coordinates, and its amplitude in x."""
     best_power, best_rate, best_x = -1.0, 0.0, 0.0
     for rate in rates:
         power, amplitude_x = 0.0, 0.0

@@ -1,11 +1,11 @@
-"""Two modes of the pendulum in the plane: least squares of a slow and a fast damped ellipse.
+"""Separation of the pendulum's two modes in the plane: least-squares fit of a slow and a fast damped ellipse.
 
     (x, y)(t) = rest + drift t + Re[slow(t) exp((i w_slow - d_slow) t)] + Re[fast exp((i w_fast - d_fast) t)]
     slow(t) = (X + k t Y, Y - k t X)
 
-over a few slow periods, with complex X, Y and `fast` and a complex k: the slow ellipse turns by Re k
-and widens by Im k. What is slow in one coordinate and fast in the other comes out apart, with
-directions, widths and their uncertainties.
+is fitted to a few slow periods, with complex X, Y, `fast` and k: the slow ellipse rotates at the rate Re k
+and widens at the rate Im k. The result is direction, width and period of each mode, with uncertainties, also
+where both modes appear in both coordinates.
 """
 
 import math
@@ -44,10 +44,10 @@ _FEWEST = 20
 class Mode:
     """One damped ellipse at the reference time, in the unit of the coordinates; angles in rad.
 
-    `amplitude` is half the long axis; `direction_rad` is the long axis' angle from Y towards X, in
-    (-pi/2, pi/2]. `width` is half the short axis, positive where the motion runs from +Y towards +X.
-    `phase_rad` is the phase of the motion along the long axis. `x_amplitude` and `y_amplitude` are the
-    largest deflections in each coordinate. `u_` marks standard uncertainties.
+    `amplitude` is the semi-major axis and `direction_rad` its angle from Y towards X, in (-pi/2, pi/2].
+    `width` is the semi-minor axis, positive if the motion runs from +Y towards +X. `phase_rad` is the
+    phase of the motion along the major axis. `x_amplitude` and `y_amplitude` are the largest deflections
+    in each coordinate. `u_` marks standard uncertainties.
     """
 
     period_s: float
@@ -72,10 +72,10 @@ class Mode:
 class TwoModes:
     """Slow and fast mode, rest position and its drift, at `time_ns`, the middle of the samples.
 
-    `fast` is None where no fast mode is seen; `fast_limit` is then the amplitude in X of the strongest
-    line that there is. `turning_rad_per_s` is the rate at which the slow mode's long axis turns from Y
-    towards X. Uncertainties are widened by sqrt(chi-square per degree of freedom), for each coordinate
-    by its own, where that exceeds 1.
+    `fast` is None if no fast mode is significant; `fast_limit` is then the amplitude in X of the strongest
+    spectral line in the residuals. `turning_rad_per_s` is the rate at which the slow mode's major axis
+    rotates from Y towards X. Standard uncertainties (`u_`) are multiplied by the square root of chi-square
+    per degree of freedom where that exceeds 1, for each coordinate by its own.
     """
 
     time_ns: int
@@ -108,14 +108,16 @@ def separate_modes(
     Parameters
     ----------
     times_ns : (n,) int64, ns, ascending
-    x, y : (n,) coordinates, any unit; samples where one is NaN do not count
-    u_x, u_y : (n,) standard uncertainties, positive; None: all alike, taken from what the fit leaves
-    slow_period_s, fast_period_s : where to start; NaN where nothing is known
+    x, y : (n,) coordinates, any unit; samples where either is NaN are ignored
+    u_x, u_y : (n,) standard uncertainties, positive; None: all equal, estimated from the residuals
+    slow_period_s, fast_period_s : start values; NaN if unknown
 
     Returns
     -------
-    None where there is no oscillation: the slow mode explains less than half of the variance or leaves
-    much more than the noise, less than one of its periods is there, or fewer than 20 samples are.
+    TwoModes or None
+        None if there is no oscillation: the slow mode explains less than half of the variance or leaves
+        residuals much larger than the noise, the samples cover less than about one of its periods, or
+        there are fewer than 20 samples.
 
     Raises
     ------
@@ -141,7 +143,7 @@ def separate_modes(
     samples = Samples(t, x_, y_, u_x_**-2.0, u_y_**-2.0)
     fit = None
     if not math.isnan(slow_period_s) and not math.isnan(fast_period_s):
-        # both known from before: no search
+        # both periods are known: no search is needed
         start = np.zeros(TERMS)
         start[SLOW_RATE], start[FAST_RATE] = 2.0 * math.pi / slow_period_s, 2.0 * math.pi / fast_period_s
         fit = fit_terms(start, EVERY, samples, float(start[SLOW_RATE]))
@@ -160,16 +162,18 @@ def separate_modes(
     misfit_y = float((fit.left_y**2 * samples.weights_y).sum()) / dof
     lowest = 0.0 if alike else 1.0
     if min(misfit_x, misfit_y) > 0.0 and max(misfit_x, misfit_y) > lowest:
-        # each coordinate by its own scatter: friction bends the long one, not the other
+        # Each coordinate gets its own scatter: friction and anharmonicity distort the motion along the major
+        # axis and hardly the one across it.
         samples = samples.rescaled(max(misfit_x, lowest), max(misfit_y, lowest))
         fit = fit_terms(fit.p, fit.active, samples, float(fit.p[SLOW_RATE]))
     return _result(middle_ns, fit, limit)
 
 
 def _ellipse(parts: Floats) -> Floats:
-    """Half axes, direction, phase and the coordinates' amplitudes from x cosine, x sine, y cosine, y sine."""
+    """Semi-axes, direction, phase, amplitudes in x and y; from x cosine, x sine, y cosine, y sine."""
     x, y = complex(parts[0], -parts[1]), complex(parts[2], -parts[3])
-    # y + i x turns one way with `forward` and the other way with `backward`
+    # An ellipse is the sum of two circular motions of y + i x in opposite senses, with these amplitudes. Its
+    # semi-axes are the sum and the difference of their moduli.
     forward, backward = (y + 1j * x) / 2.0, (y.conjugate() + 1j * x.conjugate()) / 2.0
     one, other = np.angle(forward), np.angle(backward)
     return np.array(
@@ -194,7 +198,7 @@ def _mode(p: Floats, covariance: Floats, rate_place: int, offset: int) -> Mode:
         change = np.zeros(4)
         change[k] = 1e-6 * size
         difference = _ellipse(parts + change) - _ellipse(parts - change)
-        # angles may have gone round
+        # the two angles are defined modulo pi: remove jumps
         difference[2:4] = (difference[2:4] + math.pi / 2.0) % math.pi - math.pi / 2.0
         slopes[:, k] = difference / (2e-6 * size)
     u = np.sqrt(np.maximum(np.diag(slopes @ part_covariance @ slopes.T), 0.0))

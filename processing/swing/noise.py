@@ -1,4 +1,4 @@
-"""Noise of a record whose samples come without uncertainties."""
+"""Estimate of the noise of a record whose samples have no uncertainties."""
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -7,26 +7,26 @@ from processing.errors import DataError
 from processing.robust import robust_scatter
 
 _ORDER = 5
-"""Order of the differences: a swing sampled 20 times a period still leaves less than 1e-3 of itself."""
+"""Order of the differences; of a sinusoid sampled 20 times per period they leave less than 1e-3."""
 
 
 def estimate_noise(times_ns: ArrayLike, deflection: ArrayLike) -> float:
-    """Standard uncertainty of a sample, from what a smooth motion cannot explain.
+    """Standard uncertainty of a sample, estimated from the part that no smooth motion explains.
 
-    Median of the fifth differences (divided ones, so that uneven steps and missing frames do no
-    harm), scaled for Gaussian noise. Slow disturbances are motion to it; `SwingDetector` finds
-    them in its residuals. Values rounded so coarsely that most differences vanish give the
-    rounding's own uncertainty, step / sqrt(12).
+    It is the median of the absolute fifth differences, scaled for Gaussian noise. Divided differences are
+    used, so that uneven spacing and missing frames do not matter. Slow disturbances do not contribute;
+    `SwingDetector` finds them in its residuals. If the values are rounded so coarsely that most
+    differences vanish, the result is the uncertainty of rounding, step / sqrt(12).
 
     Parameters
     ----------
     times_ns : (n,) int64, ns, ascending
-    deflection : (n,) NaN where the spot was lost
+    deflection : (n,) any unit, which is also that of the result; NaN where the spot was lost
 
     Raises
     ------
     DataError
-        Lengths differ, fewer than seven samples with different times are left, or all are alike.
+        Lengths differ, there are fewer than seven samples with different times, or all values are equal.
     """
     times = np.asarray(times_ns, dtype=np.int64)
     values = np.asarray(deflection, dtype=np.float64)

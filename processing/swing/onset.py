@@ -1,4 +1,9 @@
-"""Finds an oscillation where nothing is known yet, and measures its first half-cycles."""
+"""Search for an oscillation of unknown period and amplitude, and measurement of its first half-cycles.
+
+Rough turning points (`pivots`) are collected until four in a row are regular. An arc is fitted to the samples
+around them (`term_selection`, `arc`). If the fit is plausible, each half-cycle is measured with the
+prediction by the others.
+"""
 
 import math
 from dataclasses import dataclass
@@ -18,33 +23,33 @@ from processing.swing.swing import SwingFlag
 from processing.swing.term_selection import choose, first_guess
 
 _PIVOTS = 4
-"""Rough turning points that start a fit."""
+"""Number of rough turning points that start a fit ..."""
 
 _FEWEST_PIVOTS = 3
-"""... and that start one when no more samples will come."""
+"""... and the number that suffices at the end of the record."""
 
 _KEPT_SAMPLES = 1 << 17
-"""Samples kept while nothing swings, so that memory stays flat."""
+"""Number of samples kept while no oscillation is found, so that memory is bounded."""
 
 _DOUBTFUL = 1.5
-"""Reduced chi-square of a first fit above which its first half-cycle is doubted."""
+"""Reduced chi-square of a first fit above which a fit without the first half-cycle is tried."""
 
 _UNEVEN = 4.0
-"""Chi-square of one half-cycle against the others' above which the fit is not believed."""
+"""Ratio of a half-cycle's reduced chi-square to the median of all above which the fit is rejected."""
 
 _SILENCE = 50
-"""Half periods after which an oscillation of another period is believed to be the pendulum."""
+"""Number of half periods after a loss from which on an oscillation of a different period is accepted."""
 
 _FASTEST, _SLOWEST = 0.7, 1.4
-"""Change of the half period that is believed before."""
+"""Range of the ratio of new to old half period that is accepted before that."""
 
 _SHAPELESS = 0.2
-"""Largest part of the amplitude that the residuals of an oscillation may have."""
+"""Largest accepted rms residual, as a fraction of the amplitude."""
 
 
 @dataclass(frozen=True, slots=True)
 class FirstHalfCycle:
-    """One of the half-cycles that were measured together at the start."""
+    """One of the half-cycles that are measured together at the start."""
 
     half: HalfCycleSamples
     result: HalfCycleFit
@@ -53,18 +58,22 @@ class FirstHalfCycle:
 
 @dataclass(frozen=True, slots=True)
 class Onset:
-    """An oscillation that has been found."""
+    """A newly found oscillation."""
 
     arc: Arc
     halves: list[HalfCycleSamples]
-    """Those of the arc."""
+    """The half-cycles of the arc."""
     noise_scale: float
+    """Factor on the samples' standard uncertainties, from the reduced chi-square; at least 1."""
     measured: list[FirstHalfCycle]
-    """The arc's and, where it was seen, the one before."""
+    """The half-cycles of the arc and, if its turning point was recorded, the one before."""
 
     @property
     def resolution(self) -> float:
-        """Uncertainty of an amplitude in the last half-cycle if all else were known."""
+        """Uncertainty of the last half-cycle's amplitude if all other parameters were known.
+
+        For n samples of uncertainty u, sqrt(2/n) u: the mean of cos^2 over a half-cycle is 1/2.
+        """
         half = self.halves[-1]
         u = half.u_deflection[np.isfinite(half.deflection)] * self.noise_scale
         return math.sqrt(2.0 / float((1.0 / u**2).sum()))
@@ -76,7 +85,7 @@ class Onset:
 
 
 class OnsetSearch:
-    """Goes through the samples until four turning points in a row belong to one oscillation."""
+    """Search of the arriving samples for four turning points in a row that belong to one oscillation."""
 
     def __init__(
         self,
@@ -86,7 +95,11 @@ class OnsetSearch:
         lost_ns: int = 0,
         known: KnownMotion | None = None,
     ) -> None:
-        """Start at a position in the buffer; `half_period_s` of an oscillation that was lost at `lost_ns`."""
+        """Start at a position in the buffer.
+
+        After the loss of an oscillation, `half_period_s` is its half period and `lost_ns` the time of the
+        loss; NaN at the beginning of a record. `known` is the motion, if it is known.
+        """
         self._samples = samples
         self._known = known
         self._half_period_s = half_period_s
@@ -98,7 +111,7 @@ class OnsetSearch:
         self._ready_ns: int | None = None
 
     def advance(self, final: bool) -> Onset | None:
-        """Search all samples that have come; `final` when no more will."""
+        """Search all samples that have arrived; `final` if no more will. None if nothing was found so far."""
         samples = self._samples
         while True:
             if self._ready_ns is not None:
@@ -128,7 +141,10 @@ class OnsetSearch:
                 self._ready_ns = self._pivots[-1].time_ns + _spacing_ns(self._pivots) * 6 // 10
 
     def _foreign(self) -> bool:
-        """Whether this is no pendulum that was followed before, but a disturbance of its own."""
+        """Whether these turning points are a disturbance and not the oscillation that was followed before.
+
+        Shortly after a loss, the period must be similar to the one before.
+        """
         if math.isnan(self._half_period_s):
             return False
         since_s = (self._pivots[0].time_ns - self._lost_ns) * 1e-9
@@ -136,7 +152,8 @@ class OnsetSearch:
         return since_s < _SILENCE * self._half_period_s and not _FASTEST < ratio < _SLOWEST
 
     def _forget(self) -> None:
-        # counted from what was searched, not from what has come: the blocks must not matter
+        # count from the samples searched and not from those received, so that the result does not depend on
+        # how the samples are divided into blocks
         self._samples.forget_before(self._searched - self._samples.dropped - _KEPT_SAMPLES)
 
     def _last_attempt(self) -> Onset | None:
@@ -151,7 +168,7 @@ class OnsetSearch:
         halves = _cut(self._samples, pivots)
         arc = choose(first_guess(pivots), halves, self._known)
         if len(pivots) > 2 and (arc is None or arc.chi2 > _DOUBTFUL * arc.samples):
-            # the first half-cycle may hold the release or the kick
+            # the first half-cycle may contain the release or a kick
             later = choose(first_guess(pivots[1:]), halves[1:], self._known)
             if later is not None and (arc is None or later.reduced_chi2 < 0.5 * arc.reduced_chi2):
                 arc, halves = later, halves[1:]
@@ -169,7 +186,7 @@ def _spacing_ns(pivots: list[Pivot]) -> int:
 
 
 def _cut(samples: SampleBuffer, pivots: list[Pivot]) -> list[HalfCycleSamples]:
-    """Samples around each of the rough turning points."""
+    """Divide the samples into half-cycles: cuts lie midway between the rough turning points."""
     spacing = _spacing_ns(pivots)
     edges = [pivots[0].time_ns - spacing // 2]
     edges += [(a.time_ns + b.time_ns) // 2 for a, b in pairwise(pivots)]
@@ -192,7 +209,7 @@ def _believable(arc: Arc, halves: list[HalfCycleSamples]) -> bool:
 
 
 def _measure_one(arc: Arc, k: int, half: HalfCycleSamples, noise_scale: float) -> FirstHalfCycle:
-    """Half-cycle `k` of an arc, judged by what the others of the arc say."""
+    """Measure half-cycle `k` of an arc, with the prediction by its other half-cycles as the prior."""
     x, covariance = state_on_arc(arc, k, left_out=k)
     start, end = arc.windows[k]
     result = fit_half_cycle(
@@ -219,7 +236,10 @@ def _measure_one(arc: Arc, k: int, half: HalfCycleSamples, noise_scale: float) -
 def _measure_before(
     samples: SampleBuffer, arc: Arc, first: HalfCycleSamples, noise_scale: float
 ) -> FirstHalfCycle | None:
-    """The half-cycle before the arc, where its turning point was seen: it may hold the start."""
+    """Measure the half-cycle before the arc; None if its turning point was not recorded.
+
+    If it is disturbed, it contains the release and is flagged START.
+    """
     x, covariance, reference_ns = state_before(arc, first.reference_ns)
     start, _, _ = window(x, arc.reference)
     if not math.isfinite(start):

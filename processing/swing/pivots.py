@@ -1,4 +1,4 @@
-"""Rough turning points of a deflection of unknown amplitude, period and centre, sample by sample."""
+"""Rough turning points (pivots) of a deflection of unknown amplitude, period and centre, sample by sample."""
 
 import math
 from typing import NamedTuple
@@ -8,20 +8,21 @@ from numba import njit
 from numpy.typing import NDArray
 
 REVERSAL = 0.25
-"""A turning point is believed once the deflection has come back by this part of the last swing."""
+"""A turning point is accepted once the deflection has returned by this fraction of the last swing's range
+..."""
 
 NOISE_REVERSAL = 8.0
-"""... and by this many standard uncertainties of a sample."""
+"""... and by this many standard uncertainties of a sample, so that noise makes no turning points."""
 
 DIRECTION, HIGHEST, LOWEST, LAST_PIVOT, LAST_RANGE, FOUND, BEFORE_LAST, LAST, SEEN, HAS_PIVOT = range(10)
-"""Places in the state of the search: sense of the motion (0 unknown), running extremes, deflection of the
-last pivot, range of the last swing, deflection of the pivot just found, the two samples before and how many
-of them there are, whether there was a pivot."""
+"""Indices of the state of the search: direction of the motion (+1, -1; 0 unknown), running maximum and
+minimum, deflection of the last pivot, range of the last swing, deflection of the pivot just found, the
+previous two samples and their number, and whether a pivot was found before (1.0)."""
 
 SEARCH_STATE = 10
 
 HIGHEST_TIME, LOWEST_TIME, FOUND_TIME = range(3)
-"""Places in the marks: times in ns of the running extremes and of the pivot just found."""
+"""Indices of the marks: times in ns of the running maximum and minimum and of the pivot just found."""
 
 
 class Pivot(NamedTuple):
@@ -46,11 +47,15 @@ def search(
     state: NDArray[np.float64],
     marks: NDArray[np.int64],
 ) -> int:
-    """Go through samples `first` to `last` until a turning point is certain.
+    """Search samples `first` to `last` (not included) for the next turning point.
 
-    Returns the number of the sample after the one that made it certain, or ``-1`` when none was.
-    `state` (SEARCH_STATE floats, zeros to start with) and `marks` (three times) carry the search from one
-    block to the next. A median of three takes single wild samples out.
+    `state` (SEARCH_STATE,), zeros at the start, and `marks` (three times) keep the state of the search from
+    one call to the next. A running median of three removes single outliers; NaN samples are skipped.
+
+    Returns
+    -------
+    int
+        Index of the sample after the one at which the turning point was accepted; -1 if there was none.
     """
     for i in range(first, last):
         raw = deflection[i]
@@ -92,7 +97,7 @@ def search(
 
 
 def regular(pivots: list[Pivot]) -> bool:
-    """Whether the turning points look like one oscillation: alike in spacing and in range."""
+    """Whether the turning points may belong to one oscillation: similar spacing and similar range."""
     spacing = np.diff([p.time_ns for p in pivots]).astype(float)
     span = np.abs(np.diff([p.deflection for p in pivots]))
     if np.any(spacing <= 0) or np.any(span <= 0):

@@ -1,4 +1,14 @@
-"""From one half-cycle to the next: the motion, and how far it may stray from what was learned."""
+"""Prediction step of the Kalman filter, from one half-cycle to the next.
+
+The state follows the equation of motion; its covariance becomes
+
+    P' = F P F^T + Q
+
+with the transition matrix F (`half_cycle.propagate`) and the process noise Q, a diagonal matrix of the
+variances by which each term may change between two half-cycles, beyond the model. Nearly all of Q is
+expressed by `resolution`, the uncertainty of a single amplitude: terms may change slowly compared with
+what one half-cycle can measure. The filter then averages over many half-cycles, yet follows slow changes.
+"""
 
 import math
 
@@ -26,7 +36,7 @@ from processing.swing.half_cycle import (
 from processing.swing.waveform import BEND, DAMPING, DRY, NODES, RISE, SHAPES, STIFF, N, P, zero_phases
 
 SLOPE_WANDER = 1e-3
-"""Change of the centre's slope from one half-cycle to the next, in amplitude uncertainties a half-cycle."""
+"""Standard deviation of the change of the drift per half-cycle, in units of (resolution per half-cycle)."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -40,11 +50,31 @@ def predict(
     agility: float,
     restlessness: float,
 ) -> tuple[int, Vector, Matrix, float]:
-    """Step in ns to the next turning point, state and covariance there, and the end of its window in s.
+    """Predict the next half-cycle.
 
-    The step is rounded to a whole ns and leads from one reference time to the next. `resolution`
-    is what an amplitude's uncertainty is at best, the scale of all wandering allowed for; `agility`
-    multiplies its variance and is 1 while the predictions hold, `restlessness` that of the drift.
+    Parameters
+    ----------
+    x, covariance
+        State at the present turning point and its covariance (see `half_cycle`).
+    anchor
+        State about whose shape terms the waveform is expanded.
+    reference
+        Amplitude to which the shape terms refer.
+    active
+        Free entries of the state.
+    resolution
+        Uncertainty of an amplitude if all other parameters were known; scale of the process noise.
+    agility
+        Factor on the variances Q of all terms but centre and drift; 1 while predictions agree with
+        measurements.
+    restlessness
+        The same factor for the drift; its square root applies to the centre.
+
+    Returns
+    -------
+    step_ns, state, covariance, end_s
+        Difference of the reference times (a whole number of ns), predicted state and covariance, and the end
+        of the half-cycle's window in s after its reference time.
     """
     table, turn = np.zeros((2 + SHAPES, NODES, 2)), np.zeros((2, 2 + SHAPES))
     tabulate_state(x, anchor, reference, active, table, turn)
@@ -57,6 +87,8 @@ def predict(
     wander = np.zeros(STATES)
     wander[AMPLITUDE] = 0.2 * resolution
     wander[TIME] = 0.2 * u_phase / rate
+    # a stiffness that depends on the amplitude changes the frequency with every loss of amplitude; part of
+    # that change may be wrong
     softness = abs(x[SHAPE + STIFF]) + abs(x[SHAPE + BEND])
     wander[RATE] = max(min(3e-3 * u_phase, 1e-4), 0.03 * loss * softness) * rate
     ratio = x[AMPLITUDE] / reference
@@ -73,6 +105,7 @@ def predict(
     size = math.hypot(x[FAST_COSINE], x[FAST_SINE]) + resolution
     wander[FAST_RATE] = 1e-2 * resolution / (size * elapsed)
     wander[FAST_DAMPING] = 1e-2 * resolution / (size * elapsed)
+    # F P F^T, active entries only
     moved = np.zeros((STATES, STATES))
     carried = np.zeros((STATES, STATES))
     for i in active:
@@ -93,14 +126,14 @@ def predict(
         elif i == CENTRE:
             scale = math.sqrt(restlessness)
         carried[i, i] += scale * wander[i] * wander[i]
-    # the next half-cycle reaches zero in nearly the same phase as this one
+    # the next half-cycle crosses zero at nearly the same phase as this one
     _, after = zero_phases(table)
     return step_ns, following, carried, following[TIME] + after / rate
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def window(x: Vector, reference: float) -> tuple[float, float, float]:
-    """Start and end of the half-cycle (its zero crossings) and its next turning point, s."""
+    """Zero crossings before and after the turning point and the next turning point, s from the reference."""
     table, turn = np.zeros((2 + SHAPES, NODES, 2)), np.zeros((2, 2 + SHAPES))
     tabulate_state(x, x, reference, np.empty(0, dtype=np.int64), table, turn)
     before, after = zero_phases(table)

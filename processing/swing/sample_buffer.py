@@ -1,4 +1,4 @@
-"""The samples that are still needed, checked as they come in."""
+"""Buffer of the samples that are still needed; new samples are checked."""
 
 import math
 
@@ -27,7 +27,7 @@ def _fault(
 
 
 class SampleBuffer:
-    """Samples in order of time, forgotten from the front; positions are indices into its arrays."""
+    """Samples in order of time; old ones are dropped. Positions are indices into its arrays."""
 
     def __init__(self) -> None:
         self.times_ns = np.empty(_FIRST_SIZE, dtype=np.int64)
@@ -37,10 +37,10 @@ class SampleBuffer:
         self.tail = 0
         self.last_ns = -(1 << 63)
         self.dropped = 0
-        """How many samples lie before position 0: positions shift when the arrays are packed."""
+        """Number of samples before position 0. Positions shift by its changes, when the arrays are packed."""
 
     def append(self, times_ns: ArrayLike, deflection: ArrayLike, u_deflection: ArrayLike) -> None:
-        """Check a block and take it in, or raise `DataError` and take in nothing."""
+        """Check a block of samples and add it; raises `DataError` and adds nothing if it is not valid."""
         times = np.ascontiguousarray(times_ns, dtype=np.int64)
         values = np.ascontiguousarray(deflection, dtype=np.float64)
         u_values = np.ascontiguousarray(u_deflection, dtype=np.float64)
@@ -87,11 +87,11 @@ class SampleBuffer:
         self.head, self.tail = 0, kept
 
     def position(self, time_ns: int) -> int:
-        """First sample at or after a time."""
+        """Position of the first sample at or after a time."""
         return self.head + int(np.searchsorted(self.times_ns[self.head : self.tail], time_ns))
 
     def forget_before(self, position: int) -> None:
-        """Samples before `position` are not needed any more."""
+        """Allow the samples before `position` to be dropped."""
         self.head = max(self.head, min(position, self.tail))
 
     def between(self, reference_ns: int, side: int, start_ns: int, end_ns: int) -> HalfCycleSamples:

@@ -1,4 +1,4 @@
-"""Least squares of one sinusoid of a given frequency."""
+"""Least-squares fit of one sinusoid of a given frequency."""
 
 import math
 
@@ -9,7 +9,10 @@ from processing.swing.half_cycle import Vector
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def line(rate: float, time_s: Vector, value: Vector, weight: Vector) -> tuple[float, float, float]:
-    """Fit ``c cos(rate t) + s sin(rate t)``: the fall of chi-square, c, s; zeros where undetermined."""
+    """Fit ``c cos(rate t) + s sin(rate t)``.
+
+    Returns the reduction of chi-square, c and s; zeros if the samples do not determine them.
+    """
     cc = cs = ss = c_value = s_value = 0.0
     for i in range(len(time_s)):
         c, s = math.cos(rate * time_s[i]), math.sin(rate * time_s[i])

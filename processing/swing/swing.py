@@ -1,4 +1,4 @@
-"""Half-cycles of the decay: turning points and what they are worth."""
+"""Half-cycles of the decay: turning points, uncertainties and flags."""
 
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass
@@ -9,30 +9,30 @@ from numpy.typing import NDArray
 
 
 class SwingFlag(IntFlag):
-    """What was found wrong with a half-cycle; 0 where nothing was. A flagged one is not fitted."""
+    """Problems found with a half-cycle, one bit each; 0 if there are none. Fits ignore flagged ones."""
 
     GAP = 1
-    """Samples are missing where they matter."""
+    """Too few samples, or a long gap between them."""
     VIBRATION = 2
-    """Residuals are larger than the samples' own noise explains."""
+    """The residuals are larger than the samples' noise: the motion was disturbed."""
     LOW_AMPLITUDE = 4
     """The amplitude is less than about five times its uncertainty."""
     START = 8
     """The half-cycle in which the release or a kick happened."""
     INFERRED = 16
-    """The turning point lies off the sensor and was inferred from the crossings."""
+    """The turning point lies outside the sensor and was inferred from crossings of the sensor."""
 
 
 @dataclass(frozen=True, slots=True)
 class Swing:
     """One half-cycle.
 
-    `index` counts half-cycles from the first one, missing ones included, so that a difference of
-    indices is a number of half periods. `turn_time_ns` is the time of the turning point on the
-    clock of the samples. `amplitude` (positive) and `centre` carry the unit of the deflection;
-    the deflection at the turning point is ``centre + side * amplitude`` with side +1 or -1, which
-    alternates with the index. `half_period_s` is the time since the previous turning point, NaN
-    for the first and after a missing one.
+    `index` counts half-cycles from the first one, including missing ones, so that a difference of indices is
+    a number of half periods. `turn_time_ns` is the time of the turning point on the samples' clock.
+    `amplitude` (positive) and `centre` have the unit of the deflection; the deflection at the turning point
+    is ``centre + side * amplitude``, where side is +1 or -1 and alternates with the index. `half_period_s` is
+    the time since the previous turning point, NaN for the first one and after a missing one. `u_` marks
+    standard uncertainties. `flags` is a `SwingFlag`.
     """
 
     index: int
@@ -65,11 +65,10 @@ SWING_DTYPE = np.dtype(
 
 @dataclass(frozen=True, slots=True)
 class TurningPoints:
-    """What the fits see of a decay: unflagged turning points as arrays of one length.
+    """Unflagged turning points of a decay, the data of the fits, as arrays of equal length.
 
-    `time_s` counts from the first turning point. `index` may have gaps. Amplitudes are positive, in
-    the unit of the deflections they were found in: rad, which the contact's laws need, or px without
-    a calibration.
+    `time_s` is the time since the first turning point. `index` may have gaps. Amplitudes are positive and
+    have the unit of the deflections: rad, which the contact laws require, or px without a calibration.
     """
 
     index: NDArray[np.int64]
@@ -83,7 +82,7 @@ class TurningPoints:
 
 
 def turning_points(swings: Sequence[Swing]) -> TurningPoints:
-    """Unflagged swings as arrays, times from the first of them."""
+    """Unflagged swings as arrays; times are relative to the first of them."""
     rows = np.array([astuple(s) for s in swings if s.flags == 0], dtype=SWING_DTYPE)
     first_ns = rows["turn_time_ns"][0] if len(rows) else 0
     return TurningPoints(

@@ -1,4 +1,4 @@
-"""Which terms of the motion the samples call for: damping alone, friction and elasticity, a fast mode."""
+"""Choice of the model of the motion: damping alone, friction and anharmonic stiffness, a fast mode."""
 
 import math
 from collections.abc import Sequence
@@ -36,16 +36,16 @@ ANHARMONIC_LINEAR: tuple[int, ...] = (SHAPE + DRY, SHAPE + RISE, SHAPE + STIFF, 
 FAST_MODE: tuple[int, ...] = (FAST_COSINE, FAST_SINE, FAST_RATE, FAST_DAMPING)
 
 _GAIN_PER_TERM = 3.5
-"""Fall of chi-square that one more term must earn."""
+"""Reduction of chi-square that each additional term must achieve to be accepted ..."""
 
 _FAST_MODE_TOLL = 20.0
-"""... and a fast mode in addition, for the many frequencies that were tried."""
+"""... and a further reduction required of a fast mode, because many frequencies are tried."""
 
 _HOPELESS = 0.25
-"""Part of the variance that a damped sinusoid leaves, above which no further term is tried."""
+"""Fraction of the variance left by a damped sinusoid above which no further term is tried."""
 
 _SUSPICIOUS = 1.2
-"""Reduced chi-square above which a fast mode is looked for."""
+"""Reduced chi-square above which a fast mode is searched for."""
 
 
 def first_guess(pivots: Sequence[Pivot]) -> Vector:
@@ -63,10 +63,10 @@ def first_guess(pivots: Sequence[Pivot]) -> Vector:
 
 
 def prior(start: Vector, anharmonic: bool) -> tuple[Vector, Vector]:
-    """Mean and width of what a state may be before anything was measured, given its rough size.
+    """Mean and standard deviation of the prior of a state, given a rough state `start`.
 
-    Wide enough for any pendulum that swings at all; it only keeps apart what a few half-cycles
-    cannot (dry friction from damping, the exponents).
+    It is wide enough for any pendulum. It only stabilises terms that a few half-cycles cannot distinguish
+    (dry friction from damping, the exponents).
     """
     mean, sigma = start.copy(), np.full(STATES, math.inf)
     mean[SHAPE : SHAPE + SHAPES] = 0.0
@@ -90,7 +90,7 @@ def prior(start: Vector, anharmonic: bool) -> tuple[Vector, Vector]:
 
 
 def bent(linear: Vector) -> Vector:
-    """Start for the anharmonic fit from a linear one: most of the loss is friction."""
+    """Start values of the anharmonic fit from the linear fit: most of the loss is ascribed to friction."""
     start = linear.copy()
     start[[SHAPE + P, SHAPE + N]] = 0.9, 0.4
     start[SHAPE + DRY] = 0.95 * relative_loss(linear)
@@ -100,16 +100,17 @@ def bent(linear: Vector) -> Vector:
 
 
 def relative_loss(x: Vector) -> float:
-    """Part of the amplitude that a half-swing at the reference amplitude takes."""
+    """Relative loss of amplitude in one half-swing at the amplitude of `x`."""
     table, turn = np.zeros((2 + SHAPES, NODES, 2)), np.zeros((2, 2 + SHAPES))
     tabulate_state(x, x, float(x[AMPLITUDE]), np.empty(0, dtype=np.int64), table, turn)
     return abs(1.0 - float(turn[1, 0]))
 
 
 def choose(start: Vector, halves: Sequence[HalfCycleSamples], known: KnownMotion | None = None) -> Arc | None:
-    """The simplest of the four models (anharmonic or not, fast mode or not) that explains the samples.
+    """Fit the four models (anharmonic or not, with a fast mode or not) and choose one by its chi-square.
 
-    Of a motion that is `known`, only place, drift and fast mode are free.
+    Each additional term must reduce chi-square enough. If the motion is `known`, only amplitude, time,
+    centre, drift and fast mode are free. None if no fit succeeds.
     """
     if known is not None:
         return _on_known(known, start, halves)
@@ -149,7 +150,10 @@ def _on_known(known: KnownMotion, start: Vector, halves: Sequence[HalfCycleSampl
 def extend(
     first: Vector, halves: Sequence[HalfCycleSamples], reference: float, active: Indices
 ) -> Arc | None:
-    """Fit a longer arc, started from the first state of a shorter one; new terms must earn their place."""
+    """Fit a longer arc, starting from the first state of a shorter one.
+
+    The anharmonic terms are added if they reduce chi-square enough. None if the fit fails.
+    """
     terms = tuple(active.tolist())
     anharmonic = SHAPE + RISE in terms
     mean, sigma = prior(first, anharmonic)
@@ -175,8 +179,9 @@ def _typical_variance(halves: Sequence[HalfCycleSamples]) -> float:
 
 
 def best_of(arcs: Sequence[Arc]) -> Arc:
-    """The one whose terms have earned their place."""
-    # where the samples' uncertainties are too small, every term would seem to earn its place
+    """The arc with the lowest chi-square after a penalty for each term (like an information criterion)."""
+    # if the samples' uncertainties are too small, chi-square is too large and would favour every term: scale
+    # it
     floor = max(1.0, min(a.chi2 / max(a.samples - len(a.active), 1) for a in arcs))
     toll = [_GAIN_PER_TERM * len(a.active) + _FAST_MODE_TOLL * (FAST_COSINE in a.active) for a in arcs]
     cost = [a.chi2 / floor + t for a, t in zip(arcs, toll, strict=True)]
@@ -206,7 +211,10 @@ def _strongest_line(
 
 
 def guess_fast_mode(arc: Arc, halves: Sequence[HalfCycleSamples]) -> tuple[float, float, float] | None:
-    """Strongest line in what the slow mode leaves: angular frequency, cosine and sine part."""
+    """Strongest spectral line in the residuals: angular frequency in rad/s, cosine and sine amplitude.
+
+    None if the samples are too short or too sparse for a fast mode.
+    """
     times, residuals, weights = [], [], []
     k = len(arc.active)
     for x, half in zip(arc.states, halves, strict=True):

@@ -1,16 +1,18 @@
 """The half-swing of a damped, slightly anharmonic pendulum, in units of its own amplitude.
 
-Between two turning points friction keeps its sign, so the motion is smooth there and its second
-derivative jumps at the turning points. In phase ``s = w t``, ``y = (deflection - centre)/A`` and
-``r = A/A_ref``, with ``box(u, q) = (u^q - 1)/q`` (Box and Cox 1964; the logarithm at q = 0)
+Between two turning points friction does not change its sign and the motion is smooth; at the turning points
+the second derivative jumps. The table therefore starts at a turning point, with y = 1 and y' = 0. With the
+phase ``s = w t``, ``y = (deflection - centre)/A``, ``r = A/A_ref`` and the Box-Cox function
+``box(u, q) = (u^q - 1)/q`` (Box and Cox 1964; the logarithm at q = 0), the equation of motion is
 
     y'' = -y - 2 damping y' - sign(y') (dry + rise box(r |y|, p))/r
           + y (stiff box(r |y|, n) + (bend - stiff n) (box(r |y|, 1+n) - box(r |y|, n)))
 
-so that at the reference amplitude `dry` and `rise` are the friction and its slope, `stiff` and
-`bend` slope and curvature of the stiffness, all against ln r. The exponents p and n come in one
-order later, which keeps a fit with few half-cycles well conditioned. It spans ``c + b |phi|^p`` and
-``|phi|^(n+1) (1 - const |phi|)`` exactly; with all terms but the damping zero it is the damped sinusoid.
+At the reference amplitude `dry` and `rise` are thus the friction and its slope, `stiff` and `bend` the slope
+and curvature of the stiffness, as functions of ln r. The exponents p and n enter only in the next order,
+which keeps a fit to few half-cycles well conditioned. The form includes a friction moment ``c + b |phi|^p``
+and a stiffness ``|phi|^n (1 - const |phi|)`` exactly; with all terms but the damping zero it gives the damped
+sinusoid.
 """
 
 import math
@@ -20,22 +22,24 @@ from numba import njit
 from numpy.typing import NDArray
 
 DAMPING, DRY, RISE, P, STIFF, N, BEND, LOG_RATIO = range(8)
-"""Places of the terms; LOG_RATIO is ln r and no term of its own."""
+"""Indices of the terms. LOG_RATIO is ln r; it follows from the amplitude and is not fitted."""
 
 SHAPES = 7
 STEP = 1.0 / 16.0
 NODES_BEFORE = 35
 NODES_AFTER = 57
 NODES = NODES_BEFORE + NODES_AFTER
-"""Nodes of the table before and after the turning point; after it reaches past the next one."""
+"""Number of nodes of the table before and after the turning point, spaced by STEP in phase. The second part
+extends beyond the next turning point. The table covers -2.1 rad to 3.5 rad."""
 
 _SMALLEST_EXPONENT = 1e-3
 _NEAREST = 1e-9
 _NEAREST_SLOPE = 1e-2
-"""Closest approach to zero, in amplitudes, of logarithms and of slopes, which diverge there."""
+"""Lower limits of |y| in logarithms and in slopes of the forces, which diverge at y = 0."""
 
 Table = NDArray[np.float64]
-"""(2 + SHAPES, NODES, 2): y and dy/ds, and their derivatives by the terms and by ln r."""
+"""(2 + SHAPES, NODES, 2): y and dy/ds in row 0, their derivatives by the terms and by ln r in the rows
+after."""
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -43,7 +47,7 @@ Matrix = NDArray[np.float64]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _box(logarithm: float, power: float, exponent: float) -> tuple[float, float]:
-    """``(u^q - 1)/q`` and its derivative by q, from ln u and u^q."""
+    """``(u^q - 1)/q`` and its derivative by q, from ln u and u^q; by a series near q = 0."""
     if abs(exponent) < _SMALLEST_EXPONENT:
         square = logarithm * logarithm
         return logarithm + 0.5 * exponent * square, square * (0.5 + exponent * logarithm / 3.0)
@@ -53,11 +57,11 @@ def _box(logarithm: float, power: float, exponent: float) -> tuple[float, float]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _acceleration(y: float, v: float, sense: float, shape: Vector, by: Vector) -> float:
-    """y'' and, in `by`, its derivatives by the terms, by ln r, by y and by v.
+    """y''; its derivatives by the terms, by ln r, by y and by v are written into `by`.
 
-    `sense` is +1 after the turning point and -1 before it, where time is run backwards; v = dy/ds is
-    negative after it, so that friction pushes y'' upwards. With L = ln(r |y|), u = exp(L):
-    d box(u, q)/d ln u = u^q, from which the slopes by ln r and by y follow.
+    `sense` is +1 after the turning point, and -1 before it, where the integration runs backwards in time.
+    v = dy/ds is negative after the turning point, so that friction adds to y''. The derivatives by ln r and
+    by y follow from d box(u, q)/d ln u = u^q with u = r |y|.
     """
     by[DAMPING] = -2.0 * sense * v
     by[SHAPES + 1] = -1.0
@@ -100,9 +104,13 @@ def _step(
     h: float,
     rates: NDArray[np.float64],
 ) -> None:
-    """One Runge-Kutta step of order four for y, v (row 0) and their derivatives (row 1 + term).
+    """One step of the classical Runge-Kutta method of order four, for `motion` (2 + SHAPES, 2).
 
-    `rates` (5, SHAPES + 3, 2) is working space.
+    Row 0 holds y and v; row 1 + k holds their derivatives by term k, which obey the variational equation
+
+        dy_k'' = df/dp_k + (df/dy) dy_k + (df/dv) dv_k,   y'' = f(y, v, p).
+
+    `rates` (5, SHAPES + 3, 2) is working memory.
     """
     by = rates[4, :, 0]
     y, v = motion[0, 0], motion[0, 1]
@@ -150,9 +158,10 @@ def _step_on_grid(
     wanted: NDArray[np.int64],
     rates: NDArray[np.float64],
 ) -> None:
-    """One step of the table; one that meets the zero crossing, where the forces have a kink, in two parts.
+    """One step of the table; `before` becomes a copy of `motion` before the step.
 
-    `before` is left as what `motion` was.
+    The powers of |y| are not smooth at y = 0. A step that crosses zero is therefore divided there, with the
+    crossing found by Newton's method; otherwise the Runge-Kutta method would lose its order.
     """
     before[:] = motion
     _step(motion, sense, shape, wanted, STEP, rates)
@@ -170,7 +179,11 @@ def _step_on_grid(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _tabulate_sinusoid(damping: float, table: Table, turn: Matrix) -> None:
-    """The damped sinusoid and its derivative by the damping, in closed form."""
+    """Tabulate the damped sinusoid and its derivative by the damping d, in closed form.
+
+    With w = sqrt(1 - d^2): y = exp(-d s) [cos(w s) + (d/w) sin(w s)], which has y = 1 and y' = 0 at s = 0.
+    The next turning point is at s = pi/w with the amplitude exp(-d pi/w).
+    """
     rate = math.sqrt(max(1.0 - damping * damping, 1e-6))
     for node in range(NODES):
         s = (node - NODES_BEFORE) * STEP if node >= NODES_BEFORE else -node * STEP
@@ -190,15 +203,15 @@ def _tabulate_sinusoid(damping: float, table: Table, turn: Matrix) -> None:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def tabulate(shape: Vector, wanted: NDArray[np.int64], table: Table, turn: Matrix) -> None:
-    """Tabulate the half-swing and its derivatives by the wanted shape terms.
+    """Tabulate the half-swing and its derivatives by the wanted terms.
 
     Parameters
     ----------
-    shape : (SHAPES + 1,) terms, and ln r
-    wanted : places of those whose derivatives are wanted; the others' rows are left alone
-    table : overwritten
-    turn : (2, 2 + SHAPES), overwritten: phase of the next turning point and remaining amplitude,
-        each followed by its derivatives
+    shape : (SHAPES + 1,) terms and ln r
+    wanted : indices of the terms whose derivatives are wanted; the rows of the others are not changed
+    table : (2 + SHAPES, NODES, 2), overwritten
+    turn : (2, 2 + SHAPES), overwritten: phase of the next turning point and remaining fraction of the
+        amplitude, each followed by its derivatives; NaN where not wanted
     """
     if shape[DRY] == 0.0 and shape[RISE] == 0.0 and shape[STIFF] == 0.0 and shape[BEND] == 0.0:
         plain = True
@@ -211,7 +224,7 @@ def tabulate(shape: Vector, wanted: NDArray[np.int64], table: Table, turn: Matri
     before = np.empty_like(motion)
     rates = np.empty((5, SHAPES + 3, 2))
     motion[0, 0] = 1.0
-    # before the turning point time runs backwards, which turns friction and damping around
+    # before the turning point the integration runs backwards in time, which reverses friction and damping
     for node in range(NODES_BEFORE):
         table[0, node, 0], table[0, node, 1] = motion[0, 0], -motion[0, 1]
         for k in wanted:
@@ -228,6 +241,8 @@ def tabulate(shape: Vector, wanted: NDArray[np.int64], table: Table, turn: Matri
             table[1 + k, node] = motion[1 + k]
         _step_on_grid(motion, before, 1.0, shape, wanted, rates)
         if step > 1 and before[0, 1] < 0.0 <= motion[0, 1]:
+            # y' changes its sign within this step: Newton's method for the turning point, then its
+            # derivatives from d(y')/dp + y'' ds/dp = 0
             fraction = 0.5 * STEP
             turning = before.copy()
             for _ in range(3):
@@ -245,7 +260,7 @@ def tabulate(shape: Vector, wanted: NDArray[np.int64], table: Table, turn: Matri
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def locate(s: float) -> tuple[int, float]:
-    """First of the two nodes around phase `s`, and the position between them; node -1 outside."""
+    """First of the two nodes around phase `s`, position between them (0 to 1); node -1 outside the table."""
     if s >= 0.0:
         cell = int(s / STEP)
         if cell >= NODES_AFTER - 1:
@@ -259,7 +274,7 @@ def locate(s: float) -> tuple[int, float]:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def zero_phases(table: Table) -> tuple[float, float]:
-    """Phases at which the half-swing leaves and reaches zero (the first is negative)."""
+    """Phases of the zero crossings before (negative) and after the turning point; NaN if not in the table."""
     before, after = math.nan, math.nan
     for k in range(NODES_BEFORE - 1):
         if table[0, k, 0] > 0.0 >= table[0, k + 1, 0]:
