@@ -1,1 +1,4 @@
-"""Arrays in, numbers out: spot, swings, contact laws and fits. No device, no file, no clock, no thread."""
+"""Analysis of arrays: laser spot, swings, contact laws and fits.
+
+Nothing in this package uses devices, files, clocks or threads.
+"""

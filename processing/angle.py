@@ -1,4 +1,4 @@
-"""Angles: rad inside, arcsec where a person reads."""
+"""Units of angles: rad in all calculations, arcsec where values are displayed."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""When will the amplitude have fallen to a value: a light fit that runs while the decay does."""
+"""Forecast of the time at which the amplitude reaches a given value: a fast fit made during the decay."""
 
 import math
 from typing import NamedTuple
@@ -17,7 +17,7 @@ _LN_DRY_PART, _U_LN_DRY_PART = math.log(0.25), 0.6
 
 
 class Forecast(NamedTuple):
-    """Time from the last amplitude to the final one, with its standard uncertainty; NaN: too early to say."""
+    """Time in s from the last amplitude to the final one, and its standard uncertainty; NaN if too early."""
 
     remaining_s: float
     u_remaining_s: float
@@ -26,15 +26,15 @@ class Forecast(NamedTuple):
 def forecast(times_s: Floats, amplitudes: Floats, u_amplitudes: Floats, final: float) -> Forecast:
     """Predict when a decaying amplitude reaches `final` (same unit; positive).
 
-    The loss per time is taken as ``k (A^p + d final^p)``: rolling friction and dry friction as in
-    Eq. 5. What the decay so far does not yet determine, p and the part d of dry friction at the
-    end, is held near what the paper's three contact pairs have, with their spread as uncertainty
-    (p 0.87 ± 0.06, d 0.25 within a factor of 1.8); the forecast's uncertainty carries that.
+    The loss per time is modelled as ``k (A^p + d final^p)``, the two friction terms of Eq. 5. As long as the
+    decay does not determine p and the fraction d of dry friction, priors from the paper's three contact
+    pairs are used (p = 0.87 ± 0.06, d = 0.25 within a factor of 1.8). Their width is contained in the
+    uncertainty of the forecast.
 
     Parameters
     ----------
     times_s, amplitudes, u_amplitudes
-        Of turning points in order, arrays of one length; more than 160 are thinned evenly.
+        Turning points in order, arrays of equal length; more than 160 are thinned evenly.
     """
     good = np.isfinite(amplitudes) & (amplitudes > 0) & (u_amplitudes > 0)
     times_s, amplitudes, u_amplitudes = times_s[good], amplitudes[good], u_amplitudes[good]
@@ -48,7 +48,7 @@ def forecast(times_s: Floats, amplitudes: Floats, u_amplitudes: Floats, final: f
     if not slope < 0:
         return Forecast(math.nan, math.nan)
     grid = np.geomspace(max(a.max(), a[0]) * 1.05, final, _NODES)
-    # time error of a turning point that its amplitude's error stands for
+    # convert the uncertainty of each amplitude into one of time
     u_t = u / (-slope * a)
 
     def times_on_grid(parameters: Floats) -> Floats:
@@ -72,7 +72,7 @@ def forecast(times_s: Floats, amplitudes: Floats, u_amplitudes: Floats, final: f
     jacobian = np.array(fit.jac, dtype=np.float64)
     chi2 = float(np.sum(fit.fun[:-2] ** 2)) / degrees
     if chi2 > 1.0:
-        # amplitudes scatter more than they claim: weigh them by what they do
+        # the amplitudes scatter more than their uncertainties: reduce their weight accordingly
         jacobian[:-2] /= np.sqrt(chi2)
     try:
         covariance = np.linalg.inv(jacobian.T @ jacobian)

@@ -1,4 +1,4 @@
-"""A decay in two numbers, whatever the pendulum: mean period and mean logarithmic decrement."""
+"""Mean period and mean logarithmic decrement of a decay, for any kind of pendulum."""
 
 from dataclasses import dataclass
 
@@ -15,10 +15,9 @@ _FEWEST = 4
 class DecaySummary:
     """Means over a decay with standard uncertainties.
 
-    `period_s` is twice the slope of turning time against half-cycle, `decrement` the logarithmic
-    decrement of a full period, from the slope of ln(amplitude). Both uncertainties are scaled by
-    sqrt(max(1, chi2/dof)): where period or decrement change with the amplitude, the chi2 says so
-    and the mean is worth less.
+    `period_s` is twice the slope of turning time against half-cycle, `decrement` the logarithmic decrement of
+    a full period, from the slope of ln(amplitude). Both uncertainties are multiplied by
+    sqrt(max(1, chi2/dof)), which enlarges them if period or decrement change with the amplitude.
     """
 
     half_cycles: int
@@ -61,7 +60,7 @@ def summarise_decay(points: TurningPoints) -> DecaySummary:
 def _slope(
     index: NDArray[np.int64], values: NDArray[np.float64], u_values: NDArray[np.float64]
 ) -> tuple[float, float, float]:
-    """Slope of a weighted line, its standard uncertainty, chi2 per degree of freedom."""
+    """Slope of a weighted straight line, its standard uncertainty, and chi2 per degree of freedom."""
     x = index.astype(np.float64)
     weight = 1.0 / u_values**2
     mean_x = np.average(x, weights=weight)

@@ -1,4 +1,4 @@
-"""Deflections of the pendulum at the times of some frames, with their uncertainties and their unit."""
+"""Deflections of the pendulum at the times of the frames, with uncertainties and unit."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -14,25 +14,25 @@ Floats = NDArray[np.float64]
 
 
 class DeflectionUnit(StrEnum):
-    """What deflections and amplitudes are counted in: rad, or px where no lever turns pixels into angles."""
+    """Unit of deflections and amplitudes: rad, or px without a lever arm calibration."""
 
     RAD = "rad"
     PX = "px"
 
     @property
     def shown(self) -> str:
-        """The unit in which a person reads them: arcsec, or px."""
+        """Unit for display: arcsec for rad, px for px."""
         return "arcsec" if self is DeflectionUnit.RAD else "px"
 
     @property
     def shown_size(self) -> float:
-        """One unit as shown, in this unit: divide by it to show a value."""
+        """Size of the unit for display, in this unit; values are divided by it for display."""
         return ARCSEC_RAD if self is DeflectionUnit.RAD else 1.0
 
 
 @dataclass(frozen=True, slots=True)
 class Deflections:
-    """Arrays of one length, an entry a frame, in order of time.
+    """Deflections as arrays of equal length, one entry per frame, in order of time.
 
     `y` is along the slow mode's axis (the paper's Y), `x` along the fast mode's. `u_x` and `u_y` are
     standard uncertainties. All four are in `unit`. NaN where the spot was lost.
@@ -66,12 +66,12 @@ class Deflections:
 
     @property
     def shown_x(self) -> Floats:
-        """`x` in the unit in which a person reads it."""
+        """`x` in the unit for display."""
         return self.x / self.unit.shown_size
 
     @property
     def shown_y(self) -> Floats:
-        """`y` in the unit in which a person reads it."""
+        """`y` in the unit for display."""
         return self.y / self.unit.shown_size
 
     @property
@@ -80,12 +80,12 @@ class Deflections:
         return np.isfinite(self.x) & np.isfinite(self.y)
 
     def since(self, time_ns: int) -> Self:
-        """The frames from a time on."""
+        """The frames at or after a time."""
         return self[int(np.searchsorted(self.times_ns, time_ns)) :]
 
 
 def no_deflections(unit: DeflectionUnit) -> Deflections:
-    """Deflections of no frame at all."""
+    """Empty deflections."""
     nothing = np.empty(0)
     return Deflections(np.empty(0, np.int64), nothing, nothing, nothing, nothing, unit)
 
@@ -102,9 +102,9 @@ def slow_deflections(
 
 
 def joined(parts: Iterable[Deflections], unit: DeflectionUnit) -> Deflections:
-    """Consecutive parts as one; `unit` is that of no part at all.
+    """Concatenation of consecutive parts; `unit` is used if there are none.
 
-    Raises ValueError for parts in different units.
+    Raises ValueError if the parts have different units.
     """
     every = list(parts)
     if not every:

@@ -1,12 +1,12 @@
-"""The errors that a person may meet, one short tree.
+"""Errors that are reported to the user.
 
-A message names the thing, the value received and what to do. Modules raise the most
-specific class; the command line turns any `RigError` into one line and an exit status.
+A message names the item, the value received and what to do. Modules raise the most specific class; the
+command line prints any `RigError` as one line and sets the exit status.
 """
 
 
 class RigError(Exception):
-    """Base of every error that is meant to be read by the user."""
+    """Base class of all errors that are reported to the user."""
 
 
 class ConfigurationError(RigError):
@@ -14,12 +14,12 @@ class ConfigurationError(RigError):
 
 
 class DeviceError(RigError):
-    """A camera, controller, laser or sensor is missing, refuses or has gone."""
+    """A camera, controller, laser or sensor is missing, rejects a command or was disconnected."""
 
 
 class RecordError(RigError):
-    """A record cannot be written, or what was read is no record of ours."""
+    """A record cannot be written, or a file is not a valid record."""
 
 
 class DataError(RigError):
-    """The data cannot carry what was asked of them (too few swings, no spot, no decay)."""
+    """The data do not suffice for the analysis requested (too few swings, no spot, no decay)."""

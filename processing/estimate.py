@@ -3,17 +3,17 @@
 from typing import NamedTuple
 
 WELL_DETERMINED = 0.1
-"""Relative standard uncertainty up to which a value and its uncertainty are reported as they are;
-beyond it the likelihood is followed instead."""
+"""Relative standard uncertainty up to which value and uncertainty describe a parameter; above it the profile
+likelihood is used."""
 
 
 class Estimate(NamedTuple):
-    """A value and its standard uncertainty (infinite where the data do not determine it)."""
+    """A value and its standard uncertainty (infinite if the data do not determine it)."""
 
     value: float
     standard_uncertainty: float
 
     @property
     def well_determined(self) -> bool:
-        """Whether the uncertainty is a small part of the value (`WELL_DETERMINED`)."""
+        """Whether the relative uncertainty is at most `WELL_DETERMINED`."""
         return self.standard_uncertainty <= WELL_DETERMINED * abs(self.value)

@@ -1,4 +1,4 @@
-"""Balance of the pendulum from its swings: what is wrong with it, and which weight to turn."""
+"""Balance of the pendulum, estimated from its swings, and advice on which adjustment weight to turn."""
 
 from processing.balance.advice import (
     BalanceLimits,

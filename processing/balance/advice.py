@@ -1,7 +1,7 @@
-"""From the balance's numbers to advice: what is wrong, which weight to turn, which way and how far.
+"""Advice for balancing: which quantities exceed their limits, which weight to turn, which way and how far.
 
-What a turn of each weight does is learned from what was seen before and after; a nominal
-effect (mass, thread and axis of the weight) is only where learning starts.
+The effect of turning each weight is estimated from the states before and after earlier turns; the nominal
+effect (from mass, thread and axis of the weight) serves as the prior.
 """
 
 import math
@@ -21,7 +21,7 @@ _U_TURN = 0.02
 
 @dataclass(frozen=True)
 class BalanceLimits:
-    """Within these the rig is balanced. Angles in arcsec and degrees, ratios plain, height in m."""
+    """Limits within which the rig counts as balanced; units as in the names, ratios without a unit."""
 
     rest_arcsec: float = field(default=10.0, metadata={"gt": 0})
     height_m: float = field(default=20e-6, metadata={"gt": 0})
@@ -32,7 +32,7 @@ class BalanceLimits:
 
 
 class Fault(NamedTuple):
-    """One number that tells how balanced the rig is, its limit, and what its sign means."""
+    """A quantity that describes the balance, with its limit and the meaning of its sign."""
 
     name: str
     value: float
@@ -43,12 +43,12 @@ class Fault(NamedTuple):
 
     @property
     def ok(self) -> bool:
-        """Within the limit; a number that was not determined counts as such."""
+        """Whether the value is within its limit; True also for a value that was not determined."""
         return not abs(self.value) > self.limit
 
 
 class Turn(NamedTuple):
-    """What to do next: this weight, so many turns (positive: clockwise); `why` in words."""
+    """The next adjustment: the weight, the number of turns (positive: clockwise) and the reason (`why`)."""
 
     weight: str
     turns: float
@@ -58,17 +58,17 @@ class Turn(NamedTuple):
 def mass_centre_height_m(
     period0_s: float, inertia_kg_m2: float, mass_kg: float, ball_radius_m: float, gravity_m_per_s2: float
 ) -> float:
-    """How much too high the mass centre lies above the contact spot, from I = m g l T0^2 / (4 pi^2).
+    """Height of the centre of mass above the contact spot in m, from I = m g l T0^2 / (4 pi^2).
 
-    l is the arm from the ball's centre down to the mass centre, the ball's radius where it lies on
-    the contact spot (Eq. 4). Negative: too low.
+    l is the distance from the ball's centre down to the centre of mass; it equals the ball's radius if the
+    centre of mass lies at the contact spot (Eq. 4). Negative: the centre of mass is below the contact spot.
     """
     arm_m = 4.0 * math.pi**2 * inertia_kg_m2 / (mass_kg * gravity_m_per_s2 * period0_s**2)
     return ball_radius_m - arm_m
 
 
 def find_faults(balance: Balance, height: tuple[float, float], limits: BalanceLimits) -> list[Fault]:
-    """Every fault that the motion shows, with a direction. `height` in m, with its uncertainty."""
+    """All quantities of the balance with their limits. `height` is (value, standard uncertainty) in m."""
     arcsec, degree = ARCSEC_RAD, math.pi / 180.0
     b = balance
     per_min = 60.0 / degree
@@ -106,11 +106,11 @@ def find_faults(balance: Balance, height: tuple[float, float], limits: BalanceLi
 
 
 class WeightResponses:
-    """What a turn of each weight does to (rest X in arcsec, rest Y in arcsec, height in m), and how surely.
+    """Effect of one turn of each weight on (rest X in arcsec, rest Y in arcsec, height in m).
 
-    Each effect is a normal distribution that every before/after pair narrows (linear regression
-    with a prior). `nominal` gives its start by weight, effects with their standard uncertainties; None:
-    nothing is known, a test turn is advised first.
+    Each effect has a normal distribution, which every pair of states before and after a turn narrows (linear
+    regression with a prior). `nominal` gives the prior of each weight: effects and their standard
+    uncertainties, or None if nothing is known; a test turn is advised first then.
     """
 
     def __init__(self, nominal: Mapping[str, tuple[Floats, Floats] | None], limits: BalanceLimits) -> None:
@@ -124,12 +124,12 @@ class WeightResponses:
             self._variance[name] = (np.asarray(u_effect, dtype=np.float64) / self._scale) ** 2
 
     def learn(self, weight: str, turns: float, before: Floats, after: Floats, u_state: Floats) -> None:
-        """Take in one pair: states before and after `turns` of one weight (NaN: that number is not known)."""
+        """Update with the states before and after `turns` of one weight; NaN for a component not known."""
         if turns == 0.0:
             return
         step = (after - before) / self._scale
         size = max(float(np.linalg.norm(np.nan_to_num(step))) / abs(turns), 1e-12)
-        # a turn is set by hand: what it did is uncertain in proportion
+        # a turn is made by hand: the uncertainty of its effect is proportional to it
         noise = 2.0 * (u_state / self._scale) ** 2 + (size * _U_TURN) ** 2 + (0.01 * size * turns) ** 2
         mean, variance = self._mean[weight], self._variance[weight]
         seen = np.isfinite(step)
@@ -143,12 +143,12 @@ class WeightResponses:
         return self._mean[weight] * self._scale, np.sqrt(self._variance[weight]) * self._scale
 
     def advise(self, state: Floats, test_turns: float = 1.0) -> Turn | None:
-        """The next turn of one weight, None when the state lies within the limits.
+        """The next turn of one weight; None if the state is within the limits.
 
-        The turns of all weights together that would bring the state to zero are found by least
-        squares. A weight that has been turned least comes first, since every later turn gains by what
-        it teaches; among equals the one whose turn may do most that is not foreseen. A turn that
-        would do less than half a limit is spared; where one turn alone suffices, it is that one.
+        Least squares gives the turns of all weights that together would bring the state to zero. The weight
+        that has been turned least often is advised first, because all later turns benefit from what
+        is learned about it; among equals the one whose effect is the most uncertain. Turns with an
+        effect of less than half a limit are omitted. If one turn alone suffices, it is advised.
         """
         wanted = np.nan_to_num(state / self._scale)
         if np.all(np.abs(wanted) <= 1.0):

@@ -1,7 +1,7 @@
-"""How well the pendulum is balanced: numbers with a direction, once every slow period.
+"""Estimate of the pendulum's balance from its motion, once every slow period.
 
-A balanced pendulum draws a line in (X, Y). What is left across the line, its angle, its turning, its
-width and where it rests say what is wrong.
+The spot of a balanced pendulum moves along a straight line in (X, Y). The motion across the line, its
+direction, its rotation, its width and the rest position show what is out of balance.
 """
 
 import math
@@ -26,24 +26,24 @@ _FIRST_LOOK_S = 0.5
 _LONGEST_LOOK_S = 60.0
 _LOOK_GROWTH = 1.5
 _RESTING = 4.0
-"""Chi-square per sample below which the pendulum rests."""
+"""Chi-square per sample below which the pendulum is at rest."""
 _FIRST_SIZE = 4096
 _OVERTONE = 1e-3
-"""Part of the amplitude that the waveform of a decay by friction departs from a sine by, at most."""
+"""Largest deviation of the waveform from a sine because of friction, as a fraction of the amplitude."""
 
 
 @dataclass(frozen=True, slots=True)
 class Balance:
     """State of the balance, from two slow periods about `time_ns`. Angles and tilts in rad.
 
-    `amplitude_rad` is the slow mode's along Y, `transverse_rad` the fast mode's in X and
-    `transverse_ratio` the second over the first. `line_angle_rad` is the direction of the line from Y
-    towards X, `rotation_rad_per_s` its turning, `width_ratio` half the width of the slow mode's ellipse
-    over half its length, signed: positive where the spot runs from +Y towards +X. `rest_` is the rest
-    position, `drift_` its drift. `period_ratio` is T_V/T_U. `u_` are standard uncertainties, widened
-    where the samples scatter by more than their own. Where no fast mode is seen, `transverse_rad` is
-    0 with the amplitude of the strongest line as uncertainty. NaN where the samples do not determine a
-    number (`period_ratio` without a fast mode, rates of change before the fourth period).
+    `amplitude_rad` is the slow mode's amplitude along Y, `transverse_rad` the fast mode's amplitude along X
+    and `transverse_ratio` the second divided by the first. `line_angle_rad` is the angle of the line from Y
+    towards X, `rotation_rad_per_s` its rate of change, `width_ratio` the minor over the major axis of the
+    slow mode's ellipse, positive if the spot runs from +Y towards +X. `rest_` is the rest position, `drift_`
+    its drift. `period_ratio` is T_V/T_U. `u_` are standard uncertainties, enlarged if the residuals exceed
+    the samples' uncertainties. If no fast mode is significant, `transverse_rad` is 0, with the amplitude
+    of the strongest spectral line as uncertainty. NaN if the samples do not determine a quantity
+    (`period_ratio` without a fast mode, rates of change before the fourth period).
     """
 
     time_ns: int
@@ -74,10 +74,11 @@ class Balance:
 
 
 class BalanceEstimator:
-    """Streaming estimate; what comes out does not depend on how the samples are cut into blocks.
+    """Continuous estimate of the balance from a stream of samples.
 
-    Both modes are fitted by least squares to two slow periods at a time. The first estimate comes
-    when two slow periods have been seen, then one every period.
+    Both modes are fitted by least squares to two slow periods at a time. The first estimate is made after two
+    slow periods, then one every period. The result does not depend on how the samples are divided into
+    blocks.
     """
 
     def __init__(self) -> None:
@@ -99,9 +100,9 @@ class BalanceEstimator:
         u_x_rad: ArrayLike,
         u_y_rad: ArrayLike,
     ) -> list[Balance]:
-        """Add samples (NaN where the spot was lost); the balances completed by them.
+        """Add samples (NaN where the spot was lost) and return the estimates that they complete.
 
-        Raises DataError where the lengths differ.
+        Raises DataError if the lengths differ.
         """
         times = np.asarray(times_ns, dtype=np.int64)
         columns = [np.asarray(column, dtype=np.float64) for column in (x_rad, y_rad, u_x_rad, u_y_rad)]
@@ -141,11 +142,11 @@ class BalanceEstimator:
         return self._head + int(np.searchsorted(self._times[self._head : self._tail], time_ns))
 
     def _estimate(self, until_ns: int) -> Balance | None:
-        """One estimate from the samples before `until_ns`, and when the next one is due."""
+        """One estimate from the samples before `until_ns`; also sets the time of the next one."""
         known = not math.isnan(self._period_s)
         span_s = _WINDOW_PERIODS * self._period_s if known else self._look_s
         first, last = self._position(until_ns - round(span_s * 1e9)), self._position(until_ns)
-        # enough to see the balance by, whatever the frame rate
+        # use a limited number of samples, which suffices at any frame rate
         stride = 1 + (last - first) // _MOST_SAMPLES
         x, y, u_x, u_y = self._columns[:, first:last:stride]
         modes = None
@@ -164,9 +165,9 @@ class BalanceEstimator:
         return self._balance(modes)
 
     def _look_again(self, until_ns: int) -> None:
-        """No oscillation yet (or no more): look at a longer stretch, up to a minute, then at later ones."""
+        """Without an oscillation, try a longer interval of up to a minute, then later intervals."""
         if math.isnan(self._period_s) and self._resting(until_ns - round(0.7e9 * self._look_s)):
-            # what lies before a release would only hide the swing that follows
+            # samples from before a release would only mask the oscillation after it
             self._head = self._position(until_ns - round(0.7e9 * self._look_s))
             self._next_ns = int(self._times[self._head]) + round(self._look_s * 1e9)
             return
@@ -181,7 +182,7 @@ class BalanceEstimator:
         self._next_ns = None
 
     def _resting(self, until_ns: int) -> bool:
-        """Whether nothing but noise has been seen up to a time."""
+        """Whether the samples before a time contain only noise."""
         last = self._position(until_ns)
         x, y, u_x, u_y = self._columns[:, self._head : last]
         good = np.isfinite(x) & np.isfinite(y)
@@ -197,7 +198,7 @@ class BalanceEstimator:
         slow, fast = modes.slow, modes.fast
         angle, u_angle = slow.direction_rad, slow.u_direction_rad
         if self._history:
-            # the direction of a line has no sense of its own: near X it may have gone round
+            # the direction of a line is defined modulo pi: remove jumps near X
             last = self._history[-1][1]
             angle = last + math.remainder(angle - last, math.pi)
         self._history = [
@@ -251,7 +252,7 @@ class BalanceEstimator:
         )
 
     def _rate(self, column: int) -> tuple[float, float]:
-        """Slope of a column over the history, and its uncertainty."""
+        """Rate of change per s of a column of the history, and its standard uncertainty."""
         table = np.array(self._history)
         if len(table) < _FEWEST_IN_HISTORY:
             return math.nan, math.nan
@@ -267,10 +268,11 @@ class BalanceEstimator:
 
 
 def _without_overtone(modes: TwoModes) -> TwoModes:
-    """Takes for no fast mode what is the slow one's waveform, at a whole multiple of its rate.
+    """Remove a fast mode that is only a harmonic of the slow mode's waveform.
 
-    Friction makes the waveform depart from a sine by some 5e-4, which is the strongest that is left when
-    the fast mode is gone. A fast mode weaker than that may be hidden by it, and the limit says so.
+    Friction makes the waveform deviate from a sine by about 5e-4 of the amplitude; without a real fast mode
+    these harmonics are the strongest spectral lines. A real fast mode weaker than that cannot be
+    distinguished from them; the limit is set accordingly.
     """
     slow, fast = modes.slow, modes.fast
     if fast is None:

@@ -1,4 +1,4 @@
-"""Contact of ball and flat: Hertz, laws of friction and elasticity, decay, period, half-swing map."""
+"""Contact of ball and flat: Hertz theory, laws of friction and elasticity, decay, period, half-swing map."""
 
 from processing.contact.decay import decay_path, path_nodes
 from processing.contact.decay_fit import fit_decay

@@ -1,8 +1,8 @@
-"""Decay of the amplitude after the first approximation of the asymptotic theory (Eq. 5).
+"""Decay of the amplitude in the first approximation of the asymptotic theory (Eq. 5).
 
     d alpha/dt = -(4/T) (c + b alpha^p/(p+1) + d alpha)
 
-Without the linear term d it is Eq. 5, whose closed form the tests compare with.
+Without the linear term d this is Eq. 5 of the paper; the tests compare with its closed-form solution.
 """
 
 from functools import lru_cache
@@ -12,7 +12,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 _LONGEST_STEP = 0.25
-"""Largest share of the amplitude lost in one step of `decay_path`: 8 nodes then give 1e-13."""
+"""Largest fraction of the amplitude lost in one step of `decay_path`; 8 nodes then give an error of 1e-13."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -26,11 +26,12 @@ def decay_path(
     nodes: NDArray[np.float64],
     weights: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Solve ``dx/ds = -(c + b x^p + d x)`` at rising s >= s_0, with its derivatives.
+    """Solve ``dx/ds = -(c + b x^p + d x)`` at rising s >= s_0, with derivatives.
 
-    Eq. 5 with a linear term, for which no closed form exists; from one point to the next, so that
-    each integral is short. `b` stands for b/(p+1). Returns x and its derivatives by
-    (start, b, p, c, d, s), shape (len, 6); NaN once x has reached zero.
+    Eq. 5 with a linear term, for which no closed form exists. The variables are separated,
+    s = integral dx/(c + b x^p + d x), and the integral is taken from one point to the next, so that each is
+    short. `b` stands for b/(p+1). Returns x and its derivatives by (start, b, p, c, d, s), shape (len, 6);
+    NaN after x has reached zero.
     """
     count = len(rate_time)
     path = np.full(count, np.nan)
@@ -39,7 +40,7 @@ def decay_path(
     if not x > 0:
         return path, gradient
     rate_start = c + b * x**p + d * x
-    # integral of dr/r^2 over the amplitudes passed, for the four parameters of the rate
+    # integrals of (dr/dparameter)/r^2 over the amplitudes passed, for the four parameters of the rate r
     passed = np.zeros(4)
     s = rate_time[0]
     for i in range(count):

@@ -1,4 +1,4 @@
-"""Eq. 5, with a linear term if asked for, fitted to amplitudes."""
+"""Fit of Eq. 5, optionally with a linear term, to the amplitudes."""
 
 from dataclasses import replace
 
@@ -62,17 +62,17 @@ def fit_decay(
         return (path - x) / u, jacobian / u[:, None]
 
     rate = (x[0] - x[-1]) / (s[-1] - s[0])
-    # A rate of exactly zero has no derivative by its exponent.
+    # with a rate of exactly zero the derivative by its exponent would vanish
     b0 = max(first.b * (first.p + 1), 1e-3 * rate)
     lower = np.full(5 if drag else 4, -np.inf)
     upper = np.full(5 if drag else 4, np.inf)
     lower[-1] = 0.1 * x.max()
     if drag:
-        # as in the exact fit: beyond several times the loss, b and drag only cancel
+        # as in the exact fit: if b accounts for several times the whole loss, b and drag merely cancel
         lower[_B], upper[_B] = -30.0, np.log(6 * abs(np.log(x[0] / x[-1])) / (s[-1] - s[0]))
     else:
         lower[_P], upper[_P] = -0.5, 5.0
-    # Noise can make the grid's best start end before the data do; a slower decay does not.
+    # because of noise the best start of the grid may reach zero before the data end: try slower decays
     for slower in (1.0, 0.9, 0.7, 0.5, 0.3, 0.1):
         b, c = b0 * slower, first.c * slower
         start = np.array([b, first.p, c, *([first.d * slower] if drag else []), first.start])

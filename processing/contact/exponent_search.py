@@ -1,6 +1,6 @@
-"""Start values that need no guess: what is linear is solved, the one exponent is searched.
+"""Start values of the fits: linear parameters by linear least squares, the exponent by a grid search.
 
-For a given exponent p the integrated decay
+For a given exponent p the integrated decay (Eq. 5)
 
     alpha(0) - alpha(t) = (4/T) [ c t + b/(p+1) integral alpha^p dt + d integral alpha dt ]
 
@@ -37,7 +37,7 @@ class PeriodStart(NamedTuple):
 def decay_start(
     s: NDArray[np.float64], x: NDArray[np.float64], u: NDArray[np.float64], *, drag: bool
 ) -> DecayStart:
-    """Best of a grid of exponents, by linear least squares with non-negative rates."""
+    """Best fit over a grid of exponents p, by linear least squares with non-negative rates."""
     from scipy.optimize import nnls
 
     best, best_cost = DecayStart(float(x[0]), 0.0, 1.0, float((x[0] - x[-1]) / s[-1]), 0.0), np.inf
@@ -69,7 +69,7 @@ def period_start(
     u_period_s: NDArray[np.float64],
     rho: float,
 ) -> list[PeriodStart]:
-    """T0 and kappa for every exponent of a grid, best first."""
+    """T0 and kappa for every exponent n of a grid, in order of rising chi-square."""
     frequency = 1 / period_s
     weight = period_s**2 / u_period_s
     found: list[tuple[float, PeriodStart]] = []

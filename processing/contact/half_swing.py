@@ -1,17 +1,17 @@
-"""The exact map from one turning point to the next, with its derivatives.
+"""The exact map from one turning point to the next (half-swing map), with its derivatives.
 
-Eq. 4 with Eqs. 1 and 3 and a linear drag, divided by m g R, conserves energy but for the work of
-friction. Between a turning point at A and the zero crossing the kinetic term is
+In Eq. 4 with Eqs. 1 and 3 and a linear drag, divided by m g R, energy is conserved except for the work of
+friction. Between a turning point at the amplitude A and the zero crossing the kinetic term is
 
     phi'^2 / (2 w0^2) = (A^2/2) sin^2(theta) g(theta),      phi = A cos(theta)
 
-with g close to 1. Seen from a turning point, leaving it (friction takes energy) and arriving at
-it (friction has still to take energy) differ by one sign. So a half-cycle is two quarters, each a
-function of one amplitude alone: the energies at the zero crossing must agree, which gives the
-next amplitude, and the times add up.
+with g close to 1. The motion away from a turning point and the motion towards one differ only in the sign
+of the work of friction. A half-cycle therefore consists of two quarters, each a function of the amplitude of
+its own turning point only. The kinetic energies of both at the zero crossing must be equal, which gives the
+next amplitude; the times of both add up.
 
-The map itself (`half_swing_kernel`) is dimensionless: angles in units of a reference amplitude,
-times in units of T0.
+The map (`half_swing_kernel`) is dimensionless: angles in units of a reference amplitude, times in units of
+T0.
 """
 
 from typing import NamedTuple
@@ -27,7 +27,7 @@ from processing.errors import DataError
 
 
 class ScaledContact(NamedTuple):
-    """The map's own parameters, with ``x = phi / reference``.
+    """Dimensionless parameters of the map, with ``x = phi / reference``; in terms of the SI parameters:
 
     ``b = b reference^(p-1)``, ``c = c / reference``, ``kappa = 2 gamma a^2/(m g) reference^n``,
     ``drag = drag_s w0``, ``rho = R reference / a``.
@@ -43,19 +43,19 @@ class ScaledContact(NamedTuple):
 
 
 def stiffness_ratio(gamma_pa: float, pendulum: PendulumOnBall) -> float:
-    """Adhesion's moment over m g R, rad^-n: ``kappa = 2 gamma a^2 / (m g)``."""
+    """Factor of the adhesive moment divided by m g R, in rad^-n: ``kappa = 2 gamma a^2 / (m g)``."""
     return 2 * gamma_pa * pendulum.contact_radius_m**2 / (pendulum.mass_kg * pendulum.gravity_m_per_s2)
 
 
 def relative_curvature(pendulum: PendulumOnBall | None) -> float:
-    """R/a of Eq. 3, rad^-1; without a calibration zero, since angles are then not known in rad."""
+    """R/a of Eq. 3 in rad^-1; 0 without a calibration (None), because angles are not known in rad then."""
     return 0.0 if pendulum is None else pendulum.ball_radius_m / pendulum.contact_radius_m
 
 
 def scaled_contact(
     parameters: ContactParameters, pendulum: PendulumOnBall, reference_rad: float
 ) -> ScaledContact:
-    """Parameters in units of a reference amplitude."""
+    """The map's parameters for SI parameters and a reference amplitude."""
     return ScaledContact(
         b=parameters.b * reference_rad ** (parameters.p - 1),
         p=parameters.p,
@@ -85,7 +85,7 @@ def turning_points_of(
     initial_amplitude_rad
         The first turning point, at time 0; positive.
     half_cycles
-        How many half-cycles follow it; the arrays have one element more.
+        Number of half-cycles after it; the arrays have one element more.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""What the solver varies when the paper's law is fitted: coordinates in which its valleys are straight."""
+"""Coordinates (columns) in which the solver fits the paper's law, so that chi-square's valleys are straight."""
 
 from collections.abc import Mapping, Sequence
 
@@ -20,16 +20,16 @@ from processing.swing import TurningPoints
 Array = NDArray[np.float64]
 
 SMALLEST = {"p": -0.5, "n": 0.002}
-"""Below this n adhesion takes almost all of the stiffness, and no data tell n from 0."""
+"""Lower limit of n: below it adhesion cancels nearly all of the stiffness, and n cannot be told from 0."""
 LARGEST = {"p": 5.0, "n": 5.0}
 
 STIFFEST = 20.0
-"""Factor, either way, between the stiffness with adhesion and that of gravity alone, beyond which
-no parameters are tried."""
+"""Largest factor, in either direction, between the stiffness with adhesion and that of gravity alone for
+which parameters are tried."""
 
 _LN_B, _P, _C, _N, _SLOPE, _DRAG = range(6)
-"""Columns, and natural coordinates, by name; `_SLOPE` is kappa among the natural ones. The last three
-are always the first amplitude, T0 and the time of the first turning point."""
+"""Indices of the columns and of the natural coordinates; `_SLOPE` is kappa among the latter. The last three
+of both are the first amplitude, T0 and the time of the first turning point."""
 _AMPLITUDE, _PERIOD, _TIME = -3, -2, -1
 
 
@@ -43,19 +43,18 @@ def moment_and_slope(n: float) -> tuple[float, float]:
 class HalfSwingColumns:
     """`processing.contact.law.Columns` of the paper's law.
 
-    Natural coordinates are ln b, p, c, n, kappa, (drag,) first amplitude, T0, time of the first
-    turning point, as in `ScaledContact`; the logarithm keeps b positive, without which p means
-    nothing.
+    Natural coordinates are ln b, p, c, n, kappa, (drag,) first amplitude, T0 and the time of the first
+    turning point, as in `ScaledContact`. The logarithm keeps b positive; at b = 0, p would be undefined.
 
-    The columns differ where parameters hide in one another, so that the valley along which they
-    do is straight and the search does not have to creep.
+    The columns differ from them where parameters are strongly correlated. Chi-square then has a curved
+    valley, in which the solver would advance in very small steps; in the columns the valley is straight.
 
-    - Adhesion. By harmonic balance it leaves a share ``q = 1 - 2 kappa J`` of the stiffness at
-      the reference amplitude (J is `cosine_moment` of n+2). Well determined are the period there,
-      ``T0/sqrt(q)``, its slope over ln x, ``s = n kappa J/q``, and the losses against this
-      stiffness, ``b/q``, ``c/q``, ``drag/sqrt(q)``; n alone runs along the valley.
-    - Drag. With it, b, p and drag are replaced by the coordinates of `straight`, a drag of 1
-      counting as pi/4 of linear loss.
+    - Adhesion. By harmonic balance it leaves the fraction ``q = 1 - 2 kappa J`` of the stiffness at the
+      reference amplitude (J is `cosine_moment` of n+2). The data determine well the period there,
+      ``T0/sqrt(q)``, its slope against ln x, ``s = n kappa J/q``, and the losses relative to this
+      stiffness, ``b/q``, ``c/q``, ``drag/sqrt(q)``. Only n varies along the valley.
+    - Drag. If it is fitted, b, p and drag are replaced by the coordinates of `straight`; a drag of 1
+      corresponds to a linear loss of pi/4.
     """
 
     def __init__(
@@ -74,8 +73,8 @@ class HalfSwingColumns:
         self.lower[[_LN_B, _N, _SLOPE]] = -30.0, SMALLEST["n"], -5.0
         self.upper[[_LN_B, _N, _SLOPE]] = 5.0, LARGEST["n"], 5.0
         if self._drag:
-            # b and drag can cancel without end as p nears 1. Where b alone would take several times
-            # what is lost, the data have nothing more to say.
+            # As p approaches 1, b and drag can cancel each other at arbitrarily large values. Limit b to
+            # several times the loss observed.
             loss = abs(np.log(points.amplitude[0] / points.amplitude[-1])) / (
                 points.index[-1] - points.index[0]
             )
@@ -150,7 +149,7 @@ class HalfSwingColumns:
         reference, log_r = self.reference, np.log(self.reference)
         out = np.empty(len(columns))
         with np.errstate(over="ignore"):
-            # a trial step may lie anywhere; what overflows is refused by whoever asked
+            # a trial step may lie anywhere; the caller rejects values that overflow
             b = np.exp(log_b + (1 - p) * log_r)
             gamma_factor = np.exp(-n * log_r) / self._per_gamma
         out[:6] = b, p, c * reference, n, t0, kappa * gamma_factor
@@ -190,11 +189,10 @@ class HalfSwingColumns:
         return self._columns(np.array(natural))
 
     def starts(self, points: TurningPoints) -> Sequence[Sequence[Array]]:
-        """Starts from Eqs. 5 and 6: each exponent n that describes the periods well, then none.
+        """Start values from Eqs. 5 and 6: for each exponent n that fits the periods well, then without adhesion.
 
-        Eq. 5's rate is taken back to the moment it stands for in the exact map: Eq. 5 knows neither
-        that adhesion softens the restoring moment nor that T is not T0. The attempts of one start
-        differ in how fast the decay is.
+        Eq. 5 neglects that adhesion reduces the restoring moment and that T differs from T0; its rates are
+        converted to those of the exact map. The attempts of one start differ in the rate of decay.
         """
         found = start_values(points, self._rho, drag=self._drag)
         decay, mean_s = found.decay, found.mean_period_s
@@ -231,9 +229,9 @@ class HalfSwingColumns:
         if name in places:
             return HeldColumn(places[name])
         if name == "b":
-            # With drag the valley runs along the column of ln b: b is held by what it leaves to p.
+            # with drag the valley runs along the column of ln b, so that b is held by means of p's column
             return HeldColumn(_P if self._drag else _LN_B)
-        # adhesion's column has the sign of gamma: a Newton step must not leave it
+        # the column of adhesion has the sign of gamma, which a Newton step must not change
         return HeldColumn(_SLOPE, keeps_sign=True)
 
     def at_limit(self, columns: Array) -> Sequence[str]:

@@ -1,8 +1,17 @@
-"""Compiled inner loop of the half-swing map; see `half_swing` for the equations and the units.
+"""Compiled kernel of the half-swing map; `half_swing` explains the principle and the units.
 
-Derivatives follow the map exactly; where drag makes g implicit they come from the adjoint
-equation, so that their cost does not grow with the number of parameters. A trial step may divide
-by zero: that gives inf, as in numpy, and the step is refused.
+With the kinetic term (A^2/2) sin^2(theta) g(theta) of a quarter that belongs to a turning point at A,
+
+    time of a quarter            tau(A) = integral_0^(pi/2) dtheta / (2 pi sqrt(g))    in units of T0
+    energy at the zero crossing  E(A) = (A^2/2) g(pi/2)
+
+The next amplitude A' solves E_arrive(A') = E_leave(A), and the half-cycle takes tau_leave(A) +
+tau_arrive(A').
+
+Derivatives are exact. Without drag, g is an explicit function of the parameters. With drag, g satisfies an
+integral equation; its derivatives are obtained from the adjoint equation, so that their cost does not grow
+with the number of parameters. A trial step of the solver may lead to a division by zero: as in numpy it
+gives inf, and the solver rejects the step.
 """
 
 import numpy as np
@@ -13,7 +22,7 @@ from processing.contact.quadrature import NODES
 
 B, P, C, N, KAPPA, DRAG, RHO, A0 = range(8)
 MAP_PARAMETERS = 8
-"""Columns of the map's parameters and derivatives: those of `ScaledContact`, then the first amplitude."""
+"""Number of parameters of the map: those of `ScaledContact`, then the first amplitude."""
 
 ENDED = 1
 DIVERGED = 2
@@ -30,17 +39,18 @@ def _shape(
     root: NDArray[np.float64],
     work: NDArray[np.float64],
 ) -> bool:
-    """g and its root at the nodes of one quarter; False where the pendulum cannot pass.
+    """Compute g and sqrt(g) at the nodes of one quarter; False if the pendulum cannot pass (g <= 0).
 
-    The energy taken from or left to the motion since the turning point, over A^2 sin^2(theta)/2:
+    The kinetic energy gained since the turning point, divided by A^2 sin^2(theta)/2, is
 
         g = 1 - pi kappa A^n/(n+2) (1 - cos^(n+2))/sin^2
               + 2 kappa rho A^(n+1)/(n+3) (1 - cos^(n+3))/sin^2                    (Eq. 3)
               + side 2 [b A^(p-1)/(p+1) (1 - cos^(p+1))/sin^2 + (c/A)/(1 + cos)]    (Eq. 1)
               + side 2 drag/sin^2 integral_0^theta sin^2 sqrt(g) dtheta'
 
-    `side` is -1 on leaving a turning point, +1 on arriving. Only the drag makes g implicit: `work`,
-    the integral's share, is handed in as the guess from which an iteration starts.
+    with cos = cos(theta). `side` is -1 for the quarter after a turning point and +1 for the quarter that
+    leads to it. With drag, g is found by iteration, starting from `work`, the integral divided by
+    sin^2(theta) as found for the half-cycle before. `g`, `root` and `work` are overwritten.
     """
     elastic1 = -np.pi * q[KAPPA] * a ** q[N] / (q[N] + 2)
     elastic2 = 2 * q[KAPPA] * q[RHO] * a ** (q[N] + 1) / (q[N] + 3)
@@ -85,7 +95,7 @@ def _shape(
 def _energy(
     q: NDArray[np.float64], side: float, a: float, root: NDArray[np.float64], across: NDArray[np.float64]
 ) -> float:
-    """Twice the kinetic energy at the zero crossing over A^2: g at theta = pi/2."""
+    """g at theta = pi/2: twice the kinetic energy at the zero crossing divided by A^2."""
     total = (
         1
         - np.pi * q[KAPPA] * a ** q[N] / (q[N] + 2)
@@ -108,7 +118,12 @@ def _adjoint(
     travelled: NDArray[np.float64],
     out: NDArray[np.float64],
 ) -> None:
-    """Solve ``out = source + side drag diag(1/root) travelled^T out`` by iteration."""
+    """Solve the adjoint equation ``out = source + side drag diag(1/root) travelled^T out`` by iteration.
+
+    Differentiating the integral equation g = f(q) + 2 side drag T sqrt(g) (T: `travelled`) gives
+    dg = df + side drag T diag(1/sqrt(g)) dg, where df holds the explicit dependence on the parameters. For
+    a result with the derivative ``source`` by g, the derivative by the parameters is therefore ``out . df``.
+    """
     out[:] = source
     if side_drag == 0:
         return
@@ -138,10 +153,11 @@ def _gradient(
     drag_work: NDArray[np.float64],
     out: NDArray[np.float64],
 ) -> None:
-    """``sum_k weight_k dg_k`` for every parameter; the last one is the amplitude of the quarter.
+    """``sum_k weight_k dg_k/dq``, explicit derivatives only; the last one is by the amplitude of the quarter.
 
-    `constant` holds, a row each, (1-cos^(n+2))/sin^2, (1-cos^(n+3))/sin^2, (1-cos^(p+1))/sin^2,
-    1/(1+cos) and the derivatives of the first two by n and of the third by p.
+    The rows of `constant` are (1-cos^(n+2))/sin^2, (1-cos^(n+3))/sin^2, (1-cos^(p+1))/sin^2, 1/(1+cos), the
+    derivatives of the first two by n and that of the third by p, at the nodes. `drag_work` is the drag's
+    integral divided by sin^2. `out` (MAP_PARAMETERS,) is overwritten.
     """
     s = np.zeros(7)
     work = 0.0
@@ -185,12 +201,16 @@ def _quarter(
     time_gradient: NDArray[np.float64],
     energy_gradient: NDArray[np.float64],
 ) -> float:
-    """Time of one quarter in units of T0, ``integral dtheta/(2 pi sqrt(g))``, and gradients of it and of
-    the energy ``a^2 g/2`` at the zero crossing."""
+    """Time of one quarter in units of T0, ``integral dtheta/(2 pi sqrt(g))``.
+
+    Also writes its gradient and that of the energy ``a^2 g(pi/2)/2`` at the zero crossing, by the parameters
+    and (index A0) by the amplitude `a` of the quarter.
+    """
     source = np.empty(NODES)
     adjoint = np.empty(NODES)
     drag_work = np.zeros(NODES)
     time = 0.0
+    # derivative of the integrand by g: d g^(-1/2)/dg = -g^(-3/2)/2
     for k in range(NODES):
         time += nodes_weight[k] / root[k]
         source[k] = -0.5 * nodes_weight[k] / (g[k] * root[k])
@@ -209,6 +229,7 @@ def _quarter(
     unit = np.ones(1)
     _gradient(q, side, a, unit, at_zero, work, energy_gradient)
     if side_drag != 0:
+        # the energy at the zero crossing also depends on g along the way, through the work of the drag
         _adjoint(side_drag, source, root, travelled, adjoint)
         through = np.empty(MAP_PARAMETERS)
         _gradient(q, side, a, adjoint, constant, drag_work, through)
@@ -232,19 +253,21 @@ def half_swing_map(
     sin2: NDArray[np.float64],
     travelled: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], int]:
-    """Turning points at the given indices, run over every half-cycle between them.
+    """Turning points at the given indices; the map is applied to every half-cycle between them.
 
     Parameters
     ----------
     q
-        The seven numbers of `ScaledContact`, then the first amplitude in units of the reference.
+        The seven fields of `ScaledContact`, then the first amplitude in units of the reference.
     index
         Rising half-cycle numbers, the first 0.
+    weight, cos, log_cos, sin2, travelled
+        Quadrature nodes (see `quadrature.QuarterNodes`).
 
     Returns
     -------
     amplitude, time
-        In units of the reference and of T0; NaN from where the pendulum stops.
+        In units of the reference and of T0; NaN after the pendulum has stopped.
     amplitude_gradient, time_gradient
         Shape ``(len(index), MAP_PARAMETERS)``, derivatives by q.
     state
@@ -258,6 +281,8 @@ def half_swing_map(
     n, p = q[N], q[P]
     if n <= -1.5 or p <= -0.9:
         return amplitude, time, amplitude_gradient, time_gradient, DIVERGED
+    # functions of theta and the exponents only, the same for all half-cycles; expm1 keeps the digits of 1 -
+    # cos^n near the turning point
     constant = np.empty((7, NODES))
     across = np.empty(NODES)
     for k in range(NODES):
@@ -301,6 +326,7 @@ def half_swing_map(
         t_leave = _quarter(
             q, -1.0, a, weight, across, constant, at_zero, travelled, g, root, time_leave, energy_leave
         )
+        # solve E_arrive(A') = E_leave(A) for A' by Newton's method, started from the last ratio of amplitudes
         following = a * ratio
         found = False
         for _ in range(60):
@@ -308,8 +334,8 @@ def half_swing_map(
                 following *= 1.1
                 continue
             g_zero = _energy(q, 1.0, following, root, across)
-            # Slope of the energy without the small change of the drag's shape: converges linearly
-            # by a factor of drag times nonlinearity, and quadratically without drag.
+            # dE/dA without the small change of the drag's integral: the convergence is quadratic without
+            # drag, and linear with a small factor (drag times nonlinearity) with it
             slope = following * (
                 g_zero
                 + 0.5
@@ -335,6 +361,9 @@ def half_swing_map(
             q, 1.0, following, weight, across, constant, at_zero, travelled, g, root,
             time_arrive, energy_arrive,
         )  # fmt: skip
+        # Chain rule. From E_arrive(A', q) = E_leave(A, q):
+        #     dA'/dq = [dE_leave/dq - dE_arrive/dq + (dE_leave/dA) dA/dq] / (dE_arrive/dA')
+        # A0 is no explicit parameter of a quarter; its entry holds the derivative by the quarter's amplitude.
         before = a_gradient.copy()
         for i in range(MAP_PARAMETERS):
             direct = 0.0 if i == A0 else energy_leave[i] - energy_arrive[i]

@@ -1,4 +1,4 @@
-"""Elastic contact of a ball and a flat after Hertz, and the materials of the paper.
+"""Elastic contact of a ball and a flat (Hertz 1882), and the materials of the paper.
 
 a = (3 F R / (4 E*))^(1/3)      1/E* = sum (1 - nu^2)/E      depth = a^2/R      angle = a/R
 """
@@ -35,7 +35,7 @@ class Material:
 
     @property
     def compliance_per_pa(self) -> float:
-        """(1 - nu^2)/E, this body's share of 1/E*."""
+        """(1 - nu^2)/E, this body's contribution to 1/E*."""
         return (1 - self.poisson_ratio**2) / self.youngs_modulus_pa
 
 
@@ -46,11 +46,11 @@ MATERIALS: Mapping[str, Material] = MappingProxyType(
         "glass_k8": Material(0.82e11, 0.206),
     }
 )
-"""The paper's three. It states no uncertainties."""
+"""The three materials of the paper, which states no uncertainties."""
 
 
 def material(name: str, others: Mapping[str, Material] = MappingProxyType({})) -> Material:
-    """A material by name, `others` (a user's own) before the paper's.
+    """A material by its name; `others`, defined by the user, take precedence over the paper's.
 
     Raises
     ------
@@ -69,7 +69,7 @@ def material(name: str, others: Mapping[str, Material] = MappingProxyType({})) -
 
 @dataclass(frozen=True, slots=True)
 class HertzContact:
-    """Contact spot: its radius a, the ball's penetration a^2/R, the contact angle a/R."""
+    """Contact spot: radius a, penetration depth a^2/R, contact angle a/R, with standard uncertainties."""
 
     radius_m: float
     depth_m: float
@@ -101,9 +101,8 @@ def hertz_contact(
     force_n
         Load on this ball: m g on one ball, m g/2 on each of two.
     u_force_n, u_ball_radius_m
-        Standard uncertainties; those of the elastic constants come with the materials, and are
-        independent of each other except where both bodies are of one and the same material, whose
-        constants then err together.
+        Standard uncertainties. Those of the elastic constants are fields of the materials. They are taken as
+        independent, except if both bodies are of the same material: their errors are then equal.
 
     Raises
     ------
@@ -117,7 +116,7 @@ def hertz_contact(
         raise ConfigurationError("the uncertainties of load and ball radius must not be negative")
     radius = contact_radius(force_n, ball_radius_m, ball, flat)
     compliance = ball.compliance_per_pa + flat.compliance_per_pa
-    # relative uncertainty of the compliance; one material on both sides counts fully, not in quadrature
+    # relative uncertainty of the compliance; the same material on both sides adds linearly, not in quadrature
     bodies = [(ball, 2.0)] if ball == flat else [(ball, 1.0), (flat, 1.0)]
     elastic = hypot(
         *(
@@ -150,10 +149,10 @@ def pendulum_on_ball(
     *,
     gravity_m_per_s2: float = STANDARD_GRAVITY_M_PER_S2,
 ) -> PendulumOnBall:
-    """The pendulum with its contact radius after Hertz.
+    """The pendulum with its contact radius from Hertz's theory.
 
-    For two balls give half the mass: the moments of Eqs. 1 and 3 are then those of one ball, and
-    their ratio to m g R, which is all that the motion knows, is the same.
+    For two balls pass half the mass. The moments of Eqs. 1 and 3 are then those of one ball; their ratio to
+    m g R, on which alone the motion depends, is the same.
     """
     contact = hertz_contact(mass_kg * gravity_m_per_s2, ball_radius_m, ball, flat)
     return PendulumOnBall(mass_kg, ball_radius_m, contact.radius_m, gravity_m_per_s2)

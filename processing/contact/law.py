@@ -1,4 +1,4 @@
-"""What a law of the contact is to the rest of the program: its parameters and how they are computed."""
+"""Interface of a contact law: its parameters, their moments, and how they are fitted."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -50,7 +50,7 @@ DRAG = Parameter(
     "linear drag: the moment is -m g R drag_s phi'",
     "not in the paper; beside Eq. 1",
 )
-"""A linear drag, which every law may have in addition."""
+"""A linear drag, which can be fitted in addition to any law."""
 
 AMPLITUDE = Parameter(
     "initial_amplitude_rad", "α₀", "rad", "amplitude of the first turning point", "initial value", lower=0.0
@@ -58,14 +58,14 @@ AMPLITUDE = Parameter(
 TIME = Parameter(
     "start_time_s", "t₀", "s", "time of the first turning point on the clock of the data", "initial value"
 )
-"""`AMPLITUDE` and `TIME` are fitted with every law; they describe the run, not the contact."""
+"""`AMPLITUDE` and `TIME` are fitted with every law; they describe the run and not the contact."""
 
 
 class HalfSwings(NamedTuple):
     """Turning points that a law predicts, and their derivatives by the map's parameters.
 
     `amplitude` in units of the reference amplitude and `time` in units of T0, shape ``(points,)``,
-    NaN from where the pendulum stops; the gradients have a column a parameter of the map.
+    NaN after the pendulum has stopped; the gradients have one column per parameter of the map.
     """
 
     amplitude: Array
@@ -75,33 +75,33 @@ class HalfSwings(NamedTuple):
 
 
 class BranchMoments(NamedTuple):
-    """Moments on the way from one turning point to the next, N m: by friction, and elastic (Eq. 7)."""
+    """Frictional and elastic moment between one turning point and the next, in N m (Eq. 7)."""
 
     friction_n_m: Array
     elastic_n_m: Array
 
 
 class HeldColumn(NamedTuple):
-    """Which column moves when one parameter is held at other values, and whether it must keep its sign."""
+    """Column that is adjusted to hold a parameter at a given value, and whether it must keep its sign."""
 
     column: int
     keeps_sign: bool = False
 
 
 class Columns(Protocol):
-    """What the solver varies when a law is fitted to one decay, and what it stands for.
+    """Coordinates in which the solver fits a law to one decay, and their conversion to parameters.
 
-    The solver works on columns, chosen so that the valleys of chi2 are straight. They stand for
-    the parameters of the half-swing map (dimensionless: angles in units of `reference`, the
-    geometric mean amplitude, times in units of T0) and for physical values in SI units.
+    The solver varies columns, chosen so that the valleys of chi2 are straight. They determine the parameters
+    of the half-swing map (dimensionless: angles in units of `reference`, the geometric mean amplitude, times
+    in units of T0) and the physical values in SI units.
 
     Attributes
     ----------
     lower, upper
         Bounds of the columns.
     map_by_log_rho
-        Derivative of the map's parameters by ln(R/a), which a fit takes as known; 0 where a law
-        does not contain it.
+        Derivative of the map's parameters by ln(R/a), which a fit takes as known; 0 if the law does not
+        contain it.
     """
 
     reference: float
@@ -110,24 +110,24 @@ class Columns(Protocol):
     map_by_log_rho: Array
 
     def map_parameters(self, columns: Array) -> tuple[Array, Array]:
-        """The map's parameters (the last: the first amplitude), T0 (s), time of the first turning
-        point (s), in one array, and their derivatives by the columns; NaN where there are none."""
+        """The map's parameters (the last: the first amplitude), T0 (s) and the time of the first turning
+        point (s) in one array, and their derivatives by the columns; NaN for columns without a solution."""
 
     def physical(self, columns: Array) -> tuple[Array, Array]:
         """SI values in the order of `Law.fit_names`, and their derivatives by the columns."""
 
     def from_physical(self, values: Mapping[str, float]) -> Array:
-        """The columns of physical values by key."""
+        """The columns that correspond to physical values, given by key."""
 
     def starts(self, points: TurningPoints) -> Sequence[Sequence[Array]]:
-        """Where a search may start, the likeliest first. Each is a sequence of attempts, of which the
-        first from which the map reaches the last half-cycle is taken."""
+        """Start values, the most promising first. Each is a sequence of attempts; the first one for which
+        the map reaches the last half-cycle is used."""
 
     def held(self, name: str) -> HeldColumn:
-        """The column that is solved for when the likelihood is followed along a parameter."""
+        """The column that is solved for when a parameter is held for its profile likelihood."""
 
     def at_limit(self, columns: Array) -> Sequence[str]:
-        """Parameters that stand at the limit of the range that is searched."""
+        """Parameters that are at a limit of the range searched."""
 
 
 @dataclass(frozen=True)
@@ -139,19 +139,20 @@ class Law:
     name
         Key in the registry and in results.json.
     title, source
-        For people: what the law says, and where it comes from.
+        Description of the law and its reference, for display.
     parameters
-        Of the law, in the order in which fits and tables give them.
+        Parameters of the law, in the order used by fits and tables.
     branch_moments
-        For deflections (rad), the sign of phi', the parameters by key and the pendulum.
+        Function of the deflections (rad), the sign of phi', the parameters by key and the pendulum, which
+        returns the moments.
     half_swing_map
-        Turning points at rising half-cycle numbers (the first 0) for the map's parameters; it
-        calls a compiled kernel.
+        Function of the map's parameters and rising half-cycle numbers (the first 0), which returns the
+        turning points; it calls a compiled kernel.
     columns
-        The solver's columns for turning points, the pendulum (None: amplitudes not calibrated) and
-        the keys of the fit, `fit_names`. They compute the start values from the data.
+        Function of the turning points, the pendulum (None: amplitudes not calibrated) and the keys of the
+        fit (`fit_names`), which returns the solver's columns.
     uncalibrated
-        What takes the place of a parameter where amplitudes are not known as angles (px, V).
+        Parameters that replace others if amplitudes are not known as angles (px, V).
     """
 
     name: str
@@ -174,7 +175,7 @@ class Law:
         return tuple(parameter.key for parameter in self.fitted(calibrated=calibrated, drag=drag))
 
     def fit_names(self, *, calibrated: bool = True, drag: bool = False) -> tuple[str, ...]:
-        """Everything that a fit varies: `names`, then the initial amplitude and time."""
+        """Keys of all parameters that a fit varies: `names`, then the initial amplitude and time."""
         return (*self.names(calibrated=calibrated, drag=drag), AMPLITUDE.key, TIME.key)
 
     def parameter(self, key: str) -> Parameter:

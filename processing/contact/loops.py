@@ -1,4 +1,4 @@
-"""Loops that the moments of a law draw over a full swing (Eq. 7)."""
+"""Hysteresis loops of a law's moments over a full swing (Eq. 7)."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -14,10 +14,10 @@ from processing.errors import DataError
 
 @dataclass(frozen=True)
 class MomentLoop:
-    """One full swing, +alpha to -alpha and back: a closed curve of `2 points` places.
+    """One full swing, from +alpha to -alpha and back, as a closed curve of twice `points` points.
 
-    `phi_rad` holds the way back first (falling), then forth; the friction moment jumps at both
-    turning points, which therefore appear twice.
+    `phi_rad` falls first, then rises. The friction moment jumps at both turning points, which therefore
+    appear twice.
     """
 
     phi_rad: NDArray[np.float64]
@@ -34,9 +34,9 @@ def moment_loop(
     law: Law = PAPER,
     points: int = 201,
 ) -> MomentLoop:
-    """The three loops of Table 4 at an amplitude, its change within the cycle left out.
+    """The three loops of Table 4 at a given amplitude, neglecting its change within the cycle.
 
-    `values` are the law's parameters by name, in SI units.
+    `values` are the law's parameters by key, in SI units.
     """
     if not amplitude_rad > 0:
         raise DataError(f"amplitude {amplitude_rad} rad: a loop needs a positive one")

@@ -1,4 +1,4 @@
-"""Loss of a decay in the terms of oscillations: log decrement, Q, share of the energy per cycle."""
+"""Losses of a decay: logarithmic decrement, quality factor, fraction of the energy lost per cycle."""
 
 from dataclasses import dataclass
 
@@ -13,11 +13,11 @@ from processing.swing import TurningPoints
 
 @dataclass(frozen=True)
 class Losses:
-    """Loss over whole cycles, by the amplitude in the middle of each (rad).
+    """Losses over whole cycles as a function of the amplitude in the middle of each (rad).
 
-    `log_decrement` is ln(A_i/A_(i+2)), `quality` pi over it, `energy_share` 1 - (A_(i+2)/A_i)^2.
-    The `u_` are standard uncertainties; those of Q become meaningless, and infinite where the
-    decrement is not positive, as the decrement drowns in noise.
+    `log_decrement` is ln(A_i/A_(i+2)), `quality` is pi divided by it, `energy_share` is 1 - (A_(i+2)/A_i)^2.
+    The `u_` are standard uncertainties. For a decrement comparable to its uncertainty, that of Q has no
+    meaning; it is infinite if the decrement is not positive.
     """
 
     amplitude_rad: NDArray[np.float64]
@@ -49,10 +49,10 @@ def _losses(
 
 
 def measured_losses(points: TurningPoints, *, cycles: int = 1) -> Losses:
-    """Losses from the turning points themselves, with no model.
+    """Losses from the turning points without a model.
 
-    `cycles` whole cycles are taken together and the decrement given per cycle: noise falls with
-    their number. Windows follow each other without overlap; those with a missing end are left out.
+    The decrement is averaged over windows of `cycles` whole cycles; its noise is inversely proportional to
+    their number. Windows do not overlap; those with a missing end are left out.
     """
     if cycles < 1:
         raise DataError(f"cycles = {cycles}: at least one")
@@ -73,9 +73,9 @@ def measured_losses(points: TurningPoints, *, cycles: int = 1) -> Losses:
 def model_losses(
     amplitude_rad: NDArray[np.float64], parameters: ContactParameters, pendulum: PendulumOnBall
 ) -> Losses:
-    """Losses of the exact half-swing map for a cycle begun at each amplitude; uncertainties are 0.
+    """Losses by the exact half-swing map for a cycle that starts at each amplitude; uncertainties are 0.
 
-    NaN where friction holds the pendulum before the cycle is over.
+    NaN if friction stops the pendulum before the end of the cycle.
     """
     ends = np.array(
         [turning_points_of(parameters, pendulum, float(a), 2)[0][2] for a in np.atleast_1d(amplitude_rad)]

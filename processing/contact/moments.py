@@ -1,4 +1,4 @@
-"""Moments of the paper's law (Eqs. 1, 3), the work they take, surface energy."""
+"""Moments of the paper's law (Eqs. 1 and 3), the work that they do, and the surface energy."""
 
 from dataclasses import dataclass
 from math import pi
@@ -11,14 +11,14 @@ from processing.contact.parameters import ContactParameters, PendulumOnBall
 
 
 def weight_moment(pendulum: PendulumOnBall) -> float:
-    """m g R in N m: what the coefficients of Eq. 1 are counted in."""
+    """m g R in N m, the unit of the coefficients of Eq. 1."""
     return pendulum.mass_kg * pendulum.gravity_m_per_s2 * pendulum.ball_radius_m
 
 
 def friction_moment(
     phi_rad: ArrayLike, direction: ArrayLike, parameters: ContactParameters, pendulum: PendulumOnBall
 ) -> NDArray[np.float64]:
-    """M_fr of Eq. 1 in N m; `direction` is the sign of phi'. Drag is not part of it."""
+    """M_fr of Eq. 1 in N m, without drag; `direction` is the sign of phi'."""
     phi = np.abs(np.asarray(phi_rad, dtype=np.float64))
     friction = parameters.c + parameters.b * phi**parameters.p
     return np.asarray(-weight_moment(pendulum) * friction * np.sign(direction), dtype=np.float64)
@@ -27,7 +27,7 @@ def friction_moment(
 def elastic_moment(
     phi_rad: ArrayLike, parameters: ContactParameters, pendulum: PendulumOnBall
 ) -> NDArray[np.float64]:
-    """M_el of Eq. 3 in N m, the skeletal curve: positive where phi is, against gravity's moment."""
+    """M_el of Eq. 3 in N m (skeletal curve); it has the sign of phi and opposes the moment of gravity."""
     phi = np.asarray(phi_rad, dtype=np.float64)
     size = np.abs(phi)
     rho = pendulum.ball_radius_m / pendulum.contact_radius_m
@@ -41,8 +41,8 @@ def elastic_moment(
 class CycleWork:
     """Work of one cycle (four deviations from the equilibrium) in J.
 
-    `dissipated_j` is 4A, the area of the loop; `adhesive_j` is 4A_t, the part of c, Table 4's
-    dashed rectangle; `drag_j` that of a linear drag, not contained in 4A.
+    `dissipated_j` is 4A, the area of the loop. `adhesive_j` is 4A_t, the contribution of c (the dashed
+    rectangle of Table 4). `drag_j` is the work of a linear drag, which is not contained in 4A.
     """
 
     dissipated_j: float
@@ -63,8 +63,8 @@ def cycle_work(amplitude_rad: float, parameters: ContactParameters, pendulum: Pe
 class SurfaceEnergy:
     """Specific surface energy in J/m^2, in the paper's two forms.
 
-    `table2_j_per_m2` is m g R c/(2 a^2), the work over the area 2 a^2 phi that the spot sweeps:
-    the form that gives Table 2's numbers. `eq2_j_per_m2` is m g c/(2 a), Eq. 2 as printed.
+    `table2_j_per_m2` is m g R c/(2 a^2), the work divided by the area 2 a^2 phi that the contact spot
+    sweeps; it reproduces the values of Table 2. `eq2_j_per_m2` is m g c/(2 a), Eq. 2 as printed.
     """
 
     table2_j_per_m2: float

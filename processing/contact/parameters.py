@@ -1,4 +1,4 @@
-"""The numbers that describe a contact and the pendulum on it."""
+"""Parameters of a contact and of the pendulum on it."""
 
 from dataclasses import dataclass
 
@@ -25,7 +25,7 @@ class ContactParameters:
 
 @dataclass(frozen=True, slots=True)
 class PendulumOnBall:
-    """Mass, ball and contact spot, as the fits need them. `contact_radius_m` is a of Hertz."""
+    """Mass, ball radius and contact spot used by the fits. `contact_radius_m` is Hertz's radius a."""
 
     mass_kg: float
     ball_radius_m: float

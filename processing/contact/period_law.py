@@ -1,4 +1,4 @@
-"""Period against amplitude after the second approximation of the asymptotic theory (Eq. 6)."""
+"""Period as a function of the amplitude in the second approximation of the asymptotic theory (Eq. 6)."""
 
 from math import exp, lgamma, pi, sqrt
 
@@ -9,25 +9,25 @@ from processing.contact.half_swing import stiffness_ratio
 from processing.contact.parameters import ContactParameters, PendulumOnBall
 
 PRINTED_CURVATURE = 0.55
-"""The number printed in Eq. 6, where averaging Eq. 3 gives `curvature` of n."""
+"""The number printed in Eq. 6; averaging Eq. 3 gives `curvature(n)` instead."""
 
 
 def cosine_moment(exponent: float) -> float:
-    """integral_0^(pi/2) cos^exponent, for any exponent above -1."""
+    """integral_0^(pi/2) cos(theta)^exponent dtheta, for any exponent above -1."""
     return sqrt(pi) / 2 * exp(lgamma((exponent + 1) / 2) - lgamma(exponent / 2 + 1))
 
 
 def curvature(n: float) -> float:
-    """What stands where Eq. 6 prints 0.55: 0.540 at n = 0, 0.583 at n = 1."""
+    """Factor for which Eq. 6 prints 0.55: 0.540 at n = 0, 0.583 at n = 1."""
     return 2 / pi * cosine_moment(n + 3) / cosine_moment(n + 2)
 
 
 def frequency_drop(
     amplitude: ArrayLike, n: float, kappa: float, rho: float, *, printed_curvature: bool = False
 ) -> NDArray[np.float64]:
-    """The relative fall of the frequency, what Eq. 6 subtracts from 1.
+    """Relative decrease of the frequency with the amplitude, which Eq. 6 subtracts from 1.
 
-    `kappa` is 2 gamma a^2/(m g) and `rho` R/a, both for the unit of `amplitude`.
+    `kappa` is 2 gamma a^2/(m g) and `rho` is R/a, both for the unit of `amplitude`.
     """
     alpha = np.asarray(amplitude, dtype=np.float64)
     factor = PRINTED_CURVATURE if printed_curvature else curvature(n)
@@ -44,7 +44,7 @@ def period(
 ) -> NDArray[np.float64]:
     """T(alpha) of Eq. 6 in seconds; the period rises with the amplitude.
 
-    `printed_curvature` takes 0.55 as printed instead of the value for n.
+    `printed_curvature` uses 0.55 as printed instead of `curvature(n)`.
     """
     drop = frequency_drop(
         amplitude_rad,

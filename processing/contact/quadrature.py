@@ -1,9 +1,8 @@
-"""Quadrature nodes for a quarter of a swing, free of both end-point singularities.
+"""Quadrature nodes for a quarter of a swing, without the singularities at both ends.
 
-The deflection runs as ``phi = A cos(theta)``. That takes the square-root singularity at the
-turning point away; the fractional powers of |phi| at the zero crossing leave another one there,
-which ``pi/2 - theta = (pi/2) v**3`` smooths, so that a plain Gauss-Legendre rule in v converges
-quickly for every exponent.
+The substitution ``phi = A cos(theta)`` removes the square-root singularity at the turning point. The
+fractional powers of |phi| leave another one at the zero crossing, which ``pi/2 - theta = (pi/2) v**3``
+smooths. A Gauss-Legendre rule in v then converges quickly for every exponent.
 """
 
 from functools import lru_cache
@@ -13,15 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 NODES = 20
-"""Enough for 1e-12 of a half period at any exponent above zero."""
+"""Number of nodes; the error is below 1e-12 of a half period for any exponent above zero."""
 
 
 class QuarterNodes(NamedTuple):
     """Nodes from the turning point (theta = 0) to the zero crossing (theta = pi/2).
 
-    `weight` integrates over theta. `travelled` (NODES, NODES) takes values at the nodes to
-    ``integral_0^theta_k sin^2 f dtheta' / sin^2 theta_k``: the work of a moment proportional to
-    the speed, in units that leave no 0/0 at the turning point.
+    `weight` are the weights for integration over theta. The matrix `travelled` (NODES, NODES) maps values f
+    at the nodes to ``integral_0^theta_k sin^2 f dtheta' / sin^2 theta_k``, the work of a moment proportional
+    to the speed; dividing by sin^2 avoids 0/0 at the turning point.
     """
 
     weight: NDArray[np.float64]
@@ -33,7 +32,7 @@ class QuarterNodes(NamedTuple):
 
 @lru_cache(maxsize=1)
 def quarter_nodes() -> QuarterNodes:
-    """The nodes, computed once."""
+    """The nodes; computed once and cached."""
     x, w = np.polynomial.legendre.leggauss(NODES)
     v = (x[::-1] + 1.0) / 2.0  # falling v: rising theta
     w = w[::-1] / 2.0

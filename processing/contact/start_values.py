@@ -9,7 +9,7 @@ from processing.swing import TurningPoints
 
 
 class StartValues(NamedTuple):
-    """In units of the reference amplitude; `periods` best first."""
+    """Start values in units of the reference amplitude; `periods` in order of rising chi-square."""
 
     decay: DecayStart
     periods: list[PeriodStart]
@@ -17,7 +17,7 @@ class StartValues(NamedTuple):
 
 
 def start_values(points: TurningPoints, rho: float, *, drag: bool) -> StartValues:
-    """Where an exact fit may start; `rho` is R/a times the reference amplitude."""
+    """Start values of an exact fit; `rho` is R/a times the reference amplitude."""
     reference = reference_amplitude(points)
     mean = mean_period(points)
     decay, _ = fit_decay(points, reference, mean, drag, "soft_l1")

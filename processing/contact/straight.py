@@ -1,8 +1,9 @@
-"""Coordinates in which friction and a linear drag do not hide in each other.
+"""Coordinates that separate friction from a linear drag.
 
-b x^p is b x [1 + (p-1) ln x + ...]: with a drag in the fit, data determine the logarithm's factor
-``omega = b (p-1)/(p+1)`` and the whole linear loss ``linear = b/(p+1) + drag``, while b itself
-runs along a valley that is straight if ln b, omega and linear are the coordinates.
+For p near 1, b x^p = b x [1 + (p-1) ln x + ...] is nearly linear in x, and b is strongly correlated with a
+drag. The data then determine the factor of the logarithm, ``omega = b (p-1)/(p+1)``, and the total linear
+loss, ``linear = b/(p+1) + drag``. In the coordinates ln b, omega, linear the valley of chi-square is
+straight and runs along ln b.
 """
 
 import numpy as np
@@ -10,9 +11,9 @@ from numpy.typing import NDArray
 
 
 def from_straight(log_b: float, omega: float, linear: float) -> tuple[float, float, NDArray[np.float64]]:
-    """p, drag (as a share of the linear loss), and the derivatives of both by the coordinates.
+    """p and drag (in the unit of the linear loss), and the derivatives of both by the coordinates.
 
-    NaN where no p belongs to them.
+    NaN if no p corresponds to the coordinates.
     """
     b = float(np.exp(log_b))
     if not abs(b - omega) > 1e-12 * b:
@@ -28,6 +29,6 @@ def from_straight(log_b: float, omega: float, linear: float) -> tuple[float, flo
 
 
 def to_straight(log_b: float, p: float, drag: float) -> tuple[float, float]:
-    """omega and linear."""
+    """The coordinates omega and linear; the inverse of `from_straight`."""
     b = float(np.exp(log_b))
     return b * (p - 1) / (p + 1), b / (p + 1) + drag

@@ -1,4 +1,4 @@
-"""Laws of the contact as data: parameters, moment, half-swing map and start values, one file a law."""
+"""Contact laws as data, one file per law: parameters, moments, half-swing map and start values."""
 
 from processing.contact.law import AMPLITUDE, DRAG, TIME, Law, Parameter
 from processing.contact.laws.paper import PAPER

@@ -4,7 +4,7 @@
     M_el = 2 gamma a^2 R |phi|^(n+1) (pi/2 - (R/a) |phi|) sign(phi)               (3)
 
 The half-swing map is derived in `half_swing` and compiled in `half_swing_kernel`; the solver's
-columns are in `half_swing_columns`, what they start from in `start_values`.
+columns are in `half_swing_columns`, their start values in `start_values`.
 """
 
 from collections.abc import Mapping
@@ -19,7 +19,7 @@ from processing.contact.parameters import ContactParameters, PendulumOnBall
 def _branch_moments(
     phi_rad: Array, direction: Array, values: Mapping[str, float], pendulum: PendulumOnBall
 ) -> BranchMoments:
-    """Eqs. 1 and 3; a linear drag is not part of them."""
+    """Moments of Eqs. 1 and 3, without a linear drag."""
     parameters = ContactParameters(**{name: values[name] for name in PAPER.names()})
     return BranchMoments(
         friction_moment(phi_rad, direction, parameters, pendulum),

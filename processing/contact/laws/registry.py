@@ -1,4 +1,4 @@
-"""The laws that a fit may use. To add one: a file beside this one, and its line here."""
+"""Registry of the contact laws. To add a law, write a module in this package and list it here."""
 
 from collections.abc import Mapping
 from types import MappingProxyType
@@ -14,4 +14,4 @@ LAWS: Mapping[str, Law] = MappingProxyType(
         )
     }
 )  # fmt: skip
-"""By name, in the order in which they are listed to people."""
+"""Laws by name, in the order of display."""
