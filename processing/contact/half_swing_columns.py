@@ -1,4 +1,4 @@
-"""Coordinates (columns) in which the solver fits the paper's law, so that chi-square's valleys are straight."""
+"""Coordinates (columns) in which the solver fits the paper's law, so that its valleys are straight."""
 
 from collections.abc import Mapping, Sequence
 
@@ -189,7 +189,7 @@ class HalfSwingColumns:
         return self._columns(np.array(natural))
 
     def starts(self, points: TurningPoints) -> Sequence[Sequence[Array]]:
-        """Start values from Eqs. 5 and 6: for each exponent n that fits the periods well, then without adhesion.
+        """Start values from Eqs. 5 and 6: for each exponent n that fits the periods, then without adhesion.
 
         Eq. 5 neglects that adhesion reduces the restoring moment and that T differs from T0; its rates are
         converted to those of the exact map. The attempts of one start differ in the rate of decay.
