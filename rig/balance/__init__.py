@@ -1,4 +1,4 @@
-"""`rig balance`: look at the swing, advise one turn, learn from it, look again."""
+"""The command `rig balance`: measures the balance, advises a turn of a weight, learns from it, repeats."""
 
 from rig.balance.balancing import balance_rig
 

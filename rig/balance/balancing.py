@@ -1,4 +1,4 @@
-"""`rig balance`: look at the swing, say what is wrong, advise one turn, learn from it, look again."""
+"""The command `rig balance`: measures the balance, advises a turn of a weight, learns from it, repeats."""
 
 import math
 from collections.abc import Callable
@@ -34,15 +34,16 @@ Floats = NDArray[np.float64]
 def balance_rig(
     config: Configuration, history: Path | None, follow: int, seed: int, rrd: Path | None = None
 ) -> int:
-    """Look, advise, ask what was turned, until told to end; with `follow` the simulated rig obeys.
+    """Measure, advise and ask which weight was turned, until the operator ends it.
 
-    All looks are drawn into the live view that the configuration asks for, and into `rrd`.
+    With `follow` the advice is applied to the simulated rig, for at most so many turns. All
+    measurements are drawn into the configured live view and into `rrd`.
     """
     config = complete(config)
     trimmed: TrimmedPendulum | None = None
     if follow:
         if not config.simulated:
-            raise ConfigurationError("--follow turns the simulated rig's weights: a real one needs hands")
+            raise ConfigurationError("--follow works with the simulated rig only: leave it out")
         nominal = {
             name: TrimWeight(
                 getattr(config.balance, f"weight_{name}").mass_kg,
@@ -89,10 +90,10 @@ def _shower(config: Configuration) -> Callable[[Balance], None]:
 
 
 def _ask(session: LearnedTurns) -> bool:
-    """What the operator has turned; False: to end."""
+    """Ask the operator what was turned; False to end."""
     while True:
         try:
-            answer = input("turned (weight turns, e.g. x 1.5; Enter: look again; q: end)? ").split()
+            answer = input("turned (weight turns, e.g. x 1.5; Enter: measure again; q: end)? ").split()
         except (EOFError, KeyboardInterrupt):
             return False
         if not answer:
@@ -104,7 +105,7 @@ def _ask(session: LearnedTurns) -> bool:
             if weight not in WEIGHTS or not math.isfinite(turns):
                 raise ValueError
         except (ValueError, IndexError):
-            say(f"weights are {', '.join(WEIGHTS)}; turns a number, positive clockwise")
+            say(f"enter a weight ({', '.join(WEIGHTS)}) and a number of turns, positive clockwise")
             continue
         session.turned(weight, turns)
         return True

@@ -1,4 +1,4 @@
-"""What the turns of a balancing session did, learned from its looks and kept in a file."""
+"""Learns the effect of a turn of each weight from repeated measurements, and keeps them in a file."""
 
 import datetime
 import json
@@ -27,7 +27,7 @@ Floats = NDArray[np.float64]
 
 
 class LearnedTurns:
-    """States, turns and learned responses; each look appends a line of JSON to `history`."""
+    """States, turns and learned responses; each measurement appends a line of JSON to `history`."""
 
     def __init__(self, config: Configuration, history: Path) -> None:
         self._config = config
@@ -41,7 +41,7 @@ class LearnedTurns:
             self._relearn()
 
     def state(self, balance: Balance) -> tuple[list[Fault], list[Fault]]:
-        """Take in a look; returns the faults now, and those before the last turn (empty at first)."""
+        """Add a measurement; returns the faults now, and those before the last turn (empty at first)."""
         height_m, u_height_m = height_of(self._config, balance)
         faults = find_faults(balance, (height_m, u_height_m), self.limits)
         state = np.array([faults[0].value, faults[1].value, height_m])
@@ -59,12 +59,12 @@ class LearnedTurns:
         return faults, before
 
     def advice(self) -> Turn | None:
-        """The next turn; None: within limits."""
+        """The next turn; None if all values are within limits."""
         assert self._state is not None
         return self.responses.advise(self._state)
 
     def turned(self, weight: str, turns: float) -> None:
-        """Note what was turned; the next look learns from it."""
+        """Store the turn made; its effect is learned from the next measurement."""
         self._pending = (weight, turns)
 
     def _write(self, entry: dict[str, object]) -> None:
@@ -86,9 +86,9 @@ class LearnedTurns:
                     np.array(entry[key], dtype=np.float64) for key in ("before", "after", "u")
                 )
             except (ValueError, TypeError, KeyError, AttributeError):
-                # cut short by a power failure or edited by hand: the other lines are still of use
+                # truncated by a power failure or edited by hand; the other lines are still valid
                 say(f"{self._history}: line {number} cannot be read and is skipped")
                 continue
             self.responses.learn(entry["weight"], turns, before, after, np.nan_to_num(u))
             pairs += 1
-        say(f"{self._history}: {pairs} turns of earlier sessions are known")
+        say(f"{self._history}: {pairs} turns of earlier sessions are used")

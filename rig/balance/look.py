@@ -1,4 +1,4 @@
-"""One look at the balance: some periods of swinging, tracked and seen; and the view that shows all looks."""
+"""One measurement of the balance over some periods, and the view that shows all measurements."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -18,10 +18,9 @@ _PAUSE_NS = 2_000_000_000
 
 
 class LooksView:
-    """The balancing layout over all looks of a session, one behind the other in its time.
+    """The balancing layout, in which the measurements of a session follow each other in time.
 
-    Nothing is opened before the first frame, nor at all where neither a live view nor a Rerun file is
-    wanted. A context manager.
+    A context manager. The view is opened at the first frame, if a live view or a Rerun file is wanted.
     """
 
     def __init__(self, config: Configuration, rrd: Path | None, advise: Callable[[Balance], str]) -> None:
@@ -43,7 +42,7 @@ class LooksView:
                 say(f"view: {note}")
 
     def begin(self, first: Frame, full_scale_dn: int) -> None:
-        """A look begins; the frames' clock may have been reset."""
+        """Begin a measurement; the frames' clock may have been reset."""
         mode = self._config.view.mode
         if mode == "none" and self._rrd is None:
             return
@@ -57,7 +56,7 @@ class LooksView:
         self._shift_ns = first.time_ns - self._shown_ns
 
     def block(self, frames: Sequence[Frame], block: Block) -> None:
-        """Some frames were processed."""
+        """Show processed frames."""
         if self._view is not None and frames:
             self._view.block(self._shift_ns, frames, block)
             self._shown_ns = frames[-1].time_ns - self._shift_ns
@@ -66,9 +65,12 @@ class LooksView:
 def look(
     config: Configuration, devices: Devices, show: Callable[[Balance], None], view: LooksView
 ) -> Balance:
-    """Some periods of swinging; `show` gets every balance, the last one is returned. Raises DataError."""
+    """Measure the balance over some periods; returns the last one, `show` is called with each of them.
+
+    Raises DataError without frames or without a swing.
+    """
     if config.lever is None:
-        raise ConfigurationError("rig balance needs [lever]: without it nothing is known in arcsec")
+        raise ConfigurationError("rig balance needs [lever], because its limits are in arcsec")
     found: Balance | None = None
     with devices.camera(config) as camera:
         optics = optics_of(config, camera.info.full_scale_dn)

@@ -1,4 +1,4 @@
-"""What `rig balance` prints: every number with its direction, before and after, and the advice."""
+"""The output of `rig balance`: every quantity before and after a turn, and the advice."""
 
 import math
 from collections.abc import Sequence
@@ -12,7 +12,7 @@ from rig.presentation import NOT_KNOWN, say, with_uncertainty
 
 
 def print_faults(faults: Sequence[Fault], before: Sequence[Fault], *, live: bool = False) -> None:
-    """A table of the balance; `live`: one line on stderr."""
+    """Print a table of the balance; with `live` one line on stderr."""
     if live:
         parts = [f"{f.name} {f.value:+.3g} {f.unit}".rstrip() for f in faults[:2] if math.isfinite(f.value)]
         say("  ".join(parts))
@@ -39,5 +39,5 @@ def _number(fault: Fault) -> str:
 
 
 def print_advice(turn: Turn | None, faults: Sequence[Fault]) -> None:
-    """One line: which weight, how many turns, which way."""
+    """Print which weight to turn, by how much and in which direction."""
     Console().print(turn_text(turn, faults), highlight=False, markup=False, soft_wrap=True)

@@ -1,4 +1,4 @@
-"""`rig export`: spots, half-cycles and results for other programs."""
+"""The command `rig export`: writes spots, half-cycles and results for other programs."""
 
 from rig.export.session_export import export_session
 

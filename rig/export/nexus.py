@@ -1,4 +1,4 @@
-"""HDF5 laid out as NeXus: an NXentry a run, NXdata with units, the provenance as NXnote."""
+"""Writes HDF5 in NeXus layout: one NXentry per run, NXdata with units, the provenance as NXnote."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -18,7 +18,7 @@ def write_nexus(path: Path, runs: Sequence[ExportedRun]) -> None:
     Field names are the record's. Standard uncertainties ``u_NAME`` are also there as
     ``NAME_errors``, where NeXus readers look for them.
 
-    Raises ConfigurationError where h5py is not installed.
+    Raises ConfigurationError if h5py is not installed.
     """
     try:
         import h5py

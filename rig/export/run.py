@@ -1,4 +1,4 @@
-"""What of a run is exported: spots, half-cycles, results and provenance as plain values with units."""
+"""Reads the data of a run to be exported: spots, half-cycles, results and provenance, with units."""
 
 import json
 import math
@@ -36,8 +36,8 @@ _UNITS = {
 class ExportedRun:
     """One run: structured arrays by the record's own field names, results as (name, value) rows.
 
-    `results` is empty where the run was not fitted. `provenance` is text by name, among it the
-    record's hash and its whole configuration.
+    `results` is empty if the run was not fitted. `provenance` maps names to texts, including the
+    record's hash and its complete configuration.
     """
 
     name: str
@@ -48,7 +48,7 @@ class ExportedRun:
 
 
 def read_runs(source: Path) -> list[ExportedRun]:
-    """Runs of a folder with results.json, or of one record (with the results beside it, if any)."""
+    """Read the runs of a folder with results.json, or one record (with the results next to it, if any)."""
     if source.is_dir():
         return [_read_run(source / run.record, run) for run in read_results(source).runs]
     results = None
@@ -70,15 +70,15 @@ def _read_run(path: Path, results: RunResults | None) -> ExportedRun:
     provenance["sha256"] = sha256_of(path)
     if results is not None and results.sha256 != provenance["sha256"]:
         raise RecordError(
-            f"{path}: is not the record that {RESULTS_NAME} was made from (another hash); "
-            "rig fit makes new results"
+            f"{path}: differs from the record from which {RESULTS_NAME} was made (other hash); "
+            "run rig fit again"
         )
     found = {} if results is None else encoded(results)
     return ExportedRun(path.stem, spots, swings, found, provenance)
 
 
 def unit_of(name: str) -> str:
-    """Unit by the end of a name, empty for a number without one."""
+    """Unit from the suffix of a name; empty if there is none."""
     word = name.rsplit("_", 1)[-1]
     if "_" not in name or (word == "m2" and "_per_" not in name):
         return ""
@@ -86,7 +86,7 @@ def unit_of(name: str) -> str:
 
 
 def flat_results(tree: JsonObject, above: str = "") -> list[tuple[str, float | str]]:
-    """Results as dotted names and values; what is not determined is NaN, lists are numbered from 0."""
+    """Results as dotted names and values; undetermined values are NaN, list items are numbered from 0."""
     rows: list[tuple[str, float | str]] = []
     for key, value in tree.items():
         name = f"{above}{key}"

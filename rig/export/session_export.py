@@ -1,4 +1,4 @@
-"""`rig export`: spots, half-cycles and results for other programs, with the provenance inside each file."""
+"""The command `rig export`: writes spots, half-cycles and results, each file with its provenance."""
 
 from pathlib import Path
 from typing import Literal

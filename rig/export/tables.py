@@ -1,4 +1,4 @@
-"""CSV and Parquet: three files a run, spots, swings, results."""
+"""Writes CSV and Parquet files: spots, swings and results of each run."""
 
 import json
 from collections.abc import Iterator
@@ -12,7 +12,7 @@ from rig.export.run import ExportedRun, columns_of, flat_results, unit_of
 
 
 def write_csv(folder: Path, run: ExportedRun) -> list[Path]:
-    """Comma-separated, one header line; lines that begin with ``#`` before it hold the provenance."""
+    """Write CSV files; lines that begin with ``#`` contain the provenance, followed by one header line."""
     head = "".join(f"# {name}: {' '.join(text.split())}\n" for name, text in run.provenance.items())
     made = []
     for path, table in _tables(folder, run, "csv"):
@@ -24,7 +24,7 @@ def write_csv(folder: Path, run: ExportedRun) -> list[Path]:
 
 
 def write_parquet(folder: Path, run: ExportedRun) -> list[Path]:
-    """Provenance as the schema's metadata under ``provenance`` (JSON), units as the fields'."""
+    """Write Parquet files; provenance (JSON) and units are in the metadata of schema and fields."""
     metadata = {b"provenance": json.dumps(dict(run.provenance)).encode()}
     made = []
     for path, table in _tables(folder, run, "parquet"):

@@ -1,4 +1,4 @@
-"""The analysing layout's content for a record: its fits as curves, and the report's numbers as text."""
+"""Content of the analysing layout for a record: its fits as curves, and the report's numbers as text."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -30,7 +30,7 @@ from rig.rerun import Curve, Floats
 
 
 class RunAnalysis(NamedTuple):
-    """The results of one record, and the turning points behind them."""
+    """The results of one record, and the turning points that were fitted."""
 
     record: Path
     results: RunResults
@@ -39,7 +39,7 @@ class RunAnalysis(NamedTuple):
 
 
 def run_analysis(record: Path) -> RunAnalysis:
-    """From the results beside the record where they are of this very file; fitted now where not."""
+    """The results next to the record if they were made from this file, else a new fit."""
     _, known = recorded_results(record, sha256_of(record))
     results = analyse_record(record).results if known is None else known
     with RecordReader(record) as reader:
@@ -48,7 +48,7 @@ def run_analysis(record: Path) -> RunAnalysis:
 
 
 def analysis_curves(run: RunAnalysis) -> list[Curve]:
-    """Data with both fits, residuals, T(alpha), moment loops; of a run without fits its data alone."""
+    """Data with both fits, residuals, T(alpha) and moment loops; only the data for a run without fits."""
     points, size = run.points, run.unit.shown_size
     amplitude = points.amplitude / size
     u = points.u_amplitude / size
@@ -78,7 +78,7 @@ def analysis_curves(run: RunAnalysis) -> list[Curve]:
 
 
 def overlaid_curves(runs: Mapping[str, RunAnalysis]) -> list[Curve]:
-    """Several runs in one set of axes: of each its data, the exact fit's residuals and its largest loop."""
+    """Several runs in common axes: the data, the exact fit's residuals and the largest loop of each."""
     drawn: list[Curve] = []
     for name, run in runs.items():
         points, size = run.points, run.unit.shown_size
@@ -98,7 +98,7 @@ def overlaid_curves(runs: Mapping[str, RunAnalysis]) -> list[Curve]:
 
 
 def report_text(runs: Mapping[str, RunAnalysis]) -> str:
-    """What the fits say, in Markdown, run after run."""
+    """Results of the fits in Markdown, one run after another."""
     parts: list[str] = []
     for run in runs.values():
         results = run.results
@@ -108,7 +108,7 @@ def report_text(runs: Mapping[str, RunAnalysis]) -> str:
             parts.append(f"no fit: {results.problem}")
         if results.fits:
             parameters = parameter_table(results.fits, results.surface_energy_j_per_m2, results.verdicts())
-            # one fit below the other: a panel is narrow
+            # one fit below the other, because a panel is narrow
             parts += [_markdown(parameters, column) for column in (2, 1)]
             parts.append(_markdown(quality_table(results.fits)))
         instrument = instrument_table(results)
@@ -119,10 +119,10 @@ def report_text(runs: Mapping[str, RunAnalysis]) -> str:
 
 
 def _loops(run: RunAnalysis, amplitude: float) -> list[Curve]:
-    """Moments over one swing of an amplitude: lost (Eq. 1), elastic (Eq. 3) and their sum."""
+    """Moments during one swing: dissipative (Eq. 1), elastic (Eq. 3) and their sum."""
     pendulum, fit = run.results.pendulum, run.results.fits[FitMethod.EXACT]
     if pendulum is None:
-        raise RecordError(f"{run.record}: its results name no pendulum; rig fit makes them anew")
+        raise RecordError(f"{run.record}: its results contain no pendulum; run rig fit again")
     loop = moment_loop(amplitude * run.unit.shown_size, asdict(fit.contact()), pendulum)
     closed = np.append(np.arange(len(loop.phi_rad)), 0)
     angle = loop.phi_rad[closed] / run.unit.shown_size
@@ -135,7 +135,7 @@ def _residual_ms(curves: Curves) -> Floats:
 
 
 def _markdown(table: Table, column: int | None = None) -> str:
-    """The table, or one column of it; units go into the names before them."""
+    """The table, or one column of it, in Markdown; units are appended to the names."""
     head, rows = list(table.head), [list(row) for row in table.shown]
     if head[-1] == "unit":
         head = head[:-1]

@@ -1,4 +1,4 @@
-"""The view that a configuration asks for."""
+"""Starts the configured view."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -11,7 +11,7 @@ from rig.view.viewer import Viewer
 
 
 def open_view(config: Configuration, record: Path, title: str, full_scale_dn: int) -> Viewer | None:
-    """The view that the configuration asks for, started; None where it asks for none."""
+    """Start the configured view; None if the configuration asks for none."""
     settings = config.view
     if settings.mode == "none" and not settings.file:
         return None
@@ -28,9 +28,9 @@ def start_view(
     full_scale_dn: int,
     advise: Callable[[Balance], str] | None = None,
 ) -> Viewer:
-    """A view of a run that goes on, or is replayed: a Rerun file, a live stream, or both.
+    """Start the view of a live or replayed run: a Rerun file, a live stream, or both.
 
-    `advise` says what to turn where more is known than what the weights should do.
+    `advise` returns the advice for a balance; default: advice from the expected effects of the weights.
     """
     viewer = Viewer(
         rrd,

@@ -1,4 +1,4 @@
-"""The queue before the viewer: bounded, never blocking, dropping the oldest and counting it."""
+"""A bounded, non-blocking queue to the viewer, which drops and counts the oldest messages."""
 
 import threading
 from collections import Counter, deque
@@ -7,10 +7,10 @@ from rig.rerun import Message, Picture, rows, size_bytes
 
 
 class DroppingQueue:
-    """Messages on their way to a viewer that may be slow, hung or dead.
+    """Queue of messages to a viewer that may be slow or may have crashed.
 
-    `put` never waits for the reader. Beyond `limit_bytes` the oldest message goes and is counted.
-    Pictures have `picture_places` places of their own, so that they never push a curve out.
+    `put` never waits for the reader. Beyond `limit_bytes` the oldest message is dropped and counted.
+    Pictures have a separate limit, `picture_places`, so that they never displace curves.
     """
 
     def __init__(self, limit_bytes: int = 64 << 20, picture_places: int = 4) -> None:
@@ -24,7 +24,7 @@ class DroppingQueue:
         self._closed = False
 
     def put(self, message: Message) -> None:
-        """Append a message; drop the oldest while there are too many. After `close` it is dropped."""
+        """Append a message; drops the oldest ones if the queue is full, and this one after `close`."""
         with self._changed:
             if self._closed:
                 self._count(message)
@@ -44,7 +44,7 @@ class DroppingQueue:
             self._changed.notify()
 
     def take(self, timeout_s: float, at_most_bytes: int) -> list[Message]:
-        """The oldest messages and the pictures; empty where none came within the time."""
+        """The oldest messages and the pictures; empty after the timeout."""
         with self._changed:
             if not self._messages and not self._pictures and not self._closed:
                 self._changed.wait(timeout_s)
@@ -60,19 +60,19 @@ class DroppingQueue:
             return batch
 
     def count_lost(self, batch: list[Message]) -> None:
-        """Count messages that were taken and did not arrive."""
+        """Count messages that were taken but not delivered."""
         with self._changed:
             for message in batch:
                 self._count(message)
 
     def close(self) -> None:
-        """Take no more; what is inside can still be taken."""
+        """Accept no more messages; those in the queue can still be taken."""
         with self._changed:
             self._closed = True
             self._changed.notify_all()
 
     def drop_rest(self) -> None:
-        """Count everything that is still inside as dropped."""
+        """Drop and count all messages in the queue."""
         while batch := self.take(0.0, self._limit_bytes):
             self.count_lost(batch)
 
@@ -87,13 +87,13 @@ class DroppingQueue:
 
     @property
     def filling(self) -> float:
-        """How full it is, 0 to 1, of bytes or of pictures, whichever is more."""
+        """Filling from 0 to 1, of bytes or of pictures, whichever is larger."""
         with self._changed:
             return max(self._bytes / self._limit_bytes, len(self._pictures) / self._picture_places)
 
     @property
     def dropped(self) -> dict[str, int]:
-        """What was dropped so far, by kind of message, samples and swings counted one by one."""
+        """Number dropped so far by kind of message; samples and swings are counted individually."""
         with self._changed:
             return dict(self._dropped)
 

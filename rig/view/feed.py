@@ -1,4 +1,4 @@
-"""One worker and its queue: a thread keeps the worker fed, and replaces it when it fails."""
+"""Delivers messages from a queue to a worker process, and replaces the worker if it fails."""
 
 import itertools
 import logging
@@ -26,14 +26,14 @@ class Feed:
     Parameters
     ----------
     setup
-        What the worker is told first. A replaced worker gets it with a new file name.
+        First message to the worker. A replacement gets it with a new file name.
     queue_bytes, hang_limit_s
         See `rig.view.viewer.Viewer`.
     note
-        Called with what a person should know, on the feed's threads.
+        Called with messages to the user, in threads of the feed.
     on_ready
-        Called when a worker has opened its stream, with the address of a live one; returns what
-        the next worker is told of the program that shows it.
+        Called when a worker has opened its stream, with the address of a live one; returns the
+        viewer's address for commands, which the next worker needs.
     """
 
     def __init__(
@@ -65,17 +65,17 @@ class Feed:
 
     @property
     def alive(self) -> bool:
-        """A worker is running and has opened its stream."""
+        """True if a worker is running and has opened its stream."""
         worker = self._worker
         return self._ready and worker is not None and worker.running
 
     @property
     def worker_pid(self) -> int | None:
-        """Process of the present worker."""
+        """Process number of the present worker."""
         return self._worker.pid if self._worker is not None else None
 
     def close(self) -> None:
-        """Take nothing more; let the worker complete its stream and end."""
+        """Accept no more messages; let the worker complete its stream and end."""
         self.queue.close()
         self._hurry.set()
 
@@ -108,14 +108,14 @@ class Feed:
                 return
             self.restarts += 1
             logger.warning("the viewer's worker died or stopped answering; it is replaced")
-            # One that lived for long is replaced at once, one that dies again and again ever more slowly.
+            # A worker that ran for long is replaced immediately; after repeated failures the delay grows.
             lived_long = time.monotonic() - started_s > LONG_LIFE_S
             pause_s = FIRST_PAUSE_S if lived_long else min(2 * pause_s, LONGEST_PAUSE_S)
             self._hurry.wait(pause_s)
             setup = self._next_setup()
 
     def _feed(self, worker: WorkerProcess) -> bool:
-        """Feed one worker until all is delivered (True) or it fails (False)."""
+        """Deliver messages to one worker until all are delivered (True) or it fails (False)."""
         if not worker.wait_ready(START_LIMIT_S):
             return False
         self._ready = True
@@ -136,10 +136,10 @@ class Feed:
                 return worker.finish([Finish()], self._hang_limit_s)
 
     def _next_setup(self) -> Setup:
-        """The same again, with a file of its own: none is ever overwritten.
+        """Setup of the next worker, with a new file name, because no file is ever overwritten.
 
-        A live stream moves to another port where a viewer can be told (it takes no notice of a stream
-        that comes back at an address it knows), else it stays, so that reloading the page finds it.
+        A live stream moves to another port if the viewer can be told so, because a viewer ignores a
+        new stream at an address that it knows. A web page keeps the port, so that reloading it works.
         """
         setup = self._setup
         if setup.rrd_path is None:

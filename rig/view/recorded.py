@@ -1,4 +1,4 @@
-"""Recorded runs in the live layout: one, or several laid over each other."""
+"""Shows one or several recorded runs in the live layout; several runs are overlaid."""
 
 import dataclasses
 import logging
@@ -39,25 +39,25 @@ def show_records(
     align_start: bool = True,
     layout: LayoutName = "measuring",
 ) -> None:
-    """Show records (.mcap), or Rerun files (.rrd) as they are; returns when the viewer is closed.
+    """Show records (.mcap) or Rerun files (.rrd); returns when the viewer is closed.
 
     Parameters
     ----------
     paths
-        Several records are laid over each other in colours of their own.
+        Several records are overlaid in different colours.
     mode
         A window, or a page for a browser on this machine.
     rrd
-        Write the Rerun file here and open nothing; must not exist yet.
+        Rerun file to write instead of opening a viewer; must not exist yet.
     align_start
-        Every record begins at 0; else all count from the first one's start, by their UTC times.
+        Every record begins at time 0; otherwise times are counted from the start of the first record.
     layout
-        The layout that opens.
+        The layout to open.
 
     Raises
     ------
     RecordError
-        A file is missing, is no record, or holds no spots; nothing has been written then.
+        A file is missing, is not a record, or contains no spots; nothing has been written then.
     processing.errors.ConfigurationError
         No screen for a window, or `rrd` exists already.
     """
@@ -79,14 +79,14 @@ def show_records(
 def write_rrd(
     paths: Sequence[Path], rrd: Path, *, align_start: bool = True, layout: LayoutName = "measuring"
 ) -> None:
-    """Draw records into one Rerun file; memory stays flat however large they are. See `show_records`."""
+    """Draw records into one Rerun file, with constant memory. See `show_records`."""
     names = run_names(paths)
     overviews = [overview(path) for path in paths]
     units = {each.unit for each in overviews}
     if len(units) > 1:
         raise RecordError(
-            f"{', '.join(map(str, paths))}: some are in px, for want of a calibration, and some in arcsec; "
-            "they cannot be laid over each other"
+            f"{', '.join(map(str, paths))}: some are in px (no calibration) and some in arcsec; "
+            "they cannot be overlaid, show them separately"
         )
     first_utc_ns = min(each.start_utc_ns for each in overviews)
     viewer = Viewer(
@@ -107,7 +107,7 @@ def write_rrd(
                     say(reader.cut_notice)
                 spots, swings = _draw(viewer, reader, name, each.start_ns, later_s)
                 start = datetime.fromtimestamp(each.start_utc_ns * 1e-9, UTC)
-                end = "cut short" if reader.truncated else "damaged" if reader.damages else "whole"
+                end = "truncated" if reader.truncated else "damaged" if reader.damages else "complete"
             lines.append(f"| {path.stem} | {start:%Y-%m-%d %H:%M:%S} | {spots} | {swings} | {end} |")
         viewer.state("\n".join(lines), time_s=0.0, run=names[0])
         if layout == "analysing":
@@ -117,14 +117,14 @@ def write_rrd(
 
 
 def _draw_analysis(viewer: Viewer, paths: Sequence[Path], names: Sequence[str]) -> None:
-    """Fits of one record, or of several in one set of axes, which the first one's name stands for."""
+    """Draw the fits of one record, or of several in common axes under the name of the first."""
     runs = {name: run_analysis(path) for path, name in zip(paths, names, strict=True)}
     curves = analysis_curves(runs[names[0]]) if len(runs) == 1 else overlaid_curves(runs)
     viewer.fits(curves, report_text(runs), run=names[0])
 
 
 def run_names(paths: Sequence[Path]) -> list[str]:
-    """A short name for each record, none twice; no name where there is only one."""
+    """A short unique name for each record; an empty name for a single record."""
     if len(paths) == 1:
         return [""]
     names = [path.stem for path in paths]
@@ -136,7 +136,7 @@ def run_names(paths: Sequence[Path]) -> list[str]:
 
 
 class Overview(NamedTuple):
-    """What must be known of a record before it is drawn."""
+    """Values of a record that are needed before it is drawn."""
 
     unit: DeflectionUnit
     start_ns: int
@@ -149,7 +149,7 @@ def overview(path: Path) -> Overview:
     with RecordReader(path) as reader:
         head = next(spot_tables(reader), None)
         if head is None:
-            raise RecordError(f"{path}: holds no spots; nothing can be shown")
+            raise RecordError(f"{path}: contains no spots; nothing can be shown")
         deflections = reader.deflections(head)
         with np.errstate(invalid="ignore"):
             reach = np.fmax(np.abs(deflections.shown_x), np.abs(deflections.shown_y))
@@ -159,7 +159,7 @@ def overview(path: Path) -> Overview:
 
 
 def spot_tables(reader: RecordReader) -> Iterator[NDArray[Any]]:
-    """The record's spots, some thousand at a time."""
+    """Yield the record's spots, some thousand at a time."""
     kind = SPOT if reader.deflection_unit is DeflectionUnit.RAD else SPOT_UNCALIBRATED
     messages = reader.messages(kind.topic)
     while block := list(islice(messages, BLOCK_ROWS)):
@@ -167,7 +167,7 @@ def spot_tables(reader: RecordReader) -> Iterator[NDArray[Any]]:
 
 
 def _draw(viewer: Viewer, reader: RecordReader, run: str, start_ns: int, later_s: float) -> tuple[int, int]:
-    """Draw one record; how many spots and half-cycles it holds."""
+    """Draw one record; returns the numbers of its spots and half-cycles."""
     swings = reader.swings()
     if swings:
         viewer.swings(swings, start_ns, later_s=later_s, run=run)
@@ -186,7 +186,7 @@ def _draw(viewer: Viewer, reader: RecordReader, run: str, start_ns: int, later_s
 
 
 def _adviser(reader: RecordReader) -> Callable[[Mapping[str, Any]], str]:
-    """What is to be done about a recorded balance; nothing is said where the record does not know its rig."""
+    """A function that returns advice for a recorded balance; empty if the configuration is not recorded."""
     try:
         config = recorded_configuration(reader)
     except RecordError:
@@ -202,7 +202,7 @@ def _adviser(reader: RecordReader) -> Callable[[Mapping[str, Any]], str]:
 def _draw_spots(
     viewer: Viewer, reader: RecordReader, run: str, start_ns: int, later_s: float
 ) -> dict[str, NDArray[Any]]:
-    """Draw X and Y and the losses; where the spot was in each frame, by its number."""
+    """Draw X, Y and the losses; returns the frames' numbers and spot positions."""
     sequences: list[NDArray[np.int64]] = []
     places: list[NDArray[np.float32]] = []
     lost = missing = 0
@@ -233,7 +233,7 @@ def _draw_images(
     later_s: float,
     spots: dict[str, NDArray[Any]],
 ) -> None:
-    """Draw a whole frame now and then, with the spot that was found in it."""
+    """Draw the recorded whole frames, with the spots found in them."""
     next_ns = start_ns
     for frame in reader.images():
         if frame.time_ns < next_ns:

@@ -1,4 +1,4 @@
-"""A Rerun file in a window, or as a page for a browser on this machine."""
+"""Shows Rerun files in a window, or as a web page on this machine."""
 
 import subprocess
 from collections.abc import Sequence
@@ -15,7 +15,7 @@ def show_rrd(paths: Sequence[Path], mode: Literal["spawn", "web"]) -> None:
     Raises
     ------
     ConfigurationError
-        There is no screen for a window.
+        No display is available for a window.
     """
     files = [str(path) for path in paths]
     if mode == "spawn":
@@ -36,7 +36,7 @@ def show_rrd(paths: Sequence[Path], mode: Literal["spawn", "web"]) -> None:
 
 
 def _wait_for(program: subprocess.Popen[bytes]) -> None:
-    """Until the program ends, or Ctrl-C ends it."""
+    """Wait until the program ends, or end it after Ctrl-C."""
     try:
         program.wait()
     except KeyboardInterrupt:

@@ -1,10 +1,10 @@
-"""The session's handle on the viewer: what happens is handed over, and nothing ever waits.
+"""The viewer of a run: passes data to worker processes that draw them, and never blocks.
 
-No Rerun call is made in this process: a viewer that stops reading would block it without limit.
-What is handed over lies in a queue that drops the oldest; a thread feeds it to a worker's process,
-batch by batch, each acknowledged. A worker that dies or does not answer in time is replaced; what it
-held is counted as dropped. File and live stream have a worker each, so that no viewer that hangs can
-spoil the file.
+No Rerun call is made in this process, because a viewer that stops reading would block it forever.
+Data are put into a queue that drops the oldest; a thread sends them in batches to a worker process,
+which acknowledges each batch. A worker that dies or does not answer in time is replaced, and the data
+it held are counted as dropped. File and live stream have separate workers, so that a viewer that
+hangs cannot damage the file.
 """
 
 import logging
@@ -58,12 +58,12 @@ _STATE_INTERVAL_S = 0.5
 
 @dataclass(frozen=True, slots=True)
 class ViewCounts:
-    """What became of what was handed to the view, samples and swings counted one by one.
+    """Counts of the data passed to the view; samples and swings are counted individually.
 
-    `sent` arrived in the worker and was drawn, `dropped` was lost on the way (by kind in
-    `dropped_by_kind`). `restarts` counts workers that had to be replaced. `alive`: a worker is
-    running and answering. `url`: where a viewer can connect, empty without a live stream.
-    `notes`: what a person should know (a port that was taken, a screen that is missing, a full disk).
+    `sent` were drawn by the worker, `dropped` were lost (by kind in `dropped_by_kind`). `restarts` is
+    the number of replaced workers. `alive`: a worker is running and answering. `url`: address for a
+    viewer, empty without a live stream. `notes`: messages to the user (a port in use, a missing
+    display, a full disk).
     """
 
     sent: int
@@ -76,46 +76,45 @@ class ViewCounts:
 
 
 class Viewer:
-    """Live stream and .rrd file of one run, drawn by a process of its own.
+    """Live stream and .rrd file of one run, drawn by separate processes.
 
-    A watcher of a run (`block`, `event`, `snapshot`), and for a record that is shown again a sink of
-    plain values (`samples`, `swings` and so on). Every method but `close` and `wait_room` returns at
-    once, whatever the worker does, and may be called from any thread; arrays are copied. Without file
-    and live stream nothing is started and everything is ignored.
+    It is a watcher of a run (`block`, `event`, `snapshot`), and takes plain values of a record
+    (`samples`, `swings` and so on). Every method except `close` and `wait_room` returns immediately
+    and may be called from any thread; arrays are copied. Without file and live stream nothing is
+    started and all data are ignored.
 
     Parameters
     ----------
     rrd_path
-        Rerun file to write; None for none. Must not exist yet. A replaced worker goes on in
+        Rerun file to write, or None. Must not exist yet. A replacement worker continues in
         ``NAME-part2.rrd`` and so on; opened together the parts are one recording.
     mode
         Live stream: ``none``, ``spawn`` (a viewer window) or ``web`` (for a browser); both listen
         on 127.0.0.1 only.
     layout
-        The layout that opens first; the file carries it too.
+        The layout that opens first; also stored in the file.
     title
         Shown in the viewer, e.g. the run's name.
     runs
-        Names of the runs that are laid over each other; one unnamed run by default.
+        Names of the overlaid runs; one unnamed run by default.
     period_s
-        Expected period of the slow mode: the trajectory's last two periods are bright.
+        Expected period of the slow mode; the last two periods of the trajectory are drawn bright.
     amplitude
-        Largest amplitude expected, in arcsec (px without a lever): the trajectory's axes reach a
-        little beyond it.
+        Largest expected amplitude, in arcsec (px without a lever), for the axes of the trajectory.
     unit
         Unit of deflections and amplitudes.
     image_interval_s
-        Of a run, images are sent at most so often in the host's time, whatever the frame rate.
+        Shortest interval, in the host's time, between the images of a run.
     full_scale_dn
-        What is shown white; by default what the image's type can hold.
+        Pixel value shown white; default: the largest value of the image's type.
     advise
-        What is to be done about a balance, in Markdown.
+        Returns advice for a balance, in Markdown.
     memory_limit
-        How much the live stream's server keeps for a viewer that connects late.
+        Amount of data that the live stream's server keeps for a viewer that connects late.
     port, web_port
-        Preferred ports on 127.0.0.1. A free one is taken, and noted, where they are in use.
+        Preferred ports on 127.0.0.1. If one is in use, a free port is taken and noted.
     queue_bytes
-        How much may wait for the worker before the oldest is dropped.
+        Size of the queue to the worker, beyond which the oldest data are dropped.
     hang_limit_s
         A worker that has not drawn a batch within this time is replaced.
 
@@ -146,7 +145,7 @@ class Viewer:
         hang_limit_s: float = 10.0,
     ) -> None:
         if rrd_path is not None and rrd_path.is_file():
-            raise ConfigurationError(f"the Rerun file {rrd_path} exists already: choose another name")
+            raise ConfigurationError(f"the Rerun file {rrd_path} already exists: choose another name")
         for name, value in (("period_s", period_s), ("amplitude", amplitude)):
             if not (math.isfinite(value) and value > 0):
                 raise ConfigurationError(f"{name} of the view must be positive, not {value!r}")
@@ -195,7 +194,7 @@ class Viewer:
         self.close()
 
     def start(self) -> None:
-        """Start the workers; returns before they run. What comes meanwhile waits in the queue."""
+        """Start the workers; returns before they run. Data wait in the queue until then."""
         for feed in self._feeds:
             feed.start()
 
@@ -224,17 +223,17 @@ class Viewer:
         self.image((frame.time_ns - start_ns) * 1e-9, frame.image, place)
 
     def jump(self, time_s: float) -> None:
-        """What follows begins at another time: no line is drawn to it."""
+        """Continue at another time; curves are interrupted there."""
         self.samples(time_s, math.nan, math.nan, 0)
         self.log(time_s, "info", f"begun anew at {time_s:.1f} s")
 
     def event(self, start_ns: int, event: Event, *, later_s: float = 0.0, run: str = "") -> None:
-        """Something that happened, in the log."""
+        """Write an event to the log."""
         level: LogLevel = "warning" if event.is_warning else "info"
         self.log((event.time_ns - start_ns) * 1e-9 + later_s, level, event.line, run=run)
 
     def snapshot(self, snapshot: Snapshot) -> None:
-        """State and losses, twice a second at most."""
+        """State and losses, at most twice a second."""
         now_s = time.monotonic()
         if now_s < self._next_state_s:
             return
@@ -294,7 +293,7 @@ class Viewer:
         self._put(Losses(run, float(time_s), {**counts, **view}))
 
     def state(self, text: str, *, time_s: float = math.nan, run: str = "") -> None:
-        """State of the session, as Markdown; without a time it holds from the latest one on."""
+        """State of the session, in Markdown; default of the time: the latest one."""
         self._put(State(run, float(time_s), text))
 
     def log(self, time_s: float, level: LogLevel, text: str, *, run: str = "") -> None:
@@ -309,7 +308,7 @@ class Viewer:
 
     @property
     def counts(self) -> ViewCounts:
-        """What was sent, dropped and restarted so far, file and live stream together."""
+        """Counts so far, of file and live stream together."""
         dropped: Counter[str] = Counter()
         for feed in self._feeds:
             dropped.update(feed.queue.dropped)
@@ -325,12 +324,12 @@ class Viewer:
 
     @property
     def worker_pids(self) -> tuple[int, ...]:
-        """Processes of the workers."""
+        """Process numbers of the workers."""
         return tuple(feed.worker_pid for feed in self._feeds if feed.worker_pid is not None)
 
     @property
     def program_pids(self) -> tuple[int, ...]:
-        """Process of the program that shows the live stream, where one was started."""
+        """Process number of the program that shows the live stream, if it was started."""
         return self._program.pids
 
     def wait_room(self, limit_s: float = 60.0) -> None:
@@ -340,7 +339,7 @@ class Viewer:
             time.sleep(0.005)
 
     def close(self, timeout_s: float = 30.0) -> ViewCounts:
-        """Send what waits, complete the file and end the workers; kill them after `timeout_s`."""
+        """Send the queued data, complete the file and end the workers; kill them after `timeout_s`."""
         deadline_s = time.monotonic() + timeout_s
         for feed in self._feeds:
             feed.close()

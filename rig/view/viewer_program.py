@@ -1,4 +1,4 @@
-"""The program that shows a live stream: a window, or a page for a browser."""
+"""Starts the program that shows a live stream: a window, or a web page."""
 
 import subprocess
 from collections.abc import Callable
@@ -15,9 +15,10 @@ from rig.rerun import (
 
 
 class ViewerProgram:
-    """Started once, when the stream's address is known; `note` is told what a person should know.
+    """The program is started once, when the address of the stream is known.
 
-    Where a worker is replaced, an open window is told of the new stream; a page has to be loaded anew.
+    `note` is called with messages to the user. When a worker is replaced, an open window connects to
+    the new stream; a web page has to be reloaded.
     """
 
     def __init__(self, mode: Mode, web_port: int, note: Callable[[str], None]) -> None:
@@ -29,11 +30,11 @@ class ViewerProgram:
 
     @property
     def pids(self) -> tuple[int, ...]:
-        """Its process, where it was started."""
+        """Its process number, if it was started."""
         return (self._process.pid,) if self._process is not None else ()
 
     def show(self, url: str) -> str:
-        """Show the stream at this address; returns where a window takes commands, empty for a page."""
+        """Show the stream at this address; returns the window's address for commands, empty for a page."""
         if self._process is None:
             try:
                 if self._mode == "web":
@@ -48,11 +49,11 @@ class ViewerProgram:
             except (OSError, subprocess.SubprocessError) as error:
                 self._note(f"the viewer's program could not be started: {error}")
         elif self._mode == "web":
-            self._note("the live view was started anew: reload the page")
+            self._note("the live view was restarted: reload the page")
         return f"rerun+http://{LOOPBACK}:{self._window_port}/proxy" if self._window_port else ""
 
     def close(self) -> None:
-        """End the page's server; a window stays open for as long as its user wants."""
+        """End the web server of the page; a window stays open until the user closes it."""
         if self._process is not None and self._mode == "web":
             self._process.kill()
             self._process.communicate()

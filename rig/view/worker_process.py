@@ -1,8 +1,8 @@
-"""The viewer's worker as the session sees it: a child process behind three pipes.
+"""The worker process of the viewer, connected by three pipes.
 
-Batches go to its standard input, one report a line comes back on its standard output, what Rerun
-has to say comes on its standard error. Each pipe has a thread, so that a worker that is stopped,
-hung or dead never holds up whoever waits here for longer than the limit he gave.
+Batches are written to its standard input, reports are read line by line from its standard output, and
+messages of Rerun from its standard error. Each pipe has a thread, so that a worker that is stopped or
+hangs never blocks the caller for longer than the given limit.
 """
 
 import contextlib
@@ -24,7 +24,7 @@ logger = logging.getLogger(__name__)
 
 
 class WorkerProcess:
-    """One life of the worker. `on_report` gets each of its reports, on a thread of its own."""
+    """One worker process. `on_report` is called with each of its reports, in another thread."""
 
     def __init__(self, setup: Setup, on_report: Callable[[dict[str, Any]], None]) -> None:
         project = str(Path(__file__).resolve().parents[2])
@@ -63,13 +63,13 @@ class WorkerProcess:
         return self._answered("ready", limit_s)
 
     def deliver(self, batch: list[Message], limit_s: float) -> bool | None:
-        """Whether the batch was drawn; None where no answer came within the limit."""
+        """Deliver a batch; returns whether it was drawn, None without an answer within the limit."""
         self._outgoing.put(_packed(batch))
         report = self._answer(limit_s)
         return None if report is None else bool(report.get("drawn"))
 
     def finish(self, batch: list[Message], limit_s: float) -> bool:
-        """Deliver the last batch; whether the worker completed its file and ended by itself."""
+        """Deliver the last batch; returns whether the worker completed its file and ended by itself."""
         self._outgoing.put(_packed(batch))
         if not self._answered("finished", limit_s):
             return False
@@ -79,7 +79,7 @@ class WorkerProcess:
             return False
 
     def kill(self) -> None:
-        """End it whatever its condition, and leave neither zombie nor thread."""
+        """Kill the process and wait for it and its threads to end."""
         self._process.kill()
         self._process.wait()
         self._outgoing.put(None)

@@ -136,7 +136,7 @@ def test_a_record_without_calibration_is_shown_in_px(tmp_path: Path) -> None:
 
 def test_px_and_arcsec_do_not_mix(tmp_path: Path) -> None:
     paths = [make_record(tmp_path / "a.mcap"), make_record(tmp_path / "b.mcap", unit="px")]
-    with pytest.raises(RecordError, match="cannot be laid over"):
+    with pytest.raises(RecordError, match="cannot be overlaid"):
         write_rrd(paths, tmp_path / "shown.rrd")
     assert not (tmp_path / "shown.rrd").exists()
 
