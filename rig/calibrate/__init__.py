@@ -1,4 +1,4 @@
-"""`rig calibrate`: records and tables in, one calibration file out."""
+"""The command `rig calibrate`: makes calibration files from records and tables."""
 
 from rig.calibrate.axes import calibrate_axes
 from rig.calibrate.clock import calibrate_clock

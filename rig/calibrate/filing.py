@@ -1,4 +1,4 @@
-"""The file of a calibration: where it goes, who made it, when, from which sources."""
+"""Writes a calibration file with its author, date, validity and sources."""
 
 import datetime
 import getpass
@@ -17,7 +17,7 @@ from rig.instrument import versions
 
 @dataclass(frozen=True, slots=True)
 class Filing:
-    """Where a calibration goes, who made it, how long it holds."""
+    """Folder, author and validity of a calibration."""
 
     folder: Path
     valid_days: float = 90.0
@@ -34,10 +34,10 @@ def file_calibration(
     notes: Sequence[str] = (),
     measured_at: datetime.datetime | None = None,
 ) -> Path:
-    """Write one calibration, valid from when it was `measured_at` (None: now) on; returns the file.
+    """Write one calibration, valid from `measured_at` (None: now); returns the file.
 
-    `values` are those that fill a configuration, `details` what a report shows, `sources` the files
-    that it rests on, whose hashes are kept.
+    `values` fill a section of the configuration, `details` are shown in a report, `sources` are the
+    files used, whose hashes are stored.
     """
     now = datetime.datetime.now(datetime.UTC).replace(microsecond=0)
     measured_at = measured_at or now

@@ -1,4 +1,4 @@
-"""What a user states for a calibration: ladders and lists of frames, as TOML files."""
+"""Input files (TOML) of a calibration: ladders of known tilts or shifts, and lists of frames."""
 
 import tomllib
 from pathlib import Path
@@ -25,7 +25,7 @@ _UNITS = {
 
 
 class Step(BaseModel, frozen=True, extra="forbid"):
-    """One setting: the reference's reading, and a record at rest or the spot itself."""
+    """One step of a ladder: the reading of the reference, and a record at rest or the spot's position."""
 
     reference: float
     record: Path | None = None
@@ -41,11 +41,11 @@ class Step(BaseModel, frozen=True, extra="forbid"):
 
 
 class LadderFile(BaseModel, frozen=True, extra="forbid"):
-    """A ladder, or the geometry of the lever in its place.
+    """A ladder of known tilts or shifts, or the geometry of the lever instead.
 
-    Steps stand in the order in which they were climbed. `u_reference` is the standard uncertainty of
-    one setting, in `unit`; `u_reference_relative` that of the reference's own scale. Records are
-    named relative to the file.
+    Steps are in the order of the measurement. `u_reference` is the standard uncertainty of one
+    setting, in `unit`; `u_reference_relative` that of the scale of the reference. Paths of records are
+    relative to the file.
     """
 
     kind: Literal["tilt", "shift"] = "tilt"
@@ -71,7 +71,7 @@ class LadderFile(BaseModel, frozen=True, extra="forbid"):
         return reading * _UNITS[self.kind][self.unit]
 
     def needed(self, name: Literal["pixel_pitch_m", "arm_m"]) -> float:
-        """A value that this kind of ladder does not give and needs. Raises ConfigurationError."""
+        """A value that this kind of ladder requires; raises ConfigurationError if it is missing."""
         value: float | None = getattr(self, name)
         if value is None:
             raise ConfigurationError(f"{name} is missing: a ladder of {self.kind}s needs it")
@@ -86,7 +86,7 @@ class LadderFile(BaseModel, frozen=True, extra="forbid"):
 
 
 class Level(BaseModel, frozen=True, extra="forbid"):
-    """Frames of one exposure and one illumination; the first two serve."""
+    """Frames of one exposure and one illumination, of which the first two are used."""
 
     frames: Path
     exposure_us: float | None = Field(default=None, gt=0)
@@ -97,30 +97,30 @@ class TransferFile(BaseModel, frozen=True, extra="forbid"):
 
     darks: Path
     level: tuple[Level, ...]
-    full_scale_dn: int | None = Field(default=None, gt=1, description="None: as the frames' files say")
+    full_scale_dn: int | None = Field(default=None, gt=1, description="None: from the frames' files")
 
 
 def read_ladder(path: Path) -> LadderFile:
-    """A ladder's file. Raises ConfigurationError in one line."""
+    """Read the file of a ladder; raises ConfigurationError in one line."""
     return _read(path, LadderFile)
 
 
 def read_transfer(path: Path) -> TransferFile:
-    """A photon transfer's file. Raises ConfigurationError in one line."""
+    """Read the file of a photon transfer; raises ConfigurationError in one line."""
     return _read(path, TransferFile)
 
 
 def frames_of(path: Path) -> tuple[list[Image], int]:
     """Whole frames (at most 64) and full scale of a record, a folder of images or a stack.
 
-    Raises DataError where there are none, or they have colours.
+    Raises DataError if there are none, or if they are in colour.
     """
     if path.suffix == ".mcap":
         with RecordReader(path) as reader:
             full_scale = reader.full_scale_dn
             images = [frame.image for frame, _ in zip(reader.images(), range(_MOST_FRAMES), strict=False)]
         if not images:
-            raise DataError(f"{path}: holds no whole frames")
+            raise DataError(f"{path}: contains no whole frames")
         return images, full_scale
     source = open_source(path)
     try:

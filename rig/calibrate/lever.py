@@ -1,4 +1,4 @@
-"""`rig calibrate lever` and `check`: pixels to radians, from geometry or from known tilts and shifts."""
+"""Commands `rig calibrate lever` and `check`: pixels to radians, from geometry, known tilts or shifts."""
 
 import datetime
 from pathlib import Path
@@ -17,7 +17,7 @@ from rig.calibrate.spots import mean_spot, spots_of_record
 
 
 def calibrate_lever(ladder: Path, filing: Filing) -> Path:
-    """Lever from its geometry, or from a ladder of tilts or shifts: see `read_ladder`."""
+    """Calibrate the lever from its geometry, or from a ladder of tilts or shifts: see `read_ladder`."""
     table = read_ladder(ladder)
     if table.geometry is not None:
         found = lever_from_geometry(table.geometry)
@@ -39,7 +39,7 @@ def calibrate_lever(ladder: Path, filing: Filing) -> Path:
 
 
 def check_known_angle(ladder: Path, lever: Path, filing: Filing) -> Path:
-    """Known tilts against a lever in use."""
+    """Compare a calibrated lever with known tilts."""
     table = read_ladder(ladder)
     if table.kind != "tilt" or table.geometry is not None:
         raise ConfigurationError(f"{ladder}: known tilts are needed for a check (kind = 'tilt')")
@@ -57,7 +57,7 @@ def check_known_angle(ladder: Path, lever: Path, filing: Filing) -> Path:
 
 
 def _climb(path: Path, table: LadderFile) -> tuple[LadderFit, list[Path], datetime.datetime | None]:
-    """The ladder's fit, the files that it rests on, and when it was climbed."""
+    """The fit of a ladder, the files used, and the time of the measurement."""
     sources, began = [path], None
     rows = []
     for number, step in enumerate(table.step, 1):

@@ -23,7 +23,9 @@ def calibrate_pointing(record: Path, filing: Filing) -> Path:
             for line in found.lines[:3]
         ]
         if not 0.7 < found.claimed_ratio < 1.4:
-            notes.append(f"{name}: the tracker claims {found.claimed_ratio:.2f} of the noise that is there")
+            notes.append(
+                f"{name}: the tracker's uncertainty is {found.claimed_ratio:.2f} of the actual noise"
+            )
     return file_calibration("pointing", filing, "pendulum at rest", {}, details, [record], notes, began)
 
 

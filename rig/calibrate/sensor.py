@@ -9,7 +9,7 @@ from rig.calibrate.inputs import frames_of, read_transfer
 
 
 def calibrate_sensor(frames: Path, filing: Filing) -> Path:
-    """Photon transfer from pairs of evenly lit frames and dark ones: see `read_transfer`."""
+    """Photon transfer from pairs of dark and of uniformly lit frames: see `read_transfer`."""
     table = read_transfer(frames)
     place = frames.parent
     darks, full_scale = frames_of(place / table.darks)
@@ -35,7 +35,7 @@ def calibrate_sensor(frames: Path, filing: Filing) -> Path:
         "read_noise_e": found.read_noise_e,
         "full_scale_dn": float(table.full_scale_dn or full_scale),
         "pedestal_dn": found.dark_level_dn,
-        # a spread that is not seen for sure would only blunt the tracker's weights
+        # an insignificant spread would only make the tracker's weights worse
         "prnu": found.prnu if found.prnu > 2.0 * found.u_prnu else 0.0,
     }
     details = details_of(

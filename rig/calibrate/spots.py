@@ -1,4 +1,4 @@
-"""Spots of a record that a calibration is made from."""
+"""Reads the spots of a record for a calibration."""
 
 import datetime
 import math
@@ -13,14 +13,14 @@ from processing.spot import SpotFlag
 
 _SEGMENTS = 16
 _SATURATED = 0.1
-"""Part of the spots that may be saturated: up to here they are left out, above it the record is rejected."""
+"""Largest fraction of saturated spots, which are left out; above it the record is rejected."""
 
 
 def mean_spot(spots: Deflections) -> tuple[float, float, float, float]:
     """Mean x and y in px, then their standard uncertainties.
 
-    These are the larger of what the spots claim and what the means of segments scatter by, which a slow
-    drift widens too.
+    The uncertainties are the larger of those stated by the tracker and those from the scatter of the
+    means of segments, which includes a slow drift.
     """
     found = []
     for values, u in ((spots.x, spots.u_x), (spots.y, spots.u_y)):
@@ -31,10 +31,10 @@ def mean_spot(spots: Deflections) -> tuple[float, float, float, float]:
 
 
 def spots_of_record(record: Path) -> tuple[Deflections, datetime.datetime]:
-    """Places of a record's whole, unsaturated spots on the sensor, and when the record began.
+    """Positions of a record's complete, unsaturated spots on the sensor, and the start of the record.
 
-    x and y are counted in px from the sensor's first pixel, y down: nothing is calibrated yet. Raises
-    DataError where there are fewer than 100 such spots, or a tenth of all spots is saturated.
+    x and y are in px from the sensor's first pixel, y downward. Raises DataError if there are fewer
+    than 100 such spots, or if more than a tenth of all spots is saturated.
     """
     with RecordReader(record) as reader:
         table = reader.spots()

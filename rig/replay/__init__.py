@@ -1,4 +1,4 @@
-"""`rig replay`: a record through the same pipeline again, compared with what was recorded."""
+"""The command `rig replay`: processes a record again and compares the results with the recorded ones."""
 
 from rig.replay.record_replay import replay_record
 

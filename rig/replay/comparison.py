@@ -1,4 +1,4 @@
-"""What a replay made of a record against what had been recorded: spots, half-cycles, fitted parameters."""
+"""Compares replayed with recorded spots, half-cycles and fitted parameters."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -16,16 +16,16 @@ from processing.swing import Swing
 from rig.analysis import JsonObject, RunResults, encoded
 
 _SAME_SWING = 0.25
-"""Two turning points are one where they are no further apart than this part of a half period."""
+"""Two turning points are the same if they differ by at most this fraction of a half period."""
 
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """Replayed against recorded, differences in the recorded standard uncertainties.
+    """Differences between replay and record, in units of the recorded standard uncertainties.
 
-    A spot or half-cycle has changed where any bit has, and where only one of both has it.
-    `largest_spot_frame` and `largest_swing_s` say where the largest changes are: a frame's number, a time
-    from the record's first frame.
+    A spot or half-cycle counts as changed if any bit differs, or if it exists in one of them only.
+    `largest_spot_frame` (a frame number) and `largest_swing_s` (time from the record's first frame)
+    locate the largest changes.
     """
 
     spots: int
@@ -42,7 +42,7 @@ class Comparison:
 
     @property
     def identical(self) -> bool:
-        """Bit for bit."""
+        """True if everything is equal bit for bit."""
         return self.spots_changed == 0 and self.swings_changed == 0
 
 
@@ -55,13 +55,13 @@ class Change(NamedTuple):
 
     @property
     def in_u(self) -> float:
-        """The difference in recorded standard uncertainties; NaN where there is none."""
+        """The difference in recorded standard uncertainties; NaN if there is no uncertainty."""
         difference, u = self.replayed[0] - self.recorded[0], self.recorded[1]
         return 0.0 if difference == 0.0 else difference / u if u > 0 else math.nan
 
 
 class ReplayComparison:
-    """Gathers differences while a replay goes. `start_ns` is the time of the record's first frame."""
+    """Collects differences during a replay. `start_ns` is the time of the record's first frame."""
 
     def __init__(self, start_ns: int) -> None:
         self._start_ns = start_ns
@@ -71,7 +71,7 @@ class ReplayComparison:
         self._largest: tuple[float, int] = (0.0, -1)
 
     def spots(self, rows: NDArray[Any], spots: Sequence[Spot]) -> None:
-        """Recorded spots (rows of the record's table) and what became of the same frames now."""
+        """Add recorded spots (rows of the record's table) and the replayed spots of the same frames."""
         x_px = np.array([spot.x_px for spot in spots])
         y_px = np.array([spot.y_px for spot in spots])
         changed = ~(_same(rows["x_px"], x_px) & _same(rows["y_px"], y_px))
@@ -95,9 +95,8 @@ class ReplayComparison:
     ) -> Comparison:
         """Compare the half-cycles too.
 
-        Where the replay did not begin with the record, recorded half-cycles before its first one are no
-        part of it, and where it ended before the record did those behind its last: a half-cycle is
-        known only when it is over.
+        If only a part was replayed (`from_start` or `to_end` False), recorded half-cycles before the
+        first or after the last replayed one are ignored.
         """
         reach_ns = _reach_ns(recorded)
         first_ns = min((swing.turn_time_ns for swing in replayed), default=0) - reach_ns
@@ -130,7 +129,7 @@ class ReplayComparison:
 
 
 def parameter_changes(recorded: RunResults, replayed: RunResults) -> list[Change]:
-    """What was fitted to a run, of two results of it: what both hold, in the replayed one's order.
+    """Fitted parameters that two results of a run have in common, in the order of the replayed one.
 
     Contact parameters are named ``fits.exact.b`` and so on, those of other pendulums ``instrument...``.
     """
@@ -164,7 +163,7 @@ def _estimates(tree: JsonObject, above: str) -> Iterator[tuple[str, Estimate]]:
 
 
 def _reach_ns(swings: Sequence[Swing]) -> float:
-    """How far apart two turning points may be that are one."""
+    """Largest time difference of two turning points that count as the same."""
     half_s = [swing.half_period_s for swing in swings if math.isfinite(swing.half_period_s)]
     return _SAME_SWING * 1e9 * float(np.median(half_s)) if half_s else 0.0
 
@@ -172,7 +171,7 @@ def _reach_ns(swings: Sequence[Swing]) -> float:
 def _pairs(
     recorded: Sequence[Swing], replayed: Sequence[Swing], reach_ns: float
 ) -> list[tuple[Swing, Swing]]:
-    """Half-cycles of the same turning point; their numbers may differ where the count began elsewhere."""
+    """Pairs of half-cycles with the same turning point; their numbers may differ."""
     if not recorded:
         return []
     times_ns = np.array([swing.turn_time_ns for swing in recorded])
@@ -199,7 +198,7 @@ def _same(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.bool_]:
 
 
 def _equal(old: Swing, new: Swing) -> bool:
-    """Equal bit for bit, NaN being equal to NaN."""
+    """True if equal bit for bit; NaN equals NaN."""
     return all(
         a == b or (isinstance(a, float) and isinstance(b, float) and math.isnan(a) and math.isnan(b))
         for a, b in zip(astuple(old), astuple(new), strict=True)

@@ -1,4 +1,4 @@
-"""Keys pressed at the terminal while a program runs: read one by one, without Enter and without waiting."""
+"""Reads single keys from the terminal while a program runs, without Enter and without blocking."""
 
 import contextlib
 import os
@@ -14,10 +14,10 @@ _LONGEST_SEQUENCE: Final = 8
 
 
 class KeyParser:
-    """Bytes of a terminal in, names of keys out: characters as they are, arrows as ``right`` and so on.
+    """Converts bytes from a terminal to names of keys: a character, or ``right`` and so on for arrows.
 
-    A key's bytes may come in pieces. ``enter``, ``backspace``, ``space`` and ``escape`` have names;
-    sequences of other keys are swallowed.
+    The bytes of a key may arrive in pieces. ``enter``, ``backspace``, ``space`` and ``escape`` have
+    names; escape sequences of other keys are ignored.
     """
 
     def __init__(self) -> None:
@@ -41,17 +41,17 @@ class KeyParser:
         return keys
 
     def flush(self) -> list[str]:
-        """Nothing follows what came last: an escape that stands alone is the key of that name."""
+        """Complete the last key if nothing follows: a single escape character is the key ``escape``."""
         alone = self._waiting == bytes([_ESCAPE])
         self._waiting = b""
         return ["escape"] if alone else []
 
 
 class Keys:
-    """Context manager over the terminal at the standard input; without one there are simply no keys.
+    """Context manager that reads keys from the terminal at the standard input, if there is one.
 
-    `there` says whether keys can come: a terminal that this process is in the foreground of. The
-    terminal is as it was when the context ends.
+    `there` is True if keys can be read: this process is in the foreground of a terminal. The settings
+    of the terminal are restored at the end.
     """
 
     def __init__(self, stream: IO[Any] | None = None) -> None:
@@ -87,7 +87,7 @@ class Keys:
                 termios.tcsetattr(self._number, termios.TCSADRAIN, self._before)
 
     def pressed(self, wait_s: float) -> list[str]:
-        """Keys pressed since the last call; waits so long for the first one."""
+        """Keys pressed since the last call; waits at most `wait_s` for the first one."""
         if not self.there:
             time.sleep(max(wait_s, 0.0))
             return []
@@ -99,13 +99,13 @@ class Keys:
         except OSError:
             data = b""
         if not data:
-            # the terminal has gone; from now on there are no keys
+            # the terminal was closed; no more keys
             self._number = -1
         return self._parser.feed(data)
 
 
 def _sequence_length(data: bytes) -> int:
-    """Bytes of the escape sequence that `data` begins with; 0 where its end has not come yet."""
+    """Length in bytes of the escape sequence at the start of `data`; 0 if it is incomplete."""
     if len(data) > 1 and data[1:2] not in (b"[", b"O"):
         return 1
     for end in range(2, min(len(data), _LONGEST_SEQUENCE)):
@@ -120,11 +120,11 @@ def _name(character: str) -> str:
 
 
 def _in_foreground(number: int) -> bool:
-    """Whether the terminal may be changed: a program in its background is stopped when it tries."""
+    """Whether this process may change the terminal; a background process would be stopped."""
     if os.name != "posix":
         return False
     try:
         return os.tcgetpgrp(number) == os.getpgrp()
     except OSError:
-        # not the terminal that starts and stops this program, so that it cannot stop it
+        # not the controlling terminal of this process, which therefore cannot stop it
         return True

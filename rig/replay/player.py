@@ -1,4 +1,4 @@
-"""Plays a record through the pipeline at a pace, with pause, step and seek from the terminal."""
+"""Replays a record at a given speed, with pause, step and seek by keys of the terminal."""
 
 import math
 import time
@@ -17,29 +17,29 @@ SEEK_S: Final = 10.0
 _TICK_S = 0.05
 _LATEST_S = 0.5
 _MOST_FRAMES = {False: 10_000, True: 64}
-"""Frames processed between two looks at the keys: with their recorded spots, and tracked again."""
+"""Frames processed between two checks of the keys: with recorded spots, and tracked again."""
 
 
 class Display(Protocol):
-    """Shows where a replay stands."""
+    """Shows the progress of a replay."""
 
     def show(self, snapshot: Snapshot, length_s: float, remaining_s: float, prompt: str | None) -> None:
-        """State, end of the record, host's time that is left (NaN: not known), text being typed."""
+        """Show state, length of the record, remaining time (NaN: unknown) and the text being typed."""
         ...
 
 
 class Player:
-    """One replay, watched and steered.
+    """One replay, controlled by keys.
 
     Parameters
     ----------
     speed
-        Seconds of the record in a second; infinite: as fast as it goes. A replay that cannot keep up
-        goes as fast as it can and leaves nothing out.
+        Speed relative to real time; infinite: as fast as possible. If processing is slower than that,
+        the replay is slower, and no frame is skipped.
     events
-        Of the record, for the view's log.
+        Events of the record, for the log of the view.
     clock
-        Seconds of the host.
+        Returns the time of the host in s.
     """
 
     def __init__(
@@ -71,7 +71,7 @@ class Player:
         self._forget()
 
     def play(self) -> None:
-        """Until the end of what is to be replayed, or until the user ends it."""
+        """Replay until the end, or until the user ends it."""
         wait_s = 0.0
         while not self.ended_by_user:
             for key in self._keys.pressed(wait_s):
@@ -83,7 +83,7 @@ class Player:
         self._show()
 
     def _go_on(self) -> float:
-        """Put through what is due; how long to wait for the next."""
+        """Process the frames that are due; returns the time in s until the next one."""
         if self._replay.next_s <= self._wanted_s:
             self._through(self._wanted_s, self._most)
             if self._replay.next_s > self._wanted_s:
@@ -103,7 +103,7 @@ class Player:
         return 0.0 if behind else min(_LATEST_S, max(_TICK_S, (self._replay.next_s - due_s) / self._speed))
 
     def _one_step(self) -> None:
-        """One frame; for a half-cycle as many as it takes until one is over."""
+        """Process one frame, or as many as it takes to complete a half-cycle."""
         for _ in range(1 if self._step == "frame" else self._most):
             step = self._through(math.inf, 1)
             if step is None or self._step == "frame" or step.block.swings:
@@ -145,7 +145,7 @@ class Player:
             self._view.wait_room()
 
     def _take(self, key: str) -> None:
-        """Do what a key asks for."""
+        """Carry out the command of a key."""
         if self._typed is not None:
             self._type(key)
         elif key == "space":
@@ -175,7 +175,7 @@ class Player:
             self._typed = None
 
     def _seek(self, time_s: float) -> None:
-        """Forwards every frame goes through, only faster; backwards the pipeline begins anew."""
+        """Go to a time: forwards all frames are processed, backwards the pipeline is restarted."""
         replay = self._replay
         time_s = min(max(time_s, 0.0), replay.length_s)
         if time_s > replay.position_s:
@@ -188,7 +188,7 @@ class Player:
         self._forget()
 
     def _forget(self) -> None:
-        """Start the counts again, as the pipeline does."""
+        """Reset the counts when the pipeline is restarted."""
         start_ns, begun_s = self._replay.start_ns, self._replay.begun_s
         begun_ns = start_ns + round(begun_s * 1e9)
         self._frames = self._missing = self._lost = self._half_cycles = 0
@@ -198,7 +198,7 @@ class Player:
         self._resume()
 
     def _resume(self) -> None:
-        """The pace counts from here."""
+        """Restart the timing of the replay speed at the present position."""
         self._base_clock_s, self._base_s = self._clock(), self._replay.position_s
 
     def _show(self) -> None:

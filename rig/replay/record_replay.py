@@ -1,4 +1,4 @@
-"""`rig replay`: play a record, compare what comes out with what was recorded, fit it."""
+"""The command `rig replay`: replays a record, compares the results with the recorded ones, and fits them."""
 
 import math
 from collections.abc import Sequence
@@ -33,13 +33,13 @@ ViewMode = Literal["none", "spawn", "web"]
 
 
 def speed_of(text: str) -> float:
-    """``1``, ``10`` or any other number above 0; ``max`` is infinite. Raises ConfigurationError."""
+    """Speed from a positive number or ``max`` (infinite); raises ConfigurationError for anything else."""
     try:
         speed = math.inf if text == "max" else float(text)
     except ValueError:
         speed = math.nan
     if not speed > 0:
-        raise ConfigurationError(f"--speed {text}: is neither a number above 0 nor max")
+        raise ConfigurationError(f"--speed {text}: must be a number above 0, or max")
     return speed
 
 
@@ -55,10 +55,10 @@ def replay_record(
     mode: ViewMode = "none",
     rrd: Path | None = None,
 ) -> int:
-    """Replay, compare, fit what came out; results.json where a folder is named. Returns the exit status.
+    """Replay, compare and fit; writes results.json into `output` if given. Returns the exit status.
 
-    Raises ConfigurationError for a speed or times that make no sense, RecordError for a file that
-    cannot be replayed; nothing has been written then.
+    Raises ConfigurationError for an invalid speed or invalid times, and RecordError for a file that
+    cannot be replayed, before anything is written.
     """
     pace = speed_of(speed)
     if not 0 <= from_s < to_s:
@@ -118,7 +118,7 @@ def _view(
         for note in counts.notes:
             say(f"view: {note}")
         if counts.dropped:
-            say(f"view: {counts.dropped} things were dropped, because the viewer was behind")
+            say(f"view: {counts.dropped} messages were dropped, because the viewer was too slow")
 
     stack.callback(close)
     return view
@@ -127,7 +127,7 @@ def _view(
 def _say_differences(
     record: Path, replay: Replay, result: Replayed, run: AnalysedRun, *, partial: bool
 ) -> None:
-    """Spots and half-cycles against the record, fitted numbers against the results of the whole record."""
+    """Print differences from the recorded spots, half-cycles and fitted parameters."""
     if replay.sought:
         print(
             f"restarted at {replay.begun_s:.2f} s by going back: "

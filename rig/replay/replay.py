@@ -1,4 +1,4 @@
-"""A record through the same pipeline again, at any pace and from any place in it."""
+"""Processes a record again in the same pipeline, at any speed and from any position."""
 
 import math
 from collections.abc import Iterator
@@ -22,10 +22,9 @@ _LOST = Spot._make([*[math.nan] * 10, int(SpotFlag.LOST)])
 
 
 class Step(NamedTuple):
-    """What became of some frames: what the pipeline made of them, and the whole frames among them.
+    """Results of some frames: the pipeline's block, and the recorded whole frames with their spots.
 
-    `sequences` are the frames' numbers, as many as the block has times. Each picture comes with
-    the spot that was found in it.
+    `sequences` are the frames' numbers, one for each time in the block.
     """
 
     sequences: NDArray[np.int64]
@@ -34,7 +33,7 @@ class Step(NamedTuple):
 
 
 class Replayed(NamedTuple):
-    """All that came out; `dropped_frames` are missing in the record between the first and the last."""
+    """Results of a replay; `dropped_frames` are missing in the record between the first and the last."""
 
     swings: list[Swing]
     deflections: Deflections
@@ -43,32 +42,31 @@ class Replayed(NamedTuple):
 
 
 class Replay:
-    """A record on its way through the pipeline.
+    """The replay of a record.
 
     Without `retrack` the recorded spots are used, and their deflections as they were recorded
     unless lever or axes have been changed; with it the spots are tracked again in the recorded
     windows. A frame whose spot was lost has no window and stays lost.
 
-    The state of the pipeline is that of the frames before. Going on is therefore always done frame
-    by frame, however fast; going back begins anew (`restart`), with a pipeline that knows nothing of
-    what was before, and what comes out then is not compared with the record.
+    The state of the pipeline depends on all frames before. Going forwards therefore processes every
+    frame; going backwards starts a new pipeline (`restart`), whose results are not compared with the
+    record.
 
     Parameters
     ----------
     reader
-        Open, and stays so for as long as the replay goes.
+        Must stay open during the replay.
     config
-        As recorded, or changed.
+        The recorded or a changed configuration.
     from_s, to_s
         The part to be replayed, in seconds from the first frame.
     pictures
-        Whether whole frames are wanted.
+        Whether to return whole frames.
 
     Raises
     ------
     RecordError
-        There are no spots, or none in the part that is wanted; the record does not hold what a replay
-        needs.
+        There are no spots in the record or in the wanted part, or data that are needed are missing.
     """
 
     def __init__(
@@ -89,19 +87,19 @@ class Replay:
         if retrack and not reader.counts.get(WINDOW.topic):
             why = "" if recorded.record.windows else " (it was made with record.windows = false)"
             raise RecordError(
-                f"{reader.path}: holds no windows of raw pixels{why}, so the spot cannot be tracked again; "
+                f"{reader.path}: contains no windows of raw pixels{why}, the spot cannot be tracked again; "
                 "replay it without --retrack"
             )
         self._same_deflections = config.lever == recorded.lever and config.axes == recorded.axes
         self._shape = frame_shape(reader)
         head = next(reader.spot_blocks(), None)
         if head is None:
-            raise RecordError(f"{reader.path}: holds no spots; there is nothing to replay")
+            raise RecordError(f"{reader.path}: contains no spots; there is nothing to replay")
         self.start_ns = int(head["time_ns"][0])
         self._last_ns = max(reader.contents.end_ns - reader.epoch_offset_ns, self.start_ns)
         if from_s > (self._last_ns - self.start_ns) * 1e-9:
             length_s = (self._last_ns - self.start_ns) * 1e-9
-            raise RecordError(f"{reader.path}: is {length_s:.1f} s long; nothing follows {from_s:g} s")
+            raise RecordError(f"{reader.path}: is {length_s:.1f} s long and cannot start at {from_s:g} s")
         self._from_ns = self.start_ns + round(from_s * 1e9)
         self._to_ns = self._last_ns if math.isinf(to_s) else self.start_ns + round(to_s * 1e9)
         self.partial = from_s > 0 or self._to_ns < self._last_ns
@@ -113,17 +111,17 @@ class Replay:
 
     @property
     def length_s(self) -> float:
-        """Up to which time the record is replayed, in seconds from its first frame."""
+        """Time at which the replay ends, in seconds from the record's first frame."""
         return (min(self._to_ns, self._last_ns) - self.start_ns) * 1e-9
 
     @property
     def position_s(self) -> float:
-        """Time of the last frame that went through, in seconds from the record's first."""
+        """Time of the last processed frame, in seconds from the record's first frame."""
         return (self._position_ns - self.start_ns) * 1e-9
 
     @property
     def begun_s(self) -> float:
-        """Where the pipeline began, in seconds from the record's first frame."""
+        """Time at which the pipeline was started, in seconds from the record's first frame."""
         return (self._begun_ns - self.start_ns) * 1e-9
 
     @property
@@ -143,14 +141,14 @@ class Replay:
         return 0 if math.isinf(self.next_s) else int(self._table["sequence"][self._row])
 
     def restart(self, time_s: float) -> None:
-        """Begin anew at a time; what came out so far is forgotten."""
+        """Start again at a time; the results so far are discarded."""
         self.sought = True
         self._begin(self.start_ns + round(max(time_s, 0.0) * 1e9))
 
     def advance(self, until_s: float, most: int) -> Step | None:
-        """Put the next frames through, up to a time (included), at most so many.
+        """Process the next frames up to and including a time, at most `most` of them.
 
-        None where no frame is due, or none is left (`next_s` tells the two apart).
+        Returns None if no frame is due or none is left (`next_s` distinguishes the two).
         """
         next_s = self.next_s
         if next_s > until_s or math.isinf(next_s):
@@ -169,14 +167,14 @@ class Replay:
         return Step(rows["sequence"].astype(np.int64), block, self._pictures_of(rows, spots))
 
     def finish(self) -> Replayed:
-        """The last half-cycles, and everything that came out since the beginning."""
+        """Complete the last half-cycles; returns all results since the start."""
         swings = self._pipeline.finish()
         whole_end = math.isinf(self.next_s) and self._to_ns >= self._last_ns
         self._swings += swings
         deflections = joined(self._deflections, self._config.deflection_unit)
         first = self._first_sequence if self.partial or self.sought else 0
         dropped = self._last_sequence + 1 - first - len(deflections)
-        # at a cut the last half-cycle lacks samples that it had when it was recorded
+        # at the end of a part the last half-cycle lacks samples that it had when it was recorded
         compared = self._swings if whole_end else self._swings[: len(self._swings) - len(swings)]
         comparison = self._comparison.finish(
             self._reader.swings(),
@@ -215,10 +213,10 @@ class Replay:
         self._last_sequence = int(rows["sequence"][-1])
 
     def _tracked_again(self, rows: NDArray[Any]) -> list[Spot]:
-        """Spots of the frames; windows and rows are both in the frames' order."""
+        """Track the spots again; windows and rows are both in the order of the frames."""
         spots: list[Spot] = []
         for sequence in rows["sequence"].tolist():
-            # a window whose spot was in a damaged chunk is skipped
+            # skip a window whose spot was in a damaged chunk
             while self._window is None or self._window.sequence < sequence:
                 self._window = next(self._windows, None)
                 if self._window is None:

@@ -1,4 +1,4 @@
-"""What the terminal says of a replay: one line that follows it, and the comparison at its end."""
+"""Terminal output of a replay: a progress line, and the comparison at the end."""
 
 import math
 import sys
@@ -21,9 +21,9 @@ _EXACT, _ASYMPTOTIC = "fits.exact.", "fits.asymptotic."
 
 
 class ReplayLine:
-    """One line that is written over on a terminal; elsewhere a line every few seconds.
+    """A progress line that is updated on a terminal; elsewhere a new line every few seconds.
 
-    `help_text` is shown on a terminal before anything else.
+    On a terminal `help_text` is printed first.
     """
 
     def __init__(
@@ -56,7 +56,7 @@ class ReplayLine:
             self._stream.flush()
 
     def show(self, snapshot: Snapshot, length_s: float, remaining_s: float, prompt: str | None) -> None:
-        """Bring the line up to date."""
+        """Update the line."""
         now_s = self._clock()
         interval_s = _LINE_INTERVAL_S if self._terminal else _PLAIN_INTERVAL_S
         # the effect of a key is shown immediately
@@ -86,7 +86,7 @@ class ReplayLine:
 
 
 def print_comparison(comparison: Comparison, *, partial: bool) -> None:
-    """One line where nothing differs, else a short table of spots and half-cycles."""
+    """Print one line if nothing differs, else a short table of spots and half-cycles."""
     console = Console()
     if comparison.identical:
         console.print(
@@ -125,15 +125,15 @@ def print_comparison(comparison: Comparison, *, partial: bool) -> None:
     console.print(table)
     if partial:
         say(
-            "half-cycles of a part differ of themselves: they are numbered from its beginning, "
-            "and the pipeline learns as it goes"
+            "half-cycles of a part differ in any case: they are numbered from its beginning, "
+            "and the pipeline adapts to the frames before"
         )
 
 
 def print_changes(changes: Sequence[Change], source: str) -> None:
-    """The recorded fitted parameters and how far they moved; one line where none did.
+    """Print the changes of the recorded fitted parameters; one line if nothing changed.
 
-    Of the contact's two fits the exact one is shown with its values, the other with its changes.
+    Of the two fits of the contact laws the exact one is shown with values, the other only with changes.
     """
     console = Console()
     if not changes:
@@ -170,7 +170,7 @@ def _in_u(change: Change) -> str:
 def _largest(change_u: float, where: str, changed: int) -> str:
     if not changed:
         return ""
-    return f"{change_u:.2g} u, {where}" if change_u > 0 else "in the uncertainties alone"
+    return f"{change_u:.2g} u, {where}" if change_u > 0 else "only in the uncertainties"
 
 
 def _clock(seconds: float) -> str:
