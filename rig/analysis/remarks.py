@@ -6,14 +6,14 @@ from rig.presentation import plain, quantity
 
 
 def remarks(run: RunResults) -> list[str]:
-    """Sentences on drag, correlated and undetermined parameters, then the run's notes and warnings."""
+    """Sentences on drag, correlated and undetermined parameters, then the run's notes."""
     lines = [_drag_sentence(run.drag)] if run.drag is not None else []
     if run.strong_correlations:
         pairs = run.strong_correlations
         names = ", ".join(f"{quantity(a).symbol} and {quantity(b).symbol} ({r:+.3f})" for a, b, r in pairs)
         lines.append(f"Hardly told apart by the data (correlation): {names}.".replace("-", "−"))
     lines += [f"{item.text}." for item in run.identifiability if item.verdict != "determined"]
-    return [*lines, *run.notes, *run.warnings]
+    return [*lines, *run.notes]
 
 
 def _drag_sentence(drag: Drag) -> str:

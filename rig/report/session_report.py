@@ -101,7 +101,7 @@ def _summary(source: ReportSource) -> list[str]:
         if data.results.problem:
             body.append(f'<div class="warn">{html.escape("No fit: " + data.results.problem)}</div>')
     if len(source.runs) == 1:
-        body.append(html.notes([*remarks(source.runs[0].results), *source.runs[0].notes]))
+        body.append(html.notes(_notes(source.runs[0])))
     return body
 
 
@@ -135,6 +135,10 @@ def _sentence(run: RunData) -> str:
         f"{length / 60:.1f} min; {results.frames} frames, {results.dropped_frames} dropped; "
         f"{left_out} half-cycle{'s' if left_out != 1 else ''} flagged and left out."
     )
+
+
+def _notes(run: RunData) -> list[str]:
+    return [*remarks(run.results), *run.results.warnings, *run.notes]
 
 
 def _series(series: Series, files: Path) -> list[str]:
@@ -175,7 +179,7 @@ def _run(run: RunData, files: Path, *, alone: bool) -> list[str]:
     body = [html.heading(run.title, new_page=not alone)]
     if not alone:
         body.append(html.paragraph(_sentence(run)))
-        body.append(html.notes([*remarks(run.results), *run.notes]))
+        body.append(html.notes(_notes(run)))
     if run.results.instrument is not None:
         body.append(html.notes(run.results.instrument.text))
     body += take("kind-decrement", "kind-period", "kind-plane")

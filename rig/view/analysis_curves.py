@@ -114,7 +114,7 @@ def report_text(runs: Mapping[str, RunAnalysis]) -> str:
         instrument = instrument_table(results)
         if instrument.rows:
             parts.append(_markdown(instrument))
-        parts += [f"- {line}" for line in remarks(results)]
+        parts += [f"- {line}" for line in (*remarks(results), *results.warnings)]
     return "\n\n".join(parts)
 
 
