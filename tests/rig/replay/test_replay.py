@@ -12,7 +12,10 @@ import pytest
 
 from acquisition.record.reader import RecordReader
 from processing.errors import ConfigurationError, RecordError
+from processing.estimate import Estimate
 from processing.spot import SpotFlag
+from rig.analysis import Fit, InstrumentResults, RunResults
+from rig.analysis.instrument_results import FrictionLawResults
 from rig.analysis.record_fit import analyse_record
 from rig.instrument.provenance import recorded_configuration
 from rig.instrument.snapshot import Snapshot
@@ -247,17 +250,19 @@ def test_a_changed_setting_is_compared_with_what_was_recorded(
 
 
 def test_changes_of_parameters_are_counted_in_recorded_uncertainties() -> None:
-    def tree(value: float) -> dict[str, object]:
-        estimate = {"value": value, "standard_uncertainty": 0.5}
-        return {
-            "fits": {"exact": {"b": estimate, "chi2_per_dof": 1.0, "start_time_s": estimate}},
-            "instrument": {"decrement": {"first": estimate, "n": 3}},
-        }
+    def run(value: float) -> RunResults:
+        estimate = Estimate(value, 0.5)
+        law = FrictionLawResults(5.0, estimate, Estimate(1.0, math.nan), 1.2)
+        return RunResults(
+            record="run-1.mcap",
+            fits={"exact": Fit(parameters={"b": estimate, "start_time_s": estimate}, chi2_per_dof=1.0)},
+            instrument=InstrumentResults(kind="herbert", friction_law=law),
+        )
 
-    changes = parameter_changes(tree(2.0), tree(3.0))
+    changes = parameter_changes(run(2.0), run(3.0))
     assert [(change.name, change.in_u) for change in changes] == [
         ("fits.exact.b", 2.0),
-        ("instrument.decrement.first", 2.0),
+        ("instrument.friction_law.moment", 2.0),
     ]
 
 
