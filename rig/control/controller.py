@@ -1,4 +1,4 @@
-"""The rig controller as plain calls; `service.ControlService` calls them from a thread of its own."""
+"""Synchronous driver of the rig controller; `service.ControlService` calls it from a thread."""
 
 import contextlib
 import math
@@ -17,16 +17,16 @@ _PROTOCOL = "1"
 
 
 class InterlockOpen(DeviceError):
-    """The interlock loop is open; the laser stays dark."""
+    """The interlock loop is open; the laser stays off."""
 
 
 class PowerLimit(DeviceError):
-    """More laser power was asked for than a limit allows."""
+    """The requested laser power exceeds a limit."""
 
 
 @dataclass(frozen=True, slots=True)
 class ControllerIdentity:
-    """Who the controller is and the power limit stored on it."""
+    """Identity of the controller, and the power limit stored on it."""
 
     serial: str
     firmware: str
@@ -121,9 +121,9 @@ class Controller:
         return ControllerIdentity(serial, firmware, stored_w)
 
     def close(self) -> None:
-        """End the session, which puts every output into its safe state, and give the port back.
+        """End the session, which puts every output into its safe state, and close the port.
 
-        A controller that is not there any more is no error here: its own watchdog has done the same.
+        A lost controller is not an error here, because its own watchdog has done the same.
         """
         line, link, self._line, self._link = self._line, self._link, None, None
         if line is None or link is None:
@@ -136,15 +136,15 @@ class Controller:
                 line.close()
 
     def heartbeat(self) -> ControllerStatus:
-        """Tell the board that the program lives; its state in return."""
+        """Reset the board's watchdog; returns the board's state."""
         return _status(self._ask("SYST:HEAR?"))
 
     def environment(self) -> Environment:
-        """What the controller's own sensor reads; NaN without one."""
+        """Reading of the controller's own sensor; NaN without one."""
         return Environment(*_floats(self._ask("ENV?"), 3))
 
     def set_laser_power_w(self, power_w: float) -> None:
-        """Set the power, lit or not. Raises PowerLimit above the configured or the stored limit."""
+        """Set the power; raises PowerLimit above the configured or the stored limit."""
         if not 0.0 <= power_w <= self._limit_w:
             raise PowerLimit(
                 f"{self.name}: a laser power of {power_w:g} W was asked for;"
@@ -153,7 +153,7 @@ class Controller:
         self._ask(f"LAS:POW {_floor_w(power_w)}")
 
     def laser_on(self) -> None:
-        """Light the laser. Reads the interlock first and raises InterlockOpen where it is open."""
+        """Switch the laser on. Reads the interlock first and raises InterlockOpen if it is open."""
         if not self.interlock_closed():
             raise InterlockOpen(
                 f"{self.name}: the interlock is open, the laser stays dark; close the cover or door"
@@ -177,7 +177,7 @@ class Controller:
         self._ask("MAGN:REL")
 
     def starter_pulse(self, duration_s: float) -> None:
-        """Tilt by the starter for duration_s; the board ends the pulse itself."""
+        """Tilt the pendulum by the starter for duration_s; the board ends the pulse itself."""
         if not 0.001 <= duration_s <= self._settings.starter_max_s:
             raise DeviceError(
                 f"{self.name}: a starter pulse of {duration_s:g} s was asked for;"
@@ -203,7 +203,7 @@ class Controller:
         return int(code), text.strip('"')
 
     def take_events(self) -> tuple[BoardEvent, ...]:
-        """What the board said unasked (TRIP, BOOT) since the last call."""
+        """Unsolicited messages of the board (TRIP, BOOT) since the last call."""
         return self._link.take_events() if self._link else ()
 
     def line_counts(self) -> tuple[int, int, int]:

@@ -1,4 +1,4 @@
-"""A device that a thread of its own owns from `start` to `close`, and its events."""
+"""Base class of services that operate one device in a separate thread."""
 
 import logging
 from abc import ABC, abstractmethod
@@ -13,14 +13,14 @@ _EVENTS_KEPT = 1024
 
 
 class DeviceThread(ABC):
-    """Base of what owns one device in one thread; usable as a context manager.
+    """Operates one device in one thread from `start` to `close`; a context manager.
 
     Parameters
     ----------
     name
-        Of the thread, and in messages.
+        Name of the thread, also used in messages.
     longest_job_s
-        How long the device may keep one job; `close` waits for so long, that the device is left safe.
+        Longest duration of one job; `close` waits for this time so that the device can be left safe.
     """
 
     def __init__(self, name: str, longest_job_s: float = 5.0) -> None:

@@ -1,4 +1,4 @@
-"""Temperature, humidity and pressure from any sensor that writes lines to a serial port."""
+"""Reads temperature, humidity and pressure from any sensor that writes lines to a serial port."""
 
 import contextlib
 import math
@@ -19,7 +19,7 @@ _READ_S = 0.1
 
 @dataclass(frozen=True, slots=True)
 class EnvironmentReading:
-    """Latest reading and when it came (host's monotonic clock); NaN for what the sensor did not send."""
+    """Latest reading and its time (host's monotonic clock); NaN for quantities the sensor does not send."""
 
     environment: Environment
     time_ns: int = 0
@@ -29,7 +29,7 @@ class EnvironmentReading:
 
 
 def parse_environment(pattern: re.Pattern[str], line: str) -> Environment | None:
-    """Values of the pattern's named groups in a line; None where it does not match or a number is not finite.
+    """Values of the pattern's named groups in a line; None without a match or if a number is not finite.
 
     ``pressure_hpa`` is turned into Pa. A quantity that the line does not carry is NaN.
     """
@@ -49,7 +49,7 @@ def parse_environment(pattern: re.Pattern[str], line: str) -> Environment | None
 
 
 class EnvironmentService(DeviceThread):
-    """Reads the sensor in a thread of its own from `start` to `close`; opens it again when it was lost."""
+    """Reads the sensor in a thread from `start` to `close`; opens it again after it was lost."""
 
     def __init__(self, settings: EnvironmentSettings, open_line: Callable[[], Line] | None = None) -> None:
         self._settings = settings

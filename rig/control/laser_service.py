@@ -1,4 +1,4 @@
-"""A laser with its own port in a thread of its own: its silence delays neither frames nor heartbeats."""
+"""Operates a laser with its own port in a thread, so that it delays neither frames nor heartbeats."""
 
 import time
 from collections.abc import Callable
@@ -22,7 +22,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True)
 class LaserSnapshot:
-    """The latest that is known; `state` is None while the laser does not answer."""
+    """The latest known state; None while the laser does not answer."""
 
     identity: LaserIdentity | None = None
     state: LaserState | None = None
@@ -49,11 +49,11 @@ class LaserService(DeviceThread):
         return self._snapshot
 
     def enable(self) -> "Future[None]":
-        """Light on, interlock permitting; a family may take seconds."""
+        """Switch the laser on, unless the interlock is open; may take several seconds."""
         return self._submit(lambda laser: laser.enable(), timeout_s=5.0)
 
     def off(self) -> "Future[None]":
-        """Light off, ahead of whatever else waits."""
+        """Switch the laser off, before all waiting commands."""
         return self._submit(lambda laser: laser.off(), urgent=True)
 
     def set_power_w(self, power_w: float) -> "Future[None]":

@@ -1,4 +1,4 @@
-"""Serial ports, and whether the devices behind them are as configured: plain values for a table."""
+"""Lists serial ports, and checks that the devices connected to them are as configured."""
 
 import contextlib
 import re
@@ -46,7 +46,7 @@ def list_serial_ports() -> tuple[SerialPortInfo, ...]:
 def check_controller(
     controller: Controller, settings: ControllerSettings, laser: LaserSettings
 ) -> tuple[Verdict, ...]:
-    """Open the controller, look at it and close it again; no output is switched on."""
+    """Open, check and close the controller; no output is switched on."""
     if settings.kind == "none":
         return (Verdict("controller", True, "none is configured"),)
     try:
@@ -96,7 +96,7 @@ def check_controller(
 
 
 def check_laser(settings: LaserSettings, controller: ControllerSettings) -> tuple[Verdict, ...]:
-    """Open the laser, look at it and close it again; it stays dark, and the controller's relay open."""
+    """Open, check and close the laser; it stays off, and the controller's relay stays open."""
     laser = make_laser(settings)
     if laser is None:
         return ()
@@ -143,7 +143,7 @@ def _interlock(settings: LaserSettings, controller: ControllerSettings, closed: 
 
 
 def check_environment(settings: EnvironmentSettings, patience_s: float = 5.0) -> tuple[Verdict, ...]:
-    """Read the sensor with a port of its own until a line matches, for at most patience_s."""
+    """Read a sensor with its own port until a line matches, for at most patience_s."""
     if settings.kind != "serial":
         return ()
     pattern = re.compile(settings.pattern)

@@ -32,7 +32,7 @@ class Line(Protocol):
         ...
 
     def read(self, timeout_s: float) -> bytes:
-        """What has come, at least one byte; b"" when nothing came in time."""
+        """Received bytes, at least one; b"" after the timeout."""
         ...
 
     def discard_input(self) -> None:
@@ -40,7 +40,7 @@ class Line(Protocol):
         ...
 
     def close(self) -> None:
-        """Give the line back; may be called more than once."""
+        """Close the line; may be called more than once."""
         ...
 
 

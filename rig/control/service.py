@@ -1,4 +1,4 @@
-"""The controller in a thread of its own: commands as futures, the heartbeat, reconnection.
+"""Operates the controller in a thread: commands as futures, heartbeat, reconnection.
 
 Frames are never delayed by the serial line: the threads that handle frames only read the
 snapshot, and nothing here holds a lock while it waits for the device.
@@ -35,7 +35,7 @@ class ControlState(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class ControlSnapshot:
-    """The latest that is known; `status_time_ns` is the host's monotonic clock when `status` came.
+    """The latest known state; `status_time_ns` is the host's monotonic time at which `status` was received.
 
     `environment` is NaN until the first reading and while the controller is lost.
     """
@@ -100,11 +100,11 @@ class ControlService(DeviceThread):
         return self._worker.submit(lambda: self._guarded(call), timeout_s, urgent)
 
     def laser_on(self) -> "Future[None]":
-        """Light the laser, interlock permitting."""
+        """Switch the laser on, unless the interlock is open."""
         return self.submit(Controller.laser_on)
 
     def laser_off(self) -> "Future[None]":
-        """Laser off, ahead of whatever else waits."""
+        """Switch the laser off, before all waiting commands."""
         return self.submit(Controller.laser_off, urgent=True)
 
     def set_laser_power_w(self, power_w: float) -> "Future[None]":
@@ -116,7 +116,7 @@ class ControlService(DeviceThread):
         return self.submit(Controller.hold)
 
     def release(self) -> "Future[None]":
-        """Let the pendulum go."""
+        """Release the pendulum."""
         return self.submit(Controller.release)
 
     def starter_pulse(self, duration_s: float) -> "Future[None]":
@@ -132,7 +132,7 @@ class ControlService(DeviceThread):
         return self.submit(lambda c: c.brake(on))
 
     def safe(self) -> "Future[None]":
-        """Every output into its safe state, ahead of whatever else waits."""
+        """Put every output into its safe state, before all waiting commands."""
         return self.submit(Controller.safe, urgent=True)
 
     # -- in the thread --------------------------------------------------------

@@ -1,4 +1,4 @@
-"""[controller] and [environment_sensor]."""
+"""Sections [controller] and [environment_sensor]."""
 
 import re
 from typing import Annotated, Literal, Self
@@ -12,7 +12,7 @@ _QUANTITIES = frozenset({"temperature_c", "humidity_percent", "pressure_pa", "pr
 
 
 class SerialFaults(BaseModel, frozen=True, extra="forbid"):
-    """What goes wrong on the simulated controller's line; all off by default.
+    """Faults of the simulated controller's serial line; all off by default.
 
     The probabilities count for each chunk of bytes, in either direction.
     """
@@ -26,7 +26,7 @@ class SerialFaults(BaseModel, frozen=True, extra="forbid"):
 
 
 class ControllerSettings(BaseModel, frozen=True, extra="forbid"):
-    """The rig controller: its line, its patience and the limits that the host keeps.
+    """The rig controller: serial line, timeouts and limits checked by the host.
 
     `watchdog_s` is how long the board waits for a heartbeat before it puts every output into its
     safe state; several heartbeats must fit in.
@@ -68,7 +68,7 @@ def _named_groups(pattern: str) -> str:
 
 
 class EnvironmentSettings(BaseModel, frozen=True, extra="forbid"):
-    """Where temperature, humidity and pressure come from.
+    """The sensor of temperature, humidity and pressure.
 
     `pattern` is searched in each line that the sensor writes; its named groups say which number is which:
     temperature_c, humidity_percent, and pressure_pa or pressure_hpa. `request` is sent once a

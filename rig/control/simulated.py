@@ -1,4 +1,4 @@
-"""A controller without hardware: the board's own protocol core in this process, behind a line that can fail.
+"""A simulated controller: runs the board's firmware in this process, behind a line that can fail.
 
 The host's side is the one that real hardware gets, checksums, retries, watchdog and all; only the
 pins end in plain callbacks, by which a simulated rig lights its laser or lets its pendulum go.
@@ -19,7 +19,7 @@ _TURN_S = 0.005
 
 
 def _ignore(_: object) -> None:
-    """A pin to which nothing is wired."""
+    """Output of a pin that is not connected."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""A thread that owns one device: jobs in order of urgency, each with a deadline, and a regular turn."""
+"""A thread that operates one device: a regularly called function, and jobs with priority and deadline."""
 
 import itertools
 import logging
@@ -19,7 +19,7 @@ T = TypeVar("T")
 
 
 class Overdue(DeviceError):
-    """A job waited too long behind others and was not begun: a command that is late must not act."""
+    """A job waited too long and was not started, because a late command must not act."""
 
 
 @dataclass(order=True, slots=True)
@@ -40,7 +40,7 @@ class Worker:
     turn
         Called first, and again after as many seconds as it returned, or sooner.
     finish
-        Called in the thread at the end, whatever ended it; gives the device back.
+        Called at the end of the thread, also after an error; releases the device.
     """
 
     def __init__(self, name: str, turn: Callable[[], float], finish: Callable[[], None]) -> None:

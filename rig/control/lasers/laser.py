@@ -1,4 +1,4 @@
-"""What every laser driver promises."""
+"""The interface of all laser drivers."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -24,7 +24,7 @@ class LaserIdentity:
 
 @dataclass(frozen=True, slots=True)
 class LaserState:
-    """Read from the laser, not remembered. None where this family does not report it.
+    """State read from the laser; None for values that this family does not report.
 
     `power_w` is measured light, `current_a` measured diode current; `fault` is empty when all is well.
     """
@@ -69,7 +69,7 @@ class Laser(Protocol):
         ...
 
     def enable(self) -> None:
-        """Light on: reads the interlock first (InterlockOpen), reads back that it is lit (LaserRefused)."""
+        """Switch on: reads the interlock first (InterlockOpen), then reads back the state (LaserRefused)."""
         ...
 
     def off(self) -> None:

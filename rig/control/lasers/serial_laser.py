@@ -1,4 +1,4 @@
-"""What the serial laser drivers share: question and answer, limits, the order of safe switching."""
+"""Base class of the serial laser drivers: query and reply, limits, safe order of switching."""
 
 import contextlib
 import logging

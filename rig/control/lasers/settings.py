@@ -1,4 +1,4 @@
-"""[laser]: who drives it, its power or current, its limits."""
+"""Section [laser]: the driver, power or current, limits."""
 
 from typing import Literal, Self
 
@@ -11,7 +11,7 @@ WITHOUT_DRIVER = ("none", "controller")
 
 
 class LaserSettings(BaseModel, frozen=True, extra="forbid"):
-    """The laser: who drives it, how strong it may and shall be, how long it warms up.
+    """The laser: its driver, limit and setting of power or current, and warm-up time.
 
     Drivers of laser diodes are set in amperes, whole lasers in watts. `power_w` or `current_a` above its
     limit is rejected here, before anything is opened. `interlock` says where the interlock of a laser with
@@ -35,7 +35,7 @@ class LaserSettings(BaseModel, frozen=True, extra="forbid"):
     @classmethod
     def _known(cls, kind: str) -> str:
         if kind not in (known := (*WITHOUT_DRIVER, *LASERS)):
-            raise ValueError(f"no such laser; there are {', '.join(known)}")
+            raise ValueError(f"unknown laser; choose one of {', '.join(known)}")
         return kind
 
     @model_validator(mode="after")
