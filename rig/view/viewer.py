@@ -145,7 +145,7 @@ class Viewer:
         hang_limit_s: float = 10.0,
     ) -> None:
         if rrd_path is not None and rrd_path.is_file():
-            raise ConfigurationError(f"the Rerun file {rrd_path} already exists: choose another name")
+            raise ConfigurationError(f"the Rerun file {rrd_path} exists already; choose another name")
         for name, value in (("period_s", period_s), ("amplitude", amplitude)):
             if not (math.isfinite(value) and value > 0):
                 raise ConfigurationError(f"{name} of the view must be positive, not {value!r}")
