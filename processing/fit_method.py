@@ -1,16 +1,16 @@
-"""The ways in which a law is fitted to a decay, named once.
+"""Names of the methods by which a law is fitted to a decay.
 
-They stand outside `processing.fit` because colours and headings need the names, and not the fits.
+They are defined outside `processing.fit` because the presentation needs the names without importing the fits.
 """
 
 from enum import StrEnum
 
 
 class FitMethod(StrEnum):
-    """A way of fitting; the value is its key in results.json and its name in legends.
+    """A method of fitting; the value is its key in results.json and its name in legends.
 
-    Members are strings: ``fits[FitMethod.EXACT]`` finds what was read from a results.json. Iterating
-    gives the order in which tables show them.
+    Members are strings, so that ``fits[FitMethod.EXACT]`` works for the contents of a results.json. Iteration
+    gives the order of columns in tables.
     """
 
     heading: str

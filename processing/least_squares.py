@@ -1,9 +1,8 @@
-"""Weighted nonlinear least squares with a covariance that can be trusted.
+"""Weighted nonlinear least squares with a reliable covariance.
 
-The generic layer below every fit: a model hands over residuals in units of their own standard
-uncertainty and the Jacobian; out come values, covariance and the reason for stopping. Its values
-and standard errors are checked against the certified ones of NIST's Statistical Reference
-Datasets.
+All fits use this module. A model provides residuals divided by their standard uncertainties and the
+Jacobian; the result is values, covariance and the reason for stopping. Values and standard errors are tested
+against the certified ones of NIST's Statistical Reference Datasets.
 """
 
 from collections.abc import Callable
@@ -15,24 +14,25 @@ from numpy.typing import NDArray
 
 Loss = Literal["linear", "soft_l1", "huber", "cauchy"]
 Model = Callable[[NDArray[np.float64]], tuple[NDArray[np.float64], NDArray[np.float64]]]
-"""Values to (residuals, Jacobian); residuals that are not finite mean: not here, step shorter."""
+"""Function from values to (residuals, Jacobian); residuals that are not finite make the solver shorten its
+step."""
 
 _ROUND = 60
-"""Evaluations after which the progress is looked at."""
+"""Number of evaluations after which the progress is checked."""
 _FLAT = 0.01
-"""A round that gains less than this, in units of chi2/2 per residual, ends the search: the rest of
-the way is a small part of a standard uncertainty."""
+"""The search ends if a round reduces the cost by less than this, in units of chi2/2 per residual; the
+remaining distance to the minimum is a small fraction of a standard uncertainty."""
 _SINGULAR = 1e-13
-"""Singular values below this share of the largest, columns scaled to 1, carry no information."""
+"""Singular values below this fraction of the largest (columns scaled to unit length) are treated as zero."""
 
 
 @dataclass(frozen=True, slots=True)
 class Solution:
-    """What a fit came to.
+    """Result of a fit.
 
-    `covariance` is that of the data's stated uncertainties (robust losses: of the M-estimator);
-    nothing is scaled by chi2. A direction that the data do not determine at all gives infinite
-    variances. `residuals` are the normalised ones, without the loss.
+    `covariance` follows from the stated uncertainties of the data (for a robust loss it is that of the
+    M-estimator); it is not scaled by chi2. Parameters that the data do not determine have infinite variances.
+    `residuals` are normalised, without the loss.
     """
 
     values: NDArray[np.float64]
@@ -68,17 +68,17 @@ def solve(
     Parameters
     ----------
     loss, loss_scale
-        A robust loss takes residuals beyond about `loss_scale` standard uncertainties for
-        outliers and holds their influence down.
+        A robust loss reduces the influence of residuals above about `loss_scale` standard uncertainties.
     cost_tolerance
-        Relative fall of the cost below which the search ends.
+        Relative reduction of the cost below which the search ends.
 
     Returns
     -------
-    `converged` is False where the steps ran out or no step could be made; the values then are
-    the best ones seen, not a minimum.
+    Solution
+        `converged` is False if the number of evaluations was exhausted or no step was possible; the values
+        are then the best ones found and not a minimum.
     """
-    # imported here since settings read tables of processing, and starting a command should not cost scipy
+    # imported here because the settings import modules of processing, and scipy would slow down every command
     from scipy.optimize import least_squares
 
     seen: dict[bytes, tuple[NDArray[np.float64], NDArray[np.float64]]] = {}
@@ -90,8 +90,8 @@ def solve(
             seen[key] = model(values)
         return seen[key]
 
-    # The solver asks for the Jacobian where it has just accepted a step, after other trials at
-    # most once; one remembered evaluation saves half of all.
+    # The solver requests the Jacobian at the point of the step just accepted, mostly the last one evaluated:
+    # caching one evaluation saves half of them.
     def residuals_at(values: NDArray[np.float64]) -> NDArray[np.float64]:
         return evaluate(values)[0]
 
@@ -142,8 +142,8 @@ def covariance_of(
     loss: Loss = "linear",
     loss_scale: float = 1.5,
 ) -> NDArray[np.float64]:
-    """Inverse of J^T J, infinite for what is not determined; for a robust loss times the
-    M-estimator's mean(psi^2)/mean(psi')^2 (Huber, Robust Statistics, 1981, eq. 7.6.5)."""
+    """Inverse of J^T J, infinite for parameters that are not determined. For a robust loss it is multiplied
+    by mean(psi^2)/mean(psi')^2 of the M-estimator (Huber, Robust Statistics, 1981, eq. 7.6.5)."""
     if not np.all(np.isfinite(jacobian)):
         return np.diag(np.full(jacobian.shape[1], np.inf))
     norm = np.linalg.norm(jacobian, axis=0)
@@ -165,7 +165,7 @@ def covariance_of(
 
 
 def _influence(z: NDArray[np.float64], loss: Loss) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """psi and psi' of scipy's losses, as functions of the scaled residual."""
+    """psi (derivative of the loss) and psi' of scipy's losses, as functions of the scaled residual."""
     if loss == "huber":
         return np.clip(z, -1, 1), (np.abs(z) <= 1).astype(np.float64)
     if loss == "soft_l1":
@@ -174,7 +174,7 @@ def _influence(z: NDArray[np.float64], loss: Loss) -> tuple[NDArray[np.float64],
 
 
 def propagate(jacobian: NDArray[np.float64], covariance: NDArray[np.float64]) -> NDArray[np.float64]:
-    """``J C J^T`` where variances may be infinite: infinite goes on to what depends on it."""
+    """``J C J^T`` for variances that may be infinite; quantities that depend on these get infinite ones."""
     blind = ~np.isfinite(np.diag(covariance))
     finite = covariance.copy()
     finite[blind, :] = 0.0

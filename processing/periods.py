@@ -1,4 +1,4 @@
-"""Periods and scales that the turning points themselves hold."""
+"""Periods and reference amplitude, computed from the turning points."""
 
 from typing import NamedTuple
 
@@ -9,11 +9,11 @@ from processing.estimate import Estimate
 from processing.swing import TurningPoints
 
 FEWEST_PERIODS = 5
-"""Full periods below which Eq. 6 is not fitted."""
+"""Smallest number of full periods to which Eq. 6 is fitted."""
 
 
 class Periods(NamedTuple):
-    """Full periods about a turning point that has both neighbours; `where` is its position."""
+    """Full periods centred on turning points that have both neighbours; `where` are their positions."""
 
     where: NDArray[np.int64]
     period_s: NDArray[np.float64]
@@ -21,12 +21,12 @@ class Periods(NamedTuple):
 
 
 def reference_amplitude(points: TurningPoints) -> float:
-    """Geometric mean of the amplitudes: in its units b and p, gamma and n correlate least."""
+    """Geometric mean of the amplitudes; in this unit b and p, and gamma and n, are least correlated."""
     return float(np.exp(np.mean(np.log(points.amplitude))))
 
 
 def full_periods(points: TurningPoints) -> Periods:
-    """Time from the turning point before to the one after, where neither is missing."""
+    """Times from the turning point before to the one after, if neither is missing."""
     complete = (points.index[2:] - points.index[:-2]) == 2
     where = np.nonzero(complete)[0] + 1
     u2 = points.u_time_s**2
@@ -38,11 +38,11 @@ def full_periods(points: TurningPoints) -> Periods:
 
 
 def mean_period(points: TurningPoints) -> float:
-    """Mean full period of the run in s, over its gaps as well."""
+    """Mean full period of the run in s, including gaps."""
     return float(2 * (points.time_s[-1] - points.time_s[0]) / (points.index[-1] - points.index[0]))
 
 
 def mean_period_estimate(points: TurningPoints, chi2_per_dof: float) -> Estimate:
-    """`mean_period` with its standard uncertainty, scaled up where the data scatter beyond theirs."""
+    """`mean_period` with its standard uncertainty, multiplied by sqrt(max(1, chi2_per_dof))."""
     u = np.hypot(points.u_time_s[0], points.u_time_s[-1]) * np.sqrt(max(1.0, chi2_per_dof))
     return Estimate(mean_period(points), float(2 * u / (points.index[-1] - points.index[0])))

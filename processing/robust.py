@@ -1,17 +1,17 @@
-"""Scatter of values among which a few are wild."""
+"""Robust estimate of the scatter of values with outliers."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 MAD_TO_SIGMA = 1.482602218505602
-"""Standard deviation of a normal distribution over its median absolute deviation, 1 / 0.67449."""
+"""Ratio of standard deviation to median absolute deviation of a normal distribution, 1 / 0.67449."""
 
 
 def robust_scatter(values: NDArray[np.float64], middle: float | None = None) -> float:
     """Standard deviation from the median absolute deviation about `middle`, by default the median.
 
-    Up to half of the values may be wild without doing more than moderate harm. NaN and infinite values
-    do not count; 0 where no others are left.
+    It tolerates nearly half of the values being outliers. NaN and infinite values are ignored; 0 if no others
+    are left.
     """
     good = values[np.isfinite(values)]
     if len(good) == 0:

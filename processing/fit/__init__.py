@@ -1,4 +1,4 @@
-"""Fits of a law to a decay, their uncertainties, and series of runs."""
+"""Fits of a contact law to a decay, uncertainties of the results, and series of runs."""
 
 from processing.fit.apparatus import Quantity, RigQuantities
 from processing.fit.asymptotic import fit_asymptotic

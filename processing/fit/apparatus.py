@@ -1,4 +1,4 @@
-"""What the results rest on beside the swings: mass, ball, materials, lever arm, clock (GUM type B)."""
+"""Input quantities of the results beside the swings (GUM type B): mass, ball, materials, lever arm, clock."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -14,7 +14,7 @@ Distribution = Literal["normal", "rectangular"]
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """An input that the fit takes as known: value, standard uncertainty, kind of knowledge.
+    """An input quantity that the fit takes as known: value, standard uncertainty and distribution.
 
     A rectangular distribution of half-width h has the standard uncertainty h/sqrt(3).
     """
@@ -32,13 +32,13 @@ class Quantity:
 
 @dataclass(frozen=True)
 class RigQuantities:
-    """Everything beside the swings that the results rest on (GUM type B).
+    """All input quantities of the results other than the swings (GUM type B).
 
-    `arm_m` and `pitch_m` are those with which the angles were made: they matter through their
-    relative uncertainties, as does `clock`, true seconds per second of the camera's clock.
-    `slow_angle_rad` and `non_orthogonality_rad` are the directions of the pendulum's axes on the sensor;
-    `fast_ratio` is the fast mode's amplitude over the slow one's, which wrong directions let into the
-    slow deflection. `balls` shares the weight: 1, or 2 for the two-ball pendulum.
+    `arm_m` and `pitch_m` are the values with which pixels were converted into angles; they contribute by
+    their relative uncertainties, as does `clock`, true seconds per second of the camera's clock.
+    `slow_angle_rad` and `non_orthogonality_rad` are the directions of the pendulum's axes on the sensor.
+    `fast_ratio` is the ratio of the fast to the slow mode's amplitude; if the directions are wrong, the fast
+    mode contributes to the slow deflection. `balls` is the number of balls that carry the weight, 1 or 2.
     """
 
     mass_kg: Quantity
@@ -63,7 +63,7 @@ class RigQuantities:
             raise ConfigurationError(f"balls = {self.balls}: a pendulum stands on 1 or 2")
 
     def inputs(self) -> dict[str, Quantity]:
-        """All inputs by name; one material on both sides enters once."""
+        """All inputs by name; if both bodies are of the same material, it is listed once."""
         found = {
             "mass_kg": self.mass_kg,
             "ball_radius_m": self.ball_radius_m,
@@ -79,7 +79,7 @@ class RigQuantities:
                 self.ball.youngs_modulus_pa, self.ball.u_youngs_modulus_pa
             )
             found["ball_poisson_ratio"] = Quantity(self.ball.poisson_ratio, self.ball.u_poisson_ratio)
-        # last, so that the draws for the others stay those of records made before axes were budgeted
+        # appended last, so that the Monte Carlo draws of the other inputs are the same as in older versions
         found["slow_angle_rad"] = self.slow_angle_rad
         found["non_orthogonality_rad"] = self.non_orthogonality_rad
         return found
@@ -87,13 +87,13 @@ class RigQuantities:
     def seen_slow_tilt(
         self, slow_angle_rad: NDArray[np.float64], non_orthogonality_rad: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Slow tilt as the assumed axes show it, over the true one, for true directions of the axes.
+        """Ratio of the slow tilt measured with the assumed axes to the true one, for true axis directions.
 
-        With the slow axis off by d and the angle between the axes by e, a motion of the amplitude A
-        along the slow axis and r A along the fast one shows ``A (cos d + sin d tan q) - r A
-        sin(d + e) / cos q`` along the assumed slow axis, q being the assumed non-orthogonality. The
-        fast mode's part changes its sign from one turning point to another; taking it with one sign
-        is its upper limit.
+        If the slow axis is wrong by d and the angle between the axes by e, a motion of amplitude A along the
+        slow axis and r A along the fast axis is measured along the assumed slow axis as
+        ``A (cos d + sin d tan q) - r A sin(d + e) / cos q``, with the assumed non-orthogonality q. The sign
+        of the fast mode's contribution varies from one turning point to another; using one sign gives an
+        upper limit.
         """
         assumed = self.non_orthogonality_rad.value
         off = slow_angle_rad - self.slow_angle_rad.value
@@ -102,7 +102,7 @@ class RigQuantities:
         return np.asarray(np.cos(off) + np.sin(off) * np.tan(assumed) - cross_talk, dtype=np.float64)
 
     def pendulum(self) -> PendulumOnBall:
-        """What the fits take, from the values; on two balls, the half of it that one carries."""
+        """The pendulum for the fits, from the values; with two balls, half of the mass."""
         mass = self.mass_kg.value / self.balls
         force = mass * self.gravity_m_per_s2.value
         radius = contact_radius(force, self.ball_radius_m.value, self.ball, self.flat)

@@ -1,8 +1,8 @@
-"""The paper's own analysis: Eq. 5 fitted to alpha(t), Eq. 6 to T(alpha), one after the other.
+"""The paper's analysis: fit of Eq. 5 to alpha(t), then of Eq. 6 to T(alpha).
 
-Both equations are approximations, and their parameters come out biased by some per cent (which
-neither chi2 nor the relative errors of Eqs. 8 and 9 show); the exact fit is not. These are kept
-because the paper's numbers were made so, and because they start the exact fit.
+Both equations are approximations. Their parameters are biased by some per cent, which neither chi2 nor the
+relative errors of Eqs. 8 and 9 reveal; those of the exact fit are not biased. These fits are kept for
+comparison with the paper's results.
 """
 
 import numpy as np
@@ -40,13 +40,13 @@ def fit_asymptotic(
     points
         Turning points in rad; at least ten, gaps allowed.
     pendulum
-        None where the amplitudes are not calibrated, see `fit_exact`.
+        None if the amplitudes are not calibrated, see `fit_exact`.
     drag
         Adds a linear term to the decay (moment ``-m g R drag_s phi'``).
     loss
-        ``linear``, or a robust one that holds outlying half-cycles down.
+        ``linear``, or a robust loss that reduces the influence of outliers.
     printed_curvature
-        0.55 in Eq. 6 as printed, instead of its value for the fitted n.
+        Use 0.55 in Eq. 6 as printed, instead of the value for the fitted n.
 
     Raises
     ------
@@ -56,8 +56,8 @@ def fit_asymptotic(
 
     Notes
     -----
-    T of Eq. 5 is the mean period of the run. `covariance` has no terms between the two fits,
-    since they are made apart.
+    T of Eq. 5 is the mean period of the run. The elements of `covariance` between the parameters of the two
+    fits are zero, because the fits are independent.
     """
     check_turning_points(points)
     reference = reference_amplitude(points)

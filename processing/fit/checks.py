@@ -1,4 +1,4 @@
-"""What turning points must be before a fit may look at them."""
+"""Checks of the turning points before a fit."""
 
 import numpy as np
 
@@ -8,13 +8,14 @@ from processing.swing import TurningPoints
 
 FEWEST_HALF_CYCLES = 10
 OUTLIER = 5.0
-"""Standard uncertainties beyond which a half-cycle is listed as outlying."""
+"""Residual in standard uncertainties above which a half-cycle is listed as an outlier."""
 
 
 def check_turning_points(points: TurningPoints) -> None:
-    """Raise `DataError`, in one line, for turning points that cannot be fitted.
+    """Raise `DataError` for turning points that cannot be fitted.
 
-    Too few, out of order, not finite, uncertainties that are not positive, amplitudes that grow.
+    They are too few, out of order or not finite, have uncertainties that are not positive, or the amplitudes
+    do not fall.
     """
     count = len(points)
     if count < FEWEST_HALF_CYCLES:
@@ -61,7 +62,7 @@ def check_turning_points(points: TurningPoints) -> None:
 
 
 def jumps(points: TurningPoints) -> list[int]:
-    """Half-cycles whose amplitude stands clearly above the one before: a kick or a vibration."""
+    """Half-cycles whose amplitude is significantly larger than the one before: a kick or a vibration."""
     step = np.diff(points.amplitude)
     noise = np.hypot(points.u_amplitude[1:], points.u_amplitude[:-1])
     return [int(i) for i in points.index[1:][(step > 6 * noise) & (step > 0.01 * points.amplitude[:-1])]]
@@ -70,7 +71,7 @@ def jumps(points: TurningPoints) -> list[int]:
 def data_warnings(
     points: TurningPoints, pendulum: PendulumOnBall | None, *chi2_per_dof: float
 ) -> tuple[str, ...]:
-    """Doubts that do not depend on the model's parameters."""
+    """Warnings about the data that do not depend on the fitted parameters."""
     warnings = []
     if pendulum is None:
         warnings.append(

@@ -1,9 +1,8 @@
-"""Which parameters the data determine, and what can be said of those that they do not.
+"""Confidence intervals of parameters that the data determine poorly, by the profile likelihood.
 
-A value with a symmetric uncertainty is the truth about a parameter only where the likelihood is
-nearly a parabola. Where it is not, the profile likelihood says what the data allow: the parameter
-is held at a value, all others are fitted again, and the interval ends where chi2 has risen by
-what the coverage asks for.
+A value with a symmetric uncertainty describes a parameter only if chi2 is nearly a parabola. Otherwise the
+profile likelihood gives the interval: the parameter is held at a value, all others are fitted again, and the
+interval ends where chi2 has risen by the amount that corresponds to the coverage.
 """
 
 from collections.abc import Callable
@@ -30,10 +29,10 @@ STRONG_CORRELATION = 0.99
 
 @dataclass(frozen=True, slots=True)
 class Determination:
-    """What may be said of one parameter, 95 % coverage.
+    """Result for one parameter, with limits of 95 % coverage.
 
-    `lower` or `upper` is NaN where the data set no limit (0 where only physics does: friction
-    takes energy). `profiled` tells whether the limits come from the profile likelihood.
+    `lower` or `upper` is NaN if the data set no limit (0 if only physics does: friction dissipates energy).
+    `profiled` is True if the limits come from the profile likelihood.
     """
 
     name: str
@@ -58,7 +57,7 @@ class Determination:
 
 
 class _Held:
-    """The exact model with one physical parameter held: one column less."""
+    """The exact model with one physical parameter held fixed, and therefore one column less."""
 
     def __init__(self, model: ExactModel, name: str, best: NDArray[np.float64]) -> None:
         self._model = model
@@ -70,7 +69,7 @@ class _Held:
         self._guess = float(best[self.column])
 
     def full(self, held: float, free: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """All columns, the held one solved for by Newton steps, and its derivatives by the others."""
+        """All columns, with the missing one found by Newton's method, and its derivatives by the others."""
         values = np.empty(len(free) + 1)
         values[self.free] = free
         values[self.column] = self._guess
@@ -110,7 +109,7 @@ class _Held:
         return model
 
     def follow(self, before: float, free: NDArray[np.float64], after: float) -> NDArray[np.float64]:
-        """The free columns at another held value, linearly: one Gauss-Newton step."""
+        """Estimate of the free columns at another value of the held parameter (one Gauss-Newton step)."""
         here, jacobian = self.at(before)(free)
         step = 1e-3 * (after - before)
         change = (self.at(before + step)(free)[0] - here) * ((after - before) / step)
@@ -123,10 +122,9 @@ class _Held:
 
 @dataclass(frozen=True)
 class Profile:
-    """Limits of one parameter by the profile likelihood; NaN where chi2 never rises enough.
+    """Limits of one parameter by the profile likelihood; NaN if chi2 does not rise enough.
 
-    `trace` holds what was computed on the way, (value, rise of chi2) rows in rising order, for a
-    figure.
+    `trace` holds the points computed, rows of (value, rise of chi2) in order of rising value, for a figure.
     """
 
     lower: float
@@ -142,7 +140,7 @@ def profile_likelihood(
     *,
     coverage: float = 0.95,
 ) -> Profile:
-    """Follow the minimum of chi2 away from the fitted value, to both sides.
+    """Profile likelihood of one parameter on both sides of its fitted value.
 
     Parameters
     ----------
@@ -151,10 +149,10 @@ def profile_likelihood(
 
     Notes
     -----
-    The rise of chi2 is counted in units of max(1, chi2/dof); the limit is where its root reaches
-    Student's t. b and gamma are followed on a logarithmic scale where their estimate is positive.
-    The search gives up ten standard uncertainties away (b, gamma: at a factor of a million), or
-    below zero for what cannot be negative.
+    The rise of chi2 is divided by max(1, chi2/dof); the limit is where its square root equals Student's t. b
+    and gamma are varied on a logarithmic scale if their estimates are positive. The search ends at ten
+    standard uncertainties (b and gamma: at a factor of a million), or at zero for parameters that cannot be
+    negative.
     """
     if result.method is not FitMethod.EXACT:
         raise DataError("a profile likelihood belongs to an exact fit")
@@ -180,7 +178,7 @@ def profile_likelihood(
         if np.isfinite(room) and not logarithmic:
             if room <= 0:
                 return float("nan")
-            # up to 0 itself, but short of the end of a searched range
+            # 0 itself is included, but not the limit of a range of search
             farthest = min(farthest, room if parameter.lower == 0 else 0.999 * room)
         free = best[held.free]
         low, low_root = 0.0, 0.0
@@ -215,7 +213,7 @@ def profile_likelihood(
             else:
                 high, high_root = z, root
             if np.isfinite(high):
-                # the root of the rise is nearly straight in z; halves keep it from creeping
+                # the square root of the rise is nearly linear in z: interpolate, but bisect if that is slow
                 share = (target - low_root) / (high_root - low_root)
                 z = low + (high - low) * float(np.clip(share, 0.1, 0.9))
                 if high - low < 1e-3 * high:
@@ -223,7 +221,7 @@ def profile_likelihood(
             else:
                 wanted = z * target / root if root > 0 else 2 * z
                 z = min(float(np.clip(1.02 * wanted, 1.05 * z, 2.5 * z)), farthest)
-        # out of patience on the way up: no limit was found
+        # the number of steps is exhausted without reaching the target: no limit was found
         return at(sign * z) if np.isfinite(high) or abs(root - target) < 0.01 * target else float("nan")
 
     if not np.all(np.isfinite(model(best)[0])):
@@ -236,7 +234,7 @@ def profile_likelihood(
 def identifiability(
     points: TurningPoints, pendulum: PendulumOnBall | None, result: FitResult
 ) -> tuple[Determination, ...]:
-    """A verdict for every parameter of an exact fit; poorly determined ones are profiled."""
+    """Results for every parameter of an exact fit; for poorly determined ones by the profile likelihood."""
     return tuple(_determination(points, pendulum, result, name) for name in result.contact_names)
 
 
@@ -266,7 +264,7 @@ def _determination(
 def strong_correlations(
     result: FitResult, limit: float = STRONG_CORRELATION
 ) -> tuple[tuple[str, str, float], ...]:
-    """Pairs of parameters that the data hardly tell apart, strongest first."""
+    """Pairs of strongly correlated parameters, strongest correlation first."""
     matrix = result.correlation
     pairs = [
         (result.names[i], result.names[j], float(matrix[i, j]))

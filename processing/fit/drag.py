@@ -1,4 +1,4 @@
-"""Is there a linear drag in the decay? The fit with it against the fit without."""
+"""Test for a linear drag: comparison of the fits with and without it."""
 
 from dataclasses import dataclass
 
@@ -15,24 +15,24 @@ from processing.least_squares import Loss
 from processing.swing import TurningPoints
 
 SIGNIFICANT = 0.003
-"""Chance of a drag-free decay to look this much like one with drag: three standard deviations."""
+"""Significance level of the test: the two-sided probability of three standard deviations."""
 
 
 @dataclass(frozen=True)
 class DragVerdict:
-    """Both fits and what speaks for the drag.
+    """Both fits and the tests that compare them.
 
     Attributes
     ----------
     f_statistic, p_value
-        Fall of chi2 by the one parameter over chi2/dof of the richer fit, and the chance of that
-        without drag.
+        Reduction of chi2 by the additional parameter divided by chi2/dof of the fit with drag, and its
+        probability if there is no drag (F-test).
     aic_difference
-        AIC with drag less AIC without; negative speaks for drag.
+        AIC with drag minus AIC without; negative values favour a drag.
     shift_b, shift_c
-        Relative change of b and c when drag is added: what leaving it out, or in, would do.
+        Relative change of b and c when the drag is added.
     significant
-        Both tests ask for the drag, and it takes energy rather than giving it.
+        Both tests favour a drag, and its sign is dissipative.
     """
 
     without: FitResult
@@ -70,7 +70,7 @@ def drag_verdict(
     loss: Loss = "linear",
     without: FitResult | None = None,
 ) -> DragVerdict:
-    """Fit with and without drag and compare; `without` spares the second where it exists."""
+    """Fit with and without drag and compare; `without` is the fit without drag, if already made."""
     if without is None:
         without = fit_exact(points, pendulum, loss=loss)
     elif without.has_drag or without.method is not FitMethod.EXACT:

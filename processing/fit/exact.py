@@ -1,4 +1,4 @@
-"""The joint fit of the exact half-swing map to amplitudes and times of all turning points."""
+"""Joint fit of the exact half-swing map to the amplitudes and times of all turning points."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,11 +16,11 @@ from processing.periods import full_periods, mean_period_estimate
 from processing.swing import TurningPoints
 
 _GOOD_CHI2 = 1.5
-"""Above this a minimum may be a local one: other starts are tried."""
+"""Reduced chi-square above which a minimum may be a local one; other start values are tried then."""
 
 
 def solve_exact(model: ExactModel, loss: Loss) -> Solution:
-    """Best converged minimum over the starts; the first one suffices where it fits the data."""
+    """Best converged minimum over the start values; the first one is accepted if it fits the data."""
     starts = model.starts()
     if not starts:
         raise DataError("no start from which the half-swing map reaches the last half-cycle")
@@ -51,18 +51,17 @@ def fit_exact(
     Parameters
     ----------
     points
-        Turning points in rad; at least ten. Missing half-cycles (gaps in `index`) cost nothing
-        but their information: the map runs over them.
+        Turning points in rad; at least ten. Half-cycles may be missing (gaps in `index`); the map is applied
+        to them as well.
     pendulum
-        None where the amplitudes are not calibrated (pixels, volts): R/a, whose effect is a few
-        per mille, then counts as zero, ``kappa`` takes the place of ``gamma_pa``, and a warning
-        says so.
+        None if the amplitudes are not calibrated (pixels, volts). R/a, whose effect is a few per mille, is
+        then set to zero, ``kappa`` replaces ``gamma_pa``, and the result contains a warning.
     law
-        Any law of the registry, or another.
+        A law of the registry, or another one.
     drag
         Also fit a linear drag, moment ``-m g R drag_s phi'``.
     loss
-        ``linear``, or a robust one that holds outlying half-cycles down.
+        ``linear``, or a robust loss that reduces the influence of outliers.
 
     Raises
     ------
@@ -71,9 +70,8 @@ def fit_exact(
 
     Notes
     -----
-    Only b is forced to be positive. c, gamma and the drag are not: a coefficient that the data
-    cannot tell from zero scatters about its true value and its interval covers it. See
-    `identifiability`.
+    Only b is forced to be positive. c, gamma and the drag may become negative, so that the estimate of a
+    coefficient near zero is unbiased and its interval covers the true value. See `identifiability`.
     """
     check_turning_points(points)
     model = ExactModel(points, pendulum, law=law, drag=drag)
@@ -120,7 +118,7 @@ def fit_exact(
 def _poorly_determined(
     names: tuple[str, ...], values: NDArray[np.float64], covariance: NDArray[np.float64]
 ) -> tuple[str, ...]:
-    """Parameters of which the interval says more than the value; the last two names are nuisance."""
+    """Parameters with a large relative uncertainty; the last two names (amplitude, time) are not tested."""
     found = []
     for name, value, variance in zip(names[:-2], values, np.diag(covariance), strict=False):
         u = float(np.sqrt(variance))
@@ -131,7 +129,7 @@ def _poorly_determined(
 
 
 def _doubts(model: ExactModel, solution: Solution) -> tuple[str, ...]:
-    """Values that stand where the search was not let any further."""
+    """Warnings about parameters at a limit of the range of search."""
     return tuple(
         f"{name} stands at the limit of its range: the data do not determine it"
         for name in model.columns.at_limit(solution.values)

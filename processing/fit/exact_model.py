@@ -34,9 +34,9 @@ class ExactModel:
         self._u = points.u_amplitude / self.reference
 
     def curve(self, columns: Array) -> tuple[Array, Array, Array, Array]:
-        """Amplitude (of the reference), time (s) and the derivatives of both by the columns.
+        """Amplitude (in units of the reference), time (s), and the derivatives of both by the columns.
 
-        With the map's parameters q(columns), its time tau in units of T0, and the columns v:
+        With the columns v, the map's parameters q(v) and its time tau in units of T0:
         ``t = t_0 + T0 tau``, ``dt/dv = T0 dtau/dq dq/dv + tau dT0/dv + dt_0/dv``.
         """
         parameters, matrix = self.columns.map_parameters(columns)
@@ -51,7 +51,7 @@ class ExactModel:
         return found.amplitude, first_time_s + period0_s * found.time, amplitude_jacobian, time_jacobian
 
     def __call__(self, columns: Array) -> tuple[Array, Array]:
-        """Residuals in units of their uncertainties, and their derivatives by the columns."""
+        """Residuals divided by their standard uncertainties, and their derivatives by the columns."""
         amplitude, time, amplitude_jacobian, time_jacobian = self.curve(columns)
         residuals = np.concatenate(
             [(amplitude - self._x) / self._u, (time - self.points.time_s) / self.points.u_time_s]
@@ -62,7 +62,7 @@ class ExactModel:
         return residuals, jacobian
 
     def starts(self) -> list[Array]:
-        """Columns from which the map reaches the last half-cycle, the likeliest first."""
+        """Start values for which the map reaches the last half-cycle, the most promising first."""
         usable = []
         for attempts in self.columns.starts(self.points):
             for attempt in attempts:
@@ -73,7 +73,7 @@ class ExactModel:
         return usable
 
     def by_log_rho(self, columns: Array, jacobian: Array) -> Array:
-        """How the fitted columns move with ln(R/a): least squares' answer to the map's derivative."""
+        """Derivative of the fitted columns by ln(R/a), by linearised least squares."""
         parameters, _ = self.columns.map_parameters(columns)
         found = self.law.half_swing_map(parameters[:-2], self._index)
         by_rho = self.columns.map_by_log_rho

@@ -1,4 +1,4 @@
-"""Fit of Eq. 6 to full periods, and how its result scatters and moves with R/a."""
+"""Fit of Eq. 6 to full periods, its covariance and its dependence on R/a."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ def fit_period(
     printed_curvature: bool,
     loss: Loss,
 ) -> tuple[Solution, NDArray[np.float64], list[PeriodStart]]:
-    """Columns T0, n, kappa, the last in units of the reference."""
+    """Fit with the columns T0 (s), n and kappa; the last for amplitudes in units of the reference."""
     x = points.amplitude[periods.where] / reference
     starts = period_start(x, periods.period_s, periods.u_period_s, rho)
 
@@ -47,8 +47,10 @@ def fit_period(
 
 
 def period_covariance(solution: Solution, points: TurningPoints, periods: Periods) -> NDArray[np.float64]:
-    """Neighbouring full periods share turning points: the covariance of the fitted values follows
-    from the independent times, not from the periods taken as independent."""
+    """Covariance of the fitted values from the uncertainties of the turning times.
+
+    Overlapping full periods share turning points and are correlated; the turning times are independent.
+    """
     weighted = solution.jacobian / periods.u_period_s[:, None]
     by_time = np.zeros((len(points), 3))
     np.add.at(by_time, periods.where + 1, weighted)
@@ -66,7 +68,7 @@ def period_by_log_rho(
     rho: float,
     printed_curvature: bool,
 ) -> NDArray[np.float64]:
-    """How T0, n, kappa move with ln(R/a): the least-squares answer to the curve's own derivative."""
+    """Derivatives of T0, n and kappa by ln(R/a), by linearised least squares."""
     x = points.amplitude[periods.where] / reference
     t0, n, kappa = solution.values
     drop = frequency_drop(x, n, kappa, rho, printed_curvature=printed_curvature)

@@ -1,9 +1,9 @@
-"""Turning points measured again from the samples, once a fit has told the motion between them.
+"""Second measurement of the turning points from the samples, with the waveform known from a fit.
 
-A swing detector knows the motion only from the half-cycles so far: the earliest are measured with what
-little there was, and what it got wrong about friction or stiffness shifts many turning times together, by
-a part of their uncertainty each, which no fit averages out. A fit to all of them knows it from the
-whole decay. Measured again with that, the turning points have errors of their own alone.
+The swing detector knows the waveform only from the half-cycles before. Its errors of friction and stiffness,
+largest at the beginning, shift many turning times in common, each by a fraction of its uncertainty; a fit
+does not average such shifts out. A fit to the whole decay determines the waveform better. After a second
+measurement with this waveform the errors of the turning points are independent.
 """
 
 import math
@@ -18,28 +18,28 @@ from processing.errors import DataError
 from processing.swing import KnownMotion, Swing, SwingDetector, SwingFlag
 
 _MOST = 0.95
-"""Part of the half-cycles that must be found again ..."""
+"""Fraction of the half-cycles that must be found again ..."""
 
 _SHIFTED = 0.75
-"""... and the root mean square of their shifts, in standard uncertainties, up to which they agree."""
+"""... and largest rms of their shifts, in standard uncertainties, for the two measurements to agree."""
 
 
 def known_motion(
     parameters: ContactParameters, pendulum: PendulumOnBall, reference_rad: float, clock: float = 1.0
 ) -> KnownMotion:
-    """The half-swing that the parameters make, for deflections in rad.
+    """Frequency and waveform of the half-swing for contact parameters and deflections in rad.
 
     Parameters
     ----------
     reference_rad
-        Amplitude about which it is written down; any within the decay.
+        Reference amplitude of the waveform; any within the decay.
     clock
-        True seconds, in which the parameters count, per second of the samples' clock.
+        True seconds (the unit of the parameters) per second of the samples' clock.
 
     Raises
     ------
     DataError
-        The pendulum would not swing at the reference amplitude, or a parameter is not known.
+        The pendulum would not swing at the reference amplitude, or a parameter is NaN.
 
     Notes
     -----
@@ -75,15 +75,15 @@ def measured_again(
     u_deflection_rad: NDArray[np.float64],
     motion: KnownMotion,
 ) -> list[Swing]:
-    """The same half-cycles, each fitted to its samples once more, on a known motion.
+    """Fit each half-cycle to its samples again, with a known waveform.
 
     Parameters
     ----------
     swings
-        Of the detector, in order. Flagged ones are handed on as they are; one that is not found again, or
-        found disturbed, is flagged.
+        Half-cycles from the detector, in order. Flagged ones are returned unchanged; one that is not found
+        again, or is disturbed, is flagged.
     times_ns, deflection_rad, u_deflection_rad
-        (n,) the samples that they were detected in; NaN where the spot was lost.
+        (n,) samples in which they were detected; NaN where the spot was lost.
     """
     detector = SwingDetector(motion)
     found = [*detector.update(times_ns, deflection_rad, u_deflection_rad), *detector.finish()]
@@ -119,11 +119,11 @@ def _nearest(swings: Sequence[Swing], times_ns: NDArray[np.int64], time_ns: int)
 
 
 def agree(swings: Sequence[Swing], again: Sequence[Swing]) -> bool:
-    """Whether half-cycles measured again lie where they lay, within what was claimed for them.
+    """Whether the second measurement agrees with the first within the uncertainties.
 
-    Where they do, they differ by what the detector had yet to learn: 0.1 to 0.5 of a standard uncertainty.
-    They do not where the fitted laws are not those of the motion, or leave open what matters within a
-    half-cycle (friction against drag); what the detector learned from the samples is then better knowledge.
+    Normally they differ by 0.1 to 0.5 of a standard uncertainty. They disagree if the fitted law does not
+    describe the motion, or if the fit does not determine parameters that affect the waveform (friction and
+    drag separately). The first measurement is the better one then.
     """
     pairs = [(a, b) for a, b in zip(swings, again, strict=True) if a.flags == 0]
     both = [(a, b) for a, b in pairs if b.flags == 0]

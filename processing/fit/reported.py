@@ -1,4 +1,4 @@
-"""From fitted parameters and the rig's own quantities to what is reported."""
+"""Reported quantities, computed from the fitted parameters and the rig's input quantities."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -25,14 +25,14 @@ OUTPUTS: Mapping[str, str] = {
     "contact_depth_m": "m",
     "contact_angle_rad": "rad",
 }
-"""Reported quantities and their units; `drag_s` (s) joins where it was fitted."""
+"""Reported quantities and their units; `drag_s` (s) is added if it was fitted."""
 
 
 @dataclass(frozen=True)
 class FittedContact:
-    """What the swings say, from one fit or from a series: type A.
+    """Fitted contact parameters with their type A covariance, from one fit or from a series.
 
-    `names` are the six contact parameters and, where fitted, the drag. `dof` are the degrees of
+    `names` are the six contact parameters and, if fitted, the drag. `dof` is the number of degrees of
     freedom of the covariance.
     """
 
@@ -45,7 +45,7 @@ class FittedContact:
 
 
 def fitted_contact(result: FitResult) -> FittedContact:
-    """The contact parameters of one fit, without its amplitude and time of start."""
+    """The contact parameters of one fit, without the initial amplitude and time."""
     if not result.calibrated:
         raise DataError(
             "the amplitudes were not calibrated: nothing can be reported in SI units; calibrate the record"
@@ -68,7 +68,7 @@ def reported_quantities(
     inputs: Mapping[str, NDArray[np.float64]],
     rig: RigQuantities,
 ) -> dict[str, NDArray[np.float64]]:
-    """The reported quantities for fitted values and inputs other than the nominal ones.
+    """The reported quantities for given fitted values and inputs, as in a Monte Carlo draw.
 
     Parameters
     ----------
@@ -79,10 +79,10 @@ def reported_quantities(
 
     Notes
     -----
-    The decay knows angles in units of the assumed scale and times in units of the assumed second:
-    c goes with the scale s, b with s^(1-p), gamma with s^-n, T0 and the drag with the second; what
-    the period knows of gamma is ``2 gamma a^2/(m g)``. R/a also bends Eq. 3 a little, which the
-    fit's own derivative by it carries over.
+    The fit is made with the assumed angular scale and clock. If true angles are s times the assumed ones, c
+    is proportional to s, b to s^(1-p) and gamma to s^-n; T0 and the drag are proportional to the true
+    second. The period determines gamma only in the combination ``2 gamma a^2/(m g)``. The small additional
+    effect of R/a in Eq. 3 is taken from the fit's derivative by ln(R/a).
     """
     if found.names[:6] != PAPER.names():
         raise DataError(f"expected the parameters {PAPER.names()} first, got {found.names}")
@@ -123,11 +123,11 @@ def reported_quantities(
 
 
 def draw_fitted(found: FittedContact, rng: np.random.Generator, draws: int) -> NDArray[np.float64]:
-    """Fitted parameters that the data allow, shape ``(names, draws)``.
+    """Random draws of the fitted parameters, shape ``(names, draws)``.
 
-    Multivariate Student t about the fit, in ln b and p, gamma and n taken at the reference
-    amplitude: there the scatter is normal, where in b and gamma themselves it is skewed by their
-    exponents.
+    Multivariate Student t distribution about the fit, for ln b and gamma expressed at the reference
+    amplitude. There the distribution is nearly normal; that of b and gamma themselves is skewed, because
+    their units contain the exponents p and n.
     """
     spread = np.diag(found.covariance)
     if not np.all(np.isfinite(spread)):
@@ -144,7 +144,7 @@ def draw_fitted(found: FittedContact, rng: np.random.Generator, draws: int) -> N
     covariance = to_normal @ found.covariance @ to_normal.T
     scale = np.sqrt(np.diag(covariance))
     scale[scale == 0] = 1.0
-    # correlations come close to 1, where Cholesky's factor fails and the eigenvalues' does not
+    # for correlations close to 1 the Cholesky factorisation fails; the eigenvalue decomposition does not
     eigenvalues, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
     factor = vectors * np.sqrt(np.maximum(eigenvalues, 0.0))
     z = rng.standard_normal((len(values), draws))
@@ -160,7 +160,7 @@ def work_per_cycle_j(
     reported: Mapping[str, NDArray[np.float64]],
     inputs: Mapping[str, NDArray[np.float64]],
 ) -> NDArray[np.float64]:
-    """4A for draws of the reported parameters, so that the work has an uncertainty too."""
+    """Work per cycle 4A in J for draws of the reported parameters, to obtain its uncertainty."""
     moment = inputs["mass_kg"] * inputs["gravity_m_per_s2"] * inputs["ball_radius_m"]
     b, p, c = reported["b"], reported["p"], reported["c"]
     dissipated = 4 * moment * (c * amplitude_rad + b * amplitude_rad ** (p + 1) / (p + 1))

@@ -1,4 +1,4 @@
-"""What a fit hands on: values, uncertainties, correlations, residuals, doubts."""
+"""Result of a fit: values, covariance, goodness of fit, outliers, warnings."""
 
 from dataclasses import dataclass, field
 
@@ -21,30 +21,30 @@ class FitResult:
     Attributes
     ----------
     names
-        The law's parameters, ``drag_s`` where it was fitted, ``initial_amplitude_rad`` and, for
-        the exact fit, ``start_time_s``: the first turning point on the clock of the data.
+        The law's parameters, ``drag_s`` if it was fitted, ``initial_amplitude_rad`` and, for the exact fit,
+        ``start_time_s``, the time of the first turning point on the clock of the data.
     values, covariance
-        In that order, physical units. The covariance is scaled by max(1, chi2/dof): scatter
-        beyond the stated uncertainties counts, luck does not.
+        In the order of `names`, in SI units. The covariance is multiplied by max(1, chi2/dof): it is enlarged
+        if the residuals exceed the uncertainties, but not reduced if they are smaller.
     chi2, dof
-        Of the unscaled residuals over both kinds of data.
+        Chi-square of the unscaled residuals of amplitudes and times, and degrees of freedom.
     arae_decay, arae_period
-        Mean relative deviations of amplitude and period, Eqs. 8 and 9 with the mean taken over
-        as many terms as are summed.
+        Mean relative deviations of amplitude and period, Eqs. 8 and 9, divided by the number of terms in
+        the sum.
     reference_rad
-        Amplitude in whose units the fit was made: b reference^(p-1) and gamma reference^n are
-        close to normally distributed even where b and gamma themselves are not.
+        Amplitude used as the unit in the fit. b reference^(p-1) and gamma reference^n are nearly normally
+        distributed even if b and gamma are not.
     by_log_rho
         Derivative of `values` by ln(R/a), which the fit takes as known.
     mean_period_s
-        Of the run, from the times alone: known even where T0, the period at vanishing amplitude,
-        cannot be told from n.
+        Mean period of the run, from the times only. It is known even if T0, the period at vanishing
+        amplitude, is too strongly correlated with n.
     loss, cost
-        The loss that was minimised, and half its sum at the minimum (half of chi2 if linear).
+        The loss function, and half of its sum at the minimum (half of chi2 if linear).
     outliers
-        Half-cycles (by index) whose residual, in either kind, exceeds 5 standard uncertainties.
+        Indices of half-cycles with a residual of amplitude or time above 5 standard uncertainties.
     warnings
-        What a person should know before believing the numbers.
+        Warnings for the user.
     """
 
     method: FitMethod
@@ -74,7 +74,7 @@ class FitResult:
 
     @property
     def correlation(self) -> NDArray[np.float64]:
-        """Correlation matrix; NaN in rows and columns of what is not determined."""
+        """Correlation matrix; NaN in rows and columns of parameters that are not determined."""
         u = self.standard_uncertainty
         with np.errstate(invalid="ignore"):
             matrix = self.covariance / np.outer(u, u)
@@ -83,7 +83,7 @@ class FitResult:
 
     @property
     def calibrated(self) -> bool:
-        """Whether amplitudes were angles; if not, b and c are in the amplitudes' unit."""
+        """Whether the amplitudes are angles; if not, b and c refer to the amplitudes' unit."""
         return all(key in self.names for key in self.law.uncalibrated)
 
     @property
@@ -113,11 +113,11 @@ class FitResult:
         return Estimate(float(self.values[i]), float(np.sqrt(self.covariance[i, i])))
 
     def interval(self, name: str, coverage: float = 0.95) -> tuple[float, float]:
-        """Interval of Student's t about the value, by the covariance alone.
+        """Confidence interval from the covariance and Student's t.
 
-        About the logarithm for a positive value of a parameter that says so (`Parameter.logarithmic`:
-        b and gamma, in whose units the exponents p and n stand, whose scatter they inherit). Where a
-        parameter is poorly determined, `identifiability` follows the likelihood itself.
+        It is symmetric in the logarithm for a positive value of a parameter marked `Parameter.logarithmic`
+        (b and gamma, whose units contain the exponents p and n). For poorly determined parameters
+        `identifiability` uses the profile likelihood.
         """
         value, u = self.estimate(name)
         k = float(stdtrit(self.dof, 0.5 * (1 + coverage)))

@@ -1,4 +1,4 @@
-"""Runs of one contact pair taken together, and series of them compared."""
+"""Combination of repeated runs of one contact pair, and comparison of series of runs."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -17,9 +17,9 @@ from processing.fit.result import FitResult
 from processing.swing import TurningPoints
 
 AGREE = 0.05
-"""Chance above which runs are taken to scatter by their own uncertainties alone."""
+"""Probability above which the scatter of the runs is attributed to their own uncertainties."""
 DISAGREES = 0.003
-"""Chance, over all runs and parameters, below which a run is said to disagree."""
+"""Probability, for all runs and parameters together, below which a run is reported to disagree."""
 
 
 @dataclass(frozen=True)
@@ -29,16 +29,16 @@ class Combined:
     Attributes
     ----------
     value, standard_uncertainty
-        Mean weighted by within-run and between-run variance, and its uncertainty, which holds
-        both; never less than the within-run part alone.
+        Mean weighted by within-run and between-run variance, and its standard uncertainty, which contains
+        both and is at least `within`.
     dof, expanded
-        Runs less one, and the half-width of the 95 % interval by Student's t.
+        Number of runs minus one, and the half-width of the 95 % interval by Student's t.
     within
-        What the runs' own uncertainties leave for the mean.
+        Standard uncertainty of the mean from the runs' own uncertainties only.
     between
-        Standard deviation between runs beyond their own uncertainties, 0 where none is seen.
+        Standard deviation between runs in excess of their own uncertainties; 0 if there is none.
     p_homogeneous
-        Chance of runs that scatter at least so much if nothing but their own uncertainties acted.
+        Probability of a scatter at least as large if only the runs' own uncertainties contribute.
     """
 
     name: str
@@ -58,7 +58,7 @@ class Combined:
 
 @dataclass(frozen=True, slots=True)
 class Disagreement:
-    """A run whose parameter lies `deviation` of its uncertainty from what the other runs say."""
+    """A run with a parameter that deviates from the other runs by `deviation` standard uncertainties."""
 
     run: int
     name: str
@@ -67,7 +67,7 @@ class Disagreement:
 
 @dataclass(frozen=True)
 class SeriesResult:
-    """A series of runs: every parameter combined, and the runs that stand apart."""
+    """A series of runs: combined parameters, and the runs that disagree with the others."""
 
     parameters: Mapping[str, Combined]
     disagreements: tuple[Disagreement, ...]
@@ -80,9 +80,9 @@ class SeriesResult:
 def combine(name: str, runs: Sequence[Estimate]) -> Combined:
     """Combine one parameter over runs.
 
-    The between-run variance is that of Mandel and Paule (the one with which the weighted scatter
-    is what it should be); the mean's uncertainty that of Hartung and Knapp, with Student's t for
-    runs less one, but at least the within-run part.
+    The between-run variance is that of Mandel and Paule, with which the weighted sum of squares equals its
+    expectation. The uncertainty of the mean is that of Hartung and Knapp, with Student's t for the number of
+    runs minus one, but at least the within-run part.
 
     Raises
     ------
@@ -131,10 +131,10 @@ def combine(name: str, runs: Sequence[Estimate]) -> Combined:
 
 
 def combine_runs(results: Sequence[FitResult]) -> SeriesResult:
-    """Every parameter of the runs' fits combined, and the runs that disagree with the rest.
+    """Combine every parameter of the runs' fits, and find the runs that disagree with the others.
 
-    `measured` goes on into `budgets`: its covariance has the mean within-run correlations and the
-    combined uncertainties.
+    The field `measured` is the input of `budgets`; its covariance has the mean within-run correlations and
+    the combined uncertainties.
     """
     if len(results) < 2:
         raise DataError(f"{len(results)} run: a series needs at least 2 to show its scatter")
@@ -163,11 +163,11 @@ def combine_runs(results: Sequence[FitResult]) -> SeriesResult:
 
 
 def _disagreements(names: Sequence[str], results: Sequence[FitResult]) -> list[Disagreement]:
-    """Runs against the others, each parameter by itself, for all comparisons at once (Bonferroni).
+    """Compare each run with the others, parameter by parameter, with Bonferroni's correction.
 
-    With two runs there is no telling which of them is wrong; both are named. The others' scatter
-    counts with the few degrees of freedom that it has, but where they agree among themselves as
-    well as their own uncertainties let expect, those uncertainties are believed.
+    Of two runs it cannot be decided which is wrong, and both are reported. The scatter of the others is used
+    with its few degrees of freedom, unless it agrees with their own uncertainties, which are then used
+    instead.
     """
     found = []
     count = len(results)
@@ -189,8 +189,8 @@ def _disagreements(names: Sequence[str], results: Sequence[FitResult]) -> list[D
             if 2 * float(stdtr(dof, -abs(deviation))) < limit:
                 found.append(Disagreement(i, name, deviation))
     if count > 2 and found:
-        # One stray run pulls the others' means as well; the one that stands farthest off is named,
-        # and a second one only if it still disagrees without it.
+        # One deviating run also shifts the means with which the others are compared. Report the largest
+        # deviation first, and another only if it remains after that run has been removed.
         worst = max(
             {item.run for item in found}, key=lambda run: max(abs(d.deviation) for d in found if d.run == run)
         )
@@ -206,17 +206,17 @@ def _disagreements(names: Sequence[str], results: Sequence[FitResult]) -> list[D
 
 
 def average_curves(runs: Sequence[TurningPoints]) -> TurningPoints:
-    """The paper's way: the runs' curves averaged into one, to be fitted as one run.
+    """The paper's method: average the runs' curves into one, which is fitted as a single run.
 
-    The runs are counted from the first half-cycle at which each has fallen to the amplitude that
-    all have reached, and averaged half-cycle by half-cycle where all have one. Uncertainties are
-    those of the mean, from the runs' own.
+    The half-cycles of each run are counted from the first one at or below the largest amplitude that all runs
+    contain, and are averaged where all runs have one. Uncertainties are those of the mean, from the runs'
+    own.
 
     Notes
     -----
-    The runs do not start at the same amplitude to the last digit, so that the average is not
-    quite the decay of anything; over starts within one half-cycle's loss that changes the
-    parameters by less than their uncertainties, and it is one reason to prefer `combine_runs`.
+    The runs do not start at exactly the same amplitude, so that the average is not exactly the decay of any
+    pendulum. For starts within one half-cycle's loss this changes the parameters by less than their
+    uncertainties. `combine_runs` avoids the problem and is preferable.
     """
     if len(runs) < 2:
         raise DataError(f"{len(runs)} run: there is nothing to average")
@@ -252,8 +252,8 @@ def average_curves(runs: Sequence[TurningPoints]) -> TurningPoints:
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """One parameter of two series: difference, its standard uncertainty, and the chance of one so
-    large if the series were alike (Welch's t)."""
+    """One parameter of two series: difference, its standard uncertainty, and the probability of a difference
+    at least as large if the series are equal (Welch's t-test)."""
 
     name: str
     first: str
@@ -264,9 +264,10 @@ class Comparison:
 
 
 def compare_series(series: Mapping[str, SeriesResult]) -> tuple[Comparison, ...]:
-    """All pairs of series (samples, days, humidities), parameter by parameter.
+    """Compare all pairs of series (samples, days, humidities), parameter by parameter.
 
-    Type B uncertainties are left out: the same rig's mass and radius move all series together.
+    Type B uncertainties are not included, because errors of the rig's mass or radius shift all series
+    equally.
     """
     rows = []
     for first, second in combinations(series, 2):

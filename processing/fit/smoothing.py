@@ -1,8 +1,8 @@
-"""Friedman's super-smoother: a curve through T(alpha) that knows no physics (Fig. 14).
+"""Friedman's super-smoother: a curve through T(alpha) without a physical model (Fig. 14).
 
-J. H. Friedman, "A variable span smoother", Stanford LCS technical report 5 (1984): running lines
-of three spans; at every point the span whose own left-out residuals, smoothed, are least, with
-the choice itself smoothed.
+J. H. Friedman, "A variable span smoother", Stanford LCS technical report 5 (1984). Running lines are fitted
+with three spans. At every point the span with the smallest smoothed cross-validation residuals is chosen,
+and the choice itself is smoothed.
 """
 
 import numpy as np
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from processing.errors import DataError
 
 SPANS = (0.05, 0.2, 0.5)
-"""Tweeter, midrange, woofer: shares of the points in a window."""
+"""Friedman's three spans (tweeter, midrange, woofer) as fractions of the number of points."""
 _FEWEST = 8
 
 
@@ -20,14 +20,14 @@ _FEWEST = 8
 def _running_lines(
     x: NDArray[np.float64], y: NDArray[np.float64], weight: NDArray[np.float64], span: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Local straight lines over the nearest neighbours on either side, and the residuals each
-    point has from the line fitted without it."""
+    """Local straight lines through the nearest neighbours on either side, and the cross-validation residuals
+    (of each point from the line fitted without it)."""
     count = len(x)
     half = max(int(0.5 * span * count + 0.5), 2)
     smooth = np.empty(count)
     left_out = np.empty(count)
     for i in range(count):
-        # near an end the window keeps its size and lies to one side
+        # near an end the window keeps its size and extends to one side
         low = min(max(i - half, 0), max(count - 1 - 2 * half, 0))
         high = min(low + 2 * half, count - 1)
         total = mean_x = mean_y = 0.0
@@ -62,9 +62,9 @@ def super_smooth(
     x, y
         One length, at least eight points, x in any order; equal x are allowed.
     u
-        Standard uncertainties of y; points weigh 1/u^2. None: all alike.
+        Standard uncertainties of y; weights are 1/u^2. None: equal weights.
     bass
-        0 to 10: leans towards the widest span where it is hardly worse.
+        Friedman's bass control, 0 to 10: prefers the widest span if it is nearly as good.
 
     Returns
     -------
@@ -86,8 +86,8 @@ def super_smooth(
         np.ascontiguousarray(y[order], dtype=np.float64),
     )
     weight = np.ones(len(xs)) if u is None else (np.median(u) / u[order]) ** 2
-    # Residuals are compared between spans at one point, so that u scales them all alike there; to
-    # smooth them over points they have to be of one size.
+    # The comparison of spans at one point does not depend on u there. For smoothing over points the residuals
+    # have to be normalised.
     size = np.sqrt(weight)
     smooths, errors = [], []
     for span in SPANS:

@@ -1,4 +1,4 @@
-"""Uncertainty of what is reported: GUM budget, and Monte Carlo after JCGM 101 beside it."""
+"""Uncertainty of the reported quantities: GUM budget, and Monte Carlo propagation (JCGM 101)."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -19,11 +19,11 @@ FIT = "swings"
 
 @dataclass(frozen=True, slots=True)
 class BudgetLine:
-    """One source's part in the uncertainty of one quantity.
+    """Contribution of one source to the uncertainty of one quantity.
 
-    `sensitivity` is the quantity's derivative by the source (NaN for the fit, which has several
-    parameters), `contribution` its share as a standard uncertainty in the quantity's unit, and
-    `share` that as a fraction of the combined variance.
+    `sensitivity` is the derivative of the quantity by the source (NaN for the fit, which has several
+    parameters), `contribution` the resulting standard uncertainty in the quantity's unit, and `share` its
+    fraction of the combined variance.
     """
 
     source: str
@@ -38,8 +38,8 @@ class BudgetLine:
 class Budget:
     """GUM budget of one quantity, largest contribution first.
 
-    `dof` are the effective degrees of freedom (Welch-Satterthwaite; type B counts as known),
-    `coverage_factor` Student's for 95 %, `expanded` that times `standard_uncertainty`.
+    `dof` are the effective degrees of freedom (Welch-Satterthwaite; infinite for type B), `coverage_factor`
+    is Student's t for 95 %, `expanded` is its product with `standard_uncertainty`.
     """
 
     quantity: str
@@ -57,10 +57,11 @@ class Budget:
 
 @dataclass(frozen=True, slots=True)
 class Propagated:
-    """One quantity by Monte Carlo: mean, standard uncertainty, probabilistically symmetric 95 %.
+    """Monte Carlo result of one quantity: mean, standard uncertainty, probabilistically symmetric 95 %
+    interval.
 
-    `gum_holds` is JCGM 101's validation (clause 8): both ends of the budget's interval agree with
-    these within half a unit of the first significant digit of the standard uncertainty.
+    `gum_holds` is the validation of JCGM 101 (clause 8): both ends of the budget's interval agree with this
+    interval within half a unit of the first significant digit of the standard uncertainty.
     """
 
     quantity: str
@@ -82,9 +83,9 @@ def _quantities(found: FittedContact) -> dict[str, str]:
 def budgets(found: FittedContact, rig: RigQuantities) -> dict[str, Budget]:
     """A budget for every reported quantity.
 
-    Derivatives are central differences over a thousandth of each source's own uncertainty: exact
-    to 1e-6 for what is nearly linear over the uncertainty itself, and where it is not, the Monte
-    Carlo interval is the one to take.
+    Derivatives are central differences over a thousandth of each source's uncertainty, with a relative error
+    of 1e-6 for quantities that are nearly linear over the uncertainty. For others the Monte Carlo interval
+    should be used.
     """
     value = {
         name: float(out[0])
@@ -162,9 +163,9 @@ def monte_carlo(
     Parameters
     ----------
     rng
-        Seeded by the caller, so that a report can be made again to the digit.
+        Seeded by the caller, so that a report can be reproduced exactly.
     against
-        The budgets to validate; computed where not given.
+        The budgets to validate; computed if None.
 
     Raises
     ------

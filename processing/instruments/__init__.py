@@ -1,7 +1,7 @@
-"""The pendulums of the paper's review: what each reports, from turning points and swings.
+"""The pendulum instruments of the paper's review: the quantities that each reports, from the turning points.
 
-scipy is imported where it is called: settings read this room's table of pendulums, and starting a
-command should not cost scipy.optimize.
+scipy is imported inside functions: the settings import the table of instruments, and importing
+scipy.optimize would slow down the start of every command.
 """
 
 from processing.instruments.checks import Check, check

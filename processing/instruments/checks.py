@@ -1,4 +1,4 @@
-"""Acceptance of an apparatus: measured values against a standard's limits, with a verdict."""
+"""Acceptance test of an instrument: measured values compared with the limits of a standard."""
 
 import math
 from typing import Literal, NamedTuple
@@ -10,7 +10,7 @@ Verdict = Literal["within", "outside", "undecided"]
 
 
 class Check(NamedTuple):
-    """One value against its limits. `undecided`: a limit lies within two standard uncertainties."""
+    """A value compared with its limits. `undecided`: a limit is within two standard uncertainties of it."""
 
     name: str
     measured: Estimate
@@ -22,7 +22,7 @@ class Check(NamedTuple):
 
 
 def check(name: str, measured: Estimate, limits: Limits, unit: str) -> Check:
-    """Hold a value against limits; a value of unknown uncertainty (0) is taken as it stands."""
+    """Compare a value with limits; an unknown uncertainty (0) is ignored."""
     value, u = measured
     low, high = limits.lowest, limits.highest
     inside = low <= value <= high

@@ -1,12 +1,12 @@
-"""Period against amplitude beside the circular-error law of the ideal pendulum.
+"""Dependence of the period on the amplitude, compared with the circular error of the ideal pendulum.
 
-Half periods add up to the turning times, which err independently, and it is those that are fitted:
+The turning times, whose errors are independent, are fitted by sums of half periods:
 
     t_k = t_0 + (T0/2) sum over the half-cycles before k of [1 + f (T_ideal(A)/T0 - 1)]
 
-with A^2 the mean square of the amplitudes at both ends and T_ideal = T0 (2/pi) K(sin A/2), about
-1 + A^2/16. f = 1 is the law; f above 1 is Mendeleev's observation, that the period falls with the
-amplitude faster than the law says.
+with A^2 the mean square of the amplitudes at both ends and T_ideal = T0 (2/pi) K(sin A/2), about T0 (1 +
+A^2/16). f = 1 is the ideal pendulum; f > 1 is Mendeleev's observation that the period decreases faster with
+decreasing amplitude.
 """
 
 import math
@@ -24,10 +24,11 @@ _FEWEST = 8
 
 
 class CircularError(NamedTuple):
-    """The fit, and the periods themselves beside the law with the same T0.
+    """Result of the fit, and the measured periods with those of the ideal pendulum of the same T0.
 
-    `factor` is f. `sentence` compares it with 1 by two standard uncertainties. Arrays are of one length,
-    one entry for each full period: amplitude, period, its uncertainty, the law, alpha^2/16 of it.
+    `factor` is f. `sentence` states whether it differs from 1 by more than two standard uncertainties. The
+    arrays have one entry per full period: amplitude, period, its uncertainty, ideal period, and its
+    approximation with alpha^2/16.
     """
 
     period0_s: Estimate
@@ -41,7 +42,7 @@ class CircularError(NamedTuple):
 
     @property
     def sentence(self) -> str:
-        """The factor compared with 1."""
+        """Comparison of the factor with 1, in words."""
         f, u = self.factor
         if abs(f - 1) <= 2 * u:
             return f"the period follows the circular-error law: {f:.4g} ± {u:.2g} times alpha^2/16"
@@ -64,8 +65,8 @@ def ideal_excess(amplitude_rad: ArrayLike) -> NDArray[np.float64]:
 def circular_error(points: TurningPoints) -> CircularError:
     """Fit T0 and the factor of the circular error to all turning times.
 
-    A half-cycle whose ends are not both there is given the amplitude between those of its neighbours.
-    Raises DataError for fewer than eight turning points or amplitudes that are all alike.
+    Amplitudes of missing turning points are interpolated. Raises DataError for fewer than eight turning
+    points, or if all amplitudes are equal.
     """
     if len(points) < _FEWEST:
         raise DataError(

@@ -1,12 +1,12 @@
-"""A spot that leaves the sensor and comes back: turning points inferred from the crossings' speeds.
+"""Turning points outside the sensor, inferred from the speeds at which the spot crosses its rest position.
 
-Between the crossing that leads to a turning point (time t_1, speed v_1) and the one that leads back
-(t_2, v_2) the ideal pendulum gives, with k = sin(A/2) and the half period h = t_2 - t_1,
+For the ideal pendulum, between the crossing before a turning point (time t_1, speed v_1) and the one after it
+(t_2, v_2), with k = sin(A/2) and the half period h = t_2 - t_1,
 
-    v = 2 w0 k,  h = 2 K(k)/w0    whence    k K(k) = v h/4
+    v = 2 w0 k,  h = 2 K(k)/w0    and therefore    k K(k) = v h/4.
 
-with v^2 the mean of both squares: what friction takes before the turning point and after it then
-cancels. Nothing needs to be known of the pendulum.
+v^2 is the mean of both squares, so that the losses by friction before and after the turning point cancel. No
+property of the pendulum has to be known.
 """
 
 import math
@@ -21,13 +21,14 @@ from numpy.typing import NDArray
 from processing.swing import Swing, SwingFlag
 
 _REACH = 0.2
-"""Of the half period, to either side of a crossing: samples that its time and speed are fitted to."""
+"""Time and speed of a crossing are fitted to samples within this fraction of the half period on either
+side."""
 _FEWEST = 8
 _POWERS = 6
 _EARLY = 0.5 * (math.pi / 4 + 1 / math.pi), 0.5 * (math.pi / 4 - 1 / math.pi)
-"""A turning point lies before the middle of its crossings, because friction shortens the way out and
-lengthens the way back: by ln(v_1/v_2)/w0 times 1/pi for a drag, 1/2 for constant friction, pi/4 for friction
-that grows with the angle. The middle of these, and half their range as its uncertainty."""
+"""Friction shifts a turning point to a time before the middle of its two crossings, by ln(v_1/v_2)/w0 times
+1/pi for a drag, 1/2 for constant friction, and pi/4 for friction proportional to the angle. The mean of
+these values is used, with half their range as its uncertainty."""
 
 
 class _Crossing(NamedTuple):
@@ -42,18 +43,18 @@ def inferred_swings(
     deflection_rad: NDArray[np.float64],
     u_deflection_rad: NDArray[np.float64],
 ) -> list[Swing]:
-    """Half-cycles whose turning point the sensor did not see, flagged `SwingFlag.INFERRED`.
+    """Half-cycles with a turning point outside the sensor, flagged `SwingFlag.INFERRED`.
 
     Parameters
     ----------
     times_ns, deflection_rad, u_deflection_rad
-        (n,) samples; NaN where the spot was lost. The rest position lies on the sensor.
+        (n,) samples; NaN where the spot was lost. The rest position must be on the sensor.
 
     Returns
     -------
     list of Swing
-        Indices count half periods from the first of them. Empty where the spot never left between two
-        crossings. The rest position is found from the crossings, whose intervals are equal about it.
+        Indices count half periods from the first of them. Empty if the spot never left the sensor between two
+        crossings. The rest position is the level whose crossings are equally spaced.
     """
     seen = np.isfinite(deflection_rad) & (u_deflection_rad > 0)
     if np.count_nonzero(seen) < 4 * _FEWEST:
@@ -79,7 +80,7 @@ def inferred_swings(
             continue
         if len(between) > 1 and float(np.max(np.diff(between))) < 3 * spacing_s:
             continue
-        # the half period falls slowly with the amplitude; the count goes on from the last one
+        # the half period changes slowly with the amplitude: count from one crossing to the next
         index = 0
         if swings:
             gone_s = 0.5 * (before.time_s + after.time_s) - (swings[-1].turn_time_ns - start_ns) * 1e-9
@@ -89,9 +90,9 @@ def inferred_swings(
 
 
 def joined_swings(seen: Sequence[Swing], inferred: Sequence[Swing]) -> list[Swing]:
-    """Turning points that were seen, unflagged, and inferred ones in one count.
+    """Merge the unflagged recorded half-cycles and the inferred ones, with common indices.
 
-    Where both claim the same half-cycle the inferred one holds: the spot was off the sensor there.
+    If both exist for a half-cycle the inferred one is used, because the spot was outside the sensor.
     """
     if not inferred:
         return list(seen)
@@ -114,10 +115,10 @@ def joined_swings(seen: Sequence[Swing], inferred: Sequence[Swing]) -> list[Swin
 
 
 def _half_period_s(time_s: NDArray[np.float64], values: NDArray[np.float64], spacing_s: float) -> float:
-    """Median interval between changes of sign that the spot was seen at."""
+    """Median interval between recorded changes of sign."""
     at = np.nonzero((values[1:] * values[:-1] <= 0) & (np.diff(time_s) < 3 * spacing_s))[0]
     interval = np.diff(time_s[at])
-    # noise at a slow crossing changes the sign several times within a few samples
+    # during a slow crossing noise changes the sign several times within a few samples
     interval = interval[interval > 6 * spacing_s]
     return float(np.median(interval)) if len(interval) else math.nan
 
@@ -129,7 +130,7 @@ def _crossings(
     half_s: float,
     spacing_s: float,
 ) -> list[_Crossing]:
-    """Where the deflection passes zero, with speed (positive upwards)."""
+    """Crossings of zero with their times and speeds (positive for rising deflection)."""
     at = np.nonzero((values[1:] * values[:-1] <= 0) & (np.diff(time_s) < 3 * spacing_s))[0]
     found: list[_Crossing] = []
     for i in at.tolist():
@@ -164,7 +165,7 @@ def _crossings(
 
 
 def _rest(found: list[_Crossing], half_s: float) -> float:
-    """Rest position above the level of the crossings: about it the intervals are equal."""
+    """Rest position relative to the level of the crossings: the level at which the intervals are equal."""
     shifts = [
         0.25 * b.speed * (c.time_s - 2 * b.time_s + a.time_s)
         for a, b, c in zip(found, found[1:], found[2:], strict=False)

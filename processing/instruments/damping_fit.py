@@ -1,7 +1,7 @@
 """Damping between two amplitudes: time and number of swings (Koenig, Persoz, Kuznetsov).
 
-Where the amplitude passes a level is interpolated between the two turning points on either side of
-it, ln(amplitude) against half-cycle, and the time between those same two turning points.
+The passage of the amplitude through a level is interpolated between the turning points before and after it:
+the half-cycle linearly in ln(amplitude), the time linearly in the half-cycle.
 """
 
 import math
@@ -20,9 +20,9 @@ _SLOPE_POINTS = 10
 
 
 class Passage(NamedTuple):
-    """Where the amplitude passes a level: half-cycle (a fraction) and time, and what they err together.
+    """Passage of the amplitude through a level: half-cycle (fractional), time, and their covariance.
 
-    `missing` half-cycles lie between the two turning points that it was interpolated from.
+    `missing` is the number of missing half-cycles between the two turning points used.
     """
 
     half_cycle: float
@@ -35,8 +35,8 @@ class Passage(NamedTuple):
 class Damping(NamedTuple):
     """Time and number of whole swings (to and fro) in which the amplitude falls from `start` to `end`.
 
-    `swings` is a fraction by interpolation; a counter shows the whole number below it. `period_s` is the
-    mean period meanwhile.
+    `swings` is interpolated and fractional; a counter would show the whole number below it. `period_s` is
+    the mean period in this interval.
     """
 
     start_rad: float
@@ -48,12 +48,12 @@ class Damping(NamedTuple):
 
 
 def passage(points: TurningPoints, level_rad: float) -> Passage:
-    """Where the amplitude falls through `level_rad`.
+    """Passage of the falling amplitude through `level_rad`.
 
-    Noise may take neighbouring turning points across a level more than once: the last one at or above
-    it counts, and the next. Where the record begins less than 3 % below the level, as it does after a
-    release at the level itself, the decay of the first half-cycles is carried back to it (the half-cycle
-    is then negative).
+    Noise may make the amplitude cross the level several times; the last turning point at or above it and the
+    next one are used. If the record starts less than 3 % below the level, as after a release at
+    the level itself, the decay of the first half-cycles is extrapolated back (the half-cycle is negative
+    then).
 
     Raises
     ------
@@ -77,7 +77,7 @@ def passage(points: TurningPoints, level_rad: float) -> Passage:
             f"the amplitude never reaches {level:.4g} degrees, the record ends at "
             f"{amplitude[-1] / DEGREE_RAD:.4g} degrees; measure longer"
         )
-    # a slope to carry on by needs more than two neighbours
+    # an extrapolation needs a slope from more than two neighbours
     i, j = first, min(_SLOPE_POINTS, len(amplitude) - 1) if extended else first + 1
     steps = float(points.index[j] - points.index[i])
     fall = math.log(amplitude[i] / amplitude[j])
@@ -97,7 +97,7 @@ def passage(points: TurningPoints, level_rad: float) -> Passage:
 
 
 def damping(points: TurningPoints, start_rad: float, end_rad: float) -> Damping:
-    """Time and swings from one amplitude to another. Raises DataError where one is not passed."""
+    """Time and number of swings from one amplitude to another; DataError if one is not passed."""
     if not end_rad < start_rad:
         raise DataError(
             f"end amplitude {end_rad / DEGREE_RAD:.4g} degrees must lie below the start, "
@@ -132,7 +132,7 @@ def ratio(measured: Estimate, reference: Estimate) -> Estimate:
 
 
 class Places(NamedTuple):
-    """Several places on one sample: mean with its uncertainty, spread from place to place, 95 % interval."""
+    """Values from several places of a sample: mean, its uncertainty, standard deviation, 95 % interval."""
 
     number: int
     mean: Estimate
@@ -141,10 +141,10 @@ class Places(NamedTuple):
 
 
 def over_places(values: Sequence[Estimate]) -> Places:
-    """Mean over places. Its uncertainty is the larger of scatter and stated uncertainties.
+    """Mean over places. Its uncertainty is the larger of that from the scatter and that from the stated ones.
 
-    The spread is the standard deviation from place to place, NaN for one place; the 95 % interval is
-    Student's with the number of places less one where the scatter rules. Raises DataError for none.
+    The spread is the standard deviation between places, NaN for a single one. If the scatter is larger, the
+    95 % interval uses Student's t with the number of places minus one. Raises DataError if there is no value.
     """
     from scipy.special import stdtrit
 

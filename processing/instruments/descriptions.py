@@ -1,7 +1,7 @@
-"""The kinds of pendulum, one table. A further kind is one more entry.
+"""Table of the pendulum instruments. To add one, add an entry.
 
-The numbers are those of the published instruments; where a source leaves one open the field is
-None, and where sources disagree `note` says so. Every one can be overridden by the configuration.
+The numbers are those of the published instruments. A number that the source does not state is None;
+disagreements of sources are given in `note`. Every number can be overridden by the configuration.
 """
 
 import math
@@ -15,13 +15,13 @@ from processing.angle import ARCSEC_RAD
 DEGREE_RAD = math.pi / 180.0
 
 Report = Literal["contact", "damping", "hardness", "decay", "rolling", "circular"]
-"""What is reported: the contact's laws, damping between two amplitudes, Herbert's numbers, Kuznetsov's
-decay, Tomlinson's rolling friction, the period against the amplitude."""
+"""Kinds of evaluation: contact laws, damping between two amplitudes, Herbert's hardness numbers, Kuznetsov's
+decay, Tomlinson's rolling friction, period as a function of the amplitude."""
 
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """A value that a standard asks for, plus or minus a tolerance; `tolerance` infinite upwards: at least."""
+    """A value required by a standard and its tolerance; with an infinite tolerance the value is a minimum."""
 
     value: float
     tolerance: float
@@ -39,9 +39,9 @@ class Limits:
 class Description:
     """One kind of pendulum.
 
-    `support_radius_m` is that of ball, roller or axis; `lever_m` the distance of the mass centre from
-    the point about which the pendulum turns, needed where moments are reported. Amplitudes are those
-    between which it is evaluated.
+    `support_radius_m` is the radius of ball, roller or axis; `lever_m` the distance of the centre of mass
+    from the point about which the pendulum turns, needed to report moments. The amplitudes are those between
+    which the decay is evaluated.
     """
 
     kind: str
@@ -193,4 +193,4 @@ _TABLE = (
 INSTRUMENTS: Mapping[str, Description] = MappingProxyType(
     {description.kind: description for description in _TABLE}
 )
-"""Every kind by its name."""
+"""All instruments by name."""

@@ -1,11 +1,12 @@
 """Friction of a pendulum of any amplitude, from its turning points: moment = q (phi/phi_ref)^s.
 
-The moment stands over m g d, d the lever arm of the mass centre. Between two turning points A and B
+The moment is divided by m g d, with the lever arm d of the centre of mass. Between two turning points A and B
 
     cos B - cos A = D(A) + D(B)        D(x) = q phi_ref (x/phi_ref)^(s+1) / (s+1)
 
-whatever the support does on the way: at a turning point nothing moves, so that neither inertia nor
-rolling enters. s = 0 is friction independent of amplitude and speed, s = 1 a constant decrement.
+by conservation of energy. At the turning points the kinetic energy is zero, so that neither inertia nor
+rolling of the support enters. s = 0 is friction independent of amplitude and speed, s = 1 gives a constant
+decrement.
 """
 
 import math
@@ -26,8 +27,8 @@ _FEWEST = 6
 class FrictionLaw:
     """The fitted law. `covariance` is that of (ln initial amplitude, ln q, s).
 
-    `moment` is q at `reference_rad`, `mean_moment` the mean over a half-swing of that amplitude,
-    q/(s+1): both over m g d. Uncertainties are scaled by sqrt(max(1, chi2/dof)).
+    `moment` is q at `reference_rad`, `mean_moment` its mean over a half-swing of that amplitude, q/(s+1);
+    both are divided by m g d. Uncertainties are multiplied by sqrt(max(1, chi2/dof)).
     """
 
     reference_rad: float
@@ -40,15 +41,16 @@ class FrictionLaw:
 
     @property
     def mean_moment(self) -> Estimate:
-        """Loss of a half-swing of the reference amplitude over the angle that it covers."""
+        """Energy loss of a half-swing at the reference amplitude divided by the angle covered."""
         value = self.moment.value / (1 + self.exponent.value)
         by = np.array([0.0, 1.0, -1 / (1 + self.exponent.value)])
         return Estimate(value, value * math.sqrt(by @ self.covariance @ by))
 
     def decrement(self, amplitude_rad: float) -> Estimate:
-        """Log decrement ln(A_i/A_(i+2)) of the whole swing whose ends have this geometric mean.
+        """Logarithmic decrement ln(A_i/A_(i+2)) of a full swing whose two amplitudes have this geometric
+        mean.
 
-        Raises DataError where friction would hold the pendulum before the swing is over.
+        Raises DataError if friction would stop the pendulum within the swing.
         """
         log_moment, exponent = math.log(self.moment.value), self.exponent.value
         value = 0.0
@@ -61,16 +63,17 @@ class FrictionLaw:
             if abs(value - before) <= 1e-14 * value:
                 break
         relative = math.log(amplitude_rad / self.reference_rad)
-        # to first order the decrement goes as the mean moment, whose logarithm has these derivatives
+        # to first order the decrement is proportional to the mean moment, whose logarithm has these
+        # derivatives
         by = np.array([0.0, 1.0, relative - 1 / (1 + exponent)])
         return Estimate(value, value * math.sqrt(by @ self.covariance @ by))
 
 
 def fit_friction_law(points: TurningPoints) -> FrictionLaw:
-    """Least squares of all turning-point amplitudes.
+    """Least-squares fit to the amplitudes of all turning points.
 
-    Raises DataError for fewer than six turning points, amplitudes that do not fall, or a law that the
-    data do not determine.
+    Raises DataError for fewer than six turning points, for amplitudes that do not fall, or if the data do not
+    determine the law.
     """
     from scipy.optimize import least_squares
 
@@ -115,7 +118,7 @@ def fit_friction_law(points: TurningPoints) -> FrictionLaw:
 def _decay(
     log_initial: float, log_moment: float, exponent: float, reference: float, steps: NDArray[np.int64]
 ) -> NDArray[np.float64]:
-    """Amplitudes at the half-cycles `steps`, which rise from 0; 0 once friction holds the pendulum."""
+    """Amplitudes at the half-cycles `steps`, which rise from 0; 0 after friction has stopped the pendulum."""
     found = np.zeros(len(steps))
     amplitude = math.exp(log_initial)
     scale = math.exp(log_moment) * reference / (1 + exponent)
@@ -123,7 +126,7 @@ def _decay(
     reached = 0
     for k in range(1, len(steps)):
         while reached < steps[k]:
-            # 1 - cos by the half angle: no digits are lost at arc minutes
+            # 1 - cos by the half-angle formula, which loses no digits at small angles
             left = 2 * math.sin(0.5 * amplitude) ** 2 - scale * (amplitude / reference) ** (exponent + 1)
             if left <= 0:
                 return found

@@ -1,4 +1,4 @@
-"""Herbert's hardness numbers, from the first seconds of a record."""
+"""Herbert's hardness numbers, from the first swings of a record."""
 
 import math
 from typing import NamedTuple
@@ -11,10 +11,10 @@ from processing.swing import TurningPoints
 
 
 class HerbertHardness(NamedTuple):
-    """Time of ten single swings, ten times the first one, and the scale reading after the first.
+    """Time of ten single swings, ten times that of the first one, and the scale reading after the first.
 
-    A single swing goes from one turning point to the next. `ten_swings_s` is None where the record
-    holds fewer than ten in a row; `missing` says so.
+    A single swing is the motion from one turning point to the next. `ten_swings_s` is None if the record
+    contains fewer than ten in a row; `missing` states this.
     """
 
     ten_swings_s: Estimate | None
@@ -25,13 +25,14 @@ class HerbertHardness(NamedTuple):
 
 
 def herbert_hardness(points: TurningPoints, divisions: float = 100.0) -> HerbertHardness:
-    """Hardness numbers from the first swings that were seen whole.
+    """Hardness numbers from the first swings that were recorded completely.
 
     Parameters
     ----------
     divisions
-        Of the scale that the released pendulum runs over from its zero to the mirrored angle: the reading
-        after a swing without loss. The scale's zero is the turning point that the first swing starts from.
+        Number of scale divisions between the angle of release and the same angle on the other side, the
+        reading after a swing without loss. The scale's zero is the turning point at which the first swing
+        starts.
 
     Raises
     ------

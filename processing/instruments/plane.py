@@ -1,4 +1,4 @@
-"""Plane of the swing of a pendulum on one point: its direction, how it turns, the deflection in it."""
+"""Plane of swing of a pendulum on a single point: its direction, its rotation, and the deflection in it."""
 
 import math
 from typing import NamedTuple
@@ -13,11 +13,11 @@ _FEWEST = 3
 
 
 class SwingPlane(NamedTuple):
-    """Direction of the plane against the slow axis Y, turning towards X, by whole periods.
+    """Angle of the plane from the slow axis Y towards X, period by period.
 
-    `rate_rad_per_s` is the slope of a straight line, its uncertainty from the scatter about the line;
-    `turned_rad` from the first to the last period. `width_ratio` is the largest minor over major axis
-    of the ellipse.
+    `rate_rad_per_s` is the slope of a straight line, with the uncertainty from the scatter about it.
+    `turned_rad` is the rotation from the first to the last period. `width_ratio` is the largest ratio of
+    minor to major axis of the ellipse.
     """
 
     time_s: NDArray[np.float64]
@@ -35,9 +35,10 @@ def swing_plane(
     Parameters
     ----------
     times_ns, x_rad, y_rad
-        (n,) samples; NaN where the spot was lost. A period that lacks a tenth of its samples is left out.
+        (n,) samples; NaN where the spot was lost. A period with more than a tenth of its samples missing is
+        left out.
     period_s
-        Of the swing.
+        Period of the swing.
 
     Raises
     ------
@@ -56,7 +57,8 @@ def swing_plane(
         both = np.column_stack([x_rad[rows], y_rad[rows]])
         both -= both.mean(axis=0)
         _, sizes, axes = np.linalg.svd(both, full_matrices=False)
-        # the direction is that of the time at which the swing is wide, which slips through the periods
+        # The direction is determined mainly by samples with a large deflection. Their mean time varies
+        # relative to the period, because `period_s` is not exact.
         middles.append(float(np.average(time_s[rows], weights=np.sum(both**2, axis=1))))
         directions.append(math.atan2(axes[0, 0], axes[0, 1]))
         widths.append(float(sizes[1] / sizes[0]))
@@ -65,7 +67,7 @@ def swing_plane(
             f"{len(middles)} whole periods with both axes; at least {_FEWEST} are needed for the swing plane"
         )
     at = np.array(middles)
-    # a plane has no sign: directions are known up to half a turn
+    # the direction of a plane is defined modulo pi
     direction = 0.5 * np.unwrap(2 * np.array(directions))
     direction -= math.pi * round(direction[0] / math.pi)
     centred = at - at.mean()
@@ -91,9 +93,9 @@ def along_plane(
     u_x_rad: NDArray[np.float64],
     u_y_rad: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Deflection in the turning plane and its standard uncertainty, from both axes.
+    """Deflection in the rotating plane and its standard uncertainty, from both axes.
 
-    The direction is that of the straight line through the periods' directions.
+    The direction of the plane is given by the straight line fitted to the directions of the periods.
     """
     time_s = (times_ns - times_ns[0]) * 1e-9
     middle = float(plane.time_s.mean())

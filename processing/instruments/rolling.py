@@ -1,7 +1,8 @@
-"""Rolling friction after Tomlinson: is the decrement constant, and does the coefficient know the speed?
+"""Rolling friction after Tomlinson: tests whether the decrement is constant and the coefficient depends on
+speed.
 
-Loss of a cycle over the angle that is covered is the mean moment; divided by load and radius it is the
-coefficient of rolling friction. All three follow from the friction law of the turning points.
+The energy loss of a cycle divided by the angle covered is the mean moment. Divided by load and radius, it is
+the coefficient of rolling friction. All three follow from the friction law fitted to the turning points.
 """
 
 import math
@@ -14,11 +15,12 @@ from processing.swing import TurningPoints
 
 
 class RollingFriction(NamedTuple):
-    """What a decay says of rolling friction.
+    """Rolling friction of a decay.
 
-    `decrement` and `coefficient` hold at `law.reference_rad`, the geometric mean of the amplitudes. The
-    coefficient goes as amplitude^exponent, and so with the largest speed; the decrement as
-    amplitude^(exponent - 1). Each sentence tests one of the two against zero by two standard uncertainties.
+    `decrement` and `coefficient` refer to `law.reference_rad`, the geometric mean of the amplitudes. The
+    coefficient is proportional to amplitude^exponent, and likewise to the same power of the largest speed;
+    the decrement is proportional to amplitude^(exponent - 1). Each sentence states whether one of the two
+    exponents differs from zero by more than two standard uncertainties.
     """
 
     law: FrictionLaw
@@ -37,9 +39,9 @@ def rolling_friction(
     Parameters
     ----------
     lever_m
-        Distance of the mass centre below the axis of rolling; with it, moments stand over m g.
+        Distance of the centre of mass below the axis of rolling; with it, moments are known relative to m g.
     radius_m
-        Of the axis or ball that rolls. Where one of the two is None there is no coefficient.
+        Radius of the axis or ball that rolls. If either is None, no coefficient is computed.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What the uncertainty of the angular scale does to a quantity reduced from turning points."""
+"""Effect of the angular scale's uncertainty on quantities evaluated from turning points."""
 
 import math
 from collections.abc import Callable
@@ -13,24 +13,25 @@ Found = TypeVar("Found", bound=NamedTuple)
 
 
 def with_scale(reduce: Callable[[TurningPoints], Found], points: TurningPoints, u_relative: float) -> Found:
-    """Reduce, with the scale's uncertainty in every estimate.
+    """Evaluate turning points and include the scale's uncertainty in every estimate.
 
-    One error of the scale is common to all amplitudes of a record, so that it hides in no scatter: the
-    reduction is made again with all amplitudes larger by one relative standard uncertainty, and the
-    change of each estimate is added in quadrature (JCGM 100, 5.1.3, note 2).
+    An error of the scale is common to all amplitudes of a record and does not show in their scatter. The
+    evaluation is repeated with all amplitudes larger by one relative standard uncertainty, and the change
+    of each estimate is added in quadrature (JCGM 100, 5.1.3, note 2).
 
     Parameters
     ----------
     reduce
-        Gives a named tuple; fields that are `Estimate` (or None in both) are widened, others kept.
+        The evaluation; it returns a named tuple, of which the fields of type `Estimate` (or None in both
+        evaluations) are modified and the others kept.
     u_relative
-        Relative standard uncertainty of the scale; 0 where none is stated.
+        Relative standard uncertainty of the scale; 0 if none is stated.
 
     Raises
     ------
     DataError
-        What `reduce` raises for the points as they are. Where only the enlarged amplitudes fall short of
-        something, amplitudes made smaller by as much are tried, and then the estimates stay as they are.
+        Errors of `reduce` for the points as given. If it fails only for the enlarged amplitudes, it is
+        repeated with amplitudes smaller by as much; if that fails too, the estimates are not modified.
     """
     found = reduce(points)
     if not u_relative > 0:

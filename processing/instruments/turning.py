@@ -1,9 +1,9 @@
-"""Turning points of large swings, each from the samples about it.
+"""Turning points of large swings, each fitted to the samples around it.
 
-The swing detector's waveform is that of small swings. A pendulum of several degrees, on a round
-support, under friction that grows with the angle, has another: its turning points are fitted here again,
-each for itself, by a smooth curve with a step in its curvature at the turning point, where friction
-changes sign. Detection, counting and flags stay the detector's.
+The swing detector assumes the waveform of small swings. That of a pendulum with an amplitude of several
+degrees, on a round support and with friction that grows with the angle, is different. Its turning points are
+fitted again here, each separately, by a smooth curve with a step of its second derivative at the turning
+point, where friction changes its sign. Detection, indices and flags are those of the detector.
 """
 
 from collections.abc import Sequence
@@ -17,8 +17,8 @@ from processing.errors import DataError
 from processing.swing import Swing, SwingFlag
 
 _REACH = 0.40
-"""Half width of the fitted stretch in half periods. There even powers up to the sixth follow a cosine to
-1e-6 of the amplitude."""
+"""Half-width of the fitted interval in half periods. Within it even powers up to the sixth approximate a
+cosine to 1e-6 of the amplitude."""
 _FEWEST = 16
 _FEWEST_CENTRES = 4
 _POWERS = 7
@@ -31,20 +31,20 @@ def refined(
     u_deflection_rad: NDArray[np.float64],
     swings: Sequence[Swing],
 ) -> list[Swing]:
-    """The same half-cycles with time and amplitude fitted to the samples about each turning point.
+    """The same half-cycles with time and amplitude fitted to the samples around each turning point.
 
     Parameters
     ----------
     times_ns, deflection_rad, u_deflection_rad
-        (n,) samples that the swings were detected in; NaN where the spot was lost.
+        (n,) samples in which the swings were detected; NaN where the spot was lost.
     swings
-        Of the detector. One whose turning point has too few samples about it keeps its values and is
-        flagged `SwingFlag.GAP`; flagged ones are handed on as they are.
+        Half-cycles from the detector. One with too few samples around its turning point keeps its values and
+        is flagged `SwingFlag.GAP`; flagged ones are returned unchanged.
 
     Raises
     ------
     DataError
-        Fewer than two swings: nothing tells the period then.
+        Fewer than two swings, so that the period is unknown.
     """
     if len(swings) < 2:
         raise DataError(f"{len(swings)} half-cycles; at least 2 are needed to know the period")
@@ -105,9 +105,9 @@ def _fit(
 
 
 def _about_the_rest_position(swings: list[Swing]) -> list[Swing]:
-    """Amplitudes about one straight line in time, the rest position, from all turning points.
+    """Amplitudes relative to the rest position, a straight line in time fitted to all turning points.
 
-    Three successive ones whose amplitudes fall as a geometric series tell it exactly.
+    Three successive turning points whose amplitudes form a geometric series determine it exactly.
     """
     good = [swing for swing in swings if not swing.flags]
     triples = [
@@ -135,7 +135,7 @@ def _about_the_rest_position(swings: list[Swing]) -> list[Swing]:
 
 
 def _with_half_periods(swings: list[Swing]) -> list[Swing]:
-    """Half periods again, from the turning times."""
+    """Compute the half periods again from the turning times."""
     result = swings[:1]
     for before, swing in pairwise(swings):
         whole = swing.index - before.index == 1
