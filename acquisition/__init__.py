@@ -1,1 +1,1 @@
-"""Frames in, records out: cameras, the simulated rig, MCAP records."""
+"""Acquisition of frames and storage in records: cameras, the simulated rig, MCAP files."""

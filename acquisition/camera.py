@@ -1,4 +1,4 @@
-"""What every camera driver promises."""
+"""Interface of every camera driver."""
 
 from dataclasses import astuple, dataclass
 from typing import Literal, NamedTuple, Protocol
@@ -12,15 +12,15 @@ PixelFormat = Literal["mono8", "mono10", "mono12", "mono16"]
 
 
 class FrameTimeout(DeviceError):
-    """No frame came within the time allowed; the camera may still be alive."""
+    """No frame arrived within the timeout; the camera may still be connected."""
 
 
 class CameraLost(DeviceError):
-    """The camera is gone (unplugged, link down); `close`, then `open` again may bring it back."""
+    """The connection to the camera is lost (unplugged, link down); it may return after `close` and `open`."""
 
 
 class CameraSettings(BaseModel, frozen=True, extra="forbid"):
-    """What a user asks of a camera; None leaves the camera's own value.
+    """Settings of a camera requested by the user; None keeps the camera's present value.
 
     The region of interest is in sensor pixels, x to the right, y down; width and height of the
     frame are those of the region.
@@ -38,7 +38,7 @@ class CameraSettings(BaseModel, frozen=True, extra="forbid"):
 
 @dataclass(frozen=True, slots=True)
 class CameraInfo:
-    """Who the camera is. `full_scale_dn` is the largest value that a pixel can take."""
+    """Identity and sensor of the camera. `full_scale_dn` is the largest possible value of a pixel."""
 
     driver: str
     vendor: str
@@ -51,10 +51,10 @@ class CameraInfo:
 
 
 class PluggedCamera(NamedTuple):
-    """One camera as its driver finds it, before it is opened.
+    """A connected camera as found by its driver, before it is opened.
 
-    `place` is its port, address or path, `modes` what it can deliver, as far as that is known.
-    `problem` says why it cannot be used; it is empty where it can.
+    `place` is its port, address or path; `modes` are its image modes as far as known. `problem` is the
+    reason why it cannot be used, or empty.
     """
 
     driver: str
@@ -67,7 +67,7 @@ class PluggedCamera(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class CameraStatus:
-    """Where the frames went since `start`; the counts are kept apart by who lost them."""
+    """Numbers of frames since `start`: delivered, and lost, by the place of the loss."""
 
     delivered: int = 0
     dropped_by_camera: int = 0
@@ -78,11 +78,11 @@ class CameraStatus:
 
     @property
     def dropped(self) -> int:
-        """All frames lost, by camera, bus and host."""
+        """Total number of frames lost in camera, bus and host."""
         return self.dropped_by_camera + self.dropped_by_bus + self.dropped_by_host + self.incomplete
 
     def __add__(self, other: "CameraStatus") -> "CameraStatus":
-        """Counts of two stretches of one run, before and after a reconnection."""
+        """Sum of the counts of two parts of a run, before and after a reconnection."""
         return CameraStatus(*(a + b for a, b in zip(astuple(self), astuple(other), strict=True)))
 
 
@@ -91,14 +91,14 @@ class Camera(Protocol):
 
     Life cycle: ``open`` -> ``configure`` -> (``start`` -> ``read``... -> ``stop``) any number of
     times -> ``close``. One thread calls ``read``; ``stop`` and ``close`` may come from another
-    thread at any moment, from any state, any number of times, and return within one second.
+    thread at any time, in any state, any number of times, and return within one second.
 
-    Every method raises `DeviceError` with one line that names the camera, the value and the
-    remedy. A frame that is lost is counted in `status`, never replaced.
+    Every method raises `DeviceError` with one line that names the camera, the value and the remedy. A
+    lost frame is counted in `status` and never replaced.
     """
 
     def open(self) -> CameraInfo:
-        """Find and claim the camera. Raises DeviceError where it is missing, ambiguous or in use."""
+        """Find and claim the camera. Raises DeviceError if it is missing, ambiguous or in use."""
         ...
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
@@ -106,14 +106,14 @@ class Camera(Protocol):
         ...
 
     def start(self) -> None:
-        """Begin to deliver frames, numbered from 0; what was buffered before is thrown away."""
+        """Start delivering frames, numbered from 0; frames buffered before are discarded."""
         ...
 
     def read(self, timeout_s: float) -> Frame | None:
-        """Next frame in order. Blocks at most timeout_s.
+        """Next frame in order. Blocks for at most timeout_s.
 
-        Returns None when the source has come to its end (a folder, a simulated run) or was
-        stopped. Raises FrameTimeout when nothing came in time, CameraLost when the camera is gone.
+        Returns None if the source has ended (a folder, a simulated run) or was stopped. Raises FrameTimeout
+        if no frame arrived in time, CameraLost if the connection is lost.
         """
         ...
 
@@ -122,7 +122,7 @@ class Camera(Protocol):
         ...
 
     def close(self) -> None:
-        """Give the camera back."""
+        """Release the camera."""
         ...
 
     @property

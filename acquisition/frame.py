@@ -1,4 +1,4 @@
-"""One image and when it was taken."""
+"""One image with its number and times."""
 
 from typing import NamedTuple
 

@@ -1,4 +1,4 @@
-"""One line of frames out of several starts of a camera: numbers and times that go on over a gap."""
+"""Continuous frame numbers and times over several starts of a camera, as after it was unplugged."""
 
 from acquisition.frame import Frame
 
@@ -8,13 +8,12 @@ _SMOOTHING = 0.1
 
 
 class FrameLine:
-    """Joins what comes after an unplugging to what came before.
+    """Continues numbers and times of frames after a reconnection.
 
-    A camera that is opened again numbers its frames from 0, and its clock may have begun anew. The
-    frames after the gap get the numbers that they would have had, so that those which are missing
-    are counted, as far as the time that passed tells. A clock that began anew is shifted by a
-    constant so that it goes on with the host's; the shift is stated. `missing` counts the frames that
-    would have come while the camera was gone.
+    A camera that is opened again numbers its frames from 0, and its clock may have been reset. The frames
+    after the gap get the numbers that follow from the time elapsed, so that missing frames are counted. A
+    clock that was reset is shifted by a constant, so that it continues consistently with the host's clock;
+    the shift is reported. `missing` is the number of frames missed while the camera was disconnected.
     """
 
     def __init__(self) -> None:
@@ -26,9 +25,9 @@ class FrameLine:
         self.missing = 0
 
     def patience_s(self, without_s: float) -> float:
-        """How long silence is nothing special: two frame times and a little, `without_s` at first.
+        """Time without a frame that is still normal: two frame times and a margin; `without_s` at the start.
 
-        The little leaves time to name a silence within two frame times plus 0.5 s.
+        With this margin an interruption is reported within two frame times plus 0.5 s.
         """
         return 2e-9 * self._interval_ns + _NAMED_AFTER_S if self._interval_ns else without_s
 

@@ -1,4 +1,4 @@
-"""Where frames were lost that are missing from a series."""
+"""Numbers of lost frames by the place of the loss."""
 
 from typing import NamedTuple, Self
 
@@ -6,7 +6,7 @@ from acquisition.camera import CameraStatus
 
 
 class FrameLosses(NamedTuple):
-    """Counts of frames lost, apart by who lost them.
+    """Numbers of lost frames by the place of the loss.
 
     Attributes
     ----------
@@ -41,7 +41,7 @@ class FrameLosses(NamedTuple):
 
     @property
     def total(self) -> int:
-        """All of them."""
+        """Total number of lost frames."""
         return sum(self)
 
     def since(self, before: "FrameLosses") -> "FrameLosses":

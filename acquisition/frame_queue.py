@@ -11,11 +11,11 @@ Policy = Literal["wait", "every", "latest"]
 
 
 class FrameQueue:
-    """Hands frames over in blocks, in order, and counts what it could not take.
+    """Passes frames on in blocks, in order, and counts those dropped.
 
-    Policies: ``wait`` holds the camera back (simulated time, files: nothing is ever lost);
-    ``every`` keeps what is queued and refuses the newest when full (measuring: a gap is one
-    contiguous stretch); ``latest`` throws the oldest away (aligning: what is seen is now).
+    Policies for a full queue: ``wait`` blocks the camera (simulated time, files: nothing is lost); ``every``
+    rejects the newest frame (measurement: losses form one contiguous gap); ``latest`` drops the oldest frame
+    (alignment: the display shows the present).
     """
 
     def __init__(self, capacity: int, policy: Policy) -> None:

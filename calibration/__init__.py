@@ -1,1 +1,1 @@
-"""Pixels to radians, camera ticks to seconds, DN to electrons: each with its budget."""
+"""Calibrations: pixels to radians, camera clock to seconds, DN to electrons, each with its uncertainties."""

@@ -1,4 +1,4 @@
-"""Whether the pendulum rests, where a calibration needs it to."""
+"""Check that the pendulum is at rest, for calibrations that require it."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +15,8 @@ def require_rest(
 ) -> None:
     """Raise DataError, beginning with `what`, for a record in which the pendulum swings.
 
-    A swing is a sinusoid that explains most of what a coordinate does about a straight line, with an
-    amplitude above 0.05 px and three times what is left without it.
+    It swings if a sinusoid explains most of the variation of a coordinate about a straight line, with an
+    amplitude above 0.05 px and above three times the residuals.
     """
     for name, values in (("x", x_px), ("y", y_px)):
         line = np.polyval(np.polyfit(times_s - times_s[0], values, 1), times_s - times_s[0])

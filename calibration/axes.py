@@ -12,10 +12,10 @@ from calibration.lever import Lever
 class Axes(BaseModel, frozen=True, extra="forbid"):
     """How the pendulum's axes lie on the sensor.
 
-    Tilts are (Y up, X right) for a person; the sensor's y runs down. `slow_angle_rad` is the angle
-    of the slow mode's direction from the sensor's upward vertical, turning towards the sensor's
-    +x. The fast mode lies at a right angle to it (to the right of it), turned further by
-    `non_orthogonality_rad`; `mirrored` says that the camera sees it to the left.
+    Tilts are displayed with Y up and X to the right; the sensor's y points down. `slow_angle_rad` is the
+    angle of the slow mode's direction from the sensor's upward vertical, turning towards the sensor's
+    +x. The fast mode is at a right angle to it (on its right), rotated further by `non_orthogonality_rad`; if
+    `mirrored`, the camera sees it on the left.
     """
 
     slow_angle_rad: float = Field(default=0.0, ge=-math.pi, le=math.pi)

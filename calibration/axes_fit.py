@@ -23,12 +23,12 @@ _IMPROBABLE = 0.01
 
 @dataclass(frozen=True, slots=True)
 class AxesFit:
-    """What both modes say of the axes.
+    """Directions of the axes from both modes.
 
-    `axes` with its uncertainties; periods in s; `slow_px` and `fast_px` the amplitudes at the
-    beginning. `rotation_rad_per_s` is a turning of the slow direction over the record. `signs_known`
-    and `handedness_known` say whether direction and handedness were told or only assumed (upward,
-    and as configured before): a free swing does not tell them. `notes` says what stands out.
+    `axes` with its uncertainties; periods in s; `slow_px` and `fast_px` are the amplitudes at the beginning.
+    `rotation_rad_per_s` is the rate of rotation of the slow direction. `signs_known` and `handedness_known`
+    are False if direction and handedness were assumed (upward, and as configured before), because a free
+    swing does not determine them. `notes` are remarks for the user.
     """
 
     axes: Axes
@@ -154,7 +154,7 @@ def fit_axes(
 
 
 def _frequencies(t: Floats, x: Floats, y: Floats) -> tuple[float, float]:
-    """Of the slow mode from the long axis of the cloud, of the fast one from what lies across it."""
+    """Frequencies: of the slow mode along the major axis, of the fast mode across it."""
     span_s = float(t[-1] - t[0])
     centred = np.column_stack([x - x.mean(), y - y.mean()])
     _, vectors = np.linalg.eigh(centred.T @ centred)

@@ -1,4 +1,4 @@
-"""Both modes of one stretch of a record: their directions on the sensor, from spots alone."""
+"""Directions of both modes on the sensor, from the spots of one interval of a record."""
 
 import math
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ _ENVELOPE = 3
 """Terms of each mode's envelope and phase, a parabola in time."""
 
 _OVERTONE_PARTS = (0.15, 0.08, 0.05)
-"""Largest fifth, seventh and ninth overtone, as parts of the third."""
+"""Largest fifth, seventh and ninth harmonic, as fractions of the third."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +87,7 @@ def _noise(residual: Floats, design: Floats) -> Floats:
 
 
 def _frame(rows: Floats) -> Floats:
-    """Columns: unit vectors across and along what swings most."""
+    """Columns: unit vectors across and along the direction of the largest motion."""
     _, vectors = np.linalg.eigh(rows.T @ rows)
     along = vectors[:, 1]
     return np.column_stack([[-along[1], along[0]], along])
@@ -108,10 +108,10 @@ def _with_overtones(
 ) -> tuple[Floats, Floats, Floats]:
     """Coefficients along the slow direction with their covariance, and the overtones' motion.
 
-    Friction and elasticity give the slow swing odd overtones. One near the fast mode would be taken
-    for a part of it. The third tells how large the higher ones can be: 0.11 to 0.2 of it for the
-    fifth, less beyond, for powers of the tilt from 0 to 1. Held to zero with that as their standard
-    deviation, they take from the fast direction what they may, and no more.
+    Friction and elasticity add odd harmonics to the slow swing. A harmonic near the fast mode's frequency
+    would be mistaken for a part of it. The third harmonic limits the higher ones: for moments proportional
+    to powers of the tilt from 0 to 1, the fifth is 0.11 to 0.2 of it, the others less. They are fitted with
+    a prior of mean zero and that standard deviation.
     """
     orders = [3, 5, 7, 9] if overtone_3 else []
     columns = [part for k in orders for part in ((swing**k).real, (swing**k).imag)]

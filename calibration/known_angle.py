@@ -1,4 +1,4 @@
-"""Whether the lever still holds: known tilts measured again, before and after a series."""
+"""Check of the light lever's scale by repeated measurement of known tilts, before and after a series."""
 
 import math
 from dataclasses import dataclass

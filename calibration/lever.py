@@ -1,6 +1,6 @@
-"""Light lever: where the spot stands on the sensor -> how far the pendulum is tilted.
+"""Light lever: conversion of the spot's position on the sensor into the pendulum's tilt.
 
-The only place that knows of the mirror's factor 2, the arm and the pixel pitch.
+Only this module uses the mirror's factor of 2, the arm and the pixel pitch.
 """
 
 import math

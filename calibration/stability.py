@@ -1,4 +1,4 @@
-"""A spot that should stand still: Allan deviation, drift, spectrum, ISO 11670 pointing stability."""
+"""Stability of a spot at rest: Allan deviation, drift, spectrum, ISO 11670 pointing stability."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""Calibration files: TOML with provenance, a new one beside the old ones, never over them."""
+"""Calibration files: TOML with provenance; a new file never overwrites an older one."""
 
 import datetime
 import hashlib

@@ -1,8 +1,8 @@
-"""Camera clock against the host's monotonic clock, and how even the frames come.
+"""Relation of the camera's clock to the host's monotonic clock, and jitter of the frame times.
 
-Frames are stamped twice: by the camera at exposure and by the host at arrival. The line through
-the pairs relates the clocks; what scatters about it is the way through bus and scheduler, never
-the exposure. Swings need frame times that are even to about 15 us.
+Frames have two timestamps, by the camera at exposure and by the host at arrival. A straight line through the
+pairs relates the clocks. The scatter about it comes from bus and scheduler and not from the exposure. The
+analysis of swings requires a jitter of the frame times below about 15 us.
 """
 
 from dataclasses import dataclass

@@ -1,1 +1,1 @@
-"""One file or folder for each kind of camera; `drivers.py` is their only list."""
+"""Camera drivers, one module or package each; `drivers.py` lists them."""

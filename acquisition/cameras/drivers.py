@@ -1,8 +1,8 @@
-"""The registry of camera drivers: name, settings, how a camera is made and found.
+"""Registry of the camera drivers: name, settings, class of the camera, search for cameras.
 
-A driver is added by one entry here. From it follow the names that ``camera.driver`` takes, the section
-``[camera.NAME]`` of the configuration, and what ``rig devices`` lists. The modules of settings are
-imported with the configuration, all others when the driver is used.
+To add a driver, add one entry. It determines the values of ``camera.driver``, the section ``[camera.NAME]``
+of the configuration, and what ``rig devices`` lists. Modules with settings are imported with the
+configuration, all others when the driver is used.
 """
 
 import importlib
@@ -15,7 +15,7 @@ from processing.errors import ConfigurationError, DeviceError
 
 
 class Driver(NamedTuple):
-    """Where the parts of a driver are, each as ``module:name``.
+    """Locations of the parts of a driver, each as ``module:name``.
 
     Parameters
     ----------
@@ -25,12 +25,12 @@ class Driver(NamedTuple):
         Frozen pydantic models in modules that are cheap to import. A field ``serial`` is filled from
         ``camera.serial``.
     find
-        A function that lists the cameras that are plugged in, as `PluggedCamera`, and raises DeviceError
-        where it cannot look; empty where nothing is ever plugged in.
+        A function that returns the connected cameras as `PluggedCamera`, and raises DeviceError if it cannot
+        search; empty for a driver without hardware.
     sections
-        Sections of the configuration that hold the settings; empty: the only one stands in ``[camera.NAME]``.
+        Sections of the configuration with the settings; empty: the single section ``[camera.NAME]``.
     on_demand
-        Frames are made or read when they are asked for; the camera waits and loses nothing.
+        Frames are generated or read when requested, so that none are lost.
     """
 
     camera: str
@@ -63,7 +63,7 @@ DRIVERS: dict[str, Driver] = {
         settings=("acquisition.cameras.usb3vision.settings:Usb3VisionSettings",),
         find="acquisition.cameras.usb3vision.discovery:list_cameras",
     ),
-    # UVC and other Video4Linux cameras; on Windows and macOS what OpenCV offers
+    # UVC and other Video4Linux cameras; on Windows and macOS through OpenCV
     "v4l2": Driver(
         camera="acquisition.cameras.v4l2.camera:V4l2Camera",
         settings=("acquisition.cameras.v4l2.settings:V4l2Settings",),
@@ -85,7 +85,7 @@ DRIVERS: dict[str, Driver] = {
 
 
 def find_driver(name: str) -> Driver:
-    """Entry of the registry; ConfigurationError lists those there are."""
+    """Entry of the registry; raises ConfigurationError, which lists the drivers, for an unknown name."""
     if name not in DRIVERS:
         raise ConfigurationError(f"camera.driver = {name!r}: {unknown_driver()}")
     return DRIVERS[name]
@@ -97,12 +97,12 @@ def unknown_driver() -> str:
 
 
 def settings_models(name: str) -> tuple[type[BaseModel], ...]:
-    """Models of the settings that a driver takes."""
+    """Classes of the settings of a driver."""
     return tuple(cast(type[BaseModel], _load(place)) for place in find_driver(name).settings)
 
 
 def default_settings(model: type[BaseModel]) -> BaseModel | None:
-    """Settings with all defaults; None where a field has none and the user must state it."""
+    """Settings with default values; None if a field has no default."""
     return None if any(field.is_required() for field in model.model_fields.values()) else model()
 
 
@@ -114,12 +114,12 @@ def make_camera(name: str, *settings: BaseModel) -> Camera:
     name
         A key of `DRIVERS`.
     settings
-        Instances of the driver's models, in their order; those that are left out take their defaults.
+        Instances of the driver's settings classes, in their order; missing ones have default values.
 
     Raises
     ------
     ConfigurationError
-        Unknown driver, or settings that are missing or another driver's.
+        Unknown driver, or settings that are missing or belong to another driver.
     """
     models = settings_models(name)
     full = [*settings, *(default_settings(model) for model in models[len(settings) :])]
@@ -131,7 +131,7 @@ def make_camera(name: str, *settings: BaseModel) -> Camera:
 
 
 def find_cameras() -> tuple[list[PluggedCamera], list[str]]:
-    """Cameras that are plugged in, and one line for each driver that cannot look for them."""
+    """Connected cameras, and one line for each driver that cannot search for them."""
     cameras: list[PluggedCamera] = []
     notes: list[str] = []
     for driver in DRIVERS.values():

@@ -1,6 +1,6 @@
-"""Pixel formats: which are understood, and kernels that unpack the packed ones.
+"""Supported pixel formats, and kernels that unpack the packed ones.
 
-Packed pixels follow each other without gaps: ``p`` formats least significant bits first
+Packed pixels are stored without gaps: ``p`` formats least significant bits first
 (Pixel Format Naming Convention), the older ``Packed`` formats with the low bits of two pixels shared
 in the middle byte (GigE Vision).
 """
@@ -71,8 +71,8 @@ def unpack_12_packed(packed: Bytes, pixels: NDArray[np.uint16]) -> None:
 class Format:
     """One pixel format of the naming convention.
 
-    `transport_bits` is what a pixel takes on the bus; `kernel` unpacks where that is not a whole
-    number of bytes.
+    `transport_bits` is the number of bits of a pixel on the bus; `kernel` unpacks pixels that do not consist
+    of whole bytes.
     """
 
     name: str
@@ -83,20 +83,20 @@ class Format:
     kernel: _Kernel | None = None
 
     def prepare(self) -> None:
-        """Compile the kernel now: at the first frame it would hold the reading thread up."""
+        """Compile the kernel now; compilation at the first frame would block the reading thread."""
         if self.kernel is not None:
             self.kernel(np.zeros(2, np.uint8), np.zeros(1, np.uint16))
 
     def rows_end_with_bytes(self, width_px: int) -> bool:
-        """Whether each row is a whole number of bytes: only then can bytes follow each row."""
+        """Whether each row is a whole number of bytes; only then can a row be followed by padding."""
         return width_px * self.transport_bits % 8 == 0
 
     def byte_count(self, width_px: int, height_px: int, x_padding: int = 0) -> int:
-        """Bytes of an image on the bus, where `x_padding` bytes follow each row."""
+        """Number of bytes of an image on the bus, with `x_padding` bytes after each row."""
         return -(-width_px * height_px * self.transport_bits // 8) + x_padding * height_px
 
     def image(self, raw: Bytes, width_px: int, height_px: int, x_padding: int = 0) -> Image:
-        """The image in these bytes, shape (height, width): a view where nothing is packed or padded.
+        """The image in these bytes, shape (height, width); a view if it is neither packed nor padded.
 
         With padding, `rows_end_with_bytes` must hold.
         """
@@ -112,7 +112,7 @@ class Format:
         return pixels.reshape(height_px, width_px)
 
 
-# In order of preference where a user asks for a depth: fewer bytes on the bus first
+# In order of preference for a requested bit depth: fewer bytes on the bus first
 FORMATS: Final = (
     Format("Mono8", 0x01080001, "mono8", 8, 255),
     Format("Mono10p", 0x010A0046, "mono10", 10, 1023, unpack_10p),

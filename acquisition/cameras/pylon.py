@@ -34,17 +34,17 @@ _POLL_MS: Final = 100
 
 
 class PylonSettings(BaseModel, frozen=True, extra="forbid"):
-    """Which camera."""
+    """Choice of the camera."""
 
     serial: str | None = Field(default=None, description="needed only where several are plugged in")
     buffers: int = Field(default=64, ge=2, le=4096, description="frames kept for a reader that is late")
 
 
 class PylonCamera:
-    """A camera that pylon knows (USB3 Vision, GigE, its own emulation). Thin: pylon grabs and queues.
+    """A camera supported by pylon (USB3 Vision, GigE, emulation); pylon acquires and queues the frames.
 
-    Frames that pylon could not keep are counted as dropped by the host, those that came damaged as
-    incomplete. A camera whose timestamps are all zero (the emulation) has no clock.
+    Frames for which pylon had no buffer are counted as dropped by the host, damaged ones as incomplete. A
+    camera whose timestamps are all zero (the emulation) has no clock.
     """
 
     def __init__(self, settings: PylonSettings | None = None) -> None:
@@ -96,7 +96,7 @@ class PylonCamera:
             )
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
-        """Apply settings; what is returned was read from the camera afterwards."""
+        """Apply settings; the values returned are read back from the camera."""
         with self._lock, self._translated():
             camera = self._opened()
             if camera.IsGrabbing():
@@ -113,7 +113,7 @@ class PylonCamera:
             return self._readings()
 
     def start(self) -> None:
-        """Begin to grab into fresh buffers, every frame in order."""
+        """Start the acquisition of every frame, in order, into new buffers."""
         with self._lock, self._translated():
             camera = self._opened()
             if camera.IsGrabbing():
@@ -175,14 +175,14 @@ class PylonCamera:
             return Frame(image, number, device_time_ns, host_time_ns)
 
     def stop(self) -> None:
-        """No more frames."""
+        """Stop delivering."""
         self._halted.set()
         camera = self._camera
         if camera is not None and camera.IsGrabbing():
             camera.StopGrabbing()
 
     def close(self) -> None:
-        """Stop and give the camera back."""
+        """Stop and release the camera."""
         self.stop()
         with self._lock:
             camera, self._camera = self._camera, None
@@ -191,7 +191,7 @@ class PylonCamera:
 
     @property
     def status(self) -> CameraStatus:
-        """Counts since `start`; they go on over a reconnection."""
+        """Counts since `start`, continued after a reconnection."""
         return CameraStatus(
             delivered=self._delivered,
             dropped_by_host=self._skipped,
@@ -213,7 +213,7 @@ class PylonCamera:
         return None
 
     def _find_tick_ns(self) -> float:
-        """Length of a tick: USB cameras count nanoseconds, GigE cameras report their ticks per second."""
+        """Length of a tick in ns: USB cameras count nanoseconds, GigE cameras report their tick frequency."""
         node = self._first(("GevTimestampTickFrequency",))
         return 1.0 if node is None else 1e9 / float(node.Value)
 
@@ -289,7 +289,7 @@ class PylonCamera:
 
     @contextmanager
     def _translated(self) -> Iterator[None]:
-        """Errors of pylon become DeviceError, those of an unplugged camera CameraLost."""
+        """Convert pylon's errors into DeviceError, those of an unplugged camera into CameraLost."""
         try:
             yield
         except DeviceError:
@@ -306,7 +306,7 @@ class PylonCamera:
 def _load_pylon() -> Any:
     try:
         with warnings.catch_warnings():
-            # importing its binary part raises warnings, and fails where they are errors
+            # importing its binary module raises warnings, and would fail if warnings are errors
             warnings.simplefilter("ignore")
             from pypylon import pylon
     except ImportError:
@@ -317,7 +317,7 @@ def _load_pylon() -> Any:
 
 
 def list_cameras() -> list[PluggedCamera]:
-    """Every camera that pylon finds, with its transport as the place."""
+    """All cameras found by pylon, with the transport layer as `place`."""
     devices = _load_pylon().TlFactory.GetInstance().EnumerateDevices()
     return [
         PluggedCamera("pylon", device.GetModelName(), device.GetSerialNumber(), device.GetDeviceClass())

@@ -1,4 +1,4 @@
-"""The simulated rig as a camera: in simulated time, frames on demand; or paced by the host's clock."""
+"""The simulated rig as a `Camera`: in simulated time, with frames on demand, or in real time."""
 
 import time
 from collections.abc import Callable
@@ -17,20 +17,20 @@ _FORMATS: dict[int, PixelFormat] = {bits: name for name, bits in _BITS.items()}
 
 
 class SimulatedCamera:
-    """A `Camera` that looks at the simulated pendulum.
+    """A `Camera` that observes the simulated pendulum.
 
-    Each `start` after a `stop` is a new run: the pendulum is released anew, the noise is that of
-    the next run. A `start` after the camera was lost (`FaultSettings`) goes on with the same run.
-    In simulated time a wait costs nothing: a stall or an unplugged camera lets simulated time pass.
+    Each `start` after a `stop` begins a new run with a new release and new noise. A `start` after a loss of
+    the camera (`FaultSettings`) continues the same run. In simulated time, waiting takes no real time;
+    during a stall or while the camera is unplugged, simulated time passes.
 
     Parameters
     ----------
     settings, faults
-        Truth of the rig, and what is to go wrong.
+        True values of the rig, and the faults to simulate.
     inputs
-        Outputs of a controller that act on the rig; None: the laser is on, the release as stated.
+        Outputs of a controller that act on the rig; None: the laser is on, release as in the settings.
     monotonic_ns
-        The host's clock, for tests that step it.
+        The host's clock; tests replace it.
     """
 
     def __init__(
@@ -50,7 +50,7 @@ class SimulatedCamera:
         self._applied = self._defaults()
 
     def open(self) -> CameraInfo:
-        """Ready immediately. Raises DeviceError while the simulated cable is out."""
+        """Ready immediately. Raises DeviceError while the simulated camera is unplugged."""
         if self._reader is not None and self._reader.lost:
             self._reader.replug()
         self._opened = True
@@ -67,7 +67,7 @@ class SimulatedCamera:
         )
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
-        """Apply settings; what is None keeps its value. Raises DeviceError for what the sensor cannot do."""
+        """Apply settings; None keeps a value. Raises DeviceError for values the sensor does not support."""
         self._must_be_open()
         if self._reader is not None and self._reader.running:
             raise DeviceError(f"{CAMERA_NAME}: cannot be configured while frames are running; stop it first")
@@ -97,7 +97,7 @@ class SimulatedCamera:
         return new
 
     def start(self) -> None:
-        """Begin a run, or go on with the one that the camera was lost from."""
+        """Begin a run, or continue the run in which the camera was lost."""
         self._must_be_open()
         if self._reader is not None:
             if self._reader.running:
@@ -121,18 +121,18 @@ class SimulatedCamera:
         return reader.read(timeout_s)
 
     def stop(self) -> None:
-        """No more frames."""
+        """Stop delivering."""
         if self._reader is not None:
             self._reader.stop()
 
     def close(self) -> None:
-        """Stop and give back."""
+        """Stop and release the camera."""
         self.stop()
         self._opened = False
 
     @property
     def status(self) -> CameraStatus:
-        """Counts since `start`; they go on over a reconnection."""
+        """Counts since `start`, continued after a reconnection."""
         return CameraStatus() if self._reader is None else self._reader.status
 
     @property

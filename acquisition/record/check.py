@@ -1,4 +1,4 @@
-"""Verifies a record: every byte, every count, every order that can be."""
+"""Verification of a record: checksums, counts, and order of times."""
 
 import json
 import struct
@@ -36,7 +36,7 @@ class Finding(NamedTuple):
 
 @dataclass
 class _Tally:
-    """What the messages themselves say, chunk by chunk."""
+    """Counts and times from the messages themselves, accumulated chunk by chunk."""
 
     counts: Counter[int] = field(default_factory=Counter)
     last_ns: dict[int, int] = field(default_factory=dict)

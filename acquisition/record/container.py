@@ -1,7 +1,13 @@
-"""An MCAP file being written, append only, so that it is readable up to its last whole chunk at any moment.
+"""Writing of an MCAP file by appending only, so that it can be read up to its last complete chunk at any
+time.
 
-The container's small records are serialised by the mcap library. Chunks are our own: its writer
-has one open chunk for all topics and zstd's level 3 (decision 6).
+Layout (MCAP specification): magic, header, data section (schemas, channels, chunks with their message
+indexes, attachments, metadata), DataEnd with a CRC, summary (copies of schemas and channels, chunk indexes,
+statistics), footer, magic. A file that was cut short lacks everything after its last chunk; a reader then
+walks through the data section.
+
+The mcap library serialises the small records. Chunks are built here, because the library's writer has a
+single open chunk for all topics and a fixed compression level (decision 6).
 """
 
 import contextlib
@@ -48,13 +54,14 @@ _UINT32 = 0xFFFFFFFF
 
 
 class McapFile:
-    """Appends to a file that it makes.
+    """Creates a file and appends to it.
 
-    A piece that could not be written whole is cut off again. On a full disk the reserve is given
-    back once, the piece is written, and `full` holds the error: the owner has to end the file.
+    A record that could not be written completely is cut off again, so that the file always ends with a
+    complete one. If the disk is full, the reserve is released, the record is written, and `full` holds the
+    error: the owner must then finish the file.
 
-    Raises OSError: the file exists or cannot be made, there is no room for the reserve; later, that
-    it cannot be written (full after the reserve was given back, drive gone).
+    Raises OSError if the file exists or cannot be created or there is no space for the reserve; later, if it
+    cannot be written (disk full after the release of the reserve, drive removed).
     """
 
     def __init__(self, path: Path, library: str, reserve_bytes: int) -> None:
@@ -106,9 +113,10 @@ class McapFile:
     def add_channel(
         self, topic: str, schema_name: str, descriptor: bytes, texts: Mapping[str, str] | None = None
     ) -> int:
-        """Channel of protobuf messages; stands outside the chunks, so that each is readable alone.
+        """Add a channel of protobuf messages.
 
-        `texts` travel with the channel, which unlike metadata is repeated under the summary's checksum.
+        It is written outside the chunks, so that each chunk can be read without the others. `texts` are the
+        channel's metadata; unlike metadata records they are repeated in the summary, under its checksum.
         """
         schema = self._schemas.get((schema_name, descriptor))
         data = b""
@@ -122,7 +130,7 @@ class McapFile:
         return channel.id
 
     def add_chunk(self, builder: ChunkBuilder) -> None:
-        """Compress, append and clear what the builder holds; nothing where it is empty."""
+        """Compress the builder's messages, append them as a chunk and clear the builder; nothing if empty."""
         if not builder.data:
             return
         compressed = self._compressor.compress(builder.data)
@@ -155,7 +163,8 @@ class McapFile:
         self._end_ns = max(self._end_ns, builder.end_ns)
         self._chunks += 1
         self._counts.update(builder.counts)
-        # Kept serialised: about 100 bytes a chunk, a tenth of what objects take, over days.
+        # The index is kept serialised: about 100 bytes per chunk, a tenth of the memory of objects, which
+        # matters for records of days.
         self._chunk_index += serialised(
             ChunkIndex(
                 chunk_length=chunk_length,
@@ -172,10 +181,10 @@ class McapFile:
         builder.clear()
 
     def sync(self, wait: bool = True) -> None:
-        """Force what was appended to the disk, and keep room for the end of the file.
+        """Flush the file to the disk, and adapt the reserve to the size of the file's ending.
 
-        Without `wait` a thread of its own does that: the disk may take its time, and nothing that is
-        appended meanwhile waits for it. What goes wrong there is raised by `raise_failure`.
+        Without `wait` this is done in a background thread, so that a slow disk does not delay what is
+        appended meanwhile. Errors of that thread are raised by `raise_failure`.
         """
         if wait:
             self._background.wait()
@@ -185,13 +194,13 @@ class McapFile:
             self._background.request()
 
     def raise_failure(self) -> None:
-        """Raise what a `sync` that was not waited for met; once."""
+        """Raise, once, the error of a `sync` in the background."""
         failure = self._background.take_failure()
         if failure is not None:
             raise failure
 
     def finish(self) -> None:
-        """Write the summary, or where there is no room even for that a bare end, and close."""
+        """Write the summary (or only a minimal ending if there is no space for it) and close the file."""
         self._background.wait()
         try:
             try:
@@ -206,7 +215,7 @@ class McapFile:
             self.abandon()
 
     def abandon(self) -> None:
-        """Close as it is; never raises."""
+        """Close the file without an ending; never raises."""
         self._background.wait()
         with contextlib.suppress(OSError):
             self._reserve.release()
@@ -243,7 +252,7 @@ class McapFile:
             with self._reserve_lock:
                 needed = self._reserve_bytes + len(self._chunk_index) + _SPARE_BYTES
                 if self.full is None and self._reserve.size < needed:
-                    # in steps, since each growth is a write to the disk of its own
+                    # in steps, because each increase is a write to the disk
                     self._reserve.hold(needed + _SPARE_BYTES)
             _sync_file(self._file.fileno())
         except OSError as error:
@@ -303,7 +312,7 @@ def serialised(record: Any) -> bytes:
 
 
 def _sync_file(number: int) -> None:
-    """To the disk itself; on macOS fsync alone leaves data in the drive's cache."""
+    """Flush to the disk; on macOS fsync alone leaves data in the drive's cache."""
     if sys.platform == "darwin":
         import fcntl
 
@@ -313,7 +322,7 @@ def _sync_file(number: int) -> None:
 
 
 def _sync_folder(folder: Path) -> None:
-    """The new file's name survives a power cut too; Windows has no such call."""
+    """Flush the folder, so that the new file's name survives a power failure; Windows has no such call."""
     if os.name == "posix":
         number = os.open(folder, os.O_RDONLY)
         try:

@@ -1,6 +1,8 @@
-"""What an MCAP file consists of and where it lies: from the summary, or by walking through a cut file.
+"""Table of contents of an MCAP file: schemas, channels, and positions of chunks, attachments and metadata.
 
-Only the heads of chunks are read here, so that a file of any size is listed in about a second.
+A complete file has a summary, which is read from its end and verified by its checksum. Without a valid
+summary, as after a power failure, the data section is walked through from record to record. Only the headers
+of chunks are read, so that a file of any size takes about a second.
 """
 
 import io
@@ -45,7 +47,7 @@ _SMALL_RECORD_BYTES = 256 * 1024 * 1024
 
 
 class ChunkPlace(NamedTuple):
-    """A chunk's record in the file. `channels` are those that its index names."""
+    """Position of a chunk in the file. `channels` are those listed in its index."""
 
     offset: int
     length: int
@@ -56,10 +58,11 @@ class ChunkPlace(NamedTuple):
 
 @dataclass
 class Contents:
-    """`whole` is false for a file without an end; `readable_bytes` is how far whole records go.
+    """Table of contents of a file.
 
-    `indexed`: chunks come from a summary whose checksum holds, so that their channels can be relied on.
-    `damage` says in words what of the structure itself could not be read.
+    `whole` is False for a file without an ending; `readable_bytes` is the end of its last complete record.
+    `indexed` is True if the chunks come from a summary with a correct checksum, so that their channels are
+    reliable. `damage` describes parts of the structure that could not be read.
     """
 
     size: int
@@ -82,7 +85,7 @@ class Contents:
 
     @cached_property
     def chunks(self) -> list[ChunkPlace]:
-        """All chunks in the order of the file; the index of a day's record has 200,000 of them."""
+        """All chunks in the order of the file; a record of one day has 200,000."""
         return self.walked_chunks or list(_chunk_places(self.chunk_index))
 
     @property
@@ -120,9 +123,9 @@ def read_contents(file: IO[bytes]) -> Contents:
 
 
 def walk(file: IO[bytes], contents: Contents) -> None:
-    """List the data section record by record, without decompressing anything, as far as it is whole.
+    """List the data section record by record, without decompression, up to its last complete record.
 
-    What lies between two chunks is read at once: a day's record has 200,000 of them.
+    The records between two chunks are read in one piece for speed: a record of one day has 200,000 chunks.
     """
     chunk: tuple[int, int, int, int] | None = None
     channels: tuple[int, ...] = ()
@@ -224,7 +227,7 @@ def parse(opcode: int, data: bytes) -> Any:
 
 
 def read_record(file: IO[bytes], place: int) -> tuple[int, bytes]:
-    """Opcode and content of the record that begins at a place. Raises ValueError where there is none."""
+    """Opcode and content of the record at a position in the file. Raises ValueError if there is none."""
     file.seek(place)
     head = file.read(_HEAD.size)
     if len(head) < _HEAD.size:
@@ -251,7 +254,7 @@ def _footer(file: IO[bytes], size: int) -> Footer | None:
 
 
 def _read_summary(file: IO[bytes], contents: Contents, footer: Footer) -> bool:
-    """Fill contents from the summary; False, and why, where it cannot be trusted."""
+    """Fill `contents` from the summary; False if it is damaged, with the reason in `contents.damage`."""
     end = contents.size - _FOOTER.size - len(MAGIC)
     if not len(MAGIC) <= footer.summary_start <= end:
         contents.damage.append("the footer points outside the file")
@@ -281,7 +284,7 @@ def _list_summary(file: IO[bytes], contents: Contents, summary: bytes, footer: F
     place = 0
     while place < len(summary):
         if (Opcode.CHUNK_INDEX, place) in groups:
-            # By far the longest group; who only wants to know what is in a record does not need it.
+            # The chunk indexes are by far the largest group; they are parsed only when needed.
             length = groups[Opcode.CHUNK_INDEX, place]
             contents.chunk_index += summary[place : place + length]
             place += length
@@ -304,7 +307,7 @@ def _list_summary(file: IO[bytes], contents: Contents, summary: bytes, footer: F
 
 
 def _list_or_note(file: IO[bytes], contents: Contents, place: int, name: str) -> None:
-    """One record of the data section; what is wrong with it alone leaves the rest readable."""
+    """List one record of the data section; if it is damaged, note that and keep the rest readable."""
     try:
         _list_small(contents, *read_record(file, place))
     except (struct.error, ValueError) as error:

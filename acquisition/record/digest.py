@@ -1,4 +1,4 @@
-"""SHA-256 of a record: what results.json names it by."""
+"""SHA-256 of a record, by which results.json identifies it."""
 
 import hashlib
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""Reads a record, whole or cut short, chunk by chunk: memory stays flat however large the file is."""
+"""Reads a record, complete or truncated, chunk by chunk; memory does not grow with the file."""
 
 import datetime
 import logging
@@ -52,7 +52,7 @@ class Message(NamedTuple):
 
 
 class Damage(NamedTuple):
-    """A stretch that cannot be trusted: topics and times (UTC) of the chunk, and what is wrong."""
+    """A damaged part of a record: topics and times (UTC) of the chunk, and a description."""
 
     start_ns: int
     end_ns: int
@@ -70,7 +70,7 @@ class RecordReader:
     Raises
     ------
     RecordError
-        No such file, no MCAP, no record of ours, or one of a newer version.
+        No such file, not an MCAP file, not a record of this program, or a record of a newer version.
     """
 
     def __init__(self, path: Path, *, validate_crcs: bool = True) -> None:
@@ -136,7 +136,7 @@ class RecordReader:
 
     @property
     def epoch_offset_ns(self) -> int:
-        """What was added to the frames' clock to give UTC."""
+        """Offset in ns that is added to the frames' clock to obtain UTC."""
         return int(self.metadata["record"]["epoch_offset_ns"])
 
     @property

@@ -1,4 +1,4 @@
-"""A whole file from one that was cut short or damaged."""
+"""Recovery of a truncated or damaged record into a new, complete file."""
 
 from collections import Counter
 from collections.abc import Mapping
@@ -18,7 +18,7 @@ _RESERVE_BYTES = 1024 * 1024
 
 @dataclass(frozen=True, slots=True)
 class Recovery:
-    """What `recover` saved, and what not.
+    """Result of `recover`: what was saved and what was lost.
 
     `messages` counts by topic, `end_ns` (UTC) is the time of the last one. `lost` are chunks whose
     bytes have changed; `lost_bytes` stood behind the last complete record.

@@ -1,4 +1,4 @@
-"""Room on the disk that is given back when it is full, so that a record can still be closed."""
+"""Reserved disk space, which is released when the disk is full, so that a record can still be finished."""
 
 import os
 import random

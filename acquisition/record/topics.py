@@ -1,4 +1,4 @@
-"""The topics of a record: names, message types, and the values that belong to no other room."""
+"""Topics of a record: names, message types, and values that are defined in no other package."""
 
 import math
 from typing import NamedTuple
@@ -23,7 +23,7 @@ SENSOR_FRAME = "sensor"
 
 
 class Environment(NamedTuple):
-    """What the laboratory's sensors say; NaN for what is not measured."""
+    """Readings of the laboratory's sensors; NaN for quantities that are not measured."""
 
     time_ns: int
     temperature_c: float = math.nan

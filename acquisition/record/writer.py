@@ -1,4 +1,4 @@
-"""Writes one run into one MCAP file, so that at most the last second is lost whatever happens."""
+"""Writes one run into one MCAP file; a crash or power failure loses at most the last second."""
 
 import time
 from collections.abc import Callable, Mapping, Sequence

@@ -1,1 +1,4 @@
-"""The simulated rig: dynamics, optics, sensor, disturbances. Shares no formula with the analysis."""
+"""The simulated rig: dynamics, optics, sensor, disturbances.
+
+It shares no formula with the analysis, so that it can serve as an independent test.
+"""

@@ -1,4 +1,4 @@
-"""libaravis's buffers made into frames, checked and counted."""
+"""Conversion of libaravis's buffers into frames, with checks and counts."""
 
 import time
 from dataclasses import dataclass, field
@@ -14,9 +14,9 @@ from processing.errors import DeviceError
 
 @dataclass(slots=True)
 class BufferReader:
-    """Makes frames of the buffers of one start.
+    """Converts the buffers of one acquisition into frames.
 
-    `aravis` is the library's module, `has_clock` says whether timestamps are the camera's own.
+    `aravis` is the library's module; `has_clock` is True if timestamps come from the camera's own clock.
     """
 
     aravis: Any
@@ -29,9 +29,9 @@ class BufferReader:
     _host_time_ns: int = field(default=0, init=False)
 
     def frame(self, buffer: Any, underruns: int) -> Frame | None:
-        """The frame in a buffer; None for one that is damaged, or came before.
+        """The frame in a buffer; None if it is damaged or was delivered before.
 
-        Raises DeviceError for payload that is no image, and for padding that can't be cut off.
+        Raises DeviceError if the payload is not an image, or has padding that cannot be removed.
         """
         if buffer.get_status() != self.aravis.BufferStatus.SUCCESS:
             self.numbering.damaged()
@@ -64,7 +64,7 @@ class BufferReader:
         return Frame(image, number, device_time_ns, arrived_ns)
 
     def _arrived_ns(self, now_ns: int, wall_time_ns: int) -> int:
-        """libaravis notes the wall clock; its distance from now is put on the monotonic one."""
+        """Arrival in ns on the monotonic clock, from that on the wall clock, which libaravis gives."""
         age_ns = min(max(time.time_ns() - wall_time_ns, 0), now_ns)
         self._host_time_ns = max(self._host_time_ns, now_ns - age_ns)
         return self._host_time_ns

@@ -1,4 +1,4 @@
-"""Cameras through libaravis as a `Camera`."""
+"""GigE Vision and USB3 Vision cameras through libaravis, as a `Camera`."""
 
 import logging
 import threading
@@ -27,7 +27,8 @@ logger = logging.getLogger(__name__)
 
 _POLL_US: Final = 50_000
 _MOST_BYTES: Final = 256 * 1024 * 1024
-# libaravis takes 6 s to notice that a GigE camera is gone and may not watch a USB camera: after silence, ask
+# libaravis takes 6 s to notice the loss of a GigE camera, and may not monitor a USB camera at all: after a
+# silence of this length a register is read
 _ASK_AFTER_S: Final = 1.0
 _GIGE_CONTROL_REGISTER: Final = 0x0A00
 _USB_VERSION_REGISTER: Final = 0x0000
@@ -35,17 +36,17 @@ _TICKS_REGISTERS: Final = (0x093C, 0x0940)
 
 
 class AravisCamera:
-    """A GigE Vision or USB3 Vision camera that libaravis reads. Thin: libaravis grabs and queues.
+    """A GigE Vision or USB3 Vision camera read by libaravis, which acquires and queues the frames.
 
     Parameters
     ----------
     settings
-        Which camera and how.
+        The camera to use, and options of the driver.
 
     Notes
     -----
-    The host's time of a frame is that at which its first bytes came, as libaravis noted it. A
-    camera that falls silent is asked whether it is still there; one that does not answer is lost.
+    The host time of a frame is the arrival of its first bytes, as recorded by libaravis. If no frames
+    arrive, a register is read to test the connection; a camera that does not answer is reported as lost.
     """
 
     def __init__(self, settings: AravisSettings | None = None) -> None:
@@ -73,7 +74,7 @@ class AravisCamera:
         Raises
         ------
         DeviceError
-            libaravis or PyGObject is missing, no camera, several and none is named, in use.
+            libaravis or PyGObject is missing; no camera, or several and none is specified; in use.
         """
         self.close()
         with self._lock:
@@ -94,10 +95,10 @@ class AravisCamera:
 
     def _take_control(self, library: Library, found: FoundCamera) -> tuple[CameraInfo, AravisFeatures]:
         camera = library.aravis.Camera.new(found.identity)
-        # its own event, so that the signal's handler holds nothing of this object
+        # a local variable, so that the signal's handler keeps no reference to this object
         gone = self._gone
         camera.get_device().connect("control-lost", lambda *_: gone.set())
-        camera.stop_acquisition()  # a program that died may have left it running
+        camera.stop_acquisition()  # a program that crashed may have left it running
         features = AravisFeatures(camera, library.aravis, found.name)
         pixel_format = features.choose_usable_format()
         if camera.is_gv_device():
@@ -130,7 +131,7 @@ class AravisCamera:
             logger.info("%s: its packets stay as they are: %s", self._name, refused)
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
-        """Apply settings; what is returned was read from the camera afterwards."""
+        """Apply settings; the values returned are read back from the camera."""
         with self._lock, self._translated():
             features = self._opened()
             if self._stream is not None:
@@ -138,7 +139,7 @@ class AravisCamera:
             return features.apply(settings)
 
     def start(self) -> None:
-        """Begin to grab into fresh buffers, every frame in order."""
+        """Start the acquisition of every frame, in order, into new buffers."""
         with self._lock, self._translated():
             features = self._opened()
             if self._stream is not None:
@@ -196,7 +197,7 @@ class AravisCamera:
                 self._heard_s = time.monotonic()
                 try:
                     if self._halted.is_set():
-                        return None  # buffers that were given up come back empty
+                        return None  # buffers that were cancelled are returned empty
                     frame = buffers.frame(buffer, stream.get_info_uint64_by_name("n_underruns"))
                 finally:
                     stream.push_buffer(buffer)
@@ -209,7 +210,7 @@ class AravisCamera:
         return None
 
     def _ask_whether_there(self, features: AravisFeatures) -> None:
-        """Read a register of a silent camera in a thread; without an answer it is gone."""
+        """Test the connection of a silent camera by reading a register in a thread."""
         camera, library, gone = features.camera, self._library, self._gone
         now_s = time.monotonic()
         is_asking = self._asking is not None and self._asking.is_alive()
@@ -228,7 +229,7 @@ class AravisCamera:
         self._asking.start()
 
     def stop(self) -> None:
-        """No more frames; within a second, whatever the camera does."""
+        """Stop delivering; returns within a second whatever the camera does."""
         self._halted.set()
         features, gone = self._features, self._gone
         held, self._stream = [self._stream], None
@@ -240,7 +241,7 @@ class AravisCamera:
         self._parting.leave(action, held, self._library.error)
 
     def close(self) -> None:
-        """Stop and give the camera back."""
+        """Stop and release the camera."""
         self._closings += 1
         self.stop()
         features, self._features = self._features, None
@@ -251,7 +252,7 @@ class AravisCamera:
 
     @property
     def status(self) -> CameraStatus:
-        """Counts since `start`; they go on over a reconnection."""
+        """Counts since `start`, continued after a reconnection."""
         buffers = self._buffers
         return self._before if buffers is None else self._before + buffers.numbering.status
 
@@ -262,7 +263,7 @@ class AravisCamera:
 
     @contextmanager
     def _translated(self) -> Iterator[None]:
-        """Errors of libaravis become DeviceError, those of an unplugged camera CameraLost."""
+        """Convert libaravis's errors into DeviceError, those of an unplugged camera into CameraLost."""
         try:
             yield
         except Exception as refused:

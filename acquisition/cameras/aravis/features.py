@@ -1,4 +1,4 @@
-"""What the rig sets on a camera, through libaravis's own names for it."""
+"""Camera features used by the rig, through libaravis's functions for them."""
 
 from typing import Any
 
@@ -8,9 +8,9 @@ from processing.errors import DeviceError
 
 
 class AravisFeatures:
-    """Settings of one open camera, `camera` in libaravis's sense.
+    """Features of an open camera; `camera` is libaravis's object.
 
-    Methods raise DeviceError for what can't be had, and let libaravis's own errors through.
+    Methods raise DeviceError for values that the camera does not support; libaravis's errors are passed on.
     """
 
     def __init__(self, camera: Any, aravis: Any, name: str) -> None:
@@ -19,7 +19,7 @@ class AravisFeatures:
         self._name = name
 
     def give_up(self) -> list[Any]:
-        """The camera, which this object then no longer holds: the last to let go of it may wait long."""
+        """Return libaravis's camera in a list, no longer held here: dropping the last reference may block."""
         camera, self.camera = self.camera, None
         return [camera]
 
@@ -34,7 +34,7 @@ class AravisFeatures:
         return int(x), int(y), int(width_px), int(height_px)
 
     def apply(self, settings: CameraSettings) -> CameraSettings:
-        """Apply what is asked for; return all as read back."""
+        """Apply the settings that are not None; return all settings as read back."""
         if settings.pixel_format is not None:
             self._set_format(settings.pixel_format)
         self._set_region(settings)
@@ -58,7 +58,7 @@ class AravisFeatures:
         return self.read_back()
 
     def read_back(self) -> CameraSettings:
-        """The camera's settings now; None where it has no such."""
+        """The camera's present settings; None for those that it does not have."""
         camera = self.camera
         x, y, width_px, height_px = self.region()
         exposure_us = camera.get_exposure_time() if camera.is_exposure_time_available() else 0.0
@@ -75,12 +75,12 @@ class AravisFeatures:
         )
 
     def run_freely(self) -> None:
-        """Frames one after the other without an end, none of them waiting for a trigger."""
+        """Select continuous acquisition without a trigger."""
         self.camera.clear_triggers()
         self.camera.set_acquisition_mode(self._aravis.AcquisitionMode.CONTINUOUS)
 
     def pixel_format(self) -> Format:
-        """The present pixel format; DeviceError where the rig can't use it."""
+        """The present pixel format; DeviceError if the rig does not support it."""
         name = self.camera.get_pixel_format_as_string()
         if name not in BY_NAME:
             raise DeviceError(
@@ -89,13 +89,13 @@ class AravisFeatures:
         return BY_NAME[name]
 
     def choose_usable_format(self) -> Format:
-        """The present pixel format, or the first that the rig can use."""
+        """Keep the present pixel format if the rig supports it; otherwise set the first supported one."""
         if self.camera.get_pixel_format_as_string() not in BY_NAME:
             self._set_format(next(iter(self._depths())))
         return self.pixel_format()
 
     def _depths(self) -> dict[PixelFormat, str]:
-        """The depths that can be had, with the camera's name of each."""
+        """The available bit depths, with the camera's name of each."""
         there = set(self.camera.dup_available_pixel_formats_as_strings())
         usable: dict[PixelFormat, str] = {}
         for one in FORMATS:
@@ -132,7 +132,7 @@ class AravisFeatures:
             raise DeviceError(f"{self._name}: does not let it be set; leave camera.{key} out")
 
     def _check(self, key: str, wanted: float, bounds: tuple[float, float]) -> None:
-        # libaravis cuts what is out of range without a word
+        # libaravis clips values out of range without an error
         low, high = bounds
         if not low <= wanted <= high:
             raise DeviceError(

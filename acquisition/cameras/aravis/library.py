@@ -1,4 +1,4 @@
-"""libaravis through PyGObject: loaded when a camera is asked for, and what it finds."""
+"""Loading of libaravis through PyGObject when it is needed, and search for cameras."""
 
 import warnings
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ from processing.errors import DeviceError
 
 
 class Library(NamedTuple):
-    """What is used of PyGObject: libaravis, and the class of its errors."""
+    """libaravis's module and the class of its errors, from PyGObject."""
 
     aravis: Any
     error: type[Exception]
@@ -17,7 +17,7 @@ class Library(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class FoundCamera:
-    """A camera that libaravis finds; `place` is its address or USB identity."""
+    """A camera found by libaravis; `place` is its address or USB identity."""
 
     identity: str
     vendor: str
@@ -28,7 +28,7 @@ class FoundCamera:
 
     @property
     def name(self) -> str:
-        """How messages call the camera."""
+        """Name of the camera in messages."""
         return f"{self.protocol} camera {self.vendor} {self.model} (serial {self.serial or 'unknown'})"
 
 
@@ -36,7 +36,7 @@ def load_library() -> Library:
     """libaravis 0.8 through PyGObject. Raises DeviceError that names what is missing."""
     try:
         with warnings.catch_warnings():
-            # its importer has an old form, of which Python warns
+            # PyGObject's importer uses a deprecated interface, about which Python warns
             warnings.simplefilter("ignore")
             import gi
 
@@ -69,7 +69,7 @@ def find_cameras() -> tuple[FoundCamera, ...]:
 
 
 def list_cameras() -> list[PluggedCamera]:
-    """The same for ``rig devices``."""
+    """All cameras found by libaravis, for ``rig devices``."""
     return [
         PluggedCamera("aravis", f"{found.vendor} {found.model}", found.serial, found.place)
         for found in find_cameras()
@@ -77,9 +77,9 @@ def list_cameras() -> list[PluggedCamera]:
 
 
 def find_camera(wanted: str | None) -> FoundCamera:
-    """The camera with this serial number or id, or the only one there is.
+    """The camera with this serial number or id; None: the only camera connected.
 
-    Raises DeviceError, which lists the cameras, where there is none, or not one alone.
+    Raises DeviceError, with a list of the cameras, if there is none or the choice is ambiguous.
     """
     there = find_cameras()
     chosen = [camera for camera in there if wanted in (None, camera.serial, camera.identity)]

@@ -1,22 +1,22 @@
-"""Frame ids of GigE Vision and USB3 Vision made into numbers without a break, and what is missing."""
+"""Continuous frame numbers from the frame ids of GigE Vision and USB3 Vision, and counts of lost frames."""
 
 from collections import deque
 from typing import Final
 
 from acquisition.camera import CameraStatus
 
-# Ids of 16 bits go from 65535 to 1: zero is left out (GigE Vision 1.x).
+# 16-bit ids are followed by 1 after 65535; zero is not used (GigE Vision 1.x).
 _SHORT_IDS: Final = 65535
-# A jump by more than this is a camera that began to count anew, not lost frames.
+# A larger jump means that the camera restarted its counter, not that frames were lost.
 _LARGEST_GAP: Final = _SHORT_IDS // 2
 
 
 class FrameNumbering:
-    """Numbers frames from 0 and counts those that are missing, by who lost them.
+    """Numbers frames from 0 and counts missing ones by the place of the loss.
 
-    Frames that came damaged are incomplete. Others that are missing we have lost where, in the time
-    from which they are missing, some found no free buffer, else the bus has: no camera says which it
-    lost itself.
+    Damaged frames count as incomplete. Other missing frames count as lost by the host if libaravis reported a
+    lack of free buffers in the time in question, otherwise as lost on the bus. Cameras do not report frames
+    that they lost themselves.
     """
 
     def __init__(self, short_ids: bool) -> None:
@@ -25,25 +25,25 @@ class FrameNumbering:
         self._last_number = -1
         self._damaged = 0
         self._last_arrived_ns = -1
-        # libaravis's count of underruns at the times when frames were fetched
+        # (time of fetching a frame, libaravis's count of buffer underruns at that time)
         self._underruns = deque([(-1, 0)])
         self._delivered = self._by_bus = self._by_host = self._incomplete = 0
 
     def damaged(self) -> None:
-        """A frame came that is not whole."""
+        """Count a damaged frame."""
         self._damaged += 1
 
     def number(self, frame_id: int, arrived_ns: int, fetched_ns: int, underruns: int) -> int | None:
-        """Number of a whole frame; None for one that came before.
+        """Number of a complete frame; None if it was delivered before.
 
         Parameters
         ----------
         frame_id
-            The camera's id.
+            The camera's frame id.
         arrived_ns, fetched_ns
-            When it came and when it was fetched, by the same clock.
+            Times of arrival and of fetching, on the same clock.
         underruns
-            libaravis's count of events without a free buffer until it was fetched; it may count packets.
+            libaravis's count of events without a free buffer up to the fetching; it may count packets.
         """
         samples = self._underruns
         while len(samples) > 1 and samples[1][0] <= self._last_arrived_ns:
@@ -69,7 +69,7 @@ class FrameNumbering:
     def _step(self, frame_id: int) -> int | None:
         after_damaged = 1 + self._damaged
         if self._last_id is None:
-            return after_damaged  # those that came damaged before the first whole one are missing, too
+            return after_damaged  # damaged frames before the first complete one count as missing
         step = frame_id - self._last_id
         if step == 0:
             return None

@@ -1,4 +1,4 @@
-"""Taking leave of a camera: libaravis waits 2.5 s for each reply of one that is gone, we don't."""
+"""Release of a camera in the background: libaravis waits 2.5 s for each reply of one that is gone."""
 
 import logging
 import threading
@@ -15,15 +15,16 @@ _LONGEST_S: Final = 15.0
 
 
 class Parting:
-    """Does what comes last with a camera in threads, one after the other, and waits for them a little."""
+    """Runs the final actions on a camera in threads, one after the other, and waits for them only briefly."""
 
     def __init__(self) -> None:
         self._threads: list[threading.Thread] = []
 
     def leave(self, action: Callable[[], None], held: list[Any], error: type[Exception]) -> None:
-        """Do the action, then empty the list `held`; returns soon, done or not.
+        """Run the action, then clear the list `held`; returns soon, whether this is finished or not.
 
-        Nobody else may hold what is in the list: the last to let go of a camera waits for its reply.
+        There must be no other references to the objects in the list, because dropping the last reference to a
+        camera waits for its reply.
         """
         self._threads = [thread for thread in self._threads if thread.is_alive()]
         thread = threading.Thread(
@@ -35,9 +36,9 @@ class Parting:
         thread.join(_PATIENCE_S)
 
     def wait(self, name: str) -> None:
-        """Until all is done: a camera that is still being given back must not be taken again.
+        """Wait until all actions are finished; a camera that is still being released must not be opened.
 
-        Raises DeviceError where that takes too long.
+        Raises DeviceError if that takes too long.
         """
         deadline_s = time.monotonic() + _LONGEST_S
         for thread in list(self._threads):
@@ -47,7 +48,7 @@ class Parting:
 
 
 def nothing() -> None:
-    """For leaving without a last action."""
+    """Empty action."""
 
 
 def _leave(

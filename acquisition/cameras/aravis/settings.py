@@ -1,10 +1,10 @@
-"""What a user asks of the aravis driver."""
+"""Settings of the aravis driver."""
 
 from pydantic import BaseModel, Field
 
 
 class AravisSettings(BaseModel, frozen=True, extra="forbid"):
-    """Which camera, and how it is talked to."""
+    """Choice of the camera and options of the communication."""
 
     serial: str | None = Field(
         default=None, description="serial number or libaravis's id; needed only where there are several"

@@ -1,4 +1,4 @@
-"""Frames that another program recorded: a folder of images, a lossless video, a .npy stack."""
+"""Frames recorded by another program: a folder of images, a lossless video, a .npy stack."""
 
 from acquisition.cameras.files.settings import FilesSettings
 

@@ -1,4 +1,4 @@
-"""Recorded frames as a camera: in order, on demand, none dropped."""
+"""Recorded frames as a `Camera`: in order, on demand, without losses."""
 
 import logging
 import threading
@@ -20,12 +20,11 @@ _FORMATS: dict[int, PixelFormat] = {8: "mono8", 10: "mono10", 12: "mono12", 16: 
 
 
 class FilesCamera:
-    """A `Camera` that plays recorded frames from the first to the last, at each `start` anew.
+    """A `Camera` that plays recorded frames from the first to the last; each `start` begins at the first.
 
-    A frame that cannot be read is skipped, counted in ``status.incomplete``, named in the log, and
-    leaves a gap in the sequence. Frames may differ in size; each has its own shape. The camera's
-    clock is the timestamps. Exposure, gain and depth are what they were: `configure` reports that
-    it has not applied them (they stay None); a region of interest is cut out.
+    A frame that cannot be read is skipped, counted in ``status.incomplete``, logged, and leaves a gap in the
+    sequence. Frames may have different sizes. The timestamps serve as the camera's clock. Exposure, gain and
+    bit depth cannot be changed: `configure` returns None for them. A region of interest is cut out.
     """
 
     def __init__(self, settings: FilesSettings) -> None:
@@ -68,7 +67,7 @@ class FilesCamera:
         return self._info
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
-        """Cut a region of interest out; report what the frames are otherwise."""
+        """Set the region of interest; return the settings that apply."""
         info = self._must_be_open()
         if self._stopped is not None and not self._stopped.is_set():
             raise DeviceError(f"{info.serial}: cannot be configured while frames are running; stop it first")
@@ -100,7 +99,7 @@ class FilesCamera:
         self._stopped = threading.Event()
 
     def read(self, timeout_s: float) -> Frame | None:
-        """Next frame that can be read; None after the last. Files do not keep anyone waiting."""
+        """Next frame that can be read; None after the last. `timeout_s` has no effect."""
         stopped = self._stopped
         if stopped is None:
             info = self._must_be_open()
@@ -134,12 +133,12 @@ class FilesCamera:
         return None
 
     def stop(self) -> None:
-        """No more frames."""
+        """Stop delivering."""
         if self._stopped is not None:
             self._stopped.set()
 
     def close(self) -> None:
-        """Give the files back."""
+        """Close the files."""
         self.stop()
         with self._lock:
             if self._source is not None:
@@ -149,7 +148,7 @@ class FilesCamera:
 
     @property
     def status(self) -> CameraStatus:
-        """Counts since `start`; `dropped_by_camera` are gaps that the timestamps file reports."""
+        """Counts since `start`; `dropped_by_camera` are gaps in the numbers of the timestamps file."""
         return CameraStatus(
             delivered=self._delivered,
             dropped_by_camera=self._dropped_earlier,
@@ -191,7 +190,7 @@ class FilesCamera:
         return image
 
     def _grey(self, stored: Stored, label: str) -> tuple[Image, int]:
-        """One channel, the depth that was asked for, and full scale."""
+        """One channel of a frame at the requested bit depth, and its full scale."""
         pixels, full_scale = stored
         if pixels.ndim == 3:
             pixels = self._one_channel(pixels, label)

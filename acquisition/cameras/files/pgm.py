@@ -1,4 +1,4 @@
-"""Portable grey maps, read by ourselves: OpenCV scales some of them and forgets the largest value."""
+"""Reader of portable grey maps (PGM); OpenCV rescales some of them and drops the maximum value."""
 
 import re
 from typing import Any
@@ -12,9 +12,9 @@ _HEADER = re.compile(
 
 
 def read_pgm(data: bytes) -> tuple[NDArray[Any], int]:
-    """Pixels (ny, nx) as uint8 or uint16, and the largest value as the file states it.
+    """Pixels (ny, nx) as uint8 or uint16, and the maximum value stated in the file.
 
-    Raises ValueError with the reason: no PGM, too short, a value above the largest.
+    Raises ValueError with the reason: not a PGM file, too short, or a pixel above the maximum.
     """
     header = _HEADER.match(data)
     if header is None:

@@ -1,4 +1,4 @@
-"""What the user states of recorded frames."""
+"""Settings of the driver for recorded frames."""
 
 from pathlib import Path
 from typing import Literal, Self
@@ -9,16 +9,16 @@ Colour = Literal["refuse", "mean", "red", "green", "blue"]
 
 
 class FilesSettings(BaseModel, frozen=True, extra="forbid"):
-    """Where the frames are and when they were taken.
+    """Location and times of the frames.
 
-    Times come from a CSV file or from a stated frame rate, one of the two. Where neither is given,
-    a CSV file beside the frames is looked for: ``timestamps.csv`` in a folder of images, else the
-    name of the frames' file with the ending ``.csv``.
+    Times come from either a CSV file or a stated frame rate. If neither is given, a CSV file beside the
+    frames is used: ``timestamps.csv`` in a folder of images, otherwise the name of the frames' file with the
+    suffix ``.csv``.
 
-    The CSV file has one header line and one row a frame, in the frames' order. Columns, any order,
-    others are ignored: ``time_ns`` (whole numbers) or ``time_s`` (decimal, any number of digits),
-    not negative and rising; optionally ``sequence`` (whole numbers, rising: a gap is a frame that
-    the first program lost); optionally ``file`` (the image's name, which must then agree).
+    The CSV file has one header line and one row per frame, in the order of the frames. Columns, in any order
+    (others are ignored): ``time_ns`` (integer) or ``time_s`` (decimal, any number of digits), not negative
+    and rising; optionally ``sequence`` (integer, rising; a gap is a frame lost by the recording program);
+    optionally ``file`` (name of the image, which is checked).
     """
 
     path: Path = Field(description="folder of images, video file, TIFF stack or .npy stack (n, ny, nx)")

@@ -1,4 +1,4 @@
-"""Where recorded frames lie: each source counts them and hands over any one of them as it is stored."""
+"""Sources of recorded frames: folder of images, TIFF file, .npy stack, video."""
 
 import contextlib
 import math
@@ -24,39 +24,39 @@ class Unreadable(Exception):
 
 
 class Stored(NamedTuple):
-    """Pixels as they are stored, (ny, nx) or (ny, nx, channels), and the largest value they can take."""
+    """Pixels as stored, (ny, nx) or (ny, nx, channels), and their largest possible value."""
 
     pixels: NDArray[Any]
     full_scale: int
 
 
 class Source(Protocol):
-    """Frames in order, read one after the other."""
+    """Interface of a source of frames."""
 
     count: int
     """Number of frames."""
     names: list[str]
-    """Name of each frame's file; empty where frames have none of their own."""
+    """Name of each frame's file; empty if the frames have no files of their own."""
     hint: str
-    """Frame rate as the container states it, for a message; may be empty."""
+    """Frame rate stated by the container, for a message; may be empty."""
     lossy: str
-    """Name of the codec where it loses something, else empty."""
+    """Name of the codec if it is lossy, otherwise empty."""
 
     def read(self, index: int) -> Stored:
-        """Frame `index`. Raises Unreadable for this frame, OSError where the source is gone."""
+        """Frame `index`. Raises Unreadable for a damaged frame, OSError if the source is not accessible."""
         ...
 
     def label(self, index: int) -> str:
-        """What to call the frame in a message."""
+        """Name of the frame in messages."""
         ...
 
     def close(self) -> None:
-        """Give files back; a later `read` opens them again."""
+        """Close the files; a later `read` opens them again."""
         ...
 
 
 def open_source(path: Path) -> Source:
-    """The source that `path` is. Raises DeviceError: missing, empty, of no known kind."""
+    """The source for `path`. Raises DeviceError if it is missing, empty or of an unknown kind."""
     if path.is_dir():
         return FolderSource(path)
     if not path.exists():
@@ -109,7 +109,7 @@ class FolderSource:
                 pixels, largest = read_pgm(data)
             except ValueError as error:
                 raise Unreadable(str(error)) from None
-            # some programs state the image's own maximum: full scale is the next number of whole bits
+            # some programs write the maximum of the image; the full scale is the next 2^bits - 1
             return Stored(pixels, max(2 ** largest.bit_length() - 1, 255))
         if path.suffix.lower() in _STACKS and _pages(path) > 1:
             raise DeviceError(
@@ -125,7 +125,7 @@ class FolderSource:
 
 
 class TiffSource:
-    """A TIFF file of many pages."""
+    """A multi-page TIFF file."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -152,7 +152,7 @@ class TiffSource:
 
 
 class StackSource:
-    """A .npy array (n, ny, nx), memory-mapped: a stack larger than memory is no obstacle."""
+    """A .npy array (n, ny, nx), memory-mapped, so that it may be larger than memory."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -178,11 +178,11 @@ class StackSource:
         return f"{self._path}, frame {index}"
 
     def close(self) -> None:
-        """The mapping is given back with the source."""
+        """Nothing to do: the mapping ends with the object."""
 
 
 class VideoSource:
-    """A video without loss, read through OpenCV without conversion."""
+    """A lossless video, read through OpenCV without conversion."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -261,7 +261,7 @@ def _pages(path: Path) -> int:
 
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
-    """Silence OpenCV, which prints what it cannot read to stderr; the caller reports it."""
+    """Suppress OpenCV's messages on stderr about unreadable frames, which the caller reports."""
     logging = cv2.utils.logging
     level = logging.getLogLevel()
     logging.setLogLevel(logging.LOG_LEVEL_SILENT)

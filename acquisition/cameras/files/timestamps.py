@@ -14,7 +14,7 @@ T = TypeVar("T")
 
 
 class FrameTimes(NamedTuple):
-    """Time of each frame in ns, and its number; a gap in the numbers is a frame lost earlier."""
+    """Time of each frame in ns, and its number; a gap in the numbers is a frame lost during recording."""
 
     time_ns: Sequence[int]
     sequence: Sequence[int]
@@ -26,14 +26,14 @@ def frame_times(settings: FilesSettings, count: int, names: Sequence[str], hint:
     Parameters
     ----------
     names
-        Names of the images' files, empty where frames have none.
+        Names of the image files; empty if there are none.
     hint
-        Frame rate as the container states it, for the error message; may be empty.
+        Frame rate stated by the container, for the error message; may be empty.
 
     Raises
     ------
     DeviceError
-        Neither a CSV file nor a frame rate, or a CSV file that does not fit the frames.
+        Neither a CSV file nor a frame rate, or a CSV file that does not match the frames.
     """
     if settings.frame_rate_hz is not None:
         period_ns = 1e9 / settings.frame_rate_hz

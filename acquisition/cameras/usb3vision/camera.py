@@ -26,7 +26,7 @@ from processing.errors import DeviceError
 logger = logging.getLogger(__name__)
 
 _LARGEST_FRAME: Final = 1 << 30
-# `stop` and `close` return within a second, whatever the camera does: what each step may take of it
+# `stop` and `close` must return within a second whatever the camera does; time limits of their steps
 _LOCK_S: Final = 0.2
 _COMMANDS_S: Final = 0.25
 _JOIN_S: Final = 0.25
@@ -38,13 +38,13 @@ class Usb3VisionCamera:
     Parameters
     ----------
     settings
-        Which camera and how.
+        The camera to use, and options of the driver.
     backend
-        pyusb's backend; None takes libusb 1.0.
+        pyusb's backend; None: libusb 1.0.
 
     Notes
     -----
-    A start after the camera was lost goes on counting (`CameraStatus.reconnects`); frames are
+    After a loss of the camera and a new start the counts continue (`CameraStatus.reconnects`); frames are
     numbered from 0 again.
     """
 
@@ -67,13 +67,13 @@ class Usb3VisionCamera:
     # ---- life cycle
 
     def open(self) -> CameraInfo:
-        """Find the camera, claim it, learn its features.
+        """Find and claim the camera, and read the description of its features.
 
         Raises
         ------
         DeviceError
-            No camera, several and no serial number, wrong serial number, no permission (names the
-            udev rule), in use, or a description that can't be understood.
+            No camera; several and no serial number given; wrong serial number; no permission (the message
+            names the udev rule); in use; or an invalid description.
         """
         self.close()
         with self._lock:
@@ -101,7 +101,7 @@ class Usb3VisionCamera:
                 self._channel = None if self._session is None else self._session.channel
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
-        """Apply settings; what is returned was read from the camera afterwards."""
+        """Apply settings; the values returned are read back from the camera."""
         with self._lock:
             session = self._opened()
             if self._running():
@@ -180,7 +180,7 @@ class Usb3VisionCamera:
         raise type(stream.error)(str(stream.error))
 
     def stop(self) -> None:
-        """No more frames; within a second, whatever the camera does."""
+        """Stop delivering; returns within a second whatever the camera does."""
         stream = self._stream
         if stream is not None:
             stream.request_stop()
@@ -197,7 +197,7 @@ class Usb3VisionCamera:
             stream.stop(_JOIN_S)
             return
         self._camera_runs = False
-        # Each of these may fail on a camera that is unplugged or silent; the others are tried all the same.
+        # each step may fail if the camera is unplugged or does not answer; the others are tried nevertheless
         steps: tuple[Callable[[], None], ...] = (
             lambda: session.features.execute("AcquisitionStop"),
             lambda: session.registers.enable(False),
@@ -218,13 +218,13 @@ class Usb3VisionCamera:
             logger.debug("%s", refused)
 
     def close(self) -> None:
-        """Stop and give the camera back."""
+        """Stop and release the camera."""
         stream = self._stream
         if stream is not None:
             stream.request_stop()
         with self._locked_soon() as locked:
             if not locked:
-                return  # the call that holds the lock was told to give up, and releases the camera itself
+                return  # the call that holds the lock has been told to abort and will release the camera
             self._end_stream()
             session, self._session, self._channel = self._session, None, None
             if session is None:
@@ -232,13 +232,13 @@ class Usb3VisionCamera:
             if stream is None:
                 session.link.release()
             else:
-                stream.when_ended(session.link.release)  # a handle must not be closed under a read
+                stream.when_ended(session.link.release)  # a handle must not be closed during a read
 
     # ---- beyond the protocol
 
     @property
     def status(self) -> CameraStatus:
-        """Counts since `start`; they go on over a reconnection."""
+        """Counts since `start`, continued after a reconnection."""
         now = CameraStatus() if self._stream is None else self._stream.status
         return self._before + replace(now, delivered=self._delivered)
 
@@ -248,7 +248,7 @@ class Usb3VisionCamera:
         return self._opened().features
 
     def read_clocks(self, attempts: int = 5) -> ClockReading:
-        """The camera's clock beside the host's: the quickest of a few readings."""
+        """Simultaneous reading of the camera's and the host's clock: the fastest of a few attempts."""
         session = self._opened()
         with self._noticing_loss():
             return session.read_clocks(attempts)
@@ -273,7 +273,7 @@ class Usb3VisionCamera:
 
     @contextmanager
     def _locked_soon(self) -> Iterator[bool]:
-        """The lock, taken from a call that waits for a silent camera by making that call fail."""
+        """Acquire the lock; a call that holds it while waiting for a silent camera is made to fail."""
         locked = self._lock.acquire(timeout=_LOCK_S)
         channel = self._channel
         if not locked and channel is not None:

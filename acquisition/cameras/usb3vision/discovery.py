@@ -1,4 +1,4 @@
-"""Which USB3 Vision cameras are plugged in, and which of them is meant."""
+"""Search for connected USB3 Vision cameras, and choice of one by its serial number."""
 
 import errno
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ _USB_SPEEDS: Final = {1: "low speed", 2: "full speed", 3: "high speed", 4: "Supe
 
 @dataclass(frozen=True, slots=True)
 class FoundCamera:
-    """A camera on the bus; texts are empty where they can't be read, `accessible` is False then.
+    """A camera on the bus; texts are empty if they cannot be read, and `accessible` is False then.
 
     `device` is pyusb's object.
     """
@@ -39,7 +39,7 @@ class FoundCamera:
 
     @property
     def name(self) -> str:
-        """How messages call the camera."""
+        """Name of the camera in messages."""
         who = (
             f"{self.vendor} {self.model}".strip() or f"{self.device.idVendor:04x}:{self.device.idProduct:04x}"
         )
@@ -48,21 +48,21 @@ class FoundCamera:
 
 
 def udev_rule() -> Path:
-    """The file that lets users who are logged in use such cameras; `rig doctor` names it."""
+    """The udev rule that gives logged-in users access to such cameras; `rig doctor` reports it."""
     return Path(__file__).with_name(UDEV_RULE)
 
 
 def find_cameras(backend: usb.backend.IBackend | None = None) -> tuple[FoundCamera, ...]:
-    """All USB3 Vision cameras that are plugged in.
+    """All connected USB3 Vision cameras.
 
-    Raises DeviceError where libusb itself is missing.
+    Raises DeviceError if libusb is missing.
     """
     devices = usb.core.find(find_all=True, backend=backend or _libusb(), custom_match=_is_vision)
     return tuple(_describe(device) for device in devices)
 
 
 def list_cameras() -> list[PluggedCamera]:
-    """The same for ``rig devices``, each with its USB speed as the place."""
+    """All connected USB3 Vision cameras for ``rig devices``, with the USB speed as `place`."""
     remedy = f"no permission: copy {udev_rule()} to /etc/udev/rules.d and plug the camera in again"
     return [
         PluggedCamera(
@@ -77,13 +77,13 @@ def list_cameras() -> list[PluggedCamera]:
 
 
 def find_camera(serial: str | None, backend: usb.backend.IBackend | None = None) -> FoundCamera:
-    """The camera with this serial number, or the only one there is.
+    """The camera with this serial number; None: the only one connected.
 
     Raises
     ------
     DeviceError
-        None is plugged in, several are and no serial number is given, none has the serial number,
-        or the one that is meant may not be opened.
+        No camera is connected; several are and no serial number is given; none has the serial number; or
+        there is no permission to open it.
     """
     cameras = find_cameras(backend)
     if not cameras:
@@ -118,7 +118,7 @@ def _libusb() -> usb.backend.IBackend:
         try:
             import libusb_package
         except ImportError:
-            pass  # a distribution may leave it out
+            pass  # some distributions do not include it
         else:
             backend = libusb_package.get_libusb1_backend()
     if backend is None:
@@ -159,13 +159,13 @@ def _text(device: Any, index: int) -> str:
         return ""
     try:
         return (usb.util.get_string(device, index) or "").strip("\0 ")
-    except ValueError:  # pyusb raises it for a device without strings, and for one that may not be opened
-        device.get_active_configuration()  # which raises where the reason is the latter
+    except ValueError:  # raised by pyusb for a device without strings, and for one without permission
+        device.get_active_configuration()  # raises an error in the second case
         return ""
 
 
 def _string_indices(device: Any) -> tuple[int, int, int]:
-    """Indices of vendor, model and serial: the camera's own descriptor, else the device's."""
+    """String indices of vendor, model and serial, from the camera's descriptor or else the device's."""
     for configuration in device:
         for interface in configuration:
             extra = bytes(interface.extra_descriptors)

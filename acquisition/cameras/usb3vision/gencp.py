@@ -23,7 +23,8 @@ _READ: Final = 0x0800
 _WRITE: Final = 0x0802
 _PENDING_ACK: Final = 0x0805
 
-# Until the bootstrap registers have told the camera's own limits, the least that any camera takes.
+# Packet size that every camera supports, used until its own limits have been read from the bootstrap
+# registers.
 _SMALLEST_PACKET: Final = 64
 # A camera that asks for more time again and again is given up after this long.
 _LONGEST_WAIT_S: Final = 30.0
@@ -60,7 +61,7 @@ class RegisterRefused(DeviceError):
 
 
 class NoAnswer(DeviceError):
-    """The camera does not answer register accesses, or not sensibly, in spite of retries."""
+    """The camera does not answer register accesses, or only with invalid replies, in spite of retries."""
 
 
 class GenCpChannel:
@@ -75,7 +76,7 @@ class GenCpChannel:
     name
         Name of the camera in messages.
     timeout_s
-        Patience for one reply; a camera may ask for more with a pending acknowledge.
+        Timeout of one reply; a camera may extend it by a pending acknowledge.
     retries
         How often a command is sent again after silence, a damaged reply or "busy". Every attempt
         carries a new id, so that a late reply to an older one is recognised and ignored.
@@ -114,7 +115,7 @@ class GenCpChannel:
 
     @contextmanager
     def within(self, seconds: float) -> Iterator[None]:
-        """Everything inside fails with `NoAnswer` rather than take longer than this altogether."""
+        """Context in which all accesses together may take at most this time, or fail with `NoAnswer`."""
         give_up_at_s = self._clock() + seconds
         if not self._lock.acquire(timeout=seconds):
             raise NoAnswer(f"{self._name}: still busy with another command after {seconds:.1f} s")
@@ -126,7 +127,7 @@ class GenCpChannel:
             self._lock.release()
 
     def abort(self) -> None:
-        """Make the command that is under way in another thread fail now, and all later ones."""
+        """Make the present command of another thread, and all later ones, fail immediately."""
         self._aborted.set()
 
     def read(self, address: int, length: int) -> bytes:
@@ -191,7 +192,7 @@ class GenCpChannel:
         return min(wanted_s, self._give_up_at_s - self._clock())
 
     def _await(self, command: int, request_id: int, reply_size: int | None) -> tuple[int, bytes]:
-        """The reply's status and data; whatever else arrives meanwhile is named and passed over."""
+        """Status and data of the reply; other packets that arrive are logged and ignored."""
         start_s = self._clock()
         deadline_s = start_s + self._timeout_s
         problem = "no reply"

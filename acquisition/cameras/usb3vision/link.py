@@ -1,4 +1,4 @@
-"""One camera on the bus: its interfaces claimed, its endpoints read and written."""
+"""USB connection to one camera: claiming of its interfaces, reading and writing of its endpoints."""
 
 import errno
 import logging
@@ -24,18 +24,18 @@ _ENDPOINT_HALT: Final = 0
 
 UDEV_RULE: Final = "70-usb3vision.rules"
 
-# What the operating systems answer for a device that has been unplugged
+# Error codes of the operating systems for a device that has been unplugged
 _GONE: Final = {errno.ENODEV, errno.ENXIO, errno.ESHUTDOWN}
 _LIBUSB_NO_DEVICE: Final = -4
 _LIBUSB_TIMEOUT: Final = -7
 
 
 class StreamHalted(DeviceError):
-    """The stream endpoint has stalled or lost the rhythm of its transfers; it can be cleared."""
+    """The stream endpoint has stalled or an error occurred in its transfers; clearing the halt may help."""
 
 
 def no_permission(name: str) -> DeviceError:
-    """What to tell a user who may not open the camera."""
+    """Error for a user without permission to open the camera."""
     return DeviceError(
         f"{name}: no permission to use it; copy {UDEV_RULE} (it lies beside this driver; rig doctor says "
         f"where) to /etc/udev/rules.d, run 'sudo udevadm control --reload', and plug the camera in again"
@@ -95,7 +95,7 @@ class UsbLink:
         return int(sizes[0]) & 0x7FF or 1024
 
     def reset_stream(self) -> None:
-        """Throw away what the stream endpoint still holds from before: halt it, then clear the halt."""
+        """Discard old data of the stream endpoint, by halting it and clearing the halt."""
         try:
             self.device.ctrl_transfer(_TO_ENDPOINT, _SET_FEATURE, _ENDPOINT_HALT, self.stream_in)
         except usb.core.USBError as error:
@@ -105,7 +105,7 @@ class UsbLink:
         self.clear_halt(self.stream_in)
 
     def claim(self) -> None:
-        """Take control and stream for this program alone."""
+        """Claim the control and stream interfaces exclusively."""
         try:
             if not self._is_configured():
                 self.device.set_configuration(self._configuration)
@@ -127,7 +127,7 @@ class UsbLink:
             raise
 
     def release(self) -> None:
-        """Give the camera back; never fails, also when it is gone."""
+        """Release the camera; never raises, even if it is disconnected."""
         self._claimed.clear()
         try:
             usb.util.dispose_resources(self.device)
@@ -148,7 +148,7 @@ class UsbLink:
 
     def receive(self, size: int, timeout_s: float) -> bytes:
         """Read one packet from the control endpoint; TimeoutError when none comes."""
-        # A transfer of whole packets cannot be overrun by one that is longer than expected.
+        # With room for whole packets, a longer reply than expected cannot cause an overflow error.
         room = -(-size // 1024) * 1024
         try:
             packet: array[int] = self.device.read(self._control_in, room, self._milliseconds(timeout_s))
@@ -170,7 +170,7 @@ class UsbLink:
         raise self.translated(error, doing) from error
 
     def clear_halt(self, endpoint: int) -> None:
-        """Bring a stalled endpoint back to work."""
+        """Clear the halt of a stalled endpoint."""
         try:
             self.device.clear_halt(endpoint)
         except usb.core.USBError as error:

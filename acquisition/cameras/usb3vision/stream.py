@@ -1,4 +1,11 @@
-"""Frames put together from transfers, checked, counted and handed over by a thread of their own."""
+"""Assembly of frames from USB transfers, in a thread of its own, with checks and counts of lost frames.
+
+A USB3 Vision camera sends each frame as a sequence of bulk transfers: a leader (block number, timestamp,
+format), the payload in one or more transfers, and a trailer (status, number of valid bytes). Reads are
+queued in this order, several frames ahead. Every transfer is checked against what is expected at its
+position. If they disagree, the synchronisation is lost, for example because the bus dropped a transfer, and
+the stream is searched for the next leader.
+"""
 
 import logging
 import threading
@@ -31,18 +38,18 @@ from processing.errors import DeviceError, RigError
 
 logger = logging.getLogger(__name__)
 
-_POLL_S: Final = 0.05  # how long a read may keep the thread from noticing `stop`
-# Errors of the bus for so long without a frame in between: it is not coming back by itself.
+_POLL_S: Final = 0.05  # longest read, after which the thread checks for `stop`
+# Bus errors for longer than this without a frame in between: the connection is lost.
 _PATIENCE_S: Final = 0.3
-# A jump of the block number beyond this is a counter that began anew, not lost frames.
+# A larger jump of the block number means that the counter was reset, not that frames were lost.
 _LARGEST_GAP: Final = 1 << 31
-# So many frames in a row of another size or format are no accident of the bus.
+# So many consecutive frames of a wrong size or format are a wrong setting and not an error of the bus.
 _MOST_MISFITS: Final = 10
 
 
 @dataclass(frozen=True, slots=True)
 class Expected:
-    """What every frame must be: its format and size, and the length of the clock's ticks."""
+    """Expected format and size of every frame, and the length of a tick of the camera's clock."""
 
     pixel_format: Format
     width_px: int
@@ -51,7 +58,7 @@ class Expected:
 
     @property
     def image_bytes(self) -> int:
-        """Bytes of the image on the bus."""
+        """Number of bytes of the image on the bus."""
         return self.pixel_format.byte_count(self.width_px, self.height_px)
 
 
@@ -63,13 +70,12 @@ class _Part(Enum):
 
 
 class FrameStream:
-    """Reads frames from the moment it is made until `stop`.
+    """Reads frames from its construction until `stop`.
 
-    A frame is handed over only when its leader, all of its bytes and its trailer have come, agree
-    with each other and with what is expected. Everything else is counted: ``incomplete`` when some
-    part of the frame came, ``dropped_by_bus`` when block numbers are missing after an error of the
-    bus, ``dropped_by_camera`` when they are missing without one, ``dropped_by_host`` when nobody
-    fetched the frames in time.
+    A frame is delivered only if its leader, all of its bytes and its trailer have arrived and agree with
+    each other and with the expected format. All others are counted: ``incomplete`` if a part of the frame
+    arrived, ``dropped_by_bus`` if block numbers are missing after an error of the bus, ``dropped_by_camera``
+    if they are missing without one, ``dropped_by_host`` if the frames were not fetched in time.
     """
 
     def __init__(
@@ -87,7 +93,7 @@ class FrameStream:
         )
         self._ring: deque[tuple[_Part, int, NDArray[np.uint8]]] = deque()
         self._next_part = 0
-        self._payload = np.empty(0, np.uint8)  # of the frame whose parts are queued last
+        self._payload = np.empty(0, np.uint8)  # buffer of the frame for which reads are being queued
         self._leader: Leader | None = None
         self._received = 0
         self._pieces: list[NDArray[np.uint8]] = []
@@ -108,7 +114,7 @@ class FrameStream:
 
     @property
     def status(self) -> CameraStatus:
-        """Counts so far; the queue's drops are frames that nobody fetched."""
+        """Counts so far; frames dropped by the queue are those not fetched in time."""
         return CameraStatus(
             delivered=self._delivered - self._queue.dropped,
             dropped_by_camera=self._by_camera,
@@ -118,14 +124,14 @@ class FrameStream:
         )
 
     def stop(self, timeout_s: float) -> None:
-        """End the thread; what is queued stays readable."""
+        """End the thread; frames in the queue can still be read."""
         self._stopping.set()
         if self._thread is not threading.current_thread():
             self._thread.join(timeout_s)
         self._queue.close()
 
     def when_ended(self, action: Callable[[], None]) -> None:
-        """Do this as soon as the thread touches the camera no more: now, or at its end."""
+        """Run `action` when the thread no longer uses the camera: at its end, or now if it has ended."""
         with self._ending:
             if not self._ended:
                 self._at_end.append(action)
@@ -133,7 +139,7 @@ class FrameStream:
         action()
 
     def request_stop(self) -> None:
-        """Let the thread end by itself, without waiting for it."""
+        """Tell the thread to end, without waiting for it."""
         self._stopping.set()
 
     @property
@@ -184,15 +190,17 @@ class FrameStream:
     def _fill(self) -> None:
         if self._next_part < 0:
             if not self._ring:
-                # Out of rhythm: whatever comes ends with a short packet, so one large buffer finds a leader.
+                # Synchronisation is lost. Every transfer of the camera ends with a short packet, so that
+                # reads into one large buffer return whole transfers until a leader arrives.
                 size = max(self._plan.leader, self._plan.payload_size, 1 << 16)
                 self._submit(_Part.SEARCH, size, np.empty(size, np.uint8))
             return
         while len(self._ring) < self._transfers.frames_ahead * len(self._parts):
             if self._ring and not self._transfers.has_room:
-                return  # the next read fits when the oldest has ended
+                return  # the system has no memory for a further read until the oldest has ended
             part, size = self._parts[self._next_part]
             if part is _Part.PAYLOAD:
+                # one buffer for all payload transfers of a frame, so that the image needs no copy
                 if self._next_part == 1 or not self._payload.size:
                     self._payload = np.empty(sum(self._plan.payload), np.uint8)
                 start = sum(size for _, size in self._parts[1 : self._next_part])
@@ -207,9 +215,10 @@ class FrameStream:
         self._ring.append((part, size, buffer))
 
     def _resume_at(self, next_part: int) -> None:
-        """Queue reads anew, beginning with this part; -1 looks for the next leader."""
+        """Cancel all reads and queue new ones, starting with this part; -1 searches for the next leader."""
         if self._ring and self._transfers.under_way:
-            # Reads behind this one have taken bytes already that cancelling throws away: begin afresh.
+            # Later reads may already have received bytes, which are lost by cancelling them, so that the next
+            # part is unknown: search for a leader.
             next_part = -1
         self._transfers.cancel()
         self._ring.clear()
@@ -245,7 +254,7 @@ class FrameStream:
             self._disturbed = True
             if in_rhythm:
                 self._lost_parts += 1
-            # A trailer is followed by a leader; after anything else the next part is unknown.
+            # A trailer is followed by a leader; after any other data the next part is unknown.
             self._resume_at(0 if begins_like(data.tobytes()[:4], TRAILER_MAGIC) else -1)
             return
         self._leader = leader
@@ -267,6 +276,8 @@ class FrameStream:
             )
 
     def _take_payload(self, data: NDArray[np.uint8], planned: int) -> None:
+        # A short transfer may be a trailer (the camera ended the frame early) or a leader (the rest of the
+        # frame was lost) in place of payload.
         if data.size < planned and data.size <= max(self._plan.leader, self._plan.trailer):
             head = data[:256].tobytes()
             trailer = parse_trailer(head)
@@ -321,10 +332,11 @@ class FrameStream:
         return False
 
     def _deliver(self, leader: Leader, host_time_ns: int) -> None:
-        # Frames that came damaged before the first good one are missing before it, too.
+        # Number of frames since the last one delivered. Before the first one there is no block number to
+        # compare with; damaged frames count nevertheless.
         step = 1 + self._lost_parts if self._last_block is None else leader.block - self._last_block
         if step == 0:
-            self._lost_parts += 1  # the same frame once more: of no use, and not what came in between
+            self._lost_parts += 1  # the same block number again: discard the frame, count it as incomplete
             return
         if not 0 < step <= _LARGEST_GAP:
             logger.warning(
@@ -352,7 +364,7 @@ class FrameStream:
         self._queue.put(Frame(image, self._last_sequence, device_time_ns, host_time_ns))
 
     def _whole_payload(self) -> NDArray[np.uint8]:
-        """The pieces as one: they lie in one buffer, unless one was short."""
+        """The payload as one array: without a copy if its pieces are contiguous in one buffer."""
         first = self._pieces[0]
         if len(self._pieces) == 1:
             return first

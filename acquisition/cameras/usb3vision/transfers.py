@@ -1,4 +1,4 @@
-"""Bulk reads from the stream endpoint, queued ahead: through any backend of pyusb, one at a time."""
+"""Bulk reads from the stream endpoint: interface, and an implementation with blocking reads through pyusb."""
 
 import errno
 import time
@@ -16,17 +16,17 @@ Bytes = NDArray[np.uint8]
 
 
 class Arrived(NamedTuple):
-    """A transfer that has ended: how many bytes it brought, and the host's monotonic clock then."""
+    """A completed transfer: number of bytes, and the host's monotonic clock at its end."""
 
     byte_count: int
     host_time_ns: int
 
 
 class Transfers(Protocol):
-    """A queue of reads. Used by one thread.
+    """A queue of reads, used by one thread.
 
-    `frames_ahead` is for how many frames it is worth queueing reads; `under_way` says whether a read
-    that is queued may take bytes before it is waited for.
+    `frames_ahead` is the number of frames for which reads should be queued. `under_way` is True if a queued
+    read may receive bytes before `wait` is called.
     """
 
     frames_ahead: int
@@ -34,7 +34,7 @@ class Transfers(Protocol):
 
     @property
     def has_room(self) -> bool:
-        """Whether the system takes one more."""
+        """Whether the system accepts a further read."""
         ...
 
     def submit(self, buffer: Bytes) -> None:
@@ -42,14 +42,15 @@ class Transfers(Protocol):
         ...
 
     def wait(self, timeout_s: float) -> Arrived:
-        """The oldest read's end.
+        """Wait for the end of the oldest read.
 
-        Raises TimeoutError (it stays queued), StreamHalted (it is gone from the queue), CameraLost.
+        Raises TimeoutError (the read remains queued), StreamHalted (it is removed from the queue),
+        CameraLost.
         """
         ...
 
     def cancel(self) -> None:
-        """Give up all that is queued."""
+        """Cancel all queued reads."""
         ...
 
 
@@ -74,7 +75,7 @@ class BlockingTransfers:
         self._filled = 0
 
     def submit(self, buffer: Bytes) -> None:
-        """Queue a read; it begins when it is the oldest and waited for."""
+        """Queue a read; it starts when it is the oldest and `wait` is called."""
         self._queued.append(buffer.view(TransferBuffer))
 
     def wait(self, timeout_s: float) -> Arrived:

@@ -19,9 +19,9 @@ class V4l2Camera:
 
     Notes
     -----
-    Frames that the driver numbers are numbered by it, and a gap counts as lost on the bus; a frame
-    that it marks as damaged counts as incomplete. OpenCV gives neither: there frames are numbered
-    as they come, and what was lost before them is not known.
+    If the driver numbers frames, its numbers are used and gaps count as lost on the bus; frames that it
+    marks as damaged count as incomplete. OpenCV provides neither: frames are numbered in order of arrival,
+    and losses are not known.
     """
 
     def __init__(self, settings: V4l2Settings | None = None) -> None:
