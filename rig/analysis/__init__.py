@@ -20,7 +20,7 @@ from rig.analysis.encoding import JsonObject
 from rig.analysis.fit_tables import parameter_table, quality_table
 from rig.analysis.instrument_results import DecrementTable, InstrumentResults, PeriodTable, SwingPlane
 from rig.analysis.record_fit import AnalysedRun, analyse_record, analyse_run, session_results
-from rig.analysis.remarks import remarks
+from rig.analysis.fit_remarks import remarks
 from rig.analysis.results import (
     AveragedCurves,
     CombinedParameter,
