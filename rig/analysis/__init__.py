@@ -17,10 +17,10 @@ from rig.analysis.contact_verdicts import evaluate, fit_results
 from rig.analysis.curves import Curves, curves_of
 from rig.analysis.determined import bound_text, determined_text, series_verdicts
 from rig.analysis.encoding import JsonObject
+from rig.analysis.fit_remarks import remarks
 from rig.analysis.fit_tables import parameter_table, quality_table
 from rig.analysis.instrument_results import DecrementTable, InstrumentResults, PeriodTable, SwingPlane
 from rig.analysis.record_fit import AnalysedRun, analyse_record, analyse_run, session_results
-from rig.analysis.fit_remarks import remarks
 from rig.analysis.results import (
     AveragedCurves,
     CombinedParameter,

@@ -5,8 +5,8 @@ from pathlib import Path
 
 from rich.console import Console
 
-from rig.analysis.fit_tables import parameter_table, quality_table
 from rig.analysis.fit_remarks import remarks
+from rig.analysis.fit_tables import parameter_table, quality_table
 from rig.analysis.results import SessionResults
 from rig.presentation import print_tables
 
