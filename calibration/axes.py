@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import BaseModel, Field
 
-from calibration.lever import Lever
+from calibration.light_lever import Lever
 
 
 class Axes(BaseModel, frozen=True, extra="forbid"):

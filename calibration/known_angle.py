@@ -3,8 +3,8 @@
 import math
 from dataclasses import dataclass
 
-from calibration.lever import Lever
 from calibration.lever_fit import LadderFit
+from calibration.light_lever import Lever
 
 _COVERAGE = 2.0
 

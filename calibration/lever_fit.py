@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.stats import chi2
 
-from calibration.lever import Lever
+from calibration.light_lever import Lever
 from processing.angle import ARCSEC_RAD
 from processing.errors import DataError
 

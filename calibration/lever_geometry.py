@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, Field
 
-from calibration.lever import Lever
+from calibration.light_lever import Lever
 from processing.errors import DataError
 
 _RANGE_RAD = 7e-4

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.simulation import randomness
-from acquisition.simulation.dynamics import ARCSEC_RAD, Motion
 from acquisition.simulation.faults import FaultSettings
+from acquisition.simulation.motion import ARCSEC_RAD, Motion
 from acquisition.simulation.settings import DisturbanceTruth
 
 _JITTER, _WALK, _CLOCK, _POWER, _DROP = 4, 5, 6, 7, 8

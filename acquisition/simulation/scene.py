@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from acquisition.frame import Image
 from acquisition.simulation import randomness, sensor
 from acquisition.simulation.disturbances import FrameNoise, Pointing, add_draught, laser_factor, vibration_rad
-from acquisition.simulation.dynamics import ARCSEC_RAD, motions
 from acquisition.simulation.faults import FaultSettings
 from acquisition.simulation.inputs import RigInputs, RigState
+from acquisition.simulation.motion import ARCSEC_RAD, motions
 from acquisition.simulation.optics import Beam, spot_position_px
 from acquisition.simulation.settings import SimulationSettings
 from acquisition.simulation.true_path import axes_motion

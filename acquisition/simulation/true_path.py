@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.simulation import randomness
-from acquisition.simulation.dynamics import ARCSEC_RAD, Motion, motions
+from acquisition.simulation.motion import ARCSEC_RAD, Motion, motions
 from acquisition.simulation.settings import SimulationSettings
 
 _PATH_NOISE = 11

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from acquisition.simulation.dynamics import ARCSEC_RAD
+from acquisition.simulation.motion import ARCSEC_RAD
 from acquisition.simulation.settings import SimulationSettings
 
 

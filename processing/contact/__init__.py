@@ -2,6 +2,7 @@
 
 from processing.contact.decay import decay_path, path_nodes
 from processing.contact.decay_fit import fit_decay
+from processing.contact.energy_loss import measured_losses, model_losses
 from processing.contact.exponent_search import PeriodStart, period_start
 from processing.contact.half_swing import (
     relative_curvature,
@@ -18,6 +19,7 @@ from processing.contact.hertz import (
     material,
     pendulum_on_ball,
 )
+from processing.contact.hysteresis_loops import moment_loop
 from processing.contact.law import (
     AMPLITUDE,
     DRAG,
@@ -30,8 +32,6 @@ from processing.contact.law import (
     Parameter,
 )
 from processing.contact.laws import LAWS, PAPER
-from processing.contact.loops import moment_loop
-from processing.contact.losses import measured_losses, model_losses
 from processing.contact.moments import cycle_work, surface_energy, weight_moment
 from processing.contact.parameters import STANDARD_GRAVITY_M_PER_S2, ContactParameters, PendulumOnBall
 from processing.contact.period_law import cosine_moment, frequency_drop, period

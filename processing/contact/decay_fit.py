@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from processing.contact.decay import decay_path, path_nodes
+from processing.contact.drag_coordinates import from_straight, to_straight
 from processing.contact.exponent_search import decay_start
-from processing.contact.straight import from_straight, to_straight
 from processing.errors import DataError
 from processing.least_squares import Loss, Solution, propagate, solve
 from processing.swing import TurningPoints

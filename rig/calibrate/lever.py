@@ -6,9 +6,9 @@ from typing import Any
 
 from calibration.at_rest import require_rest
 from calibration.known_angle import check_scale
-from calibration.lever import Lever
 from calibration.lever_fit import LadderFit, fit_ladder, lever_from_shifts, lever_from_tilts
 from calibration.lever_geometry import lever_from_geometry
+from calibration.light_lever import Lever
 from calibration.store import read_calibration
 from processing.errors import ConfigurationError
 from rig.calibrate.filing import Filing, details_of, file_calibration

@@ -3,13 +3,13 @@
 from rig.devices import picture
 from rig.devices.auto_exposure import find_exposure
 from rig.devices.camera_features import feature_lines
-from rig.devices.devices import Devices, OpenCamera
 from rig.devices.doctor import examine
 from rig.devices.frame_stream import FrameStream
 from rig.devices.host_clock import ntp_state
 from rig.devices.laser import STAYS_LIT, WIRE_IT, LaserNow, goes_dark_by_itself, wait_for_command
 from rig.devices.latest_frames import watch_latest
 from rig.devices.picture import PictureFigures
+from rig.devices.session_devices import Devices, OpenCamera
 
 __all__ = [
     "STAYS_LIT",

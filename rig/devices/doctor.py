@@ -15,7 +15,7 @@ from acquisition.cameras.usb3vision.settings import Usb3VisionSettings
 from acquisition.frame_losses import FrameLosses
 from processing.errors import RigError
 from rig.control import check_controller, check_environment, check_laser
-from rig.devices.devices import Devices
+from rig.devices.session_devices import Devices
 from rig.devices.usb_checks import check_usb_cameras, check_usb_memory
 from rig.instrument import check_materials, complete
 from rig.presentation import Verdict, print_json_line, print_verdicts

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from calibration.axes import Axes
-from calibration.lever import Lever, deflection_unit
+from calibration.light_lever import Lever, deflection_unit
 from processing.deflections import DeflectionUnit
 from processing.spot import SensorModel, SpotTracker
 from rig.instrument.pipeline import Deflector, Pipeline

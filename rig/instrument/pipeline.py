@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from acquisition.frame import Frame
 from calibration.axes import Axes, deflections
-from calibration.lever import Lever, deflection_unit
+from calibration.light_lever import Lever, deflection_unit
 from processing.balance import Balance, BalanceEstimator
 from processing.deflections import Deflections
 from processing.spot import Spot, SpotTracker

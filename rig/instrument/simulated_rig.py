@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from acquisition.simulation.settings import SimulationSettings
 from calibration.axes import Axes
-from calibration.lever import Lever
+from calibration.light_lever import Lever
 from processing.contact import Material
 from processing.spot import SensorModel
 from rig.settings import BalanceSettings, Configuration, PendulumSettings

@@ -15,11 +15,11 @@ from processing.errors import DataError, DeviceError
 from processing.robust import robust_scatter
 from rig.devices import Devices, FrameStream, OpenCamera, goes_dark_by_itself, wait_for_command
 from rig.instrument import Optics, Snapshot
-from rig.measure import frame_checks, preflight
 from rig.measure.end_of_run import StopRequest
 from rig.measure.phase_wait import PhaseWait, Stopped
+from rig.measure.preflight import device_checks, frame_checks
 from rig.measure.recent_frames import RecentFrames
-from rig.presentation import Verdict
+from rig.presentation import Verdict, failures
 from rig.settings import Configuration
 
 _AT_ONCE_FRAMES = 100
@@ -180,7 +180,7 @@ class PhasesBeforeRecord:
         config, frames = self._config, self._wait.frames
         limits = config.preflight
         self.verdicts = [
-            preflight.camera(self._camera.info.driver, self._camera.notes),
+            device_checks.camera(self._camera.info.driver, self._camera.notes),
             *frame_checks.check_look(
                 frames.look(resting, limits.duration_s),
                 config,
@@ -188,12 +188,12 @@ class PhasesBeforeRecord:
                 frames.window_bytes(),
                 shutil.disk_usage(self._folder).free,
             ),
-            preflight.controller(self._devices.describe(), config.controller.kind != "none"),
-            preflight.laser(self._devices.laser_now(), goes_dark_by_itself(config.laser)),
-            preflight.air(self._devices.environment(), config.environment_sensor.kind != "none", limits),
+            device_checks.controller(self._devices.describe(), config.controller.kind != "none"),
+            device_checks.laser(self._devices.laser_now(), goes_dark_by_itself(config.laser)),
+            device_checks.air(self._devices.environment(), config.environment_sensor.kind != "none", limits),
         ]
         self._show_table(self.verdicts)
-        against = preflight.failures(self.verdicts)
+        against = failures(self.verdicts)
         self._wait.note(EventKind.PREFLIGHT, f"no-go: {against}" if against else "go")
         if against and not self._force:
             raise DataError(f"preflight says no-go ({against}); --force passes over it")

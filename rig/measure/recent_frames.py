@@ -9,7 +9,7 @@ from processing.deflections import Deflections, joined
 from processing.spot import Spot
 from rig.devices import FrameStream
 from rig.instrument import Deflector, Optics
-from rig.measure.frame_checks import Look
+from rig.measure.preflight import Look
 
 _BLOCK_FRAMES = 16
 _RING_BYTES = 256 * 1024 * 1024

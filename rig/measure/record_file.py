@@ -9,8 +9,7 @@ from acquisition.camera import CameraInfo
 from acquisition.frame import Frame
 from acquisition.record.writer import RecordWriter
 from rig.instrument import Optics, configuration_attachments, session_metadata
-from rig.measure.preflight import table_tree
-from rig.presentation import Verdict
+from rig.presentation import Verdict, table_tree
 from rig.settings import Configuration
 
 

@@ -12,8 +12,8 @@ from processing.swing import Swing
 from rig.instrument import Snapshot
 from rig.measure.end_of_run import EndOfRun, StopRequest
 from rig.measure.frame_counts import FrameCounts
-from rig.measure.loss_log import LossLog
 from rig.measure.recorder import Entry, Recorder
+from rig.measure.run_losses import LossLog
 from rig.measure.run_parts import RunParts
 from rig.measure.run_status import RunStatus
 from rig.measure.start_judge import StartJudge

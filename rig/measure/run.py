@@ -12,9 +12,9 @@ from processing.errors import DataError
 from rig.instrument import Snapshot
 from rig.interruption import reason_of
 from rig.measure.end_of_run import StopRequest
-from rig.measure.loss_log import LossLog
 from rig.measure.recorder import Recorder
 from rig.measure.recording import Recording
+from rig.measure.run_losses import LossLog
 from rig.measure.run_parts import RunOutcome, RunParts
 from rig.measure.run_status import RunStatus
 from rig.measure.start_judge import StartJudge

@@ -22,10 +22,9 @@ from processing.balance import Balance
 from processing.decay_forecast import Forecast, forecast
 from processing.deflections import DeflectionUnit
 from rig.instrument import Block, Snapshot
-from rig.measure.preflight import table_tree
 from rig.measure.rates import Rates
 from rig.measure.run_panel import run_panel
-from rig.presentation import Verdict, print_json_line, print_verdicts, say
+from rig.presentation import Verdict, print_json_line, print_verdicts, say, table_tree
 
 _PLAIN_INTERVAL_S = 5.0
 _JSON_INTERVAL_S = 1.0

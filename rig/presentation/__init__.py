@@ -7,7 +7,7 @@ from rig.presentation.printing import plain_values, print_json_line, say
 from rig.presentation.quantities import SOURCES, Quantity, law_parameters, quantity
 from rig.presentation.table import Cell, Table
 from rig.presentation.terminal import print_tables
-from rig.presentation.verdict import Verdict
+from rig.presentation.verdict import Verdict, failures, table_tree
 from rig.presentation.verdict_table import print_verdicts
 
 __all__ = [
@@ -21,6 +21,7 @@ __all__ = [
     "balance_numbers",
     "balance_panels",
     "balance_table",
+    "failures",
     "law_parameters",
     "palette",
     "plain",
@@ -31,5 +32,6 @@ __all__ = [
     "print_verdicts",
     "quantity",
     "say",
+    "table_tree",
     "with_uncertainty",
 ]

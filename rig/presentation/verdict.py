@@ -1,6 +1,7 @@
 """Go or no-go, one line each: what was checked, what was found, the remedy."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,3 +29,14 @@ class Verdict:
     measured: str = ""
     limit: str = ""
     made: bool = True
+
+
+def failures(verdicts: Sequence[Verdict]) -> str:
+    """The failed checks in one line; empty if all passed."""
+    bad = [f"{v.name}: {v.measured} (limit {v.limit}); {v.remedy}" for v in verdicts if not v.ok]
+    return "; ".join(bad)
+
+
+def table_tree(verdicts: Sequence[Verdict]) -> list[dict[str, object]]:
+    """The table as plain values."""
+    return [asdict(verdict) for verdict in verdicts]

@@ -17,13 +17,13 @@ from acquisition.camera import CameraSettings
 from acquisition.cameras.simulated import SimulatedCamera
 from acquisition.simulation.settings import OpticsTruth, SensorTruth, SimulationSettings
 from calibration.axes import Axes
-from calibration.lever import Lever
+from calibration.light_lever import Lever
 from processing.spot import SensorModel
 from rig.control.service import ControlService
 from rig.control.settings import ControllerSettings, SerialFaults
 from rig.control.simulated import simulated_controller
-from rig.devices.devices import Devices
 from rig.devices.frame_stream import FrameStream
+from rig.devices.session_devices import Devices
 from rig.instrument.optics import Optics
 from rig.measure.end_of_run import EndLimits
 from rig.measure.record_file import RecordFile

@@ -19,7 +19,7 @@ from acquisition.camera import CameraInfo, CameraSettings, CameraStatus
 from acquisition.frame import Frame
 from acquisition.simulation.settings import OpticsTruth, SensorTruth, SimulationSettings
 from calibration.axes import Axes
-from calibration.lever import Lever
+from calibration.light_lever import Lever
 from processing.spot import SensorModel
 from rig.devices.frame_stream import FrameStream
 from rig.instrument.kernels import prepare_kernels

@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from acquisition.simulation.dynamics import (
+from acquisition.simulation.equation_of_motion import ModeConstants
+from acquisition.simulation.motion import (
     ARCSEC_RAD,
     Motion,
     contact_radius_m,
@@ -18,7 +19,6 @@ from acquisition.simulation.dynamics import (
     motions,
     slow_mode,
 )
-from acquisition.simulation.integrator import ModeConstants
 from acquisition.simulation.settings import ContactTruth, SimulationSettings
 from acquisition.simulation.true_path import noisy, true_path, true_turning_points
 from processing.errors import ConfigurationError

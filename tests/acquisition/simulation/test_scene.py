@@ -8,9 +8,9 @@ import pytest
 from numpy.typing import NDArray
 from pydantic import BaseModel, ValidationError
 
-from acquisition.simulation.dynamics import ARCSEC_RAD
 from acquisition.simulation.faults import FaultSettings
 from acquisition.simulation.inputs import RigInputs
+from acquisition.simulation.motion import ARCSEC_RAD
 from acquisition.simulation.scene import Plan, Readings, Scene
 from acquisition.simulation.settings import SimulationSettings
 from acquisition.simulation.true_path import true_path, true_turning_points

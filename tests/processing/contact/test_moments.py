@@ -5,9 +5,9 @@ from dataclasses import asdict
 import numpy as np
 import pytest
 
+from processing.contact.energy_loss import measured_losses, model_losses
 from processing.contact.half_swing import turning_points_of
-from processing.contact.loops import moment_loop
-from processing.contact.losses import measured_losses, model_losses
+from processing.contact.hysteresis_loops import moment_loop
 from processing.contact.moments import cycle_work, elastic_moment, weight_moment
 from processing.contact.parameters import ContactParameters
 from processing.errors import DataError

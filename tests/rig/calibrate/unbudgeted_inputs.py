@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from acquisition.simulation.settings import FastModeTruth, ReleaseTruth
 from acquisition.simulation.true_path import true_path
 from calibration.axes import Axes, deflections
-from calibration.lever import Lever
+from calibration.light_lever import Lever
 from processing.angle import ARCSEC_RAD
 from processing.contact.hertz import MATERIALS, pendulum_on_ball
 from processing.contact.laws import PAPER

@@ -14,9 +14,9 @@ import pytest
 
 from processing.errors import DeviceError
 from rig.control.controller import InterlockOpen
-from rig.devices.devices import Devices
 from rig.devices.laser import LaserNow
-from rig.measure import preflight
+from rig.devices.session_devices import Devices
+from rig.measure.preflight import device_checks
 from rig.settings.configuration import Configuration, validate_configuration
 from tests.rig.control.instruments import FakeCobolt, FakeLdc500, FakeObis, FakeThorlabs, Instrument
 from tests.rig.control.test_ending import BEGUN_WITHIN_S, ENDED_WITHIN_S, command
@@ -220,14 +220,14 @@ def test_without_the_relay_sigterm_darkens_it_and_sigkill_does_not(
 
 
 def test_preflight_says_how_the_laser_stands() -> None:
-    assert preflight.laser(None, True).ok
-    dark = preflight.laser(LaserNow(False, "off"), True)
+    assert device_checks.laser(None, True).ok
+    dark = device_checks.laser(LaserNow(False, "off"), True)
     assert not dark.ok
     assert dark.remedy
-    well = preflight.laser(LaserNow(True, "on, 0.5 mW"), True)
+    well = device_checks.laser(LaserNow(True, "on, 0.5 mW"), True)
     assert well.ok
     assert not well.remedy
-    warning = preflight.laser(LaserNow(True, "on, 0.5 mW"), False)
+    warning = device_checks.laser(LaserNow(True, "on, 0.5 mW"), False)
     assert warning.ok
     assert "killed" in warning.reason
     assert "relay" in warning.remedy

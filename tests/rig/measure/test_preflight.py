@@ -13,8 +13,8 @@ from processing.angle import ARCSEC_RAD
 from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import Spot, SpotFlag
 from rig.devices.laser import LaserNow
-from rig.measure import frame_checks, preflight
-from rig.measure.frame_checks import Look
+from rig.measure.preflight import Look, device_checks, frame_checks
+from rig.presentation import failures
 from rig.presentation.verdict import Verdict
 from rig.presentation.verdict_table import print_verdicts
 from rig.settings.phases import PreflightSettings
@@ -94,7 +94,7 @@ def test_what_was_not_checked_and_what_is_a_warning_is_not_called_go() -> None:
     verdicts = [
         *frame_checks.noise_and_vibration(None, None, DeflectionUnit.RAD, LIMITS),
         frame_checks.spot_found(spots(100), LIMITS),
-        preflight.laser(LaserNow(True, "on, 0.5 mW"), goes_dark_by_itself=False),
+        device_checks.laser(LaserNow(True, "on, 0.5 mW"), goes_dark_by_itself=False),
         frame_checks.disk(1, 5000.0, 500.0, 3600.0),
     ]
     text = StringIO()
@@ -140,7 +140,7 @@ def test_px_are_called_px_and_not_held_against_limits_in_arcsec() -> None:
             assert not verdict.made
             assert verdict.reason.startswith("no lever")
             assert not verdict.remedy
-        assert preflight.failures(verdicts) == ""
+        assert failures(verdicts) == ""
 
 
 def test_clock_that_jitters() -> None:
@@ -166,17 +166,17 @@ def test_disk_holds_the_longest_run_or_not() -> None:
 
 def test_air_and_controller() -> None:
     nothing = (math.nan, math.nan, math.nan)
-    assert preflight.air(nothing, False, LIMITS).ok
-    assert_no(preflight.air(nothing, True, LIMITS))
-    assert_no(preflight.air((60.0, 40.0, 1e5), True, LIMITS))
-    assert preflight.controller("laser on, interlock closed", True).ok
-    assert_no(preflight.controller("lost", True))
-    assert preflight.controller("", False).ok
+    assert device_checks.air(nothing, False, LIMITS).ok
+    assert_no(device_checks.air(nothing, True, LIMITS))
+    assert_no(device_checks.air((60.0, 40.0, 1e5), True, LIMITS))
+    assert device_checks.controller("laser on, interlock closed", True).ok
+    assert_no(device_checks.controller("lost", True))
+    assert device_checks.controller("", False).ok
 
 
 def test_what_stands_against_a_run_is_one_line() -> None:
     bad = frame_checks.disk(1, 5000.0, 500.0, 3600.0)
-    assert preflight.failures([frame_checks.spot_found(spots(10), LIMITS)]) == ""
-    line = preflight.failures([bad])
+    assert failures([frame_checks.spot_found(spots(10), LIMITS)]) == ""
+    line = failures([bad])
     assert "disk space" in line
     assert bad.remedy in line

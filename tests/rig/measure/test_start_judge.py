@@ -3,7 +3,7 @@
 import pytest
 
 from calibration.axes import Axes
-from calibration.lever import Lever
+from calibration.light_lever import Lever
 from processing.angle import ARCSEC_RAD
 from processing.spot import SensorModel
 from processing.swing import Swing

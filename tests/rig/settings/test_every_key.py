@@ -19,7 +19,7 @@ from pydantic import BaseModel, create_model
 
 import acquisition.cameras
 from calibration.axes import Axes
-from calibration.lever import Lever
+from calibration.light_lever import Lever
 from rig.instrument import complete
 from rig.settings import Configuration
 from rig.settings.configuration import RecordSettings, section_fields, section_of

@@ -5,8 +5,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.simulation import integrator
-from acquisition.simulation.integrator import (
+from acquisition.simulation import equation_of_motion
+from acquisition.simulation.equation_of_motion import (
     ANGLE,
     COLUMNS,
     DIRECTION,
@@ -92,7 +92,7 @@ class Motion:
                 f"moment at {largest_rad / ARCSEC_RAD:.4g} arcsec; it would fall over. Lower gamma_pa"
             )
         self._mode = mode
-        self._rule = integrator.collocation()
+        self._rule = equation_of_motion.collocation()
         self._rows = np.zeros((_ROWS, COLUMNS))
         self._turns = np.zeros((_TURNS, 2))
         self._state = np.zeros(4)
@@ -140,7 +140,7 @@ class Motion:
         rates = np.empty(len(times_s))
         reached = 0
         while True:
-            self._row, reached = integrator.sample(
+            self._row, reached = equation_of_motion.sample(
                 self._rows, self._row, self._n_rows, times_s, reached, angles, rates
             )
             if reached == len(times_s):
@@ -158,7 +158,7 @@ class Motion:
             # friction holds the pendulum in one long row: let it end somewhere
             stop_s = self._state[TIME] + 100 * 2 * math.pi / self._mode.w0_rad_per_s
         self._row = 0
-        self._n_rows, n_turns = integrator.advance(
+        self._n_rows, n_turns = equation_of_motion.advance(
             self._state, stop_s, self._mode, self._rule, self._rows, self._turns
         )
         return self._turns[:n_turns].copy()
@@ -192,12 +192,14 @@ class Motion:
         elif rate != 0.0:
             self._state[DIRECTION] = math.copysign(1.0, rate)
         else:
-            self._state[DIRECTION] = integrator.direction_from_rest(self._state[ANGLE], self._mode)
+            self._state[DIRECTION] = equation_of_motion.direction_from_rest(self._state[ANGLE], self._mode)
 
     def _return_to(self, time_s: float) -> None:
         """Forget what was integrated beyond `time_s`."""
         angles, rates = np.empty(1), np.empty(1)
-        row, _ = integrator.sample(self._rows, self._row, self._n_rows, np.array([time_s]), 0, angles, rates)
+        row, _ = equation_of_motion.sample(
+            self._rows, self._row, self._n_rows, np.array([time_s]), 0, angles, rates
+        )
         begin_s = self._rows[row, START]
         self._rows[row, LENGTH:] = self._cut(self._rows[row], time_s - begin_s)
         self._n_rows = row + 1

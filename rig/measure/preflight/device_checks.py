@@ -1,8 +1,7 @@
-"""Go or no-go: what the devices say of themselves as verdicts, and verdicts as one line or plain values."""
+"""What controller, laser, camera and air say of themselves before a run, as verdicts."""
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict
 
 from rig.devices import STAYS_LIT, WIRE_IT, LaserNow
 from rig.presentation import Verdict
@@ -70,14 +69,3 @@ def camera(driver: str, notes: Sequence[str]) -> Verdict:
         measured=driver,
         limit="settings as requested",
     )
-
-
-def failures(verdicts: Sequence[Verdict]) -> str:
-    """The failed checks in one line; empty if all passed."""
-    bad = [f"{v.name}: {v.measured} (limit {v.limit}); {v.remedy}" for v in verdicts if not v.ok]
-    return "; ".join(bad)
-
-
-def table_tree(verdicts: Sequence[Verdict]) -> list[dict[str, object]]:
-    """The table as plain values."""
-    return [asdict(verdict) for verdict in verdicts]
