@@ -225,7 +225,7 @@ class Viewer:
     def jump(self, time_s: float) -> None:
         """Continue at another time; curves are interrupted there."""
         self.samples(time_s, math.nan, math.nan, 0)
-        self.log(time_s, "info", f"begun anew at {time_s:.1f} s")
+        self.log(time_s, "info", f"restarted at {time_s:.1f} s")
 
     def event(self, start_ns: int, event: Event, *, later_s: float = 0.0, run: str = "") -> None:
         """Write an event to the log."""

@@ -102,11 +102,11 @@ def test_balance_follows_its_own_advice_from_frames_on(tmp_path: Path) -> None:
     advice_s, advice = column(tmp_path / "looks.rrd", "/advice", "TextDocument:text")
     assert "turn weight" in str(advice[0])
     assert "balanced" in str(advice[-1])
-    _, rest = scalars(tmp_path / "looks.rrd", "/balance/rest_x_arcsec/value")
+    _, rest = scalars(tmp_path / "looks.rrd", "/balance/rest_x/value")
     assert abs(rest[0]) > 20 > 10 > abs(rest[-1])
     assert advice_s[-1] > (looks - 1) * 12.0
     _, events = column(tmp_path / "looks.rrd", "/events", "TextLog:text")
-    assert sum("begun anew" in str(text) for text in events) == looks - 1
+    assert sum("restarted" in str(text) for text in events) == looks - 1
 
 
 def test_a_history_that_was_cut_short_is_read_as_far_as_it_goes(tmp_path: Path) -> None:

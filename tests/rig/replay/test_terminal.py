@@ -125,7 +125,7 @@ def test_pause_step_seek_and_end_by_keys(terminal: Terminal) -> None:
     terminal.press("q")
     output = terminal.end()
     assert terminal.process.returncode == 0, terminal.screen
-    assert "begun anew at 40.00 s by going back: the results are not compared" in output
+    assert "restarted at 40.00 s by going back: the results are not compared" in output
     assert terminal.settings == terminal.before
 
 
