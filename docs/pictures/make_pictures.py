@@ -24,7 +24,7 @@ from rig.rerun.layout import TIMELINE  # noqa: E402
 from rig.rerun.messages import LayoutName  # noqa: E402
 from rig.view.recorded import write_rrd  # noqa: E402
 from rig.view.viewer import Viewer  # noqa: E402
-from tests.rig import view_scene  # noqa: E402
+from tests.rig.view import scene  # noqa: E402
 from tests.rig.view.headless_viewer import headless_viewer, software_vulkan  # noqa: E402
 
 
@@ -45,7 +45,7 @@ def draw(rrd: Path, layout: LayoutName, record: Path | None) -> None:
         write_rrd([record], rrd, layout=layout)
         return
     with Viewer(rrd, layout=layout, title="scene") as viewer:
-        view_scene.play(viewer)
+        scene.play(viewer)
 
 
 def photograph(rrd: Path, picture: Path, moment_s: float) -> None:
