@@ -209,7 +209,7 @@ def test_a_series_that_was_killed_goes_on(tmp_path: Path) -> None:
 def test_resume_wants_a_session(tmp_path: Path) -> None:
     done = rig("run", "--resume", tmp_path)
     assert done.returncode == 2
-    assert "holds no session" in done.stderr
+    assert "contains no session" in done.stderr
 
 
 def test_a_reader_of_json_lines_that_goes_away_ends_no_measurement(tmp_path: Path) -> None:
