@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from acquisition.frame import Frame
 from acquisition.frame_losses import FrameLosses
+from acquisition.record.balances import balances_of
 from acquisition.record.chunk_reader import ChunkDamage, RawMessage, messages_in, open_chunk
 from acquisition.record.contents import MAGIC, ChunkPlace, Contents, parse, read_contents, read_record
 from acquisition.record.events import Event
@@ -21,6 +22,7 @@ from acquisition.record.pixels import decode_image, decode_window
 from acquisition.record.schemas import MessageType, message_type_of, parse_message_type
 from acquisition.record.spots_and_swings import deflections_of, spot_table, swings_of
 from acquisition.record.topics import (
+    BALANCE,
     EVENT,
     IMAGE_TOPIC,
     LOG_TOPIC,
@@ -34,6 +36,7 @@ from acquisition.record.topics import (
     RecordedWindow,
 )
 from acquisition.record.utc import utc
+from processing.balance import Balance
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import RecordError
 from processing.swing import Swing
@@ -237,6 +240,10 @@ class RecordReader:
     def swings(self) -> list[Swing]:
         """All half-cycles; amplitudes in `deflection_unit`."""
         return swings_of(self.table(SWING.topic))
+
+    def balances(self) -> list[Balance]:
+        """All balances, in `deflection_unit`; NaN for numbers that an older record does not have."""
+        return balances_of(self.table(BALANCE.topic), self.deflection_unit)
 
     def events(self) -> list[Event]:
         """All events."""

@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 from acquisition.frame import Image
 from acquisition.record.schemas import Kind, MessageType, message_type_of
+from processing.balance import names_with_units
 from processing.deflections import DeflectionUnit
 from processing.spot import Spot
 
@@ -16,7 +17,6 @@ LIBRARY = "optical-pendulum-rig"
 IMAGE_TOPIC = "/image"
 LOG_TOPIC = "/log"
 CAMERA_TOPIC = "/camera_calibration"
-BALANCE_TOPIC = "/balance"
 LOSSES_TOPIC = "/losses"
 SENSOR_FRAME = "sensor"
 """Frame of reference of images and camera calibration, for viewers."""
@@ -88,6 +88,12 @@ def _turning_point(unit: DeflectionUnit) -> tuple[tuple[str, Kind], ...]:
     )
 
 
+def _balance(unit: DeflectionUnit) -> tuple[tuple[str, Kind], ...]:
+    """The numbers of `Balance` in its order, with the unit that they carry."""
+    time_ns, *numbers = names_with_units(unit).values()
+    return *_ints(time_ns), *_doubles(*numbers)
+
+
 DEFLECTION_FIELDS = {
     DeflectionUnit.RAD: ("x_rad", "y_rad", "u_x_rad", "u_y_rad"),
     DeflectionUnit.PX: ("x_deflection_px", "y_deflection_px", "u_x_deflection_px", "u_y_deflection_px"),
@@ -118,6 +124,10 @@ SWING_UNCALIBRATED = _message(
     "UncalibratedSwing", "/swing", *_turning_point(DeflectionUnit.PX), *_doubles("period_s")
 )
 """The same in px."""
+BALANCE = _message("Balance", "/balance", *_balance(DeflectionUnit.RAD))
+"""One state of the balance."""
+BALANCE_UNCALIBRATED = _message("UncalibratedBalance", "/balance", *_balance(DeflectionUnit.PX))
+"""The same in px, but for the angle of the line. The first records in px had the names of `BALANCE`."""
 WINDOW = _message(
     "Window",
     "/window",

@@ -4,11 +4,12 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Protocol, Self
+from typing import Any, Self
 
 import numpy as np
 
 from acquisition.frame import Frame, Image
+from acquisition.record.balances import encode_balance
 from acquisition.record.chunk_builder import ChunkBuilder
 from acquisition.record.container import McapFile
 from acquisition.record.events import Event, EventKind
@@ -17,7 +18,8 @@ from acquisition.record.pixels import encode_image, encode_window
 from acquisition.record.schemas import MessageType, message_type_of
 from acquisition.record.spots_and_swings import encode_swing, spot_rows
 from acquisition.record.topics import (
-    BALANCE_TOPIC,
+    BALANCE,
+    BALANCE_UNCALIBRATED,
     CAMERA_TOPIC,
     ENVIRONMENT,
     EVENT,
@@ -33,6 +35,7 @@ from acquisition.record.topics import (
     WINDOW,
     Environment,
 )
+from processing.balance import Balance
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import RecordError
 from processing.spot import Spot
@@ -43,11 +46,6 @@ _RESERVE_BYTES = 4 * 1024 * 1024
 _FLUSH_INTERVAL_S = 0.8
 _LEVEL_INFO, _LEVEL_WARNING = 2, 3
 _MEDIA_TYPES = {".json": "application/json", ".toml": "application/toml"}
-
-
-class _Timed(Protocol):
-    @property
-    def time_ns(self) -> int: ...
 
 
 class RecordWriter:
@@ -110,6 +108,7 @@ class RecordWriter:
         calibrated = self._unit is DeflectionUnit.RAD
         self._spot = SPOT if calibrated else SPOT_UNCALIBRATED
         self._swing = SWING if calibrated else SWING_UNCALIBRATED
+        self._balance = BALANCE if calibrated else BALANCE_UNCALIBRATED
         try:
             self._file = McapFile(path, LIBRARY, reserve_bytes)
         except FileExistsError:
@@ -150,11 +149,7 @@ class RecordWriter:
 
         Raises ValueError for deflections in another unit than the record's `deflection_unit`.
         """
-        if deflections.unit is not self._unit:
-            raise ValueError(
-                f"{self.path}: its deflections are in {self._unit}; these, in {deflections.unit}, "
-                "belong into another record"
-            )
+        self._check_unit(deflections.unit)
         rows = spot_rows(self._spot, sequences, device_times_ns, host_times_ns, spots, deflections)
         self._ready()
         log_times_ns = deflections.times_ns + self._offset_ns
@@ -175,9 +170,12 @@ class RecordWriter:
         """One half-cycle; amplitude and centre in `deflection_unit`."""
         self._add(self._numbers, SWING.topic, swing.turn_time_ns, encode_swing(self._swing, swing))
 
-    def write_balance(self, balance: _Timed) -> None:
-        """One balance."""
-        self.write(BALANCE_TOPIC, balance, balance.time_ns)
+    def write_balance(self, balance: Balance) -> None:
+        """One balance. Raises ValueError for one in another unit than the record's `deflection_unit`."""
+        self._check_unit(balance.unit)
+        self._ready()
+        self._declare(self._balance)
+        self._add(self._numbers, BALANCE.topic, balance.time_ns, encode_balance(self._balance, balance))
 
     def write_event(self, time_ns: int, kind: str, text: str) -> None:
         """Something that happened; also a line of the log, which viewers show without being told."""
@@ -224,8 +222,7 @@ class RecordWriter:
         if kind is None:
             value_class = type(value)
             kind = message_type_of(value_class, f"{PACKAGE}.{value_class.__name__}", topic)
-            self._types[topic] = kind
-            self._guarded(lambda: self._channel(kind.topic, kind.full_name, kind.descriptor))
+            self._declare(kind)
         data = kind.encode(*[getattr(value, name) for name in kind.names])
         self._add(self._numbers, topic, time_ns, data)
 
@@ -272,6 +269,19 @@ class RecordWriter:
         self, topic: str, schema: str, descriptor: bytes, about: Mapping[str, str] | None = None
     ) -> None:
         self._channels[topic] = self._file.add_channel(topic, schema, descriptor, about)
+
+    def _declare(self, kind: MessageType) -> None:
+        """Make the channel of a topic that only some records have, at its first message."""
+        if kind.topic not in self._types:
+            self._types[kind.topic] = kind
+            self._guarded(lambda: self._channel(kind.topic, kind.full_name, kind.descriptor))
+
+    def _check_unit(self, unit: DeflectionUnit) -> None:
+        if unit is not self._unit:
+            raise ValueError(
+                f"{self.path}: its deflections are in {self._unit}; these, in {unit}, "
+                "belong into another record"
+            )
 
     def _ready(self) -> None:
         if self._closed:

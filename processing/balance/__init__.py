@@ -8,15 +8,18 @@ from processing.balance.advice import (
     find_faults,
     mass_centre_height_m,
 )
-from processing.balance.estimate import Balance, BalanceEstimator
+from processing.balance.balance import Balance, InUnit, names_with_units
+from processing.balance.estimate import BalanceEstimator
 
 __all__ = [
     "Balance",
     "BalanceEstimator",
     "BalanceLimits",
     "Fault",
+    "InUnit",
     "Turn",
     "WeightResponses",
     "find_faults",
     "mass_centre_height_m",
+    "names_with_units",
 ]

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from processing.angle import ARCSEC_RAD
-from processing.balance.estimate import Balance
+from processing.balance.balance import Balance
+from processing.deflections import DeflectionUnit
 
 Floats = NDArray[np.float64]
 _U_TURN = 0.02
@@ -68,18 +69,25 @@ def mass_centre_height_m(
 
 
 def find_faults(balance: Balance, height: tuple[float, float], limits: BalanceLimits) -> list[Fault]:
-    """All quantities of the balance with their limits. `height` is (value, standard uncertainty) in m."""
+    """All quantities of the balance with their limits. `height` is (value, standard uncertainty) in m.
+
+    Raises ValueError for a balance in px: its limits are in arcsec.
+    """
+    if balance.unit is not DeflectionUnit.RAD:
+        raise ValueError(
+            f"a balance in {balance.unit} has no limits: they are in arcsec, calibrate the lever"
+        )
     arcsec, degree = ARCSEC_RAD, math.pi / 180.0
     b = balance
     per_min = 60.0 / degree
     return [
         Fault(
-            "rest position X", b.rest_x_rad / arcsec, b.u_rest_x_rad / arcsec, "arcsec",
-            limits.rest_arcsec, "mass centre too far towards " + ("+X" if b.rest_x_rad > 0 else "-X"),
+            "rest position X", b.rest_x / arcsec, b.u_rest_x / arcsec, "arcsec",
+            limits.rest_arcsec, "mass centre too far towards " + ("+X" if b.rest_x > 0 else "-X"),
         ),
         Fault(
-            "rest position Y", b.rest_y_rad / arcsec, b.u_rest_y_rad / arcsec, "arcsec",
-            limits.rest_arcsec, "mass centre too far towards " + ("+Y" if b.rest_y_rad > 0 else "-Y"),
+            "rest position Y", b.rest_y / arcsec, b.u_rest_y / arcsec, "arcsec",
+            limits.rest_arcsec, "mass centre too far towards " + ("+Y" if b.rest_y > 0 else "-Y"),
         ),
         Fault(
             "mass centre", height[0] * 1e6, height[1] * 1e6, "um", limits.height_m * 1e6,

@@ -5,11 +5,13 @@ direction, its rotation, its width and the rest position show what is out of bal
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
+from processing.balance.balance import Balance
+from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import DataError
 from processing.swing import TwoModes, separate_modes
 
@@ -32,47 +34,6 @@ _OVERTONE = 1e-3
 """Largest deviation of the waveform from a sine because of friction, as a fraction of the amplitude."""
 
 
-@dataclass(frozen=True, slots=True)
-class Balance:
-    """State of the balance, from two slow periods about `time_ns`. Angles and tilts in rad.
-
-    `amplitude_rad` is the slow mode's amplitude along Y, `transverse_rad` the fast mode's amplitude along X
-    and `transverse_ratio` the second divided by the first. `line_angle_rad` is the angle of the line from Y
-    towards X, `rotation_rad_per_s` its rate of change, `width_ratio` the minor over the major axis of the
-    slow mode's ellipse, positive if the spot runs from +Y towards +X. `rest_` is the rest position, `drift_`
-    its drift. `period_ratio` is T_V/T_U. `u_` are standard uncertainties, enlarged if the residuals exceed
-    the samples' uncertainties. If no fast mode is significant, `transverse_rad` is 0, with the amplitude
-    of the strongest spectral line as uncertainty. NaN if the samples do not determine a quantity
-    (`period_ratio` without a fast mode, rates of change before the fourth period).
-    """
-
-    time_ns: int
-    period_s: float
-    u_period_s: float
-    amplitude_rad: float
-    u_amplitude_rad: float
-    transverse_rad: float
-    u_transverse_rad: float
-    transverse_ratio: float
-    u_transverse_ratio: float
-    line_angle_rad: float
-    u_line_angle_rad: float
-    rotation_rad_per_s: float
-    u_rotation_rad_per_s: float
-    width_ratio: float
-    u_width_ratio: float
-    rest_x_rad: float
-    u_rest_x_rad: float
-    rest_y_rad: float
-    u_rest_y_rad: float
-    drift_x_rad_per_s: float
-    u_drift_x_rad_per_s: float
-    drift_y_rad_per_s: float
-    u_drift_y_rad_per_s: float
-    period_ratio: float
-    u_period_ratio: float
-
-
 class BalanceEstimator:
     """Continuous estimate of the balance from a stream of samples.
 
@@ -92,20 +53,13 @@ class BalanceEstimator:
         self._look_s = _FIRST_LOOK_S
         self._history: list[tuple[float, ...]] = []
 
-    def update(
-        self,
-        times_ns: ArrayLike,
-        x_rad: ArrayLike,
-        y_rad: ArrayLike,
-        u_x_rad: ArrayLike,
-        u_y_rad: ArrayLike,
-    ) -> list[Balance]:
-        """Add samples (NaN where the spot was lost) and return the estimates that they complete.
+    def update(self, deflections: Deflections) -> list[Balance]:
+        """Add deflections (NaN where the spot was lost) and return the estimates that they complete.
 
-        Raises DataError if the lengths differ.
+        Their unit is that of the estimates. Raises DataError if the lengths differ.
         """
-        times = np.asarray(times_ns, dtype=np.int64)
-        columns = [np.asarray(column, dtype=np.float64) for column in (x_rad, y_rad, u_x_rad, u_y_rad)]
+        times = deflections.times_ns
+        columns = [deflections.x, deflections.y, deflections.u_x, deflections.u_y]
         if any(column.shape != times.shape for column in columns):
             raise DataError("times, deflections and uncertainties must be of one length")
         self._append(times, columns)
@@ -115,7 +69,7 @@ class BalanceEstimator:
                 self._next_ns = int(self._times[self._head]) + round(self._look_s * 1e9)
             if self._times[self._tail - 1] < self._next_ns:
                 break
-            balance = self._estimate(self._next_ns)
+            balance = self._estimate(self._next_ns, deflections.unit)
             if balance is not None:
                 found.append(balance)
         return found
@@ -141,7 +95,7 @@ class BalanceEstimator:
     def _position(self, time_ns: int) -> int:
         return self._head + int(np.searchsorted(self._times[self._head : self._tail], time_ns))
 
-    def _estimate(self, until_ns: int) -> Balance | None:
+    def _estimate(self, until_ns: int, unit: DeflectionUnit) -> Balance | None:
         """One estimate from the samples before `until_ns`; also sets the time of the next one."""
         known = not math.isnan(self._period_s)
         span_s = _WINDOW_PERIODS * self._period_s if known else self._look_s
@@ -162,7 +116,7 @@ class BalanceEstimator:
         self._fast_period_s = modes.fast.period_s if modes.fast is not None else math.nan
         self._next_ns = until_ns + round(self._period_s * 1e9)
         self._head = self._position(until_ns - round(1.5 * span_s * 1e9))
-        return self._balance(modes)
+        return self._balance(modes, unit)
 
     def _look_again(self, until_ns: int) -> None:
         """Without an oscillation, try a longer interval of up to a minute, then later intervals."""
@@ -194,7 +148,7 @@ class BalanceEstimator:
             chi2 += float(weight @ (value - np.average(value, weights=weight)) ** 2)
         return bool(chi2 < _RESTING * 2 * np.count_nonzero(good))
 
-    def _balance(self, modes: TwoModes) -> Balance:
+    def _balance(self, modes: TwoModes, unit: DeflectionUnit) -> Balance:
         slow, fast = modes.slow, modes.fast
         angle, u_angle = slow.direction_rad, slow.u_direction_rad
         if self._history:
@@ -225,12 +179,13 @@ class BalanceEstimator:
         along = slow.y_amplitude
         return Balance(
             time_ns=modes.time_ns,
+            unit=unit,
             period_s=slow.period_s,
             u_period_s=slow.u_period_s,
-            amplitude_rad=along,
-            u_amplitude_rad=slow.u_y_amplitude,
-            transverse_rad=transverse,
-            u_transverse_rad=u_transverse,
+            amplitude=along,
+            u_amplitude=slow.u_y_amplitude,
+            transverse=transverse,
+            u_transverse=u_transverse,
             transverse_ratio=transverse / along,
             u_transverse_ratio=math.hypot(u_transverse, transverse * slow.u_y_amplitude / along) / along,
             line_angle_rad=slow.direction_rad,
@@ -239,14 +194,14 @@ class BalanceEstimator:
             u_rotation_rad_per_s=u_turning,
             width_ratio=slow.width / slow.amplitude,
             u_width_ratio=slow.u_width / slow.amplitude,
-            rest_x_rad=modes.rest_x,
-            u_rest_x_rad=modes.u_rest_x,
-            rest_y_rad=modes.rest_y,
-            u_rest_y_rad=modes.u_rest_y,
-            drift_x_rad_per_s=drift_x,
-            u_drift_x_rad_per_s=u_drift_x,
-            drift_y_rad_per_s=drift_y,
-            u_drift_y_rad_per_s=u_drift_y,
+            rest_x=modes.rest_x,
+            u_rest_x=modes.u_rest_x,
+            rest_y=modes.rest_y,
+            u_rest_y=modes.u_rest_y,
+            drift_x_per_s=drift_x,
+            u_drift_x_per_s=u_drift_x,
+            drift_y_per_s=drift_y,
+            u_drift_y_per_s=u_drift_y,
             period_ratio=period_ratio,
             u_period_ratio=u_period_ratio,
         )

@@ -2,7 +2,6 @@
 
 import datetime
 import json
-from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +13,7 @@ from processing.balance import (
     Turn,
     WeightResponses,
     find_faults,
+    names_with_units,
 )
 from rig.instrument import (
     WEIGHTS,
@@ -54,7 +54,8 @@ class LearnedTurns:
                 {"weight": weight, "turns": turns, "before": self._state, "after": state, "u": u_state}
             )
         else:
-            self._write({"state": state, "balance": asdict(balance)})
+            numbers = {key: getattr(balance, name) for name, key in names_with_units(balance.unit).items()}
+            self._write({"state": state, "balance": numbers})
         self._pending, self._state = None, state
         return faults, before
 

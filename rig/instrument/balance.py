@@ -16,6 +16,7 @@ from processing.balance import (
     mass_centre_height_m,
 )
 from processing.contact import frequency_drop, stiffness_ratio
+from processing.deflections import DeflectionUnit
 from rig.instrument.pendulum import pendulum_on_ball
 from rig.presentation import with_uncertainty
 from rig.settings import Configuration
@@ -58,11 +59,14 @@ def elastic_drop(config: Configuration, amplitude_rad: float) -> float:
 
 
 def height_of(config: Configuration, balance: Balance) -> tuple[float, float]:
-    """Excess height of the mass centre in m, from the period, and its uncertainty; NaN if unknown."""
+    """Excess height of the mass centre in m, from the period, and its uncertainty; NaN if unknown.
+
+    `balance` must be in rad, because the period depends on the angle.
+    """
     pendulum, inertia = config.pendulum, config.balance.inertia_kg_m2
     if pendulum is None or inertia is None:
         return math.nan, math.nan
-    period0_s = balance.period_s * (1.0 - elastic_drop(config, balance.amplitude_rad))
+    period0_s = balance.period_s * (1.0 - elastic_drop(config, balance.amplitude))
     height_m = mass_centre_height_m(
         period0_s, inertia, pendulum.mass_kg, pendulum.ball_radius_m, pendulum.gravity_m_per_s2
     )
@@ -86,10 +90,10 @@ def _verdict(faults: Sequence[Fault]) -> str:
 def advice_text(config: Configuration, balance: Balance, learned: WeightResponses | None = None) -> str:
     """Faults of a balance and the weight to turn, in Markdown.
 
-    Uses the effects `learned` by `rig balance` if given, else the expected ones. Empty without a
-    calibration of the lever, because the limits are in arcsec.
+    Uses the effects `learned` by `rig balance` if given, else the expected ones. Empty for a balance in px,
+    because the limits are in arcsec, and for a recorded one without the rest position.
     """
-    if config.lever is None:
+    if balance.unit is not DeflectionUnit.RAD or math.isnan(balance.rest_x):
         return ""
     height_m = height_of(config, balance)
     faults = find_faults(balance, height_m, config.balance)

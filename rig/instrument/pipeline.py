@@ -72,10 +72,8 @@ class Pipeline:
 
     def detect(self, spots: list[Spot], deflections: Deflections) -> Block:
         """Swings and balances from known deflections (replay without tracking)."""
-        at = deflections
-        swings = self._detector.update(at.times_ns, at.y, at.u_y)
-        balances = self._balance.update(at.times_ns, at.x, at.y, at.u_x, at.u_y)
-        return Block(spots, deflections, swings, balances)
+        swings = self._detector.update(deflections.times_ns, deflections.y, deflections.u_y)
+        return Block(spots, deflections, swings, self._balance.update(deflections))
 
     def finish(self) -> list[Swing]:
         """Swings that are completed by the end of the samples."""

@@ -181,15 +181,15 @@ class RunDisplay:
         if balance is None:
             return "-"
         return (
-            f"{balance.transverse_rad / self._unit.shown_size:.3f} {self._unit.shown} "
+            f"{balance.transverse / balance.unit.shown_size:.3f} {balance.unit.shown} "
             f"({100 * balance.transverse_ratio:.2f} %), line {math.degrees(balance.line_angle_rad):+.3f}°"
         )
 
     def _rest(self, balance: Balance | None) -> str:
         if balance is None:
             return "-"
-        x, y = balance.rest_x_rad / self._unit.shown_size, balance.rest_y_rad / self._unit.shown_size
-        return f"X {x:+.3f}, Y {y:+.3f} {self._unit.shown}"
+        x, y = balance.rest_x / balance.unit.shown_size, balance.rest_y / balance.unit.shown_size
+        return f"X {x:+.3f}, Y {y:+.3f} {balance.unit.shown}"
 
     def _prediction(self) -> str:
         if math.isnan(self._final):
@@ -208,6 +208,7 @@ class RunDisplay:
     def _numbers(self) -> dict[str, Any]:
         balance = self._balance
         found: dict[str, Any] = {
+            "amplitude_unit": self._unit.shown,
             "frames_hz": self._rates.frames_hz,
             "record_bytes_per_s": self._rates.bytes_per_s,
             "remaining_s": self._forecast.remaining_s,
@@ -217,8 +218,8 @@ class RunDisplay:
         if balance is not None:
             found["transverse_ratio"] = balance.transverse_ratio
             found["line_angle_rad"] = balance.line_angle_rad
-            found["rest_x"] = balance.rest_x_rad / self._unit.shown_size
-            found["rest_y"] = balance.rest_y_rad / self._unit.shown_size
+            found["rest_x"] = balance.rest_x / balance.unit.shown_size
+            found["rest_y"] = balance.rest_y / balance.unit.shown_size
         return found
 
     def _fraction(self, snapshot: Snapshot) -> float:

@@ -76,7 +76,7 @@ class StartJudge:
                 f"first amplitude {first:.1f} {limits.unit.shown}, {lowest:.1f} to {highest:.1f} are wanted"
             )
         for balance in balances:
-            if balance.amplitude_rad < 0.5 * limits.lowest_amplitude:
+            if balance.amplitude < 0.5 * limits.lowest_amplitude:
                 continue
             self._balance_seen = True
             if balance.transverse_ratio > limits.highest_transverse_ratio:

@@ -8,7 +8,7 @@ from rig.presentation import palette
 from rig.presentation.quantities import quantity
 
 if TYPE_CHECKING:
-    from _typeshed import DataclassInstance
+    from processing.balance import Balance
 
 
 class Drawn(NamedTuple):
@@ -21,16 +21,16 @@ class Drawn(NamedTuple):
 
 BALANCE: Final[Mapping[str, Drawn]] = {
     "period_s": Drawn("period"),
-    "amplitude_rad": Drawn("amplitude"),
-    "transverse_rad": Drawn("transverse", palette.X_COLOUR, "Transverse amplitude"),
+    "amplitude": Drawn("amplitude"),
+    "transverse": Drawn("transverse", palette.X_COLOUR, "Transverse amplitude"),
     "transverse_ratio": Drawn("transverse_ratio", palette.VERMILLION, "Transverse, width"),
     "width_ratio": Drawn("width_ratio", palette.YELLOW, "Transverse, width"),
     "line_angle_rad": Drawn("line_angle", palette.BLUISH_GREEN, "Tilt of the line"),
     "rotation_rad_per_s": Drawn("rotation", palette.REDDISH_PURPLE, "Rotation of the line"),
-    "rest_x_rad": Drawn("rest_x", palette.X_COLOUR, "Rest position X"),
-    "rest_y_rad": Drawn("rest_y", palette.Y_COLOUR, "Rest position Y"),
-    "drift_x_rad_per_s": Drawn("drift_x", palette.X_COLOUR, "Drift X, Y"),
-    "drift_y_rad_per_s": Drawn("drift_y", palette.Y_COLOUR, "Drift X, Y"),
+    "rest_x": Drawn("rest_x", palette.X_COLOUR, "Rest position X"),
+    "rest_y": Drawn("rest_y", palette.Y_COLOUR, "Rest position Y"),
+    "drift_x_per_s": Drawn("drift_x", palette.X_COLOUR, "Drift X, Y"),
+    "drift_y_per_s": Drawn("drift_y", palette.Y_COLOUR, "Drift X, Y"),
     "period_ratio": Drawn("period_ratio", palette.BLUISH_GREEN, "T_V / T_U"),
 }
 """By the name in `processing.balance.Balance`; without a panel a number is in the table alone."""
@@ -54,18 +54,14 @@ def balance_panels(unit: str) -> dict[str, list[str]]:
     return panels
 
 
-def balance_numbers(balance: "DataclassInstance | Mapping[str, float]") -> dict[str, tuple[float, float]]:
+def balance_numbers(balance: "Balance") -> dict[str, tuple[float, float]]:
     """Every `name` of a balance that comes with a `u_name`: value and standard uncertainty as stored."""
-    fields = balance if isinstance(balance, Mapping) else dataclasses.asdict(balance)
-    return {
-        name: (float(value), float(fields[f"u_{name}"]))
-        for name, value in fields.items()
-        if f"u_{name}" in fields
-    }
+    fields = dataclasses.asdict(balance)
+    return {name: (value, fields[f"u_{name}"]) for name, value in fields.items() if f"u_{name}" in fields}
 
 
-def balance_table(numbers: Mapping[str, tuple[float, float]], unit: str = "arcsec") -> str:
-    """The balance as a table in Markdown."""
+def balance_table(numbers: Mapping[str, tuple[float, float]], unit: str) -> str:
+    """The balance as a table in Markdown; `unit` is that of deflections as shown: arcsec or px."""
     lines = ["| | value ± u |", "|---|---:|"]
     for key, (value, u) in numbers.items():
         shown = quantity(key, unit)

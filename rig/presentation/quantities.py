@@ -1,6 +1,7 @@
 """The one table of quantities: symbol, unit and name of every number that a person reads.
 
-Keys are the names of the values as they are computed and stored, which end in the SI unit. The
+Keys are the names of the values as they are computed, which end in the SI unit; the deflections among
+the balance's numbers have no unit in their name and are rad here, or px where `quantity` is told so. The
 parameters of the contact's laws come with their laws; everything else stands here.
 """
 
@@ -67,16 +68,16 @@ QUANTITIES: Final[Mapping[str, Quantity]] = {
     "contact_angle_rad": Quantity("contact angle a/R", "arcmin", "angle of the contact", 60 * _DEGREE),
     # of the balance
     "period_s": Quantity("period", "s", "period of the slow mode"),
-    "amplitude_rad": Quantity("amplitude", "arcsec", "amplitude of the slow mode along Y", _ARCSEC),
-    "transverse_rad": Quantity("transverse", "arcsec", "amplitude of the fast mode along X", _ARCSEC),
+    "amplitude": Quantity("amplitude", "arcsec", "amplitude of the slow mode along Y", _ARCSEC),
+    "transverse": Quantity("transverse", "arcsec", "amplitude of the fast mode along X", _ARCSEC),
     "transverse_ratio": Quantity("transverse ratio", "%", "transverse over amplitude", 100.0),
     "width_ratio": Quantity("ellipticity", "%", "width of the slow mode's ellipse over its length", 100.0),
     "line_angle_rad": Quantity("tilt of the line", "deg", "direction of the line, from Y to X", _DEGREE),
     "rotation_rad_per_s": Quantity("rotation", "deg/min", "turning of the line", _DEGREE * _PER_MIN),
-    "rest_x_rad": Quantity("rest X", "arcsec", "rest position along X", _ARCSEC),
-    "rest_y_rad": Quantity("rest Y", "arcsec", "rest position along Y", _ARCSEC),
-    "drift_x_rad_per_s": Quantity("drift X", "arcsec/min", "drift of the rest position", _ARCSEC * _PER_MIN),
-    "drift_y_rad_per_s": Quantity("drift Y", "arcsec/min", "drift of the rest position", _ARCSEC * _PER_MIN),
+    "rest_x": Quantity("rest X", "arcsec", "rest position along X", _ARCSEC),
+    "rest_y": Quantity("rest Y", "arcsec", "rest position along Y", _ARCSEC),
+    "drift_x_per_s": Quantity("drift X", "arcsec/min", "drift of the rest position", _ARCSEC * _PER_MIN),
+    "drift_y_per_s": Quantity("drift Y", "arcsec/min", "drift of the rest position", _ARCSEC * _PER_MIN),
     "period_ratio": Quantity("T_V / T_U", "", "period of the fast mode over that of the slow one"),
 }
 

@@ -64,8 +64,7 @@ class Swings(NamedTuple):
 class BalanceNumbers(NamedTuple):
     """Numbers of the balance by name, each a value with its standard uncertainty, and advice.
 
-    Names and units are those of `processing.balance.Balance`; without a lever what is in rad there
-    is in px.
+    Names and units are those of `processing.balance.Balance`; its `unit` is that of the setup.
     """
 
     run: str

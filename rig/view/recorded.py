@@ -1,9 +1,8 @@
 """Shows one or several recorded runs in the live layout; several runs are overlaid."""
 
-import dataclasses
 import logging
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from datetime import UTC, datetime
 from itertools import islice
 from pathlib import Path
@@ -13,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.record.reader import RecordReader
-from acquisition.record.topics import BALANCE_TOPIC, SPOT, SPOT_UNCALIBRATED
+from acquisition.record.topics import SPOT, SPOT_UNCALIBRATED
 from processing.balance import Balance
 from processing.deflections import DeflectionUnit
 from processing.errors import RecordError
@@ -172,12 +171,9 @@ def _draw(viewer: Viewer, reader: RecordReader, run: str, start_ns: int, later_s
     if swings:
         viewer.swings(swings, start_ns, later_s=later_s, run=run)
     advise = _adviser(reader)
-    balances = reader.table(BALANCE_TOPIC)
-    names = balances.dtype.names or ()
-    for row in balances:
-        fields = dict(zip(names, row.tolist(), strict=True))
-        time_s = (fields["time_ns"] - start_ns) * 1e-9 + later_s
-        viewer.balance(time_s, balance_numbers(fields), advice=advise(fields), run=run)
+    for balance in reader.balances():
+        time_s = (balance.time_ns - start_ns) * 1e-9 + later_s
+        viewer.balance(time_s, balance_numbers(balance), advice=advise(balance), run=run)
     for event in reader.events():
         viewer.event(start_ns, event, later_s=later_s, run=run)
     spots = _draw_spots(viewer, reader, run, start_ns, later_s)
@@ -185,18 +181,13 @@ def _draw(viewer: Viewer, reader: RecordReader, run: str, start_ns: int, later_s
     return len(spots["sequence"]), len(swings)
 
 
-def _adviser(reader: RecordReader) -> Callable[[Mapping[str, Any]], str]:
+def _adviser(reader: RecordReader) -> Callable[[Balance], str]:
     """A function that returns advice for a recorded balance; empty if the configuration is not recorded."""
     try:
         config = recorded_configuration(reader)
     except RecordError:
         return lambda _: ""
-    known = {field.name for field in dataclasses.fields(Balance)}
-
-    def advise(fields: Mapping[str, Any]) -> str:
-        return advice_text(config, Balance(**fields)) if fields.keys() == known else ""
-
-    return advise
+    return lambda balance: advice_text(config, balance)
 
 
 def _draw_spots(

@@ -15,6 +15,7 @@ from scipy.optimize import least_squares
 from scipy.signal import find_peaks
 
 from processing.balance import BalanceEstimator
+from processing.deflections import Deflections, DeflectionUnit
 from processing.swing import SwingDetector
 from tests.processing.fit.measured_again import again_with_fit, in_rad, noisy
 from tests.processing.swing.truth import Record, contact_decay, damped_sinusoid, detect, errors, rms
@@ -273,14 +274,14 @@ def balance_speed(rounds: int) -> dict[str, float]:
     x = 3.0 * np.cos(7.5 * t) + 0.02 * rng.standard_normal(n)
     y = 200.0 * np.cos(1.55 * t) + 0.02 * rng.standard_normal(n)
     u = np.full(n, 0.02)
+    deflections = Deflections(times_ns, x, y, u, u, DeflectionUnit.PX)
     best = {1: math.inf, 1000: math.inf}
     for _ in range(rounds):
         for block in best:
             estimator = BalanceEstimator()
             began = perf_counter()
             for i in range(0, n, block):
-                j = i + block
-                estimator.update(times_ns[i:j], x[i:j], y[i:j], u[i:j], u[i:j])
+                estimator.update(deflections[i : i + block])
             best[block] = min(best[block], (perf_counter() - began) / n)
     numbers = {f"us_a_sample_blocks_of_{block}": 1e6 * seconds for block, seconds in best.items()}
     print(

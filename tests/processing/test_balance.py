@@ -1,6 +1,7 @@
 """Balance: values and honest uncertainties, once a period, whatever the blocks."""
 
 import math
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -8,16 +9,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from processing.balance import Balance, BalanceEstimator
+from processing.balance import Balance, BalanceEstimator, BalanceLimits, find_faults, names_with_units
+from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import DataError
 
 RATE, FAST_RATE, ANGLE, WIDTH, TURNING = 1.55, 7.5, 0.03, 0.01, 1e-4
 
 
-def motion(
-    seed: int, seconds: float = 80.0, frames_per_s: float = 100.0, fast: float = 5.0
-) -> list[np.ndarray]:
-    """Times, x, y, u, u."""
+def motion(seed: int, seconds: float = 80.0, frames_per_s: float = 100.0, fast: float = 5.0) -> Deflections:
+    """Deflections of a pendulum out of balance, in px."""
     rng = np.random.default_rng([seed, 51])
     t = np.arange(round(seconds * frames_per_s)) / frames_per_s
     angle = ANGLE + TURNING * t
@@ -28,14 +28,15 @@ def motion(
     x, y = x + 3.0 + 0.01 * t, y - 2.0 + 0.02 * t
     noise = 0.02 * rng.standard_normal((2, len(t)))
     u = np.full(len(t), 0.02)
-    return [np.round(t * 1e9).astype(np.int64), x + noise[0], y + noise[1], u, u]
+    times_ns = np.round(t * 1e9).astype(np.int64)
+    return Deflections(times_ns, x + noise[0], y + noise[1], u, u, DeflectionUnit.PX)
 
 
-def estimates(columns: list[np.ndarray], block: int = 1000) -> list[Balance]:
+def estimates(deflections: Deflections, block: int = 1000) -> list[Balance]:
     estimator = BalanceEstimator()
     found: list[Balance] = []
-    for i in range(0, len(columns[0]), block):
-        found += estimator.update(*(column[i : i + block] for column in columns))
+    for i in range(0, len(deflections), block):
+        found += estimator.update(deflections[i : i + block])
     return found
 
 
@@ -45,15 +46,15 @@ def deviations(b: Balance) -> list[float]:
     swift = 5.0 * math.exp(-0.005 * t)
     return [
         (b.period_s - 2 * math.pi / RATE) / b.u_period_s,
-        (b.transverse_rad - swift) / b.u_transverse_rad,
+        (b.transverse - swift) / b.u_transverse,
         (b.transverse_ratio - swift / along / math.cos(ANGLE + TURNING * t)) / b.u_transverse_ratio,
         (b.line_angle_rad - ANGLE - TURNING * t) / b.u_line_angle_rad,
         (b.rotation_rad_per_s - TURNING) / b.u_rotation_rad_per_s,
         (b.width_ratio - WIDTH) / b.u_width_ratio,
-        (b.rest_x_rad - 3.0 - 0.01 * t) / b.u_rest_x_rad,
-        (b.rest_y_rad + 2.0 - 0.02 * t) / b.u_rest_y_rad,
-        (b.drift_x_rad_per_s - 0.01) / b.u_drift_x_rad_per_s,
-        (b.drift_y_rad_per_s - 0.02) / b.u_drift_y_rad_per_s,
+        (b.rest_x - 3.0 - 0.01 * t) / b.u_rest_x,
+        (b.rest_y + 2.0 - 0.02 * t) / b.u_rest_y,
+        (b.drift_x_per_s - 0.01) / b.u_drift_x_per_s,
+        (b.drift_y_per_s - 0.02) / b.u_drift_y_per_s,
         (b.period_ratio - FAST_RATE / RATE) / b.u_period_ratio,
     ]
 
@@ -81,8 +82,8 @@ def test_one_estimate_a_period() -> None:
 
 def test_no_fast_mode() -> None:
     found = estimates(motion(2, fast=0.0))
-    assert all(b.transverse_rad == 0.0 for b in found)
-    assert all(0.0 < b.u_transverse_rad < 0.01 for b in found)
+    assert all(b.transverse == 0.0 for b in found)
+    assert all(0.0 < b.u_transverse < 0.01 for b in found)
     assert all(math.isnan(b.period_ratio) and math.isnan(b.u_period_ratio) for b in found)
 
 
@@ -91,13 +92,13 @@ WHOLE = estimates(MOTION, block=10**6)
 
 
 @settings(max_examples=10, deadline=None)
-@given(st.lists(st.integers(0, len(MOTION[0])), max_size=20))
+@given(st.lists(st.integers(0, len(MOTION)), max_size=20))
 def test_blocks_do_not_matter(cuts: list[int]) -> None:
-    edges = [0, *sorted(cuts), len(MOTION[0])]
+    edges = [0, *sorted(cuts), len(MOTION)]
     estimator = BalanceEstimator()
     found: list[Balance] = []
     for i, j in pairwise(edges):
-        found += estimator.update(*(column[i:j] for column in MOTION))
+        found += estimator.update(MOTION[i:j])
     assert repr(found) == repr(WHOLE)
 
 
@@ -111,21 +112,20 @@ def test_high_frame_rate_is_as_good() -> None:
 
 
 def test_rest_then_swing_then_rest() -> None:
-    columns = motion(5, 60.0)
-    for k, resting in ((1, 3.0), (2, -2.0)):
-        still = np.arange(len(columns[0])) % 6000
-        columns[k] = np.where((still < 1500) | (still > 4500), resting, columns[k])
-    times = [b.time_ns * 1e-9 for b in estimates(columns)]
+    swinging = motion(5, 60.0)
+    still = np.arange(len(swinging)) % 6000
+    resting = (still < 1500) | (still > 4500)
+    x, y = np.where(resting, 3.0, swinging.x), np.where(resting, -2.0, swinging.y)
+    times = [b.time_ns * 1e-9 for b in estimates(replace(swinging, x=x, y=y))]
     assert len(times) > 4
     assert min(times) > 14.0
     assert max(times) < 47.0
 
 
 def test_lost_spots() -> None:
-    columns = motion(6, 40.0)
-    columns[1] = columns[1].copy()
-    columns[1][1000:1400] = np.nan
-    found = estimates(columns)
+    deflections = motion(6, 40.0)
+    deflections.x[1000:1400] = np.nan
+    found = estimates(deflections)
     assert len(found) >= 7
     assert np.abs(np.array([deviations(b)[:4] for b in found])).max() < 5.0
 
@@ -138,23 +138,43 @@ def test_memory_stays_flat() -> None:
         y = 100.0 * np.cos(1.5 * t)
         times_ns = np.round(t * 1e9).astype(np.int64)
         noise = 0.01 * np.random.default_rng(k).standard_normal((2, 2000))
-        estimator.update(times_ns, noise[0], y + noise[1], np.full(2000, 0.01), np.full(2000, 0.01))
+        u = np.full(2000, 0.01)
+        estimator.update(Deflections(times_ns, noise[0], y + noise[1], u, u, DeflectionUnit.RAD))
         sizes.append(len(estimator._times))
     assert sizes[-1] == sizes[5]
 
 
+def test_px_are_never_called_rad_and_have_no_limits_in_arcsec() -> None:
+    (balance, *_) = WHOLE
+    assert balance.unit is DeflectionUnit.PX
+    in_px, in_rad = (names_with_units(unit) for unit in (DeflectionUnit.PX, DeflectionUnit.RAD))
+    assert {name for name in in_px if in_px[name] != in_rad[name]} >= {
+        f"{u}{name}"
+        for u in ("", "u_")
+        for name in ("amplitude", "transverse", "rest_x", "rest_y", "drift_x_per_s", "drift_y_per_s")
+    }
+    assert (in_px["u_rest_x"], in_rad["drift_y_per_s"]) == ("u_rest_x_px", "drift_y_rad_per_s")
+    assert [key for key in in_px.values() if "rad" in key] == [
+        "line_angle_rad", "u_line_angle_rad", "rotation_rad_per_s", "u_rotation_rad_per_s",
+    ]  # fmt: skip
+    with pytest.raises(ValueError, match="a balance in px has no limits"):
+        find_faults(balance, (math.nan, math.nan), BalanceLimits())
+
+
 def test_bad_input() -> None:
     with pytest.raises(DataError, match="of one length"):
-        BalanceEstimator().update(np.arange(3), np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(2))
+        BalanceEstimator().update(
+            Deflections(np.arange(3), *[np.zeros(3)] * 3, np.zeros(2), DeflectionUnit.RAD)
+        )
 
 
 def test_the_waveform_of_a_decay_by_friction_is_no_fast_mode() -> None:
     """A third harmonic of 5e-4, as friction leaves it, once the fast mode has gone."""
-    times, x, y, u_x, u_y = motion(4, fast=0.0)
-    t = times * 1e-9
-    y = y + 5e-4 * 200.0 * np.exp(-0.002 * t) * np.cos(3.0 * (RATE * t + 1.0))
-    for b in estimates([times, x, y, u_x, u_y])[2:]:
+    sine = motion(4, fast=0.0)
+    t = sine.times_ns * 1e-9
+    y = sine.y + 5e-4 * 200.0 * np.exp(-0.002 * t) * np.cos(3.0 * (RATE * t + 1.0))
+    for b in estimates(replace(sine, y=y))[2:]:
         assert math.isnan(b.period_ratio)
-        assert b.transverse_rad == 0.0
+        assert b.transverse == 0.0
         # a fast mode weaker than the harmonic would not be seen beside it
-        assert b.u_transverse_rad > 0.9 * 5e-4 * b.amplitude_rad
+        assert b.u_transverse > 0.9 * 5e-4 * b.amplitude

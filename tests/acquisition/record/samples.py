@@ -87,7 +87,7 @@ def write_sample(
             writer.write_swing(swing)
             balance = SampleBalance(time_ns, float(rng.normal()), bool(first % 3), f"turn {first}", first)
             done.balances.append(balance)
-            writer.write_balance(balance)
+            writer.write("/balance", balance, time_ns)
             if first % (4 * BLOCK) == 0:
                 frame = Frame(rng.poisson(9, (48, 64)).astype(dtype), first, first * FRAME_NS, 0)
                 done.images.append(frame)

@@ -19,6 +19,8 @@ from acquisition.record.pixels import decode_image, decode_window, encode_image,
 from acquisition.record.reader import RecordReader
 from acquisition.record.schemas import MessageType, conform, message_type_of, parse_message_type
 from acquisition.record.topics import (
+    BALANCE,
+    BALANCE_UNCALIBRATED,
     ENVIRONMENT,
     EVENT,
     SPOT,
@@ -31,13 +33,15 @@ from acquisition.record.topics import (
 )
 from acquisition.record.writer import RecordWriter
 from processing.angle import ARCSEC_RAD
+from processing.balance import Balance, names_with_units
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import RecordError
 from processing.spot import Spot
 from processing.swing import Swing
 from tests.acquisition.record.samples import EPOCH_OFFSET_NS, FRAME_NS, SampleBalance, same_bits, write_sample
 
-ALL_TYPES = [SPOT, SPOT_UNCALIBRATED, SWING, SWING_UNCALIBRATED, WINDOW, EVENT, ENVIRONMENT]
+OF_DEFLECTIONS = [SPOT, SPOT_UNCALIBRATED, SWING, SWING_UNCALIBRATED, BALANCE, BALANCE_UNCALIBRATED]
+ALL_TYPES = [*OF_DEFLECTIONS, WINDOW, EVENT, ENVIRONMENT]
 ANY_DOUBLE = st.floats(allow_nan=True, allow_infinity=True, allow_subnormal=True, width=64)
 ANY_INT = st.integers(-(2**63), 2**63 - 1)
 VALUES = {"double": ANY_DOUBLE, "int": ANY_INT, "text": st.text(), "bytes": st.binary()}
@@ -193,6 +197,47 @@ def test_deflections_in_another_unit_than_the_records_are_refused(tmp_path: Path
             writer.write_spots([0], [0], [0], [Spot(*[1.0] * 10, flags=0)], in_px)
 
 
+@pytest.mark.parametrize("unit", DeflectionUnit)
+def test_a_balance_comes_back_in_the_unit_of_its_record(tmp_path: Path, unit: DeflectionUnit) -> None:
+    wrote = balance(unit)
+    with RecordWriter(tmp_path / "run.mcap", 0, deflection_unit=unit) as writer:
+        writer.write_balance(wrote)
+        (other,) = set(DeflectionUnit) - {unit}
+        with pytest.raises(ValueError, match=f"its deflections are in {unit}; these, in {other}"):
+            writer.write_balance(balance(other))
+    with RecordReader(tmp_path / "run.mcap") as reader:
+        names = reader.table("/balance").dtype.names or ()
+        assert names == tuple(names_with_units(unit).values())
+        assert reader.balances() == [wrote]
+
+
+@dataclass(frozen=True)
+class EarlierBalance:
+    """Some of the names that a balance in px, too, had at first."""
+
+    time_ns: int
+    period_s: float
+    rest_x_rad: float
+    u_rest_x_rad: float
+    drift_x_rad_per_s: float
+
+
+def test_px_that_an_earlier_record_calls_rad_are_read_as_px(tmp_path: Path) -> None:
+    with RecordWriter(tmp_path / "run.mcap", 0, deflection_unit=DeflectionUnit.PX) as writer:
+        writer.write("/balance", EarlierBalance(7, 4.07, 12.0, 0.5, 0.25), 7)
+    with RecordReader(tmp_path / "run.mcap") as reader:
+        (read,) = reader.balances()
+    assert (read.time_ns, read.unit, read.period_s) == (7, DeflectionUnit.PX, 4.07)
+    assert (read.rest_x, read.u_rest_x, read.drift_x_per_s) == (12.0, 0.5, 0.25)
+    assert math.isnan(read.amplitude)
+
+
+def balance(unit: DeflectionUnit) -> Balance:
+    """Each number is another one."""
+    numbers = {name: float(place) for place, name in enumerate(names_with_units(unit))}
+    return Balance(**{**numbers, "time_ns": 7, "unit": unit})  # type: ignore[arg-type]
+
+
 def test_a_record_without_frames_is_a_record(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     RecordWriter(path, 0).close()
@@ -241,7 +286,7 @@ class Newer:
 def test_a_value_that_has_grown_since_is_read(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     with RecordWriter(path, 0) as writer:
-        writer.write_balance(Older(5, 0.25))
+        writer.write("/balance", Older(5, 0.25), 5)
     with RecordReader(path) as reader:
         (value,) = reader.values("/balance", Newer)
     assert (value.time_ns, value.ratio, value.turns, value.advice) == (5, 0.25, 0, "")
@@ -267,7 +312,7 @@ def test_nothing_is_written_after_the_end(tmp_path: Path) -> None:
     for write in (
         lambda: writer.write_event(0, "late", ""),
         lambda: writer.write_swing(swing),
-        lambda: writer.write_balance(Older(5, 0.25)),
+        lambda: writer.write("/balance", Older(5, 0.25), 5),
     ):
         with pytest.raises(RecordError, match="closed"):
             write()

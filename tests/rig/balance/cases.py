@@ -10,6 +10,7 @@ from acquisition.simulation.true_path import noisy, true_path
 from acquisition.simulation.weights import TrimmedPendulum, TrimWeight, imperfect_weights
 from processing.angle import ARCSEC_RAD
 from processing.balance import Balance, BalanceEstimator, BalanceLimits, WeightResponses, mass_centre_height_m
+from processing.deflections import Deflections, DeflectionUnit
 from rig.instrument import complete
 from rig.instrument.balance import elastic_drop, nominal_effects
 from rig.settings.configuration import Configuration
@@ -57,20 +58,21 @@ def seen(settings: SimulationSettings, seed: int) -> Balance:
     """What three periods of noisy deflections tell."""
     samples = noisy(true_path(settings, 13.5), _U_RAD, _U_RAD, seed)
     u = np.full(len(samples.times_ns), _U_RAD)
-    return BalanceEstimator().update(samples.times_ns, samples.x_rad, samples.y_rad, u, u)[-1]
+    deflections = Deflections(samples.times_ns, samples.x_rad, samples.y_rad, u, u, DeflectionUnit.RAD)
+    return BalanceEstimator().update(deflections)[-1]
 
 
 def state_of(balance: Balance) -> np.ndarray:
     """(rest X, rest Y, height) as the advice takes it."""
     pendulum = CONFIG.pendulum
     assert pendulum is not None
-    period0_s = balance.period_s * (1.0 - elastic_drop(CONFIG, balance.amplitude_rad))
+    period0_s = balance.period_s * (1.0 - elastic_drop(CONFIG, balance.amplitude))
     inertia = CONFIG.balance.inertia_kg_m2
     assert inertia is not None
     height_m = mass_centre_height_m(
         period0_s, inertia, pendulum.mass_kg, pendulum.ball_radius_m, pendulum.gravity_m_per_s2
     )
-    return np.array([balance.rest_x_rad / ARCSEC_RAD, balance.rest_y_rad / ARCSEC_RAD, height_m])
+    return np.array([balance.rest_x / ARCSEC_RAD, balance.rest_y / ARCSEC_RAD, height_m])
 
 
 def follow_advice(seed: int, *, nominal_known: bool = True, most: int = 12) -> Followed:

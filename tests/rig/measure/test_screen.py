@@ -4,12 +4,16 @@ import io
 import json
 import math
 from pathlib import Path
+from typing import Any
 
 import pytest
 from rich.console import Console
 
 from acquisition.frame_losses import FrameLosses
-from processing.deflections import DeflectionUnit
+from processing.angle import ARCSEC_RAD
+from processing.balance import Balance
+from processing.deflections import DeflectionUnit, no_deflections
+from rig.instrument.pipeline import Block
 from rig.instrument.snapshot import Snapshot
 from rig.measure.screen import RunDisplay
 from rig.view.state_text import state_text
@@ -53,6 +57,19 @@ def test_without_a_lever_the_screen_says_px_and_knows_no_end(tmp_path: Path) -> 
     assert "to 2" not in shown
 
 
+def test_the_screen_shows_the_balance_in_its_own_unit(tmp_path: Path) -> None:
+    fields: dict[str, Any] = dict.fromkeys(Balance.__dataclass_fields__, 1e-3)
+    for unit, size in ((DeflectionUnit.PX, 1.0), (DeflectionUnit.RAD, ARCSEC_RAD)):
+        places = {"transverse": 2.5 * size, "rest_x": 0.5 * size, "rest_y": -1.5 * size}
+        balance = Balance(**{**fields, **places, "time_ns": 0, "unit": unit})
+        output = io.StringIO()
+        shown = display(tmp_path, output, unit=unit)
+        shown.block(0, [], Block([], no_deflections(unit), [], [balance]))
+        Console(file=output, width=118, height=40).print(shown.screen(SEEN))
+        assert f"2.500 {unit.shown} (0.10 %)" in output.getvalue()
+        assert f"X +0.500, Y -1.500 {unit.shown}" in output.getvalue()
+
+
 def test_the_screen_shows_the_age_of_frames_and_the_losses(tmp_path: Path) -> None:
     shown = screen(tmp_path, SEEN)
     assert "age 12 ms" in shown
@@ -70,6 +87,7 @@ def test_json_lines_name_each_loss(tmp_path: Path, capsys: pytest.CaptureFixture
     display(tmp_path, io.StringIO(), json_lines=True).show(SEEN)
     state = json.loads(capsys.readouterr().out.splitlines()[0])
     assert state["frame_age_s"] == 0.0123
+    assert state["amplitude_unit"] == "arcsec"
     assert state["losses"] == {
         "by_camera": 0,
         "by_bus": 3,

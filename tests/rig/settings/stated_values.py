@@ -8,6 +8,7 @@ import numpy as np
 from acquisition.camera import CameraInfo
 from acquisition.frame import Frame
 from processing.balance import Balance, find_faults
+from processing.deflections import DeflectionUnit
 from processing.instruments import DEGREE_RAD
 from processing.spot import Spot
 from processing.swing import Swing
@@ -55,7 +56,8 @@ def calibrated(config: Configuration) -> Any:
 def balance(config: Configuration) -> Any:
     """Limits, height of the mass centre, and what a turn of each weight should do."""
     small: dict[str, Any] = dict.fromkeys(Balance.__dataclass_fields__, 1e-4)
-    seen = Balance(**{**small, "period_s": 4.1, "time_ns": 0, "amplitude_rad": 5e-4})
+    small |= {"time_ns": 0, "unit": DeflectionUnit.RAD, "period_s": 4.1, "amplitude": 5e-4}
+    seen = Balance(**small)
     effects = {
         name: None if e is None else [v.tolist() for v in e] for name, e in nominal_effects(config).items()
     }

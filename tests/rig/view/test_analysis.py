@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from acquisition.record.reader import RecordReader
-from acquisition.record.topics import BALANCE_TOPIC
 from processing.angle import ARCSEC_RAD
 from processing.balance import Balance
+from processing.deflections import DeflectionUnit
 from rig.instrument import complete
 from rig.instrument.balance import advice_text
 from rig.instrument.provenance import recorded_configuration
@@ -29,7 +29,7 @@ PANELS = {"decay", "residuals", "period", "period_residuals", "loops"}
 def balance(tmp_path_factory: pytest.TempPathFactory) -> Balance:
     path = make_record(tmp_path_factory.mktemp("balance") / "run.mcap", 30.0)
     with RecordReader(path) as reader:
-        return reader.values(BALANCE_TOPIC, Balance)[-1]
+        return reader.balances()[-1]
 
 
 def test_every_panel_has_its_curves_from_the_results_beside_the_record(measured_series: Path) -> None:
@@ -88,15 +88,15 @@ def test_runs_laid_over_each_other_share_their_axes(measured_series: Path, tmp_p
 
 def test_advice_names_what_is_out_of_limits(balance: Balance) -> None:
     config = complete(load_configuration(CONFIG))
-    tilted = replace(balance, rest_x_rad=40 * ARCSEC_RAD, line_angle_rad=math.radians(2.0))
+    tilted = replace(balance, rest_x=40 * ARCSEC_RAD, line_angle_rad=math.radians(2.0))
     text = advice_text(config, tilted)
     assert text.startswith("**")
     assert "- rest position X +40" in text
     assert "mass centre too far towards +X" in text
     assert "- angle of the line +2" in text
     assert "rest position Y" not in text.split("\n", 1)[1]
-    uncalibrated = config.model_copy(update={"lever": None})
-    assert advice_text(uncalibrated, tilted) == ""
+    assert advice_text(config, replace(tilted, unit=DeflectionUnit.PX)) == ""
+    assert advice_text(config, replace(tilted, rest_x=math.nan)) == ""
 
 
 def test_advice_reaches_the_view_of_a_run_and_of_its_record(tmp_path: Path, balance: Balance) -> None:
@@ -113,7 +113,27 @@ def test_advice_reaches_the_view_of_a_run_and_of_its_record(tmp_path: Path, bala
     assert "balanced" in str(column(live, "/advice", "TextDocument:text"))
 
 
-def test_a_live_view_without_a_calibration_counts_in_px(tmp_path: Path, balance: Balance) -> None:
+def test_the_balance_of_a_record_without_a_calibration_is_in_px(tmp_path: Path) -> None:
+    path, rrd = make_record(tmp_path / "px.mcap", 30.0, calibrated=False), tmp_path / "px.rrd"
+    with RecordReader(path) as reader:
+        names = reader.table("/balance").dtype.names or ()
+        balances = reader.balances()
+    assert len(balances) > 3
+    # what is in rad without a lever, too, is the angle of the line
+    assert all("line_angle" in name or "rotation" in name for name in names if "rad" in name)
+    assert not any("arcsec" in name for name in names)
+    write_rrd([path], rrd, layout="balancing")
+    tables = str(column(rrd, "/balance_table", "TextDocument:text"))
+    assert "| rest X / px |" in tables
+    assert "| drift Y / (px/min) |" in tables
+    assert "arcsec" not in tables
+    assert "rad" not in tables
+    assert scalars(rrd, "/balance/rest_x/value")[1] == pytest.approx([b.rest_x for b in balances])
+    assert static_values(rrd, "/balance/rest_x/value", "SeriesLines:names") == ["rest X / px"]
+    assert column(rrd, "/advice", "TextDocument:text")[1] == []
+
+
+def test_a_live_view_without_a_calibration_counts_in_px(tmp_path: Path) -> None:
     rrd = tmp_path / "px.rrd"
     config = complete(load_configuration(CONFIG)).model_copy(update={"lever": None})
     view = start_view(config, rrd, "none", "measuring", "px", 255)

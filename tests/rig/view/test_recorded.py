@@ -25,7 +25,7 @@ LOST_ROW = 500
 
 @dataclass(frozen=True)
 class LineBalance:
-    """Two numbers of a balance, as a record holds them."""
+    """Two numbers of a balance, as an older record may hold them."""
 
     time_ns: int
     transverse_ratio: float
@@ -60,7 +60,8 @@ def make_record(path: Path, *, start_s: float = 7.0, rows: int = 1000, unit: str
                 index, time_ns, 1e-4, 120 * factor, 0.005 * factor, 2.035, 1e-4, 0.0, 1 - 2 * (index % 2), 0
             )
             writer.write_swing(swing)
-            writer.write_balance(LineBalance(time_ns, 0.02, 0.0005, math.radians(1.5), math.radians(0.01)))
+            line = LineBalance(time_ns, 0.02, 0.0005, math.radians(1.5), math.radians(0.01))
+            writer.write("/balance", line, time_ns)
         writer.write_event(int(times_ns[200]), "gap", "1 frame is missing")
         image = view_scene.spot_image((420.0, 160.0), np.random.default_rng(0))
         writer.write_image(Frame(image, int(sequence[100]), int(times_ns[100]), int(times_ns[100])))
