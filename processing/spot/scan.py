@@ -18,26 +18,16 @@ _SAMPLES_Y = 16
 _SAMPLES_X = 32
 SAMPLES = _SAMPLES_Y * _SAMPLES_X
 
+_STREAMS = 4
+"""Places of the frame that are read in turns: more loads are under way at once than from a single place."""
 _BLOCK = 64
-"""Pixels of a row between two prefetches: small enough that the loads do not come in bursts and queue."""
+_LARGEST_BLOCK_BYTES = 256
+"""Pixels of a row between two prefetches, a multiple of _BLOCK so that vector loops have no remainder: small
+enough that the loads do not come in bursts and queue, large enough that the loop's start does not count."""
 _ROWS_AHEAD = 4
 
 # The loops over a row use conditional expressions on values of the pixels' own type: min(), max() or a sum
-# would be widened to 64 bits, and the compiler would not vectorise them. They run over slices of constant
-# length, so that no remainder loop is needed.
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _raise_narrow(image: Image, first: int, last: int, line: Image) -> None:
-    """As in `scan_every_row`, for images narrower than _BLOCK.
-
-    `line` becomes the maximum of itself and the lowest pixel of each column in rows `first` to `last`.
-    """
-    for x in range(image.shape[1]):
-        value = image[first, x]
-        for y in range(first + 1, last + 1):
-            value = image[y, x] if image[y, x] < value else value
-        line[x] = value if value > line[x] else line[x]
+# would be widened to 64 bits, and the compiler would not vectorise them.
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -50,35 +40,36 @@ def scan_every_row(image: Image, bands: Image) -> None:
     ny, nx = image.shape
     pixels = image.reshape(ny * nx)
     in_a_line = LINE_BYTES // image.itemsize
-    for band in range((ny + BAND_ROWS - 1) // BAND_ROWS):
-        line = bands[band]
-        line[:nx] = 0
-        for y in range(band * BAND_ROWS, min(ny, (band + 1) * BAND_ROWS), 4):
-            # if the number of rows is no multiple of four, the last group overlaps the one before
-            top = max(0, min(y, ny - 4))
-            if nx < _BLOCK:
-                _raise_narrow(image, top, top + 3, line)
-                continue
-            start = top * nx
-            # the processor's own prefetching does not recognise four rows read in parallel as a stream
-            ahead = start + 8 * nx
-            for x in range(0, nx, _BLOCK):
-                for place in range(ahead, ahead + 4 * _BLOCK, in_a_line):
-                    prefetch(image, place)
-                ahead += 4 * _BLOCK
+    block = nx if nx < _BLOCK else min(nx, _LARGEST_BLOCK_BYTES // image.itemsize) // _BLOCK * _BLOCK
+    number = (ny + BAND_ROWS - 1) // BAND_ROWS
+    apart = (number + _STREAMS - 1) // _STREAMS
+    bands[:, :nx] = 0
+    for start in range(apart):
+        for y in range(0, BAND_ROWS, 4):
+            for x in range(0, nx, block):
                 # the last block overlaps the one before, which does not change the maxima
-                column = min(x, nx - _BLOCK)
-                first = start + column
-                row0 = pixels[first : first + _BLOCK]
-                row1 = pixels[first + nx : first + nx + _BLOCK]
-                row2 = pixels[first + 2 * nx : first + 2 * nx + _BLOCK]
-                row3 = pixels[first + 3 * nx : first + 3 * nx + _BLOCK]
-                part = line[column : column + _BLOCK]
-                for i in range(_BLOCK):
-                    upper = row0[i] if row0[i] < row1[i] else row1[i]
-                    lower = row2[i] if row2[i] < row3[i] else row3[i]
-                    value = upper if upper < lower else lower
-                    part[i] = value if value > part[i] else part[i]
+                column = min(x, nx - block)
+                for band in range(start, number, apart):
+                    row = band * BAND_ROWS + y
+                    if row >= ny:
+                        continue
+                    # if the number of rows is no multiple of four, the last group overlaps the one before
+                    top = max(0, min(row, ny - 4))
+                    # the processor itself does not recognise four rows read in parallel as a stream
+                    ahead = (top + 4) * nx + 4 * x
+                    for place in range(ahead, ahead + 4 * block, in_a_line):
+                        prefetch(image, place)
+                    first = top * nx + column
+                    row0 = pixels[first : first + block]
+                    row1 = pixels[first + nx : first + nx + block]
+                    row2 = pixels[first + 2 * nx : first + 2 * nx + block]
+                    row3 = pixels[first + 3 * nx : first + 3 * nx + block]
+                    part = bands[band, column : column + block]
+                    for i in range(block):
+                        upper = row0[i] if row0[i] < row1[i] else row1[i]
+                        lower = row2[i] if row2[i] < row3[i] else row3[i]
+                        value = upper if upper < lower else lower
+                        part[i] = value if value > part[i] else part[i]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
