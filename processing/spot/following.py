@@ -12,24 +12,54 @@ from numpy.typing import NDArray
 
 from processing.spot.fit_values import (
     AMPLITUDE,
+    BACKGROUND,
     REACH,
     SIGMA_X,
     SIGMA_Y,
     Fitted,
     Floats,
     Place,
+    X,
+    Y,
     as_kind,
     workspace_of,
 )
 from processing.spot.general_fit import fit_general
 from processing.spot.memory import LAST, TILT_HINTS, TILTED, TWO, expect
 from processing.spot.outcome import Result, finish, significant
-from processing.spot.sensor_model import PixelNoise, pixel_noise_of
+from processing.spot.sensor_model import PixelNoise, background_variance, pixel_noise_of
 from processing.spot.spot import Image
 from processing.spot.upright_fit import TILT_EVIDENCE, fit_upright
 
 SEARCH = -1
 """Returned in place of the flags if the spot was not found at the expected position."""
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _not_here() -> Result:
+    nan = math.nan
+    return nan, nan, nan, nan, nan, nan, nan, nan, nan, nan, SEARCH
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _moved(image: Image, p: Floats, noise: PixelNoise) -> bool:
+    """Whether the light at the expected centre has fallen so far that the spot must be elsewhere.
+
+    It is below three quarters at a distance of 0.8 standard deviations. The general fit from there would take
+    many passes, each of them as long as finding the spot anew.
+    """
+    ny, nx = image.shape
+    x, y = round(p[X]), round(p[Y])
+    if not (1 <= x < nx - 1 and 1 <= y < ny - 1):
+        return False
+    light = 0.0
+    for j in range(y - 1, y + 2):
+        for i in range(x - 1, x + 2):
+            light += image[j, i] / 9.0
+    light -= p[BACKGROUND]
+    expected = min(p[AMPLITUDE], noise.full_scale_dn - p[BACKGROUND])
+    variance = background_variance(p[BACKGROUND], noise) + expected * noise.dn_per_e
+    return bool(light < 0.75 * expected - 5.0 * math.sqrt(variance / 9.0))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -65,7 +95,7 @@ def follow(
     -------
     Result
         Fields of a `Spot`. If the spot is not at the expected position, the flags are `SEARCH`, every other
-        field is NaN and the whole frame has to be searched.
+        field is NaN and it has to be searched for.
     """
     place = Place(origin_x, origin_y, sensor_nx, sensor_ny)
     work = workspace_of(work_array)
@@ -84,12 +114,15 @@ def follow(
             return finish(
                 image, place, memory, work, noise, as_kind(one, one.size, tilted, False), followed=True
             )
+        if upright.far:
+            return _not_here()
         # the failed upright fit has changed the parameters: restore the start values
         expect(memory, place, work.parameters)
+    if _moved(image, work.parameters, noise):
+        return _not_here()
     fitted = fit_general(image, work, tilted, two, noise, REACH)
     if not fitted.done or not _plausible(work.parameters, memory, noise, fitted):
-        nan = math.nan
-        return nan, nan, nan, nan, nan, nan, nan, nan, nan, nan, SEARCH
+        return _not_here()
     return finish(image, place, memory, work, noise, fitted, followed=True)
 
 

@@ -6,9 +6,10 @@ from typing import Any
 import numpy as np
 
 from processing.errors import DataError
-from processing.spot.fit_values import WORKSPACE_SHAPE
+from processing.spot.fit_values import AMPLITUDE, PARAMETERS, SIGMA_X, SIGMA_Y, WORKSPACE_SHAPE, X, Y
 from processing.spot.following import SEARCH, follow
-from processing.spot.memory import FOLLOWS, empty_memory
+from processing.spot.memory import FOLLOWS, LAST, STEP_X, STEP_Y, empty_memory
+from processing.spot.outcome import Result
 from processing.spot.scan import BAND_ROWS, BAND_STEP, SAMPLES
 from processing.spot.searching import search
 from processing.spot.sensor_model import SensorModel
@@ -18,8 +19,15 @@ from processing.spot.upright_score import TABLE_ROWS
 
 _RECORD_REACH = 6.0
 _RECORD_MARGIN_PX = 4
+_NEAR_REACH = 6.0
+_NEAR_MARGIN_PX = 16
+_NEAR_STEP_PX = 32
+"""A jump is looked for within _NEAR_REACH sigmas and _NEAR_MARGIN_PX of the last place, in steps, so that the
+search's memory seldom changes its size."""
+_ALIKE = (AMPLITUDE, SIGMA_X, SIGMA_Y)
 _TYPES = (np.dtype(np.uint8), np.dtype(np.uint16))
 _SPOT = tuple.__new__
+_NOT_HERE: Result = (*(math.nan,) * 10, SEARCH)
 
 
 class _Writable:
@@ -45,12 +53,30 @@ def _plain(images: Image) -> Image:
     return writable
 
 
+class _SearchMemory:
+    """Working memory of a search in images of one shape and type."""
+
+    def __init__(self, image: Image) -> None:
+        ny, nx = image.shape
+        if min(ny, nx) < 5:
+            raise DataError(f"image has shape {image.shape}; at least 5 x 5 pixels are needed")
+        self.mask = np.zeros((ny, nx), dtype=np.uint8)
+        self.stack = np.zeros(ny * nx, dtype=np.int64)
+        rows = (ny + BAND_ROWS - 1) // BAND_ROWS
+        columns = (nx + BAND_STEP - 1) // BAND_STEP * BAND_STEP + 2
+        self.bands: Image = np.zeros((rows, columns), dtype=image.dtype)
+
+    def fits(self, image: Image) -> bool:
+        """Whether it is for such images."""
+        return image.shape == self.mask.shape and image.dtype == self.bands.dtype
+
+
 class SpotTracker:
     """Maximum-likelihood position of the spot, with standard uncertainties and flags.
 
     An elliptical Gaussian, integrated over the pixels, is fitted by Fisher scoring with weights from the
     sensor's noise model. The start values are the previous frame's spot, displaced by its last movement.
-    If the spot is not found there, the whole frame is searched.
+    A spot that is not there is looked for near its last place, then in the whole frame.
 
     Parameters
     ----------
@@ -75,9 +101,7 @@ class SpotTracker:
         self._work = np.zeros(WORKSPACE_SHAPE)
         self._tables = np.zeros((TABLE_ROWS, LARGEST_TABLE), dtype=np.float32)
         self._sample = np.zeros(SAMPLES, dtype=np.int64)
-        self._mask = np.zeros((1, 1), dtype=np.uint8)
-        self._stack = np.zeros(1, dtype=np.int64)
-        self._bands: Image = np.zeros((1, 1), dtype=np.uint8)
+        self._frame = self._near = _SearchMemory(np.zeros((5, 5), dtype=np.uint8))
 
     def reset(self) -> None:
         """Forget the last frame, so that the next one is searched as a whole."""
@@ -116,13 +140,45 @@ class SpotTracker:
             found = follow(image, x0, y0, nx, ny, self._memory, self._work, self._tables, self._noise)
             if found[10] != SEARCH:
                 return _SPOT(Spot, found)
-        if image.shape != self._mask.shape or image.dtype != self._bands.dtype:
-            self._make_room(image.shape, image.dtype)
-        found = search(
-            image, x0, y0, nx, ny, self._memory, self._work, self._tables, self._noise, self._row_step,
-            self._bands, self._sample, self._mask, self._stack,
-        )  # fmt: skip
+            found = self._follow_jump(image, x0, y0, nx, ny)
+            if found[10] != SEARCH:
+                return _SPOT(Spot, found)
+        if not self._frame.fits(image):
+            self._frame = _SearchMemory(image)
+        found = self._search(image, x0, y0, nx, ny, self._frame, self._row_step)
         return _SPOT(Spot, found)
+
+    def _follow_jump(self, image: Image, x0: int, y0: int, nx: int, ny: int) -> Result:
+        """Spot of a frame in which it is not at the expected place, but may be near its last one.
+
+        A search there gives the start of the fit. What it finds must resemble the last spot: it could be a
+        reflection, and the spot further away.
+        """
+        last = self._memory[LAST : LAST + PARAMETERS].copy()
+        reach_px = _NEAR_REACH * max(last[SIGMA_X], last[SIGMA_Y]) + _NEAR_MARGIN_PX
+        side = _NEAR_STEP_PX * math.ceil(2 * reach_px / _NEAR_STEP_PX)
+        height, width = min(side, image.shape[0]), min(side, image.shape[1])
+        left = min(max(round(last[X] - x0) - width // 2, 0), image.shape[1] - width)
+        top = min(max(round(last[Y] - y0) - height // 2, 0), image.shape[0] - height)
+        near = image[top : top + height, left : left + width].copy()
+        if not self._near.fits(near):
+            self._near = _SearchMemory(near)
+        self._search(near, x0 + left, y0 + top, nx, ny, self._near, 1)
+        found = self._memory[LAST : LAST + PARAMETERS]
+        if not self._memory[FOLLOWS] or not all(0.5 < found[k] / last[k] < 2.0 for k in _ALIKE):
+            return _NOT_HERE
+        result = follow(image, x0, y0, nx, ny, self._memory, self._work, self._tables, self._noise)
+        self._memory[STEP_X] = found[X] - last[X]
+        self._memory[STEP_Y] = found[Y] - last[Y]
+        return result
+
+    def _search(
+        self, image: Image, x0: int, y0: int, nx: int, ny: int, arrays: _SearchMemory, row_step: int
+    ) -> Result:
+        return search(
+            image, x0, y0, nx, ny, self._memory, self._work, self._tables, self._noise, row_step,
+            arrays.bands, self._sample, arrays.mask, arrays.stack,
+        )  # fmt: skip
 
     def record_window(self, spot: Spot, shape: tuple[int, int]) -> tuple[int, int, int, int]:
         """Window x0 <= x < x1, y0 <= y < y1 of a frame that has to be recorded to fit this spot again later.
@@ -140,12 +196,3 @@ class SpotTracker:
         reach_y = math.ceil(_RECORD_REACH * half_y) + _RECORD_MARGIN_PX
         x, y = round(spot.x_px), round(spot.y_px)
         return max(0, x - reach_x), max(0, y - reach_y), min(nx, x + reach_x + 1), min(ny, y + reach_y + 1)
-
-    def _make_room(self, shape: tuple[int, ...], dtype: np.dtype[np.uint8] | np.dtype[np.uint16]) -> None:
-        if min(shape) < 5:
-            raise DataError(f"image has shape {shape}; at least 5 x 5 pixels are needed")
-        self._mask = np.zeros(shape, dtype=np.uint8)
-        self._stack = np.zeros(self._mask.size, dtype=np.int64)
-        rows = (shape[0] + BAND_ROWS - 1) // BAND_ROWS
-        columns = (shape[1] + BAND_STEP - 1) // BAND_STEP * BAND_STEP + 2
-        self._bands = np.zeros((rows, columns), dtype=dtype)

@@ -55,11 +55,13 @@ class UprightFit(NamedTuple):
     tilt: float
     """Significance of a tilt in standard deviations: the gradient by the covariance, divided by the square
     root of its information (score test)."""
+    far: bool
+    """The start values were too far from the spot: from better ones the same fit may well succeed."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _not_done() -> UprightFit:
-    return UprightFit(Fitted(False, 0.0, 0, 0, 0, UPRIGHT, False, False), 0.0)
+def _not_done(far: bool) -> UprightFit:
+    return UprightFit(Fitted(False, 0.0, 0, 0, 0, UPRIGHT, False, False), 0.0, far)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -89,7 +91,7 @@ def fit_upright(
         floor = background_variance(p[BACKGROUND], noise)
         peak_variance = floor + p[AMPLITUDE] * (noise.dn_per_e + p[AMPLITUDE] * noise.prnu2)
         if p[AMPLITUDE] + p[BACKGROUND] + 3.0 * math.sqrt(peak_variance) >= noise.full_scale_dn:
-            return _not_done()
+            return _not_done(False)
         window = window_of(p, nx, ny, REACH)
         x0, y0 = window.x0, window.y0
         wx, wy = window.x1 - x0, window.y1 - y0
@@ -99,7 +101,7 @@ def fit_upright(
         if left >= 0 and left + wider <= nx:
             x0, wx = left, wider
         if min(p[SIGMA_X], p[SIGMA_Y]) < SMALLEST_SIGMA_PX or max(wx, wy) > LARGEST_TABLE or min(wx, wy) < 4:
-            return _not_done()
+            return _not_done(False)
         if not fetched:
             prefetch_window(image, x0, y0, wx, wy)
             fetched = True
@@ -128,7 +130,7 @@ def fit_upright(
                 work.information,
             )  # fmt: skip
             if not cholesky(work.information, UPRIGHT, work.factor):
-                return _not_done()
+                return _not_done(False)
             informed = True
         solve(work.factor, UPRIGHT, gradient, step)
         largest = 0.5 if rough else 0.2
@@ -137,9 +139,9 @@ def fit_upright(
             or abs(step[SIGMA_Y]) > largest * p[SIGMA_Y]
             or abs(step[AMPLITUDE]) > 1.5 * largest * p[AMPLITUDE]
         ):
-            return _not_done()
+            return _not_done(True)
         if abs(step[X]) > p[SIGMA_X] or abs(step[Y]) > p[SIGMA_Y]:
-            return _not_done()
+            return _not_done(True)
         # Scoring neglects the second derivatives of the model, which couple the parameters. The error
         # left in x after a step is therefore about the product of its own step and the sum of all
         # steps, in units of sigma.
@@ -183,9 +185,9 @@ def fit_upright(
             rough = False
         elif small and settled:
             if many or scatter > _LARGEST_SCATTER:
-                return _not_done()
+                return _not_done(False)
             for k in range(UPRIGHT):
                 chi2 -= gradient[k] * step[k]
             tilt = gradient[COVARIANCE] / math.sqrt(max(work.information[COVARIANCE, COVARIANCE], 1e-300))
-            return UprightFit(Fitted(True, chi2, int(kept), 0, outliers, UPRIGHT, False, False), tilt)
-    return _not_done()
+            return UprightFit(Fitted(True, chi2, int(kept), 0, outliers, UPRIGHT, False, False), tilt, False)
+    return _not_done(False)

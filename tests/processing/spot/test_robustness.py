@@ -145,3 +145,79 @@ def test_found_again_after_a_loss_and_after_a_jump() -> None:
     assert at(200, 60).x_px == pytest.approx(200, abs=0.05)
     jumped = at(60, 180)
     assert (jumped.x_px, jumped.y_px) == pytest.approx((60, 180), abs=0.05)
+
+
+SHAPE = (1024, 1280)
+
+
+def near_light(x: float, y: float, sigma: float, peak: float, base: Image, rng: np.random.Generator) -> Image:
+    """A full frame: the base with a spot exposed into it."""
+    frame = base.copy()
+    reach = int(6 * sigma)
+    column, row, side = int(x) - reach, int(y) - reach, 2 * reach + 1
+    frame[row : row + side, column : column + side] = exposed(
+        light((side, side), x - column, y - row, sigma, peak), rng
+    )
+    return frame
+
+
+@pytest.mark.parametrize("peak", [20, 180, 600])
+@pytest.mark.parametrize("sigma", [3, 6, 12])
+def test_knocked_the_spot_is_found_in_the_same_frame(sigma: float, peak: float) -> None:
+    """Steps of 8 px a frame, each in another direction: the expected place is up to 16 px wrong."""
+    rng = np.random.default_rng([int(sigma), int(peak)])
+    base = exposed(np.zeros(SHAPE), rng)
+    angle = rng.uniform(0, 2 * math.pi, 40)
+    truth = np.array([640.3, 512.6]) + 8 * np.cumsum(np.column_stack((np.cos(angle), np.sin(angle))), axis=0)
+    tracker = SpotTracker(EIGHT_BIT)
+    spots = []
+    for x, y in truth:
+        spots.append(tracker.track(near_light(x, y, sigma, peak, base, rng)))
+    errors = errors_px(spots, truth)
+    assert claimed_over_actual(spots, errors) == pytest.approx(1, abs=0.03 + rms_tolerance(errors.size))
+    expected = SpotFlag.SATURATED if peak > 255 else 0
+    assert {spot.flags & ~SpotFlag.OUTLIERS for spot in spots} == {expected}
+
+
+@pytest.mark.parametrize("way", [(1, 0), (0, 1), (-0.6, 0.8)])
+def test_knocked_and_moving_on_it_is_followed_again(way: tuple[float, float]) -> None:
+    rng = np.random.default_rng(3)
+    base = exposed(np.zeros(SHAPE), rng)
+    tracker = SpotTracker(EIGHT_BIT)
+    for k in (0, 0, *range(1, 20)):
+        x, y = 640.3 + 8 * k * way[0], 512.6 + 8 * k * way[1]
+        spot = tracker.track(near_light(x, y, 3, 180, base, rng))
+        assert math.hypot(spot.x_px - x, spot.y_px - y) < 6 * math.hypot(spot.u_x_px, spot.u_y_px)
+        assert spot.flags & ~SpotFlag.OUTLIERS == 0
+
+
+def test_a_reflection_where_the_spot_was_is_not_taken_for_it() -> None:
+    rng = np.random.default_rng(4)
+    base = exposed(np.zeros(SHAPE), rng)
+    tracker = SpotTracker(EIGHT_BIT)
+    for x, y in ((640.3, 512.6), (640.2, 512.4)):
+        tracker.track(near_light(x, y, 6, 180, base, rng))
+    dim = near_light(650.0, 520.0, 6, 40, base, rng)
+    spot = tracker.track(near_light(200.4, 800.7, 6, 180, dim, rng))
+    assert (spot.x_px, spot.y_px) == pytest.approx((200.4, 800.7), abs=0.05)
+
+
+@pytest.mark.parametrize("place", [(70.3, 60.8), (640.3, 13.2), (1275.1, 512.0)])
+def test_knocked_to_the_edge_it_is_said_to_be_there(place: tuple[float, float]) -> None:
+    rng = np.random.default_rng(5)
+    wide = (SHAPE[0] + 160, SHAPE[1] + 160)
+    base = exposed(np.zeros(wide), rng)
+    tracker = SpotTracker(EIGHT_BIT)
+
+    def at(x: float, y: float) -> Spot:
+        whole = near_light(x + 80, y + 80, 6, 180, base, rng)
+        return tracker.track(np.ascontiguousarray(whole[80:-80, 80:-80]))
+
+    x, y = place
+    towards = (640 - x, 512 - y)
+    step = 18 / math.hypot(*towards)
+    for back in (0.1, 0.05):
+        at(x + (step + back) * towards[0], y + (step + back) * towards[1])
+    spot = at(x, y)
+    assert math.hypot(spot.x_px - x, spot.y_px - y) < 6 * math.hypot(spot.u_x_px, spot.u_y_px)
+    assert bool(spot.flags & SpotFlag.EDGE) == (not (18 < x < 1261 and 18 < y < 1005))
