@@ -1,1 +1,60 @@
-"""Calibrations: pixels to radians, camera clock to seconds, DN to electrons, each with its uncertainties."""
+"""Calibrations: pixels to radians, camera clock to seconds, DN to electrons, each with its uncertainties.
+
+scipy is imported inside functions: the settings import this package, and importing scipy.optimize or
+scipy.stats would slow down the start of every command.
+"""
+
+from calibration.at_rest import require_rest
+from calibration.axes import Axes, deflections
+from calibration.axes_fit import AxesFit, Sign, fit_axes
+from calibration.known_angle import ScaleCheck, check_scale, moved_between
+from calibration.lever_fit import LadderFit, LadderSteps, fit_ladder, lever_from_shifts, lever_from_tilts
+from calibration.lever_geometry import GeometryLever, LeverGeometry, lever_from_geometry
+from calibration.light_lever import Lever, deflection_unit
+from calibration.pointing import Stability, stability
+from calibration.sensor import SensorCalibration, photon_transfer
+from calibration.store import (
+    CalibrationFile,
+    Kind,
+    Source,
+    parse_calibration,
+    read_calibration,
+    write_calibration,
+)
+from calibration.timebase import FRAME_JITTER_LIMIT_S, ClockRelation, relate_clocks, unwrap_counter
+
+__all__ = [
+    "FRAME_JITTER_LIMIT_S",
+    "Axes",
+    "AxesFit",
+    "CalibrationFile",
+    "ClockRelation",
+    "GeometryLever",
+    "Kind",
+    "LadderFit",
+    "LadderSteps",
+    "Lever",
+    "LeverGeometry",
+    "ScaleCheck",
+    "SensorCalibration",
+    "Sign",
+    "Source",
+    "Stability",
+    "check_scale",
+    "deflection_unit",
+    "deflections",
+    "fit_axes",
+    "fit_ladder",
+    "lever_from_geometry",
+    "lever_from_shifts",
+    "lever_from_tilts",
+    "moved_between",
+    "parse_calibration",
+    "photon_transfer",
+    "read_calibration",
+    "relate_clocks",
+    "require_rest",
+    "stability",
+    "unwrap_counter",
+    "write_calibration",
+]

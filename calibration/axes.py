@@ -10,12 +10,13 @@ from calibration.light_lever import Lever
 
 
 class Axes(BaseModel, frozen=True, extra="forbid"):
-    """How the pendulum's axes lie on the sensor.
+    """Directions of the pendulum's slow and fast mode on the sensor.
 
-    Tilts are displayed with Y up and X to the right; the sensor's y points down. `slow_angle_rad` is the
-    angle of the slow mode's direction from the sensor's upward vertical, turning towards the sensor's
-    +x. The fast mode is at a right angle to it (on its right), rotated further by `non_orthogonality_rad`; if
-    `mirrored`, the camera sees it on the left.
+    Tilts are shown with Y (slow mode) up and X (fast mode) to the right; the sensor's y points down.
+    `slow_angle_rad` is the angle of the slow mode's direction from the sensor's upward vertical, positive
+    towards the sensor's +x. The fast mode's direction is at that angle plus a right angle plus
+    `non_orthogonality_rad`; if `mirrored` (the camera sees the pendulum in a mirror), it has the opposite
+    sign. `u_` marks standard uncertainties; 0 means not stated.
     """
 
     slow_angle_rad: float = Field(default=0.0, ge=-math.pi, le=math.pi)
@@ -25,7 +26,9 @@ class Axes(BaseModel, frozen=True, extra="forbid"):
     mirrored: bool = False
 
     def directions(self) -> NDArray[np.float64]:
-        """Matrix (2, 2) whose columns are the fast and the slow direction as (x, y) on the sensor."""
+        """Matrix (2, 2) whose columns are the unit vectors (x, y) of the fast and the slow mode on the
+        sensor.
+        """
         slow = self.slow_angle_rad
         fast = slow + 0.5 * math.pi + self.non_orthogonality_rad
         sign = -1.0 if self.mirrored else 1.0
@@ -43,20 +46,24 @@ def deflections(
     u_y_px: ArrayLike,
     reference_px: tuple[float, float],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Tilts of the pendulum in its own axes, from spots.
+    """Tilts of the pendulum along its own axes, from positions of the spot.
 
     Parameters
     ----------
+    lever, axes
+        Calibration.
     x_px, y_px, u_x_px, u_y_px
-        Spots and their standard uncertainties, scalars or arrays of one shape; NaN for a lost one.
+        Positions of the spot on the sensor and their standard uncertainties in px, scalars or arrays of one
+        shape; NaN for a lost spot.
     reference_px
-        (x, y) of the spot at zero tilt.
+        Position (x, y) of the spot at zero tilt.
 
     Returns
     -------
     x_rad, y_rad, u_x_rad, u_y_rad
-        Fast and slow tilt with standard uncertainties (of the spot alone: the lever's scale is
-        common to all and belongs to the budget); NaN where the spot is NaN.
+        Tilts of the fast and the slow mode and their standard uncertainties, of the shape of `x_px`; NaN
+        where the spot is NaN. The uncertainties are those of the spot alone: the uncertainty of the lever's
+        scale is common to all tilts and is a part of the fit's uncertainty budget.
     """
     inverse = np.linalg.inv(axes.directions())
     dx_px = np.asarray(x_px, dtype=float) - reference_px[0]

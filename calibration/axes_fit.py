@@ -7,28 +7,30 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
 from calibration.axes import Axes
-from calibration.axes_stretch import DirectionsOfStretch, directions_of_stretch
+from calibration.axes_window import WindowDirections, window_directions
+from calibration.birge import birge_ratio
 from calibration.oscillation import strongest_oscillation
 from processing.errors import DataError
 
 Floats = NDArray[np.float64]
 Sign = Literal["+", "-"]
+"""Side on which a mode's swing begins: the positive or the negative direction of its axis."""
 _WINDOW_PERIODS = 6.0
 _FEWEST_PERIODS = 2.0
-_IMPROBABLE = 0.01
 
 
 @dataclass(frozen=True, slots=True)
 class AxesFit:
-    """Directions of the axes from both modes.
+    """Directions of the axes, fitted to both modes.
 
-    `axes` with its uncertainties; periods in s; `slow_px` and `fast_px` are the amplitudes at the beginning.
-    `rotation_rad_per_s` is the rate of rotation of the slow direction. `signs_known` and `handedness_known`
-    are False if direction and handedness were assumed (upward, and as configured before), because a free
-    swing does not determine them. `notes` are remarks for the user.
+    `axes` includes its standard uncertainties. `slow_px` and `fast_px` are the amplitudes of the modes on
+    the sensor at the beginning. `rotation_rad_per_s` is the rate at which the slow direction rotates (its
+    uncertainty is inf with fewer than three windows). `windows` is the number of time windows in which the
+    directions were fitted, `chi2_per_dof` describes the scatter of their directions. `signs_known` is False
+    if the slow direction was assumed to point upward, `handedness_known` if `mirrored` was taken from the
+    configuration: a free swing determines neither. `notes` are remarks for the user.
     """
 
     axes: Axes
@@ -54,27 +56,32 @@ def fit_axes(
     fast_began: Sign | None = None,
     mirrored: bool = False,
 ) -> AxesFit:
-    """Fit slow and fast mode in windows of six slow periods.
+    """Directions of slow and fast mode on the sensor, from a record in which both swing.
 
     Parameters
     ----------
-    times_s, x_px, y_px
-        Spots in order; NaN for lost ones.
+    times_s, x_px, y_px : (n,), s and px
+        Positions of the spot on the sensor, in order of time; NaN for lost spots.
     slow_began, fast_began
-        Side on which each mode's swing stood at the first sample, as the pendulum's own axes have
-        it. Without the first, the slow direction is taken to point up on the sensor; without the
-        second, the handedness stays `mirrored`.
+        Sign of each mode's deflection at the first sample, along the pendulum's own axes. Without
+        `slow_began`, the slow direction is assumed to point up on the sensor; without `fast_began`, the
+        handedness is `mirrored`.
+    mirrored
+        Handedness that is assumed without `fast_began`.
 
     Raises
     ------
     DataError
-        No swing, less than two slow periods, or no fast mode to be seen.
+        Fewer than 100 spots, no swing, less than two slow periods, no visible fast mode, or an angle
+        between the modes that differs from a right angle by more than 0.5 rad.
 
     Notes
     -----
-    A mode that swings along a line has one phase in both coordinates, so that its complex
-    amplitudes are the direction times one number. The slow direction contains whatever part of the
-    slow tilt shows across it (leakage): a record cannot tell the two apart.
+    The record is divided into windows of about six slow periods (see `window_directions`), and the
+    directions of the windows are averaged. A mode that swings along a line has the same phase in both
+    coordinates, so its two complex amplitudes are a real direction times one complex number. If the slow
+    mode also moves the spot across its direction (leakage), this is contained in the direction found: a
+    record cannot separate the two.
     """
     good = np.isfinite(x_px) & np.isfinite(y_px)
     t, x, y = times_s[good], x_px[good], y_px[good]
@@ -92,44 +99,47 @@ def fit_axes(
         part = (t >= first) & (t < last)
         if part.sum() > 60:
             windows.append(
-                directions_of_stretch(
+                window_directions(
                     t[part], np.column_stack([x[part], y[part]]), slow_omega, fast_omega, float(t[0])
                 )
             )
     first_window = windows[0]
-    slow = _sided(first_window.slow, slow_began) if slow_began else _upward(first_window.slow)
+    slow = _with_side(first_window.slow, slow_began) if slow_began else _upward(first_window.slow)
     slow_angle, u_slow, rotation, u_rotation, slow_chi2 = _combined(
         windows, slow, [w.slow for w in windows], [w.u_slow_rad for w in windows]
     )
     usable = [w for w in windows if w.u_fast_rad < 0.2]
     if not usable:
         raise DataError(
-            f"axes: no fast mode to be seen ({float(np.hypot(*first_window.fast)):.2g} px, "
-            f"its direction to {first_window.u_fast_rad:.2g} rad); "
-            "push the pendulum crosswise as well, or record for longer"
+            f"axes: no fast mode is visible ({float(np.hypot(*first_window.fast)):.2g} px, "
+            f"u of its direction {first_window.u_fast_rad:.2g} rad); "
+            "push the pendulum across the slow direction as well, or record for longer"
         )
     if fast_began is not None:
-        fast = _sided(usable[0].fast, fast_began)
+        fast = _with_side(usable[0].fast, fast_began)
         cross = slow[0] * fast[1] - slow[1] * fast[0]
-        # y runs down: right of the slow direction is where the cross product is positive
+        # the sensor's y points down: the cross product is positive to the right of the slow direction
         mirrored = bool(cross < 0)
     else:
-        fast = _right(usable[0].fast, slow, mirrored)
+        fast = _to_the_right(usable[0].fast, slow, mirrored)
     fast_angle, u_fast, _, _, fast_chi2 = _combined(
         usable, fast, [w.fast for w in usable], [w.u_fast_rad for w in usable]
     )
     non_orthogonality = _wrapped(fast_angle + (math.pi if mirrored else 0.0) - slow_angle - 0.5 * math.pi)
     notes = []
     if slow_began is None:
-        notes.append("the slow axis is taken to point up on the sensor; state the side of the start to know")
+        notes.append(
+            "the slow axis is assumed to point up on the sensor; "
+            "to determine it, state on which side the swing began (slow_began)"
+        )
     if fast_began is None:
         notes.append("the handedness is assumed; push the pendulum to a known side and state it (fast_began)")
     if abs(rotation) > 3.0 * u_rotation:
-        notes.append(f"the slow direction turns by {rotation:.3g} +- {u_rotation:.2g} rad/s")
+        notes.append(f"the slow direction rotates by {rotation:.3g} +- {u_rotation:.2g} rad/s")
     if abs(non_orthogonality) >= 0.5:
         raise DataError(
-            f"axes: the modes lie {math.degrees(0.5 * math.pi + non_orthogonality):.0f} degrees apart; "
-            "these are not the two modes of a pendulum"
+            f"axes: the angle between the modes is {math.degrees(0.5 * math.pi + non_orthogonality):.0f} "
+            "degrees; these are not the two modes of a pendulum"
         )
     return AxesFit(
         axes=Axes(
@@ -154,7 +164,9 @@ def fit_axes(
 
 
 def _frequencies(t: Floats, x: Floats, y: Floats) -> tuple[float, float]:
-    """Frequencies: of the slow mode along the major axis, of the fast mode across it."""
+    """Angular frequencies (rad/s) of the slow mode, along the direction of the largest motion, and of the
+    fast mode, across it.
+    """
     span_s = float(t[-1] - t[0])
     centred = np.column_stack([x - x.mean(), y - y.mean()])
     _, vectors = np.linalg.eigh(centred.T @ centred)
@@ -162,25 +174,30 @@ def _frequencies(t: Floats, x: Floats, y: Floats) -> tuple[float, float]:
     early = t - t[0] <= max(0.1 * span_s, min(span_s, 60.0))
     slow = strongest_oscillation(t[early], along[early], span_s)
     if slow.explained < 0.5:
-        raise DataError("axes: the spot does not swing; let the pendulum go, with a push crosswise as well")
+        raise DataError(
+            "axes: the spot does not swing; release the pendulum and push it across the slow direction too"
+        )
     fast = strongest_oscillation(t[early], across[early], 0.4 * slow.period_s)
     return 2.0 * math.pi / slow.period_s, 2.0 * math.pi / fast.period_s
 
 
 def _combined(
-    windows: list[DirectionsOfStretch], reference: Floats, vectors: list[Floats], u: list[float]
+    windows: list[WindowDirections], reference: Floats, vectors: list[Floats], u: list[float]
 ) -> tuple[float, float, float, float, float]:
-    """Weighted mean angle (upward vertical to +x), its u, turning with u, chi2 about the mean."""
+    """Weighted mean of the windows' directions.
+
+    Returns the angle from the upward vertical towards +x and its uncertainty, the rate of rotation and its
+    uncertainty, and the chi-square of the angles about their mean. `reference` has the direction's sign.
+    """
     base = math.atan2(reference[0], -reference[1])
-    # a line has no sign: differences of angle are taken modulo half a turn
-    turned = np.array([_half(math.atan2(v[0], -v[1]) - base) for v in vectors])
+    # the sign of a window's vector is arbitrary: differences of angle are taken modulo pi
+    turned = np.array([_modulo_pi(math.atan2(v[0], -v[1]) - base) for v in vectors])
     weight = 1.0 / np.maximum(np.array(u), 1e-12) ** 2
     mean = float(weight @ turned / weight.sum())
     u_mean = float(1.0 / np.sqrt(weight.sum()))
     total = float(weight @ (turned - mean) ** 2)
     dof = len(turned) - 1
-    if dof > 0 and chi2.sf(total, dof) < _IMPROBABLE:
-        u_mean *= math.sqrt(total / dof)
+    u_mean *= birge_ratio(total, dof)
     rate, u_rate = 0.0, math.inf
     if dof > 1:
         t = np.array([w.middle_s for w in windows])
@@ -191,7 +208,8 @@ def _combined(
     return _wrapped(base + mean), u_mean, rate, u_rate, total
 
 
-def _sided(vector: Floats, side: Sign) -> Floats:
+def _with_side(vector: Floats, side: Sign) -> Floats:
+    """The direction in which a swing that began on this side is positive."""
     return vector if side == "+" else -vector
 
 
@@ -199,14 +217,17 @@ def _upward(vector: Floats) -> Floats:
     return vector if vector[1] <= 0 else -vector
 
 
-def _right(vector: Floats, slow: Floats, mirrored: bool) -> Floats:
+def _to_the_right(vector: Floats, slow: Floats, mirrored: bool) -> Floats:
+    """The direction to the right of the slow one, or to the left if `mirrored`."""
     cross = slow[0] * vector[1] - slow[1] * vector[0]
     return vector if (cross > 0) != mirrored else -vector
 
 
 def _wrapped(angle: float) -> float:
+    """The angle in [-pi, pi)."""
     return (angle + math.pi) % (2.0 * math.pi) - math.pi
 
 
-def _half(angle: float) -> float:
+def _modulo_pi(angle: float) -> float:
+    """The angle of an axis without a sign, in [-pi/2, pi/2)."""
     return (angle + 0.5 * math.pi) % math.pi - 0.5 * math.pi

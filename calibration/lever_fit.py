@@ -1,4 +1,4 @@
-"""Light lever from reference data: a ladder of known tilts, or of known shifts of the sensor."""
+"""Light lever from reference data: a ladder (sequence) of known tilts, or of known shifts of the sensor."""
 
 import math
 from dataclasses import dataclass
@@ -6,9 +6,8 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
-from scipy.stats import chi2
 
+from calibration.birge import birge_ratio
 from calibration.light_lever import Lever
 from processing.angle import ARCSEC_RAD
 from processing.errors import DataError
@@ -16,17 +15,21 @@ from processing.errors import DataError
 Floats = NDArray[np.float64]
 FEWEST_STEPS = 5
 _IMPROBABLE = 0.01
+"""Probability below which the skew is taken as real."""
 _STANDS_OUT = 3.5
+"""Change of the scale without one step, over its standard uncertainty, above which the step is reported."""
 _ASKEW = 0.1
-"""Skew that shifts friction and period of a quiet rig by about their uncertainty; 0.03 by a tenth of it."""
+"""Skew that shifts the fitted friction and period of a simulated rig with little noise by about their
+standard uncertainty; a skew of 0.03 shifts them by a tenth of it."""
 
 
 @dataclass(frozen=True, slots=True)
 class LadderSteps:
-    """A ladder in the order in which it was climbed, arrays of one length.
+    """Steps of a ladder in the order of the measurement, arrays (n,).
 
-    `reference` is the known tilt in rad or the known shift in m with its standard uncertainty (of
-    one setting; a common factor is `u_reference_relative` of the fit). Spots with theirs in px.
+    `reference` is the known tilt in rad or the known shift in m, `u_reference` its standard uncertainty in
+    one setting (`u_reference_relative` of `fit_ladder` is that of a factor common to all settings). `x_px`
+    and `y_px` are the mean positions of the spot, `u_x_px` and `u_y_px` their standard uncertainties.
     """
 
     reference: Floats
@@ -39,15 +42,16 @@ class LadderSteps:
 
 @dataclass(frozen=True, slots=True)
 class LadderFit:
-    """Regression with errors in both variables.
+    """Result of the fit of a ladder (regression with errors in both variables).
 
-    ``spot = origin + scale (t + skew t^2) direction`` with t the tangent of twice the tilt, or the
-    shift. `scale` is in px per unit of t; `direction_rad` the direction of positive t from the
-    sensor's upward vertical towards +x. `skew` is what the nonlinearity test fits,
-    `nonlinear_probability` how probable one as large is without any; it is part of the model only
-    where `nonlinear`. `hysteresis` is how far upward steps lie above downward ones, in the
-    reference's unit, NaN where the ladder was climbed one way only. `leave_one_out` is the change
-    of the scale without each step, over its standard uncertainty. `notes` says what stands out.
+    The model is ``spot = origin + scale (t + skew t^2) direction``, where t is the tangent of twice the tilt,
+    or the shift in m. `scale` is in px per unit of t; `direction_rad` is the direction of positive t, from
+    the sensor's upward vertical towards +x. `skew` is the value fitted for the test of linearity, and
+    `nonlinear_probability` the probability of one at least as large if the true value is 0; the other
+    results include it only if `nonlinear`. `hysteresis` is the difference between settings approached
+    from below and from above, in the reference's unit; NaN if all were approached from one side.
+    `leave_one_out` (n,) is the change of the scale without each step, over its standard uncertainty.
+    `residual_px` (n, 2) are the residuals in x and y. `notes` are remarks for the user.
     """
 
     kind: Literal["tilt", "shift"]
@@ -73,27 +77,41 @@ class LadderFit:
 def fit_ladder(
     steps: LadderSteps, kind: Literal["tilt", "shift"], *, u_reference_relative: float = 0.0
 ) -> LadderFit:
-    """Weighted least squares over the spots and the settings of the reference alike.
+    """Fit scale, origin and direction to a ladder.
 
-    The true setting of every step is a parameter of its own, held to the stated one by its
-    uncertainty: orthogonal distance regression (W. A. Fuller, Measurement Error Models, 1987).
-    Uncertainties follow the scatter upward only where that is improbable (below 1 %) by chance.
+    Parameters
+    ----------
+    steps
+        The measurements.
+    kind
+        Whether the references are tilts of the pendulum (rad) or shifts of the sensor (m).
+    u_reference_relative
+        Relative standard uncertainty of the scale of the reference, common to all settings. It enlarges
+        `u_scale` only.
 
     Raises
     ------
     DataError
-        Fewer than five steps, or three different settings; tilts of one sign; uncertainties that
-        are not positive; a spot that does not move.
+        Fewer than five steps or three different settings, a value that is NaN, tilts of one sign,
+        uncertainties that are not positive, or a spot that does not follow the reference.
+
+    Notes
+    -----
+    Weighted least squares with errors in both variables: the true setting of each step is a parameter of its
+    own, with the stated setting and its uncertainty as a measurement of it (orthogonal distance regression;
+    W. A. Fuller, Measurement Error Models, 1987). The uncertainties are enlarged by the Birge ratio if the
+    scatter is improbably large (`birge_ratio`).
     """
+    from scipy.special import chdtrc
+
     _check(steps, kind)
     way = _ways(steps.reference)
     both_ways = bool(np.any(way > 0) and np.any(way < 0))
     straight = _solve(steps, kind, way if both_ways else None, bent=False)
     bent = _solve(steps, kind, way if both_ways else None, bent=True)
     gain = max(straight.chi2 - bent.chi2, 0.0)
-    # Birge: what scatter is left with the curve is noise, of which the test must not be impressed
-    noise = bent.birge
-    probability = float(chi2.sf(gain / noise**2, 1))
+    # residuals that scatter more than stated even with the skew are noise: the test allows for them
+    probability = float(chdtrc(1, gain / bent.birge**2))
     nonlinear = probability < _IMPROBABLE
     used = bent if nonlinear else straight
     scale, u_scale = used.scale()
@@ -112,20 +130,23 @@ def fit_ladder(
         notes.append(f"not linear: skew {bent.values[4]:.3g} +- {bent.u(4):.2g} is part of the lever")
     elif kind == "tilt" and bent.u(4) > _ASKEW:
         notes.append(
-            f"whether the sensor stands askew is known to {math.degrees(math.atan(bent.u(4))):.0f} degrees "
-            f"only (skew {bent.values[4]:.2g} +- {bent.u(4):.2g}, taken as 0): set it square to the beam"
+            "the tilt of the sensor relative to the beam is known only to "
+            f"{math.degrees(math.atan(bent.u(4))):.0f} degrees (skew {bent.values[4]:.2g} +- "
+            f"{bent.u(4):.2g}, taken as 0): set the sensor perpendicular to the beam"
         )
     worst = int(np.nanargmax(np.abs(loo)))
     if abs(loo[worst]) > _STANDS_OUT:
         notes.append(
-            f"step {worst + 1} at {steps.reference[worst]:.6g} decides: without it the scale changes by "
-            f"{abs(loo[worst]):.1f} standard uncertainties"
+            f"step {worst + 1} at {steps.reference[worst]:.6g} does not fit the others: without it the scale "
+            f"changes by {abs(loo[worst]):.1f} standard uncertainties"
         )
     hysteresis, u_hysteresis = math.nan, math.nan
     if both_ways:
         hysteresis, u_hysteresis = float(used.values[used.fixed - 1]), used.u(used.fixed - 1)
         if abs(hysteresis) > 3.0 * u_hysteresis:
-            notes.append(f"hysteresis of {hysteresis:.3g} +- {u_hysteresis:.2g} between up and down")
+            notes.append(
+                f"hysteresis of {hysteresis:.3g} +- {u_hysteresis:.2g} between upward and downward steps"
+            )
     kx, ky = used.values[2], used.values[3]
     u_across = math.sqrt(
         (ky**2 * used.covariance[2, 2] + kx**2 * used.covariance[3, 3] - 2 * kx * ky * used.covariance[2, 3])
@@ -154,7 +175,10 @@ def fit_ladder(
 
 
 def lever_from_tilts(fit: LadderFit, pixel_pitch_m: float) -> Lever:
-    """Lever of a ladder of tilts. Only arm over pitch matters: the arm carries all the uncertainty."""
+    """Lever from a ladder of tilts.
+
+    Tilts determine only the ratio of arm and pixel pitch, so all the uncertainty is assigned to the arm.
+    """
     return Lever(
         arm_m=fit.scale * pixel_pitch_m,
         u_arm_m=fit.u_scale * pixel_pitch_m,
@@ -166,7 +190,7 @@ def lever_from_tilts(fit: LadderFit, pixel_pitch_m: float) -> Lever:
 
 
 def lever_from_shifts(fit: LadderFit, arm_m: float, u_arm_m: float) -> Lever:
-    """Lever of known shifts of the sensor, which give its pitch, and an arm that was measured otherwise."""
+    """Lever from known shifts of the sensor, which give the pixel pitch, and an arm measured otherwise."""
     return Lever(
         arm_m=arm_m,
         u_arm_m=u_arm_m,
@@ -177,7 +201,12 @@ def lever_from_shifts(fit: LadderFit, arm_m: float, u_arm_m: float) -> Lever:
 
 @dataclass(frozen=True, slots=True)
 class _Solution:
-    """`fixed` parameters (origin, scale's components, skew, hysteresis) before those of the steps."""
+    """Solution of the least-squares problem.
+
+    `values` are origin (x, y), scale (x, y), then skew and hysteresis if they are fitted, `fixed` in number,
+    followed by the deviation of each step's true setting from the stated one in units of `u_reference`.
+    `covariance` (fixed, fixed) is that of the first ones, enlarged by `birge`.
+    """
 
     values: Floats
     covariance: Floats
@@ -199,7 +228,7 @@ class _Solution:
 def _check(steps: LadderSteps, kind: str) -> None:
     count = len(steps.reference)
     if count < FEWEST_STEPS:
-        raise DataError(f"lever: a ladder of {count} steps; at least {FEWEST_STEPS} are needed")
+        raise DataError(f"lever: the ladder has {count} steps; at least {FEWEST_STEPS} are needed")
     for name in ("reference", "u_reference", "x_px", "y_px", "u_x_px", "u_y_px"):
         values = getattr(steps, name)
         if not np.all(np.isfinite(values)):
@@ -217,12 +246,12 @@ def _check(steps: LadderSteps, kind: str) -> None:
     if kind == "tilt" and not (np.any(steps.reference > 0) and np.any(steps.reference < 0)):
         raise DataError(
             f"lever: the tilts are all of one sign ({steps.reference.min() / ARCSEC_RAD:.4g} to "
-            f"{steps.reference.max() / ARCSEC_RAD:.4g} arcsec); climb to both sides of zero"
+            f"{steps.reference.max() / ARCSEC_RAD:.4g} arcsec); measure on both sides of zero"
         )
 
 
 def _ways(reference: Floats) -> Floats:
-    """+1 for a step that was reached going up, -1 going down; a repeated setting keeps its way."""
+    """+1 for a setting approached from below, -1 from above; a repeated setting counts as the one before."""
     way = np.sign(np.diff(reference))
     for i in range(1, len(way)):
         way[i] = way[i] or way[i - 1]
@@ -232,6 +261,9 @@ def _ways(reference: Floats) -> Floats:
 
 
 def _solve(steps: LadderSteps, kind: str, way: Floats | None, *, bent: bool) -> _Solution:
+    """Least squares, with the skew as a parameter if `bent` and the hysteresis if `way` is given."""
+    from scipy.optimize import least_squares
+
     count = len(steps.reference)
     fixed = 4 + bent + (way is not None)
 
@@ -296,7 +328,7 @@ def _solve(steps: LadderSteps, kind: str, way: Floats | None, *, bent: bool) -> 
     full = np.linalg.inv(slopes.T @ slopes)[:fixed, :fixed] * np.outer(unit, unit)
     total = float(2.0 * found.cost)
     dof = 2 * count - fixed
-    birge = math.sqrt(total / dof) if chi2.sf(total, dof) < _IMPROBABLE else 1.0
+    birge = birge_ratio(total, dof)
     values = found.x.copy()
     values[:fixed] *= unit
     _, _, along = parts(found.x)

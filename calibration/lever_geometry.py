@@ -1,8 +1,8 @@
-"""Light lever from its geometry: the beam is traced, mirror and ball moving as they really do.
+"""Light lever from its geometry, by tracing the beam from the mirror to the sensor.
 
-Nothing is expanded for small angles: a mirror on a rolling ball, a beam that meets it at an angle
-and off the ball's centre, a sensor that stands askew. What each of these does to the scale is the
-difference that it makes in the trace.
+No small-angle approximation is made. The trace includes the translation of the mirror with the rolling ball,
+an oblique angle of incidence, a beam that hits the mirror away from the ball's centre, and a sensor that is
+not perpendicular to the beam. The effect of each input on the scale is found by tracing with and without it.
 """
 
 import math
@@ -16,15 +16,16 @@ from calibration.light_lever import Lever
 from processing.errors import DataError
 
 _RANGE_RAD = 7e-4
-"""Tilt at which scale and skew are taken: a swing of about 150 arcsec."""
+"""Tilt at which scale and skew are evaluated, about 150 arcsec."""
 
 
 class LeverGeometry(BaseModel, frozen=True, extra="forbid"):
-    """What a ruler, a protractor and data sheets say. `u_` are standard uncertainties.
+    """Measured lengths and angles of the light lever. `u_` are standard uncertainties.
 
-    "Along" is in the plane in which the slow swing moves the beam, "across" square to it. The
-    rolling radius is the ball's; `beam_height_m` is how far above the ball's centre the beam meets
-    the mirror, `beam_reach_m` how far before it.
+    "Along" means in the plane in which the slow mode moves the beam, "across" perpendicular to it.
+    Angles of incidence are from the mirror's normal, tilts of the sensor from perpendicular to the beam.
+    The ball of `ball_radius_m` rolls on its flat. `beam_height_m` is the height above the ball's centre at
+    which the beam hits the mirror, `beam_reach_m` the horizontal distance of the mirror in front of it.
     """
 
     arm_m: float = Field(gt=0, description="mirror to sensor, along the beam at rest")
@@ -49,9 +50,11 @@ class LeverGeometry(BaseModel, frozen=True, extra="forbid"):
 
 @dataclass(frozen=True, slots=True)
 class GeometryLine:
-    """One input: what it changes against an ideal lever, and its part in the scale's uncertainty.
+    """One input of the uncertainty budget.
 
-    Both relative to the scale. `effect` is 0 for arm and pitch, which have no ideal.
+    `effect` is the relative change of the scale against the same lever with this input 0 (0 for arm and
+    pitch, for which that has no meaning). `contribution` is the relative standard uncertainty of the scale
+    due to this input's uncertainty `u`.
     """
 
     name: str
@@ -63,8 +66,9 @@ class GeometryLine:
 
 @dataclass(frozen=True, slots=True)
 class GeometryLever:
-    """The effective lever and its budget, largest contribution first; `cross` is the sideways
-    displacement over the one along, by which a tilt about the slow axis shows across it.
+    """The effective lever and its uncertainty budget, largest contribution first.
+
+    `cross` is the displacement across divided by the displacement along for a tilt of the slow mode.
     """
 
     lever: Lever
@@ -74,19 +78,19 @@ class GeometryLever:
 
 
 def trace_m(geometry: LeverGeometry, tilt_rad: float) -> tuple[float, float]:
-    """(across, along) displacement of the spot on the sensor from where it is at rest."""
+    """Displacement (across, along) of the spot on the sensor, in m, from its position at zero tilt."""
     at_rest = _hit(geometry, 0.0)
     moved = _hit(geometry, tilt_rad)
     return float(moved[0] - at_rest[0]), float(moved[1] - at_rest[1])
 
 
 def lever_from_geometry(geometry: LeverGeometry) -> GeometryLever:
-    """Effective arm, skew and budget.
+    """Effective lever for a geometry, with its uncertainty budget.
 
     Raises
     ------
     DataError
-        A geometry in which the beam misses mirror or sensor.
+        In this geometry the beam does not reach the sensor, or a tilt moves it the wrong way.
     """
     arm, skew, cross = _effective(geometry)
     lines = []
@@ -104,7 +108,7 @@ def lever_from_geometry(geometry: LeverGeometry) -> GeometryLever:
         elif u > 0:
             low = _effective(geometry.model_copy(update={name: value - u}))
             high = _effective(geometry.model_copy(update={name: value + u}))
-            # about a symmetric point the slope vanishes and the curve does not: half of it is kept
+            # near an extremum the first derivative vanishes: half the second difference is included
             slope = 0.5 * abs(high[0] - low[0])
             bend = 0.5 * abs(high[0] + low[0] - 2.0 * arm)
             contribution = math.hypot(slope, bend) / arm
@@ -124,7 +128,7 @@ def lever_from_geometry(geometry: LeverGeometry) -> GeometryLever:
 
 
 def _effective(geometry: LeverGeometry) -> tuple[float, float, float]:
-    """Arm, skew, sideways part."""
+    """Effective arm in m, skew, and displacement across over displacement along."""
     tangent = math.tan(2.0 * _RANGE_RAD)
     across_up, up = trace_m(geometry, _RANGE_RAD)
     across_down, down = trace_m(geometry, -_RANGE_RAD)
@@ -138,10 +142,10 @@ def _effective(geometry: LeverGeometry) -> tuple[float, float, float]:
 
 
 def _hit(geometry: LeverGeometry, tilt_rad: float) -> NDArray[np.float64]:
-    """Where the beam meets the sensor, (across, along) in m.
+    """Intersection (across, along) of the reflected beam with the sensor, in m from the sensor's centre.
 
-    The reflected beam runs along +z at rest, the swing moves it along y; y is up. The ball's centre
-    moves by radius times tilt while the body turns about it.
+    At rest the reflected beam runs along +z; the slow mode moves it along y, which points up. A tilt rotates
+    the body about the ball's centre, which itself moves by radius times tilt.
     """
     across, along = geometry.incidence_across_rad, geometry.incidence_along_rad
     normal = np.array(
@@ -165,13 +169,16 @@ def _hit(geometry: LeverGeometry, tilt_rad: float) -> NDArray[np.float64]:
     centre = np.array([0.0, 0.0, geometry.arm_m])
     steep = float(outgoing @ facing)
     if abs(steep) < 1e-3:
-        raise DataError("lever geometry: the beam grazes the sensor; check sensor_tilt")
+        raise DataError(
+            "lever geometry: the beam is parallel to the sensor; check sensor_tilt_along_rad and "
+            "sensor_tilt_across_rad"
+        )
     landed = on_mirror + outgoing * float((centre - on_mirror) @ facing) / steep - centre
     return np.array([landed @ right, landed @ up])
 
 
 def _turned(vector: NDArray[np.float64], axis: NDArray[np.float64], angle: float) -> NDArray[np.float64]:
-    """Rodrigues' rotation."""
+    """The vector rotated about a unit `axis` (Rodrigues' formula), angle in rad."""
     turned: NDArray[np.float64] = (
         vector * math.cos(angle)
         + np.cross(axis, vector) * math.sin(angle)

@@ -17,9 +17,9 @@ class Lever(BaseModel, frozen=True, extra="forbid"):
     """Geometry of the light lever.
 
     A tilt phi of the mirror turns the beam by 2 phi: the spot moves by ``arm (t + skew t^2)`` with
-    ``t = tan(2 phi)``. On a sensor square to the beam the skew is 0; a tilted one has about the
-    tangent of its tilt. The arm of a calibrated lever is the effective one, with everything in it
-    that acts as a factor. Standard uncertainties have the unit of their value; 0 means not stated.
+    ``t = tan(2 phi)``. The skew is 0 if the sensor is perpendicular to the beam, otherwise about the tangent
+    of the sensor's tilt. The arm of a calibrated lever is the effective one: it includes all effects that
+    are a constant factor. Standard uncertainties `u_` have the unit of their value; 0 means not stated.
     """
 
     arm_m: float = Field(gt=0, description="mirror to sensor, along the beam")
@@ -27,7 +27,10 @@ class Lever(BaseModel, frozen=True, extra="forbid"):
     pixel_pitch_m: float = Field(gt=0, lt=1e-3, description="distance of neighbouring pixels")
     u_pixel_pitch_m: float = Field(default=0.0, ge=0)
     skew: float = Field(
-        default=0.0, gt=-10, lt=10, description="of the slow axis, from a sensor that stands askew"
+        default=0.0,
+        gt=-10,
+        lt=10,
+        description="of the slow axis, from a sensor not perpendicular to the beam",
     )
     reference_x_px: float | None = Field(
         default=None, description="spot at zero tilt; None: the sensor's middle"
@@ -35,28 +38,30 @@ class Lever(BaseModel, frozen=True, extra="forbid"):
     reference_y_px: float | None = None
 
     def tilt_rad(self, displacement_px: ArrayLike) -> NDArray[np.float64]:
-        """Tilt for a displacement of the spot from the reference, exact (arc tangent), any shape."""
+        """Tilt for a displacement of the spot from the reference, exact (arc tangent), of any shape; NaN
+        stays NaN.
+        """
         return 0.5 * np.arctan(self._tangent(displacement_px)[0])
 
     def displacement_px(self, tilt_rad: ArrayLike) -> NDArray[np.float64]:
-        """Displacement of the spot for a tilt: the inverse of `tilt_rad`."""
+        """Displacement of the spot from the reference for a tilt, of any shape: the inverse of `tilt_rad`."""
         tangent = np.tan(2.0 * np.asarray(tilt_rad, dtype=float))
         return tangent * (1.0 + self.skew * tangent) * (self.arm_m / self.pixel_pitch_m)
 
     def rad_per_px(self, displacement_px: ArrayLike = 0.0) -> NDArray[np.float64]:
-        """Derivative of the tilt with respect to the displacement."""
+        """Derivative of the tilt with respect to the displacement, at displacements of any shape."""
         tangent, root = self._tangent(displacement_px)
         return 0.5 * (self.pixel_pitch_m / self.arm_m) / root / (1.0 + tangent**2)
 
     def square(self) -> Self:
-        """The same lever without skew: what the fast axis sees, across the tilt of the sensor."""
+        """The same lever without skew, for the fast axis, which is across the tilt of the sensor."""
         return self.model_copy(update={"skew": 0.0})
 
     def _tangent(self, displacement_px: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """tan(2 phi), and the derivative of the displacement by it over the one at the reference."""
+        """t = tan(2 phi), and the derivative of the displacement by t divided by that at the reference."""
         part = np.asarray(displacement_px, dtype=float) * (self.pixel_pitch_m / self.arm_m)
         root = np.sqrt(1.0 + 4.0 * self.skew * part)
-        # the form that loses no digits, and gives `part` itself without skew
+        # this form of the quadratic's root loses no digits, and is exactly `part` without skew
         return 2.0 * part / (1.0 + root), root
 
     @property
@@ -66,5 +71,5 @@ class Lever(BaseModel, frozen=True, extra="forbid"):
 
 
 def deflection_unit(lever: Lever | None) -> DeflectionUnit:
-    """The unit of deflections: rad, or px without a lever. Decided nowhere else."""
+    """The unit of deflections: rad, or px without a lever. No other place decides it."""
     return DeflectionUnit.PX if lever is None else DeflectionUnit.RAD

@@ -1,18 +1,22 @@
-"""The strongest oscillation in samples of one coordinate."""
+"""The strongest oscillation in the samples of one coordinate."""
 
 import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize_scalar
 
 Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
 class Oscillation:
-    """Least squares of one sinusoid with a linear envelope about a line; `rest` is what is left."""
+    """Least-squares fit of one sinusoid, whose amplitude changes linearly in time, about a straight line.
+
+    `amplitude` (at the middle of the samples), `noise` (standard deviation of the residuals) and `rest` (n,),
+    the residuals, have the unit of the samples. `explained` is the fraction of the variance about a line that
+    the sinusoid explains.
+    """
 
     period_s: float
     amplitude: float
@@ -22,7 +26,18 @@ class Oscillation:
 
 
 def strongest_oscillation(times_s: Floats, values: Floats, longest_s: float) -> Oscillation:
-    """Sinusoid of the highest peak of the spectrum, of a period up to `longest_s`, refined."""
+    """Fit the sinusoid of the highest peak of the spectrum.
+
+    Parameters
+    ----------
+    times_s : (n,), s, ascending
+    values : (n,), any unit
+        Samples of one coordinate; no NaN.
+    longest_s
+        Longest period that is considered, s.
+    """
+    from scipy.optimize import minimize_scalar
+
     count = len(times_s)
     span_s = float(times_s[-1] - times_s[0])
     even = np.interp(np.linspace(times_s[0], times_s[-1], count), times_s, values)
@@ -44,6 +59,7 @@ def strongest_oscillation(times_s: Floats, values: Floats, longest_s: float) -> 
 
 
 def _left(times_s: Floats, values: Floats, frequency_hz: float) -> tuple[Floats, float]:
+    """Residuals of the linear fit at this frequency, and the amplitude."""
     phase = 2.0 * math.pi * frequency_hz * (times_s - times_s[0])
     u = (times_s - times_s[0]) / (times_s[-1] - times_s[0]) - 0.5
     cosine, sine = np.cos(phase), np.sin(phase)

@@ -1,8 +1,8 @@
 """Sensor noise by photon transfer: gain, read noise, full well, linearity, dark level, PRNU, hot pixels.
 
-Pairs of frames of one scene: half the variance of their difference is the noise, free of whatever
-pattern scene and pixels have; it grows with the signal by one over the gain. Definitions after EMVA
-Standard 1288 (photon transfer curve, section 6).
+Half the variance of the difference of two frames of the same scene is the temporal noise variance; patterns
+of scene and pixels cancel. It grows linearly with the signal, with the slope 1 / gain (gain in e-/DN).
+Definitions follow EMVA Standard 1288 (photon transfer curve, section 6).
 """
 
 from collections.abc import Sequence
@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
+from calibration.birge import birge_ratio
 from processing.errors import DataError
 from processing.robust import robust_scatter
 
@@ -19,16 +19,15 @@ Image = NDArray[np.uint8] | NDArray[np.uint16]
 
 _QUANTISATION_DN2 = 1.0 / 12.0
 _RESOLVED_DN = 0.24
-"""EMVA 1288: below this temporal noise, rounding hides what the sensor does in the dark."""
+"""EMVA 1288: temporal noise in the dark below this cannot be measured because of rounding to integers."""
 _FEWEST_LEVELS = 4
-_IMPROBABLE = 0.01
 _FIT_TO = 0.7
 """EMVA 1288 fits the gain up to 70 % of saturation."""
 
 
 @dataclass(frozen=True, slots=True)
 class TransferPoint:
-    """Signal above dark and noise variance of one pair, with their standard uncertainties."""
+    """Mean signal above the dark level and temporal noise variance of one pair of frames."""
 
     name: str
     signal_dn: float
@@ -38,13 +37,16 @@ class TransferPoint:
 
 @dataclass(frozen=True, slots=True)
 class SensorCalibration:
-    """What photon transfer says of a sensor. `u_` are standard uncertainties.
+    """Result of a photon transfer measurement. `u_` are standard uncertainties.
 
-    `dark_level_dn` is the tracker's pedestal. `read_noise_resolved` is False where rounding to DN
-    hides the noise in the dark (below 0.24 DN): read noise and dark level are then known to their
-    uncertainties only. `full_well_e` is a lower limit where `saturates` is False (no level was bright
-    enough). `linearity_error` is the largest relative deviation of the signal from a line through
-    the stated exposures, NaN without them. `rejected` names the pairs that could not serve, and why.
+    `dark_level_dn` is the mean value without light, the tracker's pedestal. `read_noise_resolved` is False
+    if the noise in the dark is below 0.24 DN, so that rounding to integers hides it; read noise and dark
+    level then have large uncertainties. `full_well_e` is only a lower limit if `saturates` is False (no
+    level was bright enough). `linearity_error` is the largest relative deviation of the signal from a
+    straight line in the exposure, NaN with fewer than three exposures. `prnu` is the relative standard
+    deviation of the pixels' responses (photo response non-uniformity). `points` are the levels used,
+    `hot_pixels` (n, 2) the coordinates (x, y) of pixels with a high dark value. `rejected` names the
+    unusable pairs with the reasons.
     """
 
     gain_e_per_dn: float
@@ -73,25 +75,27 @@ def photon_transfer(
     names: Sequence[str] = (),
     exposures_us: Sequence[float] = (),
 ) -> SensorCalibration:
-    """Gain and read noise from pairs of evenly lit frames and at least two dark ones.
+    """Gain, read noise and further properties from pairs of uniformly lit frames and dark frames.
 
     Parameters
     ----------
     flats
-        Pairs of frames, each pair of one exposure and one illumination; levels from near dark to near
-        full scale. All of one shape.
+        Pairs of frames (ny, nx) in DN, each pair at one exposure and one illumination, at levels from nearly
+        dark to nearly full scale.
     darks
-        Two or more frames without light.
+        Two or more frames (ny, nx) without light.
+    full_scale_dn
+        Largest value of a pixel; pairs with pixels at it are rejected.
     names
-        How a pair is named in messages; by number without.
+        Names of the pairs in messages; numbers by default.
     exposures_us
-        Exposure of each pair, for the linearity; the light must then be constant.
+        Exposure of each pair, for the linearity; the light must then be constant. Empty: not determined.
 
     Raises
     ------
     DataError
-        Fewer than two darks, or fewer than four usable levels; the message lists what was
-        wrong with the others (saturated, unstable lamp).
+        Fewer than two dark frames, fewer than four usable levels (the message lists the reasons for which
+        others were rejected: saturated, unstable lamp), or a noise that does not grow with the signal.
     """
     if len(darks) < 2:
         raise DataError(
@@ -99,7 +103,7 @@ def photon_transfer(
         )
     dark_stack = np.stack([np.asarray(image, dtype=np.float64) for image in darks])
     dark_map = dark_stack.mean(axis=0)
-    # the temporal variance of a hot pixel is not the sensor's: the median over pixels is not moved by them
+    # hot pixels have a temporal noise of their own and are left out of all averages
     hot = _hot_pixels(dark_map)
     cold = np.ones(dark_map.size, dtype=bool)
     cold[hot] = False
@@ -129,7 +133,8 @@ def photon_transfer(
             and abs(shift) > 0.002 * signal + 0.02
         ):
             rejected.append(
-                f"{name}: the two frames differ by {100 * abs(shift) / max(signal, 1e-9):.2g} % (lamp)"
+                f"{name}: the means of the two frames differ by {100 * abs(shift) / max(signal, 1e-9):.2g} % "
+                "(unstable lamp)"
             )
             continue
         variance = 0.5 * float(difference.var(ddof=1))
@@ -141,7 +146,7 @@ def photon_transfer(
     if knee is not None:
         saturated_level = max(saturated_level, knee) if saturated_level == 0 else min(saturated_level, knee)
         rejected += [
-            f"{point.name}: the noise falls, the pixels are full"
+            f"{point.name}: the noise is lower than at smaller signals, so pixels are saturated"
             for point in points
             if point.signal_dn > knee
         ]
@@ -191,6 +196,7 @@ def photon_transfer(
 
 
 def _hot_pixels(dark_map: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Flat indices of pixels more than 8 robust standard deviations above the median."""
     flat = dark_map.reshape(-1)
     middle = float(np.median(flat))
     sigma = max(robust_scatter(flat, middle), float(np.percentile(flat, 84) - middle), 0.2)
@@ -198,7 +204,7 @@ def _hot_pixels(dark_map: NDArray[np.float64]) -> NDArray[np.int64]:
 
 
 def _temporal_variance(stack: NDArray[np.float64]) -> tuple[float, float]:
-    """Variance over frames, frame-to-frame offset removed, and its standard uncertainty."""
+    """Temporal variance and its standard uncertainty; offsets common to all pixels of a frame are removed."""
     frames, pixels = stack.shape
     residual = stack - stack.mean(axis=1, keepdims=True)
     residual -= residual.mean(axis=0, keepdims=True)
@@ -209,16 +215,19 @@ def _temporal_variance(stack: NDArray[np.float64]) -> tuple[float, float]:
 
 
 def _rounding(variance: float) -> float:
-    """How far rounding moves a normal pixel's variance from 1/12 more, at worst, over sqrt(2).
+    """Standard uncertainty of a variance after rounding, because rounding does not add exactly 1/12 DN^2.
 
-    First term of the characteristic function's series (B. Widrow, Quantization Noise, 2008).
+    The largest deviation, from the first term of the series in the characteristic function (B. Widrow,
+    Quantization Noise, 2008), for normally distributed values, divided by sqrt(2).
     """
     inner = max(variance - _QUANTISATION_DN2, 0.0)
     return float((4.0 * inner + 1.0 / np.pi**2) * np.exp(-2.0 * np.pi**2 * inner) / np.sqrt(2.0))
 
 
 def _knee(points: Sequence[TransferPoint]) -> float | None:
-    """Signal at which the noise is greatest, where it falls beyond; None where it never does."""
+    """Signal of the largest noise, if the noise is significantly smaller at larger signals; otherwise
+    None.
+    """
     if not points:
         return None
     best = max(points, key=lambda point: point.variance_dn2)
@@ -233,14 +242,17 @@ def _knee(points: Sequence[TransferPoint]) -> float | None:
 def _line(
     points: Sequence[TransferPoint], dark_variance: float | None, u_dark_variance: float
 ) -> tuple[float, float, float, float, float]:
-    """Weighted line variance = intercept + slope signal; the dark point belongs to it at signal 0."""
+    """Weighted fit of variance = intercept + slope * signal, with the dark frames as a point at signal 0.
+
+    Returns slope, its uncertainty, intercept, its uncertainty, and chi-square per degree of freedom.
+    """
     x = np.array([point.signal_dn for point in points])
     y = np.array([point.variance_dn2 for point in points])
     u = np.array([point.u_variance_dn2 for point in points])
     if dark_variance is not None:
         x, y, u = np.append(x, 0.0), np.append(y, dark_variance), np.append(u, u_dark_variance)
     u = np.maximum(u, 1e-12)
-    # weights from each variance itself would favour those that came out low by chance
+    # uncertainties taken from the measured variances would give more weight to those that are low by chance
     common = np.median(u[: len(points)] / y[: len(points)])
     for _ in range(3):
         design = np.column_stack([np.ones_like(x), x]) / u[:, None]
@@ -252,12 +264,11 @@ def _line(
     values, *_ = np.linalg.lstsq(design, y / u, rcond=None)
     chi2_per_dof = float(np.sum((design @ values - y / u) ** 2)) / (len(x) - 2)
     dof = len(x) - 2
-    improbable = chi2.sf(chi2_per_dof * dof, dof) < _IMPROBABLE
-    covariance = np.linalg.inv(design.T @ design) * (chi2_per_dof if improbable else 1.0)
+    covariance = np.linalg.inv(design.T @ design) * birge_ratio(chi2_per_dof * dof, dof) ** 2
     if values[1] <= 0:
         raise DataError(
             f"sensor: the noise does not grow with the signal (slope {values[1]:.3g} DN); "
-            "these are no pairs of frames of one constant light"
+            "the two frames of each pair must be of the same constant light"
         )
     return (
         float(values[1]),
@@ -275,9 +286,10 @@ def _prnu(
     cold: NDArray[np.bool_],
     u2_dark_map: float,
 ) -> tuple[float, float]:
-    """Spatial spread of the response at the brightest usable level, temporal noise taken out.
+    """PRNU and its standard uncertainty, from the brightest usable level.
 
-    Slow shading of the lamp is removed with a plane; only what differs from pixel to pixel is PRNU.
+    It is the spatial standard deviation over the mean signal, after subtraction of the temporal noise and
+    of a plane, which removes the slow variation of the illumination.
     """
     best = int(np.argmax([point.signal_dn for point in points]))
     pair, point = flats[best], points[best]
@@ -297,11 +309,12 @@ def _prnu(
 
 
 def _linearity(points: Sequence[TransferPoint], exposures_us: Sequence[float]) -> float:
+    """Largest relative deviation of the signal from a straight line in the exposure."""
     if len(exposures_us) < 3:
         return float("nan")
     x = np.array(exposures_us)
     y = np.array([point.signal_dn for point in points])
-    # relative weights, as EMVA 1288 has it: the small signals must follow the line too
+    # EMVA 1288 minimises relative deviations, so that small signals count as much as large ones
     design = np.column_stack([np.ones_like(x), x]) / y[:, None]
     values, *_ = np.linalg.lstsq(design, np.ones_like(y), rcond=None)
     return float(np.max(np.abs(design @ values - 1.0)))

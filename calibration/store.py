@@ -1,7 +1,6 @@
 """Calibration files: TOML with provenance; a new file never overwrites an older one."""
 
 import datetime
-import hashlib
 import json
 import math
 import re
@@ -19,17 +18,17 @@ SCHEMA = 1
 
 
 class Source(BaseModel, frozen=True, extra="forbid"):
-    """A file that the calibration was made from."""
+    """A file from which the calibration was made."""
 
     name: str
     sha256: str = Field(pattern="^[0-9a-f]{64}$")
 
 
 class CalibrationFile(BaseModel, frozen=True, extra="forbid"):
-    """One calibration.
+    """Content of one calibration file.
 
-    `values` fill the configuration's section of this kind; `details` is everything else that was
-    found, plain values for a report. Times carry their offset from UTC.
+    `values` fill the section of the configuration that belongs to `kind`. `details` are further results, as
+    plain values for a report. `method` and `notes` are text for the user. Times include the offset from UTC.
     """
 
     schema_version: int = Field(default=SCHEMA, ge=1, le=SCHEMA)
@@ -47,19 +46,14 @@ class CalibrationFile(BaseModel, frozen=True, extra="forbid"):
     details: dict[str, Any] = Field(default_factory=dict)
 
     def expired(self, at: datetime.datetime) -> bool:
-        """Whether it was no longer valid then."""
+        """Whether the calibration was no longer valid at this time."""
         return at > self.valid_until
 
 
-def sha256_bytes(data: bytes) -> str:
-    """Hash of a calibration file as it stands."""
-    return hashlib.sha256(data).hexdigest()
-
-
 def write_calibration(folder: Path, calibration: CalibrationFile) -> Path:
-    """Write KIND-001.toml, KIND-002.toml ...: the next free number in the folder.
+    """Write a calibration to KIND-001.toml, KIND-002.toml ... (the next number) and return the path.
 
-    Raises RecordError where it cannot be written.
+    Raises RecordError if it cannot be written.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -72,21 +66,24 @@ def write_calibration(folder: Path, calibration: CalibrationFile) -> Path:
         with path.open("x", encoding="utf-8") as file:
             file.write(toml_text(calibration))
     except OSError as error:
-        raise RecordError(f"{folder}: no calibration can be written: {error.strerror or error}") from None
+        raise RecordError(f"{folder}: cannot write the calibration: {error.strerror or error}") from None
     return path
 
 
 def read_calibration(path: Path, kind: Kind | None = None) -> CalibrationFile:
-    """Read a file. Raises ConfigurationError: no such file, no calibration, of another kind."""
+    """Read a calibration file.
+
+    Raises ConfigurationError if it cannot be read, is not a calibration, or is not of this `kind`.
+    """
     try:
         data = path.read_bytes()
     except OSError as error:
-        raise ConfigurationError(f"{path}: no calibration can be read: {error.strerror or error}") from None
+        raise ConfigurationError(f"{path}: cannot read the calibration: {error.strerror or error}") from None
     return parse_calibration(data, str(path), kind)
 
 
 def parse_calibration(data: bytes, name: str, kind: Kind | None = None) -> CalibrationFile:
-    """The same from bytes, as a record keeps them."""
+    """The same for the content of a file, as a record stores it; `name` is used in messages."""
     try:
         found = CalibrationFile.model_validate(tomllib.loads(data.decode("utf-8")))
     except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
@@ -94,7 +91,7 @@ def parse_calibration(data: bytes, name: str, kind: Kind | None = None) -> Calib
     except ValidationError as error:
         fault = error.errors()[0]
         place = ".".join(str(part) for part in fault["loc"])
-        raise ConfigurationError(f"{name}: is no calibration file ({place}: {fault['msg']})") from None
+        raise ConfigurationError(f"{name}: is not a calibration file ({place}: {fault['msg']})") from None
     for field in ("made_at", "valid_until", "measured_at"):
         if getattr(found, field).tzinfo is None:
             raise ConfigurationError(
@@ -106,11 +103,9 @@ def parse_calibration(data: bytes, name: str, kind: Kind | None = None) -> Calib
 
 
 def toml_text(calibration: CalibrationFile) -> str:
-    """The file's text."""
+    """The calibration as TOML."""
     plain = calibration.model_dump()
-    lines = [
-        "# Made by rig calibrate. What was found is under [values] and [details]; make a new one, edit none."
-    ]
+    lines = ["# Made by rig calibrate; [values] fill the configuration. Do not edit: make a new calibration."]
     tables = {key: plain.pop(key) for key in ("values", "details")}
     sources = plain.pop("sources")
     lines += [f"{key} = {_toml(value)}" for key, value in plain.items()]
@@ -128,7 +123,7 @@ def _toml(value: Any) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
-        # JSON's escapes are TOML's, but for the raw delete character
+        # JSON's escapes are valid in TOML, but JSON leaves the delete character as it is, which TOML forbids
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
     if isinstance(value, int):
         return str(value)
@@ -139,4 +134,4 @@ def _toml(value: Any) -> str:
         return "{" + inner + "}"
     if isinstance(value, list | tuple):
         return "[" + ", ".join(_toml(item) for item in value) + "]"
-    raise TypeError(f"{type(value).__name__} has no place in a calibration file")
+    raise TypeError(f"{type(value).__name__} cannot be stored in a calibration file")

@@ -14,16 +14,22 @@ from processing.errors import DataError
 from processing.robust import robust_scatter
 
 FRAME_JITTER_LIMIT_S = 15e-6
-"""Frame-time jitter up to this is invisible in the turning points' times; 100 us doubles their error."""
+"""Jitter of the frame times that does not affect the times of turning points; 100 us doubles their error."""
 _FEWEST_FRAMES = 50
 _HUBER = 1.345
+"""Residuals larger than this many standard deviations get less weight (95 % efficiency for normal ones)."""
 _ROUNDING_S = 1e-9 / 12**0.5
+"""Standard uncertainty of timestamps that are rounded to 1 ns."""
 _JUMP_WINDOW = 25
+"""Number of frames on each side whose medians are compared."""
 
 
 @dataclass(frozen=True, slots=True)
 class ClockJump:
-    """One of the clocks was set, or frames were held back: the relation shifted by `step_s` at `frame`."""
+    """A step of host time minus camera time, from frame number `frame` on.
+
+    Either one of the clocks was set, or the transfer of frames was delayed.
+    """
 
     frame: int
     step_s: float
@@ -31,12 +37,12 @@ class ClockJump:
 
 @dataclass(frozen=True, slots=True)
 class ClockRelation:
-    """host = host_reference_ns + rate (device - device_reference_ns), with what it is worth.
+    """Linear relation ``host = host_reference_ns + rate (device - device_reference_ns)``.
 
-    `rate` is host seconds for one device second; `jitter_s` the robust standard deviation of the
-    arrivals about the line; the offset contains the mean delay of arrival, which no pair of clocks
-    can tell apart. `frame_jitter_s` is the scatter of the camera's own stamps about evenly spaced
-    frames.
+    `rate` is in seconds of the host per second of the camera. The offset includes the mean delay from
+    exposure to arrival, which timestamps cannot reveal. `jitter_s` is the robust standard deviation of the
+    arrival times about the line. `frame_period_s` and `frame_jitter_s` are the mean interval of the camera's
+    own timestamps and their scatter about evenly spaced frames. `u_` marks standard uncertainties.
     """
 
     device_reference_ns: int
@@ -52,7 +58,9 @@ class ClockRelation:
 
     @property
     def drift_ppm(self) -> float:
-        """How much the camera's clock is fast against the host's."""
+        """Relative rate of the camera's clock against the host's minus 1, in ppm; positive if it runs
+        fast.
+        """
         return (1.0 / self.rate - 1.0) * 1e6
 
     @property
@@ -61,15 +69,16 @@ class ClockRelation:
         return self.u_rate * 1e6
 
     def host_ns(self, device_ns: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Host time of device times, integer ns."""
+        """Host times of camera times, (n,) integer ns."""
         since = device_ns - self.device_reference_ns
         return self.host_reference_ns + since + np.round(since * (self.rate - 1.0)).astype(np.int64)
 
 
 def unwrap_counter(ticks: NDArray[np.int64], bits: int) -> NDArray[np.int64]:
-    """Counter readings of a `bits` wide counter made continuous; each wrap adds 2**bits.
+    """Readings (n,) of a `bits` wide counter without its overflows: each one adds 2**bits.
 
-    The readings must be in order and nearer to each other than half the counter's range.
+    Successive readings must be less than half the counter's range apart. Raises DataError if the counter
+    runs backwards.
     """
     if len(ticks) == 0:
         return ticks.astype(np.int64)
@@ -87,27 +96,28 @@ def unwrap_counter(ticks: NDArray[np.int64], bits: int) -> NDArray[np.int64]:
 def relate_clocks(
     device_ns: NDArray[np.int64], host_ns: NDArray[np.int64], sequence: NDArray[np.int64]
 ) -> ClockRelation:
-    """Robust line through pairs of stamps.
+    """Fit a robust straight line through pairs of timestamps.
 
     Parameters
     ----------
-    device_ns, host_ns, sequence
-        Stamps and frame numbers of frames in order, one length.
+    device_ns, host_ns, sequence : (n,) int64
+        Timestamps of camera and host in ns and frame numbers, in order.
 
     Raises
     ------
     DataError
-        Fewer than 50 frames, arrays of different lengths, or a clock that runs backwards.
+        Fewer than 50 frames, arrays of different lengths, or a clock that does not advance.
 
     Notes
     -----
-    Huber's M-estimate (P. J. Huber, Robust Statistics, 1981) with the sandwich covariance, since
-    arrivals have a long tail of late ones. After a jump the segments share one rate and get
-    offsets of their own.
+    Huber's M-estimate (P. J. Huber, Robust Statistics, 1981) with its asymptotic (sandwich) covariance,
+    because some frames arrive much later than the others. If a clock jumps, the segments share one rate and
+    have one offset each.
     """
     if not (len(device_ns) == len(host_ns) == len(sequence)):
         raise DataError(
-            f"clock: {len(device_ns)} device stamps, {len(host_ns)} host stamps, {len(sequence)} numbers"
+            f"clock: {len(device_ns)} camera timestamps, {len(host_ns)} host timestamps and {len(sequence)} "
+            "frame numbers must be of one length"
         )
     if len(device_ns) < _FEWEST_FRAMES:
         raise DataError(f"clock: {len(device_ns)} frames, {_FEWEST_FRAMES} are needed; record for longer")
@@ -116,10 +126,10 @@ def relate_clocks(
         if len(backwards):
             raise DataError(
                 f"clock: the {name}'s clock does not advance after frame {sequence[backwards[0]]} "
-                f"({stamps[backwards[0]]} ns, then {stamps[backwards[0] + 1]} ns); record again, or say how "
-                "wide the counter is if it rolls over (--counter-bits)"
+                f"({stamps[backwards[0]]} ns, then {stamps[backwards[0] + 1]} ns); record again, or state "
+                "the width of the camera's counter if it overflows (--counter-bits)"
             )
-    # the clocks differ by ppm: fitting the difference keeps all digits
+    # the clocks differ by some ppm: fitting their difference avoids rounding errors
     since_s = (device_ns - device_ns[0]) * 1e-9
     ahead_s = ((host_ns - host_ns[0]) - (device_ns - device_ns[0])) * 1e-9
     breaks = _jumps(since_s, ahead_s)
@@ -146,7 +156,10 @@ def relate_clocks(
 
 
 def _jumps(since_s: NDArray[np.float64], ahead_s: NDArray[np.float64]) -> list[int]:
-    """Frames at which the relation steps and stays; medians tell a jump from a late frame."""
+    """Indices of frames at which host minus camera time steps permanently.
+
+    Medians over windows before and after are compared, so that a single late frame is not taken for a step.
+    """
     window = _JUMP_WINDOW
     if len(ahead_s) < 4 * window:
         return []
@@ -160,7 +173,7 @@ def _jumps(since_s: NDArray[np.float64], ahead_s: NDArray[np.float64]) -> list[i
     candidates = np.nonzero(np.abs(step) > limit)[0]
     while len(candidates):
         top = candidates[np.argmax(np.abs(step[candidates]))]
-        # the medians see the step over a whole window; the largest single difference marks its frame
+        # the medians show the step over a whole window: its frame is that of the largest single difference
         around = slice(max(int(top), 0), int(top) + 2 * window - 1)
         frame = around.start + int(np.argmax(np.abs(np.diff(flat)[around]))) + 1
         found.append(frame)
@@ -171,6 +184,7 @@ def _jumps(since_s: NDArray[np.float64], ahead_s: NDArray[np.float64]) -> list[i
 def _huber(
     design: NDArray[np.float64], values: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+    """Solution, covariance and robust standard deviation of the residuals, by reweighted least squares."""
     solution = np.linalg.lstsq(design, values, rcond=None)[0]
     sigma = robust_scatter(values - design @ solution)
     for _ in range(60):
@@ -187,13 +201,14 @@ def _huber(
     psi = np.clip(residual, -_HUBER, _HUBER)
     inside = np.mean(np.abs(residual) < _HUBER)
     dof = len(values) - design.shape[1]
-    # stamps are whole ns: no line through them is known better than their rounding allows
+    # timestamps are integer ns: the uncertainty is not smaller than their rounding allows
     scale = max(sigma**2 * float(psi @ psi) / dof / inside**2, _ROUNDING_S**2)
     covariance = scale * np.linalg.inv(design.T @ design)
     return solution.astype(np.float64), covariance.astype(np.float64), sigma
 
 
 def _frame_period(since_s: NDArray[np.float64], sequence: NDArray[np.int64]) -> tuple[float, float]:
+    """Mean interval of frames and the jitter about it, in s."""
     design = np.column_stack([sequence - sequence[0], np.ones(len(sequence))]).astype(float)
     values, _, sigma = _huber(design, since_s)
     return float(values[0]), sigma

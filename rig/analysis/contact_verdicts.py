@@ -7,7 +7,7 @@ from dataclasses import astuple, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.axes import Axes
+from calibration import Axes
 from processing.angle import ARCSEC_RAD
 from processing.contact import HertzContact, PendulumOnBall, cycle_work, hertz_contact
 from processing.errors import DataError

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from acquisition.record.reader import RecordReader
-from calibration.axes_fit import Sign, fit_axes
+from calibration import Sign, fit_axes
 from rig.calibrate.filing import Filing, details_of, file_calibration
 from rig.calibrate.spots import spots_of_record
 from rig.instrument import recorded_configuration

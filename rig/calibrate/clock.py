@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from acquisition.record.reader import RecordReader
-from calibration.timebase import FRAME_JITTER_LIMIT_S, relate_clocks, unwrap_counter
+from calibration import FRAME_JITTER_LIMIT_S, relate_clocks, unwrap_counter
 from processing.errors import DataError
 from rig.calibrate.filing import Filing, details_of, file_calibration
 from rig.devices import ntp_state

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from acquisition.record.digest import sha256_of
-from calibration.store import CalibrationFile, Kind, Source, write_calibration
+from calibration import CalibrationFile, Kind, Source, write_calibration
 from rig.instrument import versions
 
 

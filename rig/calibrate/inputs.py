@@ -10,8 +10,7 @@ from pydantic import BaseModel, Field, ValidationError, model_validator
 
 from acquisition.cameras.files.sources import Unreadable, open_source
 from acquisition.record.reader import RecordReader
-from calibration.lever_fit import LadderSteps
-from calibration.lever_geometry import LeverGeometry
+from calibration import LadderSteps, LeverGeometry
 from processing.angle import ARCSEC_RAD
 from processing.errors import ConfigurationError, DataError
 

@@ -4,12 +4,17 @@ import datetime
 from pathlib import Path
 from typing import Any
 
-from calibration.at_rest import require_rest
-from calibration.known_angle import check_scale
-from calibration.lever_fit import LadderFit, fit_ladder, lever_from_shifts, lever_from_tilts
-from calibration.lever_geometry import lever_from_geometry
-from calibration.light_lever import Lever
-from calibration.store import read_calibration
+from calibration import (
+    LadderFit,
+    Lever,
+    check_scale,
+    fit_ladder,
+    lever_from_geometry,
+    lever_from_shifts,
+    lever_from_tilts,
+    read_calibration,
+    require_rest,
+)
 from processing.errors import ConfigurationError
 from rig.calibrate.filing import Filing, details_of, file_calibration
 from rig.calibrate.inputs import LadderFile, read_ladder

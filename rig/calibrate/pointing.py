@@ -3,8 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from calibration.at_rest import require_rest
-from calibration.stability import Stability, stability
+from calibration import Stability, require_rest, stability
 from rig.calibrate.filing import Filing, details_of, file_calibration
 from rig.calibrate.spots import spots_of_record
 

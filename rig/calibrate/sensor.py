@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from calibration.sensor import photon_transfer
+from calibration import photon_transfer
 from processing.errors import DataError
 from rig.calibrate.filing import Filing, details_of, file_calibration
 from rig.calibrate.inputs import frames_of, read_transfer

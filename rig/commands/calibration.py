@@ -121,7 +121,7 @@ def _filing(folder: Path, valid_days: float, by: str) -> "Filing":
 
 def _say(path: Path) -> None:
     """Print the content of the new file."""
-    from calibration.store import read_calibration
+    from calibration import read_calibration
 
     found = read_calibration(path)
     print(f"{found.kind}: {found.method}, valid until {found.valid_until:%Y-%m-%d}")

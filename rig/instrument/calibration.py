@@ -1,14 +1,14 @@
 """Calibration files: fill the configuration, are attached to the record and checked for validity."""
 
 import datetime
+import hashlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
 
-from calibration.known_angle import moved_between
-from calibration.store import CalibrationFile, Kind, parse_calibration, sha256_bytes
+from calibration import CalibrationFile, Kind, moved_between, parse_calibration
 from processing.errors import ConfigurationError
 from rig.settings import Configuration
 
@@ -111,7 +111,7 @@ def _entry(found: CalibrationFile, data: bytes, at: datetime.datetime) -> dict[s
     return {
         "validity": validity,
         "text": f"{found.method}; by {found.made_by or '?'}, valid until {found.valid_until:%Y-%m-%d}",
-        "sha256": sha256_bytes(data),
+        "sha256": hashlib.sha256(data).hexdigest(),
         **found.model_dump(mode="json", exclude={"details", "schema_version"}),
     }
 

@@ -2,8 +2,7 @@
 
 from dataclasses import dataclass
 
-from calibration.axes import Axes
-from calibration.light_lever import Lever, deflection_unit
+from calibration import Axes, Lever, deflection_unit
 from processing.deflections import DeflectionUnit
 from processing.spot import SensorModel, SpotTracker
 from rig.instrument.pipeline import Deflector, Pipeline

@@ -7,8 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.frame import Frame
-from calibration.axes import Axes, deflections
-from calibration.light_lever import Lever, deflection_unit
+from calibration import Axes, Lever, deflection_unit, deflections
 from processing.balance import Balance, BalanceEstimator
 from processing.deflections import Deflections
 from processing.spot import Spot, SpotTracker

@@ -4,8 +4,7 @@ import math
 from dataclasses import replace
 
 from acquisition.simulation.settings import SimulationSettings
-from calibration.axes import Axes
-from calibration.light_lever import Lever
+from calibration import Axes, Lever
 from processing.contact import Material
 from processing.spot import SensorModel
 from rig.settings import BalanceSettings, Configuration, PendulumSettings

@@ -19,8 +19,7 @@ from pydantic_core import ErrorDetails
 from acquisition.cameras.drivers import find_driver
 from acquisition.simulation.faults import FaultSettings
 from acquisition.simulation.settings import SimulationSettings
-from calibration.axes import Axes
-from calibration.light_lever import Lever, deflection_unit
+from calibration import Axes, Lever, deflection_unit
 from processing.contact import STANDARD_GRAVITY_M_PER_S2, Material
 from processing.deflections import DeflectionUnit
 from processing.errors import ConfigurationError

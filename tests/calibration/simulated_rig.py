@@ -20,8 +20,8 @@ from acquisition.simulation.settings import (
 from acquisition.simulation.true_path import true_path
 from calibration.axes_fit import AxesFit, fit_axes
 from calibration.lever_fit import LadderFit, LadderSteps, fit_ladder
+from calibration.pointing import stability
 from calibration.sensor import SensorCalibration, photon_transfer
-from calibration.stability import stability
 from calibration.timebase import ClockRelation, relate_clocks
 from processing.angle import ARCSEC_RAD
 from tests.calibration.simulated_sensor import random_sensor, transfer_frames

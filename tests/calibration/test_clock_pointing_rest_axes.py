@@ -3,7 +3,7 @@ import pytest
 
 from calibration.at_rest import require_rest
 from calibration.axes_fit import fit_axes
-from calibration.stability import stability
+from calibration.pointing import stability
 from calibration.timebase import relate_clocks, unwrap_counter
 from processing.errors import DataError
 from tests.calibration.simulated_rig import draw_rig, swing_for_axes

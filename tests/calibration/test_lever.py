@@ -82,11 +82,11 @@ def test_a_bent_ladder_is_found_out_and_corrected() -> None:
     assert not straight.nonlinear
 
 
-def test_a_ladder_that_cannot_tell_a_sensor_askew_says_so() -> None:
+def test_a_ladder_that_hardly_determines_the_tilt_of_the_sensor_says_so() -> None:
     quiet = ladder(np.linspace(-120, 120, 9).tolist())
     coarse = replace(quiet, u_reference=np.full(9, 0.1 * ARCSEC_RAD))
-    assert not any("askew" in note for note in fit_ladder(quiet, "tilt").notes)
-    assert any("askew is known to" in note for note in fit_ladder(coarse, "tilt").notes)
+    assert not any("tilt of the sensor" in note for note in fit_ladder(quiet, "tilt").notes)
+    assert any("tilt of the sensor" in note for note in fit_ladder(coarse, "tilt").notes)
 
 
 def test_a_wrong_step_is_named() -> None:

@@ -10,8 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from acquisition.frame import Frame
-from calibration.stability import Stability, stability
-from calibration.timebase import relate_clocks
+from calibration import Stability, relate_clocks, stability
 from processing.deflections import Deflections, DeflectionUnit, Floats
 from processing.errors import DataError
 from processing.spot import Spot, SpotFlag

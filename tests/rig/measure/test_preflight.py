@@ -8,7 +8,7 @@ import pytest
 from rich.console import Console
 
 from acquisition.frame import Frame
-from calibration.stability import stability
+from calibration.pointing import stability
 from processing.angle import ARCSEC_RAD
 from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import Spot, SpotFlag

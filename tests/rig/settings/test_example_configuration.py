@@ -5,7 +5,9 @@ from tests.rig.settings.example_configuration import TARGET, keys, text
 
 
 def test_the_example_is_what_the_models_say() -> None:
-    assert TARGET.read_text(encoding="utf-8") == text(), "run: python -m tests.rig.example_configuration"
+    assert TARGET.read_text(encoding="utf-8") == text(), (
+        "run: python -m tests.rig.settings.example_configuration"
+    )
 
 
 def test_the_example_loads_as_it_is() -> None:

@@ -1,4 +1,4 @@
-"""Stability of a spot at rest: Allan deviation, drift, spectrum, ISO 11670 pointing stability."""
+"""Pointing stability of a spot at rest: Allan deviation, drift, spectrum, ISO 11670."""
 
 from dataclasses import dataclass
 
@@ -9,11 +9,16 @@ from processing.errors import DataError
 
 _FEWEST_SAMPLES = 100
 _LINE_RATIO = 12.0
+"""Smallest power of a spectral line over that of the noise near it."""
 
 
 @dataclass(frozen=True, slots=True)
 class AllanCurve:
-    """Overlapping Allan deviation; `u_deviation` from the equivalent degrees of freedom of white noise."""
+    """Overlapping Allan deviation at the averaging times `tau_s`, arrays of one length.
+
+    `deviation` has the unit of the record. Its standard uncertainty `u_deviation` follows from the equivalent
+    degrees of freedom for white noise.
+    """
 
     tau_s: NDArray[np.float64]
     deviation: NDArray[np.float64]
@@ -22,7 +27,10 @@ class AllanCurve:
 
 @dataclass(frozen=True, slots=True)
 class SpectralLine:
-    """A line that stands out of the spectrum: frequency and amplitude (peak) in the unit of the record."""
+    """A significant line of the spectrum; `amplitude` is that of the sinusoid, in the unit of the record.
+
+    `name` is the probable source ("mains, ..." or "building"), empty if unknown.
+    """
 
     frequency_hz: float
     amplitude: float
@@ -31,13 +39,15 @@ class SpectralLine:
 
 @dataclass(frozen=True, slots=True)
 class Stability:
-    """One coordinate of a static record, in the record's unit.
+    """Stability of one coordinate of a record at rest, in the unit of the record.
 
-    `drift_per_s` with its uncertainty is the slope of a line (its uncertainty from the scatter of
-    sixteen segments, since the noise is not white); `noise` the standard deviation of one sample about
-    a slow line, from the Allan deviation at one sample; `iso11670` is 2 standard deviations of the
-    whole record, the standard's pointing stability of one axis (ISO 11670:2003, 4 sigma width halved).
-    `claimed_ratio` is what the samples' stated uncertainty says over what is there.
+    `noise` is the standard deviation of one sample without slow changes: the Allan deviation at the interval
+    of the samples. `drift_per_s` is the slope of a straight line; its uncertainty comes from the scatter of
+    the means of sixteen segments, because the noise is not white. `iso11670` is 2 standard deviations of the
+    whole record, the pointing stability of one axis (ISO 11670:2003: half of the 4 sigma width).
+    `claimed_ratio` is the root mean square of the stated uncertainties over `noise`. `lines` are the
+    strongest spectral lines, at most ten. `density` (m,) is the one-sided power spectral density, in the
+    squared unit per Hz, at `frequency_hz` (m,).
     """
 
     noise: float
@@ -52,9 +62,10 @@ class Stability:
 
 
 def allan_deviation(values: NDArray[np.float64], interval_s: float) -> AllanCurve:
-    """Overlapping Allan deviation (IEEE 1139), tau doubling up to a quarter of the record.
+    """Overlapping Allan deviation (IEEE 1139) of evenly spaced `values` (n,), no NaN.
 
-    Degrees of freedom for white noise from NIST SP 1065, table 5.
+    The averaging time is doubled from `interval_s` to a quarter of the record. The degrees of freedom are
+    those of white noise (NIST SP 1065, table 5).
     """
     count = len(values)
     sums = np.concatenate([[0.0], np.cumsum(values - values.mean())])
@@ -76,10 +87,20 @@ def allan_deviation(values: NDArray[np.float64], interval_s: float) -> AllanCurv
 def stability(
     times_s: NDArray[np.float64], values: NDArray[np.float64], u_values: NDArray[np.float64]
 ) -> Stability:
-    """Noise, drift, spectrum and stability of a record in which nothing should move.
+    """Noise, drift, spectrum and pointing stability of one coordinate of a record at rest.
 
-    Lost samples (NaN) are left out; times must be even to a fraction of the interval (gaps are closed
-    up for the Allan deviation and the spectrum). Raises DataError for fewer than 100 samples.
+    Parameters
+    ----------
+    times_s : (n,), s, ascending
+        Must be evenly spaced, except for lost samples.
+    values, u_values : (n,), any unit
+        Samples and their standard uncertainties; NaN for lost ones. These are left out: for the Allan
+        deviation and the spectrum, the samples on both sides of a gap count as neighbours.
+
+    Raises
+    ------
+    DataError
+        Fewer than 100 samples.
     """
     good = np.isfinite(values) & np.isfinite(u_values)
     times_s, values, u_values = times_s[good], values[good], u_values[good]
@@ -106,6 +127,7 @@ def stability(
 
 
 def _drift(times_s: NDArray[np.float64], values: NDArray[np.float64]) -> tuple[float, float]:
+    """Slope of a straight line through the means of segments, and its standard uncertainty."""
     segments = 16
     centres = np.array([part.mean() for part in np.array_split(times_s, segments)])
     means = np.array([part.mean() for part in np.array_split(values, segments)])
@@ -119,7 +141,7 @@ def _drift(times_s: NDArray[np.float64], values: NDArray[np.float64]) -> tuple[f
 def _spectrum(
     flat: NDArray[np.float64], interval_s: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """One-sided power density, Hann window (its noise bandwidth is 1.5 bins)."""
+    """Frequencies and one-sided power spectral density, with a Hann window, without the zero frequency."""
     window = np.hanning(len(flat))
     power = np.abs(np.fft.rfft(flat * window)) ** 2
     density = 2.0 * power * interval_s / np.sum(window**2)
@@ -127,9 +149,10 @@ def _spectrum(
 
 
 def _lines(frequency: NDArray[np.float64], density: NDArray[np.float64]) -> tuple[SpectralLine, ...]:
+    """Peaks well above the noise, which is the running median of the spectrum; the strongest first."""
     width = max(15, len(density) // 50) | 1
     padded = np.pad(density, width // 2, mode="reflect")
-    # the median of exponentially distributed power is ln 2 of its mean
+    # the power of noise is exponentially distributed: its median is ln 2 times its mean
     floor = np.median(np.lib.stride_tricks.sliding_window_view(padded, width), axis=1) / np.log(2.0)
     threshold = max(_LINE_RATIO, np.log(len(density)) + 7.0)
     peaks = [
@@ -148,6 +171,7 @@ def _lines(frequency: NDArray[np.float64], density: NDArray[np.float64]) -> tupl
 
 
 def _name(frequency_hz: float) -> str:
+    """Probable source of a line: a multiple of the mains frequency, or 5 to 30 Hz of the building."""
     for mains_hz in (50.0, 60.0):
         harmonic = round(frequency_hz / mains_hz)
         if harmonic >= 1 and abs(frequency_hz - harmonic * mains_hz) < 0.3:

@@ -1,4 +1,4 @@
-"""Directions of both modes on the sensor, from the spots of one interval of a record."""
+"""Directions of both modes on the sensor, from the spots of one time window of a record."""
 
 import math
 from dataclasses import dataclass
@@ -8,15 +8,20 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 _ENVELOPE = 3
-"""Terms of each mode's envelope and phase, a parabola in time."""
+"""Number of polynomial terms in time (a parabola) of each mode's cosine and sine amplitude."""
 
 _OVERTONE_PARTS = (0.15, 0.08, 0.05)
 """Largest fifth, seventh and ninth harmonic, as fractions of the third."""
 
 
 @dataclass(frozen=True, slots=True)
-class DirectionsOfStretch:
-    """Directions of one stretch: vectors on the sensor (x, y), of the phase at the record's start."""
+class WindowDirections:
+    """Directions of the modes in one time window.
+
+    `slow` and `fast` are vectors (x, y) on the sensor in px. The length is the mode's amplitude at the
+    beginning of the window, the sign that of its cosine at the beginning of the record. `u_` are standard
+    uncertainties of their angles.
+    """
 
     middle_s: float
     slow: Floats
@@ -25,24 +30,30 @@ class DirectionsOfStretch:
     u_fast_rad: float
 
 
-def directions_of_stretch(
+def window_directions(
     t: Floats, spots: Floats, slow_omega: float, fast_omega: float, start_s: float
-) -> DirectionsOfStretch:
-    """Both modes in both coordinates, each with an envelope and a phase that bend a little.
+) -> WindowDirections:
+    """Fit both modes to both coordinates, each with an amplitude and a phase that vary slowly.
 
     Parameters
     ----------
-    t, spots
-        Times in s, shape (n,), and (x, y) on the sensor in px, shape (n, 2).
+    t : (n,), s
+        Times of the samples.
+    spots : (n, 2), px
+        Positions (x, y) on the sensor; no NaN.
     slow_omega, fast_omega
-        Angular frequencies in rad/s, near enough that a phase which bends takes up the rest.
+        Angular frequencies in rad/s. Small errors are compensated by the slowly varying phases.
     start_s
-        Time at which the sign of each vector is that of its swing.
+        Time at which the sign of each vector is that of its mode's deflection.
+
+    Notes
+    -----
+    Each coordinate is a linear least-squares fit of ``(a_0 + a_1 u + a_2 u^2) cos(omega t)`` and the same
+    with the sine, for both modes, and of a parabola, with u = -1 to 1 over the window.
     """
     middle = 0.5 * (t[0] + t[-1])
     half = 0.5 * (t[-1] - t[0])
     u = (t - middle) / half
-    # frequencies follow the window's own phases: the terms in u take up small differences
     slow_c, slow_s = np.cos(slow_omega * (t - start_s)), np.sin(slow_omega * (t - start_s))
     fast_c, fast_s = np.cos(fast_omega * (t - start_s)), np.sin(fast_omega * (t - start_s))
     design = np.column_stack(
@@ -59,7 +70,8 @@ def directions_of_stretch(
     covariance = _noise(spots - design @ coefficients, design)
     slow_columns, fast_columns = list(range(2 * _ENVELOPE)), list(range(2 * _ENVELOPE, 4 * _ENVELOPE))
     inverse = np.linalg.inv(design.T @ design)
-    # overtones move the spot along the slow direction only: across it there is nothing but the fast mode
+    # overtones of the slow mode move the spot along the slow direction only; across it only the fast mode
+    # does
     across, along = (spots @ frame).T
     swing = _swing(design, coefficients @ frame[:, 1])
     along_rows, along_covariance, overtones = _with_overtones(
@@ -78,10 +90,11 @@ def directions_of_stretch(
         along_covariance[np.ix_(fast_columns, fast_columns)],
         frame,
     )
-    return DirectionsOfStretch(float(middle), slow, u_slow, fast, u_fast)
+    return WindowDirections(float(middle), slow, u_slow, fast, u_fast)
 
 
 def _noise(residual: Floats, design: Floats) -> Floats:
+    """Covariance (2, 2) of the noise of x and y, from the residuals."""
     covariance: Floats = residual.T @ residual / (design.shape[0] - design.shape[1])
     return covariance
 
@@ -94,7 +107,7 @@ def _frame(rows: Floats) -> Floats:
 
 
 def _swing(design: Floats, along: Floats) -> NDArray[np.complex128]:
-    """Unit phasor of the slow swing at each sample, with the slow bend of its phase."""
+    """Unit phasor of the slow mode at each sample, with its slowly varying phase."""
     u = design[:, 4 * _ENVELOPE + 1]
     powers = np.column_stack([u**k for k in range(_ENVELOPE)])
     c, s = powers @ along[:_ENVELOPE], powers @ along[_ENVELOPE : 2 * _ENVELOPE]
@@ -106,12 +119,14 @@ def _swing(design: Floats, along: Floats) -> NDArray[np.complex128]:
 def _with_overtones(
     design: Floats, along: Floats, swing: NDArray[np.complex128], *, overtone_3: bool
 ) -> tuple[Floats, Floats, Floats]:
-    """Coefficients along the slow direction with their covariance, and the overtones' motion.
+    """Coefficients along the slow direction, their covariance, and the motion due to overtones.
 
-    Friction and elasticity add odd harmonics to the slow swing. A harmonic near the fast mode's frequency
-    would be mistaken for a part of it. The third harmonic limits the higher ones: for moments proportional
-    to powers of the tilt from 0 to 1, the fifth is 0.11 to 0.2 of it, the others less. They are fitted with
-    a prior of mean zero and that standard deviation.
+    Friction and elasticity of the contact add odd harmonics to the slow mode. A harmonic near the fast
+    mode's frequency would be attributed to the fast mode. The third harmonic is fitted freely, unless the
+    fast mode is too near to it (`overtone_3` False: then no harmonic is fitted). It limits the higher ones:
+    for moments proportional to powers of the tilt from 0 to 1, the fifth harmonic is 0.11 to 0.2 of the
+    third, the others less. They are fitted with a normal prior of mean 0 and standard deviation
+    `_OVERTONE_PARTS` times the third.
     """
     orders = [3, 5, 7, 9] if overtone_3 else []
     columns = [part for k in orders for part in ((swing**k).real, (swing**k).imag)]
@@ -140,7 +155,11 @@ def _with_overtones(
 def _fast_direction(
     across: Floats, u2_across: Floats, along: Floats, u2_along: Floats, frame: Floats
 ) -> tuple[Floats, float]:
-    """Vector of the fast mode: what it does along the slow direction is a multiple of what it does across."""
+    """Vector of the fast mode and the standard uncertainty of its angle.
+
+    Its coefficients along the slow direction are `slope` times those across it; the slope is determined with
+    the covariances of both.
+    """
     slope = 0.0
     for _ in range(3):
         weight = np.linalg.inv(u2_along + slope**2 * u2_across)
@@ -154,7 +173,7 @@ def _fast_direction(
 
 
 def _at_beginning(rows: Floats) -> tuple[float, float]:
-    """Cosine and sine amplitude where the window begins: terms in u = -1 have alternating sign."""
+    """Cosine and sine amplitude at the beginning of the window, where u = -1."""
     signs = np.array([(-1.0) ** k for k in range(_ENVELOPE)])
     return float(rows[:_ENVELOPE] @ signs), float(rows[_ENVELOPE:] @ signs)
 
@@ -162,15 +181,15 @@ def _at_beginning(rows: Floats) -> tuple[float, float]:
 def _direction(
     coefficients: Floats, inverse: Floats, covariance: Floats, columns: list[int]
 ) -> tuple[Floats, float]:
-    """Vector of a mode, length its amplitude, sign that of its cosine at the start; and u of its angle.
+    """Vector of a mode (see `WindowDirections`) and the standard uncertainty of its angle.
 
-    All terms of the mode lie along one line; the long axis of their weighted scatter is its
-    direction, total least squares with the known covariance of the terms.
+    The coefficient vectors (x, y) of all terms of a mode lie along one line. Its direction is the major
+    axis of their weighted scatter: total least squares with the known covariance of the terms.
     """
     rows = coefficients[columns]
     weight = np.linalg.inv(inverse[np.ix_(columns, columns)])
     scatter = rows.T @ weight @ rows
-    # equal noise in all directions turns the scatter by nothing; unequal noise by its own part
+    # noise that differs between directions rotates the major axis: its expected part is subtracted
     _, vectors = np.linalg.eigh(scatter - (len(columns) - 1) * covariance)
     along = vectors[:, 1]
     across = np.array([-along[1], along[0]])
