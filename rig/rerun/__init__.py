@@ -1,4 +1,4 @@
-"""Rerun, in processes of its own: what is told to them, what they draw, how they are started."""
+"""The programs of the Rerun viewer, which run in processes of their own: messages to them, drawing, start."""
 
 from rig.rerun.messages import (
     LENGTH,

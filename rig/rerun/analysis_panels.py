@@ -19,16 +19,19 @@ TITLES: Final[dict[Panel, tuple[str, str]]] = {
     "loops": ("angle / {unit}", "moment / µN m"),
 }
 TRIMMED: Final = frozenset({"period", "period_residuals"})
-"""Panels whose uncertainty explodes at small amplitudes: a few points there do not set the axes."""
+"""Panels whose values become very uncertain at small amplitudes: these few points do not set the axes."""
 RISING: Final = frozenset({"period", "loops"})
-"""Panels whose curves rise to the right: their legend is below, where the others have it above."""
+"""Panels whose curves rise to the right: their legend is in the lower right corner, not the upper."""
 COINCIDING: Final = frozenset({"decay", "period"})
-"""Panels where good fits and their data lie on each other."""
+"""Panels in which a good fit covers its data: curves drawn first are wider, so that they remain visible."""
 BARS_AT_MOST: Final = 400
+"""Largest number of error bars of one curve."""
 
 
 def draw_fits(stream: rr.RecordingStream, fits: Fits, unit: str) -> None:
-    """Draw each panel's axes and curves, static: an analysis holds for the whole run."""
+    """Draw axes and curves of each panel, as static entities (without a time): they hold for the whole
+    run.
+    """
     for panel, (x_title, y_title) in TITLES.items():
         curves = [curve for curve in fits.curves if curve.panel == panel]
         if not curves:
@@ -65,9 +68,9 @@ def _draw_curve(
     colour: str,
     following: int,
 ) -> int:
-    """Draw what lies within the axes; how many points do not.
+    """Draw the part of a curve within the axes; return the number of points outside (0 for lines).
 
-    `following` lines come on top of this curve: it is so much thicker that they do not hide it.
+    `following` is the number of lines that are drawn over this curve, which is made wider for them.
     """
     path = f"{root}/{rr.escape_entity_path_part(curve.name)}"
     points = graticule.place(curve.x, curve.y)
@@ -99,7 +102,7 @@ def _draw_curve(
 
 
 def _legend(entries: list[tuple[str, str]], graticule: Graticule, *, below: bool) -> rr.Points2D:
-    """The curves' names in their colours, in the upper or the lower right corner."""
+    """The names of the curves in their colours, in the upper right corner, or in the lower one if `below`."""
     width, height = graticule.size
     corner = graticule.place(np.array([graticule.x_high]), np.array([graticule.y_high]))[0]
     first = 1.0 - 0.08 * len(entries) - 0.03 if below else 0.03

@@ -1,4 +1,4 @@
-"""Messages drawn into one Rerun stream."""
+"""Draws messages into one Rerun stream."""
 
 import cv2
 import numpy as np
@@ -26,6 +26,7 @@ from rig.rerun.messages import (
 )
 
 DRAWN_RATE_HZ = 100.0
+"""Largest rate of the samples that are drawn."""
 JPEG_QUALITY = 90
 LEVELS = {
     "debug": rr.TextLogLevel.DEBUG,
@@ -36,18 +37,18 @@ LEVELS = {
 
 
 class Drawing:
-    """One stream with its layout, and what has been gathered for it.
+    """Draws into one stream; curves are gathered and sent in blocks.
 
     Parameters
     ----------
     stream
-        A recording whose sinks are set.
+        A Rerun recording whose sinks are set.
     setup
-        Names, units and expectations.
+        Names and units, expected period and amplitude.
     gather_s, gather_rows
-        See `Gathering`.
+        Limits of `Gathering`.
     picture_interval_s
-        Pictures closer together than this in the time of the run are left out.
+        Shortest interval of pictures in run time; pictures between are left out.
     """
 
     def __init__(
@@ -76,7 +77,7 @@ class Drawing:
         self._named: set[str] = set()
 
     def draw(self, message: Message) -> None:
-        """Draw or gather one message."""
+        """Draw one message, or gather it for the next block."""
         match message:
             case Samples():
                 self._draw_samples(message)
@@ -96,7 +97,7 @@ class Drawing:
                 draw_fits(self._stream, message, self._setup.unit)
 
     def send(self, *, now: bool = False) -> None:
-        """Send what was gathered, where it is enough or `now`."""
+        """Send what was gathered if a limit of `Gathering` is reached, or in any case if `now`."""
         self._gathered.send(now=now)
 
     def _draw_samples(self, message: Samples) -> None:
@@ -195,7 +196,7 @@ class Drawing:
         label: str,
         colour: str,
     ) -> None:
-        """A value and, fainter, the lines one standard uncertainty above and below it."""
+        """A value and two fainter lines, one standard uncertainty above and below it."""
         self._gather(run, f"{path}/value", time_s, value, label, colour)
         # The same name and colour: the legend has one entry for the three.
         for side, sign in (("upper", 1.0), ("lower", -1.0)):
@@ -224,7 +225,7 @@ class Drawing:
         self._latest_s = max(self._latest_s, float(time_s[-1]))
 
     def _run_colour(self, run: str, colour: str) -> str:
-        """A run laid over others has its own colour throughout; a single one the quantity's."""
+        """The colour of the run if several are overlaid, otherwise that of the quantity."""
         runs = self._setup.runs
         if len(runs) < 2 or run not in runs or colour == palette.GREY:
             return colour

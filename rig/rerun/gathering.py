@@ -1,7 +1,7 @@
-"""Rows gathered into blocks on their way to Rerun.
+"""Gathers values into blocks before they are sent to Rerun.
 
-Rerun stores what it gets in chunks, one a call, of a kilobyte or two each: a call for every frame
-would make a run's file hundreds of megabytes.
+Rerun stores each call as a chunk of at least one or two kilobytes: one call per frame would make the file of
+a run hundreds of megabytes large.
 """
 
 import time
@@ -14,9 +14,9 @@ from rig.rerun.messages import Floats
 
 
 class Gathering:
-    """Scalars, line strips and points waiting for one stream, sent when they are enough.
+    """Scalars, line strips and points that wait to be sent to one stream.
 
-    `limit_s` and `limit_rows`: they are enough when they have waited so long, or are so many.
+    They are sent after `limit_s` seconds of real time, or when there are `limit_rows` scalars.
     """
 
     def __init__(self, stream: rr.RecordingStream, limit_s: float, limit_rows: int) -> None:
@@ -30,24 +30,24 @@ class Gathering:
         self._sent_at = time.monotonic()
 
     def scalars(self, path: str, times_s: Floats, values: Floats) -> None:
-        """Values of one curve."""
+        """Add values (n,) of the curve at the entity `path`."""
         self._scalars.setdefault(path, []).append((times_s, values))
         self._rows += len(times_s)
 
     def strips(self, path: str, times_s: Floats, pieces: list[Floats]) -> None:
-        """Line strips (n, 2), one a time."""
+        """Add line strips (n, 2), one per time."""
         times, known = self._strips.setdefault(path, ([], []))
         times.extend(times_s)
         known.extend(pieces)
 
     def points(self, path: str, times_s: Floats, points: list[Floats]) -> None:
-        """Single points (2,), one a time."""
+        """Add single points (2,), one per time."""
         times, known = self._points.setdefault(path, ([], []))
         times.extend(times_s)
         known.extend(points)
 
     def send(self, *, now: bool = False) -> None:
-        """Send everything, where it is enough or `now`."""
+        """Send everything if a limit is reached, or in any case if `now`."""
         waited_s = time.monotonic() - self._sent_at
         if not now and self._rows < self._limit_rows and waited_s < self._limit_s:
             return
@@ -66,5 +66,5 @@ class Gathering:
 
 
 def _column(times_s: Floats | list[float]) -> rr.TimeColumn:
-    # A list of Python floats would be converted one by one, at ten times the cost.
+    # Rerun converts a list of Python floats one by one, which takes ten times as long as an array.
     return rr.TimeColumn(TIMELINE, duration=np.asarray(times_s, dtype=np.float64))

@@ -1,7 +1,7 @@
-"""Axes for panels that have none: ticks, lines and labels in the plane of a Spatial2DView.
+"""Axes of XY plots: ticks, grid lines and labels in the plane of a Spatial2DView.
 
-Rerun draws no XY plots. A `Graticule` maps values onto the plane (y downward there, so values are
-negated) and holds the grid's lines and the labels' places.
+Rerun has no XY plots. A `Graticule` maps values to points of the plane (whose y axis points down, so that y
+is negated) and gives the lines of the grid and the positions of the labels.
 """
 
 import math
@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 
 PLANE_REACH = 100.0
-"""Half the side of the trajectory's axes in the plane."""
+"""Half the side of the trajectory's axes, in units of the plane."""
 BOX = (126.0, 100.0)
-"""Width and height of other axes in the plane."""
+"""Width and height of all other axes, in units of the plane."""
 
 
 def ticks(low: float, high: float, about: int = 6) -> Floats:
-    """Round values (1, 2 or 5 times a power of ten apart) within [low, high], about so many."""
+    """About `about` round values within [low, high]; their step is 1, 2 or 5 times a power of ten."""
     span = high - low
     if not (math.isfinite(span) and span > 0):
         return np.array([low])
@@ -32,7 +32,7 @@ def ticks(low: float, high: float, about: int = 6) -> Floats:
 
 
 def tick_label(value: float, step: float) -> str:
-    """The value with as many decimals as the step needs, minus sign and all."""
+    """The value with as many decimals as the step needs, and a typographic minus sign."""
     decimals = max(0, -math.floor(math.log10(step) + 1e-9)) if step > 0 else 3
     text = f"{value:.{decimals}f}"
     return text.replace("-", "\N{MINUS SIGN}") if float(text) != 0 else f"{0:.{decimals}f}"
@@ -49,10 +49,10 @@ class Label:
 
 @dataclass(frozen=True, slots=True)
 class Graticule:
-    """Axes over [x_low, x_high] x [y_low, y_high] with titles, and the way into the plane.
+    """Axes over [x_low, x_high] x [y_low, y_high] with titles, and the mapping into the plane.
 
-    A value (x, y) lies at ``((x - x_zero) * x_scale, -(y - y_zero) * y_scale)``: with zeros of 0
-    and scales of 1 the plane is the values' own, y negated.
+    A value (x, y) is at ``((x - x_zero) * x_scale, -(y - y_zero) * y_scale)`` in the plane. If
+    `titles_outside`, the titles are beside the axes, otherwise within them.
     """
 
     x_low: float
@@ -69,10 +69,10 @@ class Graticule:
 
     @classmethod
     def boxed(cls, x: Floats, y: Floats, x_title: str, y_title: str, *, trimmed: bool = False) -> Self:
-        """Axes a little wider than the finite values, filling BOX in the plane.
+        """Axes a little wider than the range of the finite values, of the size BOX in the plane.
 
-        `trimmed`: the lowest and highest 2 % of y do not widen the axes, because a few uncertain
-        points would hide the rest.
+        If `trimmed`, the lowest and highest 2 % of y do not count, because a few uncertain points would make
+        the range so large that the others could not be distinguished.
         """
         x_low, x_high = _padded(x, 0.0)
         y_low, y_high = _padded(y, 0.02 if trimmed else 0.0)
@@ -81,11 +81,11 @@ class Graticule:
         return cls(x_low, x_high, y_low, y_high, x_title, y_title, x_low, y_low, *scales, titles_outside=True)
 
     def inside(self, x: Floats, y: Floats) -> NDArray[np.bool_]:
-        """Which of the values lie within the axes; not those that are NaN."""
+        """Which of the values (n,) lie within the axes; False for NaN."""
         return (x >= self.x_low) & (x <= self.x_high) & (y >= self.y_low) & (y <= self.y_high)
 
     def place(self, x: Floats, y: Floats) -> Floats:
-        """Points (n, 2) of the plane for values x, y; y upward becomes y downward."""
+        """Points (n, 2) of the plane for values x, y (n,)."""
         across = (np.asarray(x, dtype=np.float64) - self.x_zero) * self.x_scale
         up = (np.asarray(y, dtype=np.float64) - self.y_zero) * self.y_scale
         return np.column_stack((across, -up))
@@ -96,7 +96,7 @@ class Graticule:
         return (self.x_high - self.x_low) * self.x_scale, (self.y_high - self.y_low) * self.y_scale
 
     def lines(self) -> tuple[list[Floats], list[Floats]]:
-        """Grid lines, and the axes proper (through zero where it is inside, and the frame)."""
+        """Grid lines, and the frame with the lines through zero where zero is inside."""
         grid = [self._across(y) for y in ticks(self.y_low, self.y_high)]
         grid += [self._up(x) for x in ticks(self.x_low, self.x_high)]
         axes = [
@@ -112,18 +112,18 @@ class Graticule:
         return grid, axes
 
     def labels(self) -> list[Label]:
-        """Tick labels below and to the left, the titles at the axes' ends."""
+        """Tick labels below and to the left, and the titles at the ends of the axes."""
         width, height = self.size
         x_ticks, y_ticks = ticks(self.x_low, self.x_high), ticks(self.y_low, self.y_high)
         labels = [
             self._label(x, self.y_low, tick_label(x, _step(x_ticks)), 0.0, 0.03 * height) for x in x_ticks
         ]
         labels += [
-            # Rerun writes a label below its point: these are lifted to the height of their lines.
+            # Rerun draws a label below its point: these are moved up to the height of their lines.
             self._label(self.x_low, y, tick_label(y, _step(y_ticks)), -0.075 * width, -0.03 * height)
             for y in y_ticks
         ]
-        # Curves begin and end in corners, a trajectory does not: its frame has room for the titles inside.
+        # The corners are free of a trajectory, which has its titles there, but not of other curves.
         x_down, y_down = (0.105, -0.095) if self.titles_outside else (-0.07, 0.03)
         labels.append(self._label(self.x_high, self.y_low, self.x_title, -0.17 * width, x_down * height))
         labels.append(self._label(self.x_low, self.y_high, self.y_title, 0.17 * width, y_down * height))
@@ -141,7 +141,9 @@ class Graticule:
 
 
 def reach_beyond(amplitude: float) -> float:
-    """The next of 1, 1.5, 2, 3, 5, 7 times a power of ten beyond the amplitude: half an axis' length."""
+    """Half the length of an axis for an amplitude: the next larger of 1, 1.5, 2, 3, 5, 7 times a power of
+    ten.
+    """
     if not (math.isfinite(amplitude) and amplitude > 0):
         return 1.0
     power = 10.0 ** math.floor(math.log10(amplitude))
@@ -151,9 +153,9 @@ def reach_beyond(amplitude: float) -> float:
 
 
 def trajectory_graticule(reach: float, unit: str, x_stretch: float = 1.0) -> Graticule:
-    """Axes of the trajectory from -reach to reach, X in a range `x_stretch` times smaller.
+    """Axes of the trajectory from -reach to reach, with a range of X that is `x_stretch` times smaller.
 
-    Whatever the reach, the plane's part is -PLANE_REACH to PLANE_REACH: the view need not move.
+    They always extend from -PLANE_REACH to PLANE_REACH in the plane, so that the view does not change.
     """
     scale = PLANE_REACH / reach
     return Graticule(
@@ -169,6 +171,7 @@ def trajectory_graticule(reach: float, unit: str, x_stretch: float = 1.0) -> Gra
 
 
 def _padded(values: Floats, trim: float) -> tuple[float, float]:
+    """Range of the finite values with a margin; the fraction `trim` at either end is ignored."""
     finite = values[np.isfinite(values)]
     if not len(finite):
         return 0.0, 1.0

@@ -1,13 +1,13 @@
-"""What the viewer shows and where: entity paths and the three layouts.
+"""Entity paths of Rerun, and the three layouts of panels.
 
-Each run's entities lie below its own name (a single run has none), so that several can be laid over
-each other. Spatial views of Rerun point their y axis down: everything drawn in one carries -Y, and
-the graticule's labels say +Y, so that up is up.
+The entities of a run are below its name (a single run has an empty one), so that several runs can be
+overlaid. The y axis of Rerun's spatial views points down: points are therefore drawn at -Y, while the labels
+of the graticule show +Y.
 
-The trajectory is stored once, in the unit of the setup, and seen in two ways. Its entity TRAJECTORY carries a
-transform that makes the present amplitude fill the axes (they step down 150, 100, 70, 50 arcsec ...
-as the swing decays), and EQUAL above it one that stretches X. A view with its origin at EQUAL shows
-equal scales, one with its origin at STRETCHED sees X stretched.
+The trajectory is stored once, in the unit of the setup, and shown in two views. Its entity TRAJECTORY has a
+transform that scales the present amplitude to the axes (150, 100, 70, 50 arcsec ... as the swing decays); its
+parent EQUAL has one that stretches X. Rerun applies the transforms below a view's origin: a view with the
+origin EQUAL has equal scales, one with the origin STRETCHED shows X stretched.
 """
 
 from collections.abc import Sequence
@@ -29,10 +29,10 @@ EQUAL: Final = "/lissajous/equal"
 TRAJECTORY: Final = "/lissajous/equal/trajectory"
 X_STRETCH: Final = 10.0
 TRAIL: Final = {"recent": (0.0, 2.0), "older": (2.0, 8.0), "oldest": (8.0, 28.0)}
-"""The trajectory three times: which periods before the time cursor are shown of each."""
+"""Parts of the trajectory of decreasing brightness, and the periods before the time cursor that they show."""
 POSITION: Final = "position"
 
-# Entities of one run, below its name.
+# entities of one run, below its name
 X: Final = "deflection/x"
 Y: Final = "deflection/y"
 AMPLITUDE: Final = "amplitude"
@@ -50,21 +50,23 @@ ANALYSIS_ROOT: Final = "analysis"
 REPORT: Final = "analysis/report"
 
 WINDOW_S: Final = 30.0
-"""How much of X(t) and Y(t) is in sight before the time cursor."""
+"""Duration of X(t) and Y(t) that is shown before the time cursor."""
 
 
 def entity(run: str, path: str) -> str:
-    """Path of a run's entity: below the run's name where it has one."""
+    """Path of an entity of a run, below the run's name if it has one."""
     return f"/{rr.escape_entity_path_part(run)}/{path}" if run else f"/{path}"
 
 
 def trail_entity(run: str, part: str) -> str:
-    """Path of a run's trajectory; all runs' lie below TRAJECTORY, which scales them."""
+    """Path of a part of a run's trajectory; those of all runs are below TRAJECTORY, which scales them."""
     return f"{TRAJECTORY}/{rr.escape_entity_path_part(run)}/{part}" if run else f"{TRAJECTORY}/{part}"
 
 
 def blueprint(layout: LayoutName, runs: Sequence[str], unit: str, period_s: float) -> rrb.Blueprint:
-    """The named layout, for one run or several laid over each other."""
+    """Layout of the panels for one run or several overlaid ones; `unit` and `period_s` are those of
+    `Setup`.
+    """
     views = _Views(tuple(runs), unit, period_s)
     root = {
         "balancing": views.balancing,
@@ -82,7 +84,7 @@ def blueprint(layout: LayoutName, runs: Sequence[str], unit: str, period_s: floa
 
 
 class _Views:
-    """The panels, each built from the entities of all runs."""
+    """Builds the panels, each from the entities of all runs."""
 
     def __init__(self, runs: tuple[str, ...], unit: str, period_s: float) -> None:
         self._runs = runs
@@ -157,7 +159,7 @@ class _Views:
                     end=rrb.TimeRangeBoundary.cursor_relative(seconds=-newest * self._period_s),
                 )
                 ranges[trail_entity(run, part)] = rrb.VisibleTimeRanges([span])
-        # Room for the labels: below and to the left of the axes.
+        # the labels need space below and to the left of the axes
         return rrb.Spatial2DView(
             name=title,
             origin=origin,

@@ -1,4 +1,4 @@
-"""The trajectory in its own axes: trails, present position, and axes that follow the amplitude."""
+"""The trajectory (X, Y): its recent past, the present position, and axes that follow the amplitude."""
 
 from collections import deque
 
@@ -14,24 +14,27 @@ from rig.rerun.trail import Trail
 
 BRIGHTNESS = {"recent": 1.0, "older": 0.5, "oldest": 0.22}
 FOLLOWED_PERIODS = 2.0
+"""Number of slow periods over which the largest deflection is taken."""
 HYSTERESIS = 0.9
-"""The axes step down when the amplitude is so much below where they would step up again."""
+"""The axes are made smaller when the amplitude is below this fraction of the value at which they grow
+again.
+"""
 
 
 class Lissajous:
-    """Draws (X, Y) of one or several runs, stored once and seen at equal scales and with X stretched.
+    """Draws (X, Y) of one or several runs, which is shown at equal scales and with X stretched.
 
     Parameters
     ----------
     stream, gathered
-        Where static entities go, and where the trails do.
+        Static entities (axes, styles) are sent to `stream`, the trajectory to `gathered`.
     unit
         Unit of the deflections, for the labels.
     amplitude
-        Expected at the start: the axes reach beyond it.
+        Expected at the start; sets the initial range of the axes.
     period_s
-        Of the slow mode: the axes follow how far the last two periods reach, rest position and all.
-        None: they stay, since runs laid over each other have one set of axes.
+        Period of the slow mode. The range of the axes follows the largest deflection in the last two
+        periods. None: it stays, because runs that are overlaid share one set of axes.
     """
 
     def __init__(
@@ -58,7 +61,7 @@ class Lissajous:
             self._draw_axes(static=False)
 
     def draw(self, run: str, time_s: Floats, x: Floats, y: Floats, colour: str) -> None:
-        """Draw on; NaN breaks the line."""
+        """Continue the trajectory of a run with the points (x, y), each (n,); NaN interrupts the line."""
         # y points down in Rerun's spatial views.
         ends, pieces = self._trail(run, colour).pieces(time_s, np.column_stack((x, -y)))
         if not pieces:
@@ -70,18 +73,18 @@ class Lissajous:
         )
 
     def follow(self, time_s: Floats, x: Floats, y: Floats) -> None:
-        """Choose the axes anew for where the trajectory has been of late."""
+        """Adapt the range of the axes to the largest recent deflection."""
         far = np.fmax(np.abs(x), np.abs(y))
         if self._period_s is None or not np.isfinite(far).any():
             return
-        # a replay may have gone back
+        # a replay may have jumped back in time
         while self._extents and self._extents[-1][0] > time_s[-1]:
             self._extents.pop()
         self._extents.append((float(time_s[-1]), float(np.nanmax(far))))
         while self._extents[0][0] < time_s[0] - FOLLOWED_PERIODS * self._period_s:
             self._extents.popleft()
         extent = max(most for _, most in self._extents)
-        # what lies before the first two periods is not known yet: nothing is made smaller for it
+        # the axes are not made smaller before the deflections of two periods are known
         seen = time_s[-1] - self._extents[0][0] >= (FOLLOWED_PERIODS - 1) * self._period_s
         reach = reach_beyond(extent / HYSTERESIS)
         outgrown = 1.02 * extent > self._reach

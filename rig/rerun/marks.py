@@ -1,4 +1,4 @@
-"""Graticules, the spot's cross and the like, as Rerun draws them."""
+"""Graticules, the cross at the spot, and colours, as Rerun's archetypes."""
 
 from typing import Final
 
@@ -13,11 +13,13 @@ AXIS_COLOUR: Final = (110, 116, 126)
 LABEL_COLOUR: Final = (235, 238, 242)
 CROSS_INNER: Final = 0.06
 CROSS_OUTER: Final = 0.14
-"""The cross's arms begin and end so far from the spot, in parts of the image's smaller side."""
+"""Distance from the spot at which the arms of the cross begin and end, as fractions of the image's smaller
+side.
+"""
 
 
 def graticule_marks(graticule: Graticule) -> dict[str, rr.AsComponents]:
-    """Lines and labels of a graticule by name."""
+    """Grid, axes and labels of a graticule, by entity name."""
     grid, axes = graticule.lines()
     labels = graticule.labels()
     return {
@@ -34,9 +36,9 @@ def graticule_marks(graticule: Graticule) -> dict[str, rr.AsComponents]:
 
 
 def spot_cross(x_px: float, y_px: float, shape: tuple[int, int]) -> rr.LineStrips2D:
-    """Four arms that point at the tracked spot and leave it in sight."""
+    """Four lines that point at the spot without covering it; `shape` is (ny, nx) of the image."""
     inner, outer = CROSS_INNER * min(shape), CROSS_OUTER * min(shape)
-    # Rerun's image coordinates have the corner of the first pixel at (0, 0), ours its centre.
+    # In Rerun, (0, 0) is the corner of the first pixel; positions of the spot count from its centre.
     x, y = x_px + 0.5, y_px + 0.5
     arms = [
         [(x + dx * inner, y + dy * inner), (x + dx * outer, y + dy * outer)]
@@ -47,8 +49,10 @@ def spot_cross(x_px: float, y_px: float, shape: tuple[int, int]) -> rr.LineStrip
 
 
 def faded(colour: str, part: float) -> tuple[int, int, int]:
-    """The colour mixed with so little of itself into the background: opaque, so that lines that cross
-    do not add up."""
+    """The colour mixed with the background in the given part.
+
+    It is opaque, because transparent lines would be brighter where they cross.
+    """
     own = palette.rgba(colour)[:3]
     red, green, blue = (
         round(part * c + (1 - part) * ground) for c, ground in zip(own, BACKGROUND, strict=True)

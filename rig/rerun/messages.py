@@ -1,7 +1,7 @@
-"""What is told to the view: plain values that travel from the session to the viewer's process.
+"""Messages from a session to the processes that draw with Rerun: plain values.
 
-Times are seconds since the start of the run. `run` tells runs laid over each other apart; a single
-run has the empty name.
+Times are seconds since the start of the run. `run` is the name of the run if several are overlaid, empty for
+a single one.
 """
 
 import struct
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Mode = Literal["none", "spawn", "web"]
-"""Where the live stream is shown: nowhere, in a window of its own, in a browser."""
+"""How the live stream is shown: not at all, in a window, in a browser."""
 LayoutName = Literal["balancing", "measuring", "analysing"]
 LogLevel = Literal["debug", "info", "warning", "error"]
 Panel = Literal["decay", "residuals", "period", "period_residuals", "loops"]
@@ -21,10 +21,12 @@ Floats = NDArray[np.float64]
 
 
 class Setup(NamedTuple):
-    """What a worker is told before anything else.
+    """First message to a worker.
 
-    It draws into `rrd_path`, or, where that is None, into a live stream on `port` of 127.0.0.1.
-    `viewer_url` is set for a worker that replaces another: the viewer that has to connect anew.
+    The worker writes the file `rrd_path`; if that is None it serves a live stream on `port` of 127.0.0.1,
+    which buffers up to `memory_limit` (such as "500MB"). `period_s` (slow mode) and `amplitude` are expected
+    values, `unit` is that of all deflections. If the worker replaces another one, `viewer_url` is the address
+    of the viewer, which must connect to the new stream; otherwise it is empty.
     """
 
     title: str
@@ -41,7 +43,7 @@ class Setup(NamedTuple):
 
 
 class Samples(NamedTuple):
-    """Deflections in the unit of the setup; NaN where the spot was lost."""
+    """Deflections (n,) in the unit of the setup, NaN where the spot was lost, and flags of the spots."""
 
     run: str
     time_s: Floats
@@ -51,7 +53,7 @@ class Samples(NamedTuple):
 
 
 class Swings(NamedTuple):
-    """Half-cycles of the slow mode: amplitude and full period at each turning point."""
+    """Half-cycles of the slow mode: amplitude and full period at each turning point, arrays (n,)."""
 
     run: str
     time_s: Floats
@@ -62,7 +64,7 @@ class Swings(NamedTuple):
 
 
 class BalanceNumbers(NamedTuple):
-    """Numbers of the balance by name, each a value with its standard uncertainty, and advice.
+    """Quantities of the balance by name, each with its standard uncertainty, and advice as Markdown.
 
     Names and units are those of `processing.balance.Balance`; its `unit` is that of the setup.
     """
@@ -74,7 +76,7 @@ class BalanceNumbers(NamedTuple):
 
 
 class Picture(NamedTuple):
-    """One camera image (ny, nx) and where the spot was found in it (NaN where it was not)."""
+    """One camera image (ny, nx) in DN and the position of the spot in it (NaN if it was lost)."""
 
     run: str
     time_s: float
@@ -85,7 +87,7 @@ class Picture(NamedTuple):
 
 
 class Losses(NamedTuple):
-    """Counts since the start by name: lost frames, lost spots, what the view itself dropped."""
+    """Counts since the start of the run by name: lost frames, lost spots, messages dropped by the view."""
 
     run: str
     time_s: float
@@ -110,12 +112,12 @@ class LogLine(NamedTuple):
 
 
 class Curve(NamedTuple):
-    """One curve of the analysing layout, as points (data) or as a line (a fit).
+    """One curve of the analysing layout, drawn as points (data) or as a line (fit); arrays (n,).
 
-    The panels' axes: ``decay`` time s, amplitude; ``residuals`` time s, residual of the amplitude;
-    ``period`` amplitude, period s; ``period_residuals`` amplitude, ms; ``loops`` angle, moment µN m.
-    Amplitudes and angles are in the unit of the setup. NaN breaks a line. `u_y`, where given, is drawn
-    as bars of one standard uncertainty to either side.
+    Axes of the panels: ``decay`` time in s, amplitude; ``residuals`` time in s, residual of the amplitude;
+    ``period`` amplitude, period in s; ``period_residuals`` amplitude, residual in ms; ``loops`` angle, moment
+    in µN m. Amplitudes and angles are in the unit of the setup. NaN interrupts a line. `u_y` is drawn as
+    error bars of one standard uncertainty.
     """
 
     panel: Panel
@@ -135,19 +137,19 @@ class Fits(NamedTuple):
 
 
 class Finish(NamedTuple):
-    """Nothing follows: complete the file and end."""
+    """Last message: complete the file and end."""
 
 
 Message = Samples | Swings | BalanceNumbers | Picture | Losses | State | LogLine | Fits | Finish
 
 
 def rows(message: Message) -> int:
-    """How many things a message tells: samples and swings one by one, anything else counts once."""
+    """Number of samples or swings in a message; 1 for any other message."""
     return len(message.time_s) if isinstance(message, Samples | Swings) else 1
 
 
 def size_bytes(message: Message) -> int:
-    """Bytes of the arrays that a message holds, and a little for the rest."""
+    """Approximate size of a message: its arrays and texts, and 200 bytes for the rest."""
     held: list[object] = list(message)
     if isinstance(message, Fits):
         held = [value for curve in message.curves for value in curve]
@@ -158,4 +160,4 @@ def size_bytes(message: Message) -> int:
 
 
 LENGTH = struct.Struct("<Q")
-"""Before each pickled batch: how many bytes it has."""
+"""Header of each pickled batch: its number of bytes."""

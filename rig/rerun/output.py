@@ -1,4 +1,4 @@
-"""The one stream that a worker draws into: an .rrd file, or a live stream on 127.0.0.1."""
+"""The stream into which a worker draws: an .rrd file, or a live stream on 127.0.0.1."""
 
 import sys
 import threading
@@ -21,11 +21,11 @@ VIEWER_TRIES = 10
 
 
 class Output:
-    """A stream with its drawing.
+    """Opens a stream and draws into it.
 
-    A file that cannot be written (a full disk) is given up and noted; what comes later is not drawn.
-    A live stream that does not drain is an error that ends the worker: the next one opens a new
-    server, and no viewer that hangs can hold it up.
+    If a file cannot be written (full disk), a note says so and later messages are ignored. If a live stream
+    does not transmit its data, an exception ends the worker: its successor opens a new server, so that a
+    viewer that hangs cannot block it.
     """
 
     def __init__(self, setup: Setup) -> None:
@@ -55,12 +55,12 @@ class Output:
             threading.Thread(target=self._connect_viewer, daemon=True).start()
 
     def take_notes(self) -> list[str]:
-        """What a person should know and was not yet told."""
+        """Remarks for the user since the last call."""
         notes, self._notes = self._notes, []
         return notes
 
     def draw(self, messages: list[Message]) -> bool:
-        """Draw the messages; False where the stream has been given up."""
+        """Draw the messages; False if the stream can no longer be written."""
         if self._failed:
             return False
         for message in messages:
@@ -108,10 +108,10 @@ class Output:
     def _fail(self, error: Exception) -> None:
         self._failed = True
         where = f"the Rerun file {self._setup.rrd_path}" if self._setup.rrd_path else "the live view"
-        self._notes.append(f"{where} is given up (the record is not concerned): {error}")
+        self._notes.append(f"{where} is no longer written (the record is not affected): {error}")
 
     def _connect_viewer(self) -> None:
-        """Tell the viewer that showed the stream before where it is now; it may be stopped, or gone."""
+        """Connect the viewer of the previous stream to this one; the viewer may hang or have been closed."""
         from rerun.experimental import ViewerClient
 
         problem: Exception | None = None
@@ -119,10 +119,10 @@ class Output:
             try:
                 viewer = ViewerClient.connect(self._setup.viewer_url)
                 viewer.open(self.url)
-                # Refused until the first data have arrived.
+                # The viewer rejects this until the first data have arrived.
                 viewer.set_time(layout.TIMELINE, play_state="following")
                 return
             except (RuntimeError, OSError, ValueError) as error:
                 problem = error
                 time.sleep(1.0)
-        print(f"the viewer at {self._setup.viewer_url} does not follow: {problem}", file=sys.stderr)
+        print(f"the viewer at {self._setup.viewer_url} cannot be reconnected: {problem}", file=sys.stderr)

@@ -1,9 +1,9 @@
-"""The viewer as a page for a browser on this machine, from a process of its own.
+"""Serves the viewer as a web page to a browser on this machine, in a process of its own.
 
-Rerun's own page server is asked for its files once. They are served on from here with a content
-security policy, because the page would otherwise report its use to its makers and load fonts from
-elsewhere: a browser that obeys it speaks with 127.0.0.1 alone. The process ends with its standard
-input, so it never outlives the session that started it.
+The files of the page are requested once from Rerun's own server. They are served from here with a content
+security policy, because the page would otherwise send usage data and load fonts from other hosts: with the
+policy a browser connects to 127.0.0.1 only. The process ends when its standard input is closed, so it does
+not outlive the session that started it.
 """
 
 import http.client
@@ -39,7 +39,7 @@ FETCH_LIMIT_S = 30.0
 
 
 def start_page_server(port: int) -> subprocess.Popen[bytes]:
-    """Serve the page on a port of 127.0.0.1, until the process is ended or its standard input is."""
+    """Start a process that serves the page on a port of 127.0.0.1 until its standard input is closed."""
     path = os.pathsep.join(
         part for part in (str(Path(__file__).resolve().parents[2]), os.environ.get("PYTHONPATH")) if part
     )
@@ -54,19 +54,19 @@ def start_page_server(port: int) -> subprocess.Popen[bytes]:
 
 
 def page_address(port: int, stream_url: str) -> str:
-    """Where a browser finds the page, connected to a live stream."""
+    """Address of the page for a browser, with the address of the live stream that it shows."""
     return f"http://{LOOPBACK}:{port}/?url={urllib.parse.quote(stream_url, safe='')}"
 
 
 def main() -> None:
-    """Serve until the standard input ends."""
+    """Serve until the standard input is closed."""
     server = http.server.ThreadingHTTPServer((LOOPBACK, int(sys.argv[1])), PageHandler)
     threading.Thread(target=server.serve_forever, daemon=True).start()
     sys.stdin.buffer.read()
 
 
 class PageHandler(http.server.BaseHTTPRequestHandler):
-    """Answers with the viewer's files, fetched before the first answer."""
+    """Answers requests with the viewer's files, which are fetched at the first request."""
 
     protocol_version = "HTTP/1.1"
     files: dict[str, bytes] = {}  # noqa: RUF012 - one cache for all requests of the process
@@ -90,11 +90,11 @@ class PageHandler(http.server.BaseHTTPRequestHandler):
         self.wfile.write(data)
 
     def log_message(self, format: str, *args: Any) -> None:
-        """Requests are not worth a line."""
+        """Requests are not logged."""
 
 
 def viewer_files() -> dict[str, bytes]:
-    """The page's files from Rerun's own server, which is started for it and ended again."""
+    """Files of the page by path, from Rerun's own server, which is started and stopped for this."""
     port = free_port(0)
     program = start_program("--serve-web", "--web-viewer-port", str(port), "rerun+http://127.0.0.1:1/proxy")
     try:

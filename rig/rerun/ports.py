@@ -1,4 +1,4 @@
-"""Ports on this machine alone."""
+"""Ports of the loopback interface, which other machines cannot reach."""
 
 import os
 import socket
@@ -7,11 +7,11 @@ LOOPBACK = "127.0.0.1"
 
 
 def free_port(preferred: int) -> int:
-    """The preferred port of 127.0.0.1 where it is free, else any free one."""
+    """The preferred port of 127.0.0.1 if it is free, otherwise any free one (also if it is 0)."""
     for port in (preferred, 0):
         with socket.socket() as probe:
             if os.name == "posix":
-                # A server that just ended leaves its connections behind, which do not hold the port.
+                # Connections of a server that has just ended (TIME_WAIT) do not prevent the use of its port.
                 probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             try:
                 probe.bind((LOOPBACK, port))

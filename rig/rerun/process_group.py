@@ -1,4 +1,4 @@
-"""Child processes that the terminal's Ctrl-C does not reach."""
+"""Child processes that do not receive Ctrl-C from the terminal."""
 
 import subprocess
 import sys
@@ -6,7 +6,7 @@ from typing import Any
 
 
 def own_group() -> dict[str, Any]:
-    """Arguments for `subprocess.Popen` that start a process in a group of its own, without a console."""
+    """Arguments of `subprocess.Popen` for a process in a process group of its own, without a console."""
     if sys.platform == "win32":
         return {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP | subprocess.CREATE_NO_WINDOW}
     return {"start_new_session": True}

@@ -1,7 +1,8 @@
-"""The viewer's own program, started from inside its package and kept on 127.0.0.1.
+"""Starts the executable of the viewer, bound to 127.0.0.1.
 
-The `rerun` command is a Python wrapper, and ending it would orphan the viewer; the program itself is
-started instead. It listens on all interfaces and reports usage by default: neither happens here.
+The executable inside the package is started directly: the `rerun` command is a Python wrapper, and the viewer
+would continue to run after the wrapper is ended. By default the viewer listens on all interfaces and sends
+usage data; both are switched off here.
 """
 
 import os
@@ -26,10 +27,10 @@ def program() -> Path:
 
 
 def quiet_environment() -> dict[str, str]:
-    """The environment in which the program sends no usage data.
+    """Environment variables with which the program sends no usage data.
 
-    No variable says so, only its own command does, which writes it into the user's settings. On Linux
-    the program gets a settings folder of its own, and the user's stay as they are.
+    Usage data can be switched off only by a command of the program, which stores this in the user's settings.
+    On Linux the program is given a settings folder of its own, so that the user's settings do not change.
     """
     environment = {**os.environ, "RERUN_APP_ONLY": "true"}
     if sys.platform.startswith("linux"):
@@ -43,7 +44,7 @@ def quiet_environment() -> dict[str, str]:
 
 
 def display_missing() -> str:
-    """Why no window can be opened here; empty where one can."""
+    """Reason for which no window can be opened here; empty if one can be."""
     if sys.platform.startswith("linux") and not (
         os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
     ):
@@ -55,12 +56,12 @@ def display_missing() -> str:
 
 
 def open_window(url: str, port: int) -> subprocess.Popen[bytes]:
-    """Open a window on a live stream; it stays when the run is over. It takes commands on `port`."""
+    """Open a window that shows a live stream and stays after the run. It accepts commands on `port`."""
     return start_program("--port", str(port), "--hide-welcome-screen", "--connect", url)
 
 
 def start_program(*arguments: str, environment: dict[str, str] | None = None) -> subprocess.Popen[bytes]:
-    """Start the program on 127.0.0.1, silent, out of Ctrl-C's reach."""
+    """Start the program on 127.0.0.1, without output, and without receiving Ctrl-C from the terminal."""
     return subprocess.Popen(
         [program(), "--bind", LOOPBACK, *arguments],
         env=environment if environment is not None else quiet_environment(),

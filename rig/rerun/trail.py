@@ -1,4 +1,4 @@
-"""The trajectory cut into short pieces, so that the viewer can show any stretch of it by time."""
+"""Divides the trajectory into short pieces, so that the viewer can show any interval of time."""
 
 import numpy as np
 
@@ -8,10 +8,9 @@ PIECE_POINTS = 25
 
 
 class Trail:
-    """Gathers points and hands them out as strips that join each other.
+    """Connects points to line strips, also from call to call.
 
-    A piece's time is that of its last point. A lost spot (NaN) ends a piece, and nothing is drawn
-    across it.
+    The time of a strip is that of its last point. A lost spot (NaN) interrupts the line.
     """
 
     def __init__(self) -> None:
@@ -19,7 +18,7 @@ class Trail:
         self._last_point = np.empty((0, 2))
 
     def pieces(self, time_s: Floats, points: Floats) -> tuple[Floats, list[Floats]]:
-        """Times and strips (n, 2) of the points, each beginning where the one before ended."""
+        """Times (k,) and k strips (m, 2) of the points (n, 2); each begins at the end of the one before."""
         times = np.concatenate((self._last_time_s, time_s))
         path = np.concatenate((self._last_point, points))
         ends: list[float] = []

@@ -1,8 +1,8 @@
-"""The viewer's worker: the one process that calls Rerun.
+"""Main function of the worker process, the only one that calls Rerun.
 
-Reads batches from its standard input, draws them into the file and the live stream, and answers
-each with one line of JSON on its standard output. The end of the input is the order to complete
-the file and leave, so a session that was killed leaves a readable file and no process behind.
+It reads batches of messages from its standard input, draws them into a file or a live stream, and answers
+each with one line of JSON on its standard output. At the end of the input it completes the file and ends, so
+that a session that was killed leaves a readable file and no process.
 """
 
 import contextlib
@@ -21,10 +21,10 @@ END_LIMIT_S = 60.0
 
 
 def main() -> None:
-    """Run until the input ends or a `Finish` comes."""
+    """Run until the end of the input or a `Finish`."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     reports = os.fdopen(os.dup(1), "w", buffering=1)
-    os.dup2(2, 1)  # whatever a library prints must not look like a report
+    os.dup2(2, 1)  # what a library prints must not be taken for a report
     try:
         _work(sys.stdin.buffer, reports)
         status = 0
@@ -32,7 +32,7 @@ def main() -> None:
         traceback.print_exc()
         status = 1
     sys.stderr.flush()
-    # Leaving the ordinary way flushes every stream once more, for as long as a hung viewer takes.
+    # An ordinary exit would flush every stream again and wait for a viewer that hangs.
     os._exit(status)
 
 
@@ -54,13 +54,13 @@ def _work(orders: IO[bytes], reports: IO[str]) -> None:
             return
         drawn = output.draw(messages)
         _report(reports, drawn=drawn, notes=output.take_notes())
-    # The session has gone: Rerun must not keep this process, which nobody watches any more.
+    # The session has ended: the process must end too, even if Rerun hangs.
     faulthandler.dump_traceback_later(END_LIMIT_S, exit=True)
     output.finish()
 
 
 def _read(pipe: IO[bytes]) -> Any:
-    """The next pickled value; None at the end of the input, also in the middle of one."""
+    """The next pickled value; None at the end of the input, also if it ends within a value."""
     head = pipe.read(LENGTH.size)
     if len(head) < LENGTH.size:
         return None
@@ -70,6 +70,6 @@ def _read(pipe: IO[bytes]) -> Any:
 
 
 def _report(reports: IO[str], **report: Any) -> None:
-    # Broken where the session has gone; the end of the input says so next.
+    # The pipe is broken if the session has ended; the end of the input then follows.
     with contextlib.suppress(OSError):
         reports.write(json.dumps(report) + "\n")
