@@ -156,7 +156,7 @@ class PylonCamera:
             if result is None or not result.IsValid():
                 if not self._halted.is_set() and camera.IsCameraDeviceRemoved():
                     self._was_lost = True
-                    raise CameraLost(f"{self._name}: has gone; plug it in again")
+                    raise CameraLost(f"{self._name}: is no longer connected; plug it in again")
                 return None
             try:
                 skipped = int(result.GetNumberOfSkippedImages())
@@ -299,7 +299,7 @@ class PylonCamera:
             gone: Callable[[], bool] = getattr(self._camera, "IsCameraDeviceRemoved", lambda: False)
             if gone():
                 self._was_lost = True
-                raise CameraLost(f"{self._name}: has gone; plug it in again ({text})") from None
+                raise CameraLost(f"{self._name}: is no longer connected; plug it in again ({text})") from None
             raise DeviceError(f"{self._name}: {text}") from None
 
 

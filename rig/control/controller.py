@@ -35,7 +35,11 @@ class ControllerIdentity:
 
 @dataclass(frozen=True, slots=True)
 class ControllerStatus:
-    """The board's outputs and inputs as of its last heartbeat; `trip` is NONE, WATCHDOG or INTERLOCK."""
+    """The board's outputs and inputs in its last reply to a heartbeat.
+
+    `trip` is the reason for which the board switched its outputs off by itself: NONE, WATCHDOG or INTERLOCK.
+    `errors_waiting` is the number of entries in its error queue.
+    """
 
     uptime_ms: int
     interlock_closed: bool
@@ -59,11 +63,11 @@ class Environment:
 
 
 class Controller:
-    """The rig controller behind a `Line`, real or simulated.
+    """The rig controller, real or simulated, at the other end of a `Line`.
 
-    `open_line` makes the line anew at each `open`, so that a controller that was unplugged can be
-    opened again. All methods block for at most (retries + 1) timeouts and raise DeviceError
-    (`PortLost`, `ReplyTimeout`, `ControllerReset`, `Refused` and those below). One thread calls them.
+    `open_line` is called at each `open`, so that a controller that was unplugged can be opened again. Each
+    method blocks for at most (retries + 1) timeouts and raises a DeviceError: `PortLost`, `ReplyTimeout`,
+    `ControllerReset`, `Refused`, `InterlockOpen` or `PowerLimit`. Only one thread may call them.
     """
 
     def __init__(
@@ -80,9 +84,9 @@ class Controller:
         self._limit_w = 0.0
 
     def open(self) -> ControllerIdentity:
-        """Open the line, check that a rig controller answers, begin a session with every output off.
+        """Open the line, check that a rig controller answers, and begin a session with every output off.
 
-        Raises DeviceError where the port is missing or another device answers.
+        Raises DeviceError if the port is missing or another device answers.
         """
         self.close()
         line = self._open_line()
@@ -91,7 +95,8 @@ class Controller:
             try:
                 identity = self._begin(link)
             except ControllerReset:
-                # A board that was just plugged in announces itself in between; it is ready now.
+                # A board that has just been plugged in sends BOOT, which may arrive now; after it the board
+                # is ready.
                 identity = self._begin(link)
         except BaseException:
             with contextlib.suppress(PortLost):
@@ -136,7 +141,7 @@ class Controller:
                 line.close()
 
     def heartbeat(self) -> ControllerStatus:
-        """Reset the board's watchdog; returns the board's state."""
+        """Restart the board's watchdog time; returns the board's state."""
         return _status(self._ask("SYST:HEAR?"))
 
     def environment(self) -> Environment:
@@ -156,16 +161,16 @@ class Controller:
         """Switch the laser on. Reads the interlock first and raises InterlockOpen if it is open."""
         if not self.interlock_closed():
             raise InterlockOpen(
-                f"{self.name}: the interlock is open, the laser stays dark; close the cover or door"
+                f"{self.name}: the interlock is open, the laser stays off; close the cover or door"
             )
         self._ask("LAS:STAT ON")
 
     def laser_off(self) -> None:
-        """Laser off."""
+        """Switch the laser off."""
         self._ask("LAS:STAT OFF")
 
     def interlock_closed(self) -> bool:
-        """State of the interlock loop now."""
+        """Read whether the interlock loop is closed."""
         return self._ask("INT?") == "CLOSED"
 
     def hold(self) -> None:
@@ -173,7 +178,7 @@ class Controller:
         self._ask("MAGN ON")
 
     def release(self) -> None:
-        """De-energise the magnet: the pendulum starts. Refused where the magnet was not on."""
+        """De-energise the magnet, so that the pendulum starts. Raises `Refused` if the magnet is not on."""
         self._ask("MAGN:REL")
 
     def starter_pulse(self, duration_s: float) -> None:
@@ -194,7 +199,7 @@ class Controller:
         self._ask(f"BRAK {'ON' if on else 'OFF'}")
 
     def safe(self) -> None:
-        """Every output into its safe state now."""
+        """Put every output into its safe state."""
         self._ask("SYST:SAFE")
 
     def next_error(self) -> tuple[int, str]:
@@ -207,13 +212,13 @@ class Controller:
         return self._link.take_events() if self._link else ()
 
     def line_counts(self) -> tuple[int, int, int]:
-        """Since `open`: lines of junk, replies that came too late, commands asked again."""
+        """Counts since `open`: invalid lines, late replies, repeated commands."""
         link = self._link
         return (link.junk_lines, link.late_replies, link.retried) if link else (0, 0, 0)
 
     @property
     def name(self) -> str:
-        """How messages call it."""
+        """Name of the controller in messages."""
         return self._line.name if self._line else self._settings.port or f"{self._settings.kind} controller"
 
     def _ask(self, command: str) -> str:
@@ -223,7 +228,7 @@ class Controller:
 
 
 def _floor_w(power_w: float) -> str:
-    """Seven digits, which is what single precision holds on the board, rounded down."""
+    """Seven digits, the single precision of the board, rounded down so that no limit is exceeded."""
     text = f"{power_w:.7g}"
     return text if float(text) <= power_w else f"{power_w * (1 - 1e-6):.7g}"
 
@@ -234,14 +239,14 @@ def _floats(values: str, count: int) -> list[float]:
     except ValueError:
         numbers = []
     if len(numbers) != count:
-        raise DeviceError(f"the controller answered {values!r} where {count} numbers were due")
+        raise DeviceError(f"the controller answered {values!r}; {count} numbers were expected")
     return numbers
 
 
 def _status(values: str) -> ControllerStatus:
     fields = values.split(",")
     if len(fields) != 10:
-        raise DeviceError(f"the controller answered {values!r} where a status of 10 fields was due")
+        raise DeviceError(f"the controller answered {values!r}; a status of 10 fields was expected")
     uptime_ms, interlock, laser, power_w, magnet, starter, clamp, brake, trip, errors = fields
     return ControllerStatus(
         uptime_ms=int(uptime_ms),

@@ -31,18 +31,18 @@ class DeviceThread(ABC):
 
     @abstractmethod
     def _turn(self) -> float:
-        """Look after the device; the time in s until the next turn."""
+        """Regular work on the device; returns the time in s until the next call."""
 
     @abstractmethod
     def _finish(self) -> None:
-        """Leave the device safe and give it back."""
+        """Put the device into its safe state and close it."""
 
     def start(self) -> None:
-        """Begin."""
+        """Start the thread."""
         self._worker.start()
 
     def close(self) -> bool:
-        """Leave the device safe, give it back, end the thread; False if it hangs."""
+        """Put the device into its safe state, close it and end the thread; False if the thread hangs."""
         return self._worker.close(self._longest_job_s)
 
     def __enter__(self) -> Self:
@@ -56,11 +56,11 @@ class DeviceThread(ABC):
 
     @property
     def failure(self) -> BaseException | None:
-        """The error that ended the thread."""
+        """The error that ended the thread; None while it runs, and after a regular end."""
         return self._worker.failure
 
     def take_events(self) -> tuple[str, ...]:
-        """What happened since the last call, oldest first: lost, opened, tripped, an error of its own.
+        """Texts of the events since the last call, oldest first: device opened, lost, tripped, or its errors.
 
         Never blocks. Only one thread may call it.
         """

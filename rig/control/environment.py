@@ -19,7 +19,10 @@ _READ_S = 0.1
 
 @dataclass(frozen=True, slots=True)
 class EnvironmentReading:
-    """Latest reading and its time (host's monotonic clock); NaN for quantities the sensor does not send."""
+    """Latest reading and its time (host's monotonic clock, ns); NaN for quantities the sensor does not send.
+
+    `unread_lines` is the number of lines that did not match the pattern.
+    """
 
     environment: Environment
     time_ns: int = 0
@@ -31,7 +34,7 @@ class EnvironmentReading:
 def parse_environment(pattern: re.Pattern[str], line: str) -> Environment | None:
     """Values of the pattern's named groups in a line; None without a match or if a number is not finite.
 
-    ``pressure_hpa`` is turned into Pa. A quantity that the line does not carry is NaN.
+    ``pressure_hpa`` is converted to Pa. A quantity that is not in the line is NaN.
     """
     match = pattern.search(line)
     if match is None:
@@ -49,7 +52,7 @@ def parse_environment(pattern: re.Pattern[str], line: str) -> Environment | None
 
 
 class EnvironmentService(DeviceThread):
-    """Reads the sensor in a thread from `start` to `close`; opens it again after it was lost."""
+    """Reads the sensor in a thread from `start` to `close`; reopens its port if it was unplugged."""
 
     def __init__(self, settings: EnvironmentSettings, open_line: Callable[[], Line] | None = None) -> None:
         self._settings = settings

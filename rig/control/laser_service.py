@@ -15,14 +15,16 @@ from rig.control.serial_port import PortLost
 _REOPEN_S = 1.0
 
 LONGEST_JOB_S = 2.0 * ON_WITHIN_S
-"""Lighting, with the delay that a safety class demands and questions that are asked again."""
+"""Longest time of one command: switching on, with the delay of the safety class, and repeated queries."""
 
 T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
 class LaserSnapshot:
-    """The latest known state; None while the laser does not answer."""
+    """Latest known state, None while the laser does not answer; `state_time_ns` is on the host's monotonic
+    clock.
+    """
 
     identity: LaserIdentity | None = None
     state: LaserState | None = None
@@ -31,9 +33,9 @@ class LaserSnapshot:
 
 
 class LaserService(DeviceThread):
-    """Owns a `Laser` from `start` to `close`; commands return futures, as in `ControlService`.
+    """Operates a `Laser` from `start` to `close`; commands return futures, as in `ControlService`.
 
-    A laser that was lost is opened again with its light off.
+    If the connection is lost, the laser is opened again; `Laser.open` switches it off.
     """
 
     def __init__(self, laser: Laser, period_s: float = 1.0) -> None:

@@ -1,8 +1,8 @@
-"""Commands and replies over a line: tags, checksums, timeouts, retries.
+"""Commands to the controller and its replies over a line: tags, checksums, timeouts, repetitions.
 
-Retrying is safe: the board does a tagged line once and answers a repeated one from memory, and a
-board that was reset in between has lost its session and refuses, so that a pulse is never
-given twice.
+It is safe to repeat a command: the board executes a line with a given tag once and answers a repetition from
+memory. A board that was reset in between has lost its session and rejects the command. A pulse is therefore
+never given twice.
 """
 
 import secrets
@@ -19,15 +19,15 @@ _LINES_WAITING = 64
 
 
 class ReplyTimeout(DeviceError):
-    """The controller did not answer, also when asked again."""
+    """The controller answered neither a command nor its repetitions."""
 
 
 class ControllerReset(DeviceError):
-    """The controller started anew and has lost the session; what was asked may not have been done."""
+    """The controller was reset and has lost the session; the last command may not have been executed."""
 
 
 class Refused(DeviceError):
-    """The controller answered that it will not do this; `code` is from its error list."""
+    """The controller rejected a command; `code` is from its list of errors."""
 
     def __init__(self, message: str, code: int) -> None:
         super().__init__(message)
@@ -35,7 +35,7 @@ class Refused(DeviceError):
 
 
 class Link:
-    """One command at a time over a `Line`; not for more than one thread."""
+    """Sends one command at a time over a `Line`; only one thread may use it."""
 
     def __init__(self, line: Line, timeout_s: float = 0.2, retries: int = 2) -> None:
         self._line = line
@@ -51,13 +51,13 @@ class Link:
 
     @property
     def name(self) -> str:
-        """How messages call the line."""
+        """Name of the line in messages."""
         return self._line.name
 
     def begin(self) -> None:
-        """Start afresh: forget what came before, end any half line at the board, choose a new tag.
+        """Discard what was received, end an incomplete line at the board, and choose a new tag.
 
-        The tags begin at random, so that a reply meant for an earlier program is not taken for this one's.
+        The first tag is random, so that a reply to an earlier program is not taken for a reply to this one.
         """
         self._reader.clear()
         self._events.clear()
@@ -70,13 +70,13 @@ class Link:
         Raises
         ------
         ReplyTimeout
-            No valid reply within timeout_s, nor to the repetitions (each with the same patience).
+            No valid reply within timeout_s, nor to the repetitions (each with the same timeout).
         Refused
-            The board rejected it; also where the command cannot be sent as it is.
+            The board rejected the command, or it contains characters that cannot be sent.
         ControllerReset
-            The board was reset before or while the command was under way.
+            The board was reset before or during the command.
         PortLost
-            The line is gone.
+            The line is no longer connected.
         """
         self._tag = self._tag % TAG_MAX + 1
         try:
@@ -95,30 +95,32 @@ class Link:
             if reply.error_code == _SESSION_NEEDED:
                 raise ControllerReset(
                     f"{self._line.name}: the controller has no session (reset, or its watchdog tripped)"
-                    f" and refused {command}; it is being opened anew with every output off"
+                    f" and rejected {command}; it is opened again with every output off"
                 )
             if reply.error_code:
                 raise Refused(
-                    f"{self._line.name}: the controller refused {command}: {reply.error_text}"
+                    f"{self._line.name}: the controller rejected {command}: {reply.error_text}"
                     f" ({reply.error_code})",
                     reply.error_code,
                 )
             return reply.values
-        heard = f"; {self._last_junk!r} came, which is no line of ours" if self._last_junk else ""
+        heard = f"; it sent {self._last_junk!r}, which is not a valid line" if self._last_junk else ""
         raise ReplyTimeout(
             f"{self._line.name}: no reply to {command} within {patience_s:g} s,"
-            f" asked {self._retries + 1} times{heard};"
+            f" sent {self._retries + 1} times{heard};"
             " check port, cable, baud rate and that the controller runs"
         )
 
     def take_events(self) -> tuple[BoardEvent, ...]:
-        """What the board has said unasked since the last call."""
+        """Unsolicited messages of the board since the last call."""
         events = tuple(self._events)
         self._events.clear()
         return events
 
     def _hear_what_waits(self) -> None:
-        """Take in what came since the last command: an old NAK must not cost a new command an attempt."""
+        """Read what arrived since the last command, so that an old NAK is not taken for a reply to a new
+        one.
+        """
         for _ in range(_LINES_WAITING):
             line = self._reader.read_line(0.0)
             if line is None:
@@ -136,10 +138,10 @@ class Link:
                     return message
                 self.late_replies += 1
             elif message is not None and message.name == "NAK":
-                # The board got a line that it could not read, most likely this one: ask again immediately.
+                # The board received an invalid line, most likely this one: repeat it immediately.
                 return None
             if time.monotonic() > deadline_s:
-                # A device that never stops talking must not keep us.
+                # a device that sends without pause must not prevent the timeout
                 return None
 
     def _hear(self, line: bytes) -> Reply | BoardEvent | None:
@@ -152,7 +154,6 @@ class Link:
             self._events.append(message)
             if message.name == "BOOT":
                 raise ControllerReset(
-                    f"{self._line.name}: the controller was reset;"
-                    " it is being opened anew with every output off"
+                    f"{self._line.name}: the controller was reset; it is opened again with every output off"
                 )
         return message

@@ -19,7 +19,7 @@ from rig.presentation import Verdict
 
 @dataclass(frozen=True, slots=True)
 class SerialPortInfo:
-    """A serial port of this computer; vendor and product are USB's numbers, -1 where there are none."""
+    """A serial port of this computer; vendor and product are its USB numbers, -1 if it has none."""
 
     device: str
     description: str
@@ -29,7 +29,7 @@ class SerialPortInfo:
 
 
 def list_serial_ports() -> tuple[SerialPortInfo, ...]:
-    """Every serial port of this computer, in order of its name; none of them is opened."""
+    """All serial ports of this computer, sorted by name; none of them is opened."""
     found = [
         SerialPortInfo(
             port.device,
@@ -63,8 +63,8 @@ def check_controller(
         Verdict(
             "interlock",
             status.interlock_closed,
-            "closed" if status.interlock_closed else "open: the laser will stay dark",
-            "" if status.interlock_closed else "close cover and door; see that the loop is plugged in",
+            "closed" if status.interlock_closed else "open: the laser stays off",
+            "" if status.interlock_closed else "close cover and door; check that the loop is plugged in",
         ),
     ]
     if laser.kind == "controller":
@@ -73,7 +73,7 @@ def check_controller(
             Verdict(
                 "laser power",
                 enough,
-                f"{laser.power_w:g} W is wanted, the controller's own limit is {identity.laser_max_w:g} W",
+                f"{laser.power_w:g} W is configured, the controller's limit is {identity.laser_max_w:g} W",
                 "" if enough else "lower laser.power_w, or laser_max_w in the board's limits.json",
             )
         )
@@ -118,15 +118,15 @@ def check_laser(settings: LaserSettings, controller: ControllerSettings) -> tupl
 
 def _interlock(settings: LaserSettings, controller: ControllerSettings, closed: bool) -> Iterator[Verdict]:
     """Whether the laser reports an open interlock while the controller's relay is open."""
-    name = "laser goes dark by itself"
+    name = "laser switches off by itself"
     if settings.interlock == "own":
-        reason = "closed" if closed else "open: the laser will stay dark"
+        reason = "closed" if closed else "open: the laser stays off"
         remedy = "" if closed else "close the laser's interlock and turn its key"
         yield Verdict("laser interlock", closed, reason, remedy)
         yield Verdict(
             name,
             True,
-            "no: without a watchdog of its own it stays lit when the program is killed",
+            "no: without a watchdog of its own it stays on if the program is killed",
             "wire its interlock through a controller's enable relay and set laser.interlock = 'controller'",
         )
     elif controller.kind == "none":
@@ -137,13 +137,13 @@ def _interlock(settings: LaserSettings, controller: ControllerSettings, closed: 
             not closed,
             "its interlock is closed while the controller's relay is open: it is not wired through it"
             if closed
-            else "the controller's relay opens its interlock when the program dies",
+            else "the controller's relay opens its interlock if the program ends or is killed",
             "see the wiring in docs/controller.md" if closed else "",
         )
 
 
 def check_environment(settings: EnvironmentSettings, patience_s: float = 5.0) -> tuple[Verdict, ...]:
-    """Read a sensor with its own port until a line matches, for at most patience_s."""
+    """Read the lines of a sensor with its own port until one matches the pattern, for at most patience_s."""
     if settings.kind != "serial":
         return ()
     pattern = re.compile(settings.pattern)
@@ -160,7 +160,7 @@ def check_environment(settings: EnvironmentSettings, patience_s: float = 5.0) ->
                     return (Verdict("environment sensor", True, last[:80]),)
     except PortLost as error:
         return (Verdict("environment sensor", False, str(error), _port_remedy(settings.port)),)
-    reason = f"{last[:80]!r} does not match the pattern" if last else f"silent for {patience_s:g} s"
+    reason = f"{last[:80]!r} does not match the pattern" if last else f"no line within {patience_s:g} s"
     return (
         Verdict(
             "environment sensor", False, reason, "check port, baud rate, request and pattern in [environment]"
@@ -173,5 +173,5 @@ def _port_remedy(port: str) -> str:
     with contextlib.suppress(OSError):
         here = list_serial_ports()
     if not here:
-        return "no serial port is here: plug the device in"
-    return f"{port or 'no port'} is configured; here are {', '.join(info.device for info in here)}"
+        return "this computer has no serial port: plug the device in"
+    return f"{port or 'no port'} is configured; present are {', '.join(info.device for info in here)}"

@@ -1,11 +1,11 @@
-"""The line format between host and controller; see docs/controller.md.
+"""Format of the lines between host and controller; see docs/controller.md.
 
     host  -> board   #<tag> <command>*<crc>
     board -> host    #<tag> OK[ <values>]*<crc>   or   #<tag> ERR <code>,"<text>"*<crc>
-    board -> host    !<event>*<crc>               unasked: BOOT, TRIP, NAK
+    board -> host    !<event>*<crc>               unsolicited: BOOT, TRIP, NAK
 
-The tag (1 to 65535) says which command a reply belongs to; the checksum is CRC-16/CCITT-FALSE
-of everything before the asterisk, as four hexadecimal digits; a line ends with LF.
+The tag (1 to 65535) identifies the command to which a reply belongs. The checksum is CRC-16/CCITT-FALSE of
+everything before the asterisk, as four hexadecimal digits. A line ends with LF.
 """
 
 import re
@@ -20,7 +20,7 @@ _EVENT = re.compile(r"!(\S+)(?: (.*))?")
 
 @dataclass(frozen=True, slots=True)
 class Reply:
-    """Answer to the command with this tag; `error_code` is 0 when it was done."""
+    """Reply to the command with this tag; `error_code` is 0 if it was executed."""
 
     tag: int
     values: str = ""
@@ -30,7 +30,7 @@ class Reply:
 
 @dataclass(frozen=True, slots=True)
 class BoardEvent:
-    """A message that the board sends without being asked."""
+    """A message that the board sends without a command."""
 
     name: str
     detail: str = ""
@@ -42,18 +42,20 @@ def checksum(body: bytes) -> int:
 
 
 def encode(tag: int, command: str) -> bytes:
-    """The line that asks for a command.
+    """The line that sends a command.
 
     Raises
     ------
     ValueError
-        For a tag out of 1 to 65535, and for a command that is not one line of printable ASCII or
-        that contains ``#`` or ``!``, by which a reader finds the beginning of a line.
+        The tag is not within 1 to 65535; the command is not one line of printable ASCII, or contains ``#`` or
+        ``!``, which mark the beginning of a line.
     """
     if not 1 <= tag <= TAG_MAX:
         raise ValueError(f"tag {tag} is not within 1 to {TAG_MAX}")
     if not (command.isascii() and command.isprintable()) or "#" in command or "!" in command:
-        raise ValueError(f"{command!r} is no command: one line of printable ASCII without # and ! is wanted")
+        raise ValueError(
+            f"{command!r} is not a command: one line of printable ASCII without # and ! is needed"
+        )
     body = f"#{tag} {command}".encode("ascii")
     return body + b"*%04X\n" % checksum(body)
 
@@ -61,8 +63,7 @@ def encode(tag: int, command: str) -> bytes:
 def decode(line: bytes) -> Reply | BoardEvent | None:
     """Parse a line from the board; None for a line without a valid checksum.
 
-    Half a line that lost its end may stand before a whole one, so reading begins at the last
-    ``#`` or ``!``.
+    Parsing begins at the last ``#`` or ``!``, because a line whose end was lost may precede a complete one.
     """
     line = line.rstrip(b"\r\n")
     line = line[max(line.rfind(b"#"), line.rfind(b"!"), 0) :]

@@ -1,4 +1,4 @@
-"""A serial line as bytes and lines with deadlines; every failure becomes a DeviceError."""
+"""Reading and writing of a serial line with timeouts; every failure becomes a DeviceError."""
 
 import time
 from types import TracebackType
@@ -8,27 +8,27 @@ import serial
 
 from processing.errors import DeviceError
 
-# A device that talks without ever ending a line must not eat the memory.
 _BUFFER_MAX = 65536
+"""Limit of the memory for a device that never ends a line."""
 
 
 class PortLost(DeviceError):
-    """The port is missing or was unplugged; opening it again may bring it back."""
+    """The port is missing or was unplugged; opening it again may succeed."""
 
 
 class Line(Protocol):
     """Bytes to and from a device: a serial port, or the simulated controller in this process.
 
-    One thread uses it. Each method raises `PortLost` when the other side is gone.
+    Only one thread may use it. Each method raises `PortLost` if the device is no longer connected.
     """
 
     @property
     def name(self) -> str:
-        """How messages call this line."""
+        """Name of the line in messages."""
         ...
 
     def write(self, data: bytes) -> None:
-        """Send all of it; blocks at most the line's write timeout."""
+        """Send all the data; blocks at most for the line's write timeout."""
         ...
 
     def read(self, timeout_s: float) -> bytes:
@@ -36,7 +36,7 @@ class Line(Protocol):
         ...
 
     def discard_input(self) -> None:
-        """Forget what has come and was not read."""
+        """Discard bytes that were received but not read."""
         ...
 
     def close(self) -> None:
@@ -47,15 +47,14 @@ class Line(Protocol):
 class SerialPort:
     """A `Line` over pyserial: a device node, or any of its URLs (socket://, loop://).
 
-    pyserial raises SerialException, a bare OSError (errno 5 from in_waiting after an unplug),
-    termios.error (no OSError) and even TypeError (a port closed by another thread in mid-read):
-    all of them mean that the port has gone.
+    pyserial raises SerialException, OSError (errno 5 from in_waiting after unplugging), termios.error (not an
+    OSError) or TypeError (a port closed by another thread during a read): all of them become `PortLost`.
     """
 
     def __init__(self, url: str, baud: int = 115200, write_timeout_s: float = 1.0) -> None:
         self._url = url
         try:
-            # Exclusive, so that a second program cannot steal half of the replies.
+            # exclusive, because a second program would receive some of the replies
             self._serial = serial.serial_for_url(
                 url, baudrate=baud, timeout=0, write_timeout=write_timeout_s, exclusive=True
             )
@@ -64,18 +63,18 @@ class SerialPort:
 
     @property
     def name(self) -> str:
-        """The URL it was opened with."""
+        """The URL with which it was opened."""
         return self._url
 
     def write(self, data: bytes) -> None:
-        """Send all of it."""
+        """Send all the data."""
         try:
             self._serial.write(data)
         except Exception as error:
             raise self._lost("write", error) from error
 
     def read(self, timeout_s: float) -> bytes:
-        """At least one byte, with whatever came beside it; b"" after timeout_s."""
+        """All received bytes, at least one; b"" after timeout_s."""
         try:
             waiting = self._serial.in_waiting
             if waiting:
@@ -89,14 +88,14 @@ class SerialPort:
             raise self._lost("read", error) from error
 
     def discard_input(self) -> None:
-        """Forget what has come and was not read."""
+        """Discard bytes that were received but not read."""
         try:
             self._serial.reset_input_buffer()
         except Exception as error:
             raise self._lost("read", error) from error
 
     def close(self) -> None:
-        """Give the port back."""
+        """Close the port."""
         try:
             self._serial.close()
         except Exception as error:
@@ -112,12 +111,13 @@ class SerialPort:
 
     def _lost(self, doing: str, error: Exception) -> PortLost:
         return PortLost(
-            f"{self._url}: the serial port has gone (on {doing}): {_reason(error)}; check the cable"
+            f"{self._url}: the serial port is no longer available ({doing}): {_reason(error)};"
+            " check the cable"
         )
 
 
 class LineReader:
-    """Cuts what a `Line` delivers into lines; the rest of an unfinished one waits for the next call."""
+    """Divides the bytes of a `Line` into lines; an incomplete line is kept for the next call."""
 
     def __init__(self, line: Line, terminator: bytes = b"\n") -> None:
         self._line = line
@@ -125,7 +125,9 @@ class LineReader:
         self._buffer = bytearray()
 
     def read_line(self, deadline_s: float) -> bytes | None:
-        """Next line without its terminator; None when `time.monotonic` passed deadline_s before its end."""
+        """Next line without its terminator; None if its end did not arrive by deadline_s
+        (`time.monotonic`).
+        """
         while True:
             end = self._buffer.find(self._terminator)
             if end >= 0:
@@ -141,7 +143,7 @@ class LineReader:
                 return None
 
     def clear(self) -> None:
-        """Forget everything that has come so far."""
+        """Discard everything received so far."""
         self._line.discard_input()
         self._buffer.clear()
 

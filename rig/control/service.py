@@ -1,7 +1,7 @@
 """Operates the controller in a thread: commands as futures, heartbeat, reconnection.
 
-Frames are never delayed by the serial line: the threads that handle frames only read the
-snapshot, and nothing here holds a lock while it waits for the device.
+The serial line never delays frames: the threads that handle frames only read the latest snapshot, and no lock
+is held while this thread waits for the device.
 """
 
 import time
@@ -54,12 +54,12 @@ class ControlSnapshot:
 
 
 class ControlService(DeviceThread):
-    """Owns a `Controller` from `start` to `close`, which puts every output into its safe state.
+    """Operates a `Controller` from `start` to `close`, which puts every output into its safe state.
 
-    Every command returns a future immediately. Its error is a DeviceError: what the controller
-    refused, that it is lost, or `Overdue` when the command waited longer than its time limit,
-    for a command that comes late must not act. After the controller was lost its outputs are in
-    their safe state and stay there: the service opens it again but lights no laser by itself.
+    Every command returns a future immediately. Its error is a DeviceError: the controller rejected the
+    command or is not connected, or the command waited longer than its time limit and was not sent
+    (`Overdue`). If the connection is lost, the board's watchdog puts its outputs into their safe state. The
+    service then opens the controller again, but does not switch the laser on by itself.
     """
 
     def __init__(
@@ -77,7 +77,7 @@ class ControlService(DeviceThread):
         super().__init__("rig-control")
 
     def wait_open(self, timeout_s: float = 5.0) -> ControllerIdentity:
-        """Block until the controller has answered; raises DeviceError with the reason when it does not."""
+        """Block until the controller has answered; raises DeviceError with the reason if it does not."""
         deadline_s = time.monotonic() + timeout_s
         while time.monotonic() < deadline_s:
             snapshot = self._snapshot
@@ -120,7 +120,7 @@ class ControlService(DeviceThread):
         return self.submit(Controller.release)
 
     def starter_pulse(self, duration_s: float) -> "Future[None]":
-        """Tilt by the starter; the future is done when the pulse has begun."""
+        """Tilt the pendulum by the starter; the future is done when the pulse has begun."""
         return self.submit(lambda c: c.starter_pulse(duration_s))
 
     def clamp(self, closed: bool) -> "Future[None]":
@@ -204,7 +204,9 @@ class ControlService(DeviceThread):
             raise
 
     def _note_failure(self, error: DeviceError) -> None:
-        """Decide whether the controller is lost; a refusal and a single silence don't mean that."""
+        """Decide whether the connection is lost; a rejected command or one missing reply does not mean
+        that.
+        """
         silent_s = time.monotonic() - self._heard_s
         lost = (
             not self._is_open

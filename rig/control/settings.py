@@ -14,7 +14,7 @@ _QUANTITIES = frozenset({"temperature_c", "humidity_percent", "pressure_pa", "pr
 class SerialFaults(BaseModel, frozen=True, extra="forbid"):
     """Faults of the simulated controller's serial line; all off by default.
 
-    The probabilities count for each chunk of bytes, in either direction.
+    The probabilities apply to each transmitted block of bytes, in either direction.
     """
 
     junk_probability: float = Field(default=0.0, ge=0, le=1)
@@ -28,8 +28,8 @@ class SerialFaults(BaseModel, frozen=True, extra="forbid"):
 class ControllerSettings(BaseModel, frozen=True, extra="forbid"):
     """The rig controller: serial line, timeouts and limits checked by the host.
 
-    `watchdog_s` is how long the board waits for a heartbeat before it puts every output into its
-    safe state; several heartbeats must fit in.
+    `watchdog_s` is the time without a heartbeat after which the board puts every output into its safe state;
+    it must be at least twice `heartbeat_s`.
     """
 
     kind: ControllerKind = "none"
@@ -58,11 +58,11 @@ def _named_groups(pattern: str) -> str:
     try:
         groups = set(re.compile(pattern).groupindex)
     except re.error as error:
-        raise ValueError(f"pattern {pattern!r} is no regular expression: {error}") from None
+        raise ValueError(f"pattern {pattern!r} is not a regular expression: {error}") from None
     if not groups or groups - _QUANTITIES:
         raise ValueError(
             f"pattern {pattern!r} names the groups {sorted(groups)};"
-            f" at least one of {sorted(_QUANTITIES)} is wanted and no other"
+            f" at least one of {sorted(_QUANTITIES)} is needed and no other is allowed"
         )
     return pattern
 
@@ -70,9 +70,9 @@ def _named_groups(pattern: str) -> str:
 class EnvironmentSettings(BaseModel, frozen=True, extra="forbid"):
     """The sensor of temperature, humidity and pressure.
 
-    `pattern` is searched in each line that the sensor writes; its named groups say which number is which:
-    temperature_c, humidity_percent, and pressure_pa or pressure_hpa. `request` is sent once a
-    period to a sensor that speaks only when asked.
+    `pattern` is searched in each line that the sensor writes. Its named groups identify the numbers:
+    temperature_c, humidity_percent, and pressure_pa or pressure_hpa. `request` is sent once per `period_s` to
+    a sensor that writes only on request.
     """
 
     kind: EnvironmentKind = "none"

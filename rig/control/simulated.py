@@ -1,7 +1,8 @@
-"""A simulated controller: runs the board's firmware in this process, behind a line that can fail.
+"""A simulated controller: runs the board's firmware in this process, with a simulated line that can fail.
 
-The host's side is the one that real hardware gets, checksums, retries, watchdog and all; only the
-pins end in plain callbacks, by which a simulated rig lights its laser or lets its pendulum go.
+The host's side is the same as for real hardware, including checksums, repetitions and watchdog. Only the
+board's pins are replaced by callbacks, with which a simulated rig switches its laser or releases its
+pendulum.
 """
 
 import random
@@ -24,9 +25,9 @@ def _ignore(_: object) -> None:
 
 @dataclass(frozen=True)
 class SimulatedOutputs:
-    """What the simulated board's pins drive; called from the board's thread, each must return immediately.
+    """Callbacks of the simulated board's pins, called from its thread; each must return immediately.
 
-    `laser` is given the optical power in W, 0.0 when dark; `starter` and the others True or False.
+    `laser` is given the optical power in W, 0.0 when off; `starter` and the other outputs True or False.
     """
 
     laser: Callable[[float], None] = _ignore
@@ -44,15 +45,15 @@ def simulated_controller(
     outputs: SimulatedOutputs | None = None,
     stored_laser_max_w: float = 0.005,
 ) -> Controller:
-    """A `Controller` whose board lives in this process; the faults of its line are in the settings."""
+    """A `Controller` whose board is simulated in this process; the faults of its line are in the settings."""
     board = SimulatedBoard(outputs or SimulatedOutputs(), stored_laser_max_w, settings.faults)
     return Controller(settings, laser_max_w, board.open_line)
 
 
 class SimulatedBoard:
-    """The board: a thread turns the firmware's loop while a line is open or a session lasts.
+    """The board: a thread runs the firmware's loop while a line is open or a session lasts.
 
-    So the watchdog works here as it does on the real board when nobody sends heartbeats.
+    The watchdog therefore acts as on the real board when the heartbeats stop.
     """
 
     fault = ""
@@ -76,9 +77,9 @@ class SimulatedBoard:
         self._firmware = Firmware(self)  # type: ignore[no-untyped-call]
 
     def open_line(self) -> Line:
-        """Plug the cable in."""
+        """Connect the cable; raises PortLost after `faults.unplug_at_s`."""
         if self.unplugged():
-            raise PortLost("simulated controller: unplugged by [controller.faults]; it stays so")
+            raise PortLost("simulated controller: unplugged by [controller.faults]")
         with self.changed:
             self.open_lines += 1
             if self._thread is None:
@@ -87,12 +88,12 @@ class SimulatedBoard:
         return _SimulatedLine(self)
 
     def unplugged(self) -> bool:
-        """Whether the fault that pulls the cable has come."""
+        """Whether the cable is unplugged by `faults.unplug_at_s`."""
         at_s = self.faults.unplug_at_s
         return at_s is not None and time.monotonic() - self.begun_s >= at_s
 
     def spoil(self, data: bytes) -> bytes:
-        """What the faulty line makes of a chunk."""
+        """A block of bytes after the faults of the line: shortened, or with random bytes in front."""
         faults = self.faults
         if faults.loss_probability and self._random.random() < faults.loss_probability:
             data = data[: self._random.randrange(len(data))]
@@ -115,48 +116,48 @@ class SimulatedBoard:
                     self._thread = None
                     return
 
-    # -- what the firmware asks of a board ------------------------------------
+    # -- interface to the firmware --------------------------------------------
 
     def read(self) -> bytes:
-        """What has come in."""
+        """Bytes from the host since the last call."""
         with self.changed:
             data = bytes(self.to_board)
             self.to_board.clear()
         return data
 
     def write(self, data: bytes) -> None:
-        """Send to the host, if there is one."""
+        """Send to the host, if the line is open."""
         with self.changed:
             if self.open_lines:
                 self.to_host.append((time.monotonic() + self.faults.delay_s, self.spoil(data)))
                 self.changed.notify_all()
 
     def set_laser(self, on: bool, power_w: float) -> None:
-        """Laser at this power."""
+        """Switch the laser, with this power."""
         self._outputs.laser(power_w if on else 0.0)
 
     def set_magnet(self, on: bool) -> None:
-        """Holding magnet."""
+        """Switch the holding magnet."""
         self._outputs.magnet(on)
 
     def set_starter(self, on: bool) -> None:
-        """Starter."""
+        """Switch the starter."""
         self._outputs.starter(on)
 
     def set_clamp(self, on: bool) -> None:
-        """Clamp."""
+        """Close or open the clamp."""
         self._outputs.clamp(on)
 
     def set_brake(self, on: bool) -> None:
-        """Brake."""
+        """Apply or release the brake."""
         self._outputs.brake(on)
 
     def interlock_closed(self) -> bool:
-        """State of the loop."""
+        """State of the interlock loop."""
         return self._outputs.interlock_closed()
 
     def environment(self) -> tuple[float, float, float]:
-        """The sensor's reading."""
+        """Temperature in °C, relative humidity in %, pressure in Pa."""
         air = self._outputs.environment()
         return air.temperature_c, air.humidity_percent, air.pressure_pa
 
@@ -215,4 +216,4 @@ class _SimulatedLine:
 
     def _check(self) -> None:
         if self._closed or self._board.unplugged():
-            raise PortLost("simulated controller: the serial port has gone; check the cable")
+            raise PortLost("simulated controller: the serial port is no longer available; check the cable")

@@ -19,7 +19,7 @@ T = TypeVar("T")
 
 
 class Overdue(DeviceError):
-    """A job waited too long and was not started, because a late command must not act."""
+    """A job waited too long and was not started, because a late command must not take effect."""
 
 
 @dataclass(order=True, slots=True)
@@ -36,9 +36,9 @@ class Worker:
     Parameters
     ----------
     name
-        Of the thread, and in messages.
+        Name of the thread, also used in messages.
     turn
-        Called first, and again after as many seconds as it returned, or sooner.
+        Called first, and again after the number of seconds that it returned, or sooner.
     finish
         Called at the end of the thread, also after an error; releases the device.
     """
@@ -56,14 +56,14 @@ class Worker:
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
 
     def start(self) -> None:
-        """Begin; once."""
+        """Start the thread; may be called once."""
         self._thread.start()
 
     def submit(self, call: Callable[[], T], timeout_s: float, urgent: bool = False) -> "Future[T]":
-        """Queue a call, ahead of the others where urgent; the future carries its result or error.
+        """Queue a call, before the others if urgent; the future receives its result or error.
 
-        A call that was not begun within timeout_s is not made: its future raises `Overdue`. After
-        `close` the future raises DeviceError immediately.
+        A call that was not started within timeout_s is not made: its future raises `Overdue`. After `close`
+        the future raises DeviceError immediately.
         """
         future: Future[T] = Future()
         job = _Job((0 if urgent else 1, next(self._count)), time.monotonic() + timeout_s, call, future)
@@ -75,9 +75,9 @@ class Worker:
         return future
 
     def close(self, timeout_s: float = 5.0) -> bool:
-        """Fail the calls still queued, run `finish`, end the thread; False when it did not end in time.
+        """Let the queued calls fail, run `finish`, end the thread; False if it did not end in time.
 
-        An impatient Ctrl-C does not break it off: it is raised when the device is safe.
+        Ctrl-C does not interrupt it: KeyboardInterrupt is raised after the device is in its safe state.
         """
         self._stopping.set()
         self.submit(_nothing, 0.0, urgent=True)  # wakes the thread
@@ -130,7 +130,7 @@ class Worker:
         elif time.monotonic() > job.deadline_s:
             if job.future.set_running_or_notify_cancel():
                 job.future.set_exception(
-                    Overdue(f"{self._name} was busy; a command was too late and was not given")
+                    Overdue(f"{self._name} was busy; a command waited too long and was not executed")
                 )
         elif job.future.set_running_or_notify_cancel():
             try:
@@ -149,4 +149,4 @@ class Worker:
 
 
 def _nothing() -> None:
-    """The job that only wakes the thread."""
+    """Job whose only purpose is to wake the thread."""

@@ -192,7 +192,7 @@ class AravisCamera:
             buffer = stream.timeout_pop_buffer(max(min(left_us, _POLL_US), 1))
             if self._gone.is_set():
                 self._was_lost = True
-                raise CameraLost(f"{self._name}: has gone; plug it in again")
+                raise CameraLost(f"{self._name}: is no longer connected; plug it in again")
             if buffer is not None:
                 self._heard_s = time.monotonic()
                 try:
@@ -273,7 +273,7 @@ class AravisCamera:
             text = " ".join(str(getattr(refused, "message", refused)).split())
             if self._gone.is_set():
                 self._was_lost = True
-                raise CameraLost(f"{self._name}: has gone; plug it in again ({text})") from None
+                raise CameraLost(f"{self._name}: is no longer connected; plug it in again ({text})") from None
             raise DeviceError(
                 f"{self._name}: {text}; is it in use by another program, or has it lost its cable?"
             ) from None

@@ -124,7 +124,9 @@ class FilesCamera:
                     _log.warning("%s: skipped: %s", source.label(index), error)
                     continue
                 except OSError as error:
-                    raise CameraLost(f"{self._settings.path}: has gone: {error.strerror}") from None
+                    raise CameraLost(
+                        f"{self._settings.path}: is no longer available: {error.strerror}"
+                    ) from None
             number = self._times.sequence[index]
             before = self._times.sequence[index - 1] if index else -1
             self._dropped_earlier += number - before - 1

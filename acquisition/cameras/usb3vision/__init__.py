@@ -1,1 +1,1 @@
-"""USB3 Vision cameras over pyusb: any such camera, without a vendor's SDK."""
+"""USB3 Vision cameras of any vendor through pyusb, without a vendor's SDK."""

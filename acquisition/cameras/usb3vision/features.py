@@ -1,4 +1,4 @@
-"""What the rig sets on a camera, by the names that cameras have given it over the years."""
+"""The features of a camera that the rig uses, found by their standard name or by names of older cameras."""
 
 import logging
 from collections.abc import Iterator
@@ -14,7 +14,7 @@ from processing.errors import DeviceError
 
 logger = logging.getLogger(__name__)
 
-# Standard Feature Naming Convention first, then what older cameras call it
+# names of the Standard Feature Naming Convention (SFNC) first, then those of older cameras
 ALIASES: Final[dict[str, tuple[str, ...]]] = {
     "ExposureTime": ("ExposureTime", "ExposureTimeAbs", "ExposureTimeRaw"),
     "Gain": ("Gain", "GainAbs", "GainRaw"),
@@ -30,7 +30,7 @@ ALIASES: Final[dict[str, tuple[str, ...]]] = {
 
 @dataclass(frozen=True, slots=True)
 class FeatureReading:
-    """One feature for display. `value` is None where it cannot be read; `problem` is the reason."""
+    """One feature for display. `value` is None if it cannot be read; `problem` is then the reason."""
 
     name: str
     kind: str
@@ -44,13 +44,13 @@ class FeatureReading:
 
 
 class Features:
-    """The features of one camera that the rig knows, found by the standard's name or an older one."""
+    """The features of one camera. Names are those of the SFNC; older names are tried as well."""
 
     def __init__(self, nodes: NodeMap) -> None:
         self.nodes = nodes
 
     def find(self, name: str) -> str | None:
-        """The name under which this camera has the feature, usable now or not; None where it has not."""
+        """The name of the feature in this camera, also if it is not accessible now; None if it has none."""
         present = [alias for alias in ALIASES.get(name, (name,)) if alias in self.nodes]
         for alias in present:
             if self.nodes.node(alias).access().readable or self.nodes.node(alias).access().writable:
@@ -58,36 +58,37 @@ class Features:
         return present[0] if present else None
 
     def get(self, name: str) -> Any:
-        """Its value; DeviceError where the camera has no such feature or it can't be read."""
+        """Value of a feature; DeviceError if the camera has no such feature or it cannot be read."""
         found = self.find(name)
         if found is None:
             raise DeviceError(f"{self.nodes.name}: has no feature {name}")
         return self.nodes.get(found)
 
     def get_if_readable(self, name: str) -> Any | None:
-        """Its value, None where there is none at present."""
+        """Value of a feature; None if the camera has no such feature or it cannot be read at present."""
         found = self.find(name)
         if found is None or not self.nodes.node(found).access().readable:
             return None
         return self.nodes.get(found)
 
     def set(self, name: str, value: Any) -> Any:
-        """Set it; return the value that the camera reports afterwards.
+        """Set a feature; return the value that the camera reports afterwards.
 
         Raises
         ------
         DeviceError
-            Not a feature of this camera, not settable at present, out of range (the message gives the range).
+            The camera has no such feature, it cannot be set at present, or the value is out of range (the
+            message gives the range).
         """
         found = self.find(name)
         if found is None:
             raise DeviceError(f"{self.nodes.name}: has no feature {name}; leave that setting out")
         self.nodes.set(found, value)
-        self.nodes.forget()  # what the camera has made of it, not what was written
+        self.nodes.forget()  # the camera may have changed the value that was written
         return self.nodes.get(found) if self.nodes.node(found).access().readable else value
 
     def readings(self) -> Iterator[FeatureReading]:
-        """All features of the camera, as they are now; a faulty one is listed with its `problem`."""
+        """All implemented features of the camera and their present values; faulty ones have a `problem`."""
         self.nodes.forget()
         for name in self.nodes.features():
             node = self.nodes.node(name)
@@ -115,7 +116,7 @@ class Features:
         self.nodes.set(name, True)
 
     def _switch_off(self, name: str) -> None:
-        """An automatism off, a trigger off, where the camera has it and lets it be switched."""
+        """Set an automatic control or a trigger to "Off", if the camera has it and it can be set."""
         node = self.nodes.node(name) if name in self.nodes else None
         if isinstance(node, Enumeration) and node.access().writable and "Off" in node.choices():
             node.set("Off")
@@ -123,7 +124,9 @@ class Features:
     # ---- for the rig
 
     def apply(self, settings: CameraSettings) -> CameraSettings:
-        """Apply what is asked for, in the order in which cameras need it; return all as read back."""
+        """Apply the settings that are not None, in the order that cameras require; return all as read
+        back.
+        """
         self.nodes.forget()
         if settings.pixel_format is not None:
             self._set_pixel_format(settings.pixel_format)
@@ -143,7 +146,7 @@ class Features:
         return self.read_back()
 
     def read_back(self) -> CameraSettings:
-        """The camera's settings now; None where it has no such feature or it is not in use."""
+        """The camera's present settings; None for a feature that it does not have or that is not in use."""
         self.nodes.forget()
         pixel_format = self.pixel_format().pixel_format
         enabled = self.get_if_readable("AcquisitionFrameRateEnable")
@@ -165,7 +168,7 @@ class Features:
 
     def _gain(self) -> float | None:
         value = self.get_if_readable("Gain")
-        # Cameras that attenuate have negative gains, which settings can't express.
+        # some cameras have negative gains (attenuation), which the settings do not allow
         return max(float(value), 0.0) if value is not None else None
 
     def _set_number(self, name: str, wanted: float) -> None:
@@ -173,10 +176,10 @@ class Features:
         is_whole = found is not None and self.nodes.node(found).description.kind == "Integer"
         got = self.set(name, round(wanted) if is_whole else wanted)
         if abs(got - wanted) > 1e-6 * abs(wanted):
-            logger.info("%s: %s set to %g, the camera made it %g", self.nodes.name, found, wanted, got)
+            logger.info("%s: %s was set to %g, the camera reports %g", self.nodes.name, found, wanted, got)
 
     def run_freely(self) -> None:
-        """Frames one after the other without an end, none of them waiting for a trigger."""
+        """Select continuous acquisition without trigger."""
         mode = self.nodes.node("AcquisitionMode") if "AcquisitionMode" in self.nodes else None
         if isinstance(mode, Enumeration) and mode.access().writable and "Continuous" in mode.choices():
             mode.set("Continuous")
@@ -191,11 +194,12 @@ class Features:
             self._switch_off("TriggerMode")
 
     def pixel_format(self) -> Format:
-        """The present pixel format; DeviceError where the rig can't use it."""
+        """The present pixel format; DeviceError if the rig does not support it."""
         name = str(self.get("PixelFormat"))
         if name not in BY_NAME:
             raise DeviceError(
-                f"{self.nodes.name}: pixel format {name} can't be used; set one of: {self._usable_depths()}"
+                f"{self.nodes.name}: pixel format {name} is not supported; "
+                f"set one of: {self._usable_depths()}"
             )
         return BY_NAME[name]
 
@@ -213,12 +217,12 @@ class Features:
             raise DeviceError(
                 f"{self.nodes.name}: does not offer pixel format {wanted}; it offers: {self._usable_depths()}"
             )
-        # A format of the same depth that is set already was somebody's choice.
+        # a format of the same depth that is already set (packed, for example) is kept
         if self.get("PixelFormat") not in fitting:
             self.set("PixelFormat", fitting[0])
 
     def sensor_size(self, size: str) -> int:
-        """The sensor's extent along "Width" or "Height", in the pixels that can be read out."""
+        """Number of columns (`size` "Width") or rows ("Height") of the sensor that can be read out."""
         for name in (f"{size}Max", f"Sensor{size}"):
             value = self.get_if_readable(name) if self.find(name) is not None else None
             if value:
@@ -239,7 +243,9 @@ class Features:
             )
 
     def _set_region(self, settings: CameraSettings) -> None:
-        """Size and offset limit each other: whichever shrinks goes first."""
+        """Set size and offset of the region, in the order in which the limits allow it: they limit each
+        other.
+        """
         for size, offset, wanted_size, wanted_offset in (
             ("Width", "OffsetX", settings.width_px, settings.offset_x_px),
             ("Height", "OffsetY", settings.height_px, settings.offset_y_px),
@@ -249,7 +255,7 @@ class Features:
             if wanted_size is not None and self.get(size) != wanted_size:
                 before = self.get(offset) if has_offset else 0
                 if has_offset and before:
-                    self.set(offset, 0)  # else an old offset would forbid a size that fits at the new one
+                    self.set(offset, 0)  # the old offset may not allow a size that fits at the new one
                 try:
                     self.set(size, wanted_size)
                 except DeviceError:

@@ -1,4 +1,4 @@
-"""GenCP: reading and writing a camera's registers by command and reply."""
+"""GenCP (Generic Control Protocol): reading and writing of a camera's registers by commands and replies."""
 
 import logging
 import struct
@@ -26,9 +26,9 @@ _PENDING_ACK: Final = 0x0805
 # Packet size that every camera supports, used until its own limits have been read from the bootstrap
 # registers.
 _SMALLEST_PACKET: Final = 64
-# A camera that asks for more time again and again is given up after this long.
+# limit for a camera that repeatedly asks for more time
 _LONGEST_WAIT_S: Final = 30.0
-# `abort` is noticed between two reads of this length.
+# replies are read with this timeout, so that `abort` takes effect within it
 _SLICE_S: Final = 0.1
 
 _BUSY: Final = 0x8007
@@ -65,12 +65,12 @@ class NoAnswer(DeviceError):
 
 
 class GenCpChannel:
-    """Register access over one pair of endpoints, safe to use from several threads.
+    """Register access over one pair of endpoints; may be used by several threads.
 
     Parameters
     ----------
     send
-        Called with a packet and a timeout in s; raises TimeoutError when it could not be sent.
+        Called with a packet and a timeout in s; raises TimeoutError if it could not be sent.
     receive
         Called with the largest size and a timeout in s, returns one packet; raises TimeoutError.
     name
@@ -78,8 +78,8 @@ class GenCpChannel:
     timeout_s
         Timeout of one reply; a camera may extend it by a pending acknowledge.
     retries
-        How often a command is sent again after silence, a damaged reply or "busy". Every attempt
-        carries a new id, so that a late reply to an older one is recognised and ignored.
+        Number of repetitions of a command after a missing or damaged reply or the status "busy". Every
+        attempt has a new id, so that a late reply to an earlier one is recognised and ignored.
     clock
         Monotonic time in s.
     """
@@ -115,7 +115,9 @@ class GenCpChannel:
 
     @contextmanager
     def within(self, seconds: float) -> Iterator[None]:
-        """Context in which all accesses together may take at most this time, or fail with `NoAnswer`."""
+        """Context in which all accesses together may take at most this time; they then fail with
+        `NoAnswer`.
+        """
         give_up_at_s = self._clock() + seconds
         if not self._lock.acquire(timeout=seconds):
             raise NoAnswer(f"{self._name}: still busy with another command after {seconds:.1f} s")
@@ -127,7 +129,7 @@ class GenCpChannel:
             self._lock.release()
 
     def abort(self) -> None:
-        """Make the present command of another thread, and all later ones, fail immediately."""
+        """Let the present command of another thread, and all later commands, fail immediately."""
         self._aborted.set()
 
     def read(self, address: int, length: int) -> bytes:
@@ -146,11 +148,11 @@ class GenCpChannel:
             part = data[start : start + largest]
             where = f"writing {len(part)} bytes at 0x{address + start:X}"
             reply = self._transact(_WRITE, _WRITE_ADDRESS.pack(address + start) + part, where, None)
-            # The written length is optional in GenCP; zero means that it was left out.
+            # the written length is optional in GenCP; 0 means that it is omitted
             if len(reply) >= _TWO_WORDS.size:
                 written = _TWO_WORDS.unpack_from(reply)[1]
                 if written not in (0, len(part)):
-                    raise NoAnswer(f"{self._name}: {where}: the camera says it has written {written}")
+                    raise NoAnswer(f"{self._name}: {where}: the camera reports that it has written {written}")
 
     def _read_once(self, address: int, size: int) -> bytes:
         where = f"reading {size} bytes at 0x{address:X}"

@@ -1,7 +1,7 @@
-"""Bulk reads from the stream endpoint, several under way at once, through libusb's asynchronous side.
+"""Bulk reads from the stream endpoint, several pending at once, through libusb's asynchronous interface.
 
-pyusb offers only blocking reads. Between two of them the host controller has nothing to fill, and
-a camera with little memory of its own loses frames. See docs/decisions/ for why this way.
+pyusb offers only blocking reads. Between two of them the host controller has no buffer to fill, and a camera
+with little memory loses frames. The choice is explained in docs/decisions/0003-usb3vision-of-our-own.md.
 """
 
 import ctypes
@@ -15,9 +15,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.camera import CameraLost
 from acquisition.cameras.usb3vision.link import StreamHalted, UsbLink
-from acquisition.cameras.usb3vision.transfers import Arrived
+from acquisition.cameras.usb3vision.transfers import Arrived, unplugged
 from processing.errors import DeviceError
 
 logger = logging.getLogger(__name__)
@@ -40,7 +39,7 @@ _ERROR_NO_MEMORY: Final = -11
 
 
 class _Transfer(Structure):
-    """libusb's struct libusb_transfer, without the isochronous packets behind it."""
+    """libusb's struct libusb_transfer, without the isochronous packets that may follow it."""
 
 
 _Callback = ctypes.CFUNCTYPE(None, POINTER(_Transfer))
@@ -65,7 +64,7 @@ class _TimeValue(Structure):
 
 
 class _Read:
-    """One read under way; `buffer` is kept so that its memory stays where libusb writes."""
+    """One pending read; the reference to `buffer` keeps the memory in which libusb writes."""
 
     def __init__(self, transfer: Any, buffer: NDArray[np.uint8]) -> None:
         self.transfer = transfer
@@ -75,7 +74,7 @@ class _Read:
 
 
 class LibusbTransfers:
-    """A queue of reads that libusb has all handed to the kernel."""
+    """A queue of reads, all of which libusb has submitted to the kernel; see `Transfers`."""
 
     under_way = True
 
@@ -84,7 +83,7 @@ class LibusbTransfers:
         self._most_bytes = _usbfs_limit()
         self._link = link
         backend = link.device.backend
-        # Loaded again, so that our declarations of its functions stay apart from pyusb's.
+        # loaded again, because the declarations of functions below must not change those of pyusb
         self._lib = ctypes.CDLL(backend.lib._name)
         self._context = c_void_p(_address(backend.ctx))
         self._handle = c_void_p(_address(link.handle.handle))
@@ -95,13 +94,13 @@ class LibusbTransfers:
 
     @staticmethod
     def suits(link: UsbLink) -> bool:
-        """Whether pyusb talks to this camera through libusb 1.0."""
+        """Whether pyusb accesses this camera through libusb 1.0."""
         backend = link.device.backend
         return hasattr(getattr(backend, "lib", None), "libusb_submit_transfer") and hasattr(backend, "ctx")
 
     @property
     def has_room(self) -> bool:
-        """Whether the kernel has memory for a further read as long as the longest."""
+        """Whether the kernel has memory for a further read of the largest size."""
         pending = sum(read.buffer.size for read in self._reads)
         longest = max((read.buffer.size for read in self._reads), default=0)
         return pending + longest <= self._most_bytes
@@ -116,14 +115,14 @@ class LibusbTransfers:
         lib.libusb_handle_events_timeout_completed.argtypes = [c_void_p, POINTER(_TimeValue), POINTER(c_int)]
 
     def _ended(self, transfer: Any) -> None:
-        """Called by libusb in whichever thread handles its events."""
+        """Called by libusb at the end of a read, in the thread that handles its events."""
         read = self._by_address.get(ctypes.addressof(transfer.contents))
         if read is not None:
             read.host_time_ns = time.monotonic_ns()
             read.done.value = 1
 
     def submit(self, buffer: NDArray[np.uint8]) -> None:
-        """Hand a read to the kernel."""
+        """Submit a read to the kernel."""
         transfer = self._lib.libusb_alloc_transfer(0)
         fields = transfer.contents
         fields.dev_handle = self._handle
@@ -139,7 +138,7 @@ class LibusbTransfers:
         if error:
             self._free(read)
             if error == _ERROR_NO_DEVICE:
-                raise CameraLost(f"{self._link.name}: has gone while frames were read; plug it in again")
+                raise unplugged(self._link)
             if error == _ERROR_NO_MEMORY:
                 raise DeviceError(
                     f"{self._link.name}: the system has no memory for {len(self._reads) + 1} transfers; "
@@ -158,7 +157,7 @@ class LibusbTransfers:
         self._lib.libusb_handle_events_timeout_completed(self._context, byref(span), byref(done))
 
     def wait(self, timeout_s: float) -> Arrived:
-        """Let libusb work until the oldest read has ended."""
+        """Handle libusb's events until the oldest read has ended; see `Transfers.wait`."""
         read = self._reads[0]
         deadline_s = time.monotonic() + timeout_s
         while not read.done.value:
@@ -172,12 +171,12 @@ class LibusbTransfers:
         if status == _COMPLETED:
             return Arrived(count, read.host_time_ns)
         if status == _NO_DEVICE:
-            raise CameraLost(f"{self._link.name}: has gone while frames were read; plug it in again")
+            raise unplugged(self._link)
         meaning = _STATUS_NAMES.get(status, f"status {status}")
         raise StreamHalted(f"{self._link.name}: a read of the stream ended with: {meaning}")
 
     def cancel(self) -> None:
-        """Cancel all reads and wait until libusb has let go of their memory."""
+        """Cancel all reads and wait until libusb no longer uses their memory."""
         for read in self._reads:
             if not read.done.value:
                 self._lib.libusb_cancel_transfer(read.transfer)
@@ -187,8 +186,8 @@ class LibusbTransfers:
             while not read.done.value and time.monotonic() < deadline_s:
                 self._handle_events(0.05, read.done)
             if not read.done.value:
-                # libusb may still write there: let the memory live for ever rather than be overwritten.
-                logger.warning("%s: %d reads can't be cancelled", self._link.name, len(self._reads))
+                # libusb may still write into the buffers: they are never freed
+                logger.warning("%s: %d reads cannot be cancelled", self._link.name, len(self._reads))
                 _ABANDONED.extend(self._reads)
                 self._reads.clear()
                 return
@@ -200,7 +199,9 @@ _ABANDONED: list[_Read] = []
 
 
 def _usbfs_limit() -> float:
-    """Bytes that reads may take together: half of what Linux allows all USB devices, else no limit."""
+    """Largest total size of pending reads in bytes: on Linux half of the limit for all USB devices; else
+    inf.
+    """
     try:
         megabytes = int(Path("/sys/module/usbcore/parameters/usbfs_memory_mb").read_text())
     except (OSError, ValueError):

@@ -1,4 +1,4 @@
-"""USB connection to one camera: claiming of its interfaces, reading and writing of its endpoints."""
+"""USB connection to one camera: claims its interfaces, reads and writes its endpoints."""
 
 import errno
 import logging
@@ -37,8 +37,8 @@ class StreamHalted(DeviceError):
 def no_permission(name: str) -> DeviceError:
     """Error for a user without permission to open the camera."""
     return DeviceError(
-        f"{name}: no permission to use it; copy {UDEV_RULE} (it lies beside this driver; rig doctor says "
-        f"where) to /etc/udev/rules.d, run 'sudo udevadm control --reload', and plug the camera in again"
+        f"{name}: no permission to use it; copy {UDEV_RULE} (rig doctor prints its path) to "
+        f"/etc/udev/rules.d, run 'sudo udevadm control --reload', and plug the camera in again"
     )
 
 
@@ -48,7 +48,7 @@ def is_gone(error: usb.core.USBError) -> bool:
 
 
 def is_timeout(error: usb.core.USBError) -> bool:
-    """Whether the error means that nothing came in time."""
+    """Whether the error is a timeout."""
     timeout = isinstance(error, usb.core.USBTimeoutError) or error.errno == errno.ETIMEDOUT
     return timeout or error.backend_error_code == _LIBUSB_TIMEOUT
 
@@ -81,7 +81,7 @@ class UsbLink:
                     return interface
         what = "control" if protocol == _CONTROL else "stream"
         raise DeviceError(
-            f"{self.name}: has no USB3 Vision {what} interface; it can't deliver images this way"
+            f"{self.name}: has no USB3 Vision {what} interface; it cannot be used with this driver"
         )
 
     def _endpoint(self, interface: Any, direction: int) -> int:
@@ -140,14 +140,14 @@ class UsbLink:
         return self.device._ctx.handle  # pyusb has no public way to it
 
     def send(self, packet: bytes, timeout_s: float) -> None:
-        """Write one packet to the control endpoint; TimeoutError when the camera does not take it."""
+        """Write one packet to the control endpoint; TimeoutError if the camera does not accept it in time."""
         try:
             self.device.write(self._control_out, packet, self._milliseconds(timeout_s))
         except usb.core.USBError as error:
             self._recover_control(error, self._control_out, "sending a command")
 
     def receive(self, size: int, timeout_s: float) -> bytes:
-        """Read one packet from the control endpoint; TimeoutError when none comes."""
+        """Read one packet of at most `size` bytes from the control endpoint; TimeoutError if none arrives."""
         # With room for whole packets, a longer reply than expected cannot cause an overflow error.
         room = -(-size // 1024) * 1024
         try:
@@ -159,7 +159,7 @@ class UsbLink:
 
     @staticmethod
     def _milliseconds(timeout_s: float) -> int:
-        return max(1, round(timeout_s * 1000))  # libusb reads a zero as "for ever"
+        return max(1, round(timeout_s * 1000))  # for libusb, 0 means no timeout
 
     def _recover_control(self, error: usb.core.USBError, endpoint: int, doing: str) -> None:
         if is_timeout(error):
@@ -179,7 +179,7 @@ class UsbLink:
     def translated(self, error: usb.core.USBError, doing: str) -> DeviceError:
         """A DeviceError for an error of the bus."""
         if is_gone(error):
-            return CameraLost(f"{self.name}: has gone ({doing}); plug it in again")
+            return CameraLost(f"{self.name}: is no longer connected ({doing}); plug it in again")
         if error.errno == errno.EACCES:
             return no_permission(self.name)
         if error.errno == errno.EBUSY:

@@ -1,4 +1,6 @@
-"""The camera's own description of its features: found through the manifest, unpacked, decoded."""
+"""Reads the camera's description of its features (GenICam XML): located by the manifest, unzipped,
+decoded.
+"""
 
 import io
 import struct
@@ -14,7 +16,7 @@ _COUNT: Final = struct.Struct("<Q")
 _ENTRY: Final = struct.Struct("<HBBIQQ")  # file's sub-minor, minor, major version, schema, address, size
 _ENTRY_STRIDE: Final = 64
 _MAX_ENTRIES: Final = 64
-# Real descriptions are below 1 MB, zipped below 100 kB; beyond this the manifest is damaged.
+# real descriptions are below 1 MB, zipped below 100 kB; a larger size means a damaged manifest
 _LARGEST_FILE: Final = 64 << 20
 _PLAIN: Final = 0
 _ZIPPED: Final = 1
@@ -22,7 +24,7 @@ _ZIPPED: Final = 1
 
 @dataclass(frozen=True, slots=True)
 class ManifestEntry:
-    """Where a description lies in the camera and how it is packed."""
+    """Version, packing (plain or zipped), address and size in bytes of one description in the camera."""
 
     version: tuple[int, int, int]
     packing: int
@@ -31,10 +33,10 @@ class ManifestEntry:
 
 
 def read_manifest(channel: GenCpChannel, address: int, name: str) -> tuple[ManifestEntry, ...]:
-    """All descriptions that the camera carries, in its own order."""
+    """All descriptions in the camera, in the order of its manifest; DeviceError if the number is invalid."""
     (count,) = _COUNT.unpack(channel.read(address, _COUNT.size))
     if not 0 < count <= _MAX_ENTRIES:
-        raise DeviceError(f"{name}: its manifest claims {count} descriptions, 1 to {_MAX_ENTRIES} make sense")
+        raise DeviceError(f"{name}: its manifest lists {count} descriptions, 1 to {_MAX_ENTRIES} are valid")
     entries = []
     for index in range(count):
         raw = channel.read(address + _COUNT.size + index * _ENTRY_STRIDE, _ENTRY.size)
@@ -44,7 +46,7 @@ def read_manifest(channel: GenCpChannel, address: int, name: str) -> tuple[Manif
 
 
 def read_description(channel: GenCpChannel, address: int, name: str) -> str:
-    """The newest description that the camera carries, as text that begins with its first tag.
+    """The newest description in the camera, as text that begins with its first tag.
 
     Raises
     ------
@@ -56,23 +58,25 @@ def read_description(channel: GenCpChannel, address: int, name: str) -> str:
         raise DeviceError(f"{name}: its manifest has no description that is plain or zipped XML")
     newest = max(entries, key=lambda entry: entry.version)
     if not 0 < newest.size <= _LARGEST_FILE:
-        raise DeviceError(f"{name}: its description is said to have {newest.size} bytes: a damaged manifest")
+        raise DeviceError(
+            f"{name}: its manifest gives the description {newest.size} bytes: the manifest is damaged"
+        )
     return decode_description(channel.read(newest.address, newest.size), name)
 
 
 def decode_description(packed: bytes, name: str) -> str:
-    """Unzip where it is zipped (whatever the manifest says), cut away what is no XML."""
+    """Unzip data that begin like a zip archive (also if the manifest says plain), and extract the XML."""
     if packed.startswith(b"PK"):
         packed = _unzip(packed, name)
-    # Some cameras put a line of text before the XML, or pad it with zeros behind.
+    # some cameras put a line of text before the XML, or zeros after it
     start, end = packed.find(b"<"), packed.rfind(b">")
     if start < 0 or end < start:
-        raise DeviceError(f"{name}: its description is no XML: it begins with {packed[:40]!r}")
+        raise DeviceError(f"{name}: its description is not XML: it begins with {packed[:40]!r}")
     body = packed[start : end + 1]
     try:
         return body.decode("utf-8-sig")
     except UnicodeDecodeError:
-        return body.decode("latin-1")  # every byte is a character there; names of features are ASCII
+        return body.decode("latin-1")  # never fails; the names of features are ASCII in any case
 
 
 def _unzip(packed: bytes, name: str) -> bytes:
@@ -82,7 +86,10 @@ def _unzip(packed: bytes, name: str) -> bytes:
             if not members:
                 raise DeviceError(f"{name}: the archive with its description is empty")
             if members[0].file_size > _LARGEST_FILE:
-                raise DeviceError(f"{name}: its description would unpack to {members[0].file_size} bytes")
+                raise DeviceError(
+                    f"{name}: its description has {members[0].file_size} bytes unzipped, more than "
+                    f"{_LARGEST_FILE}: the archive is damaged"
+                )
             return archive.read(members[0])
     except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError) as damage:
         raise DeviceError(f"{name}: the archive with its description is damaged: {damage}") from damage

@@ -1,4 +1,4 @@
-"""A camera that is claimed and whose features are known."""
+"""A camera whose interfaces are claimed and whose features have been read."""
 
 import logging
 import time
@@ -27,7 +27,10 @@ logger = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class ClockReading:
-    """Camera's and host's clock at the same moment, the host's to within +- `u_host_time_ns`."""
+    """Readings of the camera's and the host's clock at the same time.
+
+    The host's time is uncertain by at most +- `u_host_time_ns`.
+    """
 
     device_time_ns: int
     host_time_ns: int
@@ -36,7 +39,7 @@ class ClockReading:
 
 @dataclass(frozen=True, slots=True)
 class OpenCamera:
-    """What belongs to an open camera."""
+    """Connection, registers and features of an open camera."""
 
     link: UsbLink
     channel: GenCpChannel
@@ -46,7 +49,7 @@ class OpenCamera:
 
     @classmethod
     def learn(cls, link: UsbLink, channel: GenCpChannel) -> Self:
-        """Read who the camera is and what it can do; DeviceError where that makes no sense."""
+        """Read the camera's identity and features; DeviceError if they are invalid or incomplete."""
         identity = read_identity(channel)
         silence_events(channel, identity.event_address)
         xml = read_description(channel, identity.manifest_address, link.name)
@@ -58,7 +61,7 @@ class OpenCamera:
         return cls(link, channel, identity, features, registers)
 
     def halt_leftovers(self) -> None:
-        """A program that died may have left the camera running."""
+        """Stop an acquisition that a program left running when it was killed."""
         steps: tuple[Callable[[], None], ...] = (
             lambda: self.features.execute("AcquisitionStop"),
             lambda: self.registers.enable(False),
@@ -73,7 +76,7 @@ class OpenCamera:
                 logger.debug("%s", refused)
 
     def info(self) -> CameraInfo:
-        """Who the camera is."""
+        """Identity and sensor size of the camera."""
         features, identity = self.features, self.identity
         pixel_format = BY_NAME.get(str(features.get("PixelFormat")))
         return CameraInfo(
@@ -88,16 +91,16 @@ class OpenCamera:
         )
 
     def set_locked(self, locked: bool) -> None:
-        """Tell the camera that the size of frames must not change now."""
+        """Lock or unlock the features that determine the size of frames."""
         nodes = self.features.nodes
         if "TLParamsLocked" in nodes and nodes.node("TLParamsLocked").access().writable:
             nodes.set("TLParamsLocked", int(locked))
 
     def read_clocks(self, attempts: int) -> ClockReading:
-        """The camera's clock beside the host's: the quickest of a few readings.
+        """Read the camera's and the host's clock at the same time; the fastest of some attempts is returned.
 
-        The camera's clock is latched while a command is under way; the host's time is the middle
-        of it, uncertain by half its duration.
+        The camera stores its clock while it executes a command. The host's time is the middle of the command,
+        uncertain by half its duration. Raises DeviceError if the camera has no clock.
         """
         tick_ns = self.identity.timestamp_increment_ns
         if not tick_ns:

@@ -1,4 +1,4 @@
-"""Leader and trailer: what a camera sends before and after the bytes of a frame."""
+"""Leader and trailer, the packets that a camera sends before and after the bytes of a frame."""
 
 import struct
 from dataclasses import dataclass
@@ -11,13 +11,13 @@ _LEADER: Final = struct.Struct("<IHHQHHQIIIIIHH")
 _MAGIC_TO_TYPE: Final = struct.Struct("<IHHQHH")
 _TRAILER: Final = struct.Struct("<IHHQHHQI")
 _TRAILER_MIN: Final = struct.Struct("<IHHQHHQ")
-# Payload types that begin with a plain image; the second has chunk data behind it
+# payload types that begin with a plain image; in the second, chunk data follow it
 _IMAGE_TYPES: Final = {0x0001, 0x4001}
 
 
 @dataclass(frozen=True, slots=True)
 class Leader:
-    """Announces a frame."""
+    """Packet before a frame; `timestamp` is in ticks of the camera's clock, `x_padding` in bytes per line."""
 
     block: int
     timestamp: int
@@ -29,7 +29,7 @@ class Leader:
 
 @dataclass(frozen=True, slots=True)
 class Trailer:
-    """Ends a frame and says how it went; status 0 is good."""
+    """Packet after a frame; `status` is 0 if the frame is complete, `valid_bytes` its number of bytes."""
 
     block: int
     status: int
@@ -37,7 +37,7 @@ class Trailer:
 
 
 def parse_leader(raw: bytes) -> Leader | None:
-    """The leader in these bytes; None where they are none, or announce no image."""
+    """The leader in these bytes; None if they are not a leader, or not one of an image."""
     if len(raw) < _LEADER.size:
         return None
     magic, _, size, block, _, kind, timestamp, pixel_format, width, height, _, _, padding, _ = (
@@ -49,7 +49,7 @@ def parse_leader(raw: bytes) -> Leader | None:
 
 
 def announced_type(raw: bytes) -> int | None:
-    """Payload type that a whole leader announces, image or not; None where these bytes are no leader."""
+    """Payload type of a complete leader, also if it is not an image; None if these bytes are not a leader."""
     if len(raw) < _MAGIC_TO_TYPE.size:
         return None
     magic, _, size, _, _, kind = _MAGIC_TO_TYPE.unpack_from(raw)
@@ -57,7 +57,7 @@ def announced_type(raw: bytes) -> int | None:
 
 
 def parse_trailer(raw: bytes) -> Trailer | None:
-    """The trailer in these bytes; None where they are none."""
+    """The trailer in these bytes; None if they are not a trailer."""
     if len(raw) < _TRAILER_MIN.size:
         return None
     magic, _, size, block, status, _, valid = _TRAILER_MIN.unpack_from(raw)
@@ -67,5 +67,5 @@ def parse_trailer(raw: bytes) -> Trailer | None:
 
 
 def begins_like(raw: bytes, magic: int) -> bool:
-    """Whether these bytes begin with a leader's or a trailer's mark."""
+    """Whether these bytes begin with `magic`, the first word of a leader or a trailer."""
     return len(raw) >= 4 and _MAGIC.unpack_from(raw)[0] == magic

@@ -1,4 +1,4 @@
-"""The bootstrap registers: who the camera is, and how its stream is set up."""
+"""The bootstrap registers: identity of the camera, and set-up of its stream."""
 
 import struct
 import time
@@ -40,7 +40,7 @@ _SPEEDS: Final = {1: "low speed", 2: "full speed", 4: "high speed", 8: "SuperSpe
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """What the bootstrap registers say about the camera."""
+    """Contents of the bootstrap registers; `timestamp_increment_ns` is 0 for a camera without a clock."""
 
     vendor: str
     model: str
@@ -54,10 +54,10 @@ class Identity:
 
 @dataclass(frozen=True, slots=True)
 class TransferPlan:
-    """How a frame is cut into bulk transfers, in bytes: leader, payload pieces, trailer.
+    """Sizes in bytes of the bulk transfers of one frame: leader, payload, trailer.
 
-    The payload goes over in `payload_count` transfers of `payload_size`, then `final_1`, then
-    `final_2` (either may be zero); all are multiples of the camera's alignment.
+    The payload consists of `payload_count` transfers of `payload_size`, then `final_1`, then `final_2`
+    (either may be 0). All are multiples of the camera's alignment.
     """
 
     leader: int
@@ -77,9 +77,9 @@ class TransferPlan:
 def plan_transfers(
     payload: int, leader: int, trailer: int, alignment: int, largest_transfer: int
 ) -> TransferPlan:
-    """Cut a payload of `payload` bytes into transfers of at most `largest_transfer` bytes.
+    """Divide a payload of `payload` bytes into transfers of at most `largest_transfer` bytes.
 
-    Leader and trailer are given room up to the alignment; the last piece is padded up to it.
+    The sizes of leader, trailer and the last part of the payload are rounded up to a multiple of `alignment`.
     """
 
     def aligned(size: int) -> int:
@@ -106,7 +106,7 @@ def _u64(channel: GenCpChannel, address: int) -> int:
 
 
 def read_identity(channel: GenCpChannel) -> Identity:
-    """Read the bootstrap registers and let the channel use the camera's own packet sizes."""
+    """Read the bootstrap registers, and set the channel to the camera's own packet sizes."""
     sbrm = _u64(channel, _SBRM_ADDRESS)
     response_time_s = _u32(channel, _MAX_RESPONSE_TIME_MS) / 1000.0
     channel.set_limits(_u32(channel, sbrm + _MAX_COMMAND), _u32(channel, sbrm + _MAX_REPLY), response_time_s)
@@ -128,19 +128,19 @@ def _timestamp_increment(channel: GenCpChannel) -> int:
         increment = _u64(channel, _TIMESTAMP_INCREMENT)
     except RegisterRefused:
         return 0  # a camera without a clock need not have the register
-    # 1 s is far beyond any clock worth the name: the register is not what it should be
+    # a tick of 1 s or more is not a usable clock: the register does not contain what it should
     return increment if increment < 1_000_000_000 else 0
 
 
 def latch_timestamp(channel: GenCpChannel) -> tuple[int, int]:
-    """(camera's clock in its own ticks at the latch, host's monotonic clock in ns just after it)."""
+    """The camera's clock in ticks, and the host's monotonic clock in ns immediately after it was stored."""
     channel.write(_TIMESTAMP_LATCH, struct.pack("<I", 1))
     after_ns = time.monotonic_ns()
     return _u64(channel, _TIMESTAMP), after_ns
 
 
 def silence_events(channel: GenCpChannel, event_address: int) -> None:
-    """Turn the event endpoint off; nobody reads it, and some cameras stall once it is full."""
+    """Switch the event endpoint off: it is not read, and some cameras stall when it is full."""
     if event_address:
         try:
             channel.write(event_address, struct.pack("<I", 0))
@@ -149,7 +149,7 @@ def silence_events(channel: GenCpChannel, event_address: int) -> None:
 
 
 class StreamRegisters:
-    """The stream interface of one camera."""
+    """Registers of one camera's stream interface."""
 
     def __init__(self, channel: GenCpChannel, address: int, name: str) -> None:
         self._channel = channel
@@ -157,7 +157,11 @@ class StreamRegisters:
         self._name = name
 
     def set_up(self, payload_limit: int, largest_transfer: int) -> TransferPlan:
-        """Ask what a frame needs, write the transfer sizes, return them. The stream must be off."""
+        """Read the size of a frame, write the sizes of the transfers, and return them. The stream must be
+        off.
+
+        Raises DeviceError if the registers contain impossible sizes.
+        """
         base = self._address
         alignment = 1 << (_u32(self._channel, base + _STREAM_INFO) >> 24)
         payload = _u64(self._channel, base + _STREAM_REQUIRED_PAYLOAD)
@@ -165,19 +169,20 @@ class StreamRegisters:
         trailer = _u32(self._channel, base + _STREAM_REQUIRED_TRAILER)
         if not 0 < payload <= payload_limit or not 0 < leader <= 65536 or not 0 < trailer <= 65536:
             raise DeviceError(
-                f"{self._name}: asks for frames of {payload} bytes with {leader} before and {trailer} "
-                f"after; reduce Width and Height, or unplug the camera and plug it in again"
+                f"{self._name}: requires frames of {payload} bytes with a leader of {leader} and a trailer "
+                f"of {trailer} bytes; reduce Width and Height, or unplug the camera and plug it in again"
             )
         if alignment > 65536:
             raise DeviceError(
-                f"{self._name}: says its stream is aligned to {alignment} bytes: no such camera"
+                f"{self._name}: aligns its stream to {alignment} bytes, which is not possible; "
+                "unplug the camera and plug it in again"
             )
-        # Packets never exceed 1024 bytes; buffers in multiples of that can't be overrun by one.
+        # packets have at most 1024 bytes: with multiples of that, no packet overruns a buffer
         plan = plan_transfers(payload, leader, trailer, max(alignment, 1024), largest_transfer)
         sizes = (plan.leader, plan.payload_size, plan.payload_count, plan.final_1, plan.final_2, plan.trailer)
         self._channel.write(base + _STREAM_HOST_SIZES, struct.pack("<6I", *sizes))
         return plan
 
     def enable(self, on: bool) -> None:
-        """Let the camera put frames on the stream endpoint, or not."""
+        """Switch the sending of frames to the stream endpoint on or off."""
         self._channel.write(self._address + _STREAM_CONTROL, struct.pack("<I", int(on)))

@@ -1,4 +1,4 @@
-"""What a user asks of the USB3 Vision driver."""
+"""Section [camera.usb3vision]: options of the USB3 Vision driver."""
 
 from typing import Literal
 
@@ -6,16 +6,16 @@ from pydantic import BaseModel, Field
 
 
 class Usb3VisionSettings(BaseModel, frozen=True, extra="forbid"):
-    """Which camera, and how it is talked to."""
+    """Choice of the camera, and options of the communication with it."""
 
     serial: str | None = Field(default=None, description="needed only where several are plugged in")
     transfers: int = Field(default=4, ge=1, le=64, description="frames for which reads are queued ahead")
     transfer_bytes: int = Field(
-        default=1 << 20, ge=1 << 14, le=1 << 26, description="longest single transfer of a frame's bytes"
+        default=1 << 20, ge=1 << 14, le=1 << 26, description="largest single transfer of a frame's bytes"
     )
     buffers: int = Field(default=64, ge=2, le=4096, description="frames kept for a reader that is late")
     reading: Literal["auto", "blocking"] = Field(
-        default="auto", description="auto queues reads ahead where libusb 1.0 is there; blocking never does"
+        default="auto", description="auto queues reads ahead if libusb 1.0 is available; blocking never does"
     )
-    control_timeout_s: float = Field(default=0.5, gt=0, le=10, description="patience for one reply")
-    control_retries: int = Field(default=3, ge=0, le=20, description="commands sent again after silence")
+    control_timeout_s: float = Field(default=0.5, gt=0, le=10, description="timeout of one reply")
+    control_retries: int = Field(default=3, ge=0, le=20, description="repetitions of a command without reply")

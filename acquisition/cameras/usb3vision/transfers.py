@@ -55,15 +55,15 @@ class Transfers(Protocol):
 
 
 class TransferBuffer(np.ndarray[tuple[int], np.dtype[np.uint8]]):
-    """Memory that pyusb's backends can read into: they ask for it as they would ask array.array."""
+    """Memory for pyusb's backends, which expect the method `buffer_info` of array.array."""
 
     def buffer_info(self) -> tuple[int, int]:
-        """Address and count, as array.array has it."""
+        """Address and number of bytes."""
         return self.ctypes.data, self.size
 
 
 class BlockingTransfers:
-    """Reads one after the other through pyusb's backend, whichever it is."""
+    """Reads one after the other through any of pyusb's backends; see `Transfers`."""
 
     frames_ahead = 1
     under_way = False
@@ -96,7 +96,7 @@ class BlockingTransfers:
             raise stream_error(error, link) from error
         now_ns = time.monotonic_ns()
         self._filled += count
-        # Whole packets only, and the time is up: the timeout has cut the transfer, not the camera.
+        # only whole packets and the time has elapsed: the timeout ended the transfer, not the camera
         is_cut = count % link.packet_size == 0 and time.monotonic() - begin_s >= timeout_s
         if is_cut and self._filled < buffer.size:
             raise TimeoutError
@@ -105,15 +105,20 @@ class BlockingTransfers:
         return Arrived(total, now_ns)
 
     def cancel(self) -> None:
-        """Nothing is under way between two calls of `wait`."""
+        """Remove all reads; none is pending between two calls of `wait`."""
         self._queued.clear()
         self._filled = 0
 
 
+def unplugged(link: UsbLink) -> CameraLost:
+    """The exception for a camera that is disconnected while frames are read."""
+    return CameraLost(f"{link.name}: is no longer connected (reading frames); plug it in again")
+
+
 def stream_error(error: usb.core.USBError, link: UsbLink) -> CameraLost | StreamHalted:
-    """What an error while reading the stream means."""
+    """The exception for an error of pyusb while the stream is read."""
     if is_gone(error):
-        return CameraLost(f"{link.name}: has gone while frames were read; plug it in again")
+        return unplugged(link)
     if error.errno == errno.EPIPE:
         return StreamHalted(f"{link.name}: the stream endpoint has stalled")
     return StreamHalted(f"{link.name}: error while reading frames: {error}")

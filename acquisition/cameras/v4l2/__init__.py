@@ -1,1 +1,1 @@
-"""UVC and any other Video4Linux camera; OpenCV's VideoCapture where there is no Video4Linux."""
+"""UVC and other Video4Linux cameras; on systems without Video4Linux, OpenCV's VideoCapture."""

@@ -1,4 +1,4 @@
-"""Which Video4Linux devices there are."""
+"""Search for connected Video4Linux devices, and choice of one."""
 
 import errno
 import os
@@ -15,7 +15,11 @@ _SYSFS = Path("/sys/class/video4linux")
 
 
 class VideoDevice(NamedTuple):
-    """One device that delivers images. `problem` is the reason why it cannot be opened."""
+    """One device that delivers images.
+
+    `formats` are four-character codes, `modes` the supported ones with size and largest rate as text.
+    `problem` is the reason for which it cannot be opened, empty if it can.
+    """
 
     path: str
     name: str
@@ -27,7 +31,7 @@ class VideoDevice(NamedTuple):
 
 
 def list_devices() -> list[VideoDevice]:
-    """Every device that captures images, in order of its number; devices in use are listed too."""
+    """All devices that capture images, in order of their number, including those in use."""
     if not _SYSFS.is_dir():
         return []
     nodes = sorted(
@@ -39,7 +43,7 @@ def list_devices() -> list[VideoDevice]:
 
 
 def list_cameras() -> list[PluggedCamera]:
-    """The same for ``rig devices``; DeviceError where there is no Video4Linux."""
+    """The same for ``rig devices``; DeviceError on systems without Video4Linux."""
     if sys.platform != "linux":
         raise DeviceError("v4l2: OpenCV cannot list devices; try camera.v4l2.device = '0', '1', ...")
     cameras = []
@@ -52,12 +56,12 @@ def list_cameras() -> list[PluggedCamera]:
 
 
 def find_device(path: str | None, serial: str | None) -> VideoDevice:
-    """The device that is meant.
+    """The device with this path (or number) or this serial number; without either, the only one connected.
 
     Raises
     ------
     DeviceError
-        None, several and none named (lists them), no such, no permission.
+        No such device; several, of which none is selected (the message lists them); or no permission.
     """
     there = list_devices()
     listed = "; ".join(f"{device.path} {device.name} {device.serial}".strip() for device in there)
@@ -67,7 +71,7 @@ def find_device(path: str | None, serial: str | None) -> VideoDevice:
         real = os.path.realpath(path)
         chosen = [device for device in there if device.path == real]
         if not chosen:
-            raise DeviceError(f"{path}: no camera is there; there are: {listed or 'none'}")
+            raise DeviceError(f"{path}: is not a camera; there are: {listed or 'none'}")
     elif serial is not None:
         chosen = [device for device in there if device.serial == serial]
         if not chosen:
@@ -78,14 +82,14 @@ def find_device(path: str | None, serial: str | None) -> VideoDevice:
         raise DeviceError("no video device was found; is the camera plugged in, and does lsusb show it?")
     usable = [device for device in chosen if possible(list(device.formats))] or chosen
     if len(usable) > 1:
-        raise DeviceError(f"several video devices: {listed}; set camera.v4l2.device to the one that is meant")
+        raise DeviceError(f"several video devices: {listed}; set camera.v4l2.device to one of them")
     if usable[0].problem:
         raise DeviceError(usable[0].problem)
     return usable[0]
 
 
 def refusal(path: str, error: OSError) -> str:
-    """One line for a device that can't be opened."""
+    """Error message for a device that cannot be opened."""
     if error.errno in (errno.EACCES, errno.EPERM):
         return (
             f"{path}: no permission; add yourself to the group 'video' "
@@ -124,7 +128,7 @@ def _look_at(path: str, serial: str) -> VideoDevice | None:
 
 
 def _serial(entry: Path) -> str:
-    """Serial number of the USB device above this entry, where it has one."""
+    """Serial number of the USB device to which this entry of sysfs belongs; empty if it has none."""
     try:
         place = (entry / "device").resolve()
         for folder in (place, *place.parents):

@@ -1,4 +1,4 @@
-"""The kernel's Video4Linux calls that a grey camera needs, as plain values (linux/videodev2.h, 64 bit)."""
+"""The kernel's Video4Linux calls needed for a grey camera (linux/videodev2.h, 64 bit). All raise OSError."""
 
 import errno
 import fcntl
@@ -11,7 +11,7 @@ MEMORY_MAPPED: Final = 1
 STREAMING_CAPTURE: Final = 0x0400_0001
 FLAG_ERROR: Final = 0x40
 CROP, CROP_BOUNDS = 0, 2
-CONTROL_OFF: Final = 0x1 | 0x4 | 0x10  # disabled, read only, inactive: nothing that can be set now
+CONTROL_OFF: Final = 0x1 | 0x4 | 0x10  # disabled, read only, inactive: cannot be set at present
 NEXT_CONTROL: Final = 0x8000_0000
 EXPOSURE_AUTO, EXPOSURE_ABSOLUTE, EXPOSURE_PRIORITY = 0x009A0901, 0x009A0902, 0x009A0903
 AUTO_GAIN, GAIN = 0x00980912, 0x00980913
@@ -37,7 +37,7 @@ _BUFFER = struct.Struct("<5I4xqq16sIIQI2I4x")
 
 
 class Capabilities(NamedTuple):
-    """Who a video device is."""
+    """Identity of a video device, and whether it streams images."""
 
     driver: str
     card: str
@@ -46,7 +46,7 @@ class Capabilities(NamedTuple):
 
 
 class PixelLayout(NamedTuple):
-    """Format of the images in memory. `fourcc` is the kernel's name of it."""
+    """Format of the images in memory; `fourcc` is its four-character code."""
 
     width_px: int
     height_px: int
@@ -68,7 +68,7 @@ class Control(NamedTuple):
 
 
 class Rectangle(NamedTuple):
-    """A part of the sensor."""
+    """A region of the sensor, in px."""
 
     left: int
     top: int
@@ -77,7 +77,7 @@ class Rectangle(NamedTuple):
 
 
 class Filled(NamedTuple):
-    """A buffer that the driver has filled; `time_ns` is its timestamp."""
+    """Number of a buffer that the driver has filled; `time_ns` is the driver's timestamp of the frame."""
 
     buffer: int
     bytes_used: int
@@ -87,7 +87,7 @@ class Filled(NamedTuple):
 
 
 def capabilities(device: int) -> Capabilities:
-    """Name, bus, and whether the device streams images."""
+    """Identity of a device, and whether it streams images."""
     data = _call(device, _QUERY_CAPABILITIES, bytes(104))
     driver, card, bus, _, everything, here = struct.unpack_from("<16s32s32s3I", data)
     flags = here if everything & 0x8000_0000 else everything
@@ -109,7 +109,7 @@ def formats(device: int) -> list[str]:
 
 
 def sizes(device: int, fourcc: str) -> list[tuple[int, int]]:
-    """Sizes of a format; of a continuous range only its largest."""
+    """Sizes (width, height) of a format in px; only the largest if there is a continuous range."""
     found = []
     for index in range(256):
         try:
@@ -124,7 +124,7 @@ def sizes(device: int, fourcc: str) -> list[tuple[int, int]]:
 
 
 def highest_rate_hz(device: int, fourcc: str, width_px: int, height_px: int) -> float:
-    """The highest frame rate of a size; NaN where the driver does not report it."""
+    """The highest frame rate for a size; NaN if the driver does not report it."""
     best = float("nan")
     for index in range(256):
         try:
@@ -145,12 +145,12 @@ def highest_rate_hz(device: int, fourcc: str, width_px: int, height_px: int) -> 
 
 
 def get_layout(device: int) -> PixelLayout:
-    """The format that is set."""
+    """The present format."""
     return _layout(_call(device, _GET_FORMAT, struct.pack("<I204x", CAPTURE)))
 
 
 def set_layout(device: int, width_px: int, height_px: int, fourcc: str) -> PixelLayout:
-    """Set the format; what the driver made of it comes back."""
+    """Set the format; returns the format that the driver has set, which may differ."""
     request = struct.pack(
         "<I4xII4sI", CAPTURE, width_px, height_px, fourcc.encode("latin-1"), 1
     )  # 1: progressive
@@ -158,7 +158,7 @@ def set_layout(device: int, width_px: int, height_px: int, fourcc: str) -> Pixel
 
 
 def get_rate_hz(device: int) -> float:
-    """Frames a second that are set; NaN where the driver does not report it."""
+    """The present frame rate; NaN if the driver does not report it."""
     try:
         data = _call(device, _GET_PARAMETERS, struct.pack("<I200x", CAPTURE))
     except OSError:
@@ -168,7 +168,7 @@ def get_rate_hz(device: int) -> float:
 
 
 def set_rate_hz(device: int, rate_hz: float) -> None:
-    """Ask for a frame rate."""
+    """Set the frame rate; the driver may set another one."""
     request = struct.pack("<IIIII", CAPTURE, 0, 0, 1000, round(rate_hz * 1000))
     _call(device, _SET_PARAMETERS, request.ljust(204, b"\0"))
 
@@ -183,7 +183,7 @@ def controls(device: int) -> list[Control]:
         except OSError:
             return found
         identity, kind, name, lowest, highest, step, _, flags = struct.unpack_from("<II32s4iI", data)
-        if kind != 6:  # a heading
+        if kind != 6:  # the title of a group of controls
             found.append(Control(identity, _text(name), kind, lowest, highest, step, not flags & CONTROL_OFF))
         number = identity | NEXT_CONTROL
 
@@ -195,12 +195,12 @@ def get_control(device: int, number: int) -> int:
 
 
 def set_control(device: int, number: int, value: int) -> None:
-    """Set a control; drivers may take another value than this."""
+    """Set a control; the driver may set another value."""
     _call(device, _SET_CONTROL, struct.pack("<Ii", number, value))
 
 
 def get_selection(device: int, target: int) -> Rectangle | None:
-    """The region that is read out, or its bounds; None where the driver has no such."""
+    """The region that is read out (`target` CROP) or its bounds (CROP_BOUNDS); None if not supported."""
     try:
         data = _call(device, _GET_SELECTION, struct.pack("<II56x", CAPTURE, target))
     except OSError:
@@ -215,7 +215,7 @@ def set_selection(device: int, region: Rectangle) -> None:
 
 
 def request_buffers(device: int, count: int) -> int:
-    """Have the driver make buffers (0 gives them back); how many there are."""
+    """Let the driver allocate buffers (0 frees them); returns the number allocated."""
     made: int = struct.unpack_from(
         "<I", _call(device, _REQUEST_BUFFERS, struct.pack("<III8x", count, CAPTURE, MEMORY_MAPPED))
     )[0]
@@ -223,18 +223,18 @@ def request_buffers(device: int, count: int) -> int:
 
 
 def buffer_place(device: int, index: int) -> tuple[int, int]:
-    """(offset to map, length) of a buffer."""
+    """Offset for mmap and length of a buffer in bytes."""
     values = _BUFFER.unpack(_call(device, _QUERY_BUFFER, _buffer(index)))
     return values[10] & 0xFFFF_FFFF, values[11]
 
 
 def queue(device: int, index: int) -> None:
-    """Hand a buffer to the driver."""
+    """Give a buffer to the driver to be filled."""
     _call(device, _QUEUE, _buffer(index))
 
 
 def dequeue(device: int) -> Filled | None:
-    """The next filled buffer; None where there is none yet."""
+    """The next filled buffer; None if there is none yet."""
     try:
         values = _BUFFER.unpack(_call(device, _DEQUEUE, _buffer(0)))
     except OSError as error:
@@ -245,12 +245,12 @@ def dequeue(device: int) -> Filled | None:
 
 
 def stream(device: int, on: bool) -> None:
-    """Let the camera run, or not; switching it off gives all buffers back."""
+    """Start or stop the stream; stopping it returns all buffers."""
     _call(device, _STREAM_ON if on else _STREAM_OFF, struct.pack("<i", CAPTURE))
 
 
 def open_device(path: str) -> int:
-    """File descriptor, non-blocking."""
+    """Open a device in non-blocking mode; returns the file descriptor."""
     return os.open(path, os.O_RDWR | os.O_NONBLOCK | os.O_CLOEXEC)
 
 

@@ -1,4 +1,4 @@
-"""From the bytes of a buffer to a grey image, without arithmetic on the values."""
+"""Converts the bytes of a buffer to a grey image; the values are not changed."""
 
 from typing import Final, NamedTuple
 
@@ -10,7 +10,9 @@ from acquisition.frame import Image
 
 
 class Layout(NamedTuple):
-    """`pixel_format` is what it gives; `step` is the distance of two grey values of a row."""
+    """Grey values in a buffer: their `pixel_format`, type, distance in a row and first position (in
+    values).
+    """
 
     pixel_format: PixelFormat
     dtype: str
@@ -18,7 +20,7 @@ class Layout(NamedTuple):
     offset: int = 0
 
 
-# In order of preference: a grey sensor's own values before the luminance of a colour camera.
+# in order of preference: values of a grey sensor before the luminance of a colour camera
 LAYOUTS: Final[dict[str, Layout]] = {
     "GREY": Layout("mono8", "u1"),
     "Y10 ": Layout("mono10", "<u2"),
@@ -31,7 +33,9 @@ LAYOUTS: Final[dict[str, Layout]] = {
 
 
 def choose(offered: list[str], wanted: PixelFormat | None) -> str | None:
-    """The first layout that is offered and gives what is wanted; None where there is none."""
+    """Code of the preferred layout among the offered ones, with the wanted pixel format; None if there is
+    none.
+    """
     for fourcc, layout in LAYOUTS.items():
         if fourcc in offered and wanted in (None, layout.pixel_format):
             return fourcc
@@ -39,12 +43,12 @@ def choose(offered: list[str], wanted: PixelFormat | None) -> str | None:
 
 
 def possible(offered: list[str]) -> list[PixelFormat]:
-    """Pixel formats that can be had."""
+    """Pixel formats that follow from the offered layouts."""
     return list(dict.fromkeys(layout.pixel_format for fourcc, layout in LAYOUTS.items() if fourcc in offered))
 
 
 def image_bytes(layout: PixelLayout) -> int:
-    """Bytes that the grey part of an image takes in its buffer."""
+    """Number of bytes of the grey part of an image in its buffer."""
     return layout.row_bytes * layout.height_px
 
 

@@ -1,4 +1,4 @@
-"""A Video4Linux device read with the kernel's own calls: sequence numbers, error flags, timestamps."""
+"""A Video4Linux device read by the kernel's calls, with sequence numbers, error flags and timestamps."""
 
 import contextlib
 import errno
@@ -33,7 +33,7 @@ class LinuxSource:
         self._bounds: kernel.Rectangle | None = None
 
     def open(self) -> CameraInfo:
-        """Find and open the device, set the best grey format that it has."""
+        """Find and open the device; if its format is not supported, set the preferred one that it offers."""
         found = find_device(self._settings.device, self._settings.serial)
         self._name = f"{found.path} ({found.name})"
         try:
@@ -69,7 +69,7 @@ class LinuxSource:
         )
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
-        """Apply what is asked in an order in which nothing overrules what went before."""
+        """Apply the settings, in an order in which a later one does not change an earlier one."""
         try:
             self._set_layout(settings)
             self._set_exposure(settings)
@@ -81,7 +81,7 @@ class LinuxSource:
             raise self._failure(error) from None
 
     def start(self) -> None:
-        """Map the buffers, queue them all, stream on."""
+        """Map the buffers, give them all to the driver, start the stream."""
         try:
             count = kernel.request_buffers(self._device, self._settings.buffers)
             for index in range(count):
@@ -97,7 +97,7 @@ class LinuxSource:
             raise self._failure(error) from None
 
     def next(self) -> RawFrame | None:
-        """The next buffer, copied and handed back to the driver immediately."""
+        """The next frame, copied; its buffer is returned to the driver immediately."""
         try:
             poll = select.poll()
             poll.register(self._device, select.POLLIN)
@@ -121,7 +121,7 @@ class LinuxSource:
         return RawFrame(image, filled.sequence, filled.time_ns, host_time_ns)
 
     def stop(self) -> None:
-        """Stream off, buffers back; errors of an unplugged device are ignored."""
+        """Stop the stream and free the buffers; errors of an unplugged device are ignored."""
         with contextlib.suppress(OSError):
             kernel.stream(self._device, False)
         with contextlib.suppress(OSError):
@@ -156,7 +156,7 @@ class LinuxSource:
         height_px = settings.height_px or self._layout.height_px
         if self._bounds is not None:
             region = self._set_region(self._bounds, settings)
-            # a driver makes any size of a region by scaling it; only its own size is pixel for pixel
+            # a driver may scale the region to another size: only its own size is unscaled
             width_px, height_px = region.width, region.height
         elif settings.offset_x_px or settings.offset_y_px:
             raise DeviceError(
@@ -165,7 +165,10 @@ class LinuxSource:
             )
         self._layout = kernel.set_layout(self._device, width_px, height_px, fourcc)
         if self._layout.fourcc != fourcc:
-            raise DeviceError(f"{self._name}: took {self._layout.fourcc} where {fourcc} was asked")
+            raise DeviceError(
+                f"{self._name}: format {fourcc} was requested, the camera set {self._layout.fourcc}; "
+                "set camera.pixel_format to another one"
+            )
         made = (self._layout.width_px, self._layout.height_px)
         if self._bounds is not None and made != (width_px, height_px):
             raise DeviceError(
@@ -234,7 +237,7 @@ class LinuxSource:
         kernel.set_control(self._device, kernel.GAIN, wanted)
         taken = kernel.get_control(self._device, kernel.GAIN)
         if taken != wanted:
-            raise DeviceError(f"{self._name}: gain = {wanted} was asked, the camera says {taken}")
+            raise DeviceError(f"{self._name}: gain = {wanted} was requested, the camera set {taken}")
 
     def _readings(self) -> CameraSettings:
         there = {control.number for control in kernel.controls(self._device)}
@@ -256,5 +259,5 @@ class LinuxSource:
 
     def _failure(self, error: OSError) -> DeviceError:
         if error.errno in (errno.ENODEV, errno.ENXIO, errno.EIO, errno.EBADF):
-            return CameraLost(f"{self._name}: has gone ({error.strerror}); plug it in again")
+            return CameraLost(f"{self._name}: is no longer connected ({error.strerror}); plug it in again")
         return DeviceError(refusal(self._name, error))

@@ -1,4 +1,4 @@
-"""A video device read through OpenCV: where there is no Video4Linux, or where it is asked for."""
+"""A video device read through OpenCV: on systems without Video4Linux, or if configured."""
 
 import os
 import sys
@@ -25,8 +25,9 @@ _MOST_STALE_FRAMES = 32
 class OpenCvSource:
     """See `source.Source`.
 
-    OpenCV has no sequence numbers. Its timestamp is the driver's with Video4Linux, elsewhere it is
-    not used. A read that fails tells nothing of why: three that fail at once mean a lost camera.
+    OpenCV has no sequence numbers. Its timestamp is the driver's with Video4Linux; elsewhere it is not used.
+    The reason of a failed read is not known: three successive reads that fail quickly are taken for a lost
+    camera.
     """
 
     def __init__(self, settings: V4l2Settings) -> None:
@@ -40,15 +41,19 @@ class OpenCvSource:
         self._failures = 0
 
     def open(self) -> CameraInfo:
-        """Open the device with its raw format, as far as OpenCV hands that over."""
+        """Open the device, with the raw format if OpenCV supports it."""
         if self._settings.serial is not None:
-            raise DeviceError("OpenCV knows no serial numbers; set camera.v4l2.device instead of serial")
+            raise DeviceError(
+                "OpenCV does not support serial numbers; set camera.v4l2.device instead of serial"
+            )
         if _ON_LINUX:
-            # read when a capture is opened: else a read waits ten seconds for a camera that is silent
+            # OpenCV reads this when a capture is opened; otherwise it waits ten seconds for a frame
             os.environ.setdefault("OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT", "1")
         capture = cv2.VideoCapture(self._place, cv2.CAP_V4L2 if _ON_LINUX else cv2.CAP_ANY)
         if not capture.isOpened():
-            raise DeviceError(f"{self._name}: OpenCV can't open it; is it plugged in, and free?")
+            raise DeviceError(
+                f"{self._name}: OpenCV cannot open it; is it plugged in, and not in use by another program?"
+            )
         self._capture = capture
         capture.set(cv2.CAP_PROP_CONVERT_RGB, 0)
         self._pixel_format = "mono8"
@@ -68,10 +73,10 @@ class OpenCvSource:
         )
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
-        """Set each property and read it back: the value that `set` returns is meaningless."""
+        """Set each property and read it back, because OpenCV's `set` does not report failures reliably."""
         capture = self._capture
         if settings.offset_x_px or settings.offset_y_px:
-            raise DeviceError(f"{self._name}: OpenCV cuts no region of interest; leave the offsets out")
+            raise DeviceError(f"{self._name}: OpenCV has no region of interest; leave the offsets out")
         if settings.gain_db is not None:
             raise DeviceError(
                 f"{self._name}: its gain has steps of its own, not decibels; set camera.v4l2.gain instead"
@@ -96,13 +101,13 @@ class OpenCvSource:
             if capture.get(cv2.CAP_PROP_GAIN) != wanted:
                 taken = capture.get(cv2.CAP_PROP_GAIN)
                 raise DeviceError(
-                    f"{self._name}: gain = {wanted} was asked, the camera says {taken:g}; "
+                    f"{self._name}: gain = {wanted} was requested, the camera set {taken:g}; "
                     "is its automatic gain on?"
                 )
         return self._readings()
 
     def start(self) -> None:
-        """OpenCV streams since `open`: throw away what the driver holds from before."""
+        """Discard the frames that the driver has buffered: OpenCV streams from `open` on."""
         self._failures = 0
         self._started_ns = time.monotonic_ns()
         for _ in range(_MOST_STALE_FRAMES):
@@ -120,7 +125,7 @@ class OpenCvSource:
             gone = _ON_LINUX and isinstance(self._place, str) and not os.path.exists(self._place)
             self._failures += quick
             if gone or self._failures >= _FAILURES_OF_A_LOST_CAMERA:
-                raise CameraLost(f"{self._name}: gives no more frames; plug it in again")
+                raise CameraLost(f"{self._name}: delivers no more frames; plug it in again")
             return None
         self._failures = 0
         device_time_ns = -1
@@ -131,7 +136,7 @@ class OpenCvSource:
         return RawFrame(self._grey(picture), -1, device_time_ns, host_time_ns)
 
     def stop(self) -> None:
-        """Nothing: OpenCV goes on streaming until it is closed, `start` drains."""
+        """Does nothing: OpenCV streams until it is closed, and `start` discards old frames."""
 
     def close(self) -> None:
         """Release the device."""
@@ -147,10 +152,10 @@ class OpenCvSource:
         if picture.ndim == 3 and picture.shape[2] == 3:
             picture = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
         elif picture.ndim == 3:
-            picture = picture[:, :, 0]  # YUYV: its luminance as it is
+            picture = picture[:, :, 0]  # YUYV: the luminance
         if picture.dtype not in (np.uint8, np.uint16) or min(picture.shape) < 2:
             raise DeviceError(
-                f"{self._name}: gives {picture.dtype} of shape {picture.shape}, which is no image"
+                f"{self._name}: delivers {picture.dtype} of shape {picture.shape}, which is not an image"
             )
         image: Image = np.array(picture, copy=True)
         image.flags.writeable = False

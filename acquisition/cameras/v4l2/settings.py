@@ -1,4 +1,4 @@
-"""What a user asks of the Video4Linux driver."""
+"""Section [camera.v4l2]: options of the Video4Linux driver."""
 
 from typing import Literal
 
@@ -6,17 +6,15 @@ from pydantic import BaseModel, Field
 
 
 class V4l2Settings(BaseModel, frozen=True, extra="forbid"):
-    """Which camera, and what only this driver can be asked for."""
+    """Choice of the camera, and options of this driver."""
 
     device: str | None = Field(
         default=None, description="/dev/video2, or a number for OpenCV; needed only where there are several"
     )
     serial: str | None = Field(default=None, description="instead of the device, where the camera has one")
     reading: Literal["auto", "kernel", "opencv"] = Field(
-        default="auto", description="kernel: Linux's own calls, which count losses; opencv: everywhere"
+        default="auto", description="kernel: calls of Linux, which count losses; opencv: on all systems"
     )
-    gain: int | None = Field(
-        default=None, description="in the camera's own steps, for these have no decibels"
-    )
+    gain: int | None = Field(default=None, description="in the camera's own steps, which are not decibels")
     buffers: int = Field(default=4, ge=2, le=32, description="buffers of the driver")
     queued_frames: int = Field(default=64, ge=2, le=4096, description="frames kept for a reader that is late")

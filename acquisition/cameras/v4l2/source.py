@@ -1,4 +1,4 @@
-"""What a source of video frames gives: two implementations, the kernel's own calls and OpenCV."""
+"""Interface of a source of video frames, implemented by `LinuxSource` and `OpenCvSource`."""
 
 from typing import NamedTuple, Protocol
 
@@ -7,9 +7,9 @@ from acquisition.frame import Image
 
 
 class RawFrame(NamedTuple):
-    """One frame; `sequence` and `device_time_ns` are -1 where the source has none.
+    """One frame; `sequence` and `device_time_ns` are -1 if the source has none.
 
-    `image` is None where the driver says that the frame is damaged.
+    `image` is None if the driver reports a damaged frame. `host_time_ns` is on the host's monotonic clock.
     """
 
     image: Image | None
@@ -19,28 +19,28 @@ class RawFrame(NamedTuple):
 
 
 class Source(Protocol):
-    """A device, used by one thread at a time; errors are DeviceError and CameraLost."""
+    """A device, used by one thread at a time. Methods raise DeviceError or CameraLost."""
 
     def open(self) -> CameraInfo:
-        """Claim the device."""
+        """Open the device for exclusive use."""
         ...
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
-        """Apply, read back."""
+        """Apply settings; the values returned are read back."""
         ...
 
     def start(self) -> None:
-        """Let the camera run; frames from before are not delivered."""
+        """Start the stream; frames from before are not delivered."""
         ...
 
     def next(self) -> RawFrame | None:
-        """The next frame, or None after a short while without one."""
+        """The next frame; None if none arrives within a short time."""
         ...
 
     def stop(self) -> None:
-        """Halt."""
+        """Stop the stream."""
         ...
 
     def close(self) -> None:
-        """Give back; any number of times."""
+        """Close the device; may be called more than once."""
         ...

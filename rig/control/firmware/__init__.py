@@ -1,4 +1,4 @@
-"""What runs on the controller board (MicroPython): flash every file of this folder but this one.
+"""Firmware of the controller board (MicroPython): every file of this folder except this one is flashed.
 
-`core` is plain enough to run under CPython too, where the simulated controller uses it.
+`core` also runs under CPython, where the simulated controller uses it.
 """

@@ -52,7 +52,7 @@ def _humidity(c: Calibration, fine: float, raw_h: int) -> float:
 
 
 class Bme280:
-    """The sensor in its normal mode: it measures on its own, `read` takes the last result."""
+    """The sensor in its normal mode: it measures continuously, `read` returns the latest result."""
 
     def __init__(self, i2c, address: int = 0x76) -> None:  # type: ignore[no-untyped-def]
         self.i2c, self.address = i2c, address

@@ -1,7 +1,7 @@
-"""The only file that touches hardware: a Raspberry Pi Pico with the rig's usual wiring.
+"""The only file that accesses hardware: a Raspberry Pi Pico with the rig's usual wiring.
 
 Another board needs another file with the same names. Pins (all outputs active high, each with
-a pull-down resistor, so that a board in reset drives nothing):
+a pull-down resistor, so that all outputs are off while the board is in reset):
 
     GP2 laser, PWM into the driver's modulation input     GP3 laser enable relay (external interlock)
     GP4 holding magnet   GP5 starter   GP6 clamp   GP7 brake
@@ -37,7 +37,7 @@ class Board:
         self.serial = machine.unique_id().hex().upper()
         self.clamp_closed = False
         self.fault = ""
-        # Without a readable limit the laser stays dark: nobody has said how much is safe.
+        # without a valid limits.json the limit is 0, so that the laser stays off
         self.laser_max_w = 0.0
         self._full_scale_w = 1.0
         self.starter_max_ms = 5000
@@ -60,29 +60,29 @@ class Board:
             max_w = float(limits["laser_max_w"])
             starter_max_ms, brake_max_ms = int(limits["starter_max_ms"]), int(limits["brake_max_ms"])
         except (OSError, ValueError, KeyError, TypeError):
-            self.fault = LIMITS_FILE + " is missing or wrong; the laser stays dark"
+            self.fault = LIMITS_FILE + " is missing or wrong; the laser stays off"
             return
         if not 0.0 <= max_w <= full_scale_w or full_scale_w == 0.0:
             self.fault = (
-                LIMITS_FILE + ": laser_max_w is not within 0 and laser_full_scale_w; the laser stays dark"
+                LIMITS_FILE + ": laser_max_w is not within 0 and laser_full_scale_w; the laser stays off"
             )
             return
         self.laser_max_w, self._full_scale_w = max_w, full_scale_w
         self.starter_max_ms, self.brake_max_ms = starter_max_ms, brake_max_ms
 
     def maintenance(self) -> bool:
-        """True with the jumper in: leave the board to the prompt."""
+        """True if the jumper is set: the program ends, and the board shows MicroPython's prompt."""
         if not self._maintenance.value():
             return True
-        # Junk on the line must not be a Ctrl-C, and a hung loop must not leave the laser on.
+        # no byte on the line may act as Ctrl-C; a loop that hangs must not leave the laser on
         micropython.kbd_intr(-1)
         self._watchdog = machine.WDT(timeout=1000)
         return False
 
     def set_laser(self, on: bool, power_w: float) -> None:
-        """Close or open the enable relay and set the power, rounded down: never above what was asked.
+        """Close or open the enable relay and set the power, rounded down so that it is not exceeded.
 
-        The relay closes at 0 W too, for a laser that has its own power control.
+        The relay also closes at 0 W, for a laser that has its own power control.
         """
         if on:
             self._laser.duty_u16(int(65535 * power_w / self._full_scale_w))
@@ -96,7 +96,7 @@ class Board:
         self._magnet.value(on)
 
     def set_starter(self, on: bool) -> None:
-        """Tilt by the starter."""
+        """Switch the starter, which tilts the pendulum."""
         self._starter.value(on)
 
     def set_clamp(self, on: bool) -> None:
@@ -108,13 +108,13 @@ class Board:
         self._brake.value(on)
 
     def all_off(self) -> None:
-        """Everything off but the clamp, which stays where it is."""
+        """All outputs off, except the clamp, which does not move."""
         self.set_laser(False, 0.0)
         for pin in (self._magnet, self._starter, self._brake):
             pin.value(0)
 
     def interlock_closed(self) -> bool:
-        """True when the loop pulls the pin low."""
+        """True if the loop pulls the pin low."""
         return not self._interlock.value()
 
     def environment(self) -> tuple[float, float, float]:
@@ -128,7 +128,7 @@ class Board:
         return time.ticks_ms()  # type: ignore[attr-defined, no-any-return]
 
     def ticks_diff(self, later: int, earlier: int) -> int:
-        """Difference of two clock readings; the clock wraps around."""
+        """Difference of two clock readings in ms; the clock overflows."""
         return time.ticks_diff(later, earlier)  # type: ignore[attr-defined, no-any-return]
 
     def ticks_add(self, start: int, delta_ms: int) -> int:
@@ -136,7 +136,7 @@ class Board:
         return time.ticks_add(start, delta_ms)  # type: ignore[attr-defined, no-any-return]
 
     def read(self) -> bytes:
-        """What has come in, at once; b"" for nothing."""
+        """Received bytes, without waiting; b"" if there are none."""
         data = b""
         while len(data) < 64 and self._poll.poll(0):
             byte = sys.stdin.buffer.read(1)
@@ -146,14 +146,14 @@ class Board:
         return data
 
     def write(self, data: bytes) -> None:
-        """Send; the USB stack drops what no host takes."""
+        """Send; the USB stack discards the bytes if no host reads them."""
         sys.stdout.buffer.write(data)
 
     def idle(self) -> None:
-        """Once a turn of the loop: the hardware watchdog resets a board that stopped turning."""
+        """Called once per turn of the loop; the hardware watchdog resets a board whose loop hangs."""
         if self._watchdog is not None:
             self._watchdog.feed()
 
     def restart(self) -> None:
-        """Start again from the beginning."""
+        """Reset the board."""
         machine.reset()

@@ -1,8 +1,8 @@
-"""The controller's protocol, limits and watchdog, without any hardware.
+"""The controller's protocol, limits and watchdog, independent of the hardware.
 
-Runs on MicroPython and, for the simulated controller, on CPython: no imports, no typing, and
-every clock, pin and byte goes through the board object (see `board.py` for what it offers).
-The wire format and the commands are documented in docs/controller.md.
+It runs on MicroPython and, for the simulated controller, on CPython: nothing is imported, and clock, pins and
+bytes are accessed through the board object (see `board.py` for its methods). The format of the lines and the
+commands are documented in docs/controller.md.
 """
 
 VERSION = "1.0"
@@ -36,11 +36,13 @@ def crc16(data: bytes) -> int:
 
 
 class Refused(Exception):
-    """A command that cannot be done: (code, text) for the reply and the error queue."""
+    """A command that is rejected: (code, text) for the reply and the error queue."""
 
 
 def _spellings(header: str) -> list[str]:
-    """Every mix of short and long mnemonics, as SCPI has it: "LASer:POWer?" -> LAS:POW?, LASER:POW?, ..."""
+    """All combinations of short and long mnemonics, as in SCPI: "LASer:POWer?" -> LAS:POW?, LASER:POW?,
+    ...
+    """
     query = "?" if header.endswith("?") else ""
     forms = [""]
     for word in header.rstrip("?").split(":"):
@@ -68,11 +70,11 @@ def _number(argument: str) -> float:
 
 
 class Firmware:
-    """State of the controller. The board's loop calls `step` as often as it can.
+    """State of the controller. The board's loop calls `step` as often as possible.
 
-    The laser lights only while a session is open, heartbeats come in time and the interlock is
-    closed; whatever ends one of these puts every output into its safe state at once, and only a
-    new command lights it again. Power is bound by the limit stored on the board.
+    The laser is on only while a session is open, heartbeats arrive in time and the interlock is closed. As
+    soon as one of these conditions fails, every output is put into its safe state, and only a new command
+    switches the laser on again. The power is limited by the value stored on the board.
     """
 
     def __init__(self, board):  # type: ignore[no-untyped-def]
@@ -94,7 +96,7 @@ class Firmware:
         self._replies: list[tuple[bytes, bytes]] = []
         self._line = b""
         self._overrun = False
-        # These may be done without a session; all others act on the rig and need one.
+        # the first commands are allowed without a session; the others act on the rig and need one
         self._free = {}
         self._acting = {}
         for header, action in (
@@ -138,17 +140,19 @@ class Firmware:
             self._fail(-240, "Hardware error; " + board.fault)
         self._event("BOOT " + VERSION)
 
-    # -- what the loop calls --------------------------------------------------
+    # -- called by the board's loop -------------------------------------------
 
     def step(self) -> None:
-        """One turn of the loop: deadlines first, so that a late heartbeat does not undo a trip."""
+        """One turn of the loop; deadlines first, so that a late heartbeat cannot prevent a trip."""
         self._tick()
         data = self.board.read()
         if data:
             self._receive(data)
 
     def safe(self) -> None:
-        """Laser, magnet, starter and brake off; the clamp stays where it is, for it could strike the ball."""
+        """Switch laser, magnet, starter and brake off; the clamp does not move, because it could hit the
+        ball.
+        """
         self.laser = self.magnet = self.starter = self.brake = False
         board = self.board
         board.set_laser(False, 0.0)
@@ -202,7 +206,7 @@ class Firmware:
             self._overrun = True
 
     def _take(self, line: bytes) -> None:
-        # Half a line that lost its end may stand before a whole one: begin at the last tag.
+        # a line whose end was lost may precede a complete one: begin at the last tag
         tag_at = line.rfind(b"#")
         if tag_at < 0:
             self._take_typed(line)
@@ -210,7 +214,7 @@ class Firmware:
         line = line[tag_at:].rstrip(b"\r")
         for seen, reply in self._replies:
             if seen == line:
-                # A repeated line is one whose reply was lost: answer again, don't do it again.
+                # the reply to a repeated line was lost: send it again without executing the command again
                 self.board.write(reply)
                 return
         try:
@@ -231,7 +235,7 @@ class Firmware:
         self.board.write(reply)
 
     def _take_typed(self, line: bytes) -> None:
-        """A line typed by hand, without tag and checksum, may ask but not act."""
+        """Handle a line without tag and checksum, typed by hand, which may query but not act."""
         line = line.strip()
         if not line:
             return
@@ -334,7 +338,7 @@ class Firmware:
 
     def _set_power(self, argument: str) -> str:
         power_w = _number(argument)
-        # Written so that NaN, which compares false with everything, is refused too.
+        # this form of the condition also rejects NaN, for which every comparison is false
         if not 0.0 <= power_w <= self.limit_w:
             raise Refused(-222, f"Data out of range; 0 to {self.limit_w:.7g} W")
         self.power_w = power_w
@@ -344,7 +348,7 @@ class Firmware:
 
     def _set_limit(self, argument: str) -> str:
         limit_w = _number(argument)
-        # Never above the stored limit, which is changed on the board alone.
+        # the stored limit can be changed only on the board itself
         if not 0.0 <= limit_w <= self.board.laser_max_w:
             raise Refused(-222, f"Data out of range; 0 to {self.board.laser_max_w:.7g} W")
         self.limit_w = limit_w

@@ -1,7 +1,7 @@
-"""The board's program: build the board, run the protocol, leave every output safe.
+"""Main program of the board: runs the protocol; when it ends, every output is switched off.
 
-MicroPython starts this file at power-up. A jumper on the maintenance pin (see `board.py`)
-leaves the board to the prompt, so that it can be flashed again.
+MicroPython starts this file at power-up. With a jumper on the maintenance pin (see `board.py`) it ends
+immediately, so that the board can be flashed again from MicroPython's prompt.
 """
 
 from board import Board  # type: ignore[import-not-found]
@@ -9,7 +9,7 @@ from core import Firmware  # type: ignore[import-not-found]
 
 
 def run() -> None:
-    """Serve for ever; an error that escapes leaves the outputs safe and restarts the board."""
+    """Run without end; after an error, switch the outputs off and restart the board."""
     board = Board()
     if board.maintenance():
         return

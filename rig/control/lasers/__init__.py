@@ -1,4 +1,4 @@
-"""Laser drivers, one file a family, and the registry by which a configuration names them."""
+"""Laser drivers, one file per family, and the registry with their names in the configuration."""
 
 import importlib
 from typing import cast
@@ -9,7 +9,7 @@ from rig.control.lasers.settings import LaserSettings
 
 
 def make_laser(settings: LaserSettings) -> Laser | None:
-    """The laser with a port of its own, not opened yet; None for the kinds that have no driver here."""
+    """The driver of a laser with a serial port, not opened yet; None for "none" and "controller"."""
     if settings.kind not in LASERS:
         return None
     module, _, name = LASERS[settings.kind].partition(":")

@@ -1,6 +1,6 @@
-"""Cobolt lasers (04-01, 06-01, 08 series): short words, lines end with CR, answers with CR LF, watts.
+"""Cobolt lasers (04-01, 06-01, 08 series): text commands that end with CR, replies with CR LF, power in W.
 
-A command that was done is answered by ``OK``, one that was not by ``Syntax error: ...``.
+An executed command is answered by ``OK``, any other by ``Syntax error: ...``.
 """
 
 from rig.control.lasers.laser import LaserIdentity, LaserRefused, LaserState
@@ -10,7 +10,7 @@ _FAULTS = {"1": "temperature error", "3": "interlock error", "4": "constant-powe
 
 
 class Cobolt(SerialLaser):
-    """Constant power, regulated by the laser's own photodiode."""
+    """Mode of constant power, regulated by the laser's own photodiode."""
 
     terminator = b"\r"
     step = 1e-5
@@ -20,7 +20,7 @@ class Cobolt(SerialLaser):
         serial = self.ask("sn?")
         if "error" in serial.lower() or not any(c.isdigit() for c in serial) or "," in serial:
             raise LaserRefused(
-                f"{self.name}: answered {serial!r} where a Cobolt's serial number was due; check the port"
+                f"{self.name}: answered {serial!r}; a Cobolt's serial number was expected; check the port"
             )
         return LaserIdentity("Cobolt", "", serial)
 
@@ -31,7 +31,7 @@ class Cobolt(SerialLaser):
             on=self.ask("l?") == "1",
             interlock_closed=self.ask("ilk?") == "0",
             power_w=self.ask_float("pa?"),
-            # The interlock has its own place in the state.
+            # an open interlock is reported by interlock_closed
             fault="" if fault in ("0", "3") else _FAULTS.get(fault, f"fault {fault}"),
         )
 

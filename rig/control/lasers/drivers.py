@@ -1,7 +1,7 @@
-"""The registry of laser drivers: the names that ``laser.kind`` takes, and where each driver is.
+"""Registry of the laser drivers: the values of ``laser.kind``, and the class of each.
 
-A driver is added by one line here and one file with a class that keeps the promises of
-`rig.control.lasers.laser.Laser` and is called with `LaserSettings`. It is imported when it is used.
+A driver is added by one line here and one file with a class that implements `rig.control.lasers.laser.Laser`
+and is called with `LaserSettings`. It is imported when it is used.
 """
 
 LASERS: dict[str, str] = {

@@ -6,11 +6,11 @@ from typing import Protocol
 from processing.errors import DeviceError
 
 ON_WITHIN_S = 10.0
-"""Longest time from the command to light, with the delay that a laser's safety class demands."""
+"""Longest time from the command to emission, including the delay that a laser's safety class requires."""
 
 
 class LaserRefused(DeviceError):
-    """The laser did not carry out a command: it answered an error, or read back another value."""
+    """The laser did not execute a command: it answered with an error, or another value was read back."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,7 +26,8 @@ class LaserIdentity:
 class LaserState:
     """State read from the laser; None for values that this family does not report.
 
-    `power_w` is measured light, `current_a` measured diode current; `fault` is empty when all is well.
+    `power_w` is the measured optical power, `current_a` the measured diode current; `fault` is empty if there
+    is none.
     """
 
     on: bool
@@ -39,15 +40,15 @@ class LaserState:
 class Laser(Protocol):
     """A laser, or the driver of a laser diode.
 
-    Life cycle: ``open`` -> (``set_power_w`` or ``set_current_a``, ``enable``, ``state``, ``off``)
-    any number of times -> ``close``. ``open`` leaves the light off and puts the configured limit
-    into the device where it has one; ``close`` turns the light off and may be called from any
-    state. One thread calls them; each blocks for at most a few timeouts (``enable`` for the
-    delay that a safety class demands) and raises DeviceError with one line.
+    Life cycle: ``open`` -> (``set_power_w`` or ``set_current_a``, ``enable``, ``state``, ``off``) any number
+    of times -> ``close``. ``open`` switches the emission off and writes the configured limit into the device
+    if it has one; ``close`` switches the emission off and may be called in any state. Only one thread may
+    call them. Each blocks for at most a few timeouts (``enable`` for the delay of the safety class) and
+    raises DeviceError with one line.
     """
 
     def open(self) -> LaserIdentity:
-        """Open the port, check the family, light off, write the limits into the device."""
+        """Open the port, check the family, switch the emission off, write the limits into the device."""
         ...
 
     def identify(self) -> LaserIdentity:
@@ -69,11 +70,13 @@ class Laser(Protocol):
         ...
 
     def enable(self) -> None:
-        """Switch on: reads the interlock first (InterlockOpen), then reads back the state (LaserRefused)."""
+        """Switch on. Raises InterlockOpen if the interlock is open, LaserRefused if the laser does not
+        emit.
+        """
         ...
 
     def off(self) -> None:
-        """Light off, read back."""
+        """Switch off and check the state."""
         ...
 
     def state(self) -> LaserState:
@@ -81,5 +84,5 @@ class Laser(Protocol):
         ...
 
     def close(self) -> None:
-        """Light off (a failure is logged), then release the port. Raises nothing."""
+        """Switch off (a failure is logged) and close the port. Raises nothing."""
         ...

@@ -1,7 +1,7 @@
-"""SRS LDC500 series diode drivers: four-letter commands, lines end with LF, current in milliampere.
+"""SRS LDC500 series diode drivers: four-letter commands, lines end with LF, current in mA.
 
-`SILM` is the instrument's own current limit: it clamps the output whatever is set afterwards.
-Modulation from the analogue input is turned off, for it would add to the set current.
+`SILM` is the instrument's own current limit, which no later setting exceeds. Modulation by the analogue input
+is switched off, because it would add to the set current.
 """
 
 from rig.control.lasers.laser import LaserIdentity, LaserRefused, LaserState
@@ -9,7 +9,7 @@ from rig.control.lasers.serial_laser import SerialLaser, rounded_down
 
 
 class Ldc500(SerialLaser):
-    """Constant-current drive of a diode."""
+    """Diode driver in the mode of constant current."""
 
     unit = "a"
 

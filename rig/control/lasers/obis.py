@@ -1,7 +1,7 @@
-"""Coherent OBIS and its remotes: SCPI, lines end with CR LF, power in watt.
+"""Coherent OBIS and its remotes: SCPI, lines end with CR LF, power in W.
 
-With handshaking on (the factory's setting) each command is answered by a line ``OK`` or
-``ERR<number>``, and each answer to a question is followed by one. Both lines are always read.
+With handshaking (the factory setting) each command is answered by a line ``OK`` or ``ERR<number>``, which
+also follows the answer to each query. Both lines are always read.
 """
 
 import time
@@ -14,7 +14,7 @@ _CLOSED = ("ON", "OK", "1", "CLOSED")
 
 
 class Obis(SerialLaser):
-    """Continuous wave at constant power, regulated by the laser's own photodiode."""
+    """Mode of continuous emission at constant power, regulated by the laser's own photodiode."""
 
     terminator = b"\r\n"
     step = 1e-5
@@ -39,7 +39,7 @@ class Obis(SerialLaser):
         )
 
     def ask(self, command: str) -> str:
-        """A question's answer; the ``OK`` that follows it is read too."""
+        """The answer to a query; the ``OK`` that follows it is read too."""
         answer = super().ask(command)
         if answer.startswith("ERR"):
             raise LaserRefused(f"{self.name}: answered {answer} to {command}")

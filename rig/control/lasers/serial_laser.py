@@ -1,4 +1,4 @@
-"""Base class of the serial laser drivers: query and reply, limits, safe order of switching."""
+"""Base class of the serial laser drivers: queries and answers, limits, safe order of switching."""
 
 import contextlib
 import logging
@@ -20,15 +20,16 @@ _POLL_S = 0.1
 
 
 class SerialLaser(ABC):
-    """A `Laser` over a serial line; a subclass defines how its family asks, sets and reads.
+    """A `Laser` over a serial line; a subclass defines the commands of its family.
 
-    Limits are kept here, before anything is sent, and in the device too where it has a limit of its own.
+    Limits are checked here before a value is sent, and are also written into the device if it has a limit of
+    its own. `unit` is that of the value that is set, "w" or "a".
     """
 
     terminator = b"\n"
     unit = "w"
     step = 1e-6
-    """Resolution of the device in its unit; a value that is less by so much counts as set."""
+    """Resolution of the device in its unit: a value read back that differs by no more counts as set."""
 
     def __init__(self, settings: LaserSettings, open_line: Callable[[], Line] | None = None) -> None:
         self._settings = settings
@@ -40,7 +41,7 @@ class SerialLaser(ABC):
 
     @abstractmethod
     def identify(self) -> LaserIdentity:
-        """Read vendor, model and serial number; raises DeviceError where it is of another family."""
+        """Read vendor, model and serial number; raises DeviceError if the device is of another family."""
 
     @abstractmethod
     def state(self) -> LaserState:
@@ -48,11 +49,11 @@ class SerialLaser(ABC):
 
     @abstractmethod
     def _prepare(self) -> None:
-        """After the light is off: modes, limits."""
+        """Set modes and limits, while the emission is off."""
 
     @abstractmethod
     def _switch(self, on: bool) -> None:
-        """Turn the light on or off."""
+        """Switch the emission on or off."""
 
     @abstractmethod
     def _set(self, value: float) -> float:
@@ -61,7 +62,7 @@ class SerialLaser(ABC):
     # -- Laser ----------------------------------------------------------------
 
     def open(self) -> LaserIdentity:
-        """Open the port, check the family, light off, write the limits into the device."""
+        """Open the port, check the family, switch the emission off, write the limits into the device."""
         self.close()
         self._line = self._open_line()
         self._reader = LineReader(self._line)
@@ -92,47 +93,49 @@ class SerialLaser(ABC):
         self._set_within(current_a, self._settings.max_current_a, "max_current_a")
 
     def enable(self) -> None:
-        """Light on, interlock permitting; read back that it is on."""
+        """Switch on if the interlock is closed and there is no fault, and wait until the laser reports
+        emission.
+        """
         state = self.state()
         if not state.interlock_closed:
             raise InterlockOpen(
-                f"{self.name}: the interlock is open, the laser stays dark; close the cover or door"
+                f"{self.name}: the interlock is open, the laser stays off; close the cover or door"
             )
         if state.fault:
             raise LaserRefused(
-                f"{self.name}: the laser reports {state.fault!r} and was not lit; clear the fault"
+                f"{self.name}: the laser reports {state.fault!r} and was not switched on; clear the fault"
             )
         self._switch(True)
-        # Some families light only after a delay that their safety class demands.
+        # some families emit only after a delay that their safety class requires
         deadline_s = time.monotonic() + ON_WITHIN_S
         while not self.state().on:
             if time.monotonic() > deadline_s:
                 self._switch(False)
                 raise LaserRefused(
-                    f"{self.name}: told to light, still dark after {ON_WITHIN_S:g} s; see its panel"
+                    f"{self.name}: was switched on but does not emit after {ON_WITHIN_S:g} s; see its panel"
                 )
             time.sleep(_POLL_S)
 
     def off(self) -> None:
-        """Light off, read back."""
+        """Switch off and check the state."""
         self._switch(False)
         if self.state().on:
-            raise LaserRefused(f"{self.name}: told to go dark, still lit; open the interlock by hand")
+            raise LaserRefused(f"{self.name}: was switched off but still emits; open the interlock by hand")
 
     def close(self) -> None:
-        """Light off, repeated where it is not confirmed; release the port."""
+        """Switch off, repeatedly if it is not confirmed; close the port."""
         if self._line is None:
             return
         try:
             self._off_at_last()
         except DeviceError as error:
-            _log.error("%s: it is not sure that it is dark (%s); switch it off by hand", self.name, error)
+            _log.error("%s: may still emit (%s); switch it off by hand", self.name, error)
         finally:
             self._give_back()
 
     @property
     def name(self) -> str:
-        """How messages call it."""
+        """Name of the laser in messages."""
         return f"{self._settings.kind} laser on {self._settings.port}"
 
     def _off_at_last(self) -> None:
@@ -142,13 +145,13 @@ class SerialLaser(ABC):
                 return
         self.off()
 
-    # -- for the families -----------------------------------------------------
+    # -- for the subclasses ---------------------------------------------------
 
     def ask(self, command: str) -> str:
-        """Send a question and return the line that answers it; asks again after silence."""
+        """Send a query and return the answer; the query is repeated if none arrives in time."""
         line, reader = self._claimed()
         for _ in range(_RETRIES + 1):
-            # An answer that came too late for an earlier question must not answer this one.
+            # a late answer to an earlier query must not be taken for the answer to this one
             reader.clear()
             line.write(command.encode("ascii") + self.terminator)
             answer = reader.read_line(time.monotonic() + self._settings.timeout_s)
@@ -156,17 +159,17 @@ class SerialLaser(ABC):
                 return answer.decode("latin-1").strip()
         raise ReplyTimeout(
             f"{self.name}: no reply to {command} within {self._settings.timeout_s:g} s,"
-            f" asked {_RETRIES + 1} times; check port, baud rate and cable"
+            f" sent {_RETRIES + 1} times; check port, baud rate and cable"
         )
 
     def ask_float(self, command: str) -> float:
-        """A question whose answer is a number."""
+        """The answer to a query as a number; raises LaserRefused if it is not a number."""
         answer = self.ask(command)
         try:
             return float(answer)
         except ValueError:
             raise LaserRefused(
-                f"{self.name}: answered {answer!r} to {command} where a number was due"
+                f"{self.name}: answered {answer!r} to {command}; a number was expected"
             ) from None
 
     def tell(self, command: str) -> None:
@@ -175,7 +178,7 @@ class SerialLaser(ABC):
         line.write(command.encode("ascii") + self.terminator)
 
     def _set_within(self, value: float, limit: float, limit_name: str) -> None:
-        # Written so that NaN is rejected too.
+        # this form of the condition also rejects NaN
         if not 0.0 <= value <= limit:
             raise PowerLimit(
                 f"{self.name}: {value:g} {self.unit.upper()} was asked for;"
@@ -185,7 +188,8 @@ class SerialLaser(ABC):
         if not math.isclose(applied, value, rel_tol=0.02, abs_tol=1.001 * self.step):
             self._switch(False)
             raise LaserRefused(
-                f"{self.name}: told {value:g} {self.unit.upper()}, set {applied:g}; it was turned off"
+                f"{self.name}: {value:g} {self.unit.upper()} was sent, {applied:g} was read back; "
+                "it was switched off"
             )
 
     def _claimed(self) -> tuple[Line, LineReader]:
@@ -201,6 +205,6 @@ class SerialLaser(ABC):
 
 
 def rounded_down(value: float, digits: int) -> str:
-    """Fixed-point text, rounded down so that a limit is never exceeded (but for binary rounding)."""
+    """Fixed-point text, rounded down so that a limit is not exceeded (except by binary rounding)."""
     scale = 10**digits
     return f"{math.floor(value * scale + 1e-6) / scale:.{digits}f}"

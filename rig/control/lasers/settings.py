@@ -14,9 +14,9 @@ class LaserSettings(BaseModel, frozen=True, extra="forbid"):
     """The laser: its driver, limit and setting of power or current, and warm-up time.
 
     Drivers of laser diodes are set in amperes, whole lasers in watts. `power_w` or `current_a` above its
-    limit is rejected here, before anything is opened. `interlock` says where the interlock of a laser with
-    a port of its own leads: through the controller's enable relay, whose watchdog then turns the laser
-    off, or elsewhere.
+    limit is rejected here, before anything is opened. `interlock` states whether the interlock of a laser
+    with a port of its own is wired through the controller's enable relay, whose watchdog then switches the
+    laser off.
     """
 
     kind: str = "none"

@@ -1,7 +1,7 @@
-"""Thorlabs 4000 series diode drivers (LDC4000, ITC4000): SCPI, lines end with LF, current in ampere.
+"""Thorlabs 4000 series diode drivers (LDC4000, ITC4000): SCPI, lines end with LF, current in A.
 
-Commands as in the programmer's reference manual of the series. The set current and its limit
-are read back, and the instrument's error queue is read after every setting.
+The commands are those of the series' programmer's reference manual. The set current and its limit are read
+back, and the instrument's error queue is read after every setting.
 """
 
 from rig.control.lasers.laser import LaserIdentity, LaserRefused, LaserState
@@ -16,7 +16,7 @@ _TRIPS = {
 
 
 class Thorlabs4000(SerialLaser):
-    """Constant-current drive of a diode."""
+    """Diode driver in the mode of constant current."""
 
     unit = "a"
 

@@ -143,7 +143,7 @@ def test_a_laser_that_stays_lit_is_reported(pair: Pair) -> None:
     pair.laser.open()
     pair.laser.enable()
     pair.instrument.stuck_on = True
-    with pytest.raises(LaserRefused, match="still lit"):
+    with pytest.raises(LaserRefused, match="still emits"):
         pair.laser.off()
 
 

@@ -207,7 +207,7 @@ def test_checks_say_what_to_do() -> None:
 
 def test_a_laser_without_watchdog_is_warned_of_and_its_wiring_tried() -> None:
     instrument = FakeCobolt()
-    name = "laser goes dark by itself"
+    name = "laser switches off by itself"
     board = ControllerSettings(kind="serial", port="x")
     own = LaserSettings(kind="cobolt", port=instrument.port)
     wired = LaserSettings(kind="cobolt", port=instrument.port, interlock="controller")
@@ -256,7 +256,7 @@ def test_environment_check_names_the_line_that_does_not_match(sensor: tuple[int,
         (LaserSettings, {"power_w": math.nan}, "finite number"),
         (LaserSettings, {"kind": "obis"}, "port is missing"),
         (EnvironmentSettings, {"pattern": "("}, "no regular expression"),
-        (EnvironmentSettings, {"pattern": "(?P<temp>.*)"}, "is wanted and no other"),
+        (EnvironmentSettings, {"pattern": "(?P<temp>.*)"}, "is needed and no other"),
     ],
 )
 def test_settings_say_what_is_wrong(model: type, values: dict[str, object], message: str) -> None:

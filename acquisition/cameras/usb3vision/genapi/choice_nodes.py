@@ -1,4 +1,4 @@
-"""Nodes that are features with a choice: switches, enumerations, commands."""
+"""Nodes that are switches, enumerations or commands."""
 
 from typing import Any
 
@@ -23,7 +23,7 @@ class Boolean(Valued):
         return super().own_number()
 
     def get(self) -> bool:
-        """Whether it is on."""
+        """True if it is on."""
         return self.number() != 0
 
     def number(self) -> Number:
@@ -56,19 +56,19 @@ class EnumEntry(Node):
         try:
             return truncated(parse_number(text or ""))
         except ValueError:
-            raise self.broken(f"the choice's value {text!r} is no number") from None
+            raise self.broken(f"the choice's value {text!r} is not a number") from None
 
     def own_access(self) -> Access:
         return Access.READ_ONLY
 
 
 class Enumeration(Valued):
-    """A choice by name."""
+    """A feature with a set of named values."""
 
     def __init__(self, description: NodeDescription, nodes: Nodes) -> None:
         super().__init__(description, nodes)
         self.entries: dict[str, EnumEntry] = {}
-        """All choices by their names, whether available now or not."""
+        """All choices by their names, also those that are not available at present."""
         for item in description.all("EnumEntry"):
             name = item.attributes.get("Name", "")
             described = NodeDescription("EnumEntry", f"{self.name}.{name}", item.children)
@@ -81,7 +81,7 @@ class Enumeration(Valued):
         raise DeviceError(f"{self.nodes.name}: {self.name} has no choice {entry!r}; choices: {choices}")
 
     def own_access(self) -> Access:
-        """Not available while none of its choices is, whatever access the register has."""
+        """Access of the register; not available if none of the choices is available."""
         mode = super().own_access()
         if mode is Access.NOT_IMPLEMENTED:
             return mode
@@ -89,13 +89,13 @@ class Enumeration(Valued):
         for node in self.entries.values():
             access = node.access()
             if access.readable:
-                return mode  # one is enough; the others' registers need not be read
+                return mode  # one available choice is enough; reading the others' registers takes time
             if access is not Access.NOT_IMPLEMENTED:
                 without = Access.NOT_AVAILABLE
         return without
 
     def choices(self) -> tuple[str, ...]:
-        """Names of the choices that are available now."""
+        """Names of the choices that are available at present."""
         return tuple(name for name, node in self.entries.items() if node.access().readable)
 
     def number(self) -> int:
@@ -107,32 +107,32 @@ class Enumeration(Valued):
         for name, node in self.entries.items():
             if node.number() == value:
                 return name
-        raise DeviceError(f"{self.nodes.name}: {self.name} is {value}, which is none of its choices")
+        raise DeviceError(f"{self.nodes.name}: {self.name} is {value}, which is not one of its choices")
 
     def set(self, value: str) -> None:
-        """Choose by name."""
+        """Select a choice by its name."""
         self.must_be_writable()
         number = self.entry_number(value)
         available = self.choices()
         if value not in available:
             listed = ", ".join(available)
             raise DeviceError(
-                f"{self.nodes.name}: {self.name} can't be {value!r} at present; choices: {listed}"
+                f"{self.nodes.name}: {self.name} cannot be {value!r} at present; choices: {listed}"
             )
         self.set_number(number)
 
 
 class Command(Valued):
-    """Something to be done."""
+    """A command to the camera, executed by writing a value."""
 
     def execute(self) -> None:
-        """Do it."""
+        """Execute the command."""
         self.must_be_writable()
         value = self.value_of("CommandValue")
         self.set_number(1 if value is None else value)
 
     def get(self) -> bool:
-        """Whether it is still being done."""
+        """Whether the camera is still executing the command."""
         source = self.source()
         if source is None or not source.access().readable:
             return False
@@ -140,5 +140,5 @@ class Command(Valued):
         return source.number() == (1 if value is None else value)
 
     def set(self, value: Any) -> None:
-        """Any value does it."""
+        """Execute the command, whatever the value."""
         self.execute()

@@ -1,4 +1,4 @@
-"""The XML of a camera's description, read into plain values."""
+"""Parses the XML of a camera's description into plain values."""
 
 import re
 import xml.etree.ElementTree as ElementTree
@@ -7,13 +7,13 @@ from typing import Final
 
 from processing.errors import DeviceError
 
-# Kinds that only carry others, or that describe what no program needs
+# elements that only contain nodes
 _CONTAINERS: Final = {"Group", "RegisterDescription"}
 
 
 @dataclass(frozen=True, slots=True)
 class Property:
-    """One element inside a node: its tag, text and attributes, and what it contains."""
+    """One element inside a node: its tag, text, attributes and child elements."""
 
     tag: str
     text: str
@@ -27,7 +27,7 @@ class Property:
 
 @dataclass(frozen=True, slots=True)
 class NodeDescription:
-    """One node as written in the description."""
+    """One node of the description; `kind` is its tag."""
 
     kind: str
     name: str
@@ -46,14 +46,14 @@ class NodeDescription:
 
 
 def parse_description(xml: str, name: str) -> dict[str, NodeDescription]:
-    """All nodes by their names; groups flattened, each field of a StructReg a MaskedIntReg of its own.
+    """All nodes by their names; each field of a StructReg becomes a MaskedIntReg.
 
     Raises
     ------
     DeviceError
-        The text is no XML, or not the description of a camera.
+        The text is not XML, or not the description of a camera.
     """
-    # The text is decoded already; a declaration of another encoding would only confuse the parser.
+    # the text is already decoded: the parser would fail on a declaration of another encoding
     body = re.sub(r"^\s*<\?xml[^>]*\?>", "", xml, count=1)
     try:
         root = ElementTree.fromstring(body)
@@ -101,7 +101,7 @@ def _property(element: ElementTree.Element) -> Property:
 
 
 def _fields(struct: ElementTree.Element) -> list[NodeDescription]:
-    """Properties of a StructReg hold for all its fields, unless a field states its own."""
+    """Fields of a StructReg; each has the properties of the StructReg, unless it states its own."""
     items = [_property(item) for item in _elements(struct)]
     common = [item for item in items if item.tag != "StructEntry"]
     fields = []

@@ -1,7 +1,7 @@
-"""The formulas of GenICam descriptions: parsed into functions, never evaluated as code.
+"""The formulas of GenICam descriptions: parsed into functions, never executed as Python code.
 
-Operators are those of the GenICam standard. Where formulas lack brackets their precedence is that
-of EMVA's reference, against which makers of cameras test theirs, and which is not that of C::
+The operators are those of the GenICam standard. Their precedence is that of EMVA's reference implementation,
+with which manufacturers test their cameras; it differs from that of C::
 
     weakest   ?:  ||  &&  =  <>  <  >  <=  >=     (one level, from the left)
               +  -
@@ -9,7 +9,7 @@ of EMVA's reference, against which makers of cameras test theirs, and which is n
               **  &  |  ^  <<  >>                  (one level, from the left)
     strongest + - ~ in front of a value
 
-Only the branch of ``?:`` that is taken is evaluated, so that a formula can guard a division.
+Only the selected branch of ``?:`` is evaluated, so that a formula can avoid a division by zero.
 """
 
 import math
@@ -37,7 +37,7 @@ _WEAKEST: Final = frozenset({"?", "||", "&&", "=", "<>", "<", ">", "<=", ">="})
 _SUMS: Final = frozenset({"+", "-"})
 _PRODUCTS: Final = frozenset({"*", "/", "%"})
 _STRONGEST: Final = frozenset({"**", "&", "|", "^", "<<", ">>"})
-_DEEPEST: Final = 60  # brackets within brackets; real descriptions stay below 10
+_DEEPEST: Final = 60  # levels of brackets; real descriptions have fewer than 10
 
 
 class FormulaError(DeviceError):
@@ -45,23 +45,23 @@ class FormulaError(DeviceError):
 
 
 class Formula:
-    """One formula, parsed once; calling it with the values of its variables gives a number.
+    """One formula, parsed once; called with the values of its variables, it returns a number.
 
     Parameters
     ----------
     text
         The formula as in the description.
     whole
-        With 64-bit whole numbers (IntSwissKnife, IntConverter: ``7 / 2`` is 3) or with floats.
+        Calculate with 64-bit integers (IntSwissKnife, IntConverter: ``7 / 2`` is 3) instead of floats.
     variables
-        The names that it may use.
+        Names of the variables that it may use.
     owner
-        The feature it belongs to, for messages.
+        The feature to which it belongs, for messages.
 
     Raises
     ------
     FormulaError
-        Malformed; or, when called, dividing by zero.
+        The formula is malformed; or, when called, it divides by zero or exceeds the range of numbers.
     """
 
     def __init__(self, text: str, *, whole: bool, variables: frozenset[str], owner: str) -> None:
@@ -83,7 +83,7 @@ class Formula:
             given = ", ".join(f"{name} = {value}" for name, value in values.items() if name in self.text)
             raise self._error(f"divides by zero{' with ' if given else ''}{given}") from None
         except OverflowError:
-            raise self._error("exceeds what a number can hold") from None
+            raise self._error("exceeds the range of numbers") from None
         return truncated(result) if self._whole else float(result)
 
     def _error(self, problem: str) -> FormulaError:
@@ -155,7 +155,7 @@ class Formula:
         if token == "(":
             self._depth += 1
             if self._depth > _DEEPEST:
-                raise self._error(f"has more than {_DEEPEST} brackets within each other")
+                raise self._error(f"has more than {_DEEPEST} levels of brackets")
             inner = self._weakest()
             self._take(")")
             self._depth -= 1
@@ -171,7 +171,7 @@ class Formula:
                 return _constant(to_int64(int(token, 16)) if self._whole else int(token, 16))
             is_whole = self._whole and token.isdigit()
             return _constant(to_int64(int(token)) if is_whole else float(token))
-        raise self._error(f"uses {token!r}, which is nothing it knows")
+        raise self._error(f"uses {token!r}, which is not a variable, function or constant")
 
     def _function(self, name: str) -> _Evaluate:
         self._take("(")
@@ -181,7 +181,7 @@ class Formula:
             arguments.append(self._weakest())
         self._take(")")
         if len(arguments) > (2 if name == "ROUND" else 1):
-            raise self._error(f"gives {name} {len(arguments)} values")
+            raise self._error(f"gives {name} {len(arguments)} arguments")
         return _called(FUNCTIONS[name], arguments)
 
 
@@ -223,6 +223,6 @@ def _called(function: Callable[..., Number], arguments: list[_Evaluate]) -> _Eva
         try:
             return function(*given)
         except ValueError:
-            return math.nan  # outside the function's domain, as the square root of -1
+            return math.nan  # outside the function's domain, for example the square root of -1
 
     return evaluate

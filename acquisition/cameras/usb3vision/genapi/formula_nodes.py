@@ -1,4 +1,4 @@
-"""Nodes whose value is calculated: swiss knives read, converters also write."""
+"""Nodes whose value is calculated by a formula: SwissKnife (read only) and Converter (read and write)."""
 
 from acquisition.cameras.usb3vision.genapi.description import NodeDescription
 from acquisition.cameras.usb3vision.genapi.formula import Formula
@@ -7,7 +7,7 @@ from acquisition.cameras.usb3vision.genapi.operators import Number
 
 
 class _Calculated(Node):
-    """Variables, constants and named expressions, as all formulas may use them."""
+    """Base class: variables, constants and named expressions of the formulas."""
 
     def __init__(self, description: NodeDescription, nodes: Nodes) -> None:
         super().__init__(description, nodes)
@@ -18,7 +18,9 @@ class _Calculated(Node):
         self._formulas: dict[str, Formula] = {}
 
     def variable_values(self) -> dict[str, Number]:
-        """Values of all variables now; every one is read, whether the formula needs it or not."""
+        """Present values of all variables and constants; all are read, also if the formula does not need
+        them.
+        """
         values: dict[str, Number] = {}
         for name, target in self._variables.items():
             values[name] = self._variable(name, self.nodes.node(target))
@@ -35,10 +37,10 @@ class _Calculated(Node):
         try:
             return parse_number(text)
         except ValueError:
-            raise self.broken(f"its constant {text!r} is no number") from None
+            raise self.broken(f"its constant {text!r} is not a number") from None
 
     def _variable(self, name: str, node: Node) -> Number:
-        """A variable's name may end in what it means of the node: its limits, or one of its choices."""
+        """Value of a variable. The suffix of its name selects the node's value, limits, step, or a choice."""
         stem, _, suffix = name.partition(".")
         value: Number | None
         if not stem or suffix in ("", "Value"):
@@ -58,7 +60,7 @@ class _Calculated(Node):
         return value
 
     def evaluate(self, tag: str, values: dict[str, Number]) -> Number:
-        """The formula under this tag with these values, after the expressions that it may use."""
+        """Value of the formula with this tag, after the named expressions that it may use."""
         known = dict(values)
         for item in self.description.all("Expression"):
             name = item.attributes.get("Name", "")
@@ -76,7 +78,7 @@ class _Calculated(Node):
 
 
 class SwissKnife(_Calculated):
-    """A formula of other nodes; can't be set."""
+    """A value calculated from other nodes; it cannot be set."""
 
     def own_access(self) -> Access:
         return self._with_variables(Access.READ_ONLY)
@@ -89,7 +91,9 @@ class SwissKnife(_Calculated):
 
 
 class Converter(_Calculated):
-    """A formula each way between the feature (FROM) and another node (TO)."""
+    """A value converted to and from that of another node: FormulaTo(FROM) is written, FormulaFrom(TO) is
+    read.
+    """
 
     def _target(self) -> Node:
         target = self.referred("pValue")
@@ -114,7 +118,7 @@ class Converter(_Calculated):
         self._target().set_number(self.evaluate("FormulaTo", self.variable_values() | {"FROM": value}))
 
     def set(self, value: Number) -> None:
-        """Set it, within the limits of what lies behind."""
+        """Set the value; the limits are those of the other node."""
         self.set_number(value)
 
     def _limits(self) -> tuple[Number, Number] | None:

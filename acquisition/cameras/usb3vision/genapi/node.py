@@ -1,4 +1,4 @@
-"""What all nodes of a description share: who may read and write them, and what they refer to."""
+"""Base class of all nodes of a description: access, references to other nodes, value."""
 
 from enum import Enum
 from typing import ClassVar, Protocol
@@ -9,7 +9,7 @@ from processing.errors import DeviceError
 
 
 class Access(Enum):
-    """What may be done with a node at this moment: (readable, writable) where it exists at all."""
+    """Whether a node can be read and written at present."""
 
     NOT_IMPLEMENTED = "not implemented"
     NOT_AVAILABLE = "not available at present"
@@ -19,23 +19,23 @@ class Access(Enum):
 
     @property
     def readable(self) -> bool:
-        """It has a value that can be read."""
+        """Whether it can be read."""
         return self in (Access.READ_ONLY, Access.READ_WRITE)
 
     @property
     def writable(self) -> bool:
-        """It can be set."""
+        """Whether it can be set."""
         return self in (Access.WRITE_ONLY, Access.READ_WRITE)
 
     def and_also(self, other: "Access") -> "Access":
-        """What remains when both must agree."""
+        """Access that both allow."""
         for absent in (Access.NOT_IMPLEMENTED, Access.NOT_AVAILABLE):
             if absent in (self, other):
                 return absent
         return _ACCESS[self.readable and other.readable, self.writable and other.writable]
 
     def where_readable(self, needed: "Access") -> "Access":
-        """What remains of this access when it takes the value of another node."""
+        """This access, if the value of another node, whose access is `needed`, is required for it."""
         if needed.readable or self is Access.NOT_IMPLEMENTED:
             return self
         return needed if needed is Access.NOT_IMPLEMENTED else Access.NOT_AVAILABLE
@@ -51,11 +51,11 @@ _ACCESS_BY_NAME = {"RO": Access.READ_ONLY, "WO": Access.WRITE_ONLY, "RW": Access
 
 
 class AccessRefused(DeviceError):
-    """A feature was read or set that may not be, at present or ever."""
+    """A feature cannot be read or set, at present or in general."""
 
 
 def parse_number(text: str) -> Number:
-    """A number as descriptions write it: decimal, hexadecimal, or with a point."""
+    """A number in a description: decimal or hexadecimal integer, or float. Raises ValueError."""
     text = text.strip()
     try:
         return int(text, 16) if text[:2].lower() == "0x" else int(text)
@@ -64,10 +64,10 @@ def parse_number(text: str) -> Number:
 
 
 class Nodes(Protocol):
-    """What a node needs of all the others: `node_map.NodeMap`, which makes the nodes and so imports them.
+    """Interface of `node_map.NodeMap` to its nodes, declared here because that module imports this one.
 
-    `name` is what messages call the camera; `own_values` and `own_texts` hold by a node's name what no
-    register holds; `asking` names the nodes whose access is being found out.
+    `name` is the name of the camera in messages. `own_values` and `own_texts` contain, by the name of the
+    node, values that are not in a register. `asking` contains the nodes whose access is being determined.
     """
 
     name: str
@@ -76,33 +76,33 @@ class Nodes(Protocol):
     asking: set[str]
 
     def node(self, name: str) -> "Node":
-        """The node with this name; DeviceError where the camera has none."""
+        """The node with this name; DeviceError if the camera has none."""
         ...
 
     def port_access(self, name: str | None) -> Access:
-        """What may be done with the registers behind a port."""
+        """Access to the registers of a port."""
         ...
 
     def read_register(self, register: "Node", address: int, length: int) -> bytes:
-        """A register's bytes, from the cache where that is allowed and fresh."""
+        """Bytes of a register, from the cache if the description allows it and they are still valid."""
         ...
 
     def write_register(self, register: "Node", address: int, data: bytes) -> None:
-        """Write, and forget every register that depends on this one or shares bytes with it."""
+        """Write a register; cached values that depend on it or share bytes with it become invalid."""
         ...
 
     def set_own_value(self, node: "Node", value: Number) -> None:
-        """Set a value that no register holds."""
+        """Set a value that is not in a register."""
         ...
 
 
 class Node:
-    """One node; its kind decides what it can do.
+    """One node; subclasses implement the kinds.
 
-    ``number`` and ``set_number`` exist for every kind that another may refer to as a value.
+    ``number`` and ``set_number`` are implemented by every kind to whose value another node may refer.
     """
 
-    # References to nodes that do not feed this node's value
+    # references to nodes that do not influence the value of this one
     _NO_INPUTS: ClassVar = {"pFeature", "pSelected", "pAlias", "pCastAlias", "pPort", "pError"}
 
     def __init__(self, description: NodeDescription, nodes: Nodes) -> None:
@@ -110,10 +110,10 @@ class Node:
         self.description = description
         self.nodes = nodes
 
-    # ---- what it refers to
+    # ---- references
 
     def inputs(self) -> set[str]:
-        """Names of the nodes whose change can change this one."""
+        """Names of the nodes on which the value of this one depends."""
         found: set[str] = set()
         pending = list(self.description.properties)
         while pending:
@@ -126,12 +126,14 @@ class Node:
         return found
 
     def referred(self, tag: str) -> "Node | None":
-        """The node that this property names."""
+        """The node that this property refers to; None without the property."""
         name = self.description.text(tag)
         return None if name is None else self.nodes.node(name)
 
     def value_of(self, tag: str) -> Number | None:
-        """A property that is either written as ``tag`` or read from the node that ``ptag`` names."""
+        """Value of a property, stated as ``tag`` or by reference to a node as ``ptag``; None without
+        either.
+        """
         node = self.referred("p" + tag)
         if node is not None:
             return node.number()
@@ -141,18 +143,19 @@ class Node:
         try:
             return parse_number(text)
         except ValueError:
-            raise self.broken(f"its {tag} {text!r} is no number") from None
+            raise self.broken(f"its {tag} {text!r} is not a number") from None
 
     def broken(self, problem: str) -> DeviceError:
-        """An error of the description, not of the user."""
-        return DeviceError(f"{self.nodes.name}: feature {self.name} is described wrongly: {problem}")
+        """The exception for an error in the camera's description."""
+        return DeviceError(f"{self.nodes.name}: wrong description of the feature {self.name}: {problem}")
 
     # ---- access
 
     def access(self) -> Access:
-        """What may be done with it now; flags and registers it depends on are read for that."""
+        """Present access; the flags and registers on which it depends are read."""
         if self.name in self.nodes.asking:
-            return Access.READ_WRITE  # real descriptions have circles here; the reference breaks them so
+            return Access.READ_WRITE  # descriptions contain circular references; EMVA's reference does the
+            same
         self.nodes.asking.add(self.name)
         try:
             return self._access()
@@ -172,7 +175,7 @@ class Node:
                     return mode
                 if mode.readable and flag.number() == 0:
                     mode = absent
-        # What is not implemented underneath is not implemented here, available or not.
+        # a node is not implemented if the one that contains its value is not, whatever the flags say
         mode = mode.and_also(self.own_access())
         imposed = self.description.text("ImposedAccessMode")
         if imposed is not None:
@@ -183,44 +186,44 @@ class Node:
         return mode
 
     def own_access(self) -> Access:
-        """Access as far as the kind of node decides."""
+        """Access that follows from the kind of node, without flags and locks."""
         mode = self.description.text("AccessMode")
         return Access.READ_WRITE if mode is None else _ACCESS_BY_NAME.get(mode, Access.READ_ONLY)
 
     def must_be_readable(self) -> None:
-        """Raise AccessRefused where it has no value now."""
+        """Raise AccessRefused if it cannot be read at present."""
         mode = self.access()
         if not mode.readable:
-            raise AccessRefused(f"{self.nodes.name}: {self.name} can't be read: it is {mode.value}")
+            raise AccessRefused(f"{self.nodes.name}: {self.name} cannot be read: it is {mode.value}")
 
     def must_be_writable(self) -> None:
-        """Raise AccessRefused where it can't be set now."""
+        """Raise AccessRefused if it cannot be set at present."""
         mode = self.access()
         if not mode.writable:
-            raise AccessRefused(f"{self.nodes.name}: {self.name} can't be set: it is {mode.value}")
+            raise AccessRefused(f"{self.nodes.name}: {self.name} cannot be set: it is {mode.value}")
 
     # ---- value
 
     def number(self) -> Number:
-        """Its value as a number."""
+        """Value as a number."""
         raise self.broken(f"a {self.description.kind} was used as a number")
 
     def set_number(self, value: Number) -> None:
-        """Set it from a number."""
+        """Set the value from a number."""
         raise self.broken(f"a {self.description.kind} was set to a number ({value})")
 
     def minimum(self) -> Number | None:
-        """Smallest value allowed now; None where nothing is said."""
+        """Smallest value allowed at present; None if unknown."""
         return None
 
     def maximum(self) -> Number | None:
-        """Largest value allowed now."""
+        """Largest value allowed at present; None if unknown."""
         return None
 
     def increment(self) -> Number | None:
-        """Step between allowed values."""
+        """Step between allowed values; None if unknown."""
         return None
 
     def entry_number(self, entry: str) -> Number:
-        """The number behind one choice of an enumeration."""
-        raise self.broken(f"has no choice {entry!r}")
+        """Number of one choice of an enumeration."""
+        raise self.broken(f"it has no choice {entry!r}")

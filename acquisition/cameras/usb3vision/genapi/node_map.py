@@ -1,4 +1,4 @@
-"""All features of one camera, the cache of their registers, and what a write makes stale."""
+"""All features of one camera, with a cache of their registers that is invalidated by writes."""
 
 import time
 from collections.abc import Callable, Iterator
@@ -42,14 +42,14 @@ _KINDS: Final[dict[str, Callable[[NodeDescription, "NodeMap"], Node]]] = {
 
 
 class RegisterPort(Protocol):
-    """Where registers are read and written: a camera's control channel, or memory in a test."""
+    """Access to registers: a camera's control channel, or memory in a test."""
 
     def read(self, address: int, length: int) -> bytes:
-        """Bytes from an address."""
+        """Read bytes from an address."""
         ...
 
     def write(self, address: int, data: bytes) -> None:
-        """Bytes to an address."""
+        """Write bytes to an address."""
         ...
 
 
@@ -61,16 +61,16 @@ class NodeMap:
     xml
         The camera's description.
     port
-        Its registers.
+        Access to its registers.
     name
-        What messages call the camera.
+        Name of the camera in messages.
     clock
-        Monotonic time in s, for registers that the description wants polled.
+        Monotonic time in s, for registers whose cached value is valid for a polling time only.
 
     Raises
     ------
     DeviceError
-        Malformed description.
+        The description is malformed.
     """
 
     def __init__(
@@ -79,7 +79,7 @@ class NodeMap:
         self.name = name
         self.own_values: dict[str, Number] = {}
         self.own_texts: dict[str, str] = {}
-        self.asking: set[str] = set()  # nodes whose access is being found out
+        self.asking: set[str] = set()  # nodes whose access is being determined
         self._descriptions = parse_description(xml, name)
         self._port = port
         self._clock = clock
@@ -95,7 +95,7 @@ class NodeMap:
         return iter(self._descriptions)
 
     def node(self, name: str) -> Node:
-        """The node with this name; DeviceError where the camera has none."""
+        """The node with this name; DeviceError if the camera has none."""
         if name not in self._nodes:
             description = self._descriptions.get(name)
             if description is None:
@@ -104,7 +104,10 @@ class NodeMap:
         return self._nodes[name]
 
     def get(self, name: str) -> Any:
-        """A feature's value: int, float, bool, or str for texts and choices."""
+        """Value of a feature: int, float, bool, bytes (a register), or str (a text or a choice).
+
+        Raises DeviceError if the feature does not exist or cannot be read.
+        """
         node = self.node(name)
         if not hasattr(node, "get"):
             raise DeviceError(f"{self.name}: {name} is a {node.description.kind} and has no value")
@@ -114,17 +117,17 @@ class NodeMap:
             raise node.broken("it refers to itself") from None
 
     def set(self, name: str, value: Any) -> None:
-        """Set a feature."""
+        """Set a feature; DeviceError if it does not exist, cannot be set, or the value is not allowed."""
         node = self.node(name)
         if not hasattr(node, "set"):
-            raise DeviceError(f"{self.name}: {name} is a {node.description.kind} and can't be set")
+            raise DeviceError(f"{self.name}: {name} is a {node.description.kind} and cannot be set")
         try:
             node.set(value)
         except RecursionError:
             raise node.broken("it refers to itself") from None
 
     def features(self) -> tuple[str, ...]:
-        """Names of all that stands under a category: what a user may care for."""
+        """Names of all features in a category, which are those meant for users."""
         found: dict[str, None] = {}
         for name, description in self._descriptions.items():
             if description.kind == "Category":
@@ -135,14 +138,14 @@ class NodeMap:
     # ---- registers
 
     def port_access(self, name: str | None) -> Access:
-        """Full where the port is the camera; events and chunk data have ports that nobody reads here."""
+        """Access to the registers of a port; the ports of events and chunk data are not implemented."""
         if name is None or name not in self:
             return Access.NOT_IMPLEMENTED
         node = self.node(name)
         return node.access() if isinstance(node, Port) else Access.NOT_IMPLEMENTED
 
     def read_register(self, register: Node, address: int, length: int) -> bytes:
-        """A register's bytes, from the cache where that is allowed and fresh."""
+        """Bytes of a register, from the cache if the description allows it and they are still valid."""
         key = (register.name, address, length)
         now_s = self._clock()
         cached = self._cache.get(key)
@@ -156,7 +159,7 @@ class NodeMap:
         return data
 
     def write_register(self, register: Node, address: int, data: bytes) -> None:
-        """Write, and forget every register that depends on this one or shares bytes with it."""
+        """Write a register; cached values that depend on it or share bytes with it become invalid."""
         self._port.write(address, data)
         stale = self._stale_after(register.name)
         end = address + len(data)
@@ -166,22 +169,22 @@ class NodeMap:
             if key[0] not in stale and (key[1] >= end or key[1] + key[2] <= address)
         }
         if register.description.text("Cachable") in (None, "WriteThrough") and register.own_access().readable:
-            # "Write through": what was written counts as what is there, until something invalidates it.
-            # Reading back is the caller's decision, with `forget` before it.
+            # "WriteThrough": the value written is taken as the register's value until it becomes invalid;
+            # to read it back from the camera, call `forget` first
             self._cache[(register.name, address, len(data))] = (data, float("inf"))
 
     def set_own_value(self, node: Node, value: Number) -> None:
-        """Set a value that no register holds."""
+        """Set a value that is not in a register."""
         self.own_values[node.name] = value
         stale = self._stale_after(node.name)
         self._cache = {key: entry for key, entry in self._cache.items() if key[0] not in stale}
 
     def forget(self) -> None:
-        """Read everything from the camera again."""
+        """Empty the cache, so that every value is read from the camera again."""
         self._cache.clear()
 
     def _stale_after(self, name: str) -> frozenset[str]:
-        """This node and all whose value can follow from it, through whatever references."""
+        """Names of this node and of all nodes whose value depends on it, directly or indirectly."""
         if self._dependents is None:
             self._dependents = {}
             for other in self._descriptions:

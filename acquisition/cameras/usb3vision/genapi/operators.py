@@ -1,4 +1,4 @@
-"""Arithmetic of formulas: 64-bit whole numbers that wrap, and floating point."""
+"""Arithmetic of formulas: 64-bit integers that overflow, and floating point."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -8,12 +8,12 @@ Number = int | float
 
 
 def to_int64(value: int) -> int:
-    """Wrap as the 64-bit registers do."""
+    """The signed 64-bit integer with the same lowest 64 bits."""
     return (value + (1 << 63)) % (1 << 64) - (1 << 63)
 
 
 def truncated(value: Number) -> int:
-    """Towards zero, as a cast does; values beyond 64 bits become the smallest one."""
+    """Integer part, as by a cast in C++ on x86-64: values beyond 64 bits become the smallest integer."""
     if isinstance(value, int):
         return to_int64(value)
     if not math.isfinite(value) or abs(value) >= 2.0**63:
@@ -47,7 +47,7 @@ def _power(left: Number, right: Number) -> Number:
         result = math.nan
     if not (isinstance(left, int) and isinstance(right, int)):
         return result
-    # Whole numbers are exact where a double is not; what exceeds 64 bits is the cast's smallest value.
+    # integers are calculated exactly; beyond 64 bits the result is that of the cast
     return left**right if right >= 0 and abs(result) < 2.0**63 else truncated(result)
 
 

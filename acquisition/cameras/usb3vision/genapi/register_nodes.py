@@ -1,4 +1,4 @@
-"""Nodes that are registers: bytes in the camera, read through a cache and written through it."""
+"""Nodes that are registers of the camera, read and written through a cache."""
 
 import math
 import struct
@@ -10,14 +10,14 @@ from acquisition.cameras.usb3vision.genapi.node import Access, Node, parse_numbe
 from acquisition.cameras.usb3vision.genapi.operators import Number, truncated
 from processing.errors import DeviceError
 
-# A feature that claims more is described wrongly; files have features of their own.
+# largest length of a register in bytes; a description with a larger one is wrong
 _LONGEST = 1 << 24
 
 
 class Register(Node):
-    """Plain bytes; base of the others.
+    """A register as bytes; base class of the others.
 
-    Its address is the sum of all that the description gives: numbers, other nodes, formulas, and
+    The address is the sum of all terms in the description: numbers, values of other nodes, formulas, and
     indices times their offset.
     """
 
@@ -38,7 +38,7 @@ class Register(Node):
         return SwissKnife(description, self.nodes)
 
     def address(self) -> int:
-        """Where it lies now."""
+        """Present address."""
         address = 0
         for item in self.description.properties:
             if item.tag == "Address":
@@ -62,33 +62,33 @@ class Register(Node):
         try:
             return truncated(parse_number(text))
         except ValueError:
-            raise self.broken(f"{text!r} is no address") from None
+            raise self.broken(f"{text!r} is not an address") from None
 
     def length(self) -> int:
-        """How many bytes it has."""
+        """Number of bytes."""
         length = truncated(self.value_of("Length") or 0)
         if not 0 < length <= _LONGEST:
-            raise self.broken(f"a register of {length} bytes")
+            raise self.broken(f"a register cannot have {length} bytes")
         return length
 
     def read_bytes(self) -> bytes:
-        """Its bytes, from the cache where the description allows it."""
+        """The bytes, from the cache if the description allows it."""
         return self.nodes.read_register(self, self.address(), self.length())
 
     def write_bytes(self, data: bytes) -> None:
-        """Write its bytes; whatever depends on them is forgotten."""
+        """Write the bytes; cached values that depend on them become invalid."""
         self.nodes.write_register(self, self.address(), data)
 
     def _byte_order(self) -> Literal["little", "big"]:
         return "big" if self.description.text("Endianess") == "BigEndian" else "little"
 
     def get(self) -> bytes:
-        """Its bytes."""
+        """The bytes."""
         self.must_be_readable()
         return self.read_bytes()
 
     def set(self, value: bytes) -> None:
-        """Write all its bytes."""
+        """Write all bytes."""
         self.must_be_writable()
         if len(value) != self.length():
             raise DeviceError(f"{self.nodes.name}: {self.name} has {self.length()} bytes, got {len(value)}")
@@ -96,13 +96,13 @@ class Register(Node):
 
 
 class IntReg(Register):
-    """A whole number of one to eight bytes."""
+    """An integer of one to eight bytes."""
 
     def _layout(self) -> tuple[int, int, bool]:
-        """(lowest bit, count of bits, signed)."""
+        """Lowest bit, number of bits, whether signed."""
         length = self.length()
         if length > 8:
-            raise self.broken(f"a number of {length} bytes")
+            raise self.broken(f"an integer cannot have {length} bytes")
         return 0, 8 * length, self.description.text("Sign") == "Signed"
 
     def number(self) -> Number:
@@ -111,7 +111,7 @@ class IntReg(Register):
         value = int.from_bytes(self.read_bytes(), self._byte_order()) >> lowest & ((1 << bits) - 1)
         if signed and value >> (bits - 1):
             value -= 1 << bits
-        # As a 64-bit number, which is what all others are calculated with
+        # as a signed 64-bit integer, with which formulas calculate
         return value if value < 1 << 63 else value - (1 << 64)
 
     get = number  # type: ignore[assignment]
@@ -146,7 +146,7 @@ class IntReg(Register):
 
 
 class MaskedIntReg(IntReg):
-    """Some bits of a register. Bit 0 is the least significant one, with big-endian the most."""
+    """Some bits of a register. Bit 0 is the least significant bit, or the most significant if big-endian."""
 
     def _layout(self) -> tuple[int, int, bool]:
         _, width, signed = super()._layout()
@@ -157,7 +157,7 @@ class MaskedIntReg(IntReg):
             first, last = width - 1 - first, width - 1 - last
         lowest, highest = min(first, last), max(first, last)
         if lowest < 0 or highest >= width:
-            raise self.broken(f"bits {lowest} to {highest} of {width}")
+            raise self.broken(f"bits {lowest} to {highest} of a register of {width} bits")
         return lowest, highest - lowest + 1, signed
 
 
@@ -167,7 +167,7 @@ class FloatReg(Register):
     def _format(self) -> str:
         length = self.length()
         if length not in (4, 8):
-            raise self.broken(f"a floating-point number of {length} bytes")
+            raise self.broken(f"a floating-point number cannot have {length} bytes")
         return (">" if self._byte_order() == "big" else "<") + ("f" if length == 4 else "d")
 
     def number(self) -> Number:
@@ -186,7 +186,7 @@ class FloatReg(Register):
         self.must_be_writable()
         if not math.isfinite(value) or abs(value) > self.maximum():
             raise DeviceError(
-                f"{self.nodes.name}: {self.name} can't take {value}; its limit is {self.maximum()}"
+                f"{self.nodes.name}: {self.name} cannot be {value}; its largest value is {self.maximum()}"
             )
         self.write_bytes(struct.pack(self._format(), float(value)))
 
@@ -195,7 +195,7 @@ class FloatReg(Register):
 
 
 class StringReg(Register):
-    """A text, ended by a zero or by the register's end."""
+    """A text, which ends with a zero byte or with the register."""
 
     def text(self) -> str:
         """The text."""

@@ -1,4 +1,4 @@
-"""Nodes that are features with a value: numbers and texts, on top of registers."""
+"""Nodes that are features with a number or a text as value, usually contained in a register."""
 
 from typing import Final
 
@@ -12,10 +12,10 @@ _INT64_MAX: Final = (1 << 63) - 1
 
 
 class Valued(Node):
-    """A value that is constant, held by another node, or chosen by an index."""
+    """A value that is constant, contained in another node, or selected by an index."""
 
     def source(self) -> Node | None:
-        """The node that holds the value at present; None where it is a value of its own."""
+        """The node that contains the value at present; None if the value is not in another node."""
         index = self.referred("pIndex")
         if index is not None:
             wanted = truncated(index.number())
@@ -31,10 +31,10 @@ class Valued(Node):
         try:
             return truncated(parse_number(item.attributes.get("Index", "")))
         except ValueError:
-            raise self.broken(f"the index {item.attributes.get('Index')!r} is no number") from None
+            raise self.broken(f"the index {item.attributes.get('Index')!r} is not a number") from None
 
     def own_number(self) -> Number:
-        """The value where no other node holds it: as set, else as written in the description."""
+        """A value that is not in another node: as set before, otherwise as stated in the description."""
         if self.name in self.nodes.own_values:
             return self.nodes.own_values[self.name]
         index = self.referred("pIndex")
@@ -48,7 +48,7 @@ class Valued(Node):
         try:
             return parse_number(text)
         except ValueError:
-            raise self.broken(f"its value {text!r} is no number") from None
+            raise self.broken(f"its value {text!r} is not a number") from None
 
     def own_access(self) -> Access:
         source = self.source()
@@ -84,7 +84,7 @@ class Valued(Node):
         return {"Min": source.minimum, "Max": source.maximum, "Inc": source.increment}[tag]()
 
     def check_range(self, value: Number) -> None:
-        """Raise DeviceError, with the range, where the value lies outside."""
+        """Raise DeviceError, which states the range, if the value is not allowed."""
         low, high, step = self.minimum(), self.maximum(), self.increment()
         unit = self.description.text("Unit")
         outside = (low is not None and value < low) or (high is not None and value > high)
@@ -105,7 +105,7 @@ class Valued(Node):
 
 
 class Integer(Valued):
-    """A whole number with limits and a step."""
+    """An integer with limits and a step."""
 
     def number(self) -> int:
         return truncated(super().number())
@@ -125,14 +125,14 @@ class Integer(Valued):
         return 1 if step is None else truncated(step)
 
     def set(self, value: int) -> None:
-        """Set it; DeviceError gives the range for a value outside."""
+        """Set the value; DeviceError, which states the range, if it is not allowed."""
         self.must_be_writable()
         self.check_range(int(value))
         self.set_number(int(value))
 
 
 class Float(Valued):
-    """A number with limits."""
+    """A floating-point number with limits."""
 
     def number(self) -> float:
         return float(super().number())
@@ -149,14 +149,14 @@ class Float(Valued):
         return self.value_of("Inc")
 
     def set(self, value: float) -> None:
-        """Set it; DeviceError gives the range for a value outside."""
+        """Set the value; DeviceError, which states the range, if it is not allowed."""
         self.must_be_writable()
         self.check_range(float(value))
         self.set_number(float(value))
 
 
 class String(Node):
-    """A text, of its own or held by another node."""
+    """A text, of its own or contained in another node."""
 
     def own_access(self) -> Access:
         source = self.referred("pValue")
@@ -179,22 +179,22 @@ class String(Node):
         elif hasattr(source, "set"):
             source.set(value)
         else:
-            raise self.broken(f"{source.name} holds no text")
+            raise self.broken(f"{source.name} does not contain a text")
 
 
 class Category(Node):
-    """A heading over features."""
+    """A named group of features."""
 
     def own_access(self) -> Access:
         return Access.READ_ONLY
 
     def features(self) -> tuple[str, ...]:
-        """Names of what stands under it."""
+        """Names of the features in the category."""
         return tuple(item.text for item in self.description.all("pFeature"))
 
 
 class Port(Node):
-    """Where registers are: the camera itself, or data that come with frames and events."""
+    """The place of registers: the camera itself, or data that are sent with frames (chunks) and events."""
 
     def own_access(self) -> Access:
         tags = {item.tag for item in self.description.properties}

@@ -79,7 +79,7 @@ class EagerTransfers:
                 raise TimeoutError
             self._submitted.popleft()
         if isinstance(read.error, UnpluggedError):
-            raise CameraLost("has gone; plug it in again")
+            raise CameraLost("is no longer connected; plug it in again")
         if read.error is not None:
             raise StreamHalted(repr(read.error))
         assert read.arrived is not None

@@ -165,7 +165,7 @@ def test_a_colour_camera_is_refused_with_the_formats_that_work(device: VisionDev
     camera.open()
     camera.features.set("PixelFormat", "BayerRG8")
     with pytest.raises(
-        DeviceError, match=r"BayerRG8 can't be used; set one of: mono8, mono10, mono12, mono16"
+        DeviceError, match=r"BayerRG8 is not supported; set one of: mono8, mono10, mono12, mono16"
     ):
         camera.start()
     camera.close()
@@ -217,7 +217,7 @@ def test_a_camera_left_running_by_a_program_that_died_is_taken_over(device: Visi
         (description.description().replace('Name="Height"', 'Name="Hoehe"'), "lacks Height"),
         (
             description.description().replace("<Min>8</Min>", "<Min>eight</Min>"),
-            "its Min 'eight' is no number",
+            "its Min 'eight' is not a number",
         ),
         (
             description.description().replace(

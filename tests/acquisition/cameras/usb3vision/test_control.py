@@ -171,8 +171,8 @@ def test_the_newest_of_several_descriptions_is_taken() -> None:
     ("raw", "expected"),
     [
         (b"PK\x03\x04 not really", "archive with its description is damaged"),
-        (b"no mark-up at all", "is no XML"),
-        (b"", "is no XML"),
+        (b"no mark-up at all", "is not XML"),
+        (b"", "is not XML"),
     ],
 )
 def test_a_damaged_description_is_one_clear_error(raw: bytes, expected: str) -> None:
@@ -184,7 +184,7 @@ def test_a_damaged_manifest_is_one_clear_error() -> None:
     device = VisionDevice()
     channel = channel_to(device)
     device.poke(MANIFEST, struct.pack("<Q", 1 << 40))
-    with pytest.raises(DeviceError, match="manifest claims"):
+    with pytest.raises(DeviceError, match="manifest lists"):
         read_description(channel, MANIFEST, "c")
     device.poke(MANIFEST, struct.pack("<Q", 1))
     device.poke(MANIFEST + 8 + 16, struct.pack("<Q", 1 << 50))

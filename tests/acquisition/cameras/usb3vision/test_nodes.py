@@ -208,16 +208,16 @@ def test_locked_absent_and_read_only_features_say_so() -> None:
     )
     nodes = node_map(body)
     nodes.set("F", 4)
-    with pytest.raises(AccessRefused, match="G can't be set: it is read-only"):
+    with pytest.raises(AccessRefused, match="G cannot be set: it is read-only"):
         nodes.set("G", 4)
     nodes.set("Lock", 1)
     assert nodes.get("F") == 4
-    with pytest.raises(AccessRefused, match="F can't be set: it is read-only"):
+    with pytest.raises(AccessRefused, match="F cannot be set: it is read-only"):
         nodes.set("F", 5)
     nodes.set("There", 0)
-    with pytest.raises(AccessRefused, match="F can't be read: it is not available"):
+    with pytest.raises(AccessRefused, match="F cannot be read: it is not available"):
         nodes.get("F")
-    with pytest.raises(AccessRefused, match="G can't be read: it is not implemented"):
+    with pytest.raises(AccessRefused, match="G cannot be read: it is not implemented"):
         nodes.get("G")
 
 
@@ -263,7 +263,7 @@ def test_floats_of_both_lengths_and_orders() -> None:
     nodes.set("Large", -2.25e100)
     assert struct.unpack_from(">f", ram.data, 0)[0] == 1.5
     assert struct.unpack_from("<d", ram.data, 8)[0] == -2.25e100
-    with pytest.raises(DeviceError, match="can't take 1e\\+39"):
+    with pytest.raises(DeviceError, match="cannot be 1e\\+39"):
         nodes.set("Small", 1e39)
 
 
@@ -272,7 +272,7 @@ def test_floats_of_both_lengths_and_orders() -> None:
     [
         ('<Integer Name="F"><pValue>F</pValue></Integer>', "refers to itself"),
         ('<Integer Name="F"><pValue>Gone</pValue></Integer>', "no feature 'Gone'"),
-        ('<Integer Name="F"><Value>many</Value></Integer>', "'many' is no number"),
+        ('<Integer Name="F"><Value>many</Value></Integer>', "'many' is not a number"),
         ('<Integer Name="F"/>', "it has no value"),
         (ZERO + '<SwissKnife Name="F"><pVariable Name="X">Y</pVariable><Formula>1/X</Formula></SwissKnife>',
          "divides by zero with X = 0"),
