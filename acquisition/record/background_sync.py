@@ -1,14 +1,14 @@
-"""Forcing a file to the disk while the thread that writes it goes on."""
+"""Forces a file to the disk (fsync) in a thread, so that the thread that writes it does not wait."""
 
 import threading
 from collections.abc import Callable
 
 
 class BackgroundSync:
-    """Runs `action` in a thread of its own whenever it is asked to; requests that come meanwhile are one.
+    """Runs `action` in a thread on request; all requests during a run are answered by one further run.
 
-    The thread ends when there is nothing left to do, so that a record that is never closed leaves none
-    behind. What goes wrong in it is kept until it is asked for.
+    The thread ends when there is nothing left to do, so that a record that is never closed leaves no thread.
+    An OSError of the action is kept until `take_failure`.
     """
 
     def __init__(self, action: Callable[[], None]) -> None:
@@ -19,7 +19,7 @@ class BackgroundSync:
         self._failure: OSError | None = None
 
     def request(self) -> None:
-        """Have it done as soon as possible, after this call and at least once; never waits for it."""
+        """Start a run of the action after this call, as soon as possible; does not wait for it."""
         with self._lock:
             self._asked = True
             if self._thread is None:
@@ -27,13 +27,13 @@ class BackgroundSync:
                 self._thread.start()
 
     def wait(self) -> None:
-        """Return when nothing is being done any more."""
+        """Wait until all requested runs have ended."""
         thread = self._thread
         if thread is not None:
             thread.join()
 
     def take_failure(self) -> OSError | None:
-        """First error since the last call."""
+        """First error since the last call, or None."""
         with self._lock:
             failure, self._failure = self._failure, None
         return failure

@@ -26,8 +26,10 @@ Severity = Literal["error", "warning", "note"]
 
 
 class Finding(NamedTuple):
-    """`error`: bytes or counts are not what was written. `warning`: the run lost something, as the
-    record itself says. `note`: worth knowing.
+    """One result of the verification.
+
+    An `error` means that bytes or counts differ from what was written. A `warning` means that data were lost
+    during the run, as the record states. A `note` is for information.
     """
 
     severity: Severity
@@ -62,12 +64,17 @@ class _Tally:
 
 
 def check_record(path: Path, results: Path | None = None) -> list[Finding]:
-    """Read a whole record and say what is wrong with it; an empty list or notes alone: nothing.
+    """Verify a whole record; an intact one gives an empty list or notes only.
 
-    Checked: the file's end, the checksums of data section, summary, chunks and attachments, the
-    chunks' indexes and times, the counts, message types, times that run backwards, gaps in the
-    frames' numbers, windows of frames that have no spot, and the SHA-256 that `results` (a
-    results.json) states for this file. Raises RecordError where the file is no record of ours.
+    The following are checked: the file's ending; the checksums of data section, summary, chunks and
+    attachments; the indexes and times of chunks; counts; message types; times that decrease; gaps in the
+    frame numbers; windows of frames without a spot; and the SHA-256 that `results` (a results.json) states
+    for this file.
+
+    Raises
+    ------
+    RecordError
+        The file is not a record of this program, or `results` cannot be read.
     """
     with RecordReader(path) as reader:
         contents = reader.contents
@@ -77,8 +84,8 @@ def check_record(path: Path, results: Path | None = None) -> list[Finding]:
             findings.append(
                 Finding(
                     "error",
-                    f"the file was cut short: {lost} bytes behind the last complete record at "
-                    f"{utc_text(contents.end_ns)}; rig recover makes a whole file of it",
+                    f"the file was cut short: {lost} bytes after the last complete record at "
+                    f"{utc_text(contents.end_ns)}; rig recover makes a complete file of it",
                 )
             )
         tally = _Tally()
@@ -116,7 +123,7 @@ def _check_chunks(reader: RecordReader, tally: _Tally) -> list[Finding]:
         times = [message.log_time_ns for message in messages]
         stated = {(chunk.start_ns, chunk.end_ns), (place.start_ns, place.end_ns)}
         if times and stated != {(min(times), max(times))}:
-            findings.append(Finding("error", f"{where}: the times in its head are not those of its messages"))
+            findings.append(Finding("error", f"{where}: the times in its header differ from its messages"))
         if not _index_matches(reader.file, contents, place, messages):
             findings.append(Finding("error", f"{where}: its message index does not match its messages"))
     return findings
@@ -125,7 +132,7 @@ def _check_chunks(reader: RecordReader, tally: _Tally) -> list[Finding]:
 def _index_matches(
     file: IO[bytes], contents: Contents, place: ChunkPlace, messages: list[RawMessage]
 ) -> bool:
-    """Message index records behind a chunk against its messages; a cut file may lack them."""
+    """Whether the message index after a chunk agrees with its messages; a truncated file may lack it."""
     expected: dict[int, list[tuple[int, int]]] = defaultdict(list)
     for message in messages:
         expected[message.channel].append((message.log_time_ns, message.offset))
@@ -160,7 +167,7 @@ def _check_attachments(reader: RecordReader) -> list[Finding]:
 
 
 def _check_index(file: IO[bytes], contents: Contents) -> list[Finding]:
-    """The summary against the data section itself, walked through from record to record."""
+    """Compare the summary with the data section, read from record to record."""
     if not contents.whole or contents.statistics is None:
         return []
     walked = Contents(contents.size)
@@ -172,7 +179,7 @@ def _check_index(file: IO[bytes], contents: Contents) -> list[Finding]:
     return [
         Finding(
             "error",
-            f"the data section's records do not follow on each other from byte {walked.readable_bytes}: "
+            f"the records of the data section cannot be followed from byte {walked.readable_bytes} on: "
             "a length or kind has changed",
         )
     ]
@@ -211,7 +218,7 @@ def _check_counts(contents: Contents, tally: _Tally) -> list[Finding]:
         Finding(
             "error",
             f"{channel.topic}: {tally.counts[number]} messages can be read, "
-            f"the index says {contents.counts[number]}",
+            f"the index states {contents.counts[number]}",
         )
         for number, channel in contents.channels.items()
         if contents.whole and tally.counts[number] != contents.counts[number]
@@ -222,7 +229,7 @@ def _check_order(contents: Contents, tally: _Tally) -> list[Finding]:
     return [
         Finding(
             "error",
-            f"{contents.channels[number].topic}: time runs backwards {count} times, first at "
+            f"{contents.channels[number].topic}: the time decreases {count} times, first at "
             f"{utc_text(tally.first_backwards_ns[number])}",
         )
         for number, count in sorted(tally.backwards.items())
@@ -251,7 +258,7 @@ def _check_sequences(contents: Contents, tally: _Tally) -> list[Finding]:
         findings.append(
             Finding(
                 "warning",
-                f"{WINDOW.topic}: {len(strange)} windows belong to no spot, first frame {strange[0]}",
+                f"{WINDOW.topic}: {len(strange)} windows have no spot, first frame {strange[0]}",
             )
         )
     if len(windows) and len(windows) < len(spots):
@@ -276,9 +283,9 @@ def _check_hash(path: Path, results: Path) -> Finding:
     except OSError as error:
         raise RecordError(f"{results}: cannot be read: {error.strerror or error}") from None
     except (ValueError, KeyError, TypeError):
-        raise RecordError(f"{results}: is no results.json; name the one beside the record") from None
+        raise RecordError(f"{results}: is not a results.json; name the one beside the record") from None
     if path.name not in stated:
-        return Finding("warning", f"{results.name} says nothing of {path.name}")
+        return Finding("warning", f"{results.name} does not contain {path.name}")
     if stated[path.name] != sha256_of(path):
         return Finding(
             "error", f"SHA-256 is not the one in {results.name}: the record is not the one that was fitted"

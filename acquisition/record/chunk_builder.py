@@ -1,4 +1,4 @@
-"""Messages of one chunk as they will stand in it, and where each begins."""
+"""Builds one chunk: its messages as bytes, and the index with their positions."""
 
 import struct
 from collections.abc import Sequence
@@ -23,7 +23,10 @@ _HEAD_FIELDS: list[Any] = [
 
 
 class ChunkBuilder:
-    """Grows until it is taken and cleared."""
+    """Collects the messages of a chunk until `McapFile.add_chunk` writes and clears it.
+
+    `data` are the messages, `index` the positions by channel, `start_ns` and `end_ns` the range of log times.
+    """
 
     def __init__(self) -> None:
         self.clear()
@@ -37,11 +40,11 @@ class ChunkBuilder:
 
     @property
     def counts(self) -> dict[int, int]:
-        """Messages by channel."""
+        """Number of messages by channel."""
         return {channel: len(entries) // _INDEX_ENTRY.size for channel, entries in self.index.items()}
 
     def add(self, channel: int, sequence: int, log_time_ns: int, *parts: bytes | memoryview) -> None:
-        """One encoded message, in parts that follow on each other."""
+        """Add one encoded message, given in consecutive parts."""
         self._extend_times(log_time_ns, log_time_ns)
         self._entries(channel).extend(_INDEX_ENTRY.pack(log_time_ns, len(self.data)))
         self.data += MESSAGE_HEAD.pack(
@@ -62,7 +65,7 @@ class ChunkBuilder:
         log_times_ns: NDArray[np.int64],
         rows: NDArray[Any],
     ) -> None:
-        """Many encoded messages of one length, each a row of a packed structured array."""
+        """Add many encoded messages of the same length, each a row of a packed structured array (n,)."""
         count = len(rows)
         if count == 0:
             return

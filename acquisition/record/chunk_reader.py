@@ -1,4 +1,4 @@
-"""A chunk's bytes, checked, and the messages in them."""
+"""Reads the bytes of a chunk, checks them, and splits them into messages."""
 
 import struct
 import zlib
@@ -18,11 +18,11 @@ _LARGEST_CHUNK_BYTES = 2**31
 
 
 class ChunkDamage(ValueError):
-    """The chunk's bytes are not what was written; the message says how that is known."""
+    """The chunk's bytes differ from what was written; the message describes how."""
 
 
 class RawMessage(NamedTuple):
-    """A message as it stands in a chunk, `offset` bytes from its beginning."""
+    """An encoded message; `offset` is its position in the chunk in bytes."""
 
     channel: int
     sequence: int
@@ -32,7 +32,7 @@ class RawMessage(NamedTuple):
 
 
 class OpenedChunk(NamedTuple):
-    """Decompressed records of a chunk, and the times that its head states."""
+    """Decompressed records of a chunk, and the range of log times stated in its header."""
 
     data: bytes
     start_ns: int
@@ -58,21 +58,21 @@ def open_chunk(file: IO[bytes], place: ChunkPlace, *, validate_crc: bool = True)
         raise ChunkDamage("its head has changed")
     data = _decompressed(compression, record[data_at:], size)
     if len(data) != size:
-        raise ChunkDamage(f"holds {len(data)} bytes where its head says {size}")
+        raise ChunkDamage(f"has {len(data)} bytes, but its header states {size}")
     if validate_crc and crc not in (0, zlib.crc32(data)):
         raise ChunkDamage("its checksum does not match: bytes have changed")
     return OpenedChunk(data, start_ns, end_ns)
 
 
 def messages_in(data: bytes, channels: frozenset[int] | None = None) -> Iterator[RawMessage]:
-    """Messages of a chunk's bytes, of some channels or of all. Raises ChunkDamage where a record is cut."""
+    """Messages of the given channels (None: all) in a chunk. Raises ChunkDamage if a record is incomplete."""
     place, end = 0, len(data)
     unpack, head_size, body = MESSAGE_HEAD.unpack_from, MESSAGE_HEAD.size, _HEAD.size
     while place < end:
         opcode, length = _HEAD.unpack_from(data, place) if place + body <= end else (0, end)
         following = place + body + length
         if following > end:
-            raise ChunkDamage("a record in it is cut")
+            raise ChunkDamage("a record in it is incomplete")
         if opcode == Opcode.MESSAGE:
             _, _, channel, sequence, log_time_ns, _ = unpack(data, place)
             if channels is None or channel in channels:
@@ -86,5 +86,5 @@ def _decompressed(compression: bytes, data: bytes, size: int) -> bytes:
         stream, length = get_chunk_data_stream(chunk)
         return bytes(stream.read(length))
     except Exception as error:
-        # Every decompressor has errors of its own, and bytes that have changed may raise any of them.
+        # each decompressor raises its own exceptions for damaged data
         raise ChunkDamage(f"cannot be decompressed ({error})") from None

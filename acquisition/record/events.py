@@ -1,29 +1,29 @@
-"""What happens to a measurement beside its frames: the value, and the one list of its kinds."""
+"""Events of a measurement, such as the start or the loss of frames, and the list of their kinds."""
 
 from enum import StrEnum
 from typing import Final, NamedTuple
 
 
 class EventKind(StrEnum):
-    """Kinds of events. A phase of the preparation is a kind of its own, called by the phase's name."""
+    """Kinds of events. Besides, each phase of the preparation is a kind with the phase's name."""
 
     START = "start"
     """The first frame of the record."""
     STOP = "stop"
-    """The last, and why."""
+    """The last frame, with the reason of the end."""
     GAP = "gap"
     """Frames are missing."""
     SPOT_LOST = "spot lost"
     SPOT_FOUND = "spot found"
     CAMERA_SILENT = "camera silent"
-    """No frame for longer than is usual; it may still come."""
+    """No frame for longer than usual; further ones may still arrive."""
     CAMERA_SPEAKS = "camera speaks"
-    """A frame after a silence."""
+    """The first frame after `CAMERA_SILENT`."""
     CAMERA_LOST = "camera lost"
     """Unplugged or reset."""
     CAMERA_BACK = "camera back"
     RECORD = "record"
-    """The record cannot be written any more."""
+    """The record can no longer be written."""
     PREFLIGHT = "preflight"
     MAGNET = "magnet"
     STARTER = "starter"
@@ -31,17 +31,17 @@ class EventKind(StrEnum):
     CONTROLLER = "controller"
     LASER = "laser"
     SENSOR = "sensor"
-    """What the device itself says."""
+    """Messages of the device."""
 
 
 WARNING_KINDS: Final = frozenset(
     {EventKind.GAP, EventKind.SPOT_LOST, EventKind.CAMERA_LOST, EventKind.RECORD}
 )
-"""Something of the measurement is missing: a warning in the record's log and in every view."""
+"""Kinds that mean missing data: warnings in the record's log and in every view."""
 
 
 class Event(NamedTuple):
-    """Something that happened to the measurement, as the record holds it."""
+    """One event; `time_ns` is on the frames' clock."""
 
     time_ns: int
     kind: str
@@ -49,10 +49,10 @@ class Event(NamedTuple):
 
     @property
     def is_warning(self) -> bool:
-        """Whether something of the measurement is missing."""
+        """Whether data are missing."""
         return self.kind in WARNING_KINDS
 
     @property
     def line(self) -> str:
-        """`kind: text`, as logs and screens show it."""
+        """The event as one line, `kind: text`."""
         return f"{self.kind}: {self.text}"

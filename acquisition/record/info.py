@@ -1,4 +1,4 @@
-"""What is in a record, without reading the messages: within a second however large the file is."""
+"""Overview of a record without reading its messages; takes less than a second for a file of any size."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -11,11 +11,12 @@ from acquisition.record.reader import RecordReader
 
 @dataclass(frozen=True, slots=True)
 class RecordInfo:
-    """A record as its index describes it. Times are UTC in ns, 0 without messages.
+    """Overview of a record. Times are UTC in ns, 0 without messages.
 
-    `messages` counts by topic, `losses` are the frames that are missing by who lost them (None where an
-    older record does not say), `attachments` are sizes in bytes by name. `whole` is false for a file that
-    was cut short; `readable_bytes` then is how far its complete records go.
+    `messages` are numbers by topic, `losses` the numbers of lost frames by cause (None if an older record
+    does not contain them), `attachments` sizes in bytes by name. `whole` is False for a truncated file;
+    `readable_bytes` is then the end of its last complete record. `problems` are parts of the structure that
+    cannot be read.
     """
 
     path: Path
@@ -35,14 +36,14 @@ class RecordInfo:
 
     @property
     def duration_s(self) -> float:
-        """From the first message to the last."""
+        """Time from the first message to the last."""
         return (self.end_ns - self.start_ns) * 1e-9
 
 
 def record_info(path: Path) -> RecordInfo:
-    """List a record from its summary; a cut file from the heads of its chunks.
+    """Overview of a record, from its summary, or from the headers of its chunks if it is truncated.
 
-    Raises RecordError where the file is no record of ours (see `RecordReader`).
+    Raises RecordError if the file is not a record of this program (see `RecordReader`).
     """
     with RecordReader(path) as reader:
         contents: Contents = reader.contents

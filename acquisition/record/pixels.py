@@ -1,4 +1,6 @@
-"""Pixels as messages: windows around the spot in our own type, whole frames as foxglove.RawImage."""
+"""Pixels as messages: windows around the spot in a type of this program, whole frames as
+foxglove.RawImage.
+"""
 
 import numpy as np
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
@@ -9,11 +11,13 @@ from acquisition.record.topics import SENSOR_FRAME, WINDOW, RecordedWindow
 
 
 def encode_window(sequence: int, time_ns: int, image: Image, x0_px: int, y0_px: int) -> bytes:
-    """Message of type `WINDOW`. (x0, y0) is the first pixel's place on the sensor."""
+    """Message of type `WINDOW` with an image (ny, nx); (x0, y0) is the position of its first pixel on the
+    sensor.
+    """
     height, width = image.shape
     planes = int(image.itemsize == 2)
     if planes:
-        # High bytes hardly change from pixel to pixel: apart from the low ones they compress well.
+        # high bytes vary little from pixel to pixel: stored apart from the low bytes they compress well
         little_endian = np.ascontiguousarray(image, dtype="<u2")
         pixels = little_endian.view(np.uint8).reshape(-1, 2).T.tobytes()
     else:
@@ -22,7 +26,7 @@ def encode_window(sequence: int, time_ns: int, image: Image, x0_px: int, y0_px: 
 
 
 def decode_window(kind: MessageType, data: bytes) -> RecordedWindow:
-    """Window from a message of the type that its file describes. Raises ValueError where sizes differ."""
+    """Window from a message of the type `kind`. Raises ValueError if the number of pixels is wrong."""
     field = dict(zip(kind.names, kind.decode(data), strict=True))
     shape = (field["height_px"], field["width_px"])
     pixels = np.frombuffer(field["pixels"], dtype=np.uint8)
@@ -38,9 +42,9 @@ def decode_window(kind: MessageType, data: bytes) -> RecordedWindow:
 
 
 def encode_image(frame: Frame, utc_ns: int) -> tuple[bytes, memoryview]:
-    """foxglove.RawImage, mono8 or mono16 (little endian), in two parts that follow on each other.
+    """foxglove.RawImage, mono8 or mono16 (little endian), in two consecutive parts.
 
-    The pixels are the last field and are not copied: at 100 frames/s of 2.6 MB copies would cost more
+    The pixels are the last field and are not copied: at 100 frames/s of 2.6 MB, copying would take longer
     than the compression.
     """
     kind = np.uint8 if frame.image.itemsize == 1 else np.dtype("<u2")
@@ -58,7 +62,7 @@ def encode_image(frame: Frame, utc_ns: int) -> tuple[bytes, memoryview]:
 
 
 def decode_image(data: bytes) -> Image:
-    """Pixels of a foxglove.RawImage that `encode_image` made, (ny, nx)."""
+    """Image (ny, nx) from a foxglove.RawImage made by `encode_image`."""
     raw = RawImage.FromString(data)
     dtype = np.dtype("u1" if raw.encoding == "mono8" else "<u2")
     image: Image = np.frombuffer(raw.data, dtype=dtype).reshape(raw.height, raw.width)

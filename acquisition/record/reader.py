@@ -46,7 +46,7 @@ _Value = TypeVar("_Value")
 
 
 class Message(NamedTuple):
-    """One message as it stands in the file; log times are UTC."""
+    """One encoded message; `log_time_ns` is UTC."""
 
     topic: str
     sequence: int
@@ -64,11 +64,17 @@ class Damage(NamedTuple):
 
 
 class RecordReader:
-    """Context manager over one record.
+    """Reads one record; a context manager.
 
-    CRCs are checked: a chunk whose bytes have changed is left out, named in `damages` and logged;
-    everything else is read. `truncated`: the file has no end, as after a kill or a power cut;
-    every complete chunk is read all the same.
+    A chunk whose checksum is wrong is left out, listed in `damages` and logged; everything else is read. A
+    file without an ending, as after a crash or a power failure, is `truncated`; its complete chunks are read.
+
+    Parameters
+    ----------
+    path
+        The record.
+    validate_crcs
+        Whether the checksums of chunks are verified.
 
     Raises
     ------
@@ -107,27 +113,27 @@ class RecordReader:
 
     @property
     def truncated(self) -> bool:
-        """The file was cut short: it has no end."""
+        """Whether the file was cut short, so that it has no ending."""
         return not self.contents.whole
 
     @property
     def cut_notice(self) -> str:
-        """One line for a person where the file was cut short, with the remedy; empty where it is whole."""
+        """One line for the user about a truncated file, with the remedy; empty if the file is complete."""
         if not self.truncated:
             return ""
         return (
-            f"{self.path}: was cut short (it has no end); what is there is used, "
-            f"rig recover {self.path} makes a whole file of it"
+            f"{self.path}: was cut short (it has no ending); its complete part is used, "
+            f"rig recover {self.path} makes a complete file of it"
         )
 
     @property
     def metadata(self) -> dict[str, dict[str, str]]:
-        """Texts by key, by name."""
+        """Metadata: texts by key, by name (session, camera, environment, versions, record)."""
         return self.contents.metadata
 
     @property
     def attachments(self) -> dict[str, bytes]:
-        """Attached files by name. One whose bytes cannot be read is left out and named in `damages`."""
+        """Attached files by name; one that cannot be read is left out and listed in `damages`."""
         found = {}
         for name, place in self.contents.attachment_places.items():
             try:
@@ -144,38 +150,41 @@ class RecordReader:
 
     @property
     def full_scale_dn(self) -> int:
-        """Largest grey value of the camera; 255 where an older record does not say."""
+        """Largest grey value of the camera; 255 if an older record does not state it."""
         return int(self.metadata.get("camera", {}).get("full_scale_dn", "255"))
 
     def utc(self, time_ns: int) -> datetime.datetime:
-        """A time of the record's clock in UTC."""
+        """UTC of a time on the frames' clock."""
         return utc(time_ns + self.epoch_offset_ns)
 
     @property
     def deflection_unit(self) -> DeflectionUnit:
-        """px where the rig had no lever."""
+        """Unit of deflections and amplitudes: rad, or px without a calibrated lever."""
         stated = self.metadata["record"].get("deflection_unit")
         return DeflectionUnit.PX if stated == "px" else DeflectionUnit.RAD
 
     @property
     def counts(self) -> dict[str, int]:
-        """Messages by topic as the file states them, damaged ones included."""
+        """Numbers of messages by topic as stated in the file, including damaged ones."""
         return {
             channel.topic: self.contents.counts[number] for number, channel in self.contents.channels.items()
         }
 
     def messages(self, *topics: str) -> Iterator[Message]:
-        """Messages of some topics (all, without any) in the order of the file.
+        """Messages of the given topics (without any: of all), in the order of the file.
 
-        Numbers and pixels lie in chunks of their own; each topic is in order, topics among each
-        other are so only within a chunk.
+        Numbers and pixels are in different chunks: messages of one topic are in order of time, those of
+        different topics only within a chunk.
         """
         names = {number: channel.topic for number, channel in self.contents.channels.items()}
         for raw in self._raw(frozenset(topics)):
             yield Message(names.get(raw.channel, ""), raw.sequence, raw.log_time_ns, raw.data)
 
     def table(self, topic: str) -> NDArray[Any]:
-        """The numbers of all messages of a topic as a structured array; empty where there are none."""
+        """The numbers of all messages of a topic as a structured array (n,), without texts and bytes.
+
+        The names of the fields are those in the file, with units. Empty if the record has no such topic.
+        """
         kind = self._type(topic)
         if kind is None:
             return np.empty(0, dtype=np.dtype([]))
@@ -184,7 +193,7 @@ class RecordReader:
         for messages in self._by_chunk(frozenset([topic])):
             part = kind.decode_table([message.data for message in messages])
             if filled + len(part) > len(table):
-                # A cut file's last chunk may have lost the index from which messages were counted.
+                # the last chunk of a truncated file may lack the index from which messages are counted
                 table = np.concatenate([table[:filled], part])
             else:
                 table[filled : filled + len(part)] = part
@@ -192,9 +201,9 @@ class RecordReader:
         return table[:filled]
 
     def values(self, topic: str, value_class: type[_Value]) -> list[_Value]:
-        """All values of a topic as the dataclass or NamedTuple that was written.
+        """All messages of a topic as values of the dataclass or NamedTuple with which they were written.
 
-        Fields that an older record does not have are NaN, 0 or empty.
+        Fields that an older record does not contain are NaN (float), 0 (int) or empty (str).
         """
         kind = self._type(topic)
         if kind is None:
@@ -209,21 +218,24 @@ class RecordReader:
         return found
 
     def spots(self) -> NDArray[Any]:
-        """All spots as a structured array with the fields of `topics.SPOT`.
+        """All spots as a structured array (n,) with the fields of `topics.SPOT`, one row per frame.
 
-        Without a lever (`deflection_unit` is px) those of `topics.SPOT_UNCALIBRATED`.
+        Without a lever (`deflection_unit` is px) the fields are those of `topics.SPOT_UNCALIBRATED`. NaN
+        where the spot was lost.
         """
         return spot_table(self.table(SPOT.topic), self.deflection_unit)
 
     def deflections(self, spots: NDArray[Any] | None = None) -> Deflections:
-        """The deflections in rows of `spots` or `spot_blocks`; without any, those of the whole record."""
+        """Deflections in rows returned by `spots` or `spot_blocks`; without any, those of the whole
+        record.
+        """
         return deflections_of(self.spots() if spots is None else spots, self.deflection_unit)
 
     def spot_blocks(self, start_ns: int | None = None) -> Iterator[NDArray[Any]]:
-        """The same a chunk at a time, for records larger than memory.
+        """The same as `spots`, chunk by chunk, for records larger than memory.
 
-        With `start_ns` (the frames' clock) from the first spot at or after it, without reading what
-        lies before.
+        With `start_ns` (on the frames' clock), spots before that time are left out, and chunks before it are
+        not read.
         """
         kind = self._type(SPOT.topic)
         if kind is None:
@@ -238,11 +250,11 @@ class RecordReader:
                 yield table
 
     def swings(self) -> list[Swing]:
-        """All half-cycles; amplitudes in `deflection_unit`."""
+        """All half-cycles, with amplitudes in `deflection_unit`."""
         return swings_of(self.table(SWING.topic))
 
     def balances(self) -> list[Balance]:
-        """All balances, in `deflection_unit`; NaN for numbers that an older record does not have."""
+        """All balances, in `deflection_unit`; NaN for numbers that an older record does not contain."""
         return balances_of(self.table(BALANCE.topic), self.deflection_unit)
 
     def events(self) -> list[Event]:
@@ -250,15 +262,12 @@ class RecordReader:
         return self.values(EVENT.topic, Event)
 
     def losses(self) -> FrameLosses | None:
-        """Frames lost in the record by who lost them; None where an older record does not say.
-
-        Reads no more than the chunks that hold them.
-        """
+        """Numbers of lost frames by cause; None if an older record does not contain them."""
         found = self.values(LOSSES_TOPIC, RecordedLosses)
         return FrameLosses(*found[-1][1:]) if found else None
 
     def windows(self, start_ns: int | None = None) -> Iterator[RecordedWindow]:
-        """Windows around the spot, in order; `start_ns` as in `spot_blocks`."""
+        """Windows around the spot, in order of time, one at a time; `start_ns` as in `spot_blocks`."""
         kind = self._type(WINDOW.topic)
         if kind is None:
             return
@@ -266,9 +275,9 @@ class RecordReader:
             yield decode_window(kind, message.data)
 
     def images(self, start_ns: int | None = None) -> Iterator[Frame]:
-        """Whole frames; the camera's own clock is not kept with them, the frames' time is.
+        """Whole frames, in order of time, one at a time; `start_ns` as in `spot_blocks`.
 
-        `start_ns` as in `spot_blocks`.
+        Their device time and host time are both the time of the frame: a record has no other time for them.
         """
         for message in self._since(IMAGE_TOPIC, start_ns):
             time_ns = message.log_time_ns - self.epoch_offset_ns
@@ -286,7 +295,7 @@ class RecordReader:
             yield from messages
 
     def _since(self, topic: str, start_ns: int | None) -> Iterator[RawMessage]:
-        """Messages of one topic from a time of the frames' clock on."""
+        """Messages of one topic from a time on the frames' clock on."""
         from_ns = None if start_ns is None else start_ns + self.epoch_offset_ns
         for messages in self._by_chunk(frozenset([topic]), start_ns):
             for message in messages:
@@ -294,7 +303,7 @@ class RecordReader:
                     yield message
 
     def _by_chunk(self, topics: frozenset[str], start_ns: int | None = None) -> Iterator[list[RawMessage]]:
-        """Messages chunk by chunk; chunks that end before `start_ns` (the frames' clock) are passed over."""
+        """Messages chunk by chunk; chunks that end before `start_ns` (on the frames' clock) are not read."""
         from_ns = None if start_ns is None else start_ns + self.epoch_offset_ns
         wanted = None
         if topics:
@@ -316,7 +325,7 @@ class RecordReader:
                 yield messages
 
     def _type(self, topic: str) -> MessageType | None:
-        """How the file itself describes a topic; None where it has no such topic."""
+        """Message type of a topic as described in the file; None if the record has no such topic."""
         if topic not in self._types:
             for channel in self.contents.channels.values():
                 if channel.topic == topic:
@@ -330,7 +339,7 @@ class RecordReader:
         return self._types.get(topic)
 
     def note_damage(self, place: ChunkPlace, what: str) -> None:
-        """Remember a chunk that cannot be trusted, once."""
+        """Add a damaged chunk to `damages`, once."""
         channels = self.contents.channels
         topics = tuple(sorted(channels[number].topic for number in place.channels if number in channels))
         self._remember(place.offset, Damage(place.start_ns, place.end_ns, topics, what))
@@ -342,9 +351,9 @@ class RecordReader:
             _log.warning("%s: damaged at byte %d, left out: %s", self.path, offset, damage.what)
 
     def _check_ours(self) -> None:
-        """Find the record's description of itself: in its metadata, and beside the channel of spots.
+        """Check the metadata "record", of which the channel of spots contains a copy.
 
-        The channel's copy is repeated in the summary, under a checksum, and is taken where both exist.
+        The copy is taken if both exist: it is repeated in the summary, which has a checksum.
         """
         metadata = self.metadata.get("record", {})
         beside = next((c.metadata for c in self.contents.channels.values() if c.topic == SPOT.topic), {})
@@ -354,7 +363,7 @@ class RecordReader:
         if not head:
             topics = ", ".join(sorted(channel.topic for channel in self.contents.channels.values()))
             if not topics and self.truncated:
-                raise RecordError(f"{self.path}: was cut before anything was recorded; nothing can be read")
+                raise RecordError(f"{self.path}: was cut short before anything was recorded")
             raise RecordError(
                 f"{self.path}: is an MCAP file of another program (topics: {topics or 'none'}); "
                 "only records of rig run can be read"
@@ -373,7 +382,7 @@ class RecordReader:
 
 
 def open_mcap(path: Path) -> IO[bytes]:
-    """Open a file that begins as an MCAP file does. Raises RecordError."""
+    """Open an MCAP file. Raises RecordError if it is missing, cannot be read, or is another kind of file."""
     try:
         file = path.open("rb")
         head = file.read(len(MAGIC))
@@ -383,6 +392,6 @@ def open_mcap(path: Path) -> IO[bytes]:
         raise RecordError(f"{path}: cannot be read: {error.strerror or error}") from None
     if head != MAGIC:
         file.close()
-        what = "is empty" if not head else "is no MCAP file"
+        what = "is empty" if not head else "is not an MCAP file"
         raise RecordError(f"{path}: {what}; a record is made by rig run")
     return file

@@ -18,10 +18,11 @@ _RESERVE_BYTES = 1024 * 1024
 
 @dataclass(frozen=True, slots=True)
 class Recovery:
-    """Result of `recover`: what was saved and what was lost.
+    """Result of `recover`.
 
-    `messages` counts by topic, `end_ns` (UTC) is the time of the last one. `lost` are chunks whose
-    bytes have changed; `lost_bytes` stood behind the last complete record.
+    `messages` are the numbers of recovered messages by topic, `start_ns` and `end_ns` (UTC) the times of the
+    first and the last. `lost` are damaged chunks and attachments, `lost_bytes` the number of bytes after the
+    last complete record.
     """
 
     source: Path
@@ -36,9 +37,12 @@ class Recovery:
 def recover(source: Path, path: Path) -> Recovery:
     """Copy every intact message of a record, its metadata and attachments into a new file.
 
-    The source is only read. The new file says in its metadata "recovery" where it comes from and
-    what is missing. Raises RecordError: the source is no record of ours, the new file exists
-    already or cannot be written.
+    The source is not changed. The metadata "recovery" of the new file state its source and what is missing.
+
+    Raises
+    ------
+    RecordError
+        The source is not a record of this program; the new file exists already or cannot be written.
     """
     with RecordReader(source) as reader:
         try:
@@ -48,7 +52,7 @@ def recover(source: Path, path: Path) -> Recovery:
                 f"{path}: exists already and is never overwritten; choose another name"
             ) from None
         except OSError as error:
-            raise RecordError(f"{path}: cannot be made: {error.strerror or error}") from None
+            raise RecordError(f"{path}: cannot be created: {error.strerror or error}") from None
         try:
             found = _copy(reader, file, path)
             file.finish()

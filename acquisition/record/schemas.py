@@ -1,8 +1,8 @@
-"""Flat protobuf messages made from names and kinds: descriptor, encoding, decoding.
+"""Flat protobuf messages, defined by names and kinds of fields: descriptor, encoding, decoding.
 
-Every number is stored in full width (double, sfixed64), so that replay is bit for bit and a message
-of numbers has one length: encoding many is one numpy array, decoding a whole topic is one
-`numpy.frombuffer`. The descriptor is embedded in the file; viewers plot the fields as they are.
+Numbers are stored with 64 bits (double, sfixed64). A replay therefore obtains exactly the recorded values,
+and all messages of numbers have the same length, so that many can be encoded and decoded at once with numpy.
+The descriptor is stored in the file, so that viewers can plot the fields.
 """
 
 import dataclasses
@@ -34,7 +34,7 @@ _WIRE_VARINT, _WIRE_FIXED64, _WIRE_LENGTH, _WIRE_FIXED32 = 0, 1, 2, 5
 
 @dataclass(frozen=True)
 class MessageType:
-    """A protobuf message: numbers first, in order, then texts or bytes; field numbers count from 1."""
+    """A protobuf message: the numbers first, then texts or bytes (`tail`); field numbers count from 1."""
 
     full_name: str
     topic: str
@@ -43,12 +43,12 @@ class MessageType:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Fields in order."""
+        """Names of the fields in order."""
         return tuple(name for name, _ in (*self.numbers, *self.tail))
 
     @cached_property
     def descriptor(self) -> bytes:
-        """Serialised FileDescriptorSet, as MCAP embeds it."""
+        """Serialised FileDescriptorSet, as it is stored in MCAP files."""
         package, _, name = self.full_name.rpartition(".")
         files = descriptor_pb2.FileDescriptorSet()
         file = files.file.add(name=f"{package}/{name}.proto", package=package, syntax="proto3")
@@ -65,12 +65,12 @@ class MessageType:
 
     @cached_property
     def table_dtype(self) -> np.dtype[Any]:
-        """One row of `decode_table`: the numbers."""
+        """Type of the rows of `decode_table`: one field per number."""
         return np.dtype([(name, _NUMPY[kind]) for name, kind in self.numbers])
 
     @cached_property
     def wire_dtype(self) -> np.dtype[Any]:
-        """The encoded numbers, byte for byte: each field with its tag before it."""
+        """Type of the encoded numbers: each field preceded by its tag."""
         fields: list[Any] = []
         for number, (name, kind) in enumerate(self.numbers, start=1):
             tag = _varint(number << 3 | _WIRE_FIXED64)
@@ -83,7 +83,7 @@ class MessageType:
 
     @cached_property
     def _layout(self) -> tuple[struct.Struct, list[Any]]:
-        """The numbers as one `struct.pack`, and its arguments with room for the values."""
+        """Format of the encoded numbers for `struct`, and its arguments, with None in place of the values."""
         form = "<" + "".join(
             f"{len(tag)}s{'d' if kind == 'double' else 'q'}"
             for tag, (_, kind) in zip(self._tags, self.numbers, strict=True)
@@ -98,7 +98,7 @@ class MessageType:
         return [_varint(number << 3 | _WIRE_LENGTH) for number in range(first, first + len(self.tail))]
 
     def encode(self, *values: Any) -> bytes:
-        """Message from its fields in order: numbers, then texts and bytes."""
+        """Encode a message from the values of its fields in order: numbers, then texts and bytes."""
         layout, template = self._layout
         count = len(self.numbers)
         arguments = template.copy()
@@ -113,23 +113,23 @@ class MessageType:
         return b"".join(parts)
 
     def wire_rows(self, count: int) -> NDArray[Any]:
-        """Room for many encoded messages without tail: tags are set, numbers are zero."""
+        """Array (count,) of `wire_dtype` for encoded messages without tail; tags are set, numbers are 0."""
         row = np.zeros(1, dtype=self.wire_dtype)
         for tag, (name, _) in zip(self._tags, self.numbers, strict=True):
             row[f"tag {name}"] = np.void(tag)
         return np.repeat(row, count)
 
     def decode(self, data: bytes) -> tuple[Any, ...]:
-        """Fields in order, from any valid encoding; a field that is absent has proto3's default.
+        """Values of the fields in order, from any valid encoding; an absent field has the default of proto3.
 
-        Raises ValueError where the bytes are no such message.
+        Raises ValueError if the bytes are not such a message.
         """
         kinds = [kind for _, kind in (*self.numbers, *self.tail)]
         values = [_DEFAULT[kind] for kind in kinds]
         place, end = 0, len(data)
         layout, _ = self._layout
         if end >= layout.size:
-            # What we wrote ourselves: all numbers, in order, none left out.
+            # messages encoded by this module contain all numbers, in order
             head = layout.unpack_from(data)
             if list(head[0::2]) == self._tags:
                 values[: len(self.numbers)] = head[1::2]
@@ -162,7 +162,7 @@ class MessageType:
         return tuple(values)
 
     def decode_table(self, messages: Sequence[bytes]) -> NDArray[Any]:
-        """All numbers of many messages as a structured array."""
+        """The numbers of many messages as a structured array (n,) of `table_dtype`."""
         table = np.empty(len(messages), dtype=self.table_dtype)
         size = self.wire_dtype.itemsize
         if not self.tail and all(len(message) == size for message in messages):
@@ -181,7 +181,10 @@ class MessageType:
 
 
 def parse_message_type(full_name: str, topic: str, descriptor: bytes) -> MessageType:
-    """Message type as a file describes it. Raises ValueError where it is not flat and fixed-width."""
+    """Message type from the descriptor in a file.
+
+    Raises ValueError if the descriptor is damaged, or not that of a flat message with 64-bit numbers.
+    """
     try:
         files = descriptor_pb2.FileDescriptorSet.FromString(descriptor)
     except DecodeError:
@@ -208,7 +211,9 @@ def parse_message_type(full_name: str, topic: str, descriptor: bytes) -> Message
 
 
 def conform(table: NDArray[Any], dtype: np.dtype[Any]) -> NDArray[Any]:
-    """Rows of an older schema in today's: a double that it did not have is NaN, an integer 0."""
+    """Rows (n,) of an older schema with the fields of `dtype`; missing doubles are NaN, missing integers
+    0.
+    """
     if table.dtype == dtype:
         return table
     out = np.zeros(len(table), dtype=dtype)
@@ -223,7 +228,7 @@ def conform(table: NDArray[Any], dtype: np.dtype[Any]) -> NDArray[Any]:
 def message_type_of(value_class: type, full_name: str, topic: str) -> MessageType:
     """Message type of a flat dataclass or NamedTuple whose fields are int, bool, float or str.
 
-    Texts go behind the numbers, otherwise the order is kept. Raises TypeError for other fields.
+    Texts are placed after the numbers, otherwise the order is kept. Raises TypeError for other fields.
     """
     hints = get_type_hints(value_class)
     numbers: list[tuple[str, Kind]] = []
@@ -237,7 +242,7 @@ def message_type_of(value_class: type, full_name: str, topic: str) -> MessageTyp
         elif kind is str:
             tail.append((name, "text"))
         else:
-            raise TypeError(f"{value_class.__name__}.{name}: {kind} has no place in a record")
+            raise TypeError(f"{value_class.__name__}.{name}: {kind} cannot be recorded")
     return MessageType(full_name, topic, tuple(numbers), tuple(tail))
 
 
@@ -246,12 +251,12 @@ def _field_names(value_class: type) -> Iterable[str]:
         return [field.name for field in dataclasses.fields(value_class)]
     names: Iterable[str] | None = getattr(value_class, "_fields", None)
     if names is None:
-        raise TypeError(f"{value_class.__name__}: only a dataclass or a NamedTuple has a place in a record")
+        raise TypeError(f"{value_class.__name__}: only a dataclass or a NamedTuple can be recorded")
     return names
 
 
 def length_delimited(number: int, length: int) -> bytes:
-    """What stands before the bytes of a text, bytes or message field."""
+    """Tag and length that precede the bytes of a text, bytes or message field."""
     return _varint(number << 3 | _WIRE_LENGTH) + _varint(length)
 
 

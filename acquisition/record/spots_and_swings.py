@@ -1,4 +1,4 @@
-"""Spots and swings as messages, and back."""
+"""Conversion of spots and swings to messages and back."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -22,7 +22,15 @@ def spot_rows(
     spots: Sequence[Spot],
     deflections: Deflections,
 ) -> NDArray[Any]:
-    """Encoded messages of type `SPOT` or `SPOT_UNCALIBRATED`, as the deflections' unit is; a row each."""
+    """Encoded messages of type `SPOT` or `SPOT_UNCALIBRATED`, one row per frame.
+
+    Parameters
+    ----------
+    kind
+        Message type for the unit of the deflections.
+    sequences, device_times_ns, host_times_ns, spots, deflections
+        Frame numbers, times, spots and deflections of n frames.
+    """
     rows = kind.wire_rows(len(spots))
     rows["sequence"] = sequences
     rows["time_ns"] = deflections.times_ns
@@ -40,14 +48,14 @@ def spot_rows(
 
 
 def spot_table(table: NDArray[Any], unit: DeflectionUnit) -> NDArray[Any]:
-    """A record's table of spots with today's fields of `SPOT` or `SPOT_UNCALIBRATED`."""
+    """A record's table of spots with the present fields of `SPOT` or `SPOT_UNCALIBRATED`; see `conform`."""
     kind = SPOT if unit is DeflectionUnit.RAD else SPOT_UNCALIBRATED
     return conform(table, kind.table_dtype)
 
 
 def deflections_of(spots: NDArray[Any], unit: DeflectionUnit) -> Deflections:
     """The deflections in a table of spots."""
-    # copies, so that who keeps the deflections does not keep the whole table
+    # copies, so that the deflections do not keep the whole table in memory
     x, y, u_x, u_y = (np.array(spots[name], dtype=np.float64) for name in DEFLECTION_FIELDS[unit])
     return Deflections(np.array(spots["time_ns"], dtype=np.int64), x, y, u_x, u_y, unit)
 

@@ -10,7 +10,7 @@ from processing.deflections import DeflectionUnit
 from processing.spot import Spot
 
 SCHEMA_VERSION = 1
-"""Raised when a reader of the version before could misunderstand a record; new fields do not count."""
+"""Increased if a reader of the previous version would misunderstand a record; not for additional fields."""
 PACKAGE = "optical_pendulum"
 LIBRARY = "optical-pendulum-rig"
 
@@ -32,7 +32,7 @@ class Environment(NamedTuple):
 
 
 class RecordedLosses(NamedTuple):
-    """Frames lost since the record began, by who lost them; see `acquisition.frame_losses.FrameLosses`."""
+    """Numbers of frames lost since the beginning, by cause; see `acquisition.frame_losses.FrameLosses`."""
 
     time_ns: int
     by_camera: int
@@ -43,7 +43,7 @@ class RecordedLosses(NamedTuple):
 
 
 class RecordedWindow(NamedTuple):
-    """Raw pixels around the spot of one frame; `origin_px` is (x, y) of the first on the sensor."""
+    """Raw pixels (ny, nx) around the spot; `origin_px` is the position (x, y) of the first on the sensor."""
 
     sequence: int
     time_ns: int
@@ -79,7 +79,7 @@ _SPOT = (*_doubles(*Spot._fields[:-1]), *_ints("flags"))
 
 
 def _turning_point(unit: DeflectionUnit) -> tuple[tuple[str, Kind], ...]:
-    """The fields of `Swing` in its order, with the unit that they carry."""
+    """The fields of `Swing` in its order, their names with the unit."""
     return (
         *_ints("index", "turn_time_ns"),
         *_doubles("u_turn_time_s", f"amplitude_{unit}", f"u_amplitude_{unit}"),
@@ -89,7 +89,7 @@ def _turning_point(unit: DeflectionUnit) -> tuple[tuple[str, Kind], ...]:
 
 
 def _balance(unit: DeflectionUnit) -> tuple[tuple[str, Kind], ...]:
-    """The numbers of `Balance` in its order, with the unit that they carry."""
+    """The numbers of `Balance` in its order, their names with the unit."""
     time_ns, *numbers = names_with_units(unit).values()
     return *_ints(time_ns), *_doubles(*numbers)
 
@@ -98,7 +98,7 @@ DEFLECTION_FIELDS = {
     DeflectionUnit.RAD: ("x_rad", "y_rad", "u_x_rad", "u_y_rad"),
     DeflectionUnit.PX: ("x_deflection_px", "y_deflection_px", "u_x_deflection_px", "u_y_deflection_px"),
 }
-"""Fields of a spot's message that hold x, y and their standard uncertainties, by unit."""
+"""Names of the fields for x, y and their standard uncertainties in the message of a spot, by unit."""
 
 SPOT = _message(
     "Spot",
@@ -107,7 +107,7 @@ SPOT = _message(
     *_SPOT,
     *_doubles(*DEFLECTION_FIELDS[DeflectionUnit.RAD], "x_arcsec", "y_arcsec"),
 )
-"""One frame: its numbers and times, the spot in it, the pendulum's deflection."""
+"""One frame: its number and times, the spot, the deflections of the pendulum."""
 SPOT_UNCALIBRATED = _message(
     "UncalibratedSpot",
     "/spot",
@@ -115,7 +115,7 @@ SPOT_UNCALIBRATED = _message(
     *_SPOT,
     *_doubles(*DEFLECTION_FIELDS[DeflectionUnit.PX]),
 )
-"""The same where pixels could not be turned into angles."""
+"""The same without a calibrated lever: deflections in px."""
 SWING = _message(
     "Swing", "/swing", *_turning_point(DeflectionUnit.RAD), *_doubles("amplitude_arcsec", "period_s")
 )
@@ -127,7 +127,7 @@ SWING_UNCALIBRATED = _message(
 BALANCE = _message("Balance", "/balance", *_balance(DeflectionUnit.RAD))
 """One state of the balance."""
 BALANCE_UNCALIBRATED = _message("UncalibratedBalance", "/balance", *_balance(DeflectionUnit.PX))
-"""The same in px, but for the angle of the line. The first records in px had the names of `BALANCE`."""
+"""The same in px, except the angle of the line. The oldest records in px have the names of `BALANCE`."""
 WINDOW = _message(
     "Window",
     "/window",
@@ -136,6 +136,6 @@ WINDOW = _message(
     ),
     tail=(("pixels", "bytes"),),
 )
-"""Pixels row by row; with `byte_planes` 1 first the low byte of every pixel, then the high byte."""
+"""Pixels row by row; if `byte_planes` is 1, first the low bytes of all pixels, then their high bytes."""
 EVENT = _message("Event", "/event", *_ints("time_ns"), tail=(("kind", "text"), ("text", "text")))
 ENVIRONMENT = message_type_of(Environment, f"{PACKAGE}.Environment", "/environment")

@@ -1,4 +1,4 @@
-"""Writes one run into one MCAP file; a crash or power failure loses at most the last second."""
+"""Writes one run into one MCAP file; in a crash or a power failure at most the last second is lost."""
 
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -49,36 +49,37 @@ _MEDIA_TYPES = {".json": "application/json", ".toml": "application/toml"}
 
 
 class RecordWriter:
-    """One thread's writer of a record.
+    """Writes a record; only one thread may use it.
 
-    The file is made anew under its final name and never overwrites one; as long as it has no
-    footer it is a cut one. What was flushed survives a kill or a power cut. Every call that writes
-    flushes by itself when `flush_interval_s` has gone by, and does not wait for the disk;
-    `flush_if_due` is for the times when nothing is written. When the disk is full a reserve that
-    was set aside at the opening is given back, what was handed over is written, and the file is
-    closed with its footer.
+    The file is created under its final name and never replaces another one; until it is closed it is a
+    truncated file, which can be read. Data that were flushed survive a crash and a power failure. Every
+    method that writes also flushes if `flush_interval_s` has elapsed, without waiting for the disk;
+    `flush_if_due` does the same while nothing is written. When the disk is full, the reserved space is
+    released, the data received so far are written, and the file is closed with its ending.
 
     Parameters
     ----------
     path
-        File to make.
+        File to create.
     epoch_offset_ns
-        What is added to the frames' clock to give UTC in ns; viewers show wall time.
+        Offset in ns that is added to the frames' clock to obtain UTC, in which log times are stored.
     metadata, attachments
-        By name; metadata are texts by key. The name "record" is the writer's own.
+        By name; metadata are texts by key. The name "record" is used by the writer itself.
     deflection_unit
-        "px" where the rig has no calibration: topics then carry px in their names.
+        Unit of deflections and amplitudes; in px the names of the fields end in ``_px``.
     reserve_bytes
-        Room set aside for closing the file on a full disk.
+        Space that is reserved for closing the file on a full disk.
+    flush_interval_s
+        Longest time until data are flushed.
     clock
-        Seconds, of the host; when to flush.
+        Monotonic clock of the host in s, for the intervals of flushing.
 
     Raises
     ------
     RecordError
-        The file exists or cannot be made; later, that it cannot be written any more. The file is
-        then closed already, and `close` does nothing. What the disk refuses after a call has
-        returned is raised by the next one that flushes.
+        The file exists or cannot be created. Methods that write raise it if the file can no longer be
+        written; the file is then already closed, and `close` does nothing. An error of the disk after a
+        method has returned is raised by the next method that flushes.
     """
 
     def __init__(
@@ -116,7 +117,7 @@ class RecordWriter:
                 f"{path}: exists already and is never overwritten; choose another name"
             ) from None
         except OSError as error:
-            raise RecordError(f"{path}: cannot be made: {error.strerror or error}") from None
+            raise RecordError(f"{path}: cannot be created: {error.strerror or error}") from None
         own = {
             "schema_version": str(SCHEMA_VERSION),
             "epoch_offset_ns": str(epoch_offset_ns),
@@ -134,7 +135,7 @@ class RecordWriter:
 
     @property
     def bytes_written(self) -> int:
-        """Size of the file so far."""
+        """Present size of the file."""
         return self._file.size
 
     def write_spots(
@@ -145,9 +146,9 @@ class RecordWriter:
         spots: Sequence[Spot],
         deflections: Deflections,
     ) -> None:
-        """Spots and deflections of some consecutive frames.
+        """Write spots and deflections of n consecutive frames; all arguments have the length n.
 
-        Raises ValueError for deflections in another unit than the record's `deflection_unit`.
+        Raises ValueError if the unit of the deflections is not the record's `deflection_unit`.
         """
         self._check_unit(deflections.unit)
         rows = spot_rows(self._spot, sequences, device_times_ns, host_times_ns, spots, deflections)
@@ -157,34 +158,36 @@ class RecordWriter:
         self._added(self._numbers)
 
     def write_window(self, sequence: int, time_ns: int, image: Image, x0_px: int, y0_px: int) -> None:
-        """Raw pixels around the spot of one frame. (x0, y0) is the first pixel's place on the sensor."""
+        """Write the raw pixels (ny, nx) around the spot; (x0, y0) is the first pixel's position on the
+        sensor.
+        """
         data = encode_window(sequence, time_ns, image, x0_px, y0_px)
         self._add(self._pixels, WINDOW.topic, time_ns, data, sequence=sequence)
 
     def write_image(self, frame: Frame) -> None:
-        """A whole frame, as a foxglove.RawImage (mono8, mono16)."""
+        """Write a whole frame, as a foxglove.RawImage (mono8, mono16)."""
         parts = encode_image(frame, self._offset_ns + frame.time_ns)
         self._add(self._pixels, IMAGE_TOPIC, frame.time_ns, *parts, sequence=frame.sequence)
 
     def write_swing(self, swing: Swing) -> None:
-        """One half-cycle; amplitude and centre in `deflection_unit`."""
+        """Write one half-cycle; amplitude and centre in `deflection_unit`."""
         self._add(self._numbers, SWING.topic, swing.turn_time_ns, encode_swing(self._swing, swing))
 
     def write_balance(self, balance: Balance) -> None:
-        """One balance. Raises ValueError for one in another unit than the record's `deflection_unit`."""
+        """Write one balance. Raises ValueError if its unit is not the record's `deflection_unit`."""
         self._check_unit(balance.unit)
         self._ready()
         self._declare(self._balance)
         self._add(self._numbers, BALANCE.topic, balance.time_ns, encode_balance(self._balance, balance))
 
     def write_event(self, time_ns: int, kind: str, text: str) -> None:
-        """Something that happened; also a line of the log, which viewers show without being told."""
+        """Write an event, also as a line of the log, which viewers display."""
         event = Event(time_ns, kind, text)
         self._add(self._numbers, EVENT.topic, time_ns, EVENT.encode(*event))
         self.write_log(time_ns, _LEVEL_WARNING if event.is_warning else _LEVEL_INFO, "event", event.line)
 
     def write_log(self, time_ns: int, level: int, source: str, text: str) -> None:
-        """A line for the viewers' log panels; `level` as in foxglove.Log (1 debug ... 5 fatal)."""
+        """Write a line of the log; `level` as in foxglove.Log (1 debug ... 5 fatal)."""
         data = encode_log(self._offset_ns + time_ns, level, source, text)
         self._add(self._numbers, LOG_TOPIC, time_ns, data)
 
@@ -195,7 +198,7 @@ class RecordWriter:
         humidity_percent: float = np.nan,
         pressure_pa: float = np.nan,
     ) -> None:
-        """What the sensors of the laboratory say; NaN for what is not measured."""
+        """Write readings of the laboratory's sensors; NaN for quantities that are not measured."""
         self.write(
             ENVIRONMENT.topic, Environment(time_ns, temperature_c, humidity_percent, pressure_pa), time_ns
         )
@@ -207,16 +210,17 @@ class RecordWriter:
         distance_px: float,
         reference_px: tuple[float, float],
     ) -> None:
-        """The sensor as seen from the mirror, as a foxglove.CameraCalibration.
+        """Write the geometry of the sensor, as a foxglove.CameraCalibration.
 
-        The light lever is a pinhole camera whose pinhole is the mirror: `distance_px` is the arm over
-        the pixel pitch, `reference_px` the spot (x, y) at zero tilt, `sensor_shape` (ny, nx).
+        The light lever corresponds to a pinhole camera with the mirror as pinhole. `distance_px` is the arm
+        divided by the pixel pitch, `reference_px` the position (x, y) of the spot at zero tilt,
+        `sensor_shape` (ny, nx).
         """
         data = encode_camera_calibration(self._offset_ns + time_ns, sensor_shape, distance_px, reference_px)
         self._add(self._numbers, CAMERA_TOPIC, time_ns, data)
 
     def write(self, topic: str, value: Any, time_ns: int) -> None:
-        """Any flat dataclass or NamedTuple of int, float, bool and str, under any topic of its own."""
+        """Write a flat dataclass or NamedTuple of int, float, bool and str; each topic has one type."""
         self._ready()
         kind = self._types.get(topic)
         if kind is None:
@@ -227,12 +231,12 @@ class RecordWriter:
         self._add(self._numbers, topic, time_ns, data)
 
     def flush(self) -> None:
-        """End the open chunks and force everything to the disk; returns when it is there."""
+        """End the open chunks, force everything to the disk, and wait until that is done."""
         if not self._closed:
             self._guarded(self._flush)
 
     def flush_if_due(self) -> None:
-        """Flush without waiting for the disk, where `flush_interval_s` has gone by since the last time."""
+        """Flush without waiting for the disk, if `flush_interval_s` has elapsed since the last time."""
         if not self._closed and self._clock() - self._flushed_s >= self._flush_interval_s:
             self._guarded(lambda: self._flush(wait=False))
 
@@ -271,7 +275,7 @@ class RecordWriter:
         self._channels[topic] = self._file.add_channel(topic, schema, descriptor, about)
 
     def _declare(self, kind: MessageType) -> None:
-        """Make the channel of a topic that only some records have, at its first message."""
+        """Add the channel of a topic that only some records have, at its first message."""
         if kind.topic not in self._types:
             self._types[kind.topic] = kind
             self._guarded(lambda: self._channel(kind.topic, kind.full_name, kind.descriptor))
@@ -279,8 +283,8 @@ class RecordWriter:
     def _check_unit(self, unit: DeflectionUnit) -> None:
         if unit is not self._unit:
             raise ValueError(
-                f"{self.path}: its deflections are in {self._unit}; these, in {unit}, "
-                "belong into another record"
+                f"{self.path}: its deflections are in {self._unit}; values in {unit} "
+                "must be written into another record"
             )
 
     def _ready(self) -> None:
@@ -315,7 +319,9 @@ class RecordWriter:
         self._flushed_s = self._clock()
 
     def _guarded(self, action: Callable[[], None]) -> None:
-        """Do something with the file; a failure closes it as well as it goes and raises RecordError."""
+        """Perform an action on the file; if it fails, close the file as far as possible and raise
+        RecordError.
+        """
         try:
             action()
             failure = self._file.full
@@ -325,7 +331,7 @@ class RecordWriter:
             raise self._end_after(failure) from failure
 
     def _end_after(self, failure: OSError) -> RecordError:
-        """Close the file with what can still be written, and say how that went."""
+        """Close the file with the data that can still be written; return the error to be raised."""
         self._closed = True
         what = f"{self.path}: cannot be written: {failure.strerror or failure}"
         reason_ns = max(self._numbers.end_ns, self._pixels.end_ns, self._file.end_ns)
@@ -342,11 +348,11 @@ class RecordWriter:
             self._file.finish()
         except OSError as error:
             return self._not_closed(error)
-        rest = f"; the last {lost} messages had no room" if lost else ""
+        rest = f"; the last {lost} messages could not be written" if lost else ""
         return RecordError(f"{what}; the record is closed and readable{rest}")
 
     def _not_closed(self, error: OSError) -> RecordError:
         return RecordError(
             f"{self.path}: could not be closed properly: {error.strerror or error}; "
-            "rig recover makes a whole file of it"
+            "rig recover makes a complete file of it"
         )

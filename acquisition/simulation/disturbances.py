@@ -1,6 +1,6 @@
-"""Disturbances of the laboratory and faults: jitter, drift, fading, bursts, losses.
+"""Disturbances by the laboratory and faults: jitter, drift, fading laser, bursts of vibration, lost frames.
 
-Everything depends on the seed, the run and the frame's number alone, not on when it is requested.
+All of them depend only on the seed, the run and the number of the frame, not on the order of the calls.
 """
 
 import math
@@ -17,7 +17,7 @@ _JITTER, _WALK, _CLOCK, _POWER, _DROP = 4, 5, 6, 7, 8
 
 
 class FrameNoise:
-    """Random numbers of consecutive frames, for one run."""
+    """Random numbers of consecutive frames of one run; `first` is the number of the first frame."""
 
     def __init__(self, seed: int, run: int) -> None:
         self._seed = seed
@@ -25,26 +25,26 @@ class FrameNoise:
         self._edges = randomness.ziggurat().x
 
     def jitter(self, first: int, count: int) -> NDArray[np.float64]:
-        """Pointing, (count, 2) standard normal."""
+        """White noise of the pointing, (count, 2), standard normal."""
         return self._normals(_JITTER, first, count, 2)
 
     def walk(self, first: int, count: int) -> NDArray[np.float64]:
-        """Steps of the pointing's random walk, (count, 2) standard normal."""
+        """Steps of the random walk of the pointing, (count, 2), standard normal."""
         return self._normals(_WALK, first, count, 2)
 
     def clock(self, first: int, count: int) -> NDArray[np.float64]:
-        """Timestamps, (count,) standard normal."""
+        """Errors of the timestamps, (count,), standard normal."""
         return self._normals(_CLOCK, first, count, 1)[:, 0]
 
     def power(self, first: int, count: int) -> NDArray[np.float64]:
-        """Laser power, (count,) standard normal."""
+        """Noise of the laser power, (count,), standard normal."""
         return self._normals(_POWER, first, count, 1)[:, 0]
 
     def dropped(self, first: int, count: int, fraction: float) -> NDArray[np.bool_]:
-        """Whether the camera loses the frame."""
+        """Whether the camera loses each frame, (count,), with the probability `fraction`."""
         if fraction == 0.0:
             return np.zeros(count, dtype=np.bool_)
-        # a normal number below its quantile, so that one generator serves all
+        # normal numbers below the quantile of `fraction`, so that one generator suffices for all purposes
         quantile = _normal_quantile(fraction)
         return self._normals(_DROP, first, count, 1)[:, 0] < quantile
 
@@ -55,7 +55,7 @@ class FrameNoise:
 
 
 class Pointing:
-    """Wandering of the beam on the sensor; frames are asked for in order, without gaps."""
+    """Slow and random motion of the beam on the sensor; frames must be requested in order, without gaps."""
 
     def __init__(self, truth: DisturbanceTruth, noise: FrameNoise, frame_period_s: float) -> None:
         self._truth = truth
@@ -64,7 +64,7 @@ class Pointing:
         self._walked = np.zeros(2)
 
     def offset_px(self, first: int, count: int) -> NDArray[np.float64]:
-        """(count, 2) offset of the spot, x and y in px."""
+        """Offset of the spot in x and y, (count, 2), px."""
         truth = self._truth
         minutes = np.arange(first, first + count) * (self._period_s / 60.0)
         drift = np.array([truth.pointing_drift_x_px_per_min, truth.pointing_drift_y_px_per_min])
@@ -73,7 +73,7 @@ class Pointing:
             offset += truth.pointing_jitter_px * self._noise.jitter(first, count)
         if truth.pointing_walk_px_per_sqrt_s > 0:
             step_px = truth.pointing_walk_px_per_sqrt_s * math.sqrt(self._period_s)
-            # summed one by one from the last place on, so that the length of a block leaves no trace
+            # the sum continues from the last position, so that it does not depend on the length of the blocks
             steps = np.vstack([self._walked, step_px * self._noise.walk(first, count)])
             path = np.cumsum(steps, axis=0)[1:]
             self._walked = path[-1]
@@ -82,7 +82,10 @@ class Pointing:
 
 
 def laser_factor(faults: FaultSettings, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
-    """What is left of the laser's power: down in a quarter of the fade, dark for half of it, up again."""
+    """Relative power of the laser at `times_s` (n,).
+
+    It falls to `laser_fade_to` in the first quarter of the fade, stays there for half of it, and rises again.
+    """
     if faults.laser_fades_at_s is None:
         return np.ones(len(times_s))
     part = (times_s - faults.laser_fades_at_s) / faults.laser_fade_duration_s
@@ -92,7 +95,7 @@ def laser_factor(faults: FaultSettings, times_s: NDArray[np.float64]) -> NDArray
 
 
 def vibration_rad(faults: FaultSettings, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Shaking of the base as a tilt of both axes, in a smooth burst."""
+    """Vibration of the base as a tilt of both axes in rad, (n,), with a smooth envelope."""
     if faults.vibration_burst_at_s is None:
         return np.zeros(len(times_s))
     since_s = times_s - faults.vibration_burst_at_s
@@ -104,14 +107,17 @@ def vibration_rad(faults: FaultSettings, times_s: NDArray[np.float64]) -> NDArra
 
 
 def add_draught(faults: FaultSettings, fast: Motion, slow: Motion) -> None:
-    """The draught's push, as the velocity that would swing the resting pendulum so far."""
+    """Add the impulse of a draught to both modes.
+
+    It changes the velocity by the amount that would swing the resting pendulum to `draught_arcsec`.
+    """
     if faults.draught_at_s is not None:
         for motion in (fast, slow):
             motion.kick(faults.draught_at_s, faults.draught_arcsec * ARCSEC_RAD * motion.w0_rad_per_s)
 
 
 def _normal_quantile(probability: float) -> float:
-    """Where the standard normal distribution function has this value, by bisection."""
+    """Quantile of the standard normal distribution, by bisection."""
     low, high = -40.0, 40.0
     for _ in range(100):
         middle = 0.5 * (low + high)

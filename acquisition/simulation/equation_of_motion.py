@@ -1,19 +1,19 @@
-"""One mode of the pendulum, stepped through time: Eq. 4 with Eqs. 1 and 3 on the right-hand side.
+"""Integration of the equation of motion of one mode: Eq. 4 with Eqs. 1 and 3 on the right-hand side.
 
     phi'' = w0^2 [ push - phi + kappa |phi|^(n+1) (pi/2 - (R/a) |phi|) sign(phi)
                    - (c + b |phi|^p) sign(phi') - drag phi' ]
 
-A pendulum that swings by degrees has sin(phi) in the place of phi, and its round support rolls: with
+For amplitudes of degrees, sin(phi) takes the place of phi, and the round support rolls: with
 the radius r of the support and epsilon = r w0^2/g (mass and length cancel) the inertia about the point
 of contact is 1 + 2 epsilon (1 - cos phi) times that at rest, whence
 
     [1 + 2 epsilon (1 - cos phi)] phi'' + epsilon sin(phi) phi'^2 = w0^2 [ the moments above ]
 
-Two things spoil a plain integrator: friction changes sign at the turning points, and |phi|^p,
-|phi|^(n+1) have no smooth derivatives at phi = 0. So every step lies between such points, which
-are located by Newton's method on the step's length, and steps shrink geometrically towards
-phi = 0 and grow again behind it. Each step is Gauss collocation with 6 stages (order 12), solved
-by iteration; its polynomial is the dense output.
+Two properties limit the accuracy of ordinary integrators: friction changes sign at the turning points, and
+|phi|^p and |phi|^(n+1) have no smooth derivatives at phi = 0. Therefore every step ends at such a point or
+before it; the points are located by Newton's method on the length of the step, and steps shrink geometrically
+towards phi = 0 and grow again after it. Each step is a Gauss collocation with 6 stages (order 12), solved by
+iteration; its polynomial gives the motion within the step.
 """
 
 import math
@@ -25,9 +25,9 @@ from numpy.typing import NDArray
 
 STAGES = 6
 LONGEST_STEP_RAD = 0.35
-"""Longest step, as phase of the oscillation: dense output good to about 1e-10 of the amplitude."""
+"""Longest step, as phase of the oscillation; the error within a step is about 1e-10 of the amplitude."""
 SHORTEST_STEP_RAD = 1e-4
-"""Steps that touch phi = 0: what |phi|^p leaves there is below 2e-12 of the amplitude even for p = 0.4."""
+"""Steps at phi = 0, where the error due to |phi|^p is below 2e-12 of the amplitude even for p = 0.4."""
 
 START, LENGTH, POLYNOMIAL = 0, 1, 2
 COLUMNS = POLYNOMIAL + STAGES + 2
@@ -35,11 +35,13 @@ COLUMNS = POLYNOMIAL + STAGES + 2
 phi, in rad, as a polynomial in (t - start)/length."""
 
 TIME, ANGLE, RATE, DIRECTION = 0, 1, 2, 3
-"""Entries of a state. Direction is the sign of the motion, 0 where friction holds the pendulum."""
+"""Entries of a state. Direction is the sign of the velocity, 0 if friction holds the pendulum."""
 
 
 class Collocation(NamedTuple):
-    """Gauss nodes on (0, 1) with the matrices that turn accelerations at the nodes into motion."""
+    """Gauss nodes on (0, 1), and the matrices that convert accelerations at the nodes to velocities and
+    angles.
+    """
 
     nodes: NDArray[np.float64]
     weights: NDArray[np.float64]
@@ -63,7 +65,7 @@ def collocation() -> Collocation:
 
 
 class ModeConstants(NamedTuple):
-    """What the equation of motion of one mode needs; angles in rad."""
+    """Constants of the equation of motion of one mode, angles in rad; see the module's docstring."""
 
     w0_rad_per_s: float
     b: float
@@ -75,9 +77,9 @@ class ModeConstants(NamedTuple):
     drag_s: float
     push_rad: float = 0.0
     exact: bool = False
-    """Sine of the angle and a rolling support; False: small angles, Eq. 4 as it stands."""
+    """Sine of the angle and a rolling support; False: Eq. 4 for small angles."""
     rolling: float = 0.0
-    """epsilon, the support's radius in units of g/w0^2; heeded where `exact`."""
+    """epsilon, the support's radius in units of g/w0^2; used only if `exact`."""
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -170,7 +172,7 @@ def _length_to(
 
 @njit(cache=True, nogil=True)
 def direction_from_rest(angle: float, mode: ModeConstants) -> float:
-    """Which way the pendulum leaves a standstill; 0 where friction holds it."""
+    """Direction (+1, -1) in which the pendulum starts from rest; 0 if friction holds it."""
     free = _acceleration(angle, 0.0, 0.0, mode)
     held = free - _acceleration(angle, 0.0, 1.0, mode)
     if abs(free) <= held:
@@ -212,7 +214,7 @@ def advance(
             state[TIME] = stop_s
             n_rows += 1
             continue
-        # steps that shrink towards phi = 0 in a geometric series, and grow again behind it: see above
+        # steps shrink geometrically towards phi = 0 and grow again after it, see the module's docstring
         inward = angle * direction < 0.0
         from_zero_s = math.atan2(w0 * abs(angle), abs(rate)) / w0
         h = min(longest_s, max(shortest_s, (0.62 if inward else 1.6) * from_zero_s))
@@ -223,7 +225,7 @@ def advance(
         if crossed:
             shorter = _length_to(ANGLE, angle, rate, direction, h, mode, rule, f)
             end_angle, end_rate = _stages(angle, rate, direction, shorter, mode, rule, f)
-            # a crossing seen only because the motion was carried on past a standstill is none
+            # a crossing after a turning point within the step does not exist: friction changes sign before it
             if end_rate * direction > 0.0:
                 h = shorter
                 end_angle = 0.0
@@ -263,9 +265,9 @@ def sample(
     angles: NDArray[np.float64],
     rates: NDArray[np.float64],
 ) -> tuple[int, int]:
-    """Angles (rad) and rates (rad/s) at rising times, from times[first] on, as far as the rows reach.
+    """Angles (rad) and rates (rad/s) at rising times, from `times_s[first]` on, as far as the rows reach.
 
-    Returns the row reached and the number of the first time that lies beyond the rows.
+    Returns the last row used and the index of the first time that is beyond the rows.
     """
     row = first_row
     for i in range(first, times_s.shape[0]):

@@ -1,11 +1,11 @@
-"""What a controller does to the simulated rig: laser, magnet, starter, clamp, brake."""
+"""Effect of a controller's outputs on the simulated rig: laser, magnet, starter, clamp, brake."""
 
 import threading
 from typing import NamedTuple
 
 
 class RigState(NamedTuple):
-    """How the outputs of a controller stand."""
+    """State of a controller's outputs."""
 
     laser_w: float = 0.0
     magnet: bool = False
@@ -15,10 +15,10 @@ class RigState(NamedTuple):
 
 
 class RigInputs:
-    """Hands a controller's outputs to the simulated rig; every method returns at once, from any thread.
+    """Passes a controller's outputs to the simulated rig; methods return immediately, in any thread.
 
-    Changes are felt with the next frames that are planned, within 20 ms of simulated time. They
-    make sense in real time; on demand, simulated time runs faster than any controller.
+    Changes take effect with the next frames that are calculated, within 20 ms of simulated time. They are
+    useful in real time only: on demand, simulated time passes faster than a controller can react.
     """
 
     def __init__(self) -> None:
@@ -27,15 +27,15 @@ class RigInputs:
         self._changes: list[RigState] = []
 
     def laser(self, power_w: float) -> None:
-        """Optical power of the laser; 0: dark."""
+        """Optical power of the laser; 0 is off."""
         self._change(laser_w=power_w)
 
     def magnet(self, on: bool) -> None:
-        """On: holds the pendulum at the amplitude of the release; off: lets it go."""
+        """On: holds the pendulum at the amplitude of the release; off: releases it."""
         self._change(magnet=on)
 
     def starter(self, on: bool) -> None:
-        """On: pushes the pendulum, as if its rest position lay aside."""
+        """On: pushes the pendulum with a constant moment, which shifts its rest position."""
         self._change(starter=on)
 
     def clamp(self, on: bool) -> None:
@@ -47,13 +47,13 @@ class RigInputs:
         self._change(brake=on)
 
     def begin(self) -> RigState:
-        """State for a new run; changes not yet taken are in it."""
+        """State at the beginning of a run, including changes that were not yet taken."""
         with self._lock:
             self._changes.clear()
             return self._state
 
     def take(self) -> list[RigState]:
-        """States gone through since the last call, in order."""
+        """All states since the last call, in order."""
         with self._lock:
             changes, self._changes = self._changes, []
             return changes

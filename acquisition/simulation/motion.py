@@ -1,4 +1,4 @@
-"""The two modes of the simulated pendulum, followed in time as far as someone asks, in flat memory."""
+"""Motion of the two modes of the simulated pendulum, integrated as far as requested, in constant memory."""
 
 import math
 
@@ -26,7 +26,7 @@ _TURNS = 64
 
 
 def contact_radius_m(contact: ContactTruth) -> float:
-    """Radius of the contact spot: as stated, or Hertz's for a ball under its share of the weight."""
+    """Radius of the contact: as stated, or after Hertz for a ball under its share of the weight."""
     if contact.contact_radius_m is not None:
         return contact.contact_radius_m
     compliance = (1 - contact.ball_poisson_ratio**2) / contact.ball_youngs_modulus_pa + (
@@ -59,7 +59,7 @@ def slow_mode(contact: ContactTruth) -> ModeConstants:
 
 
 def fast_mode(contact: ContactTruth, fast: FastModeTruth) -> ModeConstants:
-    """Constants of the fast mode: the same contact under a smaller moment of inertia."""
+    """Constants of the fast mode: the same contact with a smaller moment of inertia."""
     slow = slow_mode(contact)
     return slow._replace(
         w0_rad_per_s=slow.w0_rad_per_s * fast.period_ratio,
@@ -71,14 +71,19 @@ def fast_mode(contact: ContactTruth, fast: FastModeTruth) -> ModeConstants:
 
 
 class Motion:
-    """One mode in time. Times must not fall from call to call; what lies behind is forgotten.
+    """Motion of one mode. Times must not decrease from call to call: the earlier motion is not kept.
 
     Parameters
     ----------
     mode
         Constants of the equation of motion.
     angle_rad, rate_rad_per_s
-        At `start_s`. Before it the pendulum is held at `held_rad`.
+        Angle and its derivative at `start_s`; before, the pendulum is held at `held_rad`.
+
+    Raises
+    ------
+    ConfigurationError
+        The elastic adhesion exceeds 90 % of gravity's restoring moment.
     """
 
     def __init__(
@@ -88,8 +93,9 @@ class Motion:
         softening = mode.kappa * 0.5 * math.pi * largest_rad**mode.n
         if softening > 0.9:
             raise ConfigurationError(
-                f"simulation.contact.gamma_pa: elastic adhesion takes {softening:.2f} of gravity's restoring "
-                f"moment at {largest_rad / ARCSEC_RAD:.4g} arcsec; it would fall over. Lower gamma_pa"
+                f"simulation.contact.gamma_pa: the elastic adhesion is {softening:.2f} of gravity's "
+                f"restoring moment at {largest_rad / ARCSEC_RAD:.4g} arcsec; at most 0.9 "
+                "is possible: lower gamma_pa"
             )
         self._mode = mode
         self._rule = equation_of_motion.collocation()
@@ -108,14 +114,14 @@ class Motion:
         self._set_direction()
 
     def kick(self, time_s: float, rate_rad_per_s: float) -> None:
-        """A push at `time_s`, which changes the rate at once. Not before any time already asked for."""
+        """Change the rate instantly at `time_s`, which must not be before a time already requested."""
         end_s = self._state[TIME]
         if time_s < end_s:
             self._return_to(time_s)
         self._kicks = sorted([*self._kicks, (time_s, rate_rad_per_s)])
 
     def hold(self, time_s: float, angle_rad: float) -> None:
-        """From `time_s` on held at this angle, until it is let go."""
+        """Hold the pendulum at this angle from `time_s` until `let_go`."""
         self._stand_at(time_s)
         self._held = True
         self._state[ANGLE] = angle_rad
@@ -123,19 +129,19 @@ class Motion:
         self._set_direction()
 
     def let_go(self, time_s: float) -> None:
-        """Free from `time_s` on, from a standstill where it was held."""
+        """Release the pendulum at `time_s`, at rest at the angle at which it is held."""
         self._stand_at(time_s)
         self._held = False
         self._set_direction()
 
     def load(self, time_s: float, push_rad: float, drag_s: float) -> None:
-        """From `time_s` on under a constant push (shift of the rest position) and this linear drag."""
+        """Apply a constant moment (as shift of the rest position) and a linear drag from `time_s` on."""
         self._stand_at(time_s)
         self._mode = self._mode._replace(push_rad=push_rad, drag_s=drag_s)
         self._set_direction()
 
     def tilt(self, times_s: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Angles in rad and rates in rad/s at `times_s`, which must not fall."""
+        """Angles in rad and rates in rad/s at `times_s` (n,), which must not decrease."""
         angles = np.empty(len(times_s))
         rates = np.empty(len(times_s))
         reached = 0
@@ -148,14 +154,17 @@ class Motion:
             self.step(math.inf)
 
     def step(self, until_s: float) -> NDArray[np.float64]:
-        """Integrate one chunk further, not past `until_s`; turning points met: (k, 2) time in s and angle."""
+        """Integrate one block further, at most to `until_s`.
+
+        Returns the turning points passed: (k, 2), time in s and angle in rad.
+        """
         while self._kicks and self._kicks[0][0] <= self._state[TIME]:
             self._state[RATE] += 0.0 if self._held else self._kicks[0][1]
             self._kicks.pop(0)
             self._set_direction()
         stop_s = min(until_s, self._kicks[0][0]) if self._kicks else until_s
         if math.isinf(stop_s):
-            # friction holds the pendulum in one long row: let it end somewhere
+            # a pendulum that friction holds is one long step, which needs an end
             stop_s = self._state[TIME] + 100 * 2 * math.pi / self._mode.w0_rad_per_s
         self._row = 0
         self._n_rows, n_turns = equation_of_motion.advance(
@@ -165,21 +174,21 @@ class Motion:
 
     @property
     def w0_rad_per_s(self) -> float:
-        """Angular frequency at vanishing amplitude, elasticity off."""
+        """Angular frequency at vanishing amplitude without elasticity."""
         return self._mode.w0_rad_per_s
 
     @property
     def reached_s(self) -> float:
-        """Time up to which the motion is known."""
+        """Time up to which the motion has been integrated."""
         return float(self._state[TIME])
 
     @property
     def at_rest(self) -> bool:
-        """Friction holds the pendulum, and no push is to come."""
+        """Whether friction holds the pendulum and no impulse follows."""
         return bool(self._state[DIRECTION] == 0.0) and not self._kicks
 
     def _stand_at(self, time_s: float) -> None:
-        """The state is that of `time_s`, which lies not before any time already asked for."""
+        """Bring the state to `time_s`, which must not be before a time already requested."""
         if self._state[TIME] > time_s:
             self._return_to(time_s)
         while self._state[TIME] < time_s:
@@ -195,7 +204,7 @@ class Motion:
             self._state[DIRECTION] = equation_of_motion.direction_from_rest(self._state[ANGLE], self._mode)
 
     def _return_to(self, time_s: float) -> None:
-        """Forget what was integrated beyond `time_s`."""
+        """Discard the motion that was integrated beyond `time_s`."""
         angles, rates = np.empty(1), np.empty(1)
         row, _ = equation_of_motion.sample(
             self._rows, self._row, self._n_rows, np.array([time_s]), 0, angles, rates
@@ -208,13 +217,13 @@ class Motion:
 
     @staticmethod
     def _cut(row: NDArray[np.float64], length_s: float) -> NDArray[np.float64]:
-        """Length and polynomial of a step cut short."""
+        """Length and polynomial of a step that is shortened to `length_s`."""
         ratio = length_s / row[LENGTH]
         return np.concatenate(([length_s], row[POLYNOMIAL:] * ratio ** np.arange(COLUMNS - POLYNOMIAL)))
 
 
 def motions(settings: SimulationSettings) -> tuple[Motion, Motion]:
-    """The fast and the slow mode as released."""
+    """Motions of the fast and the slow mode, with the release of the settings."""
     slow = slow_mode(settings.contact)
     fast = fast_mode(settings.contact, settings.fast)
     release = settings.release

@@ -1,4 +1,4 @@
-"""Light lever and laser spot: where the beam falls, and how many electrons it leaves in each pixel."""
+"""Light lever and laser spot: position of the beam on the sensor, and electrons in each pixel."""
 
 import math
 from typing import NamedTuple
@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 from acquisition.simulation.settings import AxesTruth, OpticsTruth, SensorTruth
 
 FAINTEST_E = 1e-3
-"""Light is drawn as far out as a pixel gets this many electrons."""
+"""Light of fewer electrons per pixel than this is neglected."""
 
 _GAUSS_3 = math.sqrt(0.6)
 """Outer node of the three-point Gauss rule on (-1, 1); weights 5/18, 8/18, 5/18 on a unit interval."""
 
 
 class Beam(NamedTuple):
-    """One elliptical Gaussian: centre in px, brightest point in e- a pixel."""
+    """One elliptical Gaussian beam: centre and standard deviations in px, peak in e- per pixel."""
 
     x_px: float
     y_px: float
@@ -35,10 +35,10 @@ def spot_position_px(
     optics: OpticsTruth,
     sensor: SensorTruth,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Centre of the spot on the sensor, (x to the right, y down), for tilts about the pendulum's axes.
+    """Centre of the spot on the sensor in px (x to the right, y down), for tilts (n,) along the pendulum's
+    axes.
 
-    Each axis' tilt moves the spot along that axis' direction by ``arm tan(2 tilt)``; the directions
-    are those of `AxesTruth`.
+    The tilt of each mode moves the spot along the mode's direction (see `AxesTruth`) by ``arm tan(2 tilt)``.
     """
     per_px = optics.arm_m / sensor.pixel_pitch_m
     along_fast = per_px * np.tan(2.0 * x_rad)
@@ -56,13 +56,15 @@ def spot_position_px(
 
 @njit(cache=True, nogil=True)
 def beam_reach(beam: Beam) -> float:
-    """How many standard deviations out a pixel still gets `FAINTEST_E`."""
+    """Distance from the centre, in standard deviations, at which a pixel gets `FAINTEST_E`."""
     return math.sqrt(2.0 * math.log(beam.peak_e / FAINTEST_E)) + 0.5
 
 
 @njit(cache=True, nogil=True)
 def beam_box(beam: Beam, ny: int, nx: int) -> tuple[int, int, int, int]:
-    """Rows y0 <= y < y1 and columns x0 <= x < x1 in which the beam leaves light; empty if none."""
+    """Rows y0 <= y < y1 and columns x0 <= x < x1 with light of the beam, as (y0, y1, x0, x1); empty if
+    none.
+    """
     if not beam.peak_e > FAINTEST_E or not math.isfinite(beam.x_px + beam.y_px):
         return 0, 0, 0, 0
     reach = beam_reach(beam)
@@ -83,9 +85,9 @@ def beam_box(beam: Beam, ny: int, nx: int) -> tuple[int, int, int, int]:
 def add_beam(light_e: NDArray[np.float64], beam: Beam, y0: int, y1: int, x0: int, x1: int) -> None:
     """Add the beam, integrated over each pixel, to light_e[y0:y1, x0:x1].
 
-    An upright ellipse is a product of differences of error functions, exact. A turned one is
-    summed over 3 x 3 Gauss nodes a pixel (error below 1e-7 of the peak for sigma >= 2), walking
-    along a row by the ratio of neighbouring values, which itself changes by a constant factor.
+    For an upright ellipse the integral is exactly a product of differences of error functions. A rotated one
+    is integrated with 3 x 3 Gauss nodes per pixel (error below 1e-7 of the peak for sigma >= 2). Along a row,
+    each value follows from the one before by a ratio, which itself changes by a constant factor.
     """
     if y0 == y1 or x0 == x1:
         return
@@ -108,7 +110,7 @@ def add_beam(light_e: NDArray[np.float64], beam: Beam, y0: int, y1: int, x0: int
     qyy = wx * sin * sin + wy * cos * cos
     qxy = (wx - wy) * sin * cos
     shrink = math.exp(-qxx)
-    # a row is walked only where it has light: from far outside, the first value would underflow
+    # the recursion begins where the row has light: far outside, the first value would underflow
     half_x = 1.5 + beam_reach(beam) / math.sqrt(qxx)
     for y in range(y0, y1):
         line = light_e[y]
@@ -119,7 +121,7 @@ def add_beam(light_e: NDArray[np.float64], beam: Beam, y0: int, y1: int, x0: int
             end = int(min(max(math.ceil(middle_x + half_x), float(x0)), float(x1)))
             height = beam.peak_e * (8.0 / 18.0 if j == 0 else 5.0 / 18.0)
             left, middle, right = begin - 0.5 * _GAUSS_3, float(begin), begin + 0.5 * _GAUSS_3
-            # three chains side by side: each waits for its own products only
+            # three independent recursions, which the processor evaluates in parallel
             value_l, ratio_l = _row_start(height * 5.0 / 18.0, left - beam.x_px, dy, qxx, qxy, qyy)
             value_m, ratio_m = _row_start(height * 8.0 / 18.0, middle - beam.x_px, dy, qxx, qxy, qyy)
             value_r, ratio_r = _row_start(height * 5.0 / 18.0, right - beam.x_px, dy, qxx, qxy, qyy)
@@ -137,7 +139,7 @@ def add_beam(light_e: NDArray[np.float64], beam: Beam, y0: int, y1: int, x0: int
 def _row_start(
     height: float, dx: float, dy: float, qxx: float, qxy: float, qyy: float
 ) -> tuple[float, float]:
-    """The Gaussian at the row's first node, and its ratio to the next, one pixel further."""
+    """The Gaussian at the first node of a row, and the ratio of the next pixel's value to it."""
     value = height * math.exp(-0.5 * (qxx * dx * dx + qyy * dy * dy) - qxy * dx * dy)
     return value, math.exp(-qxx * (dx + 0.5) - qxy * dy)
 

@@ -1,9 +1,10 @@
-"""Random numbers that depend on a key alone: a frame's noise is the same whoever asks, and when.
+"""Random numbers that depend only on a key, so that the noise of a frame does not depend on the order of
+calls.
 
-SplitMix64 (Steele, Lea, Flood 2014) counts up from a key by a fixed odd number and scrambles the
-count; its 64-bit state is handed in and out as a plain number. Normal numbers by the ziggurat
-method (Marsaglia, Tsang 2000, in Doornik's form), Poisson numbers by Hörmann's transformed
-rejection (1993) above a mean of 10 and by multiplication below.
+SplitMix64 (Steele, Lea, Flood 2014) increments a key by a fixed odd number and scrambles the bits; its 64-bit
+state is an argument and a return value of the functions. Normal numbers are drawn by the ziggurat method
+(Marsaglia, Tsang 2000, in Doornik's form), Poisson numbers by Hörmann's transformed rejection (1993) for
+means above 10 and by multiplication below.
 """
 
 import functools
@@ -25,11 +26,11 @@ _LAYER = np.uint64(255)
 _TO_UNIT = 2.0**-53
 _LAYERS = 256
 _LAYER_EDGE = 3.6541528853610088
-"""Where the ziggurat of 256 layers of equal area begins its tail."""
+"""Beginning of the tail of the ziggurat with 256 layers of equal area."""
 
 
 class Ziggurat(NamedTuple):
-    """Edges of the layers: `x` (257), falling from the base strip's width to 0."""
+    """Edges of the layers: `x` (257,), decreasing from the width of the lowest layer to 0."""
 
     x: NDArray[np.float64]
 
@@ -50,7 +51,7 @@ def ziggurat() -> Ziggurat:
 
 @njit(cache=True, nogil=True, inline="always")
 def scramble(z: np.uint64) -> np.uint64:
-    """64 bits to 64 bits, one to one, without visible order."""
+    """One-to-one mapping of 64 bits to 64 bits, which look random."""
     z = (z ^ (z >> _S30)) * _MIX1
     z = (z ^ (z >> _S27)) * _MIX2
     return z ^ (z >> _S31)
@@ -58,7 +59,7 @@ def scramble(z: np.uint64) -> np.uint64:
 
 @njit(cache=True, nogil=True)
 def stream_key(seed: int, run: int, frame: int, purpose: int) -> np.uint64:
-    """State to begin a stream of its own for each frame of each run and each purpose."""
+    """Initial state of the random numbers of one frame of one run for one purpose."""
     key = scramble(np.uint64(seed) + _GOLDEN)
     key = scramble(key ^ (np.uint64(run) * _MIX1 + _GOLDEN))
     key = scramble(key ^ (np.uint64(purpose) * _MIX2 + _GOLDEN))
@@ -76,7 +77,7 @@ def uniform(state: np.uint64) -> tuple[np.uint64, float]:
 def _normal_beyond(
     state: np.uint64, z: float, layer: int, edges: NDArray[np.float64]
 ) -> tuple[np.uint64, float, bool]:
-    """The rare part of the ziggurat: the tail, and the layers' corners."""
+    """The rare cases of the ziggurat method: the tail, and the edges of the layers."""
     if layer == 0:
         while True:
             state, first = uniform(state)

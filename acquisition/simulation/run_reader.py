@@ -1,4 +1,4 @@
-"""Frames of one simulated run as a camera gives them: paced or on demand, with what is lost on the way."""
+"""Frames of one simulated run as a camera delivers them: in real time or on demand, with losses."""
 
 import logging
 import math
@@ -17,14 +17,14 @@ CAMERA_NAME = "simulated camera"
 
 
 class RunReader:
-    """Hands out the frames of a run; `stop` may come from another thread.
+    """Delivers the frames of a run; `stop` may be called by another thread.
 
     Parameters
     ----------
     scene
         The run.
     block
-        Frames that are planned at once.
+        Number of frames that are calculated at once, before they are drawn.
     rate_hz
         Frame rate.
     clock_ns
@@ -64,12 +64,12 @@ class RunReader:
 
     @property
     def running(self) -> bool:
-        """Neither stopped nor lost."""
+        """Whether the run is neither stopped nor lost."""
         return not self._stopped.is_set() and not self.lost
 
     @property
     def status(self) -> CameraStatus:
-        """Where the frames went."""
+        """Counts of delivered and lost frames."""
         return CameraStatus(
             delivered=self._delivered,
             dropped_by_camera=self._dropped_by_camera,
@@ -78,11 +78,11 @@ class RunReader:
         )
 
     def stop(self) -> None:
-        """A waiting `read` returns None."""
+        """Stop; a blocked `read` returns None."""
         self._stopped.set()
 
     def read(self, timeout_s: float) -> Frame | None:
-        """As `Camera.read`."""
+        """Next frame; see `acquisition.camera.Camera.read`."""
         deadline_ns = self._clock_ns() + round(timeout_s * 1e9)
         stepped_s = 0.0
         while not self._stopped.is_set():
@@ -119,7 +119,7 @@ class RunReader:
         return None
 
     def replug(self) -> None:
-        """The camera is to be opened again: let it, if the cable is back."""
+        """Allow that the camera is opened again; DeviceError if the cable is still unplugged."""
         back_s = self._faults.camera_replugged_at_s
         if back_s is None:
             raise DeviceError(f"{CAMERA_NAME}: is unplugged; plug it in")
@@ -131,7 +131,7 @@ class RunReader:
         self._next = max(self._next, now)
 
     def resume(self) -> None:
-        """Go on with the run; frames are numbered from 0 again."""
+        """Continue the run; frames are numbered from 0 again."""
         self._numbered_from = self._next
         self._reconnects += 1
         self.lost = False
@@ -155,7 +155,7 @@ class RunReader:
                 return False
 
     def _skip_overrun(self, frame: int) -> int:
-        """The reader was away for longer than the buffer holds: the oldest frames are lost."""
+        """Lose the oldest frames if the reader is late by more than the buffer holds; the next frame."""
         late = self._due(self._clock_ns()) - frame - self._settings.buffer_frames
         if late > 0:
             self._next += late
@@ -176,7 +176,7 @@ class RunReader:
         image = self._scene.draw(frame, plan.x_px[row], plan.y_px[row], plan.power[row])
         host_ns = self._clock_ns()
         if self._settings.real_time:
-            # a frame that waited in the buffer arrived when it was exposed, not when it was fetched
+            # a frame in the buffer arrived at its exposure, before it was read
             arrived_ns = self._begin_ns + round(frame / self._rate_hz * 1e9)
             host_ns = max(arrived_ns, self._last_host_ns + 1)
         self._last_host_ns = host_ns
@@ -186,5 +186,5 @@ class RunReader:
 
 
 def _frame_at(time_s: float | None, rate_hz: float) -> float:
-    """First frame at or after a time; infinity for never."""
+    """Number of the first frame at or after a time; inf for None (never)."""
     return math.inf if time_s is None else float(math.ceil(time_s * rate_hz - 1e-9))

@@ -1,4 +1,4 @@
-"""One simulated run: where the spot is in each frame, when, how bright; and the frame itself."""
+"""One simulated run: position, time and brightness of the spot in each frame, and the image."""
 
 import math
 from typing import NamedTuple
@@ -20,8 +20,9 @@ from acquisition.simulation.true_path import axes_motion
 class Plan(NamedTuple):
     """Some consecutive frames before they are drawn; arrays of one length.
 
-    `x_px`, `y_px` is the true centre of the spot on the sensor, `device_time_ns` the camera's
-    clock as the camera will report it, `true_time_s` when the frame is really exposed.
+    `first` is the number of the first frame, `true_time_s` the true time of the exposure, `device_time_ns`
+    the timestamp by the camera's clock. `x_px`, `y_px` is the true centre of the spot on the sensor, `power`
+    the relative laser power. `dropped` frames are lost by the camera.
     """
 
     first: int
@@ -34,7 +35,10 @@ class Plan(NamedTuple):
 
 
 class Readings(NamedTuple):
-    """How the camera reads the sensor out. Motion during an exposure is neglected."""
+    """Settings of the camera: region of the sensor, bit depth, exposure, gain, frame rate.
+
+    Motion during an exposure is neglected.
+    """
 
     x0_px: int
     y0_px: int
@@ -47,10 +51,10 @@ class Readings(NamedTuple):
 
 
 class Scene:
-    """The simulated rig from the release on, frame by frame.
+    """The simulated rig from the start of a run on, frame by frame.
 
-    Plans are asked for in order; what is behind is forgotten, so that memory stays flat however
-    long the run. The same settings, readings and run give the same frames, bit for bit.
+    Plans are made in order and earlier ones are not kept, so that memory does not grow with the duration of
+    the run. The same settings, readings and run give identical frames.
     """
 
     def __init__(
@@ -96,7 +100,7 @@ class Scene:
         self._dtype = np.uint8 if readings.bit_depth == 8 else np.uint16
 
     def plan(self, count: int) -> Plan:
-        """The next `count` frames."""
+        """Calculate the next `count` frames, without their images."""
         settings = self._settings
         first = self._next
         if self._inputs is not None:
@@ -126,7 +130,7 @@ class Scene:
         )
 
     def draw(self, frame: int, x_px: float, y_px: float, power: float) -> Image:
-        """Image of one frame whose spot is centred at (x_px, y_px) of the sensor."""
+        """Image (ny, nx) of one frame with the spot at (x_px, y_px) on the sensor and this relative power."""
         readings = self._readings
         optics = self._settings.optics
         main = Beam(

@@ -1,4 +1,4 @@
-"""What the image sensor makes of light: electrons, noise, DN.
+"""The image sensor: conversion of light into electrons with noise, and into DN.
 
 A pixel holds ``min(Poisson(light), full well)`` electrons, read noise is added, and the sum over
 the gain plus the black level is rounded and cut to 0 ... full scale. Where no light falls, only the
@@ -50,7 +50,11 @@ class DarkTable(NamedTuple):
 
 
 class Pixels(NamedTuple):
-    """What distinguishes the pixels of the region read out; hot pixels as (row, column) and mean e-."""
+    """Properties of single pixels in the region that is read out.
+
+    `response` (ny, nx) is relative, or (0, 0) if it is 1 everywhere. `hot_e` is the mean dark signal in e- of
+    hot pixels.
+    """
 
     response: NDArray[np.float32]
     hot_row: NDArray[np.int64]
@@ -59,7 +63,7 @@ class Pixels(NamedTuple):
 
 
 class Readout(NamedTuple):
-    """Numbers that the readout needs, for the kernel."""
+    """Constants of the readout, for the kernel."""
 
     gain_e_per_dn: float
     black_level_dn: float
@@ -74,7 +78,7 @@ def dark_probabilities(state: SensorState) -> NDArray[np.float64]:
     spread_dn = max(state.read_noise_e / state.gain_e_per_dn, 1e-9)
     edges = (np.arange(state.full_scale_dn) + 0.5 - state.black_level_dn) / (spread_dn * math.sqrt(2))
     near = np.clip(edges, -30, 30)
-    # the smaller tail on either side, so that no digits are lost in 1 - 1
+    # differences of the smaller tail on either side, which are exact
     upper = np.array([0.5 * math.erfc(edge) for edge in near])
     lower = np.array([0.5 * math.erfc(-edge) for edge in near])
     p = np.where(near[:-1] > 0, upper[:-1] - upper[1:], lower[1:] - lower[:-1])
@@ -82,7 +86,7 @@ def dark_probabilities(state: SensorState) -> NDArray[np.float64]:
 
 
 def dark_table(state: SensorState) -> DarkTable:
-    """Tables to draw dark pixels from."""
+    """Tables from which the values of dark pixels are drawn."""
     p = dark_probabilities(state)
     common = int(np.argmax(p))
     rare = np.flatnonzero(p)
@@ -107,7 +111,7 @@ def dark_table(state: SensorState) -> DarkTable:
 def _alias(
     p: NDArray[np.float64],
 ) -> tuple[NDArray[np.uint16], NDArray[np.uint16], NDArray[np.uint32], int]:
-    """Walker's alias table over all values that 32 random bits can tell from impossible."""
+    """Walker's alias table of all values whose probability can be represented with 32 random bits."""
     values = np.flatnonzero(p > _FAINTEST_PROBABILITY)
     values = np.sort(values[np.argsort(p[values])[::-1][:_MOST_COLUMNS]])
     columns = 1 << max(8, (len(values) - 1).bit_length())
@@ -130,7 +134,7 @@ def _alias(
 
 
 def pixels(truth: SensorTruth, seed: int, x0: int, y0: int, nx: int, ny: int) -> Pixels:
-    """Response and hot pixels of a region; they belong to the sensor, so every region sees the same."""
+    """Response and hot pixels of a region; they depend on the position on the sensor, not on the region."""
     empty = np.empty((0, 0), dtype=np.float32)
     response = empty
     if truth.prnu > 0:
@@ -160,7 +164,7 @@ def expose(
     run: int,
     frame: int,
 ) -> None:
-    """Draw one frame into `image` (ny, nx). `light_e` is room of the same shape, left as zeros."""
+    """Draw one frame into `image` (ny, nx). `light_e` (ny, nx) is working memory, zero before and after."""
     ny, nx = image.shape
     state = stream_key(seed, run, frame, FRAME)
     ay0, ay1, ax0, ax1 = beam_box(main, ny, nx)
@@ -189,7 +193,7 @@ def expose(
 
 @njit(cache=True, nogil=True)
 def _draw_dark(image: NDArray[np.uint8], dark: DarkTable, state: np.uint64) -> np.uint64:
-    """Every pixel as if no light fell on it."""
+    """Draw every pixel as if without light; returns the state of the random numbers."""
     flat = image.reshape(-1)
     size = flat.shape[0]
     if dark.sparse:
@@ -239,11 +243,11 @@ def _draw_lit(
     edges: NDArray[np.float64],
     state: np.uint64,
 ) -> np.uint64:
-    """Pixels that light falls on.
+    """Draw the pixels with light.
 
-    Shot and read noise together are one normal number bent to the right skewness and kurtosis
-    (Cornish and Fisher), where they are so nearly normal that the distribution function errs by
-    less than 1e-4; else, and near the full well, both are drawn.
+    Where the sum of shot noise and read noise is nearly normal, it is one normal number, transformed to the
+    correct skewness and kurtosis (Cornish and Fisher); the error of the distribution function is below 1e-4.
+    Otherwise, and near the full well, both are drawn.
     """
     read_variance = readout.read_noise_e**2
     per_e = 1.0 / readout.gain_e_per_dn
@@ -278,7 +282,7 @@ def _draw_lit(
 def _read_exactly(
     mean_e: float, readout: Readout, edges: NDArray[np.float64], state: np.uint64
 ) -> tuple[np.uint64, int]:
-    """One pixel: electrons, full well, read noise, DN."""
+    """Value of one pixel: Poisson electrons, limited by the full well, plus read noise, converted to DN."""
     state, electrons = poisson(state, mean_e)
     state, z = normal(state, edges)
     electrons = min(electrons, readout.full_well_e) + readout.read_noise_e * z

@@ -1,7 +1,7 @@
-"""Settings of the simulated rig: every true value, with its unit.
+"""Section [simulation]: true values of the simulated rig.
 
-The defaults are the demonstration: a steel ball on K8 glass with the parameters of the paper,
-on a sensor of 320x640 pixels at 100 frames/s.
+The defaults are those of the demonstration: a steel ball on K8 glass with the parameters of the paper, on a
+sensor of 320x640 pixels at 100 frames/s.
 """
 
 from typing import Literal, NamedTuple, Self
@@ -10,7 +10,7 @@ from pydantic import BaseModel, Field, model_validator
 
 
 class Section(BaseModel, frozen=True, extra="forbid"):
-    """A table of settings; a key it does not know is an error."""
+    """Base class of the settings; an unknown key is an error."""
 
 
 class ContactTruth(Section, frozen=True):
@@ -25,8 +25,8 @@ class ContactTruth(Section, frozen=True):
     drag_s: float = Field(default=0.0, ge=0, description="linear drag; moment -m g R drag_s phi'")
     exact_pendulum: bool = Field(
         default=False,
-        description="swings by degrees: sine of the angle, rolling support of ball_radius_m; friction and "
-        "adhesion then stand over m g times the mass centre's lever arm",
+        description="for amplitudes of degrees: sine of the angle, rolling support of ball_radius_m; "
+        "friction and adhesion are then relative to m g times the distance of the mass centre from the axis",
     )
     balls: Literal[1, 2] = Field(default=1, description="equal balls that share the weight")
     mass_kg: float = Field(default=0.406, gt=0)
@@ -42,7 +42,7 @@ class ContactTruth(Section, frozen=True):
 
 
 class FastModeTruth(Section, frozen=True):
-    """The mode about the other axis, seen as X(t). It obeys the same laws with its own inertia."""
+    """The mode about the other axis, X(t). It follows the same laws with its own moment of inertia."""
 
     period_ratio: float = Field(default=5.0, gt=1, description="slow period0 over fast period0")
     amplitude_arcsec: float = Field(default=0.3, ge=0, description="at release")
@@ -52,15 +52,15 @@ class FastModeTruth(Section, frozen=True):
 
 
 class ReleaseTruth(Section, frozen=True):
-    """How the swing begins."""
+    """Release of the pendulum."""
 
     amplitude_arcsec: float = Field(default=124.0, gt=0, lt=200000, description="of the slow mode")
     at_s: float = Field(default=0.0, ge=0, description="simulated time of the release; at rest before")
     way: Literal["let go", "push", "by command"] = Field(
         default="let go",
-        description="'let go': held at the amplitude, then freed; 'push': rests at zero, then is given the "
-        "velocity that would carry it to the amplitude without losses and elasticity; 'by command': rests "
-        "until a controller's magnet or starter moves it",
+        description="'let go': held at the amplitude, then released; 'push': at rest at zero, then given the "
+        "velocity with which it would reach the amplitude without losses and elasticity; 'by command': at "
+        "rest until a controller's magnet or starter moves it",
     )
     starter_arcsec: float = Field(
         default=150.0, description="shift of the rest position while the starter pushes"
@@ -69,22 +69,21 @@ class ReleaseTruth(Section, frozen=True):
 
 
 class AxesTruth(Section, frozen=True):
-    """How the pendulum's axes lie on the sensor, and what imbalance does to the picture.
+    """Directions of the pendulum's axes on the sensor, and the effects of an imbalance.
 
-    The sensor's x runs to the right, its y down. `slow_angle_rad` is the angle of the slow mode's
-    positive direction from the sensor's upward vertical, turning towards +x; the fast mode's lies
-    a right angle further (to the right), turned by `non_orthogonality_rad` more; `mirrored` sends
-    it to the left instead.
+    The sensor's x points to the right, its y down. `slow_angle_rad` is the angle of the slow mode's positive
+    direction from the sensor's upward vertical, positive towards +x. That of the fast mode is at that angle
+    plus a right angle plus `non_orthogonality_rad`; if `mirrored`, it has the opposite sign.
     """
 
     slow_angle_rad: float = Field(default=0.0, ge=-3.2, le=3.2)
     non_orthogonality_rad: float = Field(default=0.0, gt=-0.5, lt=0.5)
     mirrored: bool = False
-    leakage: float = Field(default=0.002, gt=-1, lt=1, description="part of the slow tilt that shows in X")
+    leakage: float = Field(default=0.002, gt=-1, lt=1, description="part of the slow tilt that appears in X")
     leakage_quadrature: float = Field(
-        default=0.0, gt=-1, lt=1, description="the same, a quarter period apart: opens the line to an ellipse"
+        default=0.0, gt=-1, lt=1, description="the same with a phase of a quarter period: an ellipse"
     )
-    spin_rad_per_s: float = Field(default=0.0, description="turning of both axes, about the vertical")
+    spin_rad_per_s: float = Field(default=0.0, description="rotation of both axes about the vertical")
     rest_slow_arcsec: float = Field(default=0.0, description="rest position, slow axis")
     rest_fast_arcsec: float = Field(default=0.0, description="rest position, fast axis")
     rest_drift_slow_arcsec_per_min: float = 0.0
@@ -114,7 +113,7 @@ class OpticsTruth(Section, frozen=True):
 
 
 class SensorState(NamedTuple):
-    """The sensor as it reads out at one bit depth and gain."""
+    """Properties of the sensor at one bit depth and gain."""
 
     gain_e_per_dn: float
     read_noise_e: float
@@ -123,7 +122,7 @@ class SensorState(NamedTuple):
 
 
 class SensorTruth(Section, frozen=True):
-    """The image sensor. The black level is no light: it carries read noise alone."""
+    """The image sensor. The black level is not due to light and has read noise only."""
 
     width_px: int = Field(default=320, ge=16, le=8192)
     height_px: int = Field(default=640, ge=16, le=8192)
@@ -133,9 +132,7 @@ class SensorTruth(Section, frozen=True):
     full_well_e: float = Field(default=10_000.0, gt=0)
     read_noise_e: float = Field(default=7.0, ge=0)
     black_level_dn: float = Field(default=6.0, ge=0, description="at the bit depth stated here")
-    ambient_dn: float = Field(
-        default=0.0, ge=0, description="even light from elsewhere, in DN (slow to draw)"
-    )
+    ambient_dn: float = Field(default=0.0, ge=0, description="uniform background light in DN (slow to draw)")
     prnu: float = Field(default=0.0, ge=0, lt=0.2, description="relative spread of the pixels' response")
     hot_pixels: int = Field(default=0, ge=0, le=100_000, description="how many, anywhere")
     hot_pixel_dn: float = Field(
@@ -144,7 +141,9 @@ class SensorTruth(Section, frozen=True):
     exposure_us: float = Field(default=100.0, gt=0, description="at which optics.peak_dn holds")
 
     def at(self, bit_depth: int, gain_db: float = 0.0) -> SensorState:
-        """What this sensor is at another bit depth: full scale stays the same number of electrons."""
+        """Properties at another bit depth and gain; without gain, full scale is the same number of
+        electrons.
+        """
         scale = (2**self.bit_depth - 1) / (2**bit_depth - 1) * 10 ** (-gain_db / 20)
         return SensorState(
             gain_e_per_dn=self.gain_e_per_dn * scale,
@@ -155,20 +154,20 @@ class SensorTruth(Section, frozen=True):
 
 
 class ClockTruth(Section, frozen=True):
-    """Frames in time, and the camera's clock."""
+    """Frame rate, and the camera's clock."""
 
     frame_rate_hz: float = Field(default=100.0, gt=0, le=100_000)
     start_s: float = Field(default=1.0, ge=0, description="reading of the camera's clock at simulated time 0")
     drift_ppm: float = Field(
-        default=0.0, gt=-1e4, lt=1e4, description="camera's clock fast against true time"
+        default=0.0, gt=-1e4, lt=1e4, description="rate of the camera's clock against true time"
     )
     jitter_s: float = Field(
-        default=0.0, ge=0, description="timestamp against true exposure, normal, cut at 0.4 frame"
+        default=0.0, ge=0, description="of timestamps, normal, truncated at 0.4 of the frame period"
     )
 
 
 class DisturbanceTruth(Section, frozen=True):
-    """What the laboratory adds. Positions on the sensor in px."""
+    """Disturbances by the laboratory; positions on the sensor in px."""
 
     pointing_jitter_px: float = Field(default=0.0, ge=0, description="white, per frame and axis")
     pointing_drift_x_px_per_min: float = 0.0
@@ -180,22 +179,20 @@ class DisturbanceTruth(Section, frozen=True):
 
 
 class SimulationSettings(Section, frozen=True):
-    """The simulated rig: `seed` decides every random draw; the same settings give the same frames."""
+    """The simulated rig; the same settings give identical frames."""
 
-    seed: int = Field(default=1, ge=0, lt=2**63, description="of every random draw")
+    seed: int = Field(default=1, ge=0, lt=2**63, description="of all random numbers")
     first_run: int = Field(
-        default=0, ge=0, description="number of the first run; another run has other noise, nothing else"
+        default=0, ge=0, description="number of the first run; runs differ only in their noise"
     )
     max_duration_s: float | None = Field(
-        default=None, gt=0, description="the source comes to its end after this simulated time; None: endless"
+        default=None, gt=0, description="the frames end after this simulated time; None: no end"
     )
     real_time: bool = Field(
         default=False,
-        description="paced by the host's clock: who is slow loses frames; else frames on demand",
+        description="frames come at the frame rate, and a slow reader loses some; otherwise on demand",
     )
-    buffer_frames: int = Field(
-        default=64, ge=1, description="in real time: frames that wait for a slow reader"
-    )
+    buffer_frames: int = Field(default=64, ge=1, description="in real time: frames kept for a slow reader")
     contact: ContactTruth = ContactTruth()
     fast: FastModeTruth = FastModeTruth()
     release: ReleaseTruth = ReleaseTruth()

@@ -1,4 +1,4 @@
-"""The simulated pendulum without a camera: its exact turning points, and tilts with stated noise."""
+"""The simulated pendulum without a camera: its exact turning points, and tilts with a given noise."""
 
 import math
 from typing import NamedTuple
@@ -14,14 +14,14 @@ _PATH_NOISE = 11
 
 
 class TruePoints(NamedTuple):
-    """Turning points of the slow mode without any noise, arrays of one length; angles carry their side."""
+    """Turning points of the slow mode without noise, arrays (n,); angles have the sign of their side."""
 
     time_s: NDArray[np.float64]
     angle_rad: NDArray[np.float64]
 
 
 class TruePath(NamedTuple):
-    """Tilts of the pendulum in its own axes as an ideal tracker would report them, arrays of one length."""
+    """Tilts of the pendulum along its own axes, as an ideal tracker would measure them, arrays (n,)."""
 
     times_ns: NDArray[np.int64]
     x_rad: NDArray[np.float64]
@@ -33,8 +33,8 @@ def true_turning_points(
 ) -> TruePoints:
     """Turning points of the slow mode from the release down to an amplitude.
 
-    The release itself is the first point where the pendulum is let go at its amplitude. Points
-    below `final_amplitude_arcsec` or after `max_duration_s` are left out.
+    If the pendulum is released at its amplitude, the release is the first point. Points below
+    `final_amplitude_arcsec` or after `max_duration_s` are left out.
     """
     slow = motions(settings)[1]
     found = []
@@ -54,7 +54,7 @@ def true_turning_points(
 def axes_motion(
     settings: SimulationSettings, fast: Motion, slow: Motion, times_s: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Tilts (X, Y) in rad about the pendulum's own axes: modes, leakage, rest position and its drift."""
+    """Tilts (X, Y) in rad at `times_s` (n,): modes, leakage, rest position and its drift."""
     axes = settings.axes
     minutes = times_s / 60.0
     fast_rad, _ = fast.tilt(times_s)
@@ -69,7 +69,7 @@ def axes_motion(
 def true_path(
     settings: SimulationSettings, duration_s: float, frame_rate_hz: float | None = None
 ) -> TruePath:
-    """Tilts without noise at even times from 0 on."""
+    """Tilts without noise at evenly spaced times from 0 on; by default at the camera's frame rate."""
     rate_hz = settings.clock.frame_rate_hz if frame_rate_hz is None else frame_rate_hz
     times_s = np.arange(math.floor(duration_s * rate_hz) + 1) / rate_hz
     fast, slow = motions(settings)
@@ -78,7 +78,7 @@ def true_path(
 
 
 def noisy(truth: TruePath, u_x_rad: float, u_y_rad: float, seed: int) -> TruePath:
-    """The same trajectory with white normal noise of these standard deviations, from a seed of its own."""
+    """The same tilts with white normal noise of these standard deviations, which depends on `seed`."""
     noise = np.empty((len(truth.times_ns), 2))
     randomness.frame_normals(seed, 0, _PATH_NOISE, 0, randomness.ziggurat().x, noise)
     return truth._replace(

@@ -1,7 +1,7 @@
-"""The simulated pendulum's trimming weights: what a turn does to rest position and period.
+"""The simulated pendulum's trimming weights: effect of a turn on rest position and period.
 
-A weight on a screw moves the mass centre; the pendulum, which rolls on its ball, comes to rest
-where the mass centre lies below the ball's centre, and swings by the arm between the two.
+A weight on a screw moves the mass centre. The pendulum, which rolls on its ball, comes to rest with the mass
+centre below the ball's centre; the distance of the two determines the period.
 """
 
 import math
@@ -14,7 +14,9 @@ from acquisition.simulation.settings import SimulationSettings
 
 
 class TrimWeight(NamedTuple):
-    """One weight: mass, thread, and where a positive turn carries it (X, Y, down)."""
+    """One weight: mass, pitch of its thread, and the direction (X, Y, down) in which a positive turn moves
+    it.
+    """
 
     mass_kg: float
     pitch_m: float
@@ -23,7 +25,7 @@ class TrimWeight(NamedTuple):
 
 
 class TrimmedPendulum:
-    """A pendulum whose mass centre lies beside its intended place, and the weights that trim it.
+    """A pendulum whose mass centre is displaced, and the weights that trim it.
 
     Parameters
     ----------
@@ -63,7 +65,7 @@ class TrimmedPendulum:
         self._last_way: dict[str, float] = {}
 
     def turn(self, name: str, turns: float) -> None:
-        """Turn a weight; a change of direction loses the backlash, and no hand is exact."""
+        """Turn a weight, with backlash after a change of direction and a random error of the turn."""
         weight = self._weights[name]
         way = math.copysign(1.0, turns)
         if self._last_way.get(name, way) != way:
@@ -75,7 +77,7 @@ class TrimmedPendulum:
 
     @property
     def settings(self) -> SimulationSettings:
-        """The simulated rig as it is trimmed now."""
+        """Settings of the simulated rig with the present positions of the weights."""
         x_m, y_m, lower_m = self._centre_m
         contact, axes = self._settings.contact, self._settings.axes
         arm_m = contact.ball_radius_m + lower_m
@@ -93,7 +95,9 @@ class TrimmedPendulum:
 
 
 def imperfect_weights(nominal: dict[str, TrimWeight], seed: int) -> dict[str, TrimWeight]:
-    """Weights as they are made: mass within 15 %, direction within some degrees, a little backlash."""
+    """Weights with random deviations from the nominal ones: mass by up to 15 %, direction by some degrees,
+    backlash.
+    """
     random = np.random.default_rng((seed, 77))
     found = {}
     for name, weight in nominal.items():

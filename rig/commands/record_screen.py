@@ -52,7 +52,7 @@ def recover_record(path: Path, output: Path | None) -> None:
     recovery = recover(path, target)
     counts = ", ".join(f"{count} {topic.lstrip('/')}" for topic, count in recovery.messages.items() if count)
     print(f"{target}: {counts or 'no messages'}, up to {utc_text(recovery.end_ns)}")
-    print(f"lost: {recovery.lost_bytes} bytes behind the last complete chunk")
+    print(f"lost: {recovery.lost_bytes} bytes after the last complete record")
     for damage in recovery.lost:
         topics = ", ".join(damage.topics)
         print(f"lost: {topics} from {utc_text(damage.start_ns)} to {utc_text(damage.end_ns)}: {damage.what}")

@@ -1,4 +1,4 @@
-"""The paper's tables and figures made again on the simulated rig."""
+"""`rig paper`: the paper's tables and figures, reproduced with the simulated rig."""
 
 from rig.paper.paper_report import reproduce_paper
 

@@ -1,4 +1,4 @@
-"""Printed beside simulated-and-analysed, row by row, with difference and verdict."""
+"""Tables that compare the paper's printed values with those from simulation and analysis."""
 
 import math
 from collections.abc import Sequence
@@ -36,7 +36,7 @@ _BOTH = (FitMethod.EXACT, FitMethod.ASYMPTOTIC)
 
 
 def table1() -> Table:
-    """Contact after Hertz: nothing is simulated, the materials decide."""
+    """Contact after Hertz, calculated from the materials, without simulation."""
     rows: list[list[Cell]] = []
     shown = []
     for pair in PAIRS:
@@ -65,7 +65,7 @@ def table1() -> Table:
 
 
 def table2(found: Sequence[PairSeries], b_exponent: int) -> Table:
-    """Friction: b, p, c, surface energy in both forms, ARAE."""
+    """Friction: b, p, c, surface energy in both forms, ARAE; `b_exponent` is the power of ten of b."""
     rows: list[list[Cell]] = []
     for series in found:
         pair = series.pair
@@ -97,7 +97,7 @@ def table3(found: Sequence[PairSeries]) -> Table:
 
 
 def table4(found: Sequence[PairSeries]) -> Table:
-    """Works over one cycle: with the printed parameters and with the fitted ones."""
+    """Work over one cycle, with the printed and with the fitted parameters."""
     rows: list[list[Cell]] = []
     shown = []
     for series in found:
@@ -129,7 +129,7 @@ def table4(found: Sequence[PairSeries]) -> Table:
 
 
 def _contact(series: PairSeries, method: FitMethod) -> ContactParameters:
-    """The combined parameters of a series as the laws take them."""
+    """The combined parameters of a series, as arguments of the contact laws."""
     found = series.series.fits[method]
     return ContactParameters(**{name: found[name].value for name in PAPER.names()})
 
@@ -137,7 +137,9 @@ def _contact(series: PairSeries, method: FitMethod) -> ContactParameters:
 def _fitted(
     series: PairSeries, name: str, parameter: str, unit: str, printed: float, scale: float, last_digit: float
 ) -> list[Cell]:
-    """One fitted parameter of the series: agrees within its 95 % interval or as rounded in print."""
+    """Row of one fitted parameter: it agrees within its 95 % interval, or within the rounding of the
+    paper.
+    """
     exact, asymptotic = (series.series.fits[method][parameter] for method in _BOTH)
     value, u = exact.value / scale, exact.standard_uncertainty / scale
     half, other = exact.expanded_uncertainty_95 / scale, asymptotic.value / scale
@@ -153,7 +155,7 @@ def _fitted(
 
 
 def _energy(series: PairSeries, form: str) -> list[Cell]:
-    """Surface energy: Table 2's own form has to agree, Eq. 2 as printed is known not to."""
+    """Row of the surface energy: the form used in Table 2 must agree, Eq. 2 as printed is known to differ."""
     printed = series.pair.surface_energy_j_per_m2 * 1e3
     energy = series.series.surface_energy_j_per_m2
     assert energy is not None  # the fits of a simulated series converge
@@ -180,7 +182,9 @@ def _energy(series: PairSeries, form: str) -> list[Cell]:
 
 
 def _arae(series: PairSeries, key: str, printed: float) -> list[Cell]:
-    """Relative errors tell of the noise, which is the simulated rig's, not the paper's."""
+    """Row of a relative error, which is not comparable: it depends on the noise, which is that of the
+    simulation.
+    """
     values = [float(getattr(series.run.fits[method], key)) for method in _BOTH]
     label = "ARAE, Eq. 8" if key == "arae_decay" else "ARAE, Eq. 9"
     return [

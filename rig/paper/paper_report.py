@@ -1,4 +1,4 @@
-"""`rig paper`: the tables on the terminal, and a page with tables and figures."""
+"""Output of `rig paper`: tables on the terminal, and an HTML page with tables and figures."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -26,10 +26,11 @@ _SEED = 1
 
 
 def reproduce_paper(output: Path | None, b_exponent: int) -> None:
-    """Simulate the three pairs, three runs each, analyse, print Tables 1 to 4 beside the printed numbers.
+    """Simulate and analyse the three contact pairs, three runs each, and print Tables 1 to 4 with the paper's
+    values.
 
-    With `output` a page ``paper.html`` with Figs. 9 to 14 is written there, figures as SVG and PNG
-    and tables as CSV in ``paper`` beside it.
+    With `output`, a page ``paper.html`` with Figs. 9 to 14 is written into that folder, and the figures (SVG,
+    PNG) and tables (CSV) into its subfolder ``paper``.
     """
     found = [
         simulate_pair(pair, b_exponent, _SEED + 1000 * place) for place, pair in enumerate(PAIRS, start=1)
@@ -44,14 +45,15 @@ def reproduce_paper(output: Path | None, b_exponent: int) -> None:
 
 
 def write_paper(output: Path, found: Sequence[PairSeries], tables: Sequence[Table]) -> Path:
+    """Write the page and its files into a folder; returns the page. RecordError if that is not possible."""
     files = output / "paper"
     target = output / "paper.html"
     body = [
         html.paragraph(
-            "The three contact pairs simulated with the paper's own parameters, three runs each: the "
-            f"equation of motion integrated, {NOISE_ARCSEC:g} arcsec of noise on every position at 100 "
-            "positions a second, swings detected, both fits, the series combined. The simulator "
-            "shares no formula with the analysis."
+            "The three contact pairs are simulated with the paper's parameters, three runs each: the "
+            f"equation of motion is integrated, noise of {NOISE_ARCSEC:g} arcsec is added to each of the "
+            "100 positions per second, half-cycles are detected, both fits are made, and the runs are "
+            "combined. The simulator shares no formula with the analysis."
         ),
         html.heading("Known contradictions of the printed text", 3),
         html.notes(CONTRADICTIONS),

@@ -1,5 +1,5 @@
-"""Numbers printed in "Phenomenological Laws of Single Point Contact: Pre-Rolling Contact Resistance
-through Pendulum", Lubricants 2023, 11(2), 88, as data."""
+"""Values printed in the paper "Phenomenological Laws of Single Point Contact: Pre-Rolling Contact Resistance
+through Pendulum", Lubricants 2023, 11(2), 88."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -17,8 +17,10 @@ BALL: Final = "steel"
 
 @dataclass(frozen=True, slots=True)
 class PrintedPair:
-    """One contact pair: Tables 1 to 3. Table 2 prints b without its power of ten:
-    with 1e-4 a run lasts as long as the paper says."""
+    """Values of one contact pair in Tables 1 to 3.
+
+    Table 2 prints b without its power of ten; with 1e-4, a run lasts as long as stated in the paper.
+    """
 
     name: str
     flat: str

@@ -45,7 +45,10 @@ NOISE_ARCSEC = 0.0027
 
 @dataclass(frozen=True)
 class PairSeries:
-    """One contact pair simulated and analysed; `run` is the first of its runs."""
+    """One contact pair, simulated and analysed.
+
+    `points` are the turning points of all runs; `motion` and `run` belong to the first run, `series` to all.
+    """
 
     pair: PrintedPair
     parameters: ContactParameters
@@ -57,17 +60,16 @@ class PairSeries:
 
 
 def printed_parameters(pair: PrintedPair, b_exponent: int) -> ContactParameters:
-    """The pair's parameters with b's missing power of ten put in."""
+    """The pair's parameters, b with its missing power of ten."""
     return ContactParameters(
         pair.b_printed * 10.0**b_exponent, pair.p, pair.c, pair.n, pair.period0_s, pair.gamma_pa
     )
 
 
 def simulate_pair(pair: PrintedPair, b_exponent: int, seed: int) -> PairSeries:
-    """Three runs of one pair: motion by integration, noise, swings, both fits, the series.
+    """Simulate three runs of one pair, detect half-cycles, make both fits, and combine the runs.
 
-    The noise of each run is its own; everything else is the same, so that runs differ by what
-    the measurement does to them.
+    The runs differ only in their noise.
     """
     truth = printed_parameters(pair, b_exponent)
     pendulum = pendulum_on_ball(MASS_KG, BALL_RADIUS_M, MATERIALS[BALL], MATERIALS[pair.flat])

@@ -1,4 +1,4 @@
-"""The one place for symbols, units, rounding, tables, colours and what the terminal is told."""
+"""Presentation of results: symbols, units, rounding, tables, colours, output on the terminal."""
 
 from rig.presentation import palette
 from rig.presentation.balance import balance_drawn, balance_numbers, balance_panels, balance_table

@@ -1,4 +1,4 @@
-"""The balance's numbers: which there are, their table, and where Rerun draws them."""
+"""Quantities of the balance: their table, and how Rerun draws them."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 class Drawn(NamedTuple):
-    """Name of the entity of a balance's number in Rerun, its colour and its panel."""
+    """Name of a quantity's entity in Rerun, its colour, and its panel (empty: in the table only)."""
 
     entity: str
     colour: str = palette.GREY
@@ -33,11 +33,11 @@ BALANCE: Final[Mapping[str, Drawn]] = {
     "drift_y_per_s": Drawn("drift_y", palette.Y_COLOUR, "Drift X, Y"),
     "period_ratio": Drawn("period_ratio", palette.BLUISH_GREEN, "T_V / T_U"),
 }
-"""By the name in `processing.balance.Balance`; without a panel a number is in the table alone."""
+"""By the name in `processing.balance.Balance`."""
 
 
 def balance_drawn(key: str) -> Drawn:
-    """Where a number of the balance is drawn; one that is not listed by its own name, in no panel."""
+    """How a quantity of the balance is drawn; one that is not listed has its own name and no panel."""
     return BALANCE.get(key) or Drawn(key)
 
 

@@ -1,6 +1,6 @@
 """Numbers as text: two digits of the uncertainty, the value to the same place, powers of ten.
 
-The same string stands on the terminal, in the report, in comparisons and in Rerun.
+Terminal, report, comparisons and Rerun all use these functions.
 """
 
 import math
@@ -11,7 +11,7 @@ NOT_KNOWN: Final = "–"
 MINUS: Final = "−"
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _EXACT = Context(prec=1000)
-"""Digits enough for the sum of any two floating-point numbers."""
+"""Enough digits for the exact sum of any two floating-point numbers."""
 
 
 class Rounded(NamedTuple):
@@ -25,9 +25,9 @@ class Rounded(NamedTuple):
 def rounded(value: float, u: float) -> Rounded:
     """Value and standard uncertainty to the place of the second significant digit of the uncertainty.
 
-    The uncertainty is rounded first: 0.0996 is 0.10, and the value has two decimals. From 10⁵ up,
-    below 10⁻², and where the second digit of u is left of the decimal point, a power of ten is
-    taken out, so that every printed digit counts. Both must be finite and u above 0.
+    The uncertainty is rounded first: 0.0996 becomes 0.10, and the value has two decimals. A power of ten is
+    factored out from 10⁵ on, below 10⁻², and if the second digit of u is left of the decimal point, so that
+    all printed digits are significant. Both must be finite and u above 0.
     """
     exact = _decimal(value)
     u_rounded = Decimal(f"{_decimal(u):.1e}")
@@ -47,8 +47,8 @@ def rounded(value: float, u: float) -> Rounded:
 def with_uncertainty(value: float, u: float, *, signed: bool = False) -> str:
     """`(3.73315 ± 0.00010) × 10⁻³`: value and standard uncertainty, rounded as in `rounded`.
 
-    A value whose uncertainty is not known (NaN, infinite, 0) is printed without one. `signed`: a
-    positive value has a plus sign, since its direction matters.
+    A value without a known uncertainty (NaN, infinite, 0) is printed alone, one that is not finite as
+    "not determined". If `signed`, a positive value has a plus sign.
     """
     if not math.isfinite(value):
         return "not determined"
@@ -61,19 +61,19 @@ def with_uncertainty(value: float, u: float, *, signed: bool = False) -> str:
 
 
 def power(exponent: int) -> str:
-    """`× 10⁻³`, empty for 0."""
+    """A power of ten as a factor, `× 10⁻³`; empty for 0."""
     return f" × 10{str(exponent).translate(_SUPERSCRIPT)}" if exponent else ""
 
 
 def plain(value: float, digits: int = 4) -> str:
-    """A number to some significant digits; a dash for NaN, which stands for not known."""
+    """A number with the given number of significant digits; a dash for NaN (unknown)."""
     if math.isnan(value):
         return NOT_KNOWN
     if math.isinf(value):
         return "∞" if value > 0 else f"{MINUS}∞"
     if value == 0:
         return "0"
-    # the exponent of the rounded number: 0.99996 to four digits is 1.000
+    # the exponent is that of the rounded number: 0.99996 with four digits is 1.000
     mantissa, _, exponent_text = f"{_decimal(value):.{digits - 1}e}".partition("e")
     exponent = int(exponent_text)
     if -3 <= exponent < max(digits, 5):

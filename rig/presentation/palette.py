@@ -1,7 +1,7 @@
-"""Colours of view and report: one palette that colour-blind readers can tell apart.
+"""Colours of view and report, which can also be distinguished with colour-deficient vision.
 
-The eight colours of Okabe and Ito, "Color Universal Design" (2008), as hexadecimal sRGB, and what
-each of them stands for in every figure and every panel.
+The eight colours of Okabe and Ito, "Color Universal Design" (2008), as hexadecimal sRGB, and their meanings,
+which are the same in every figure and panel.
 """
 
 from typing import Final
@@ -34,11 +34,13 @@ LOSSES: Final = (VERMILLION, ORANGE, REDDISH_PURPLE, YELLOW)
 """Counts of losses."""
 
 SEQUENCE: Final = (SKY_BLUE, ORANGE, BLUISH_GREEN, VERMILLION, YELLOW, REDDISH_PURPLE, BLUE, GREY)
-"""Curves without a meaning of their own, and runs laid over each other, in this order."""
+"""Colours of all other curves, and of runs that are overlaid, in this order."""
 
 
 def curve_colour(name: str, number: int) -> str:
-    """Colour of an analysis' curve: fixed for data and the two fits, else the next of SEQUENCE."""
+    """Colour of a curve of the analysis: fixed for data and the two fits, otherwise that with `number` in
+    SEQUENCE.
+    """
     for word, colour in (
         (FitMethod.EXACT, EXACT_FIT_COLOUR),
         (FitMethod.ASYMPTOTIC, ASYMPTOTIC_FIT_COLOUR),

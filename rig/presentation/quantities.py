@@ -1,8 +1,8 @@
-"""The one table of quantities: symbol, unit and name of every number that a person reads.
+"""Table of all quantities that are shown to the user: symbol, unit and name.
 
-Keys are the names of the values as they are computed, which end in the SI unit; the deflections among
-the balance's numbers have no unit in their name and are rad here, or px where `quantity` is told so. The
-parameters of the contact's laws come with their laws; everything else stands here.
+The keys are the names under which the values are computed; they end in the SI unit. The deflections of the
+balance have no unit in their names: they are in rad, or in px if `quantity` is called with that unit.
+Parameters of the contact laws are defined with their laws, all other quantities here.
 """
 
 import math
@@ -20,9 +20,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """How a number is shown: `factor` times the stored value is the number shown, in `unit`.
+    """Presentation of a quantity: the number shown, in `unit`, is `factor` times the stored value.
 
-    `unit` is empty for a pure number.
+    `unit` is empty for a dimensionless quantity.
     """
 
     symbol: str
@@ -32,17 +32,17 @@ class Quantity:
 
     @property
     def label(self) -> str:
-        """`γ / MPa`: the heading of a row, a column or an axis."""
+        """Heading of a row, a column or an axis, such as `γ / MPa`."""
         if not self.unit:
             return self.symbol
         return f"{self.symbol} / ({self.unit})" if "/" in self.unit else f"{self.symbol} / {self.unit}"
 
     def text(self, value: float, u: float) -> str:
-        """A stored value and its standard uncertainty in the shown unit."""
+        """Text of a stored value and its standard uncertainty, in the unit shown."""
         return with_uncertainty(value * self.factor, u * self.factor)
 
     def in_px(self) -> "Quantity":
-        """The same where no lever turns pixels into angles, and deflections are stored in px."""
+        """The same quantity without a calibrated lever, where deflections are stored in px."""
         if not self.unit.startswith("arcsec"):
             return self
         return replace(self, unit=self.unit.replace("arcsec", "px"), factor=self.factor * ARCSEC_RAD)
@@ -86,13 +86,15 @@ SHOWN_UNITS: Final[Mapping[str, tuple[str, float]]] = {
     "Pa": ("MPa", 1e-6),
     "rad": ("arcsec", _ARCSEC),
 }
-"""In which unit a law's parameter is shown, by its SI unit; not listed: as it is."""
+"""Unit in which a parameter of a law is shown, and factor, by its SI unit; others are shown in the SI
+unit.
+"""
 
 
 def quantity(key: str, unit: str = "arcsec") -> Quantity:
-    """How a number is shown; one that is in no table goes by its key.
+    """Presentation of the quantity with this key; an unknown key is shown as it is.
 
-    `unit` is that of deflections as shown: arcsec, or px where there is no lever.
+    `unit` is that in which deflections are shown: arcsec, or px without a calibrated lever.
     """
     found = QUANTITIES.get(key)
     if found is None:
@@ -106,10 +108,9 @@ def quantity(key: str, unit: str = "arcsec") -> Quantity:
 
 @cache
 def law_parameters() -> Mapping[str, "Parameter"]:
-    """Every parameter of every law by its key, and the drag and the start that each fit has beside them.
+    """All parameters of all laws by their keys, and the drag and start values that every fit has in addition.
 
-    The laws are imported when first asked for: the viewer's process never needs them and starts
-    without their kernels.
+    The laws are imported only here, because the viewer's process does not need them and should start fast.
     """
     from processing.contact import AMPLITUDE, DRAG, LAWS, TIME
 

@@ -1,4 +1,4 @@
-"""A table: plain values for its CSV, and how a person reads it."""
+"""A table: plain values for a CSV file, and texts for the user."""
 
 import csv
 import io
@@ -11,9 +11,9 @@ Cell = float | int | str
 
 @dataclass(frozen=True)
 class Table:
-    """`columns` and `rows` go into the CSV as they are; `head` and `shown` are what a person reads.
+    """Heading and values for the CSV file (`columns`, `rows`), and as text for the user (`head`, `shown`).
 
-    `shown` empty: the table is a file alone (too long to print).
+    If `shown` is empty, the table is only written to a file, because it is too long to print.
     """
 
     name: str
@@ -25,7 +25,7 @@ class Table:
     note: str = ""
 
     def csv(self) -> str:
-        """Comma-separated, one header line, numbers to the last digit; NaN is an empty cell."""
+        """Comma-separated values with one header line; numbers have all digits, NaN is an empty cell."""
         out = io.StringIO()
         writer = csv.writer(out, lineterminator="\n")
         writer.writerow(self.columns)

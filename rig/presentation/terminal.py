@@ -11,7 +11,7 @@ _NUMBERS_BEGIN_WITH = tuple("0123456789−-+(<>–")
 
 
 def print_tables(tables: Sequence[Table]) -> None:
-    """The tables on the terminal, as wide as they need; columns that are mostly numbers are right-aligned."""
+    """Print tables; columns that consist mostly of numbers are right-aligned."""
     console = Console(width=None if Console().is_terminal else 170)
     for content in tables:
         drawn = RichTable(title=content.title, title_justify="left", box=None, pad_edge=False)

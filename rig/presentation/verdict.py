@@ -1,4 +1,4 @@
-"""Go or no-go, one line each: what was checked, what was found, the remedy."""
+"""Result of one check of preflight or doctor: what was checked, what was found, and the remedy."""
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -11,15 +11,15 @@ class Verdict:
     Attributes
     ----------
     ok
-        Nothing stands against a measurement. One that is ok and has a remedy is a warning.
+        Whether a measurement is possible. A result that is ok and has a remedy is a warning.
     reason
-        What was found, or why it is not well; empty where `measured` says it all.
+        What was found, or the reason of a failure; empty if `measured` is sufficient.
     remedy
-        What to do; empty where nothing is to be done.
+        What to do; empty if nothing is to be done.
     measured, limit
-        Of a measurement, with units.
+        Value and limit of a measurement, with units.
     made
-        False: there was nothing to check, for the reason given; that is ok.
+        False if there was nothing to check, for the stated reason; `ok` is then True.
     """
 
     name: str
@@ -38,5 +38,5 @@ def failures(verdicts: Sequence[Verdict]) -> str:
 
 
 def table_tree(verdicts: Sequence[Verdict]) -> list[dict[str, object]]:
-    """The table as plain values."""
+    """The results as plain values, for JSON."""
     return [asdict(verdict) for verdict in verdicts]

@@ -1,4 +1,4 @@
-"""Verdicts as a person reads them."""
+"""Prints the table of preflight or doctor."""
 
 from collections.abc import Sequence
 
@@ -9,7 +9,7 @@ from rig.presentation.verdict import Verdict
 
 
 def print_verdicts(console: Console, verdicts: Sequence[Verdict]) -> None:
-    """The go / no-go table; below it why, and what to do, for each warning and each no."""
+    """Print the go / no-go table, and below it reason and remedy of each warning and each no-go."""
     table = Table(box=None, pad_edge=False, header_style="bold", expand=False)
     names = ["", "check", "found"]
     limited = any(verdict.limit for verdict in verdicts)

@@ -1,4 +1,4 @@
-"""What scripts and notebooks use, handed on by `import rig`: records, sessions, fits, figures."""
+"""Functions and classes of `import rig` for scripts and notebooks: records, sessions, fits, figures."""
 
 from rig.scripting.fits import fit, fit_table
 from rig.scripting.record import Record, open_record

@@ -15,24 +15,25 @@ Recorded = str | Path | Record | Session
 def fit(
     source: Recorded | Sequence[Recorded], overrides: Mapping[str, object] | None = None
 ) -> SessionResults:
-    """Fit the laws of the contact, or what the kind of pendulum asks for, to one or more records.
+    """Fit the contact laws to one or more records, or evaluate them as the kind of pendulum requires.
 
     Parameters
     ----------
     source
-        A record, a session, a path of a record, or several of them, which are a series.
+        A record, a session, the path of a record, or a sequence of these, which are combined as a series.
     overrides
         Changes of the recorded configuration for this fit, by dotted key: ``{"fit.drag": True}``.
 
     Returns
     -------
-    What results.json holds; nothing is written (`rig.write_results` does that). A run that could not
-    be fitted says why in `problem`.
+    SessionResults
+        The content of results.json. Nothing is written; `rig.write_results` does that. If a run could not be
+        fitted, its `problem` is the reason.
 
     Raises
     ------
     RigError
-        A record that cannot be read, an unknown key.
+        A record cannot be read, or a key is unknown.
     """
     changes = [f"{key}={json.dumps(value)}" for key, value in (overrides or {}).items()]
     several = [source] if isinstance(source, str | Path | Record | Session) else source
@@ -59,23 +60,29 @@ def fit_table(
     time: str | None = None,
     positions: Sequence[str] = (),
 ) -> TableResults:
-    """Decay and period of a table of positions from any instrument, and the laws of the contact.
+    """Determine decay and period from a table of positions of any instrument, and fit the contact laws.
 
     Parameters
     ----------
     path
-        Text table, CSV or the like.
+        Text file with a table, such as CSV; times in s.
     unit
-        Of the positions: rad, mrad, urad, arcsec, arcmin, deg; with any other word there are no laws.
+        Unit of the positions: rad, mrad, urad, arcsec, arcmin or deg. With any other unit the contact laws
+        are not fitted.
     configuration
-        TOML file with [pendulum] and [fit], which the laws need.
+        TOML file with [pendulum] and [fit], which the contact laws require; None: they are not fitted.
     time, positions
-        Columns by name or by number from 1; without them the first two.
+        Columns by name or by number from 1; by default the first column is the time, the second the position.
+
+    Returns
+    -------
+    TableResults
+        Numbers of samples and half-cycles, decay, period and fits.
 
     Raises
     ------
     RigError
-        A table without numbers, a column that is not there, samples without a free decay.
+        The table has no numbers or lacks a column, or the samples are not a free decay.
     """
     config = load_configuration(Path(configuration)) if configuration is not None else None
     return analyse_table(Path(path), config, time, positions, unit).results

@@ -16,16 +16,18 @@ from processing.deflections import Deflections, DeflectionUnit
 
 @dataclass(frozen=True)
 class Record:
-    """A record on disk. Every method opens the file, reads what it returns, and closes it.
+    """A record on disk. Every method opens the file, reads the data that it returns, and closes the file.
 
     Attributes
     ----------
+    path
+        The file.
     unit
-        Of deflections and amplitudes: rad, or px where the rig had no calibrated lever.
+        Unit of deflections and amplitudes: rad, or px if the rig had no calibrated lever.
     metadata
         Texts by section and key: session, camera, environment, versions.
     truncated
-        The file was cut short; what is there is read.
+        Whether the file was cut short; its complete part is read.
     """
 
     path: Path
@@ -34,29 +36,34 @@ class Record:
     truncated: bool
 
     def spots(self) -> NDArray[Any]:
-        """One row a frame: `sequence`, the times, the spot in px with its uncertainties and flags.
+        """Spots as a structured array (n,), one row per frame.
 
-        A structured array; the names of its fields end in their units. NaN where the spot was lost.
+        The fields are the frame number, the times, position and shape of the spot with standard
+        uncertainties, flags, and the deflections. Their names end in the unit. NaN where the spot was lost.
         """
         with RecordReader(self.path) as reader:
             return reader.spots()
 
     def deflections(self) -> Deflections:
-        """Deflections of the pendulum along both axes, in `unit`, with standard uncertainties."""
+        """Deflections of the pendulum along both axes, arrays (n,) in `unit`, with standard uncertainties.
+
+        x is the fast mode, y the slow mode; NaN where the spot was lost.
+        """
         with RecordReader(self.path) as reader:
             return reader.deflections()
 
     def swings(self) -> NDArray[Any]:
-        """One row a half-cycle, as detected while the record was made (fits measure them again).
+        """Half-cycles as a structured array (n,), one row each, as they were detected during the run.
 
-        A structured array; the names of its fields end in their units: `amplitude_rad`, or `amplitude_px`
-        without a lever. `flags` is 0 for those that may be fitted (`processing.swing.SwingFlag`).
+        The names of the fields end in the unit: `amplitude_rad`, or `amplitude_px` without a lever. `flags`
+        is 0 for half-cycles that are fitted (see `processing.swing.SwingFlag`). Fits determine the turning
+        points anew.
         """
         with RecordReader(self.path) as reader:
             return reader.table(SWING.topic)
 
     def events(self) -> NDArray[Any]:
-        """What happened during the run: `time_ns`, `kind` and `text`, in a structured array."""
+        """Events during the run as a structured array (n,): `time_ns`, `kind` and `text`."""
         with RecordReader(self.path) as reader:
             events = reader.events()
         kinds = np.array([str(event.kind) for event in events], dtype=np.str_)
@@ -67,23 +74,23 @@ class Record:
         return table
 
     def windows(self) -> Iterator[RecordedWindow]:
-        """The pixels around the spot, frame by frame; memory stays flat."""
+        """Windows of raw pixels around the spot, one frame at a time, for records larger than memory."""
         with RecordReader(self.path) as reader:
             yield from reader.windows()
 
     def images(self) -> Iterator[Frame]:
-        """The whole frames, of which there is one every few seconds."""
+        """Whole frames, which are recorded every few seconds, one at a time."""
         with RecordReader(self.path) as reader:
             yield from reader.images()
 
 
 def open_record(path: str | Path) -> Record:
-    """A record (MCAP file).
+    """Open a record (MCAP file).
 
     Raises
     ------
     RigError
-        No such file, or no record of this program.
+        The file does not exist, or is not a record of this program.
     """
     with RecordReader(Path(path)) as reader:
         return Record(reader.path, reader.deflection_unit, reader.metadata, reader.truncated)

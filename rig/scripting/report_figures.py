@@ -11,15 +11,24 @@ if TYPE_CHECKING:
 
 
 def figures(source: str | Path, run: int = 1) -> "Mapping[str, Figure]":
-    """The figures of one run of a session, counted from 1, by the names that their files have in a report.
+    """Figures of one run of a session, by the names that their files have in a report.
 
-    `source` is a session's folder or a results file. A matplotlib figure shows itself in a notebook, and
-    `savefig` writes it.
+    Parameters
+    ----------
+    source
+        Folder of a session, or a results file.
+    run
+        Number of the run, counted from 1.
+
+    Returns
+    -------
+    Mapping of str to matplotlib.figure.Figure
+        A notebook displays the figures; `savefig` writes them.
 
     Raises
     ------
     RigError
-        No results, no such run, or a record that is missing.
+        There are no results or no such run, or a record is missing.
     """
     with styled():
         return {drawing.name: drawing.figure for drawing in draw_run(Path(source), run)}

@@ -15,24 +15,24 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Session:
-    """A session's folder with its results, and the records that these were made from, in order."""
+    """A session: its folder, its results, and the records from which they were made, in order of the runs."""
 
     folder: Path
     results: SessionResults
     records: tuple[Record, ...]
 
     def figures(self, run: int = 1) -> "Mapping[str, Figure]":
-        """The figures of one run, counted from 1: see `rig.figures`."""
+        """Figures of one run, counted from 1; see `rig.figures`."""
         return figures(self.folder, run)
 
 
 def open_session(folder: str | Path) -> Session:
-    """A session's folder with results.json.
+    """Open the folder of a session with its results.json.
 
     Raises
     ------
     RigError
-        No results (`rig.fit` makes some), or a record that is missing.
+        There are no results (`rig.fit` makes them), or a record is missing.
     """
     folder = Path(folder)
     results = read_results(folder)

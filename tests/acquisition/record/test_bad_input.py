@@ -57,7 +57,7 @@ CASES = {
     "no such file": (lambda path: None, "no such record"),
     "folder": (Path.mkdir, "cannot be read"),
     "empty": (Path.touch, "is empty"),
-    "text": (lambda path: path.write_text("t,x\n1,2\n"), "is no MCAP file"),
+    "text": (lambda path: path.write_text("t,x\n1,2\n"), "is not an MCAP file"),
     "magic alone": (lambda path: path.write_bytes(b"\x89MCAP0\r\n"), "cut before anything was recorded"),
     "foreign": (foreign, r"another program \(topics: /robot/pose\)"),
     "empty MCAP": (empty_mcap, r"another program \(topics: none\)"),
@@ -95,7 +95,7 @@ def test_a_file_is_never_overwritten(tmp_path: Path) -> None:
 
 
 def test_a_folder_that_does_not_exist_is_said(tmp_path: Path) -> None:
-    with pytest.raises(RecordError, match="cannot be made: No such file"):
+    with pytest.raises(RecordError, match="cannot be created: No such file"):
         RecordWriter(tmp_path / "missing" / "run.mcap", 0)
 
 
@@ -106,5 +106,5 @@ def test_results_that_are_none_are_said(tmp_path: Path) -> None:
     with pytest.raises(RecordError, match="cannot be read"):
         check_record(path, results)
     results.write_text("[1]")
-    with pytest.raises(RecordError, match=r"is no results\.json"):
+    with pytest.raises(RecordError, match=r"is not a results\.json"):
         check_record(path, results)

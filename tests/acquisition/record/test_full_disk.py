@@ -117,7 +117,7 @@ def test_what_others_write_in_the_meantime_cannot_take_the_reserve(small_disk: P
 
 def test_no_room_for_the_reserve_is_said_at_the_opening(small_disk: Path) -> None:
     path = small_disk / "run.mcap"
-    with pytest.raises(RecordError, match="cannot be made: No space left on device"):
+    with pytest.raises(RecordError, match="cannot be created: No space left on device"):
         RecordWriter(path, 0, reserve_bytes=2 * DISK_BYTES)
     assert list(small_disk.glob("*.mcap")) == []
 

@@ -37,7 +37,7 @@ def test_a_cut_record_is_named_with_its_remedy(
     READERS[name](cut, tmp_path)
     said = capsys.readouterr()
     joined = " ".join((said.out + said.err).split())
-    assert f"was cut short (it has no end); what is there is used, rig recover {cut}" in joined
+    assert f"was cut short (it has no ending); its complete part is used, rig recover {cut}" in joined
     assert sorted(path.name for path in cut.parent.iterdir()) == ["run-1.mcap", "whole.mcap"]
 
 

@@ -63,7 +63,7 @@ def test_reading_begins_at_the_last_tag() -> None:
 
 @pytest.mark.parametrize("command", ["LAS:POW 1\n", "A#B", "A!B", "µ"])
 def test_a_command_that_would_break_the_line_is_refused(command: str) -> None:
-    with pytest.raises(ValueError, match="is no command"):
+    with pytest.raises(ValueError, match="is not a command"):
         encode(1, command)
 
 

@@ -165,7 +165,7 @@ def test_a_folder_that_holds_a_run_is_never_written_over(short_session: Path) ->
         (("run",), 2, "Missing argument"),
         (("rnu",), 2, "Did you mean"),
         (("run", CONFIGS / "demo.toml", "--set", "session.rnus=3"), 2, "did you mean runs?"),
-        (("replay", CONFIGS / "demo.toml"), 1, "is no MCAP file"),
+        (("replay", CONFIGS / "demo.toml"), 1, "is not an MCAP file"),
         (("fit", "nowhere.mcap"), 1, "no such record"),
         (("fit", "nowhere.csv"), 1, "no such file"),
     ],
