@@ -1,4 +1,4 @@
-"""What all tests share: the folder of real data, where there is one."""
+"""Fixtures of all tests: the folder of real data, if it exists."""
 
 import os
 import signal

@@ -1,4 +1,4 @@
-"""The worked examples of CONTRIBUTING, made and run in a copy of the tree, one after the other."""
+"""The worked examples of CONTRIBUTING run in a copy of the tree, one after the other."""
 
 import os
 import re

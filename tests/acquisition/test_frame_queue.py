@@ -1,3 +1,5 @@
+"""The frame queue and its policies every, latest and wait: order, losses, end of waiting at close."""
+
 import threading
 
 import numpy as np

@@ -1,4 +1,4 @@
-"""Calibrated quantities on simulated rigs drawn anew for every seed, and measurements made with them.
+"""Bias and coverage of calibrated quantities on random simulated rigs, and of measurements made with them.
 
 Run as ``python -m tests.benchmarks.bench_calibration [--quick]`` from the repository.
 """

@@ -1,4 +1,4 @@
-"""How fast the controller answers, and that its silence costs no frame.
+"""Response time of the controller; a controller that does not answer costs no frame.
 
 The firmware runs on node's MicroPython behind a pseudo-terminal, as in the tests.
 """

@@ -1,4 +1,4 @@
-"""Coverage of every kind of pendulum: how often the stated uncertainty holds the simulated truth."""
+"""Coverage of the stated uncertainties for every kind of pendulum."""
 
 import argparse
 import math

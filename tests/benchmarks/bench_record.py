@@ -1,4 +1,4 @@
-"""Writing and reading records, side by side with the libraries' own writer and reader.
+"""Speed of writing and reading records, compared with the writer and reader of the libraries.
 
 Processor time of one thread, because the recorder shares the machine; ``wall`` where the disk takes part.
 """

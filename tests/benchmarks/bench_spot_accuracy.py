@@ -1,4 +1,4 @@
-"""Spot tracker against the Cramer-Rao bound, and what disturbs it.
+"""Spot tracker against the Cramer-Rao bound, and with disturbances.
 
 Run as ``python -m tests.benchmarks.bench_spot_accuracy [--quick]`` from the repository.
 """

@@ -1,4 +1,4 @@
-"""A simulated rig whose geometry, axes, gain, noise and clocks are drawn anew for every seed."""
+"""A simulated rig with random geometry, axes, gain, noise and clocks for each seed."""
 
 from dataclasses import dataclass
 

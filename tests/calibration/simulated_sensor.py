@@ -1,4 +1,4 @@
-"""Evenly lit and dark frames of the simulated camera."""
+"""Uniformly lit and dark frames of the simulated camera."""
 
 import numpy as np
 from numpy.typing import NDArray

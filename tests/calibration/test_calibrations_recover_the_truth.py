@@ -1,4 +1,4 @@
-"""Short version of the benchmark over 200 seeds: bias and coverage of every calibrated quantity."""
+"""Bias and coverage of every calibrated quantity; short version of the benchmark over 200 seeds."""
 
 import numpy as np
 import pytest

@@ -1,3 +1,5 @@
+"""Clock relation, pointing stability, check at rest and axes, from synthetic samples."""
+
 import numpy as np
 import pytest
 

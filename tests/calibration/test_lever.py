@@ -1,3 +1,5 @@
+"""Light lever: geometry against hand calculation, ladders of tilts and shifts, checks of the scale."""
+
 import math
 from dataclasses import replace
 

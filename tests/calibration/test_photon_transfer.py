@@ -1,4 +1,4 @@
-"""Sensor calibration against the simulated sensor's truth and against EMVA 1288's formulas."""
+"""The sensor calibration agrees with the simulated sensor and with the formulas of EMVA 1288."""
 
 import numpy as np
 import pytest

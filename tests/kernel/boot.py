@@ -1,4 +1,4 @@
-"""Boots a Debian kernel in QEMU with this machine's files, runs one Python program in it.
+"""Boots a Debian kernel in QEMU with the files of this machine, and runs a Python program in it.
 
 No disk image is made: the kernel's own modules go into a small initramfs, and the root of this
 machine is shared read-only over 9p. Without KVM the guest runs about ten times slower.

@@ -1,4 +1,4 @@
-"""Runs inside the guest, with the system's Python: read the camera through libaravis."""
+"""Runs in the guest with the system's Python: reads the camera through libaravis."""
 
 import json
 import sys

@@ -1,4 +1,4 @@
-"""Runs inside the guest, PyGObject on its path: our driver reads the USB camera through libaravis."""
+"""Runs in the guest with PyGObject: the aravis driver reads the USB camera."""
 
 import json
 import sys

@@ -1,4 +1,4 @@
-"""Runs inside the guest: the test camera on the kernel's virtual USB host, read by real libusb."""
+"""Runs in the guest: real libusb reads the test camera on the kernel's virtual USB host."""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""Runs inside the guest: the conformance suite and faults against the kernel's vivid driver."""
+"""Runs in the guest: conformance suite and faults with the kernel's vivid driver."""
 
 import fcntl
 import json

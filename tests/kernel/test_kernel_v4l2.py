@@ -1,4 +1,4 @@
-"""The Video4Linux driver against the kernel's own test driver, vivid, in QEMU.
+"""The Video4Linux driver with the kernel's test driver vivid, in QEMU.
 
 Run by ``make test-kernel``; skipped, with the reason, where QEMU or a kernel can't be had.
 """

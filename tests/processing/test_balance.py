@@ -1,4 +1,4 @@
-"""Balance: values and honest uncertainties, once a period, whatever the blocks."""
+"""Balance: values and correct uncertainties, once per period, independent of the blocks."""
 
 import math
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""The forecast of the end of a decay against simulated decays of the paper's three pairs."""
+"""The forecast of a decay's end agrees with simulated decays of the paper's three pairs."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Sessions that several tests of reports and exports look at."""
+"""Sessions used by several tests of reports and exports."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""`import rig` as docs/api.md describes it: every example is run, and nothing is loaded before it is used."""
+"""All examples of docs/api.md run, and `import rig` loads nothing before it is used."""
 
 import re
 import shutil

@@ -1,4 +1,4 @@
-"""The commands of README and docs, run as they stand there."""
+"""The commands in README and docs run as they are written."""
 
 import re
 import shlex

@@ -1,4 +1,4 @@
-"""Signals as an exception: once, in the main thread, and the handlers before are there again afterwards."""
+"""Signals raise an exception once, in the main thread, and the previous handlers are restored."""
 
 import signal
 from contextlib import ExitStack

@@ -1,4 +1,4 @@
-"""Files of an earlier version, read by every command that reads such files: see data/older/README.md."""
+"""Files of an earlier version are read by every command that reads such files: see data/older/README.md."""
 
 import csv
 import json

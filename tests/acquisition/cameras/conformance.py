@@ -1,4 +1,4 @@
-"""What every camera driver must pass. A driver's test subclasses `CameraConformance`.
+"""Conformance suite of the camera drivers. A driver's test is a subclass of `CameraConformance`.
 
 A subclass gives a fixture ``camera`` (closed, of a source that delivers at least
 `FRAMES_NEEDED` frames after each start) and states what its source can do. What a driver cannot

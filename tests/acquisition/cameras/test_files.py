@@ -1,4 +1,4 @@
-"""The files camera: the conformance suite, every container, timestamps, what is wrong with files."""
+"""The files camera passes the conformance suite and reads every container and timestamps; faulty files."""
 
 import shutil
 from collections.abc import Iterator

@@ -1,4 +1,4 @@
-"""The pylon driver against Basler's own camera emulation; skipped where pypylon is not installed."""
+"""The pylon driver with Basler's camera emulation; skipped if pypylon is not installed."""
 
 import warnings
 from collections.abc import Iterator

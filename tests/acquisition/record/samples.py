@@ -1,4 +1,4 @@
-"""Small records with everything in them, the same for the same seed."""
+"""Small records with messages of every kind; the same seed gives the same record."""
 
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What is no record of ours gets one clear line, and nothing is written beside it."""
+"""A file that is not a record gives one clear line, and no file is written."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Changed bytes and cut files: found, named, and everything else is read."""
+"""Changed bytes and truncated files are found and named, and everything else is read."""
 
 import contextlib
 import json

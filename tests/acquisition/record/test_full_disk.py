@@ -1,4 +1,4 @@
-"""A disk that fills up: the record is closed with its footer, and the writer says why."""
+"""On a full disk the record is closed with its ending, and the writer gives the reason."""
 
 import os
 import subprocess

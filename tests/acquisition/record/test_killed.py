@@ -1,4 +1,4 @@
-"""kill -9 at any moment: the file opens, and at most the last second is missing."""
+"""After kill -9 at any time the file can be opened, and at most the last second is missing."""
 
 import signal
 import subprocess

@@ -1,4 +1,4 @@
-"""Memory of a writer over a long run does not grow with it."""
+"""The memory of a writer does not grow during a long run."""
 
 import subprocess
 import sys

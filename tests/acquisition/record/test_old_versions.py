@@ -1,6 +1,6 @@
-"""Records of every version stay readable: one small file of each is kept, with what is in it.
+"""Records of all versions can be read: one small file of each version is kept, with its content.
 
-To keep one of a new version: ``python -m tests.acquisition.test_record_old_versions``; it overwrites nothing.
+To keep one of a new version: ``python -m tests.acquisition.record.test_old_versions``; it overwrites nothing.
 """
 
 import hashlib

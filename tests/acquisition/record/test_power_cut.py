@@ -1,4 +1,4 @@
-"""A file system that goes away under the record: what was flushed is on the disk."""
+"""If the file system fails during a run, the flushed data are on the disk."""
 
 import os
 import struct

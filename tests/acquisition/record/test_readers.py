@@ -1,4 +1,4 @@
-"""Records through readers that are not ours: Foxglove's in TypeScript, Rerun's in Rust, the mcap package."""
+"""Other readers can read records: Foxglove's in TypeScript, Rerun's in Rust, the mcap package."""
 
 import base64
 import json

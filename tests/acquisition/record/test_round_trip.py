@@ -1,4 +1,4 @@
-"""What is written comes back, to the last bit."""
+"""Values read from a record are identical to those written."""
 
 import math
 import struct

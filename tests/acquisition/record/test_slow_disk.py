@@ -1,4 +1,4 @@
-"""A disk that takes its time, or fails while nobody waits for it."""
+"""A slow disk does not delay the writer; its errors are reported, also later ones."""
 
 import errno
 import threading

@@ -1,4 +1,4 @@
-"""Record as fast as a camera of 400 frames/s would, until killed; say what was handed over and when.
+"""Records at the speed of a camera with 400 frames/s until it is killed, and reports what was written when.
 
 Each line on stdout: host time in s and number of the last frame of a block that was handed to the writer.
 """

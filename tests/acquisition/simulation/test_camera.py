@@ -1,4 +1,4 @@
-"""The simulated camera: the conformance suite, reproducibility, pacing, faults."""
+"""The simulated camera: conformance suite, reproducibility, real time, faults."""
 
 import time
 from collections.abc import Iterator

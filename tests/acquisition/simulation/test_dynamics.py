@@ -1,4 +1,4 @@
-"""The simulated pendulum against an independent integration at tight tolerance, and what must hold of it."""
+"""The simulated pendulum agrees with an independent integration at tight tolerance; conserved quantities."""
 
 import math
 from typing import Any

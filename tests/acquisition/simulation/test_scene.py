@@ -1,4 +1,4 @@
-"""Where the simulated spot is: axes, lever, imbalance, drift, jitter, faults; and the settings' own words."""
+"""Position of the simulated spot: axes, lever, imbalance, drift, jitter, faults; messages of the settings."""
 
 import math
 from typing import Any

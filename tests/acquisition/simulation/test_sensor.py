@@ -1,4 +1,4 @@
-"""The simulated sensor's noise against its exact distribution, and the light against its integral."""
+"""The simulated sensor's noise has the exact distribution, and its light the exact integral."""
 
 import math
 from typing import Any

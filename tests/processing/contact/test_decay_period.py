@@ -1,4 +1,4 @@
-"""Eqs. 5 and 6 against direct quadrature, their limits, and each other's consistency."""
+"""Eqs. 5 and 6 agree with direct quadrature, their limits, and each other."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""The half-swing map against an integration of the equation of motion that shares nothing with it."""
+"""The half-swing map agrees with an independent integration of the equation of motion."""
 
 import numpy as np
 import pytest

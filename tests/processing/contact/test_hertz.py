@@ -1,4 +1,4 @@
-"""Hertz, the paper's Table 1 and surface energies."""
+"""Hertz contact, the paper's Table 1 and surface energies."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Loops, work and losses: what is drawn must be what is lost."""
+"""Loops, work and losses agree with each other."""
 
 from dataclasses import asdict
 

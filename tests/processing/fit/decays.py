@@ -1,4 +1,4 @@
-"""Decays for the tests of contact and fit: the paper's three pairs, any noise, gaps, outliers."""
+"""Simulated decays of the paper's three pairs with noise, gaps and outliers."""
 
 import numpy as np
 from numpy.typing import NDArray

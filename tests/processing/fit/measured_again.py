@@ -1,4 +1,4 @@
-"""Decays in rad with noise, and their half-cycles measured again on the fitted motion."""
+"""Decays in rad with noise, and their half-cycles determined again with the fitted motion."""
 
 from dataclasses import replace
 

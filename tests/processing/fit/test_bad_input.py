@@ -1,4 +1,4 @@
-"""Swings that cannot be fitted: one clear line each."""
+"""Swings that cannot be fitted give one clear line."""
 
 from dataclasses import replace
 

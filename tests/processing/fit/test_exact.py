@@ -1,4 +1,4 @@
-"""The two fits on decays whose truth is known."""
+"""Both fits recover the true parameters of simulated decays."""
 
 import numpy as np
 import pytest

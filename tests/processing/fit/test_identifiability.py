@@ -1,4 +1,4 @@
-"""Drag verdict, profile likelihood, and what is said of parameters that data do not determine."""
+"""Drag verdict, profile likelihood, and remarks on parameters that the data do not determine."""
 
 import numpy as np
 import pytest

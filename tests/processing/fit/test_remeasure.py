@@ -1,4 +1,4 @@
-"""Turning points measured again on the fitted motion: at the bound from the first half-cycle, independent."""
+"""Turning points determined with the fitted motion reach the Cramer-Rao bound and are independent."""
 
 from dataclasses import replace
 

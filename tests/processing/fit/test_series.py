@@ -1,4 +1,4 @@
-"""Series of runs: combined, averaged, compared; the stray run named."""
+"""Series of runs are combined, averaged and compared; an outlying run is named."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""The super-smoother as the model-free check of T(alpha)."""
+"""The super-smoother gives T(alpha) without a model."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""The budget and the Monte Carlo against doing it all again with other inputs."""
+"""Budget and Monte Carlo agree with repeated fits with changed inputs."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Every kind of pendulum, simulated as its configuration says, measured, and beside the simulated truth.
+"""Simulation of every kind of pendulum as configured, its measurement, and the true values.
 
 Samples have white noise of a stated size; detection and reduction are those of the rig. Truths are read
 from the simulator's own noise-free turning points and settings.

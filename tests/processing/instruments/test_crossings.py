@@ -1,4 +1,4 @@
-"""A spot that leaves the sensor: turning points from the crossings, against the simulator's own."""
+"""Turning points outside the sensor are inferred from crossings and agree with the simulator's."""
 
 import math
 

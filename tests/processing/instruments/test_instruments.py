@@ -1,4 +1,4 @@
-"""The kinds of pendulum: table, reductions against truths known otherwise, coverage, bad input."""
+"""Kinds of pendulum: table, values against known truths, coverage, bad input."""
 
 import math
 

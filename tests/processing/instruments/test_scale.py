@@ -1,4 +1,4 @@
-"""The angular scale's uncertainty in what is reported: known derivatives, and the actual scatter."""
+"""Effect of the scale's uncertainty on reported values: known derivatives, and actual scatter."""
 
 from dataclasses import replace
 

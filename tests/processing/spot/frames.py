@@ -1,4 +1,4 @@
-"""Frames of a spot as a sensor would see them, made with scipy's error function alone."""
+"""Frames of a spot on a sensor, calculated with scipy's error function."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""The tracker stands at the Cramer-Rao bound, and says by how much it may be wrong."""
+"""The tracker reaches the Cramer-Rao bound, and its uncertainties are correct."""
 
 import math
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Hot pixels, saturation, edges, ghosts, tilt, loss."""
+"""Spots with hot pixels, saturation, edges of the sensor, ghosts, tilt, and loss of the spot."""
 
 import math
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""The passes over a whole frame do in vector code what a few lines of numpy say."""
+"""The vectorised passes over a whole frame agree with a few lines of numpy."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Swings must not depend on how the samples were cut, must come in time, and memory must stay flat."""
+"""Swings do not depend on the division into blocks, come in time, and memory does not grow."""
 
 import tracemalloc
 from itertools import pairwise

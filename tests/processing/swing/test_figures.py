@@ -1,4 +1,4 @@
-"""Turning points at the bound: scatter, bias, claimed uncertainty, of damped sinusoids and true waveforms.
+"""Turning points reach the Cramer-Rao bound: scatter, bias, uncertainty, for sinusoids and true waveforms.
 
 Tolerances: the root mean square of n normal deviates has the standard deviation 1/sqrt(2 n), their
 mean 1/sqrt(n); four of these are added to the figure that is asked for.

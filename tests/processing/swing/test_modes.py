@@ -1,4 +1,4 @@
-"""Two modes in the plane: values, honest uncertainties, and what is no oscillation."""
+"""Two modes in the plane: values, correct uncertainties, and samples without an oscillation."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Noise from the samples alone."""
+"""The noise is estimated from the samples alone."""
 
 import math
 

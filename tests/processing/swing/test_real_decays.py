@@ -1,4 +1,4 @@
-"""Decays that no one here made: a real seismometer's free decay, a real torsion balance's laser spot."""
+"""Real decays of other origin: free decay of a seismometer, laser spot of a torsion balance."""
 
 import gzip
 from pathlib import Path

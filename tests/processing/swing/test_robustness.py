@@ -1,4 +1,4 @@
-"""Gaps, lost spots, bursts, kicks, releases, drafts: flagged or missing, never wrong."""
+"""Half-cycles with gaps, lost spots, bursts, kicks, releases or drifts are flagged or missing, not wrong."""
 
 import math
 from itertools import pairwise

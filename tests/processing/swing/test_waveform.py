@@ -1,4 +1,4 @@
-"""The tabulated half-swing against an independent integration, and its derivatives against differences."""
+"""The tabulated half-swing agrees with an independent integration, its derivatives with differences."""
 
 import math
 

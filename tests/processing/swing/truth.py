@@ -1,4 +1,4 @@
-"""Decays whose turning points are known: damped sinusoids and the integrated equation of motion."""
+"""Decays with known turning points: damped sinusoids and the integrated equation of motion."""
 
 import math
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Uncertain directions of the axes: what they do to the slow deflection, and their lines in the budget."""
+"""Uncertain directions of the axes: effect on the slow deflection, and their lines in the budget."""
 
 from dataclasses import replace
 

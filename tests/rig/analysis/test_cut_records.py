@@ -1,4 +1,4 @@
-"""Whoever reads a record that was cut says so in one line, with the remedy, and reads what there is."""
+"""Commands that read a truncated record use its complete part and say so in one line, with the remedy."""
 
 import shutil
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""A run's fits read the same on the terminal as in the report."""
+"""A run's fits are shown in the same way on the terminal and in the report."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""Other pendulums from frames to results.json, and what is said where something is missing."""
+"""Other pendulums from frames to results.json, and messages about missing data."""
 
 import json
 import math

@@ -1,3 +1,5 @@
+"""Tables of positions from other instruments are read, and faulty ones are rejected."""
+
 from pathlib import Path
 
 import numpy as np

@@ -1,4 +1,4 @@
-"""results.json: both ways without loss, earlier versions, faults in one line, the published schema."""
+"""results.json: written and read without loss, earlier versions, faults in one line, published schema."""
 
 import json
 import math

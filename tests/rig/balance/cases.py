@@ -1,4 +1,4 @@
-"""Seeded imbalances of the simulated rig, trimmed by following the advice."""
+"""Random imbalances of the simulated rig, trimmed by following the advice."""
 
 import math
 from typing import NamedTuple

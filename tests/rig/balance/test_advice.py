@@ -1,4 +1,4 @@
-"""Advice on the balance: on the simulated rig it leads into the limits, and it learns what a turn does."""
+"""Following the advice brings the simulated rig within the limits; the effect of a turn is learned."""
 
 import json
 import math

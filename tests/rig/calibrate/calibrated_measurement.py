@@ -1,4 +1,4 @@
-"""A simulated measurement whose every calibration was made from simulated calibration data alone."""
+"""A simulated measurement whose calibrations are made from simulated calibration data only."""
 
 import datetime
 from dataclasses import replace

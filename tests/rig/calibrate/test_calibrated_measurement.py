@@ -1,4 +1,4 @@
-"""Calibration made from simulated records alone, then a measurement whose budget covers the truth."""
+"""The budget of a measurement with simulated calibrations covers the true values."""
 
 from pathlib import Path
 

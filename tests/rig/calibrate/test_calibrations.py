@@ -1,4 +1,4 @@
-"""rig calibrate as the user meets it: files made, files in use, files refused."""
+"""`rig calibrate`: files that are made, used and rejected."""
 
 import datetime
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What a measurement's budget leaves out: how far each such input, off by its size, shifts the results."""
+"""Inputs that the budget omits: shift of the results due to an error of typical size in each."""
 
 import math
 from dataclasses import dataclass, replace

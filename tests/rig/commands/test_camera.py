@@ -1,4 +1,4 @@
-"""`rig devices`, `rig camera` and what stands behind them, on the simulated rig."""
+"""`rig devices` and `rig camera` with the simulated rig."""
 
 import json
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""A program that lights the laser and then ends in the way it is told; run by the safety tests."""
+"""A program that switches the laser on and then ends in a given way; run by the safety tests."""
 
 import os
 import sys

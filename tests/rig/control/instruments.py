@@ -1,4 +1,4 @@
-"""Laser instruments on a pseudo-terminal, written from their manuals' grammar and not from our drivers.
+"""Simulated laser instruments on a pseudo-terminal, written from their manuals, not from the drivers.
 
 Each keeps the state of a real one: its limit clamps, its interlock forbids, its errors queue.
 """

@@ -1,4 +1,4 @@
-"""`rig run` with the laser lit is killed, told to end, loses its terminal: dark, magnet off, record whole."""
+"""If `rig run` is killed or loses its terminal, laser and magnet are off and the record is complete."""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""The host's controller against the very firmware on a real MicroPython interpreter."""
+"""The host's controller with the firmware on a real MicroPython interpreter."""
 
 import math
 import time

@@ -1,4 +1,4 @@
-"""Every laser driver passes the same tests, each against a simulated instrument of its family."""
+"""Every laser driver passes the same tests, each with a simulated instrument of its family."""
 
 import itertools
 import os

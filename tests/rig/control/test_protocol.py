@@ -1,4 +1,4 @@
-"""The line format: what is written can be read, what was spoilt is not believed."""
+"""Format of the lines: encoded lines can be decoded, damaged lines are rejected."""
 
 import re
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The laser goes dark and the magnet lets go without our help; no power above a limit, whatever is sent."""
+"""Laser and magnet switch off without the host, and no power above a limit is accepted."""
 
 import signal
 import subprocess

@@ -1,4 +1,4 @@
-"""The controller's thread: futures, deadlines, order of urgency, reconnection, no leaks."""
+"""The controller's thread: futures, deadlines, priorities, reconnection, no leaks."""
 
 import os
 import threading

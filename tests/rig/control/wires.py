@@ -1,4 +1,4 @@
-"""The real firmware on a real MicroPython interpreter behind a pseudo-terminal, and a wire that can fail."""
+"""The firmware on a MicroPython interpreter behind a pseudo-terminal, with a line that can fail."""
 
 import contextlib
 import os

@@ -1,4 +1,4 @@
-"""The controller's board, for the laser that is lit through its relay."""
+"""The controller's board, for the laser that is switched by its relay."""
 
 from tests.rig.control.conftest import board, make_board, micropython
 

@@ -1,4 +1,4 @@
-"""The camera's thread: a silent camera is named at once, an unplugged one goes on in the same line."""
+"""The camera's thread: a silent camera is reported, an unplugged one continues in the same record."""
 
 import itertools
 import time

@@ -1,4 +1,4 @@
-"""Lasers with a port of their own, in a session: lit when it begins, dark whatever ends it."""
+"""Lasers with a serial port in a session: on at its beginning, off after every kind of end."""
 
 import json
 import signal

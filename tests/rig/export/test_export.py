@@ -1,4 +1,4 @@
-"""`rig export`: every format is written and read back; provenance and units are inside."""
+"""`rig export`: every format can be read back and contains provenance and units."""
 
 import json
 import shutil

@@ -1,4 +1,4 @@
-"""After the preparation nothing is left to be compiled while frames come."""
+"""After the preparation no kernel is compiled while frames arrive."""
 
 import json
 import subprocess

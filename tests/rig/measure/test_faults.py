@@ -1,4 +1,4 @@
-"""What goes wrong on the simulated rig: a session survives, or ends with the right reason."""
+"""Faults of the simulated rig: the session continues, or ends with the correct reason."""
 
 import json
 import subprocess

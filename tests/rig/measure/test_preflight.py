@@ -1,4 +1,4 @@
-"""Each check of the preflight: go and no-go from plain values, with a reason and a remedy for each no."""
+"""Each check of the preflight: go and no-go from plain values, with reason and remedy."""
 
 import math
 from io import StringIO

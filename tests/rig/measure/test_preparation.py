@@ -1,4 +1,4 @@
-"""Sessions with phases: no-go, release by hand, starts that are not accepted, crash and resume."""
+"""Sessions with phases: no-go, release by hand, rejected starts, crash and resumption."""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""`record.windows`: raw pixels around the spot are kept, or they are not."""
+"""`record.windows`: raw pixels around the spot are recorded or not."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""What screen and JSON lines say of the camera while a run goes: age of frames, who lost which."""
+"""Screen and JSON lines during a run: age of frames, losses by cause."""
 
 import io
 import json

@@ -1,4 +1,4 @@
-"""A whole session as the user types it, on the simulated rig."""
+"""A whole session from the command line, on the simulated rig."""
 
 import json
 import math

@@ -1,4 +1,4 @@
-"""A start is judged by its first amplitude, in the unit in which that is known."""
+"""A start is judged by its first amplitude, in rad or in px."""
 
 import pytest
 

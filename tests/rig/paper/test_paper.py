@@ -1,4 +1,4 @@
-"""`rig paper`: the printed numbers beside what simulation and analysis make of them."""
+"""`rig paper`: printed values compared with those of simulation and analysis."""
 
 import math
 from pathlib import Path

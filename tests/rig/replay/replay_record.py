@@ -1,4 +1,4 @@
-"""A record of a decay as `rig run` leaves it, made from spots instead of frames, which takes a second."""
+"""A record of a decay as `rig run` writes it, made quickly from spots instead of frames."""
 
 import math
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Replays: the same whatever the pace, parts, steering by keys, and what is said of the differences."""
+"""Replay: independent of speed and blocks, control by keys, and report of differences."""
 
 import io
 import math

@@ -1,4 +1,4 @@
-"""`rig replay` steered by keys over a real pseudo-terminal, and without one."""
+"""`rig replay` controlled by keys on a pseudo-terminal, and without a terminal."""
 
 import contextlib
 import os

@@ -1,4 +1,4 @@
-"""`rig compare`: series beside each other."""
+"""`rig compare`: comparison of series."""
 
 import json
 import re

@@ -1,4 +1,4 @@
-"""Numbers as they are printed: digits by the uncertainty, powers of ten, what is not determined."""
+"""Numbers as text: digits by the uncertainty, powers of ten, values that are not determined."""
 
 import math
 from dataclasses import replace

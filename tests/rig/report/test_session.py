@@ -1,4 +1,4 @@
-"""`rig report`: the page, its figures and tables, made of a session that was really measured."""
+"""`rig report`: page, figures and tables of a measured session."""
 
 import csv
 import json

@@ -1,4 +1,4 @@
-"""A record without calibration, one without swings: what can be said is said, plainly."""
+"""Reports of a record without calibration, and of one without swings."""
 
 import json
 import math

@@ -1,4 +1,4 @@
-"""Which keys of the configuration the program reads, seen while parts of it are at work."""
+"""Records which keys of the configuration are read while parts of the program run."""
 
 import sys
 from collections.abc import Iterator

@@ -1,4 +1,4 @@
-"""Parts of the program at work with every section of a configuration, each for some seconds at most."""
+"""Runs parts of the program with every section of a configuration, each for at most some seconds."""
 
 import time
 from concurrent.futures import Future

@@ -1,4 +1,4 @@
-"""What the analysis and a record take from a configuration, as plain values that can be compared."""
+"""Values that the analysis and a record take from a configuration, for comparison."""
 
 import math
 from typing import Any

@@ -1,4 +1,4 @@
-"""A camera, a laser and an instrument that somebody adds: an entry each, tried in a copy of the tree."""
+"""A camera, a laser and an instrument can each be added by one entry, in a copy of the tree."""
 
 import os
 import shutil

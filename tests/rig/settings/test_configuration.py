@@ -1,3 +1,5 @@
+"""Configuration files: inheritance, overrides, and messages about faulty keys and values."""
+
 from pathlib import Path
 
 import pytest

@@ -1,4 +1,4 @@
-"""Every key of the configuration has an effect: changed, it changes something, or the program reads it.
+"""Every key of the configuration has an effect: a change has consequences, or the program reads the key.
 
 Sections that become plain values (`stated_values`) are held to the first: each key is changed, and
 what is made of the configuration must change too. The others decide how hardware, threads and

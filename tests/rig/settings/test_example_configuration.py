@@ -1,3 +1,5 @@
+"""configs/rig-example.toml contains every key with its default and description."""
+
 import re
 
 from rig.settings.configuration import load_configuration

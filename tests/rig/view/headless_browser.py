@@ -1,4 +1,4 @@
-"""A real Chromium without a screen, driven over its debugging pipe: no further package is needed."""
+"""A Chromium browser without a screen, controlled over its debugging pipe without further packages."""
 
 import base64
 import contextlib

@@ -1,4 +1,4 @@
-"""The Rerun viewer without a screen: drawn by Mesa's software Vulkan, driven and photographed."""
+"""The Rerun viewer without a screen, drawn by Mesa's software Vulkan."""
 
 import contextlib
 import os

@@ -1,4 +1,4 @@
-"""What an .rrd file holds, read with Rerun's own reader."""
+"""Content of an .rrd file, read with Rerun's reader."""
 
 from pathlib import Path
 from typing import Any

@@ -1,6 +1,6 @@
-"""A fixed scene for the view: a minute of a decay with every kind of thing that is shown.
+"""A fixed scene for the view: a minute of a decay with everything that can be shown.
 
-The numbers are made up to be seen (a tilted, slowly turning ellipse with some of the fast mode); no
+The numbers are chosen to be visible (a tilted, slowly turning ellipse with some of the fast mode); no
 physics is tested with them.
 """
 

@@ -1,4 +1,4 @@
-"""The analysing layout of real records, and the advice of the balancing one."""
+"""The analysing layout of real records, and the advice in the balancing layout."""
 
 import math
 from dataclasses import replace

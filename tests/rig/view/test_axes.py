@@ -1,4 +1,4 @@
-"""The trajectory's axes follow where it has been of late, in live runs, records and replays alike."""
+"""The axes of the trajectory follow its extent, in live runs, records and replays."""
 
 from pathlib import Path
 

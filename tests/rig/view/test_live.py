@@ -1,4 +1,4 @@
-"""A viewer connected to a live run: stopped, its worker killed, and what it shows after that."""
+"""A viewer connected to a live run is stopped, its worker killed, and it then shows the run again."""
 
 import os
 import signal

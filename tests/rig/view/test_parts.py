@@ -1,4 +1,4 @@
-"""The view's parts without a viewer: queue, axes, trail, decimation, the balance's table, colours."""
+"""Parts of the view without a viewer: queue, axes, trail, decimation, table of the balance, colours."""
 
 import dataclasses
 import itertools

@@ -1,4 +1,4 @@
-"""Records shown again: what is drawn of them, aligned, laid over each other, and bad input."""
+"""Display of records: content, alignment, overlay, and bad input."""
 
 import math
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""The viewer's handle with its real worker: what arrives in the file, and what no fault may do."""
+"""The viewer's process: content of the file, and faults that must not affect the session."""
 
 import os
 import signal

@@ -154,8 +154,8 @@ class Node:
     def access(self) -> Access:
         """Present access; the flags and registers on which it depends are read."""
         if self.name in self.nodes.asking:
-            return Access.READ_WRITE  # descriptions contain circular references; EMVA's reference does the
-            same
+            # some descriptions contain circular references, for which EMVA's reference gives the same result
+            return Access.READ_WRITE
         self.nodes.asking.add(self.name)
         try:
             return self._access()

@@ -1,4 +1,4 @@
-"""Aravis's fake GigE camera as a process that can be killed and started anew."""
+"""Aravis's fake GigE camera in a process that can be killed and restarted."""
 
 import subprocess
 

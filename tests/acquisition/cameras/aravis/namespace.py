@@ -1,4 +1,4 @@
-"""A network of its own for libaravis and its fake camera: only the loopback, nothing else hears them."""
+"""A network namespace for libaravis and its fake camera, with the loopback interface only."""
 
 import importlib.util
 import os

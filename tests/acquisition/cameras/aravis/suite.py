@@ -1,4 +1,4 @@
-"""The aravis driver against Aravis's fake GigE camera; run by test_camera_aravis in a network of its own."""
+"""The aravis driver with Aravis's fake GigE camera; run by test_camera.py in a network namespace."""
 
 import subprocess
 import sys

@@ -1,4 +1,4 @@
-"""Runs the aravis driver's suite in a network of its own; says what is missing where that can't be."""
+"""Runs suite.py in a network namespace; skips with the reason if that is not possible."""
 
 import sys
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Frame ids made into numbers: roll-over, gaps, damaged frames, and who lost what."""
+"""Frame ids are converted to numbers: overflow, gaps, damaged frames, and losses by cause."""
 
 import pytest
 from hypothesis import given

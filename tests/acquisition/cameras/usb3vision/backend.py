@@ -1,4 +1,4 @@
-"""Test cameras on a bus of their own: a pyusb backend without a kernel."""
+"""A pyusb backend with test cameras, without a kernel."""
 
 import errno
 import struct

@@ -1,4 +1,4 @@
-"""The test camera's own GenICam description, written for it by hand.
+"""The GenICam description of the test camera.
 
 Features sit on registers of both byte orders, behind converters, swiss knives, masks and selectors,
 as real cameras have them.

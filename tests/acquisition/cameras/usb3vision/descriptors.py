@@ -1,4 +1,4 @@
-"""What the test camera tells about itself when it is plugged in (USB 3 descriptors)."""
+"""USB 3 descriptors of the test camera."""
 
 import struct
 

@@ -1,4 +1,4 @@
-"""A USB3 Vision camera at the level of its endpoints: bytes in, bytes out.
+"""The test camera: a USB3 Vision camera at the level of the bytes at its endpoints.
 
 Written from the standard's layouts, without the driver's constants, so that an error in the driver
 is not repeated here. It has no thread: frames fall due by the clock and are made when the host asks.

@@ -1,4 +1,4 @@
-"""Reads under way ahead of the reader, as a host controller has them, without a kernel."""
+"""Reads that receive bytes before they are waited for, as with a host controller, without a kernel."""
 
 import threading
 import time

@@ -1,4 +1,4 @@
-"""The USB3 Vision driver: the conformance suite, and what a user can do wrong."""
+"""The USB3 Vision driver passes the conformance suite and reports wrong use."""
 
 import threading
 import time

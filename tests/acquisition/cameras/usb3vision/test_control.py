@@ -1,4 +1,4 @@
-"""GenCP, bootstrap registers, manifest and discovery, against the test camera."""
+"""GenCP, bootstrap registers, manifest and discovery, with the test camera."""
 
 import struct
 

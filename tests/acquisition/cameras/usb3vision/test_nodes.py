@@ -1,4 +1,4 @@
-"""Node map: what real descriptions leave untested - caching, selectors, bits, limits, errors."""
+"""Node map: caching, selectors, bits, limits and errors that the descriptions of real cameras do not test."""
 
 import struct
 from typing import Any

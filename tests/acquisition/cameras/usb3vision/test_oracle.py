@@ -1,4 +1,4 @@
-"""Our node map beside EMVA's own, on descriptions of real cameras and on random memory."""
+"""The node map gives the same values as EMVA's, for descriptions of real cameras and random memory."""
 
 import gzip
 import random

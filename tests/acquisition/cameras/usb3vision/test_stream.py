@@ -1,4 +1,4 @@
-"""Everything that can go wrong on the stream: a counted loss or a clear error, never a wrong image."""
+"""Faults of the stream lead to a counted loss or a clear error, never to a wrong image."""
 
 import struct
 import threading

@@ -1,4 +1,4 @@
-"""Serves a test camera over USB/IP, so that a real kernel takes it for a device that is plugged in.
+"""Serves a test camera over USB/IP, so that a real kernel treats it as a connected device.
 
 Only what follows the attachment is here: the kernel's vhci-hcd is given one end of a socket pair
 and asks for transfers on it; see Documentation/usb/usbip_protocol in the kernel's sources.

@@ -1,4 +1,4 @@
-"""A law written as a person who adds one would: Coulomb friction and nothing else.
+"""Example of a law: Coulomb friction.
 
     M = -m g R c sign(phi')
 

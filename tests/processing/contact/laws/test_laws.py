@@ -1,4 +1,4 @@
-"""Every law of the registry, and that a law is added by one file and one line."""
+"""All laws of the registry are consistent; a law is added by one file and one line."""
 
 from types import MappingProxyType
 

@@ -1,4 +1,4 @@
-"""The test board: outputs go to a log, inputs and bytes come from the bridge (MicroPython only)."""
+"""The test board: outputs are logged, inputs and bytes come from the bridge (MicroPython only)."""
 
 import time
 from binascii import hexlify, unhexlify
