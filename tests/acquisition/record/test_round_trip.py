@@ -193,7 +193,7 @@ def test_deflections_in_another_unit_than_the_records_are_refused(tmp_path: Path
     one = np.ones(1)
     with RecordWriter(tmp_path / "run.mcap", 0) as writer:
         in_px = Deflections(np.array([0]), one, one, one, one, DeflectionUnit.PX)
-        with pytest.raises(ValueError, match="its deflections are in rad; these, in px"):
+        with pytest.raises(ValueError, match="its deflections are in rad; values in px"):
             writer.write_spots([0], [0], [0], [Spot(*[1.0] * 10, flags=0)], in_px)
 
 
@@ -203,7 +203,7 @@ def test_a_balance_comes_back_in_the_unit_of_its_record(tmp_path: Path, unit: De
     with RecordWriter(tmp_path / "run.mcap", 0, deflection_unit=unit) as writer:
         writer.write_balance(wrote)
         (other,) = set(DeflectionUnit) - {unit}
-        with pytest.raises(ValueError, match=f"its deflections are in {unit}; these, in {other}"):
+        with pytest.raises(ValueError, match=f"its deflections are in {unit}; values in {other}"):
             writer.write_balance(balance(other))
     with RecordReader(tmp_path / "run.mcap") as reader:
         names = reader.table("/balance").dtype.names or ()

@@ -142,7 +142,7 @@ def test_urgent_jobs_go_first_and_late_ones_do_not_act() -> None:
     blocked.result(10.0)
     first.result(10.0)
     urgent.result(10.0)
-    with pytest.raises(Overdue, match="not given"):
+    with pytest.raises(Overdue, match="not executed"):
         late.result(10.0)
     assert worker.close()
     assert order == ["urgent", "first", "finish"]

@@ -214,7 +214,7 @@ def test_a_laser_without_watchdog_is_warned_of_and_its_wiring_tried() -> None:
     try:
         (warning,) = [check for check in check_laser(own, board) if check.name == name]
         assert warning.ok
-        assert "stays lit when the program is killed" in warning.reason
+        assert "stays on if the program is killed" in warning.reason
         assert "enable relay" in warning.remedy
         # said to be wired through the relay, which is open: closed all the same means that it is not
         (not_wired,) = [check for check in check_laser(wired, board) if check.name == name]
@@ -255,7 +255,7 @@ def test_environment_check_names_the_line_that_does_not_match(sensor: tuple[int,
         (LaserSettings, {"current_a": 0.002}, "above max_current_a"),
         (LaserSettings, {"power_w": math.nan}, "finite number"),
         (LaserSettings, {"kind": "obis"}, "port is missing"),
-        (EnvironmentSettings, {"pattern": "("}, "no regular expression"),
+        (EnvironmentSettings, {"pattern": "("}, "not a regular expression"),
         (EnvironmentSettings, {"pattern": "(?P<temp>.*)"}, "is needed and no other"),
     ],
 )

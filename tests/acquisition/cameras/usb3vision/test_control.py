@@ -188,7 +188,7 @@ def test_a_damaged_manifest_is_one_clear_error() -> None:
         read_description(channel, MANIFEST, "c")
     device.poke(MANIFEST, struct.pack("<Q", 1))
     device.poke(MANIFEST + 8 + 16, struct.pack("<Q", 1 << 50))
-    with pytest.raises(DeviceError, match="damaged manifest"):
+    with pytest.raises(DeviceError, match="manifest is damaged"):
         read_description(channel, MANIFEST, "c")
 
 

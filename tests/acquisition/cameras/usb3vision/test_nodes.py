@@ -277,10 +277,10 @@ def test_floats_of_both_lengths_and_orders() -> None:
         (ZERO + '<SwissKnife Name="F"><pVariable Name="X">Y</pVariable><Formula>1/X</Formula></SwissKnife>',
          "divides by zero with X = 0"),
         ('<SmartFeature Name="F"/>', "is a SmartFeature and has no value"),
-        (register("F", 0, length=9), "a number of 9 bytes"),
-        (register("F", 0, kind="FloatReg", length=5), "floating-point number of 5 bytes"),
-        (register("F", 0, "<Bit>40</Bit>", "MaskedIntReg"), "bits 40 to 40 of 32"),
-        (register("F", 0, length=0), "a register of 0 bytes"),
+        (register("F", 0, length=9), "an integer cannot have 9 bytes"),
+        (register("F", 0, kind="FloatReg", length=5), "a floating-point number cannot have 5 bytes"),
+        (register("F", 0, "<Bit>40</Bit>", "MaskedIntReg"), "bits 40 to 40 of a register of 32 bits"),
+        (register("F", 0, length=0), "a register cannot have 0 bytes"),
     ],
 )  # fmt: skip
 def test_a_wrong_description_is_named(body: str, expected: str) -> None:
