@@ -71,7 +71,7 @@ class PylonCamera:
             what = "no camera is plugged in" if not there else f"no camera has the serial number {wanted!r}"
             raise DeviceError(f"pylon: {what}; there are: {listed or 'none'}")
         if len(chosen) > 1:
-            raise DeviceError(f"pylon: several cameras: {listed}; set camera.serial to the one that is meant")
+            raise DeviceError(f"pylon: several cameras: {listed}; set camera.serial to one of them")
         device = chosen[0]
         self._name = f"pylon camera {device.GetModelName()} (serial {device.GetSerialNumber()})"
         with self._lock, self._translated():

@@ -42,9 +42,11 @@ from mcap.records import (
 
 from acquisition.record.background_sync import BackgroundSync
 from acquisition.record.chunk_builder import ChunkBuilder
+from acquisition.record.contents import MAGIC
 from acquisition.record.reserve import Reserve
+from acquisition.record.topics import LIBRARY
+from processing.errors import RecordError
 
-MAGIC = b"\x89MCAP0\r\n"
 _ZSTD_LEVEL = 1
 _CHUNK_HEAD = struct.Struct("<BQQQQII4sQ")
 _INDEX_HEAD = struct.Struct("<BQHI")
@@ -302,6 +304,16 @@ class McapFile:
             metadata_count=len(self._metadata),
             schema_count=len(self._schemas),
         )
+
+
+def create_record(path: Path, reserve_bytes: int) -> McapFile:
+    """Create the file of a record. Raises RecordError if it exists or cannot be created."""
+    try:
+        return McapFile(path, LIBRARY, reserve_bytes)
+    except FileExistsError:
+        raise RecordError(f"{path}: exists already and is never overwritten; choose another name") from None
+    except OSError as error:
+        raise RecordError(f"{path}: cannot be created: {error.strerror or error}") from None
 
 
 def serialised(record: Any) -> bytes:

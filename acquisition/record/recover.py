@@ -7,10 +7,9 @@ from pathlib import Path
 
 from acquisition.record.chunk_builder import ChunkBuilder
 from acquisition.record.chunk_reader import ChunkDamage, messages_in, open_chunk
-from acquisition.record.container import McapFile
+from acquisition.record.container import McapFile, create_record
 from acquisition.record.digest import sha256_of
 from acquisition.record.reader import Damage, RecordReader
-from acquisition.record.topics import LIBRARY
 from processing.errors import RecordError
 
 _RESERVE_BYTES = 1024 * 1024
@@ -45,14 +44,7 @@ def recover(source: Path, path: Path) -> Recovery:
         The source is not a record of this program; the new file exists already or cannot be written.
     """
     with RecordReader(source) as reader:
-        try:
-            file = McapFile(path, LIBRARY, _RESERVE_BYTES)
-        except FileExistsError:
-            raise RecordError(
-                f"{path}: exists already and is never overwritten; choose another name"
-            ) from None
-        except OSError as error:
-            raise RecordError(f"{path}: cannot be created: {error.strerror or error}") from None
+        file = create_record(path, _RESERVE_BYTES)
         try:
             found = _copy(reader, file, path)
             file.finish()
@@ -60,7 +52,7 @@ def recover(source: Path, path: Path) -> Recovery:
             file.abandon()
             path.unlink(missing_ok=True)
             raise RecordError(
-                f"{path}: cannot be written: {error.strerror or error}; {source} is as it was"
+                f"{path}: cannot be written: {error.strerror or error}; {source} is unchanged"
             ) from error
         except BaseException:
             file.abandon()

@@ -11,7 +11,7 @@ import numpy as np
 from acquisition.frame import Frame, Image
 from acquisition.record.balances import encode_balance
 from acquisition.record.chunk_builder import ChunkBuilder
-from acquisition.record.container import McapFile
+from acquisition.record.container import create_record
 from acquisition.record.events import Event, EventKind
 from acquisition.record.foxglove import encode_camera_calibration, encode_log, foxglove_topics
 from acquisition.record.pixels import encode_image, encode_window
@@ -24,7 +24,6 @@ from acquisition.record.topics import (
     ENVIRONMENT,
     EVENT,
     IMAGE_TOPIC,
-    LIBRARY,
     LOG_TOPIC,
     PACKAGE,
     SCHEMA_VERSION,
@@ -110,14 +109,7 @@ class RecordWriter:
         self._spot = SPOT if calibrated else SPOT_UNCALIBRATED
         self._swing = SWING if calibrated else SWING_UNCALIBRATED
         self._balance = BALANCE if calibrated else BALANCE_UNCALIBRATED
-        try:
-            self._file = McapFile(path, LIBRARY, reserve_bytes)
-        except FileExistsError:
-            raise RecordError(
-                f"{path}: exists already and is never overwritten; choose another name"
-            ) from None
-        except OSError as error:
-            raise RecordError(f"{path}: cannot be created: {error.strerror or error}") from None
+        self._file = create_record(path, reserve_bytes)
         own = {
             "schema_version": str(SCHEMA_VERSION),
             "epoch_offset_ns": str(epoch_offset_ns),

@@ -90,7 +90,7 @@ def find_camera(wanted: str | None) -> FoundCamera:
         raise DeviceError(f"aravis: no camera has the serial number {wanted!r}; there are: {listed}")
     if len(chosen) > 1:
         raise DeviceError(
-            f"aravis: several cameras: {listed}; set camera.serial to the one that is meant "
+            f"aravis: several cameras: {listed}; set camera.serial to one of them "
             "(where two share one, to its id: rig devices)"
         )
     return chosen[0]

@@ -58,7 +58,10 @@ CASES = {
     "folder": (Path.mkdir, "cannot be read"),
     "empty": (Path.touch, "is empty"),
     "text": (lambda path: path.write_text("t,x\n1,2\n"), "is not an MCAP file"),
-    "magic alone": (lambda path: path.write_bytes(b"\x89MCAP0\r\n"), "cut short before anything was recorded"),
+    "magic alone": (
+        lambda path: path.write_bytes(b"\x89MCAP0\r\n"),
+        "cut short before anything was recorded",
+    ),
     "foreign": (foreign, r"another program \(topics: /robot/pose\)"),
     "empty MCAP": (empty_mcap, r"another program \(topics: none\)"),
     "newer": (newer, f"schema version {SCHEMA_VERSION + 1}, this program reads up to {SCHEMA_VERSION}"),
