@@ -96,7 +96,7 @@ def slow_deflections(
     u_y: Floats | float,
     unit: DeflectionUnit = DeflectionUnit.RAD,
 ) -> Deflections:
-    """Deflections of which only those along the slow axis are known; `x` is NaN."""
+    """Deflections `y` (n,) along the slow axis with standard uncertainties `u_y`, (n,) or one; `x` is NaN."""
     unknown = np.full(len(times_ns), np.nan)
     return Deflections(times_ns, unknown, y, unknown, np.broadcast_to(u_y, y.shape).astype(np.float64), unit)
 

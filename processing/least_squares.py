@@ -142,8 +142,13 @@ def covariance_of(
     loss: Loss = "linear",
     loss_scale: float = 1.5,
 ) -> NDArray[np.float64]:
-    """Inverse of J^T J, infinite for parameters that are not determined. For a robust loss it is multiplied
-    by mean(psi^2)/mean(psi')^2 of the M-estimator (Huber, Robust Statistics, 1981, eq. 7.6.5)."""
+    """Covariance (k, k) of the parameters: inverse of J^T J for the Jacobian J (n, k) of the scaled
+    residuals.
+
+    It is infinite for parameters that are not determined. For a robust loss, which needs the `residuals`
+    (n,), it is multiplied by mean(psi^2)/mean(psi')^2 of the M-estimator (Huber, Robust Statistics, 1981, eq.
+    7.6.5).
+    """
     if not np.all(np.isfinite(jacobian)):
         return np.diag(np.full(jacobian.shape[1], np.inf))
     norm = np.linalg.norm(jacobian, axis=0)
@@ -174,7 +179,10 @@ def _influence(z: NDArray[np.float64], loss: Loss) -> tuple[NDArray[np.float64],
 
 
 def propagate(jacobian: NDArray[np.float64], covariance: NDArray[np.float64]) -> NDArray[np.float64]:
-    """``J C J^T`` for variances that may be infinite; quantities that depend on these get infinite ones."""
+    """Covariance ``J C J^T`` (m, m) of quantities with the Jacobian J (m, k), for C (k, k).
+
+    Variances may be infinite; quantities that depend on such parameters get infinite variances.
+    """
     blind = ~np.isfinite(np.diag(covariance))
     finite = covariance.copy()
     finite[blind, :] = 0.0

@@ -8,10 +8,10 @@ MAD_TO_SIGMA = 1.482602218505602
 
 
 def robust_scatter(values: NDArray[np.float64], middle: float | None = None) -> float:
-    """Standard deviation from the median absolute deviation about `middle`, by default the median.
+    """Standard deviation of `values`, of any shape, from the median absolute deviation about `middle`.
 
-    It tolerates nearly half of the values being outliers. NaN and infinite values are ignored; 0 if no others
-    are left.
+    By default `middle` is the median. Nearly half of the values may be outliers. NaN and infinite values are
+    ignored; the result is 0 if no others are left.
     """
     good = values[np.isfinite(values)]
     if len(good) == 0:

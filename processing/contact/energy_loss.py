@@ -73,7 +73,7 @@ def measured_losses(points: TurningPoints, *, cycles: int = 1) -> Losses:
 def model_losses(
     amplitude_rad: NDArray[np.float64], parameters: ContactParameters, pendulum: PendulumOnBall
 ) -> Losses:
-    """Losses by the exact half-swing map for a cycle that starts at each amplitude; uncertainties are 0.
+    """Losses by the exact half-swing map for a cycle that starts at each amplitude (n,); uncertainties are 0.
 
     NaN if friction stops the pendulum before the end of the cycle.
     """

@@ -18,7 +18,7 @@ def weight_moment(pendulum: PendulumOnBall) -> float:
 def friction_moment(
     phi_rad: ArrayLike, direction: ArrayLike, parameters: ContactParameters, pendulum: PendulumOnBall
 ) -> NDArray[np.float64]:
-    """M_fr of Eq. 1 in N m, without drag; `direction` is the sign of phi'."""
+    """M_fr of Eq. 1 in N m, without drag, for angles of any shape; `direction` is the sign of phi'."""
     phi = np.abs(np.asarray(phi_rad, dtype=np.float64))
     friction = parameters.c + parameters.b * phi**parameters.p
     return np.asarray(-weight_moment(pendulum) * friction * np.sign(direction), dtype=np.float64)
@@ -27,7 +27,10 @@ def friction_moment(
 def elastic_moment(
     phi_rad: ArrayLike, parameters: ContactParameters, pendulum: PendulumOnBall
 ) -> NDArray[np.float64]:
-    """M_el of Eq. 3 in N m (skeletal curve); it has the sign of phi and opposes the moment of gravity."""
+    """M_el of Eq. 3 in N m (skeletal curve), for angles of any shape.
+
+    It has the sign of phi and opposes the moment of gravity.
+    """
     phi = np.asarray(phi_rad, dtype=np.float64)
     size = np.abs(phi)
     rho = pendulum.ball_radius_m / pendulum.contact_radius_m

@@ -27,7 +27,8 @@ def frequency_drop(
 ) -> NDArray[np.float64]:
     """Relative decrease of the frequency with the amplitude, which Eq. 6 subtracts from 1.
 
-    `kappa` is 2 gamma a^2/(m g) and `rho` is R/a, both for the unit of `amplitude`.
+    `amplitude` has any shape; `kappa` is 2 gamma a^2/(m g) and `rho` is R/a, both for the unit of
+    `amplitude`.
     """
     alpha = np.asarray(amplitude, dtype=np.float64)
     factor = PRINTED_CURVATURE if printed_curvature else curvature(n)

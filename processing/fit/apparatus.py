@@ -87,7 +87,8 @@ class RigQuantities:
     def seen_slow_tilt(
         self, slow_angle_rad: NDArray[np.float64], non_orthogonality_rad: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Ratio of the slow tilt measured with the assumed axes to the true one, for true axis directions.
+        """Ratio of the slow tilt measured with the assumed axes to the true one, for true axis directions
+        (n,).
 
         If the slow axis is wrong by d and the angle between the axes by e, a motion of amplitude A along the
         slow axis and r A along the fast axis is measured along the assumed slow axis as

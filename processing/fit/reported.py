@@ -160,7 +160,9 @@ def work_per_cycle_j(
     reported: Mapping[str, NDArray[np.float64]],
     inputs: Mapping[str, NDArray[np.float64]],
 ) -> NDArray[np.float64]:
-    """Work per cycle 4A in J for draws of the reported parameters, to obtain its uncertainty."""
+    """Work per cycle 4A in J for random draws (n,) of reported parameters and inputs, to obtain its
+    uncertainty.
+    """
     moment = inputs["mass_kg"] * inputs["gravity_m_per_s2"] * inputs["ball_radius_m"]
     b, p, c = reported["b"], reported["p"], reported["c"]
     dissipated = 4 * moment * (c * amplitude_rad + b * amplitude_rad ** (p + 1) / (p + 1))

@@ -54,7 +54,7 @@ class CircularError(NamedTuple):
 
 
 def ideal_excess(amplitude_rad: ArrayLike) -> NDArray[np.float64]:
-    """T(A)/T0 - 1 of the ideal pendulum, exact: (2/pi) K(sin A/2) - 1."""
+    """T(A)/T0 - 1 of the ideal pendulum, exact: (2/pi) K(sin A/2) - 1; amplitudes of any shape."""
     from scipy.special import ellipkm1
 
     cosine = np.cos(0.5 * np.asarray(amplitude_rad, dtype=np.float64))

@@ -93,9 +93,10 @@ def along_plane(
     u_x_rad: NDArray[np.float64],
     u_y_rad: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Deflection in the rotating plane and its standard uncertainty, from both axes.
+    """Deflection in the rotating plane and its standard uncertainty in rad, from those along both axes.
 
-    The direction of the plane is given by the straight line fitted to the directions of the periods.
+    All arrays are (n,); NaN where the spot was lost. The direction of the plane is given by the straight line
+    fitted to the directions of the periods.
     """
     time_s = (times_ns - times_ns[0]) * 1e-9
     middle = float(plane.time_s.mean())

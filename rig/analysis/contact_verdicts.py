@@ -79,7 +79,10 @@ def rig_quantities(config: Configuration, fast_ratio: float = 0.0) -> RigQuantit
 
 
 def fast_ratio(x: NDArray[np.float64], y: NDArray[np.float64]) -> float:
-    """Fast over slow motion (r.m.s. about the median, NaN left out); 0 where there is nothing to compare."""
+    """Ratio of fast to slow motion, from deflections x and y (n,) in one unit.
+
+    Each is the root mean square about the median, without NaN. The ratio is 0 if there is no slow motion.
+    """
     spread_x, spread_y = (
         float(np.sqrt(np.mean((good - np.median(good)) ** 2))) if len(good) else 0.0
         for good in (values[np.isfinite(values)] for values in (x, y))

@@ -91,14 +91,17 @@ def fit_trajectory(
 
 
 def along_motion(positions: tuple[NDArray[np.float64], ...]) -> NDArray[np.float64]:
-    """One position as it is; of two the component along their direction of largest variance."""
+    """Position (n,) along the motion: a single one unchanged, of two the component of the largest variance.
+
+    Raises DataError if there is no sample with both positions.
+    """
     if len(positions) == 1:
         return positions[0]
     both = np.column_stack(positions)
     centred = both - np.nanmean(both, axis=0)
     good = np.isfinite(centred).all(axis=1)
     if not good.any():
-        raise DataError("the two positions are never both there; name other columns with --position")
+        raise DataError("no row of the table has both positions; name other columns with --position")
     _, _, axes = np.linalg.svd(centred[good], full_matrices=False)
     along: NDArray[np.float64] = centred @ axes[0]
     return along
