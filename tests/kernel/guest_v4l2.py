@@ -114,6 +114,25 @@ def dropped() -> dict[str, Any]:
     }
 
 
+def late() -> dict[str, Any]:
+    """Nobody reads for a second: all buffers are full, and what is missing then is the host's loss."""
+    camera = make()
+    camera.open()
+    camera.configure(SMALL.model_copy(update={"frame_rate_hz": 30.0}))
+    camera.start()
+    frames = [camera.read(5.0) for _ in range(5)]
+    time.sleep(1.0)
+    frames += [camera.read(5.0) for _ in range(20)]
+    status = camera.status
+    camera.close()
+    return {
+        "numbers": [frame.sequence for frame in frames if frame],
+        "dropped_by_bus": status.dropped_by_bus,
+        "dropped_by_host": status.dropped_by_host,
+        "delivered": status.delivered,
+    }
+
+
 def region() -> dict[str, Any]:
     """A part of the sensor holds the pixels of the whole: nothing is scaled or shifted.
 
@@ -163,10 +182,13 @@ def damaged() -> dict[str, Any]:
     for count in range(1, 6):
         control("Inject V4L2_BUF_FLAG_ERROR", 1)
         # frames that were waiting come first
-        while len(numbers) < 500 and (not numbers or numbers[-1] + 1 - len(numbers) < count):
+        while len(numbers) < 500 and camera.status.incomplete < count:
             frame = camera.read(5.0)
             assert frame is not None
             numbers.append(frame.sequence)
+    last = camera.read(5.0)
+    assert last is not None
+    numbers.append(last.sequence)
     status = camera.status
     camera.close()
     return {"numbers": numbers, "incomplete": status.incomplete, "dropped": status.dropped}
@@ -261,6 +283,7 @@ def main() -> None:
         "kernel": lambda: suite("TestKernelReading"),
         "opencv": lambda: suite("TestOpenCvReading"),
         "dropped": dropped,
+        "late": late,
         "damaged": damaged,
         "region": region,
         "stale_kernel": lambda: stale("kernel"),

@@ -20,7 +20,6 @@ from acquisition.cameras.usb3vision.settings import Usb3VisionSettings
 from acquisition.cameras.usb3vision.stream import Expected, FrameStream
 from acquisition.cameras.usb3vision.transfers import BlockingTransfers, Transfers
 from acquisition.frame import Frame
-from acquisition.frame_queue import FrameQueue
 from processing.errors import DeviceError
 
 logger = logging.getLogger(__name__)
@@ -57,9 +56,7 @@ class Usb3VisionCamera:
         self._session: OpenCamera | None = None
         self._channel: GenCpChannel | None = None
         self._stream: FrameStream | None = None
-        self._queue: FrameQueue | None = None
         self._name = "USB3 Vision camera"
-        self._delivered = 0
         self._before = CameraStatus()
         self._was_lost = False
         self._camera_runs = False
@@ -138,10 +135,7 @@ class Usb3VisionCamera:
             session.set_locked(True)
             session.registers.enable(True)
             self._begin_counting()
-            self._queue = FrameQueue(self._settings.buffers, "every")
-            self._stream = FrameStream(
-                self._transfers(session.link), plan, expected, self._queue, session.link
-            )
+            self._stream = FrameStream(self._transfers(session.link), plan, expected, session.link)
             self._camera_runs = True
             try:
                 features.execute("AcquisitionStart")
@@ -155,35 +149,28 @@ class Usb3VisionCamera:
         return BlockingTransfers(link)
 
     def _begin_counting(self) -> None:
-        before = self.status
+        before, self._stream = self.status, None
         self._before = replace(before, reconnects=before.reconnects + 1) if self._was_lost else CameraStatus()
         self._was_lost = False
-        self._delivered = 0
 
     def read(self, timeout_s: float) -> Frame | None:
-        """Next frame, read ahead by a thread; see `acquisition.camera.Camera.read`."""
-        stream, queue = self._stream, self._queue
-        if stream is None or queue is None:
+        """Next frame; see `acquisition.camera.Camera.read`."""
+        stream = self._stream
+        if stream is None:
             raise DeviceError(f"{self._name}: is not started; call start before read")
-        frames = queue.take(1, timeout_s)
-        if frames:
-            self._delivered += 1
-            return frames[0]
-        if not queue.drained:
+        try:
+            with self._noticing_loss():
+                return stream.reading.read(timeout_s)
+        except TimeoutError:
             raise FrameTimeout(
                 f"{self._name}: no frame within {timeout_s:g} s; is its trigger on, or its cable loose?"
-            )
-        if stream.error is None:
-            return None
-        if isinstance(stream.error, CameraLost):
-            self._was_lost = True
-        raise type(stream.error)(str(stream.error))
+            ) from None
 
     def stop(self) -> None:
         """Stop delivering; returns within a second whatever the camera does."""
         stream = self._stream
         if stream is not None:
-            stream.request_stop()
+            stream.reading.request_stop()
         with self._locked_soon() as locked:
             if locked:
                 self._end_stream()
@@ -192,9 +179,9 @@ class Usb3VisionCamera:
         stream, session = self._stream, self._session
         if stream is None:
             return
-        stream.request_stop()
+        stream.reading.request_stop()
         if session is None or not self._camera_runs:
-            stream.stop(_JOIN_S)
+            stream.reading.stop(_JOIN_S)
             return
         self._camera_runs = False
         # each step may fail if the camera is unplugged or does not answer; the others are tried nevertheless
@@ -210,7 +197,7 @@ class Usb3VisionCamera:
                 logger.info("%s", refused)
                 if isinstance(refused, CameraLost):
                     break
-        stream.stop(_JOIN_S)
+        stream.reading.stop(_JOIN_S)
         try:
             with session.channel.within(_COMMANDS_S / 2):
                 session.set_locked(False)
@@ -221,7 +208,7 @@ class Usb3VisionCamera:
         """Stop and release the camera."""
         stream = self._stream
         if stream is not None:
-            stream.request_stop()
+            stream.reading.request_stop()
         with self._locked_soon() as locked:
             if not locked:
                 return  # the call that holds the lock has been told to abort and will release the camera
@@ -232,15 +219,15 @@ class Usb3VisionCamera:
             if stream is None:
                 session.link.release()
             else:
-                stream.when_ended(session.link.release)  # a handle must not be closed during a read
+                stream.reading.when_ended(session.link.release)  # a handle must not be closed during a read
 
     # ---- beyond the protocol
 
     @property
     def status(self) -> CameraStatus:
         """Counts since `start`, continued after a reconnection."""
-        now = CameraStatus() if self._stream is None else self._stream.status
-        return self._before + replace(now, delivered=self._delivered)
+        stream = self._stream
+        return self._before if stream is None else self._before + stream.status
 
     @property
     def features(self) -> Features:
@@ -261,7 +248,7 @@ class Usb3VisionCamera:
         return self._session
 
     def _running(self) -> bool:
-        return self._stream is not None and not self._stream.ended
+        return self._stream is not None and not self._stream.reading.stopped
 
     @contextmanager
     def _noticing_loss(self) -> Iterator[None]:

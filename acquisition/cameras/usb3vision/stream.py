@@ -1,4 +1,4 @@
-"""Assembly of frames from USB transfers, in a thread of its own, with checks and counts of lost frames.
+"""Assembly of frames from USB transfers, with checks and counts of lost frames.
 
 A USB3 Vision camera sends each frame as a sequence of bulk transfers: a leader (block number, timestamp,
 format), the payload in one or more transfers, and a trailer (status, number of valid bytes). Reads are
@@ -8,10 +8,9 @@ the stream is searched for the next leader.
 """
 
 import logging
-import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from enum import Enum
 from typing import Final
@@ -21,6 +20,7 @@ from numpy.typing import NDArray
 
 from acquisition.camera import CameraLost, CameraStatus
 from acquisition.cameras.pixel_formats import Format
+from acquisition.cameras.reading import Reading
 from acquisition.cameras.usb3vision.link import StreamHalted, UsbLink
 from acquisition.cameras.usb3vision.packets import (
     TRAILER_MAGIC,
@@ -33,12 +33,10 @@ from acquisition.cameras.usb3vision.packets import (
 from acquisition.cameras.usb3vision.registers import TransferPlan
 from acquisition.cameras.usb3vision.transfers import Transfers
 from acquisition.frame import Frame
-from acquisition.frame_queue import FrameQueue
 from processing.errors import DeviceError, RigError
 
 logger = logging.getLogger(__name__)
 
-_POLL_S: Final = 0.05  # longest read, after which the thread checks for `stop`
 # Bus errors for longer than this without a frame in between: the connection is lost.
 _PATIENCE_S: Final = 0.3
 # A larger jump of the block number means that the counter was reset, not that frames were lost.
@@ -70,21 +68,21 @@ class _Part(Enum):
 
 
 class FrameStream:
-    """Reads frames from its construction until `stop`.
+    """The frames of one run, through `reading`.
+
+    The system has reads to fill for `Transfers.frames_ahead` frames, from the construction on; what comes
+    beyond them before the next call waits in the camera's memory, and is lost there if that is full.
 
     A frame is delivered only if its leader, all of its bytes and its trailer have arrived and agree with
     each other and with the expected format. All others are counted: ``incomplete`` if a part of the frame
     arrived, ``dropped_by_bus`` if block numbers are missing after an error of the bus, ``dropped_by_camera``
-    if they are missing without one, ``dropped_by_host`` if the frames were not fetched in time.
+    if they are missing without one.
     """
 
-    def __init__(
-        self, transfers: Transfers, plan: TransferPlan, expected: Expected, queue: FrameQueue, link: UsbLink
-    ) -> None:
+    def __init__(self, transfers: Transfers, plan: TransferPlan, expected: Expected, link: UsbLink) -> None:
         self._transfers = transfers
         self._plan = plan
         self._expected = expected
-        self._queue = queue
         self._link = link
         self._parts = (
             (_Part.LEADER, plan.leader),
@@ -103,89 +101,41 @@ class FrameStream:
         self._misfits = 0
         self._disturbed = False
         self._trouble_since_s: float | None = None
-        self._delivered = self._by_camera = self._by_bus = self._incomplete = 0
-        self._stopping = threading.Event()
-        self._ending = threading.Lock()
-        self._ended = False
-        self._at_end: list[Callable[[], None]] = []
-        self.error: RigError | None = None
-        self._thread = threading.Thread(target=self._run, name=f"frames of {link.name}", daemon=True)
-        self._thread.start()
+        self._by_camera = self._by_bus = self._incomplete = 0
+        self.reading = Reading(self._step, transfers.cancel)
+        with suppress(RigError):  # the first step meets it again, and deals with it
+            self._fill()
 
     @property
     def status(self) -> CameraStatus:
-        """Counts so far; frames dropped by the queue are those not fetched in time."""
+        """Counts so far."""
         return CameraStatus(
-            delivered=self._delivered - self._queue.dropped,
+            delivered=self.reading.delivered,
             dropped_by_camera=self._by_camera,
             dropped_by_bus=self._by_bus,
-            dropped_by_host=self._queue.dropped,
             incomplete=self._incomplete + self._lost_parts,
         )
 
-    def stop(self, timeout_s: float) -> None:
-        """End the thread; frames in the queue can still be read."""
-        self._stopping.set()
-        if self._thread is not threading.current_thread():
-            self._thread.join(timeout_s)
-        self._queue.close()
-
-    def when_ended(self, action: Callable[[], None]) -> None:
-        """Run `action` when the thread no longer uses the camera: at its end, or now if it has ended."""
-        with self._ending:
-            if not self._ended:
-                self._at_end.append(action)
-                return
-        action()
-
-    def request_stop(self) -> None:
-        """Tell the thread to end, without waiting for it."""
-        self._stopping.set()
-
-    @property
-    def ended(self) -> bool:
-        """Whether no more frames will come."""
-        return self._stopping.is_set() or not self._thread.is_alive()
-
-    # ---- the thread
-
-    def _run(self) -> None:
-        try:
-            while not self._stopping.is_set():
-                self._step()
-        except RigError as error:
-            self.error = error
-        except Exception as error:
-            logger.exception("%s: reading frames", self._link.name)
-            self.error = DeviceError(f"{self._link.name}: reading frames failed: {error!r}")
-        finally:
-            try:
-                self._transfers.cancel()
-            finally:
-                self._queue.close()
-                with self._ending:
-                    self._ended = True
-                for action in self._at_end:
-                    action()
-
-    def _step(self) -> None:
+    def _step(self, timeout_s: float) -> Frame | None:
+        """Take one transfer; the frame that it completes, if any."""
         try:
             self._fill()
             part, planned, buffer = self._ring[0]
-            arrived = self._transfers.wait(_POLL_S)
+            arrived = self._transfers.wait(timeout_s)
         except TimeoutError:
-            return
+            return None
         except StreamHalted as halt:
             self._after_trouble(halt)
-            return
+            return None
         self._ring.popleft()
         data = buffer[: arrived.byte_count]
         if part is _Part.PAYLOAD and self._leader is not None:
             self._take_payload(data, planned)
         elif part is _Part.TRAILER and self._leader is not None:
-            self._take_trailer(data, arrived.host_time_ns)
+            return self._take_trailer(data, arrived.host_time_ns)
         else:
             self._take_leader(data, in_rhythm=part is _Part.LEADER)
+        return None
 
     def _fill(self) -> None:
         if self._next_part < 0:
@@ -236,7 +186,7 @@ class FrameStream:
         self._disturbed = True
         self._resume_at(-1)
         self._link.clear_halt(self._link.stream_in)
-        self._stopping.wait(0.01)
+        time.sleep(0.01)
 
     def _lose_frame(self) -> None:
         if self._leader is not None:
@@ -293,7 +243,7 @@ class FrameStream:
         self._pieces.append(data)
         self._received += data.size
 
-    def _take_trailer(self, data: NDArray[np.uint8], host_time_ns: int) -> None:
+    def _take_trailer(self, data: NDArray[np.uint8], host_time_ns: int) -> Frame | None:
         leader = self._leader
         assert leader is not None
         trailer = parse_trailer(data[:256].tobytes()) if data.size <= self._plan.trailer else None
@@ -304,16 +254,16 @@ class FrameStream:
             else:
                 self._lose_frame()
                 self._resume_at(-1)
-            return
+            return None
         wanted = self._expected
         image_bytes = wanted.pixel_format.byte_count(wanted.width_px, wanted.height_px, leader.x_padding)
         whole = trailer.status == 0 and trailer.valid_bytes >= image_bytes and self._received >= image_bytes
         if trailer.block != leader.block or not whole or not self._fits(leader):
             self._lose_frame()
-            return
+            return None
         self._misfits = 0
         self._leader = None
-        self._deliver(leader, host_time_ns)
+        return self._delivered_frame(leader, host_time_ns)
 
     def _fits(self, leader: Leader) -> bool:
         wanted = self._expected
@@ -331,13 +281,13 @@ class FrameStream:
             )
         return False
 
-    def _deliver(self, leader: Leader, host_time_ns: int) -> None:
+    def _delivered_frame(self, leader: Leader, host_time_ns: int) -> Frame | None:
         # Number of frames since the last one delivered. Before the first one there is no block number to
         # compare with; damaged frames count nevertheless.
         step = 1 + self._lost_parts if self._last_block is None else leader.block - self._last_block
         if step == 0:
             self._lost_parts += 1  # the same block number again: discard the frame, count it as incomplete
-            return
+            return None
         if not 0 < step <= _LARGEST_GAP:
             logger.warning(
                 "%s: block number went from %s to %d", self._link.name, self._last_block, leader.block
@@ -360,8 +310,7 @@ class FrameStream:
         image.flags.writeable = False
         tick_ns = self._expected.tick_ns
         device_time_ns = leader.timestamp * tick_ns if tick_ns else -1
-        self._delivered += 1
-        self._queue.put(Frame(image, self._last_sequence, device_time_ns, host_time_ns))
+        return Frame(image, self._last_sequence, device_time_ns, host_time_ns)
 
     def _whole_payload(self) -> NDArray[np.uint8]:
         """The payload as one array: without a copy if its pieces are contiguous in one buffer."""

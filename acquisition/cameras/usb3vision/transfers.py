@@ -23,7 +23,7 @@ class Arrived(NamedTuple):
 
 
 class Transfers(Protocol):
-    """A queue of reads, used by one thread.
+    """A queue of reads, used by one thread at a time.
 
     `frames_ahead` is the number of frames for which reads should be queued. `under_way` is True if a queued
     read may receive bytes before `wait` is called.

@@ -1,17 +1,17 @@
-"""Video4Linux cameras as a `Camera`: a thread reads ahead, so that the driver never runs out of buffers."""
+"""Video4Linux cameras as a `Camera`."""
 
 import sys
 import threading
 from dataclasses import replace
 
 from acquisition.camera import CameraInfo, CameraLost, CameraSettings, CameraStatus, FrameTimeout
+from acquisition.cameras.reading import Reading
 from acquisition.cameras.v4l2.settings import V4l2Settings
 from acquisition.cameras.v4l2.source import Source
 from acquisition.frame import Frame
-from acquisition.frame_queue import FrameQueue
 from processing.errors import DeviceError
 
-_JOIN_S = 0.4
+_STOP_S = 0.4
 
 
 class V4l2Camera:
@@ -19,17 +19,17 @@ class V4l2Camera:
 
     Notes
     -----
-    If the driver numbers frames, its numbers are used and gaps count as lost on the bus; frames that it
-    marks as damaged count as incomplete. OpenCV provides neither: frames are numbered in order of arrival,
-    and losses are not known.
+    If the driver numbers frames, its numbers are used. Gaps count as lost by the host if all buffers were
+    full, else as lost on the bus; frames that the driver marks as damaged count as incomplete. OpenCV
+    provides none of this: frames are numbered in order of arrival, and what is lost before is not known.
     """
 
     def __init__(self, settings: V4l2Settings | None = None) -> None:
         self._settings = settings or V4l2Settings()
         self._lock = threading.RLock()
         self._source: Source | None = None
-        self._reader: _Reader | None = None
-        self._status = CameraStatus()
+        self._run: _Run | None = None
+        self._before = CameraStatus()
         self._was_lost = False
 
     def open(self) -> CameraInfo:
@@ -49,42 +49,38 @@ class V4l2Camera:
             return source.configure(settings)
 
     def start(self) -> None:
-        """Begin with an empty queue and fresh buffers."""
+        """Begin with fresh buffers."""
         with self._lock:
             source = self._opened()
             self._must_not_run("stop it first")
-            if self._reader is not None and not self._reader.ended.wait(1.0):
+            if self._run is not None and not self._run.reading.stop(1.0):
                 raise DeviceError("video camera: still waits for a frame of the last run; close and open it")
-            before = self.status
+            before, self._run = self.status, None
             lost, self._was_lost = self._was_lost, False
-            self._status = replace(before, reconnects=before.reconnects + 1) if lost else CameraStatus()
+            self._before = replace(before, reconnects=before.reconnects + 1) if lost else CameraStatus()
             source.start()
-            self._reader = _Reader(source, self._settings.queued_frames)
-            self._reader.thread.start()
+            self._run = _Run(source)
 
     def read(self, timeout_s: float) -> Frame | None:
         """Next frame; see `acquisition.camera.Camera.read`."""
-        reader = self._reader
-        if reader is None:
+        run = self._run
+        if run is None:
             raise DeviceError("video camera: is not started; call start before read")
-        frames = reader.queue.take(1, timeout_s)
-        if reader.halted:
-            return None
-        if frames:
-            reader.delivered += 1
-            return frames[0]
-        if not reader.queue.drained:
-            raise FrameTimeout(f"video camera: no frame within {timeout_s:g} s; is it still plugged in?")
-        if reader.error is None:
-            return None
-        self._was_lost = isinstance(reader.error, CameraLost)
-        raise type(reader.error)(str(reader.error))
+        try:
+            return run.reading.read(timeout_s)
+        except TimeoutError:
+            raise FrameTimeout(
+                f"video camera: no frame within {timeout_s:g} s; is it still plugged in?"
+            ) from None
+        except CameraLost:
+            self._was_lost = True
+            raise
 
     def stop(self) -> None:
         """No more frames."""
-        reader = self._reader
-        if reader is not None:
-            reader.stop()
+        run = self._run
+        if run is not None:
+            run.reading.stop(_STOP_S)
 
     def close(self) -> None:
         """Stop and give the device back, at the latest when a read that waits has come to its end."""
@@ -93,23 +89,16 @@ class V4l2Camera:
             source, self._source = self._source, None
             if source is None:
                 return
-            if self._reader is not None:
-                self._reader.when_ended_close()
-            else:
+            if self._run is None:
                 source.close()
+            else:
+                self._run.reading.when_ended(source.close)
 
     @property
     def status(self) -> CameraStatus:
         """Counts since `start`; they go on over a reconnection."""
-        reader, before = self._reader, self._status
-        if reader is None:
-            return before
-        return before + CameraStatus(
-            delivered=reader.delivered,
-            dropped_by_bus=reader.missing,
-            dropped_by_host=reader.queue.dropped,
-            incomplete=reader.damaged,
-        )
+        run = self._run
+        return self._before if run is None else self._before + run.status
 
     def _opened(self) -> Source:
         if self._source is None:
@@ -117,77 +106,41 @@ class V4l2Camera:
         return self._source
 
     def _must_not_run(self, remedy: str) -> None:
-        if self._reader is not None and not self._reader.halted and self._reader.thread.is_alive():
+        if self._run is not None and not self._run.reading.stopped:
             raise DeviceError(f"video camera: is running; {remedy}")
 
 
-class _Reader:
-    """The thread that reads from start to stop, and its counts."""
+class _Run:
+    """The frames from one start to the next stop, numbered from 0, and their counts."""
 
-    def __init__(self, source: Source, frames: int) -> None:
+    def __init__(self, source: Source) -> None:
         self._source = source
-        self._halt = threading.Event()
-        self._lock = threading.Lock()
-        self._close = False
         self._first = -1
         self._last = -1
-        self.queue = FrameQueue(frames, "every")
-        self.ended = threading.Event()
-        self.thread = threading.Thread(target=self._run, name="v4l2", daemon=True)
-        self.error: DeviceError | None = None
-        self.delivered = self.missing = self.damaged = 0
+        self._lost = CameraStatus()
+        self.reading = Reading(self._step, source.stop)
 
     @property
-    def halted(self) -> bool:
-        """It was told to stop."""
-        return self._halt.is_set()
+    def status(self) -> CameraStatus:
+        """Counts so far."""
+        return replace(self._lost, delivered=self.reading.delivered)
 
-    def stop(self) -> None:
-        """End the thread; waits for it a moment."""
-        self._halt.set()
-        self.queue.close()
-        if self.thread.is_alive() and self.thread is not threading.current_thread():
-            self.thread.join(_JOIN_S)
-
-    def when_ended_close(self) -> None:
-        """Close the device now, or after the read that the thread waits in: never under it."""
-        with self._lock:
-            self._close = True
-            if not self.ended.is_set():
-                return
-        self._source.close()
-
-    def _run(self) -> None:
-        try:
-            while not self._halt.is_set():
-                raw = self._source.next()
-                if raw is None:
-                    continue
-                number = raw.sequence if raw.sequence >= 0 else self._last + 1
-                if self._first < 0:
-                    self._first, self._last = number, number - 1
-                self.missing += max(number - self._last - 1, 0)
-                self._last = number
-                if raw.image is None:
-                    self.damaged += 1
-                    continue
-                if not self._halt.is_set():
-                    self.queue.put(
-                        Frame(raw.image, number - self._first, raw.device_time_ns, raw.host_time_ns)
-                    )
-        except DeviceError as error:
-            self.error = error
-        except Exception as error:
-            # whatever else goes wrong in this thread must reach the reader, never end in silence
-            self.error = DeviceError(f"video camera: {type(error).__name__}: {error}")
-        finally:
-            self._source.stop()
-            self.queue.close()
-            with self._lock:
-                self.ended.set()
-                close = self._close
-            if close:
-                self._source.close()
+    def _step(self, timeout_s: float) -> Frame | None:
+        raw = self._source.next(timeout_s)
+        if raw is None:
+            return None
+        if self._first < 0:
+            self._first, self._last = raw.sequence, raw.sequence - 1
+        missing = max(raw.sequence - self._last - 1, 0)
+        self._last = raw.sequence
+        self._lost += CameraStatus(
+            dropped_by_bus=0 if raw.late else missing,
+            dropped_by_host=missing if raw.late else 0,
+            incomplete=int(raw.image is None),
+        )
+        if raw.image is None:
+            return None
+        return Frame(raw.image, raw.sequence - self._first, raw.device_time_ns, raw.host_time_ns)
 
 
 def _make_source(settings: V4l2Settings) -> Source:
@@ -201,5 +154,6 @@ def _make_source(settings: V4l2Settings) -> Source:
 
         return LinuxSource(settings)
     from acquisition.cameras.v4l2.opencv import OpenCvSource
+    from acquisition.cameras.v4l2.read_ahead import ReadAhead
 
-    return OpenCvSource(settings)
+    return ReadAhead(OpenCvSource(settings), settings.queued_frames)

@@ -16,7 +16,6 @@ from acquisition.cameras.v4l2.settings import V4l2Settings
 from acquisition.cameras.v4l2.source import RawFrame
 from processing.errors import DeviceError
 
-_PATIENCE_MS = 100
 _EXPOSURE_STEP_US = 100.0  # the kernel's unit of V4L2_CID_EXPOSURE_ABSOLUTE
 
 
@@ -30,6 +29,8 @@ class LinuxSource:
         self._layout = kernel.PixelLayout(0, 0, "", 0, 0)
         self._maps: list[mmap.mmap] = []
         self._started_ns = 0
+        self._last_ns = 0
+        self._queued_ns: list[int] = []
         self._bounds: kernel.Rectangle | None = None
 
     def open(self) -> CameraInfo:
@@ -90,18 +91,23 @@ class LinuxSource:
                     mmap.mmap(self._device, length, mmap.MAP_SHARED, mmap.PROT_READ, offset=offset)
                 )
                 kernel.queue(self._device, index)
-            self._started_ns = time.monotonic_ns()
+            self._started_ns = self._last_ns = time.monotonic_ns()
+            self._queued_ns = [0] * count
             kernel.stream(self._device, True)
         except OSError as error:
             self.stop()
             raise self._failure(error) from None
 
-    def next(self) -> RawFrame | None:
-        """The next frame, copied; its buffer is returned to the driver immediately."""
+    def next(self, timeout_s: float) -> RawFrame | None:
+        """The next frame, copied; its buffer is returned to the driver immediately.
+
+        The driver fills buffers in the order in which it received them. If it received the one of this
+        frame only after the frame before had arrived, it had none for the frames in between.
+        """
         try:
             poll = select.poll()
             poll.register(self._device, select.POLLIN)
-            if not poll.poll(_PATIENCE_MS):
+            if not poll.poll(math.ceil(timeout_s * 1000)):
                 return None
             filled = kernel.dequeue(self._device)
             if filled is None:
@@ -113,12 +119,15 @@ class LinuxSource:
             if whole and not stale:
                 with memoryview(self._maps[filled.buffer]) as data:
                     image = to_image(data, self._layout)
+            late = self._queued_ns[filled.buffer] > self._last_ns
+            self._last_ns = filled.time_ns
             kernel.queue(self._device, filled.buffer)
+            self._queued_ns[filled.buffer] = time.monotonic_ns()
         except OSError as error:
             raise self._failure(error) from None
         if stale:
             return None
-        return RawFrame(image, filled.sequence, filled.time_ns, host_time_ns)
+        return RawFrame(image, filled.sequence, filled.time_ns, host_time_ns, late)
 
     def stop(self) -> None:
         """Stop the stream and free the buffers; errors of an unplugged device are ignored."""

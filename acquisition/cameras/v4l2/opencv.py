@@ -23,7 +23,7 @@ _MOST_STALE_FRAMES = 32
 
 
 class OpenCvSource:
-    """See `source.Source`.
+    """See `source.Source`; `next` is called by `read_ahead.ReadAhead`, as it cannot be limited in time.
 
     OpenCV has no sequence numbers. Its timestamp is the driver's with Video4Linux; elsewhere it is not used.
     The reason of a failed read is not known: three successive reads that fail quickly are taken for a lost

@@ -7,15 +7,17 @@ from acquisition.frame import Image
 
 
 class RawFrame(NamedTuple):
-    """One frame; `sequence` and `device_time_ns` are -1 if the source has none.
+    """One frame; `device_time_ns` is -1 if the source has none.
 
     `image` is None if the driver reports a damaged frame. `host_time_ns` is on the host's monotonic clock.
+    `late`: frames that are missing before this one were lost because earlier ones were not fetched in time.
     """
 
     image: Image | None
     sequence: int
     device_time_ns: int
     host_time_ns: int
+    late: bool = False
 
 
 class Source(Protocol):
@@ -33,8 +35,8 @@ class Source(Protocol):
         """Start the stream; frames from before are not delivered."""
         ...
 
-    def next(self) -> RawFrame | None:
-        """The next frame; None if none arrives within a short time."""
+    def next(self, timeout_s: float) -> RawFrame | None:
+        """The next frame; None if none arrives within this time."""
         ...
 
     def stop(self) -> None:

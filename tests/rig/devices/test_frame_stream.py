@@ -1,6 +1,7 @@
 """The camera's thread: a silent camera is reported, an unplugged one continues in the same record."""
 
 import itertools
+import threading
 import time
 from pathlib import Path
 from typing import cast
@@ -10,6 +11,7 @@ import pytest
 
 from acquisition.camera import Camera, CameraInfo, CameraSettings, CameraStatus, FrameTimeout
 from acquisition.cameras.simulated import SimulatedCamera
+from acquisition.cameras.usb3vision.camera import Usb3VisionCamera
 from acquisition.frame import Frame
 from acquisition.frame_line import FrameLine
 from acquisition.frame_losses import FrameLosses
@@ -20,6 +22,8 @@ from acquisition.simulation.settings import SimulationSettings
 from rig.devices.frame_stream import FrameStream
 from rig.measure.session import simulate_record
 from rig.settings.configuration import load_configuration
+from tests.acquisition.cameras.usb3vision.backend import InProcessBackend, wait_until
+from tests.acquisition.cameras.usb3vision.device import VisionDevice
 
 RATE_HZ = 100.0
 
@@ -179,3 +183,28 @@ def test_a_run_goes_on_after_unplugging_with_the_gap_in_its_record(tmp_path: Pat
     assert kinds.index("camera lost") < kinds.index("stop")
     assert "camera back" in kinds
     assert "gap" in kinds
+
+
+def test_what_a_stalled_consumer_leaves_is_the_hosts_loss_and_nothing_is_missing_from_the_sum() -> None:
+    """The one thread goes on reading: neither camera nor bus has to answer for the consumer."""
+    device = VisionDevice(frames_inside=100_000)
+    camera = Usb3VisionCamera(backend=InProcessBackend(device))
+    camera.open()
+    asked = CameraSettings(width_px=32, height_px=32, frame_rate_hz=1000.0, exposure_us=20.0)
+    camera.configure(asked)
+    before = threading.active_count()
+    stream = FrameStream(camera, asked)
+    stream.start_camera()
+    assert stream.begin() is not None
+    assert threading.active_count() == before + 1
+    assert wait_until(lambda: stream.losses.by_host > 100, 60.0)
+    stream.close()
+    frames = stream.take(10_000, 0.0)
+    assert [frame.sequence for frame in frames] == list(range(len(frames)))
+    status = camera.status
+    assert status.dropped == 0
+    lost = stream.losses
+    assert lost.total == lost.by_host
+    # the frame that was being read when the stream was closed is in neither
+    assert status.delivered - len(frames) - lost.by_host in (0, 1)
+    camera.close()

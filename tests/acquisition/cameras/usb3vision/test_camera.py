@@ -19,7 +19,7 @@ from acquisition.cameras.usb3vision.settings import Usb3VisionSettings
 from processing.errors import DeviceError
 from tests.acquisition.cameras.conformance import CameraConformance, Unplug
 from tests.acquisition.cameras.usb3vision import description
-from tests.acquisition.cameras.usb3vision.backend import InProcessBackend, wait_until
+from tests.acquisition.cameras.usb3vision.backend import InProcessBackend
 from tests.acquisition.cameras.usb3vision.device import EIRM, SIRM, VisionDevice
 
 
@@ -195,7 +195,7 @@ def test_a_camera_left_running_by_a_program_that_died_is_taken_over(device: Visi
     first.start()
     assert first.read(2.0) is not None
     assert first._stream is not None
-    first._stream.stop(1.0)
+    first._stream.reading.stop(1.0)
     device.owner = None  # the operating system has closed it
     second = Usb3VisionCamera(backend=backend)
     second.open()
@@ -293,17 +293,40 @@ def test_unplugged_and_plugged_again_the_counts_go_on(device: VisionDevice) -> N
     camera.close()
 
 
-def test_a_slow_reader_is_counted_apart(device: VisionDevice) -> None:
-    camera = camera_on(device, buffers=4)
+def test_what_a_slow_reader_leaves_to_the_camera_is_lost_there_and_counted() -> None:
+    later_s = 0.0
+    device = VisionDevice(frames_inside=8, clock=lambda: time.monotonic() + later_s)
+    camera = camera_on(device)
     camera.open()
     camera.start()
-    assert wait_until(lambda: camera.status.dropped_by_host > 5)
-    frames = [camera.read(2.0) for _ in range(6)]
-    numbers = [frame.sequence for frame in frames if frame is not None]
-    assert numbers[:4] == [0, 1, 2, 3]
-    assert numbers[4] > 8
-    assert camera.status.dropped_by_camera == camera.status.dropped_by_bus == camera.status.incomplete == 0
+    numbers = [frame.sequence for frame in (camera.read(2.0) for _ in range(2)) if frame is not None]
+    before = device.frames_lost_inside - camera.status.dropped
+    later_s = 1.0
+    numbers += [frame.sequence for frame in (camera.read(2.0) for _ in range(20)) if frame is not None]
+    status = camera.status
+    assert len(numbers) == status.delivered == 22
+    assert numbers[-1] + 1 == status.delivered + status.dropped
+    assert status.dropped == status.dropped_by_camera == device.frames_lost_inside - before > 50
     camera.close()
+
+
+def test_the_driver_has_no_thread_of_its_own(device: VisionDevice) -> None:
+    threads = set(threading.enumerate())
+    camera = camera_on(device)
+    camera.open()
+    camera.start()
+    assert camera.read(2.0) is not None
+    assert set(threading.enumerate()) == threads
+    camera.close()
+
+
+def test_a_number_of_buffers_of_an_earlier_version_is_accepted_and_said_to_do_nothing(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    assert Usb3VisionSettings.model_validate({"buffers": 64}) == Usb3VisionSettings()
+    assert not caplog.records
+    assert Usb3VisionSettings.model_validate({"buffers": 500}) == Usb3VisionSettings()
+    assert "camera.usb3vision.buffers = 500 has no effect any more" in caplog.text
 
 
 def test_stop_returns_in_time_from_a_camera_that_has_fallen_silent(

@@ -1,0 +1,93 @@
+"""A run that is read in the caller's thread: its timeout, its end from another thread, its errors."""
+
+import threading
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from acquisition.camera import CameraLost
+from acquisition.cameras.reading import Reading
+from acquisition.frame import Frame
+
+FRAME = Frame(np.zeros((2, 2), np.uint8), 0, -1, 0)
+
+
+class Waiting:
+    """A camera whose frame comes when it is told; counts what is asked of it."""
+
+    def __init__(self) -> None:
+        self.asked = threading.Event()
+        self.go_on = threading.Event()
+        self.in_step = False
+        self.ends: list[str] = []
+
+    def step(self, timeout_s: float) -> Frame | None:
+        self.in_step = True
+        self.asked.set()
+        assert self.go_on.wait(10.0)
+        self.in_step = False
+        return FRAME
+
+    def end(self) -> None:
+        assert not self.in_step, "the camera is given back while it is read"
+        self.ends.append("end")
+
+
+def in_thread(action: Callable[[], object]) -> tuple[threading.Thread, list[object]]:
+    """The running thread and, later, what the action returned."""
+    returned: list[object] = []
+    thread = threading.Thread(target=lambda: returned.append(action()), daemon=True)
+    thread.start()
+    return thread, returned
+
+
+def test_without_a_frame_in_time_it_can_be_read_again() -> None:
+    frames = iter([None, None, FRAME])
+    reading = Reading(lambda _: next(frames), lambda: None)
+    with pytest.raises(TimeoutError):
+        reading.read(0.0)
+    assert reading.read(5.0) is FRAME
+    assert reading.delivered == 1
+    assert not reading.stopped
+
+
+def test_a_stop_ends_the_read_of_another_thread_and_then_the_run_once() -> None:
+    camera = Waiting()
+    reading = Reading(camera.step, camera.end)
+    reader, returned = in_thread(lambda: reading.read(10.0))
+    assert camera.asked.wait(10.0)
+    assert not reading.stop(0.0), "the camera is still waiting"
+    reading.when_ended(lambda: camera.ends.append("close"))
+    assert camera.ends == []
+    camera.go_on.set()
+    reader.join(10.0)
+    assert returned == [None], "a frame after stop is not delivered"
+    assert reading.delivered == 0
+    assert reading.stop(0.0)
+    assert camera.ends == ["end", "close"]
+    reading.when_ended(lambda: camera.ends.append("late"))
+    assert camera.ends == ["end", "close", "late"]
+
+
+def test_a_stop_that_nobody_reads_ends_the_run_itself() -> None:
+    camera = Waiting()
+    reading = Reading(camera.step, camera.end)
+    assert reading.stop(0.0)
+    assert camera.ends == ["end"]
+    assert reading.read(10.0) is None
+    assert not camera.asked.is_set()
+
+
+def test_an_error_ends_the_run_and_is_said_again() -> None:
+    ends: list[str] = []
+
+    def step(timeout_s: float) -> Frame | None:
+        raise CameraLost("plug it in again")
+
+    reading = Reading(step, lambda: ends.append("end"))
+    for _ in range(2):
+        with pytest.raises(CameraLost, match="plug it in again"):
+            reading.read(10.0)
+    assert reading.stopped
+    assert ends == ["end"]
