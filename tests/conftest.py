@@ -2,9 +2,7 @@
 
 import os
 import signal
-from collections.abc import Generator
 from pathlib import Path
-from types import FrameType
 
 import pytest
 from hypothesis import settings
@@ -15,35 +13,23 @@ settings.register_profile("here", deadline=None)
 settings.register_profile("ci", deadline=None, derandomize=True)
 settings.load_profile("ci" if os.environ.get("CI") else "here")
 
-# A background job of a shell ignores Ctrl-C, and every process that is started from it would, too.
+# A background job of a shell ignores Ctrl-C, and one under nohup a closed terminal; every process that is
+# started from here would ignore them, too. A signal with a handler has its default in the processes started.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
+    signal.signal(signal.SIGHUP, lambda number, frame: None)
 
 
-LONGEST_TEST_S = 900
-LONGEST_KERNEL_TEST_S = 1500
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Sort tests into the groups that one worker runs: what measures real time, and the others by file.
 
-
-class HangsError(Exception):
-    """A test waits for what will not come; it fails where it stands, and the others go on."""
-
-
-@pytest.hookimpl(wrapper=True)
-def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
-    """No test, with what it needs, takes longer than a quarter of an hour; booting a kernel may."""
-    if not hasattr(signal, "setitimer"):
-        return (yield)
-    limit_s = LONGEST_KERNEL_TEST_S if item.get_closest_marker("kernel") else LONGEST_TEST_S
-
-    def give_up(number: int, frame: FrameType | None) -> None:
-        raise HangsError(f"{item.nodeid}: not done after {limit_s} s")
-
-    before = signal.signal(signal.SIGALRM, give_up)
-    signal.setitimer(signal.ITIMER_REAL, limit_s)
-    try:
-        return (yield)
-    finally:
-        signal.setitimer(signal.ITIMER_REAL, 0)
-        signal.signal(signal.SIGALRM, before)
+    Two tests of real time at once would disturb each other; the tests of a file share its fixtures.
+    """
+    for item in items:
+        realtime = item.get_closest_marker("realtime") is not None
+        if item.get_closest_marker("xdist_group") is None:
+            item.add_marker(pytest.mark.xdist_group("realtime" if realtime else item.path.stem))
 
 
 @pytest.fixture(scope="session")

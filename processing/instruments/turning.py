@@ -68,7 +68,9 @@ def _refined_one(
     turn_ns = swing.turn_time_ns
     fitted = None
     for _ in range(3):
-        first, last = np.searchsorted(times_ns, [turn_ns - reach_ns, turn_ns + reach_ns])
+        # whole numbers: with the ends as floats numpy would convert all the times, for every swing again
+        ends_ns = np.array([turn_ns - reach_ns, turn_ns + reach_ns], dtype=np.int64)
+        first, last = np.searchsorted(times_ns, ends_ns)
         x = (times_ns[first:last] - turn_ns) / reach_ns
         if len(x) < _FEWEST or x[0] > -0.8 or x[-1] < 0.8 or np.max(np.diff(x)) > 0.3:
             return replace(swing, flags=swing.flags | int(SwingFlag.GAP))

@@ -16,8 +16,8 @@ from pathlib import Path
 import pytest
 
 from acquisition.record.reader import RecordReader
+from tests.rig.command_line import CONFIGS
 from tests.rig.control.wires import FirmwareBoard
-from tests.rig.measure.test_session import CONFIGS
 
 # For a machine that is busy with other tests.
 BEGUN_WITHIN_S = 300.0

@@ -9,10 +9,10 @@ import pytest
 
 from acquisition.record.reader import RecordReader
 from processing.swing import SwingFlag
-from tests.rig.measure.test_session import CONFIGS, SMALL, rig, set_words
+from tests.rig.command_line import CONFIGS, SMALL, Done, rig, set_words
 
 
-def run_with(folder: Path, **faults: str) -> subprocess.CompletedProcess[str]:
+def run_with(folder: Path, **faults: str) -> Done:
     values = {key.replace("__", "."): value for key, value in faults.items()}
     words = set_words({**SMALL, "session.max_duration_s": "90", **values})
     return rig("run", CONFIGS / "demo.toml", "-o", folder, *words)
@@ -101,7 +101,7 @@ def test_a_full_disk_ends_the_run_with_that_reason_and_the_record_is_whole(tmp_p
 
 @pytest.mark.slow
 def test_all_faults_at_once_in_real_time_leave_a_record_that_says_what_happened(tmp_path: Path) -> None:
-    done = rig("run", CONFIGS / "faults.toml", "-o", tmp_path / "out", timeout_s=240)
+    done = rig("run", CONFIGS / "faults.toml", "-o", tmp_path / "out")
     assert "Traceback" not in done.stderr
     record = tmp_path / "out" / "run-1.mcap"
     kinds = {kind for kind, _ in events_of(record)}

@@ -13,7 +13,7 @@ import pytest
 
 from acquisition.record.reader import RecordReader
 from processing.angle import ARCSEC_RAD
-from tests.rig.measure.test_session import CONFIGS, SMALL, rig, set_words
+from tests.rig.command_line import CONFIGS, SMALL, rig, set_words
 
 BY_HAND = {
     **SMALL,

@@ -10,7 +10,7 @@ from processing.errors import RecordError
 from rig.measure import simulate_record
 from rig.replay import replay_record
 from rig.settings import load_configuration
-from tests.rig.measure.test_session import CONFIGS, SMALL
+from tests.rig.command_line import CONFIGS, SMALL
 
 
 @pytest.fixture(scope="module")

@@ -33,8 +33,8 @@ from rig.measure.run_parts import RunParts
 from rig.measure.session import measure_session, session_folder
 from rig.measure.start_judge import start_limits
 from rig.settings import Configuration, load_configuration
+from tests.rig.command_line import CONFIGS, SMALL
 from tests.rig.control.instruments import FakeObis, FakeThorlabs
-from tests.rig.measure.test_session import CONFIGS, SMALL
 
 DEMO = CONFIGS / "demo.toml"
 NOWHERE = "/dev/no-such-port"

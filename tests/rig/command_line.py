@@ -1,0 +1,86 @@
+"""The command line as `python -m rig` runs it, in the process of the tests or in one of its own."""
+
+import contextlib
+import io
+import logging
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from unittest.mock import patch
+
+from rig.cli import main
+
+CONFIGS = Path(__file__).resolve().parents[2] / "configs"
+SMALL: dict[str, str] = {
+    "simulation.sensor.width_px": "160",
+    "simulation.sensor.height_px": "640",
+    "camera.frame_rate_hz": "50",
+    "view.file": "false",
+}
+"""A fifth of the demonstration's work a second, the same swing."""
+
+
+def set_words(values: dict[str, str]) -> list[str]:
+    """Options that set these keys of the configuration."""
+    return [word for key, value in values.items() for word in ("--set", f"{key}={value}")]
+
+
+@dataclass(frozen=True)
+class Done:
+    """What a command left: its exit status and what it printed."""
+
+    returncode: int
+    stdout: str
+    stderr: str
+
+
+def rig(*words: str | Path, cwd: Path | None = None) -> Done:
+    """Run a command in this process.
+
+    What belongs to a process of its own (signals, a terminal, the environment) is tested with `rig_process`.
+    """
+    out, errors = io.StringIO(), io.StringIO()
+    with (
+        patch.object(sys, "argv", ["rig", *map(str, words)]),
+        patch.object(sys, "stdin", io.StringIO()),
+        contextlib.redirect_stdout(out),
+        contextlib.redirect_stderr(errors),
+        contextlib.chdir(cwd or Path.cwd()),
+        _logging_of_its_own(),
+    ):
+        try:
+            main()
+        except SystemExit as end:
+            status = end.code
+    assert isinstance(status, int)
+    return Done(status, out.getvalue(), errors.getvalue())
+
+
+def rig_process(*words: str | Path, cwd: Path | None = None) -> Done:
+    """Run a command in a process of its own."""
+    done = subprocess.run(
+        [sys.executable, "-m", "rig", *map(str, words)],
+        capture_output=True,
+        text=True,
+        cwd=cwd,
+        stdin=subprocess.DEVNULL,
+        env={**os.environ, "COLUMNS": "200"},
+        check=False,
+    )
+    return Done(done.returncode, done.stdout, done.stderr)
+
+
+@contextlib.contextmanager
+def _logging_of_its_own() -> Iterator[None]:
+    """The command finds the root logger as a new process has it, without the handlers of the test runner."""
+    root = logging.getLogger()
+    handlers, level = root.handlers[:], root.level
+    root.handlers.clear()
+    try:
+        yield
+    finally:
+        root.handlers[:] = handlers
+        root.setLevel(level)
