@@ -12,14 +12,17 @@ INSTALL = $(PIP) install --quiet
 demo: $(VENV)/.installed
 	$(BIN)/rig run configs/demo.toml $(ARGS)
 
+# Two workers; tests/conftest.py says what runs in which.
+SHARED = -n 2 --dist loadgroup --no-loadscope-reorder
+
 test: $(VENV)/.installed-test
-	$(BIN)/python -m pytest -m "not bench and not kernel" $(ARGS)
+	$(BIN)/python -m pytest $(SHARED) -m "not bench and not kernel" $(ARGS)
 
 test-quick: $(VENV)/.installed-test
-	$(BIN)/python -m pytest $(ARGS)
+	$(BIN)/python -m pytest $(SHARED) $(ARGS)
 
 test-kernel: $(VENV)/.installed-test
-	$(BIN)/python -m pytest -m kernel tests/kernel -rs $(ARGS)
+	$(BIN)/python -m pytest $(SHARED) -m kernel tests/kernel -rs $(ARGS)
 
 lint: $(VENV)/.installed-test
 	$(BIN)/ruff format --check .

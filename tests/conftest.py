@@ -20,16 +20,27 @@ if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is signal.SIG_I
     signal.signal(signal.SIGHUP, lambda number, frame: None)
 
 
+LONGER_S = {"kernel": 1500, "slow": 300, "realtime": 300}
+"""Limits in s, for a busy machine, of tests that are marked so; the others have the one of pyproject.toml."""
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Sort tests into the groups that one worker runs: what measures real time, and the others by file.
+    """Give tests their limits of time, and the groups of which one worker runs each.
 
-    Two tests of real time at once would disturb each other; the tests of a file share its fixtures.
+    What measures real time is one group, since two such tests at once would disturb each other; otherwise
+    a file is a group, since its tests share fixtures. The group of real time comes first, then files with slow
+    tests, so that both workers are busy until the end.
     """
+    slow_files = {item.path for item in items if item.get_closest_marker("slow")}
     for item in items:
+        limit_s = max((limit for mark, limit in LONGER_S.items() if item.get_closest_marker(mark)), default=0)
+        if limit_s and not item.get_closest_marker("timeout"):
+            item.add_marker(pytest.mark.timeout(limit_s))
         realtime = item.get_closest_marker("realtime") is not None
-        if item.get_closest_marker("xdist_group") is None:
-            item.add_marker(pytest.mark.xdist_group("realtime" if realtime else item.path.stem))
+        name = "realtime" if realtime else str(item.path.relative_to(item.config.rootpath))
+        item.add_marker(pytest.mark.xdist_group(name))
+    items.sort(key=lambda item: (not item.get_closest_marker("realtime"), item.path not in slow_files))
 
 
 @pytest.fixture(scope="session")

@@ -6,8 +6,8 @@ import pytest
 
 from rig.measure.session import measure_session
 from rig.settings.configuration import load_configuration
+from tests.rig.command_line import CONFIGS, SMALL
 
-CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 APPARATUS = (
     "lever.arm_m=1.0",
     "lever.u_arm_m=0.001",
@@ -22,9 +22,10 @@ APPARATUS = (
 
 @pytest.fixture(scope="session")
 def measured_series(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A session of two runs of 70 simulated seconds from frames on, as `rig run` leaves it."""
+    """A session of two runs of 70 simulated seconds from (small) frames on, as `rig run` leaves it."""
     folder = tmp_path_factory.mktemp("report") / "series"
     source = CONFIGS / "demo.toml"
-    wanted = ("session.max_duration_s=70", "session.runs=2", "view.file=false", *APPARATUS)
+    small = (f"{key}={value}" for key, value in SMALL.items())
+    wanted = (*small, "session.max_duration_s=70", "session.runs=2", *APPARATUS)
     assert measure_session(load_configuration(source, wanted), source, folder) == 0
     return folder

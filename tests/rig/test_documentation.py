@@ -2,8 +2,6 @@
 
 import re
 import shlex
-import subprocess
-import sys
 import textwrap
 import tomllib
 from pathlib import Path
@@ -12,6 +10,7 @@ from typing import Any
 import pytest
 
 from rig.settings import validate_configuration
+from tests.rig.command_line import rig
 from tests.rig.replay.replay_record import RATE_HZ, make_record
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -36,9 +35,7 @@ def test_make_targets_that_are_named_exist() -> None:
 
 
 def test_commands_that_are_named_exist() -> None:
-    listing = subprocess.run(
-        [sys.executable, "-m", "rig", "--help"], capture_output=True, text=True, check=True
-    )
+    listing = rig("--help")
     known = set(re.findall(r"^  (\w+) ", listing.stdout, re.MULTILINE))
     for document in DOCUMENTS:
         named = set(re.findall(r"`rig (\w+)", document.read_text(encoding="utf-8")))
@@ -91,14 +88,7 @@ def test_the_readme_from_top_to_bottom(tmp_path: Path) -> None:
         words = shlex.split(line)[1:]
         # two minutes of swings instead of twenty
         extra = SHORT if words[0] == "run" else []
-        done = subprocess.run(
-            [sys.executable, "-m", "rig", *words, *extra],
-            cwd=tmp_path,
-            capture_output=True,
-            text=True,
-            stdin=subprocess.DEVNULL,
-            check=False,
-        )
+        done = rig(*words, *extra, cwd=tmp_path)
         assert done.returncode == 0, f"{line}: {done.stderr[-500:]}"
     assert (tmp_path / "first.rrd").stat().st_size > 0
     assert (tmp_path / "runs" / "first" / "report.html").exists()

@@ -14,6 +14,8 @@ from acquisition.record.check import check_record
 from acquisition.record.reader import RecordReader
 from acquisition.record.recover import recover
 
+pytestmark = pytest.mark.realtime
+
 PROGRAM = "tests.acquisition.record.until_killed"
 ROOT = Path(__file__).resolve().parents[3]
 LAST_SECONDS_S = 1.0

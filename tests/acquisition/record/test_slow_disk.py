@@ -14,6 +14,8 @@ from acquisition.record.reserve import Reserve
 from acquisition.record.writer import RecordWriter
 from processing.errors import RecordError
 
+pytestmark = pytest.mark.realtime
+
 DEADLINE_S = 60.0
 
 

@@ -68,9 +68,8 @@ def test_agrees_with_integration_over_some_half_cycles(flat: str, drag_s: float)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("drag_s", [0.0, 1e-4])
-def test_agrees_with_integration_over_a_thousand_half_cycles(drag_s: float) -> None:
-    parameters, pendulum = paper_pair("steel", drag_s)
+def test_agrees_with_integration_over_a_thousand_half_cycles() -> None:
+    parameters, pendulum = paper_pair("steel", 1e-4)
     expected = integrated(parameters, pendulum, 124 * ARCSEC, 1000)
     amplitude, time = turning_points_of(parameters, pendulum, 124 * ARCSEC, 1000)
     np.testing.assert_allclose(amplitude, expected[:, 0], rtol=1e-9)

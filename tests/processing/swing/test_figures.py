@@ -66,7 +66,7 @@ def test_at_the_bound_from_300_px_to_3_px(frames_per_s: float) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("frames_per_s", [30.0, 60.0, 100.0, 200.0, 500.0])
 def test_at_the_bound_in_every_part_of_the_decay(frames_per_s: float) -> None:
-    rows, _, _ = gathered(16, frames_per_s)
+    rows, _, _ = gathered(6, frames_per_s)
     for first, last in ((0, 41), (41, 82), (82, 123), (123, 170)):
         check(rows[(rows[:, 0] >= first) & (rows[:, 0] < last)], 1.10 if first == 0 else FIGURE)
     check(rows, FIGURE)
@@ -109,7 +109,7 @@ def test_true_waveform_of_the_strongest_friction(noise: float) -> None:
 def test_true_waveform_over_a_whole_run(contact: str, noise: float) -> None:
     clean = contact_decay(contact, 500)
     rows = []
-    for seed in range(4):
+    for seed in range(2):
         rng = np.random.default_rng([seed, 77])
         record = Record(
             clean.times_ns,

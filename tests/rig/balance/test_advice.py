@@ -2,8 +2,6 @@
 
 import json
 import math
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +11,9 @@ from processing.balance import BalanceLimits, WeightResponses, mass_centre_heigh
 from rig.balance.learned_turns import LearnedTurns
 from rig.instrument.balance import nominal_effects
 from tests.rig.balance.cases import CONFIG, follow_advice, seen, state_of, trimmed_pendulum
+from tests.rig.command_line import CONFIGS, rig
 from tests.rig.view.rrd_contents import column, scalars
 
-ROOT = Path(__file__).resolve().parents[3]
 LIMITS = BalanceLimits()
 U = np.array([0.01, 0.01, 1e-8])
 
@@ -32,18 +30,12 @@ def test_without_any_knowledge_test_turns_are_advised_and_it_ends_in_the_limits(
     assert case.within_limits
 
 
-@pytest.mark.slow
-def test_ninety_five_of_a_hundred_in_at_most_five_moves() -> None:
-    cases = [follow_advice(seed) for seed in range(100)]
-    assert sum(case.within_limits and case.moves <= 5 for case in cases) >= 95
-
-
 def test_the_effect_of_a_turn_is_learned_to_the_error_of_the_hand() -> None:
-    rig = trimmed_pendulum(4)
+    pendulum = trimmed_pendulum(4)
     responses = WeightResponses(nominal_effects(CONFIG), LIMITS)
-    before = state_of(seen(rig.settings, 1))
-    rig.turn("x", 3.0)
-    after = state_of(seen(rig.settings, 2))
+    before = state_of(seen(pendulum.settings, 1))
+    pendulum.turn("x", 3.0)
+    after = state_of(seen(pendulum.settings, 2))
     responses.learn("x", 3.0, before, after, U)
     effect, u_effect = responses.effect("x")
     # the hand's error is 0.01 turn in 3 turns, the tilt's curvature 1e-5: a hundredth covers both
@@ -82,16 +74,10 @@ def test_a_mass_centre_too_high_swings_slowly() -> None:
 
 
 def test_balance_follows_its_own_advice_from_frames_on(tmp_path: Path) -> None:
-    done = subprocess.run(
-        [
-            *(sys.executable, "-m", "rig", "balance", str(ROOT / "configs" / "demo.toml"), "--follow", "7"),
-            *("--history", str(tmp_path / "history.jsonl"), "--set", "simulation.axes.rest_fast_arcsec=25"),
-            *("--set", "simulation.axes.rest_slow_arcsec=-20", "--rrd", str(tmp_path / "looks.rrd")),
-        ],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=300,
+    done = rig(
+        *("balance", CONFIGS / "demo.toml", "--follow", "7"),
+        *("--history", tmp_path / "history.jsonl", "--set", "simulation.axes.rest_fast_arcsec=25"),
+        *("--set", "simulation.axes.rest_slow_arcsec=-20", "--rrd", tmp_path / "looks.rrd"),
     )
     assert done.returncode == 0, done.stderr
     assert "turn weight" in done.stdout

@@ -19,6 +19,8 @@ from acquisition.record.reader import RecordReader
 from tests.rig.command_line import CONFIGS
 from tests.rig.control.wires import FirmwareBoard
 
+pytestmark = pytest.mark.realtime
+
 # For a machine that is busy with other tests.
 BEGUN_WITHIN_S = 300.0
 ENDED_WITHIN_S = 120.0

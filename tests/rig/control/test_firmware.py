@@ -15,6 +15,8 @@ from rig.control.serial_port import PortLost
 from tests.rig.control.conftest import settings_for
 from tests.rig.control.wires import FirmwareBoard
 
+pytestmark = pytest.mark.realtime
+
 MAX_W = 0.0008
 
 

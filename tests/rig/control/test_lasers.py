@@ -18,6 +18,8 @@ from rig.control.serial_port import PortLost
 from tests.rig.control.instruments import FakeCobolt, FakeLdc500, FakeObis, FakeThorlabs, Instrument
 from tests.rig.control.test_service import until
 
+pytestmark = pytest.mark.realtime
+
 FAMILIES: dict[str, tuple[type[Instrument], str, str]] = {
     "thorlabs4000": (FakeThorlabs, "ITC4001", "M00277475"),
     "obis": (FakeObis, "OBIS 640nm LX 100mW", "LX123456"),

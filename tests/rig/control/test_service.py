@@ -16,6 +16,8 @@ from rig.control.worker import Overdue, Worker
 from tests.rig.control.conftest import settings_for
 from tests.rig.control.wires import FirmwareBoard
 
+pytestmark = pytest.mark.realtime
+
 
 def until(condition: Callable[[], bool], timeout_s: float = 10.0) -> None:
     end_s = time.monotonic() + timeout_s

@@ -25,6 +25,8 @@ from rig.control.simulated import SimulatedOutputs, simulated_controller
 from tests.rig.control.instruments import FakeCobolt
 from tests.rig.control.test_service import until
 
+pytestmark = pytest.mark.realtime
+
 
 class Rig:
     """Remembers what its outputs were told."""

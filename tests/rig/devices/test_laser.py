@@ -22,6 +22,8 @@ from tests.rig.control.instruments import FakeCobolt, FakeLdc500, FakeObis, Fake
 from tests.rig.control.test_ending import BEGUN_WITHIN_S, ENDED_WITHIN_S, command
 from tests.rig.control.wires import FirmwareBoard
 
+pytestmark = pytest.mark.realtime
+
 FAMILIES: dict[str, type[Instrument]] = {
     "thorlabs4000": FakeThorlabs,
     "obis": FakeObis,

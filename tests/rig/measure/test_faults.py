@@ -99,6 +99,7 @@ def test_a_full_disk_ends_the_run_with_that_reason_and_the_record_is_whole(tmp_p
         assert len(reader.spots()) > 1000
 
 
+@pytest.mark.realtime
 @pytest.mark.slow
 def test_all_faults_at_once_in_real_time_leave_a_record_that_says_what_happened(tmp_path: Path) -> None:
     done = rig("run", CONFIGS / "faults.toml", "-o", tmp_path / "out")

@@ -15,6 +15,8 @@ from acquisition.record.reader import RecordReader
 from processing.angle import ARCSEC_RAD
 from tests.rig.command_line import CONFIGS, SMALL, rig, set_words
 
+pytestmark = pytest.mark.realtime
+
 BY_HAND = {
     **SMALL,
     "start.way": '"by hand"',

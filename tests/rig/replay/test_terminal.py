@@ -21,6 +21,8 @@ if os.name != "posix":
 import pty
 import termios
 
+pytestmark = pytest.mark.realtime
+
 LIMIT_S = 180.0
 SECONDS = 60.0
 

@@ -19,7 +19,7 @@ from rig.view.viewer import Viewer
 from tests.rig.view.headless_viewer import connected, headless_environment, require_software_vulkan
 from tests.rig.view.rrd_contents import scalars
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.realtime]
 
 CALL_LIMIT_S = 0.5
 RATE_HZ = 5000

@@ -22,6 +22,8 @@ from tests.acquisition.cameras.usb3vision import description
 from tests.acquisition.cameras.usb3vision.backend import InProcessBackend
 from tests.acquisition.cameras.usb3vision.device import EIRM, SIRM, VisionDevice
 
+pytestmark = pytest.mark.realtime
+
 
 def camera_on(device: VisionDevice, **settings: object) -> Usb3VisionCamera:
     """The driver on a bus with this camera alone."""

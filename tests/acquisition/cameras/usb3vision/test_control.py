@@ -15,6 +15,8 @@ from tests.acquisition.cameras.usb3vision import description
 from tests.acquisition.cameras.usb3vision.backend import InProcessBackend
 from tests.acquisition.cameras.usb3vision.device import MANIFEST, XML, VisionDevice
 
+pytestmark = pytest.mark.realtime
+
 
 def channel_to(device: VisionDevice, **settings: float) -> GenCpChannel:
     """A control channel to a camera that is alone on its bus."""

@@ -21,6 +21,8 @@ from tests.acquisition.cameras.usb3vision.descriptors import STREAM_IN
 from tests.acquisition.cameras.usb3vision.device import VisionDevice
 from tests.acquisition.cameras.usb3vision.eager import EagerTransfers
 
+pytestmark = pytest.mark.realtime
+
 Units = Callable[[str, int, bytes], list[bytes]]
 
 
