@@ -77,5 +77,5 @@ def test_killed_at_ten_moments(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="SIGKILL is of POSIX systems")
-def test_killed_at_a_hundred_moments(tmp_path: Path) -> None:
-    kill_at(tmp_path, np.random.default_rng(2).uniform(0.0, 3.0, 100))
+def test_killed_at_thirty_moments(tmp_path: Path) -> None:
+    kill_at(tmp_path, np.random.default_rng(2).uniform(0.0, 3.0, 30))

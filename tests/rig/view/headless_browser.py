@@ -31,7 +31,7 @@ OPTIONS = (
     "--disable-sync",
     "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",
-    "--window-size=1500,950",
+    "--window-size=1200,760",
 )
 
 LONGEST_SILENCE_S = 60.0
