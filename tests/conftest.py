@@ -29,8 +29,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Give tests their limits of time, and the groups of which one worker runs each.
 
     What measures real time is one group, since two such tests at once would disturb each other; otherwise
-    a file is a group, since its tests share fixtures. The group of real time comes first, then files with slow
-    tests, so that both workers are busy until the end.
+    a file is a group, since its tests share fixtures. The group of real time comes first, then files with
+    slow tests, so that both workers are busy until the end.
     """
     slow_files = {item.path for item in items if item.get_closest_marker("slow")}
     for item in items:
