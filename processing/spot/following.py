@@ -1,7 +1,7 @@
 """Fit of the spot in a frame, started from the position expected from the previous frames.
 
-The upright fit is tried first because it is the fastest; the general fit (tilted spot, second spot) is used
-where the spot needs it.
+The fit of a clean spot is tried first because it is the fastest; the general fit (second spot, saturation) is
+used where the spot needs it.
 """
 
 import math
@@ -10,26 +10,23 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from processing.spot.clean_fit import TILT_EVIDENCE, fit_clean, moved
 from processing.spot.fit_values import (
     AMPLITUDE,
-    BACKGROUND,
     REACH,
     SIGMA_X,
     SIGMA_Y,
     Fitted,
     Floats,
     Place,
-    X,
-    Y,
     as_kind,
     workspace_of,
 )
 from processing.spot.general_fit import fit_general
 from processing.spot.memory import LAST, TILT_HINTS, TILTED, TWO, expect
 from processing.spot.outcome import Result, finish, significant
-from processing.spot.sensor_model import PixelNoise, background_variance, pixel_noise_of
+from processing.spot.sensor_model import PixelNoise, pixel_noise_of
 from processing.spot.spot import Image
-from processing.spot.upright_fit import TILT_EVIDENCE, fit_upright
 
 SEARCH = -1
 """Returned in place of the flags if the spot was not found at the expected position."""
@@ -39,27 +36,6 @@ SEARCH = -1
 def _not_here() -> Result:
     nan = math.nan
     return nan, nan, nan, nan, nan, nan, nan, nan, nan, nan, SEARCH
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _moved(image: Image, p: Floats, noise: PixelNoise) -> bool:
-    """Whether the light at the expected centre has fallen so far that the spot must be elsewhere.
-
-    It is below three quarters at a distance of 0.8 standard deviations. The general fit from there would take
-    many passes, each of them as long as finding the spot anew.
-    """
-    ny, nx = image.shape
-    x, y = round(p[X]), round(p[Y])
-    if not (1 <= x < nx - 1 and 1 <= y < ny - 1):
-        return False
-    light = 0.0
-    for j in range(y - 1, y + 2):
-        for i in range(x - 1, x + 2):
-            light += image[j, i] / 9.0
-    light -= p[BACKGROUND]
-    expected = min(p[AMPLITUDE], noise.full_scale_dn - p[BACKGROUND])
-    variance = background_variance(p[BACKGROUND], noise) + expected * noise.dn_per_e
-    return bool(light < 0.75 * expected - 5.0 * math.sqrt(variance / 9.0))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -103,22 +79,22 @@ def follow(
     expect(memory, place, work.parameters)
     tilted = memory[TILTED] > 0.0
     two = memory[TWO] > 0.0
-    if not (tilted or two):
-        upright = fit_upright(image, work, False, noise, tables)
-        one = upright.fitted
+    if not two:
+        clean = fit_clean(image, work, False, tilted, noise, tables)
+        one = clean.fitted
         if one.done:
-            # A tilt must be significant in three frames in a row before the spot is treated as tilted,
-            # because the general fit, used from then on, takes many times as long.
-            memory[TILT_HINTS] = memory[TILT_HINTS] + 1.0 if abs(upright.tilt) > TILT_EVIDENCE else 0.0
-            tilted = memory[TILT_HINTS] >= 3.0
+            # A tilt must be significant in three frames in a row before the spot is treated as tilted: the
+            # fit with one parameter more takes longer.
+            memory[TILT_HINTS] = memory[TILT_HINTS] + 1.0 if abs(clean.tilt) > TILT_EVIDENCE else 0.0
+            tilted = tilted or memory[TILT_HINTS] >= 3.0
             return finish(
                 image, place, memory, work, noise, as_kind(one, one.size, tilted, False), followed=True
             )
-        if upright.far:
+        if clean.far:
             return _not_here()
-        # the failed upright fit has changed the parameters: restore the start values
+        # the failed fit has changed the parameters: restore the start values
         expect(memory, place, work.parameters)
-    if _moved(image, work.parameters, noise):
+    if moved(image, work.parameters, noise):
         return _not_here()
     fitted = fit_general(image, work, tilted, two, noise, REACH)
     if not fitted.done or not _plausible(work.parameters, memory, noise, fitted):

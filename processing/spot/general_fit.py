@@ -1,6 +1,6 @@
 """Maximum-likelihood fit of any spot: tilted, saturated, with outliers, or with a second spot.
 
-It works in double precision and is slower than the fit of `upright_fit`.
+It works in double precision and is slower than the fit of `clean_fit`.
 
 The expected value of a pixel at distance (u, v) from the centre of a spot with covariance matrix C is, with
 P = C^-1, background B and amplitude A,
@@ -76,6 +76,8 @@ def score_general(
     gate: float,
     gradient: Floats,
     matrix: Floats,
+    step_x: int = 1,
+    step_y: int = 1,
 ) -> tuple[float, int, int, int]:
     """Gradient and Fisher information of the log likelihood, summed over a window.
 
@@ -99,6 +101,8 @@ def score_general(
     gradient, matrix : (PARAMETERS,), (PARAMETERS, PARAMETERS)
         Overwritten with the gradient and the information matrix. A parameter that is not fitted has the
         gradient 0 and the row and column of a unit matrix.
+    step_x, step_y
+        Columns and rows from one pixel of the sum to the next.
 
     Returns
     -------
@@ -119,10 +123,10 @@ def score_general(
     pixels = 0
     saturated = 0
     outliers = 0
-    for j in range(window.y0, window.y1):
+    for j in range(window.y0 + step_y // 2, window.y1, step_y):
         v = j - p[Y]
         v2 = j - p[SECOND_Y]
-        for i in range(window.x0, window.x1):
+        for i in range(window.x0 + step_x // 2, window.x1, step_x):
             u = i - p[X]
             qx = pxx * u + pxy * v
             qy = pxy * u + pyy * v

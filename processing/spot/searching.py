@@ -6,6 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from processing.spot.clean_fit import TILT_EVIDENCE, fit_clean
 from processing.spot.fit_values import (
     AMPLITUDE,
     BACKGROUND,
@@ -39,7 +40,6 @@ from processing.spot.scan import (
 from processing.spot.sensor_model import PixelNoise, pixel_noise_of
 from processing.spot.spot import Image
 from processing.spot.start import start_on_areas, start_on_chords
-from processing.spot.upright_fit import TILT_EVIDENCE, fit_upright
 
 Integers = NDArray[np.int64]
 
@@ -93,6 +93,14 @@ def _fit_any(image: Image, work: Workspace, noise: PixelNoise) -> Fitted:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _near_edge(image: Image, p: Floats) -> bool:
+    """Whether the image's edge is nearer to the spot than two standard deviations."""
+    ny, nx = image.shape
+    edge_x, edge_y = min(p[X], nx - 1 - p[X]), min(p[Y], ny - 1 - p[Y])
+    return bool(edge_x < 2.0 * p[SIGMA_X] or edge_y < 2.0 * p[SIGMA_Y])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def search(
     image: Image,
     origin_x: int,
@@ -108,6 +116,7 @@ def search(
     sample: Integers,
     mask: NDArray[np.uint8],
     stack: Integers,
+    cut_out: bool,
 ) -> Result:
     """Find and fit the spot of one frame.
 
@@ -119,8 +128,10 @@ def search(
     4. Start values from the brightest block of pixels, general fit: a spot too faint to be seen in
        single pixels.
 
-    `bands`, `sample`, `mask` and `stack` are working memory, `row_step` belongs to the scan; for the other
-    parameters see `follow`. Returns the fields of a `Spot`, with the flag LOST if nothing was found.
+    `bands`, `sample`, `mask` and `stack` are working memory, `row_step` belongs to the scan. An image that is
+    `cut_out` of a frame may hold the flank of a spot outside: the last two methods, which take long, are left
+    out for a place near its edge. For the other parameters see `follow`. Returns the fields of a `Spot`, with
+    the flag LOST if nothing was found.
     """
     place = Place(origin_x, origin_y, sensor_nx, sensor_ny)
     work = workspace_of(work_array)
@@ -146,7 +157,7 @@ def search(
             prefetch_window(image, x - _NEAR_PX, y - _NEAR_PX, 2 * _NEAR_PX, 2 * _NEAR_PX)
         peak, y = _climb(image, peak, x, y)
         if peak > threshold and start_on_chords(image, x, y, background, peak, p):
-            upright = fit_upright(image, work, True, noise, tables)
+            upright = fit_clean(image, work, True, False, noise, tables)
             if (
                 upright.fitted.done
                 and abs(upright.tilt) < TILT_EVIDENCE
@@ -156,6 +167,8 @@ def search(
     if peak > threshold and start_on_areas(
         image, x, y, background, float(peak), noise.full_scale_dn, mask, stack, p
     ):
+        if cut_out and _near_edge(image, p):
+            return lost(memory)
         fitted = _fit_any(image, work, noise)
         if fitted.done:
             return finish(image, place, memory, work, noise, fitted, followed=False)
@@ -169,6 +182,8 @@ def search(
         p[Y] = y
         p[SIGMA_X] = p[SIGMA_Y] = float(size)
         p[BACKGROUND] = background
+        if cut_out and _near_edge(image, p):
+            return lost(memory)
         fitted = _fit_any(image, work, noise)
         if fitted.done:
             return finish(image, place, memory, work, noise, fitted, followed=False)

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from processing.errors import DataError
+from processing.spot.clean_fit import LARGEST_TABLE
 from processing.spot.fit_values import AMPLITUDE, PARAMETERS, SIGMA_X, SIGMA_Y, WORKSPACE_SHAPE, X, Y
 from processing.spot.following import SEARCH, follow
 from processing.spot.memory import FOLLOWS, LAST, STEP_X, STEP_Y, empty_memory
@@ -14,7 +15,6 @@ from processing.spot.scan import BAND_ROWS, BAND_STEP, SAMPLES
 from processing.spot.searching import search
 from processing.spot.sensor_model import SensorModel
 from processing.spot.spot import Image, Spot, SpotFlag
-from processing.spot.upright_fit import LARGEST_TABLE
 from processing.spot.upright_score import TABLE_ROWS
 
 _RECORD_REACH = 6.0
@@ -145,7 +145,7 @@ class SpotTracker:
                 return _SPOT(Spot, found)
         if not self._frame.fits(image):
             self._frame = _SearchMemory(image)
-        found = self._search(image, x0, y0, nx, ny, self._frame, self._row_step)
+        found = self._search(image, x0, y0, nx, ny, self._frame, self._row_step, False)
         return _SPOT(Spot, found)
 
     def _follow_jump(self, image: Image, x0: int, y0: int, nx: int, ny: int) -> Result:
@@ -163,7 +163,7 @@ class SpotTracker:
         near = image[top : top + height, left : left + width].copy()
         if not self._near.fits(near):
             self._near = _SearchMemory(near)
-        self._search(near, x0 + left, y0 + top, nx, ny, self._near, 1)
+        self._search(near, x0 + left, y0 + top, nx, ny, self._near, 1, True)
         found = self._memory[LAST : LAST + PARAMETERS]
         if not self._memory[FOLLOWS] or not all(0.5 < found[k] / last[k] < 2.0 for k in _ALIKE):
             return _NOT_HERE
@@ -173,11 +173,19 @@ class SpotTracker:
         return result
 
     def _search(
-        self, image: Image, x0: int, y0: int, nx: int, ny: int, arrays: _SearchMemory, row_step: int
+        self,
+        image: Image,
+        x0: int,
+        y0: int,
+        nx: int,
+        ny: int,
+        arrays: _SearchMemory,
+        row_step: int,
+        cut_out: bool,
     ) -> Result:
         return search(
             image, x0, y0, nx, ny, self._memory, self._work, self._tables, self._noise, row_step,
-            arrays.bands, self._sample, arrays.mask, arrays.stack,
+            arrays.bands, self._sample, arrays.mask, arrays.stack, cut_out,
         )  # fmt: skip
 
     def record_window(self, spot: Spot, shape: tuple[int, int]) -> tuple[int, int, int, int]:

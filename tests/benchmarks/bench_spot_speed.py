@@ -20,7 +20,7 @@ from rich.console import Console
 from rich.table import Table
 
 from processing.spot import SpotTracker
-from tests.processing.spot.frames import EIGHT_BIT, exposed, light, side_of
+from tests.processing.spot.frames import EIGHT_BIT, exposed, light, side_of, tilted_light
 
 SHAPE = (1024, 1280)
 RING = 64
@@ -28,6 +28,7 @@ RING = 64
 TURN = 8
 """Frames that one method reads before the next one's turn, so that all of them meet the same load."""
 SIGMAS = (3, 6, 12)
+TILTED = (((8.0, 5.0), 0.5), ((16.0, 9.0), 0.6), ((24.0, 12.0), -0.7))
 PEAK = 180.0
 BLOCK = 20
 
@@ -48,22 +49,44 @@ def interleaved(actions: dict[str, tuple[Action, int]], rounds: int) -> dict[str
     return {name: median(values) for name, values in times.items()}
 
 
-def ring(sigma: float, rng: np.random.Generator, hot_pixels: int = 0) -> tuple[Frames, NDArray[np.float64]]:
-    """Full frames with a moving spot, and where it is."""
+def swinging() -> NDArray[np.float64]:
+    """Places of a spot that moves as a pendulum does."""
     phase = 0.05 * np.arange(RING)
-    truth = np.column_stack((640.3 + 8 * np.sin(phase), 512.6 + np.cos(phase)))
+    return np.column_stack((640.3 + 8 * np.sin(phase), 512.6 + np.cos(phase)))
+
+
+def knocked(rng: np.random.Generator, step_px: float) -> NDArray[np.float64]:
+    """Places of a spot that goes a step each frame, in any direction, and turns back at 200 px."""
+    place, places = np.zeros(2), []
+    for angle in rng.uniform(0, 2 * math.pi, RING):
+        step = step_px * np.array([math.cos(angle), math.sin(angle)])
+        place = place + (step if math.hypot(*(place + step)) < 200 else -step)
+        places.append(place)
+    return np.array([640.3, 512.6]) + places
+
+
+def ring(
+    sigmas: tuple[float, float],
+    truth: NDArray[np.float64],
+    rng: np.random.Generator,
+    hot_pixels: int = 0,
+    angle: float = 0.0,
+) -> Frames:
+    """Full frames with a spot."""
     frames: Frames = []
-    reach = int(6 * sigma)
+    reach = int(6 * max(sigmas))
     side = 2 * reach + 1
     for x, y in truth:
         frame = np.rint(6 + rng.normal(0, 0.18, SHAPE)).astype(np.uint8)
         column, row = int(x) - reach, int(y) - reach
-        frame[row : row + side, column : column + side] = exposed(
-            light((side, side), x - column, y - row, sigma, PEAK), rng
+        where = (side, side), x - column, y - row
+        spot = (
+            tilted_light(*where, sigmas, angle, PEAK) if angle else light(*where, sigmas[0], PEAK, sigmas[1])
         )
+        frame[row : row + side, column : column + side] = exposed(spot, rng)
         frame[rng.integers(0, SHAPE[0], hot_pixels), rng.integers(0, SHAPE[1], hot_pixels)] = 220
         frames.append(frame)
-    return frames, truth
+    return frames
 
 
 def _search(tracker: SpotTracker) -> Callable[[NDArray[Any]], object]:
@@ -80,7 +103,7 @@ def against_sum(sigma: float, hot_pixels: int, rounds: int) -> dict[str, float]:
     The methods take turns, each with the next frames of the ring: no frame is read again before the
     whole ring has been. The median over the rounds of each round's ratio is taken.
     """
-    frames, _ = ring(sigma, np.random.default_rng(31), hot_pixels)
+    frames = ring((sigma, sigma), swinging(), np.random.default_rng(31), hot_pixels)
     follower = SpotTracker(EIGHT_BIT)
     actions: dict[str, Callable[[NDArray[Any]], object]] = {
         "cv2.sumElems": cv2.sumElems,
@@ -114,6 +137,61 @@ def against_sum(sigma: float, hot_pixels: int, rounds: int) -> dict[str, float]:
         result[f"{name}, us"] = median(values)
         result[f"{name}, ratio"] = float(np.median(np.array(values) / sum_us))
     return result
+
+
+def jumped(sigma: float, step_px: float, rounds: int) -> dict[str, float]:
+    """Ratios to cv2.sumElems over the same frames, for a spot that is never where it was expected."""
+    rng = np.random.default_rng(32)
+    frames = ring((sigma, sigma), knocked(rng, step_px), rng)
+    actions: dict[str, Callable[[NDArray[Any]], object]] = {
+        "cv2.sumElems": cv2.sumElems,
+        "every row": SpotTracker(EIGHT_BIT, row_step=1).track,
+        "every 8th row first": SpotTracker(EIGHT_BIT, row_step=8).track,
+    }
+    us = {name: np.full(RING, np.inf) for name in actions}
+    for _ in range(max(3, rounds // 20)):
+        for name, action in actions.items():
+            action(frames[-1])
+            for k, frame in enumerate(frames):
+                begin_s = time.perf_counter()
+                action(frame)
+                us[name][k] = min(us[name][k], (time.perf_counter() - begin_s) * 1e6)
+    sum_us = us.pop("cv2.sumElems")
+    result: dict[str, float] = {"sigma_px": sigma, "step_px": step_px, "sum_us": float(np.median(sum_us))}
+    for name, values in us.items():
+        result[f"{name}, mean ratio"] = float(values.mean() / sum_us.mean())
+        result[f"{name}, largest ratio"] = float(values.max() / np.median(sum_us))
+    return result
+
+
+def tilted(sigmas: tuple[float, float], angle: float, rounds: int) -> dict[str, float]:
+    """Time to follow a tilted spot over that of an upright one with as many pixels in its window."""
+    rng = np.random.default_rng(33)
+    c, s = math.cos(angle), math.sin(angle)
+    along_pixels = math.hypot(sigmas[0] * c, sigmas[1] * s), math.hypot(sigmas[0] * s, sigmas[1] * c)
+    rings = {
+        "upright": ring(along_pixels, swinging(), rng),
+        "tilted": ring(sigmas, swinging(), rng, angle=angle),
+    }
+    us = {name: np.full(RING, np.inf) for name in rings}
+    for _ in range(max(3, rounds // 20)):
+        for name, frames in rings.items():
+            tracker = SpotTracker(EIGHT_BIT)
+            # until the tilt is known, and the spot's movement
+            for frame in frames[-6:]:
+                tracker.track(frame)
+            for k, frame in enumerate(frames):
+                begin_s = time.perf_counter()
+                tracker.track(frame)
+                us[name][k] = min(us[name][k], (time.perf_counter() - begin_s) * 1e6)
+    medians = {name: float(np.median(values)) for name, values in us.items()}
+    return {
+        "sigma_1_px": sigmas[0],
+        "sigma_2_px": sigmas[1],
+        "angle_rad": angle,
+        **{f"{name}_us": value for name, value in medians.items()},
+        "ratio": medians["tilted"] / medians["upright"],
+    }
 
 
 def windows(sigma: float, count: int, seed: int) -> tuple[NDArray[Any], NDArray[np.float64]]:
@@ -278,6 +356,8 @@ def run(quick: bool = False) -> dict[str, Any]:
     cv2.setNumThreads(1)
     rounds = 20 if quick else 200
     ratios = [against_sum(sigma, hot, rounds) for sigma in SIGMAS for hot in (0, 200)]
+    jumps = [jumped(sigma, step_px, rounds) for sigma in SIGMAS for step_px in (8, 100)]
+    tilts = [tilted(sigmas, angle, rounds) for sigmas, angle in TILTED]
     calls = [on_windows(sigma, 40 if quick else 120) for sigma in SIGMAS]
     others = peers(quick)
     console = Console()
@@ -289,6 +369,27 @@ def run(quick: bool = False) -> dict[str, Any]:
         table.add_row(
             f"{r['sigma_px']:g}", f"{r['hot_pixels']}", f"{r['sum_us']:.1f}",
             *(f"{r[name + ', ratio']:.3f} ({r[name + ', us']:.1f} us)" for name in names),
+        )  # fmt: skip
+    console.print(table)
+    table = Table(
+        title="a spot that jumps each frame, in any direction, in units of cv2.sumElems: mean, largest"
+    )
+    names = ("every row", "every 8th row first")
+    for column in ("sigma", "step px", "sumElems us", *names):
+        table.add_column(column, justify="right")
+    for j in jumps:
+        table.add_row(
+            f"{j['sigma_px']:g}", f"{j['step_px']:g}", f"{j['sum_us']:.1f}",
+            *(f"{j[name + ', mean ratio']:.2f}, {j[name + ', largest ratio']:.2f}" for name in names),
+        )  # fmt: skip
+    console.print(table)
+    table = Table(title="following a tilted spot, and an upright one with as many pixels")
+    for column in ("sigmas", "angle rad", "upright us", "tilted us", "ratio"):
+        table.add_column(column, justify="right")
+    for t in tilts:
+        table.add_row(
+            f"{t['sigma_1_px']:g}, {t['sigma_2_px']:g}", f"{t['angle_rad']:g}",
+            f"{t['upright_us']:.1f}", f"{t['tilted_us']:.1f}", f"{t['ratio']:.2f}",
         )  # fmt: skip
     console.print(table)
     table = Table(title="us per window of +-5 sigma")
@@ -308,7 +409,7 @@ def run(quick: bool = False) -> dict[str, Any]:
                 name, f"{value['us']:.1f}", f"{value['times_slower']:.0f}", f"{value['scatter_mpx']:.2f}"
             )
     console.print(table)
-    return {"against_sum": ratios, "windows": calls, "peers": others}
+    return {"against_sum": ratios, "jumped": jumps, "tilted": tilts, "windows": calls, "peers": others}
 
 
 if __name__ == "__main__":

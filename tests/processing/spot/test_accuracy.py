@@ -125,3 +125,33 @@ def test_shape_background_and_chi2_are_the_frames_own() -> None:
     # 200 frames of some 3000 pixels: 0.2 %; rounding a 2.9 DN noise makes no difference here
     assert means[9] == pytest.approx(1.0, abs=0.01)
     assert {spot.flags for spot in spots} <= {0, int(SpotFlag.OUTLIERS)}
+
+
+@pytest.mark.parametrize("peak", [20, 180])
+def test_a_large_tilted_spot_stands_where_it_is_claimed(peak: float) -> None:
+    rng = np.random.default_rng([9, peak])
+    n = side_of(16)
+    tracker = SpotTracker(EIGHT_BIT)
+    truth = n / 2 + rng.uniform(-0.5, 0.5, (100, 2))
+    spots = [tracker.track(exposed(tilted_light((n, n), x, y, (16, 9), 0.6, peak), rng)) for x, y in truth]
+    followed = spots[5:]
+    errors = errors_px(followed, truth[5:])
+    claimed = np.array([(spot.u_x_px, spot.u_y_px) for spot in followed])
+    tolerance = rms_tolerance(errors.size)
+    assert math.sqrt(np.mean((errors / claimed) ** 2)) == pytest.approx(1.0, abs=0.03 + tolerance)
+    assert np.mean([spot.rotation_rad for spot in followed]) == pytest.approx(0.6, abs=0.01)
+    assert np.mean([spot.sigma_x_px for spot in followed]) == pytest.approx(16, rel=2e-3)
+    assert np.mean([spot.sigma_y_px for spot in followed]) == pytest.approx(9, rel=2e-3)
+
+
+@pytest.mark.parametrize("angle", [0.4, -0.9])
+def test_a_tilt_brings_no_bias_against_the_subpixel_phase(angle: float) -> None:
+    # 16 bits: the model's error and that of single precision show, rounding does not
+    sensor = SensorModel(GAIN / 256, 7.0, 65535, pedestal_dn=256 * BACKGROUND_DN)
+    tracker = SpotTracker(sensor)
+    errors = []
+    for phase in (np.arange(16) + 0.5) / 16 - 0.5:
+        dn = 256 * (tilted_light((96, 96), 48 + phase, 48 - phase, (8, 5), angle, 200) + BACKGROUND_DN)
+        spot = tracker.track(np.rint(dn).astype(np.uint16))
+        errors.append((spot.x_px - 48 - phase, spot.y_px - 48 + phase))
+    assert np.abs(np.array(errors)).max() < 0.05e-3

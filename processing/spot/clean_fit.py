@@ -1,4 +1,4 @@
-"""Fast fit of a clean spot whose axes lie along the pixels, by Fisher scoring with `upright_score`.
+"""Fast fit of a clean spot by Fisher scoring with `upright_score` or, if it is tilted, `tilted_score`.
 
 It serves nearly every frame of a measurement. A spot that it does not suit is left to `general_fit`.
 """
@@ -21,6 +21,8 @@ from processing.spot.fit_values import (
     TILTED,
     UPRIGHT,
     Fitted,
+    Floats,
+    Window,
     Workspace,
     X,
     Y,
@@ -30,6 +32,7 @@ from processing.spot.linear_algebra import cholesky, inverse_diagonal, solve
 from processing.spot.prefetch import prefetch_window
 from processing.spot.sensor_model import PixelNoise, background_variance
 from processing.spot.spot import Image
+from processing.spot.tilted_score import information_tilted, score_tilted
 from processing.spot.upright_score import ALONG_Y, SMALLEST_SIGMA_PX, information, profile, score
 
 _PASSES = 10
@@ -38,6 +41,8 @@ _VECTOR = 32
 """Largest number of pixels that one vector instruction handles."""
 
 _MOST_OUTLIERS = 8
+_MOST_TILTED = 0.95
+"""Correlation of the light along x and y above which a spot is left to the general fit."""
 _LARGEST_SCATTER = 1.3
 """Chi-square per pixel above which the spot is not treated as clean and upright."""
 
@@ -48,36 +53,59 @@ TILT_EVIDENCE = 6.0
 """Significance of the tilt, in standard deviations, above which a spot is not treated as upright."""
 
 
-class UprightFit(NamedTuple):
-    """Result of an upright fit."""
+class CleanFit(NamedTuple):
+    """Result of a fit of a clean spot."""
 
     fitted: Fitted
     tilt: float
     """Significance of a tilt in standard deviations: the gradient by the covariance, divided by the square
-    root of its information (score test)."""
+    root of its information (score test); 0 where it was fitted."""
     far: bool
     """The start values were too far from the spot: from better ones the same fit may well succeed."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _not_done(far: bool) -> UprightFit:
-    return UprightFit(Fitted(False, 0.0, 0, 0, 0, UPRIGHT, False, False), 0.0, far)
+def _not_done(far: bool) -> CleanFit:
+    return CleanFit(Fitted(False, 0.0, 0, 0, 0, UPRIGHT, False, False), 0.0, far)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def fit_upright(
-    image: Image, work: Workspace, rough: bool, noise: PixelNoise, tables: NDArray[np.float32]
-) -> UprightFit:
+def moved(image: Image, p: Floats, noise: PixelNoise) -> bool:
+    """Whether the light at the expected centre has fallen so far that the spot must be elsewhere.
+
+    It is below three quarters at a distance of 0.8 standard deviations. The general fit from there would take
+    many passes, each of them as long as finding the spot anew.
+    """
+    ny, nx = image.shape
+    x, y = round(p[X]), round(p[Y])
+    if not (1 <= x < nx - 1 and 1 <= y < ny - 1):
+        return False
+    light = 0.0
+    for j in range(y - 1, y + 2):
+        for i in range(x - 1, x + 2):
+            light += image[j, i] / 9.0
+    light -= p[BACKGROUND]
+    expected = min(p[AMPLITUDE], noise.full_scale_dn - p[BACKGROUND])
+    variance = background_variance(p[BACKGROUND], noise) + expected * noise.dn_per_e
+    return bool(light < 0.75 * expected - 5.0 * math.sqrt(variance / 9.0))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def fit_clean(
+    image: Image, work: Workspace, rough: bool, tilted: bool, noise: PixelNoise, tables: NDArray[np.float32]
+) -> CleanFit:
     """Fisher scoring; `work.parameters` holds the start values and is updated in place.
 
-    With rough start values (`rough`) the first passes read only some of the rows. The result has
+    With rough start values (`rough`) the first passes read only some of the rows of an upright spot. With
+    `tilted` the covariance is fitted too. The result has
     ``done = False`` if the model reaches full scale, too many pixels are outliers, or the fit does not
     converge; the general fit is needed then.
     """
     ny, nx = image.shape
     p = work.parameters
     gradient = np.empty(TILTED)
-    step = np.empty(UPRIGHT)
+    size = TILTED if tilted else UPRIGHT
+    step = np.zeros(TILTED)
     informed = False
     fetched = False
     opened = rough
@@ -105,34 +133,44 @@ def fit_upright(
         if not fetched:
             prefetch_window(image, x0, y0, wx, wy)
             fetched = True
-        profile(tables[:ALONG_Y], x0, wx, p[X], p[SIGMA_X])
-        profile(tables[ALONG_Y:], y0, wy, p[Y], p[SIGMA_Y])
-        row_step = max(1, int(0.7 * p[SIGMA_Y])) if rough else 1
-        chi2, kept = score(
-            image, x0, y0, wx, wy, row_step, tables, p[AMPLITUDE], p[BACKGROUND], floor, noise.dn_per_e,
-            noise.prnu2, gate, gradient,
-        )  # fmt: skip
+        if tilted:
+            chi2, kept = score_tilted(image, x0, y0, wx, wy, tables[0], p, floor, noise, gate, gradient)
+        else:
+            profile(tables[:ALONG_Y], x0, wx, p[X], p[SIGMA_X])
+            profile(tables[ALONG_Y:], y0, wy, p[Y], p[SIGMA_Y])
+            row_step = max(1, int(0.7 * p[SIGMA_Y])) if rough else 1
+            chi2, kept = score(
+                image, x0, y0, wx, wy, row_step, tables, p[AMPLITUDE], p[BACKGROUND], floor, noise.dn_per_e,
+                noise.prnu2, gate, gradient,
+            )  # fmt: skip
         outliers = wx * wy - int(kept)
         many = outliers > _MOST_OUTLIERS + 0.002 * wx * wy
         if many and not opened:
+            if moved(image, p, noise):
+                return _not_done(True)
             # The spot has moved further than expected, and much of its light is rejected as outliers. The
             # remaining pixels would hardly tell where it went: repeat once without a limit for outliers.
             opened = True
             gate = math.inf
             continue
         if not informed:
-            # sums over a grid with steps of sigma are exact (see `information`), unless the image's edge cuts
-            # the spot
-            step_x = max(1, int(p[SIGMA_X])) if x0 > 0 and x0 + wx < nx else 1
-            step_y = max(1, int(p[SIGMA_Y])) if y0 > 0 and y0 + wy < ny else 1
-            information(
-                wx, wy, tables, p[AMPLITUDE], floor, noise.dn_per_e, noise.prnu2, step_x, step_y,
-                work.information,
-            )  # fmt: skip
-            if not cholesky(work.information, UPRIGHT, work.factor):
+            # Sums over a grid with steps of sigma are exact (see `information`), unless the image's edge cuts
+            # the spot. With a tilt it is the sigma along a row or column that counts.
+            narrow = math.sqrt(1.0 - (p[COVARIANCE] / (p[SIGMA_X] * p[SIGMA_Y])) ** 2)
+            step_x = max(1, int(narrow * p[SIGMA_X])) if x0 > 0 and x0 + wx < nx else 1
+            step_y = max(1, int(narrow * p[SIGMA_Y])) if y0 > 0 and y0 + wy < ny else 1
+            if tilted:
+                grid = Window(x0, y0, x0 + wx, y0 + wy)
+                information_tilted(image, grid, p, noise, step_x, step_y, work.information)
+            else:
+                information(
+                    wx, wy, tables, p[AMPLITUDE], floor, noise.dn_per_e, noise.prnu2, step_x, step_y,
+                    work.information,
+                )  # fmt: skip
+            if not cholesky(work.information, size, work.factor):
                 return _not_done(False)
             informed = True
-        solve(work.factor, UPRIGHT, gradient, step)
+        solve(work.factor, size, gradient, step)
         largest = 0.5 if rough else 0.2
         if (
             abs(step[SIGMA_X]) > largest * p[SIGMA_X]
@@ -151,10 +189,11 @@ def fit_upright(
             + abs(step[Y])
             + abs(step[SIGMA_X])
             + abs(step[SIGMA_Y])
+            + abs(step[COVARIANCE]) / sigma
             + sigma * abs(step[AMPLITUDE]) / p[AMPLITUDE]
         )
-        u_x = math.sqrt(inverse_diagonal(work.factor, UPRIGHT, X))
-        u_y = math.sqrt(inverse_diagonal(work.factor, UPRIGHT, Y))
+        u_x = math.sqrt(inverse_diagonal(work.factor, size, X))
+        u_y = math.sqrt(inverse_diagonal(work.factor, size, Y))
         small = (
             abs(step[X]) * others < _LEFT_OVER * u_x * sigma
             and abs(step[Y]) * others < _LEFT_OVER * u_y * sigma
@@ -167,14 +206,16 @@ def fit_upright(
             )
             > 0.03
         )
-        for k in range(UPRIGHT):
+        for k in range(size):
             p[k] += step[k]
+        if abs(p[COVARIANCE]) > _MOST_TILTED * p[SIGMA_X] * p[SIGMA_Y]:
+            return _not_done(False)
         scatter = chi2 / max(kept, 1.0)
         settled = gate <= GATE * _LARGEST_SCATTER
         # within the range where the model is linear, a step reduces chi-square by gradient . step
         expected = chi2
         if others < 0.5 * sigma:
-            for k in range(UPRIGHT):
+            for k in range(size):
                 expected -= gradient[k] * step[k]
         gate = GATE * max(1.0, expected / max(kept, 1.0))
         if changed:
@@ -186,8 +227,10 @@ def fit_upright(
         elif small and settled:
             if many or scatter > _LARGEST_SCATTER:
                 return _not_done(False)
-            for k in range(UPRIGHT):
+            for k in range(size):
                 chi2 -= gradient[k] * step[k]
-            tilt = gradient[COVARIANCE] / math.sqrt(max(work.information[COVARIANCE, COVARIANCE], 1e-300))
-            return UprightFit(Fitted(True, chi2, int(kept), 0, outliers, UPRIGHT, False, False), tilt, False)
+            tilt = 0.0
+            if not tilted:
+                tilt = gradient[COVARIANCE] / math.sqrt(max(work.information[COVARIANCE, COVARIANCE], 1e-300))
+            return CleanFit(Fitted(True, chi2, int(kept), 0, outliers, size, tilted, False), tilt, False)
     return _not_done(False)
