@@ -4,24 +4,27 @@ import json
 import struct
 import zlib
 from collections import Counter, defaultdict
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Literal, NamedTuple
 
 import numpy as np
 from mcap.opcode import Opcode
+from numpy.typing import NDArray
 
-from acquisition.record.chunk_reader import ChunkDamage, RawMessage, messages_in, open_chunk
-from acquisition.record.contents import ChunkPlace, Contents, parse, read_record, walk
+from acquisition.record.chunk_places import ChunkPlace
+from acquisition.record.chunk_reader import ChunkDamage, message_heads, open_chunk
+from acquisition.record.contents import Contents, parse, read_record, walk
 from acquisition.record.digest import sha256_of
+from acquisition.record.frame_numbers import MOST_SHOWN, FrameNumbers
 from acquisition.record.reader import RecordReader
 from acquisition.record.schemas import parse_message_type
 from acquisition.record.topics import PACKAGE, SPOT, WINDOW
 from acquisition.record.utc import utc_text
 from processing.errors import RecordError
 
-_BLOCK_BYTES = 4 * 1024 * 1024
-_MOST_SHOWN = 10
+_BLOCK_BYTES = 256 * 1024
 Severity = Literal["error", "warning", "note"]
 
 
@@ -38,29 +41,31 @@ class Finding(NamedTuple):
 
 @dataclass
 class _Tally:
-    """Counts and times from the messages themselves, accumulated chunk by chunk."""
+    """Counts, times and frame numbers of the messages themselves, accumulated chunk by chunk.
 
+    `frames` are by channel, of those channels that are `followed`.
+    """
+
+    followed: frozenset[int]
     counts: Counter[int] = field(default_factory=Counter)
     last_ns: dict[int, int] = field(default_factory=dict)
     backwards: Counter[int] = field(default_factory=Counter)
     first_backwards_ns: dict[int, int] = field(default_factory=dict)
-    sequences: dict[int, list[np.ndarray[tuple[int], np.dtype[np.int64]]]] = field(
-        default_factory=lambda: defaultdict(list)
-    )
+    frames: dict[int, FrameNumbers] = field(default_factory=lambda: defaultdict(FrameNumbers))
 
-    def add(self, messages: list[RawMessage], followed: frozenset[int]) -> None:
-        by_channel: dict[int, list[int]] = defaultdict(list)
-        for message in messages:
-            self.counts[message.channel] += 1
-            last_ns = self.last_ns.get(message.channel, message.log_time_ns)
-            if message.log_time_ns < last_ns:
-                self.backwards[message.channel] += 1
-                self.first_backwards_ns.setdefault(message.channel, message.log_time_ns)
-            self.last_ns[message.channel] = message.log_time_ns
-            if message.channel in followed:
-                by_channel[message.channel].append(message.sequence)
-        for channel, sequences in by_channel.items():
-            self.sequences[channel].append(np.array(sequences, dtype=np.int64))
+    def add(self, channel: int, heads: NDArray[np.void]) -> None:
+        """The messages of one channel in the next chunk."""
+        times_ns = heads["log_time_ns"]
+        before_ns = np.roll(times_ns, 1)
+        before_ns[0] = self.last_ns.get(channel, int(times_ns[0]))
+        back = times_ns < before_ns
+        if back.any():
+            self.backwards[channel] += int(np.count_nonzero(back))
+            self.first_backwards_ns.setdefault(channel, int(times_ns[back][0]))
+        self.counts[channel] += len(heads)
+        self.last_ns[channel] = int(times_ns[-1])
+        if channel in self.followed:
+            self.frames[channel].add(heads["sequence"].astype(np.int64))
 
 
 def check_record(path: Path, results: Path | None = None) -> list[Finding]:
@@ -88,7 +93,7 @@ def check_record(path: Path, results: Path | None = None) -> list[Finding]:
                     f"{utc_text(contents.end_ns)}; rig recover makes a complete file of it",
                 )
             )
-        tally = _Tally()
+        tally = _Tally(_followed(contents))
         findings += _check_chunks(reader, tally)
         findings += _check_attachments(reader)
         findings += _check_index(reader.file, contents)
@@ -106,45 +111,57 @@ def check_record(path: Path, results: Path | None = None) -> list[Finding]:
     return findings
 
 
+def _followed(contents: Contents) -> frozenset[int]:
+    return frozenset(n for n, c in contents.channels.items() if c.topic in (SPOT.topic, WINDOW.topic))
+
+
 def _check_chunks(reader: RecordReader, tally: _Tally) -> list[Finding]:
     contents = reader.contents
-    followed = frozenset(n for n, c in contents.channels.items() if c.topic in (SPOT.topic, WINDOW.topic))
     findings = []
     for place in contents.chunks:
-        span = f"{utc_text(place.start_ns)} to {utc_text(place.end_ns)}"
-        where = f"chunk at byte {place.offset} ({_topics(contents, place)}, {span})"
+
+        def found(what: str, place: ChunkPlace = place) -> None:
+            span = f"{utc_text(place.start_ns)} to {utc_text(place.end_ns)}"
+            where = f"chunk at byte {place.offset} ({_topics(contents, place)}, {span})"
+            findings.append(Finding("error", f"{where}: {what}"))
+
         try:
             chunk = open_chunk(reader.file, place)
-            messages = list(messages_in(chunk.data))
+            places, heads = message_heads(chunk.data)
         except ChunkDamage as damage:
-            findings.append(Finding("error", f"{where}: {damage}"))
+            found(str(damage))
             continue
-        tally.add(messages, followed)
-        times = [message.log_time_ns for message in messages]
+        expected: dict[int, bytes] = {}
+        for channel in dict.fromkeys(heads["channel"].tolist()):
+            of_channel = heads["channel"] == channel
+            tally.add(channel, heads[of_channel])
+            entries = np.empty((np.count_nonzero(of_channel), 2), dtype="<u8")
+            entries[:, 0], entries[:, 1] = heads["log_time_ns"][of_channel], places[of_channel]
+            expected[channel] = entries.tobytes()
+        times_ns = heads["log_time_ns"]
         stated = {(chunk.start_ns, chunk.end_ns), (place.start_ns, place.end_ns)}
-        if times and stated != {(min(times), max(times))}:
-            findings.append(Finding("error", f"{where}: the times in its header differ from its messages"))
-        if not _index_matches(reader.file, contents, place, messages):
-            findings.append(Finding("error", f"{where}: its message index does not match its messages"))
+        if len(times_ns) and stated != {(int(times_ns.min()), int(times_ns.max()))}:
+            found("the times in its header differ from its messages")
+        if not _index_matches(reader.file, contents, place, expected):
+            found("its message index does not match its messages")
     return findings
 
 
 def _index_matches(
-    file: IO[bytes], contents: Contents, place: ChunkPlace, messages: list[RawMessage]
+    file: IO[bytes], contents: Contents, place: ChunkPlace, expected: Mapping[int, bytes]
 ) -> bool:
-    """Whether the message index after a chunk agrees with its messages; a truncated file may lack it."""
-    expected: dict[int, list[tuple[int, int]]] = defaultdict(list)
-    for message in messages:
-        expected[message.channel].append((message.log_time_ns, message.offset))
+    """Whether the message index after a chunk agrees with its messages; a truncated file may lack it.
+
+    `expected` holds each channel's (log time, offset) pairs as they are encoded in the index.
+    """
     at = place.offset + place.length
-    for _ in range(len(expected)):
+    for _ in expected:
         try:
             opcode, data = read_record(file, at)
             channel, size = struct.unpack_from("<HI", data)
-            entries = list(struct.iter_unpack("<QQ", data[6 : 6 + size]))
         except (ValueError, struct.error):
             return not contents.whole and at >= contents.readable_bytes
-        if opcode != Opcode.MESSAGE_INDEX or entries != expected.get(channel):
+        if opcode != Opcode.MESSAGE_INDEX or data[6 : 6 + size] != expected.get(channel):
             return False
         at += 9 + len(data)
     return True
@@ -172,9 +189,8 @@ def _check_index(file: IO[bytes], contents: Contents) -> list[Finding]:
         return []
     walked = Contents(contents.size)
     walk(file, walked)
-    listed = {(chunk.offset, chunk.length) for chunk in contents.chunks}
-    found = {(chunk.offset, chunk.length) for chunk in walked.chunks}
-    if walked.data_end == contents.data_end and listed == found and not walked.damage:
+    listed, found = (np.unique(each.chunks.extents(), axis=0) for each in (contents, walked))
+    if walked.data_end == contents.data_end and np.array_equal(listed, found) and not walked.damage:
         return []
     return [
         Finding(
@@ -239,41 +255,33 @@ def _check_order(contents: Contents, tally: _Tally) -> list[Finding]:
 
 def _check_sequences(contents: Contents, tally: _Tally) -> list[Finding]:
     numbers = {channel.topic: number for number, channel in contents.channels.items()}
+    spots, windows = (
+        tally.frames.get(numbers.get(topic, -1), FrameNumbers()) for topic in (SPOT.topic, WINDOW.topic)
+    )
     findings = []
-    spots = _joined(tally, numbers.get(SPOT.topic))
-    steps = np.diff(spots)
-    if (steps <= 0).any():
+    if spots.not_rising:
         findings.append(
-            Finding("error", f"{SPOT.topic}: frame numbers do not rise in {int((steps <= 0).sum())} places")
+            Finding("error", f"{SPOT.topic}: frame numbers do not rise in {spots.not_rising} places")
         )
-    gaps = np.flatnonzero(steps > 1)
-    if len(gaps):
-        shown = ", ".join(f"{spots[i] + 1}-{spots[i + 1] - 1}" for i in gaps[:_MOST_SHOWN])
-        more = f" and {len(gaps) - _MOST_SHOWN} more gaps" if len(gaps) > _MOST_SHOWN else ""
-        missing = int((steps[gaps] - 1).sum())
-        findings.append(Finding("warning", f"{SPOT.topic}: {missing} frames are missing: {shown}{more}"))
-    windows = _joined(tally, numbers.get(WINDOW.topic))
-    strange = np.setdiff1d(windows, spots)
-    if len(strange):
+    if spots.gaps:
+        shown = ", ".join(f"{first}-{last}" for first, last in spots.first_gaps)
+        more = f" and {spots.gaps - len(spots.first_gaps)} more gaps" if spots.gaps > MOST_SHOWN else ""
         findings.append(
-            Finding(
-                "warning",
-                f"{WINDOW.topic}: {len(strange)} windows have no spot, first frame {strange[0]}",
-            )
+            Finding("warning", f"{SPOT.topic}: {spots.missing} frames are missing: {shown}{more}")
         )
-    if len(windows) and len(windows) < len(spots):
+    strange, first = windows.not_in(spots)
+    if strange:
+        findings.append(
+            Finding("warning", f"{WINDOW.topic}: {strange} windows have no spot, first frame {first}")
+        )
+    if 0 < windows.count < spots.count:
         findings.append(
             Finding(
                 "note",
-                f"{WINDOW.topic}: {len(spots) - len(windows)} frames have a spot message and no window",
+                f"{WINDOW.topic}: {spots.count - windows.count} frames have a spot message and no window",
             )
         )
     return findings
-
-
-def _joined(tally: _Tally, channel: int | None) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
-    parts = tally.sequences.get(channel, []) if channel is not None else []
-    return np.concatenate(parts) if parts else np.empty(0, dtype=np.int64)
 
 
 def _check_hash(path: Path, results: Path) -> Finding:

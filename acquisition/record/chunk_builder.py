@@ -12,14 +12,17 @@ MESSAGE_HEAD = struct.Struct("<BQHIQQ")
 """Opcode, length, channel, sequence, log time, publish time."""
 _LENGTH_BEFORE_DATA = MESSAGE_HEAD.size - 9
 _INDEX_ENTRY = struct.Struct("<QQ")
-_HEAD_FIELDS: list[Any] = [
-    ("opcode", "u1"),
-    ("length", "<u8"),
-    ("channel", "<u2"),
-    ("message_sequence", "<u4"),
-    ("log_time", "<u8"),
-    ("publish_time", "<u8"),
-]
+MESSAGE_HEAD_DTYPE = np.dtype(
+    [
+        ("opcode", "u1"),
+        ("length", "<u8"),
+        ("channel", "<u2"),
+        ("sequence", "<u4"),
+        ("log_time_ns", "<u8"),
+        ("publish_time_ns", "<u8"),
+    ]
+)
+"""The same as an array's row."""
 
 
 class ChunkBuilder:
@@ -69,13 +72,13 @@ class ChunkBuilder:
         count = len(rows)
         if count == 0:
             return
-        block = np.empty(count, dtype=[*_HEAD_FIELDS, ("message", rows.dtype)])
+        block = np.empty(count, dtype=[*MESSAGE_HEAD_DTYPE.descr, ("message", rows.dtype)])
         block["opcode"] = Opcode.MESSAGE
         block["length"] = _LENGTH_BEFORE_DATA + rows.dtype.itemsize
         block["channel"] = channel
-        block["message_sequence"] = np.asarray(sequences, dtype=np.int64) & 0xFFFFFFFF
-        block["log_time"] = log_times_ns
-        block["publish_time"] = log_times_ns
+        block["sequence"] = np.asarray(sequences, dtype=np.int64) & 0xFFFFFFFF
+        block["log_time_ns"] = log_times_ns
+        block["publish_time_ns"] = log_times_ns
         block["message"] = rows
         entries = np.empty((count, 2), dtype="<u8")
         entries[:, 0] = log_times_ns

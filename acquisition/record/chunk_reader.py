@@ -3,22 +3,30 @@
 import struct
 import zlib
 from collections.abc import Iterator
-from typing import IO, NamedTuple
+from typing import IO, NamedTuple, TypeAlias
 
+import numpy as np
 from mcap.opcode import Opcode
 from mcap.records import Chunk
 from mcap.stream_reader import get_chunk_data_stream
+from numpy.typing import NDArray
 
-from acquisition.record.chunk_builder import MESSAGE_HEAD
-from acquisition.record.contents import ChunkPlace
+from acquisition.record.chunk_builder import MESSAGE_HEAD, MESSAGE_HEAD_DTYPE
+from acquisition.record.chunk_places import ChunkPlace
 
 _HEAD = struct.Struct("<BQ")
 _CHUNK = struct.Struct("<QQQII")
+_MESSAGE_START = struct.Struct("<BQH")
+_MESSAGE = int(Opcode.MESSAGE)
 _LARGEST_CHUNK_BYTES = 2**31
 
 
 class ChunkDamage(ValueError):
     """The chunk's bytes differ from what was written; the message describes how."""
+
+
+PackedMessages: TypeAlias = NDArray[np.void] | list[bytes]
+"""Contents of messages, the items of an array if their lengths are equal."""
 
 
 class RawMessage(NamedTuple):
@@ -66,18 +74,55 @@ def open_chunk(file: IO[bytes], place: ChunkPlace, *, validate_crc: bool = True)
 
 def messages_in(data: bytes, channels: frozenset[int] | None = None) -> Iterator[RawMessage]:
     """Messages of the given channels (None: all) in a chunk. Raises ChunkDamage if a record is incomplete."""
+    unpack, head_size = MESSAGE_HEAD.unpack_from, MESSAGE_HEAD.size
+    for place, size in zip(*_places(data, channels), strict=True):
+        _, _, channel, sequence, log_time_ns, _ = unpack(data, place)
+        content = data[place + head_size : place + head_size + size]
+        yield RawMessage(channel, sequence, log_time_ns, content, place)
+
+
+def packed_messages(data: bytes, channels: frozenset[int] | None = None) -> PackedMessages:
+    """Contents of the messages that `messages_in` returns."""
+    places, sizes = _places(data, channels)
+    contents = np.array(places, dtype=np.int64) + MESSAGE_HEAD.size
+    if len(set(sizes)) == 1:
+        return _items(data, contents, sizes[0])
+    return [data[place : place + size] for place, size in zip(contents.tolist(), sizes, strict=True)]
+
+
+def message_heads(data: bytes) -> tuple[NDArray[np.int64], NDArray[np.void]]:
+    """Positions (n,) of the messages in a chunk, and their headers (n,) as rows of `MESSAGE_HEAD_DTYPE`.
+
+    Raises ChunkDamage if a record is incomplete.
+    """
+    places = np.array(_places(data)[0], dtype=np.int64)
+    return places, _items(data, places, MESSAGE_HEAD.size).view(MESSAGE_HEAD_DTYPE)
+
+
+def _items(data: bytes, places: NDArray[np.int64], size: int) -> NDArray[np.void]:
+    """Copies of `size` bytes each, from the given positions in `data`."""
+    # a view of the overlapping items that begin at each byte
+    every: NDArray[np.void] = np.ndarray(
+        (max(len(data) - size + 1, 0),), dtype=f"V{size}", buffer=data, strides=(1,)
+    )
+    return every[places]
+
+
+def _places(data: bytes, channels: frozenset[int] | None = None) -> tuple[list[int], list[int]]:
+    """Positions of the messages of the given channels in a chunk, and the sizes of their contents."""
+    places, sizes = [], []
     place, end = 0, len(data)
-    unpack, head_size, body = MESSAGE_HEAD.unpack_from, MESSAGE_HEAD.size, _HEAD.size
-    while place < end:
-        opcode, length = _HEAD.unpack_from(data, place) if place + body <= end else (0, end)
-        following = place + body + length
-        if following > end:
-            raise ChunkDamage("a record in it is incomplete")
-        if opcode == Opcode.MESSAGE:
-            _, _, channel, sequence, log_time_ns, _ = unpack(data, place)
-            if channels is None or channel in channels:
-                yield RawMessage(channel, sequence, log_time_ns, data[place + head_size : following], place)
+    unpack, head_size = _MESSAGE_START.unpack_from, MESSAGE_HEAD.size
+    while place + _MESSAGE_START.size <= end:
+        opcode, length, channel = unpack(data, place)
+        following = place + _HEAD.size + length
+        if opcode == _MESSAGE and (channels is None or channel in channels):
+            places.append(place)
+            sizes.append(following - place - head_size)
         place = following
+    if place != end or min(sizes, default=0) < 0:
+        raise ChunkDamage("a record in it is incomplete")
+    return places, sizes
 
 
 def _decompressed(compression: bytes, data: bytes, size: int) -> bytes:

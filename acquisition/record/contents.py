@@ -10,10 +10,9 @@ import os
 import struct
 import zlib
 from collections import Counter
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import IO, Any, NamedTuple
+from typing import IO, Any
 
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
@@ -30,6 +29,8 @@ from mcap.records import (
     Statistics,
 )
 
+from acquisition.record.chunk_places import ChunkPlace, ChunkPlaces
+
 MAGIC = b"\x89MCAP0\r\n"
 _HEAD = struct.Struct("<BQ")
 _FOOTER = struct.Struct("<BQQQI")
@@ -44,16 +45,6 @@ _CHUNK_OPCODE, _MESSAGE_INDEX_OPCODE = int(Opcode.CHUNK), int(Opcode.MESSAGE_IND
 _LOOK_BYTES = 4096
 _LARGEST_HEAD_BYTES = _HEAD.size + _CHUNK.size
 _SMALL_RECORD_BYTES = 256 * 1024 * 1024
-
-
-class ChunkPlace(NamedTuple):
-    """Position of a chunk in the file. `channels` are those listed in its index."""
-
-    offset: int
-    length: int
-    start_ns: int
-    end_ns: int
-    channels: frozenset[int]
 
 
 @dataclass
@@ -75,7 +66,7 @@ class Contents:
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     attachments: dict[str, int] = field(default_factory=dict)
     attachment_places: dict[str, int] = field(default_factory=dict)
-    walked_chunks: list[ChunkPlace] = field(default_factory=list)
+    walked_chunks: ChunkPlaces = field(default_factory=ChunkPlaces)
     chunk_index: bytes = b""
     counts: Counter[int] = field(default_factory=Counter)
     statistics: Statistics | None = None
@@ -84,9 +75,10 @@ class Contents:
     damage: list[str] = field(default_factory=list)
 
     @cached_property
-    def chunks(self) -> list[ChunkPlace]:
-        """All chunks in the order of the file; a record of one day has 200,000."""
-        return self.walked_chunks or list(_chunk_places(self.chunk_index))
+    def chunks(self) -> ChunkPlaces:
+        """All chunks in the order of the file."""
+        index, self.chunk_index = self.chunk_index, b""
+        return self.walked_chunks or _chunk_places(index)
 
     @property
     def chunk_count(self) -> int:
@@ -330,7 +322,8 @@ def _groups(summary: bytes, footer: Footer) -> dict[tuple[int, int], int]:
     }
 
 
-def _chunk_places(index: bytes) -> Iterator[ChunkPlace]:
+def _chunk_places(index: bytes) -> ChunkPlaces:
+    found = ChunkPlaces()
     place = 0
     while place < len(index):
         _, record_length = _HEAD.unpack_from(index, place)
@@ -341,5 +334,6 @@ def _chunk_places(index: bytes) -> Iterator[ChunkPlace]:
         channels = frozenset(
             channel for channel, _ in _INDEX_OFFSET.iter_unpack(index[at : at + bytes_of_offsets])
         )
-        yield ChunkPlace(offset, length, start_ns, end_ns, channels)
+        found.append(ChunkPlace(offset, length, start_ns, end_ns, channels))
         place += _HEAD.size + record_length
+    return found

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from processing.errors import RecordError
 
-_BLOCK_BYTES = 4 * 1024 * 1024
+_BLOCK_BYTES = 1024 * 1024
 
 
 def sha256_of(path: Path, progress: Callable[[int, int], None] | None = None) -> str:

@@ -3,7 +3,8 @@
 import datetime
 import logging
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Collection, Iterator, Sized
+from itertools import chain
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, NamedTuple, Self, TypeVar
@@ -14,8 +15,9 @@ from numpy.typing import NDArray
 from acquisition.frame import Frame
 from acquisition.frame_losses import FrameLosses
 from acquisition.record.balances import balances_of
-from acquisition.record.chunk_reader import ChunkDamage, RawMessage, messages_in, open_chunk
-from acquisition.record.contents import MAGIC, ChunkPlace, Contents, parse, read_contents, read_record
+from acquisition.record.chunk_places import ChunkPlace
+from acquisition.record.chunk_reader import ChunkDamage, RawMessage, messages_in, open_chunk, packed_messages
+from acquisition.record.contents import MAGIC, Contents, parse, read_contents, read_record
 from acquisition.record.events import Event
 from acquisition.record.foxglove import decode_log
 from acquisition.record.pixels import decode_image, decode_window
@@ -23,6 +25,7 @@ from acquisition.record.schemas import MessageType, message_type_of, parse_messa
 from acquisition.record.spots_and_swings import deflections_of, spot_table, swings_of
 from acquisition.record.topics import (
     BALANCE,
+    DEFLECTION_FIELDS,
     EVENT,
     IMAGE_TOPIC,
     LOG_TOPIC,
@@ -43,6 +46,8 @@ from processing.swing import Swing
 
 _log = logging.getLogger(__name__)
 _Value = TypeVar("_Value")
+_Found = TypeVar("_Found", bound=Sized)
+_ROWS_AT_ONCE = 4096
 
 
 class Message(NamedTuple):
@@ -177,7 +182,7 @@ class RecordReader:
         different topics only within a chunk.
         """
         names = {number: channel.topic for number, channel in self.contents.channels.items()}
-        for raw in self._raw(frozenset(topics)):
+        for raw in chain.from_iterable(self._by_chunk(_messages, frozenset(topics))):
             yield Message(names.get(raw.channel, ""), raw.sequence, raw.log_time_ns, raw.data)
 
     def table(self, topic: str) -> NDArray[Any]:
@@ -190,8 +195,7 @@ class RecordReader:
             return np.empty(0, dtype=np.dtype([]))
         table = np.empty(self.counts[topic], dtype=kind.table_dtype)
         filled = 0
-        for messages in self._by_chunk(frozenset([topic])):
-            part = kind.decode_table([message.data for message in messages])
+        for part in self._tables(kind):
             if filled + len(part) > len(table):
                 # the last chunk of a truncated file may lack the index from which messages are counted
                 table = np.concatenate([table[:filled], part])
@@ -231,23 +235,29 @@ class RecordReader:
         """
         return deflections_of(self.spots() if spots is None else spots, self.deflection_unit)
 
-    def spot_blocks(self, start_ns: int | None = None) -> Iterator[NDArray[Any]]:
-        """The same as `spots`, chunk by chunk, for records larger than memory.
+    def spot_blocks(
+        self, start_ns: int | None = None, fields: Collection[str] | None = None
+    ) -> Iterator[NDArray[Any]]:
+        """The same as `spots`, some thousand at a time, for records larger than memory.
 
         With `start_ns` (on the frames' clock), spots before that time are left out, and chunks before it are
-        not read.
+        not read. With `fields`, only these fields (and `time_ns`) are decoded, which is faster.
         """
         kind = self._type(SPOT.topic)
         if kind is None:
             return
-        for messages in self._by_chunk(frozenset([SPOT.topic]), start_ns):
-            table = spot_table(
-                kind.decode_table([message.data for message in messages]), self.deflection_unit
-            )
+        wanted = None if fields is None else {"time_ns", *fields}
+        for part in self._tables(kind, start_ns, wanted):
+            table = spot_table(part, self.deflection_unit, wanted)
             if start_ns is not None:
                 table = table[table["time_ns"] >= start_ns]
             if len(table):
                 yield table
+
+    def deflection_blocks(self) -> Iterator[Deflections]:
+        """The deflections of the whole record, some thousand at a time."""
+        for table in self.spot_blocks(fields=DEFLECTION_FIELDS[self.deflection_unit]):
+            yield self.deflections(table)
 
     def swings(self) -> list[Swing]:
         """All half-cycles, with amplitudes in `deflection_unit`."""
@@ -290,20 +300,43 @@ class RecordReader:
             decode_log(message.log_time_ns - offset_ns, message.data) for message in self.messages(LOG_TOPIC)
         ]
 
-    def _raw(self, topics: frozenset[str]) -> Iterator[RawMessage]:
-        for messages in self._by_chunk(topics):
-            yield from messages
-
     def _since(self, topic: str, start_ns: int | None) -> Iterator[RawMessage]:
         """Messages of one topic from a time on the frames' clock on."""
         from_ns = None if start_ns is None else start_ns + self.epoch_offset_ns
-        for messages in self._by_chunk(frozenset([topic]), start_ns):
+        for messages in self._by_chunk(_messages, frozenset([topic]), start_ns):
             for message in messages:
                 if from_ns is None or message.log_time_ns >= from_ns:
                     yield message
 
-    def _by_chunk(self, topics: frozenset[str], start_ns: int | None = None) -> Iterator[list[RawMessage]]:
-        """Messages chunk by chunk; chunks that end before `start_ns` (on the frames' clock) are not read."""
+    def _tables(
+        self, kind: MessageType, start_ns: int | None = None, fields: Collection[str] | None = None
+    ) -> Iterator[NDArray[Any]]:
+        """The numbers of a topic, some thousand rows at a time: a chunk may hold only a few dozen."""
+        held: list[NDArray[np.void]] = []
+        count = 0
+        for part in self._by_chunk(packed_messages, frozenset([kind.topic]), start_ns):
+            alike = isinstance(part, np.ndarray) and (not held or part.dtype == held[0].dtype)
+            if held and (not alike or count >= _ROWS_AT_ONCE):
+                yield kind.decode_table(np.concatenate(held), fields)
+                held, count = [], 0
+            if isinstance(part, np.ndarray):
+                held.append(part)
+                count += len(part)
+            else:
+                yield kind.decode_table(part, fields)
+        if held:
+            yield kind.decode_table(np.concatenate(held), fields)
+
+    def _by_chunk(
+        self,
+        take: Callable[[bytes, frozenset[int] | None], _Found],
+        topics: frozenset[str],
+        start_ns: int | None = None,
+    ) -> Iterator[_Found]:
+        """What `take` returns for each chunk's bytes and the topics' channels (None: all), if not empty.
+
+        Chunks that end before `start_ns` (on the frames' clock) are not read.
+        """
         from_ns = None if start_ns is None else start_ns + self.epoch_offset_ns
         wanted = None
         if topics:
@@ -316,13 +349,12 @@ class RecordReader:
             if wanted is not None and listed and not wanted & place.channels:
                 continue
             try:
-                chunk = open_chunk(self.file, place, validate_crc=self._validate_crcs)
-                messages = list(messages_in(chunk.data, wanted))
+                found = take(open_chunk(self.file, place, validate_crc=self._validate_crcs).data, wanted)
             except ChunkDamage as damage:
                 self.note_damage(place, str(damage))
                 continue
-            if messages:
-                yield messages
+            if len(found):
+                yield found
 
     def _type(self, topic: str) -> MessageType | None:
         """Message type of a topic as described in the file; None if the record has no such topic."""
@@ -395,3 +427,7 @@ def open_mcap(path: Path) -> IO[bytes]:
         what = "is empty" if not head else "is not an MCAP file"
         raise RecordError(f"{path}: {what}; a record is made by rig run")
     return file
+
+
+def _messages(data: bytes, channels: frozenset[int] | None) -> list[RawMessage]:
+    return list(messages_in(data, channels))

@@ -7,7 +7,7 @@ The descriptor is stored in the file, so that viewers can plot the fields.
 
 import dataclasses
 import struct
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal, get_type_hints
@@ -161,23 +161,49 @@ class MessageType:
             raise ValueError(f"{self.full_name}: message of {end} bytes ends inside a field")
         return tuple(values)
 
-    def decode_table(self, messages: Sequence[bytes]) -> NDArray[Any]:
-        """The numbers of many messages as a structured array (n,) of `table_dtype`."""
-        table = np.empty(len(messages), dtype=self.table_dtype)
-        size = self.wire_dtype.itemsize
-        if not self.tail and all(len(message) == size for message in messages):
-            wire = np.frombuffer(b"".join(messages), dtype=self.wire_dtype)
-            as_ours = all(
-                (wire[f"tag {name}"] == np.void(tag)).all()
-                for tag, (name, _) in zip(self._tags, self.numbers, strict=True)
-            )
-            if as_ours:
-                for name, _ in self.numbers:
-                    table[name] = wire[name]
-                return table
-        for row, data in enumerate(messages):
-            table[row] = self.decode(data)[: len(self.numbers)]
+    def decode_table(
+        self, messages: NDArray[np.void] | Sequence[bytes], names: Collection[str] | None = None
+    ) -> NDArray[Any]:
+        """The numbers of many messages as a structured array (n,), of all fields or of those in `names`.
+
+        Messages of equal length may be the items of an array, which is faster.
+        """
+        wanted = [(name, kind) for name, kind in self.numbers if names is None or name in names]
+        wire = self._as_written(messages)
+        if wire is None:
+            wire = self.wire_rows(len(messages))
+            columns = zip(*[self.decode(bytes(data)) for data in messages], strict=True)
+            for (name, _), column in zip(self.numbers, columns, strict=False):
+                wire[name] = column
+        table = np.empty(len(wire), dtype=[(name, _NUMPY[kind]) for name, kind in wanted])
+        for name, _ in wanted:
+            table[name] = wire[name]
         return table
+
+    def _as_written(self, messages: NDArray[np.void] | Sequence[bytes]) -> NDArray[Any] | None:
+        """The messages as rows of `wire_dtype`, if they are encoded as we write them; otherwise None."""
+        size = self.wire_dtype.itemsize
+        if not isinstance(messages, np.ndarray):
+            if any(len(message) != size for message in messages):
+                return None
+            messages = np.frombuffer(b"".join(messages), dtype=f"V{size}")
+        if self.tail or messages.dtype.itemsize != size:
+            return None
+        found = messages.view(np.uint8).reshape(len(messages), size)[:, self._tag_bytes]
+        as_ours = np.array_equal(found, np.broadcast_to(self._all_tags, found.shape))
+        return messages.view(self.wire_dtype) if as_ours else None
+
+    @cached_property
+    def _all_tags(self) -> NDArray[np.uint8]:
+        return np.frombuffer(b"".join(self._tags), dtype=np.uint8)
+
+    @cached_property
+    def _tag_bytes(self) -> NDArray[np.intp]:
+        """Which bytes of an encoded message are tags."""
+        row = np.zeros(1, dtype=self.wire_dtype)
+        for tag, (name, _) in zip(self._tags, self.numbers, strict=True):
+            row[f"tag {name}"] = np.void(b"\xff" * len(tag))
+        return np.flatnonzero(row.view(np.uint8))
 
 
 def parse_message_type(full_name: str, topic: str, descriptor: bytes) -> MessageType:

@@ -1,6 +1,6 @@
 """Conversion of spots and swings to messages and back."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any
 
 import numpy as np
@@ -47,10 +47,17 @@ def spot_rows(
     return rows
 
 
-def spot_table(table: NDArray[Any], unit: DeflectionUnit) -> NDArray[Any]:
-    """A record's table of spots with the present fields of `SPOT` or `SPOT_UNCALIBRATED`; see `conform`."""
-    kind = SPOT if unit is DeflectionUnit.RAD else SPOT_UNCALIBRATED
-    return conform(table, kind.table_dtype)
+def spot_table(
+    table: NDArray[Any], unit: DeflectionUnit, fields: Collection[str] | None = None
+) -> NDArray[Any]:
+    """A record's table of spots with the present fields of `SPOT` or `SPOT_UNCALIBRATED`; see `conform`.
+
+    With `fields`, only these of them.
+    """
+    present = (SPOT if unit is DeflectionUnit.RAD else SPOT_UNCALIBRATED).table_dtype
+    if fields is not None:
+        present = np.dtype([(name, present[name]) for name in present.names or () if name in fields])
+    return conform(table, present)
 
 
 def deflections_of(spots: NDArray[Any], unit: DeflectionUnit) -> Deflections:

@@ -7,13 +7,14 @@ measurement with this waveform the errors of the turning points are independent.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from processing.contact import ContactParameters, PendulumOnBall, scaled_contact
+from processing.deflections import Deflections
 from processing.errors import DataError
 from processing.swing import KnownMotion, Swing, SwingDetector, SwingFlag
 
@@ -70,9 +71,7 @@ def known_motion(
 
 def measured_again(
     swings: Sequence[Swing],
-    times_ns: NDArray[np.int64],
-    deflection_rad: NDArray[np.float64],
-    u_deflection_rad: NDArray[np.float64],
+    blocks: Iterable[Deflections],
     motion: KnownMotion,
 ) -> list[Swing]:
     """Fit each half-cycle to its samples again, with a known waveform.
@@ -82,11 +81,13 @@ def measured_again(
     swings
         Half-cycles from the detector, in order. Flagged ones are returned unchanged; one that is not found
         again, or is disturbed, is flagged.
-    times_ns, deflection_rad, u_deflection_rad
-        (n,) samples in which they were detected; NaN where the spot was lost.
+    blocks
+        The deflections in rad in which they were detected, along the slow axis, in order and in pieces of
+        any length, so that they need not be in memory together.
     """
     detector = SwingDetector(motion)
-    found = [*detector.update(times_ns, deflection_rad, u_deflection_rad), *detector.finish()]
+    found = [swing for block in blocks for swing in detector.update(block.times_ns, block.y, block.u_y)]
+    found += detector.finish()
     found_ns = np.array([swing.turn_time_ns for swing in found], dtype=np.int64)
     near_ns = 0.25e9 * math.pi / motion.rate_rad_per_s
     again: list[Swing] = []

@@ -1,7 +1,7 @@
 """Half-cycles of the decay: turning points, uncertainties and flags."""
 
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from enum import IntFlag
 
 import numpy as np
@@ -47,22 +47,6 @@ class Swing:
     flags: int
 
 
-SWING_DTYPE = np.dtype(
-    [
-        ("index", np.int64),
-        ("turn_time_ns", np.int64),
-        ("u_turn_time_s", np.float64),
-        ("amplitude", np.float64),
-        ("u_amplitude", np.float64),
-        ("half_period_s", np.float64),
-        ("u_half_period_s", np.float64),
-        ("centre", np.float64),
-        ("side", np.int64),
-        ("flags", np.int64),
-    ]
-)
-
-
 @dataclass(frozen=True, slots=True)
 class TurningPoints:
     """Unflagged turning points of a decay, the data of the fits, as arrays of equal length.
@@ -83,12 +67,12 @@ class TurningPoints:
 
 def turning_points(swings: Sequence[Swing]) -> TurningPoints:
     """Unflagged swings as arrays; times are relative to the first of them."""
-    rows = np.array([astuple(s) for s in swings if s.flags == 0], dtype=SWING_DTYPE)
-    first_ns = rows["turn_time_ns"][0] if len(rows) else 0
+    good = [swing for swing in swings if swing.flags == 0]
+    turn_time_ns = np.array([swing.turn_time_ns for swing in good], dtype=np.int64)
     return TurningPoints(
-        index=rows["index"],
-        time_s=(rows["turn_time_ns"] - first_ns) * 1e-9,
-        u_time_s=rows["u_turn_time_s"],
-        amplitude=rows["amplitude"],
-        u_amplitude=rows["u_amplitude"],
+        index=np.array([swing.index for swing in good], dtype=np.int64),
+        time_s=np.asarray((turn_time_ns - turn_time_ns[:1]) * 1e-9, dtype=np.float64),
+        u_time_s=np.array([swing.u_turn_time_s for swing in good], dtype=np.float64),
+        amplitude=np.array([swing.amplitude for swing in good], dtype=np.float64),
+        u_amplitude=np.array([swing.u_amplitude for swing in good], dtype=np.float64),
     )

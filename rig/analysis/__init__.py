@@ -20,7 +20,13 @@ from rig.analysis.encoding import JsonObject
 from rig.analysis.fit_remarks import remarks
 from rig.analysis.fit_tables import parameter_table, quality_table
 from rig.analysis.instrument_results import DecrementTable, InstrumentResults, PeriodTable, SwingPlane
-from rig.analysis.record_fit import AnalysedRun, analyse_record, analyse_run, session_results
+from rig.analysis.record_fit import (
+    AnalysedRun,
+    analyse_record,
+    analyse_run,
+    session_results,
+    with_dropped_frames,
+)
 from rig.analysis.results import (
     AveragedCurves,
     CombinedParameter,
@@ -93,5 +99,6 @@ __all__ = [
     "session_results",
     "settled_swings",
     "surface_energies",
+    "with_dropped_frames",
     "write_results",
 ]

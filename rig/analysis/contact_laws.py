@@ -1,6 +1,6 @@
 """Both fits of one decay, from its turning points as they are best known."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -47,18 +47,21 @@ class Settled(NamedTuple):
 
 def settled_swings(
     swings: Sequence[Swing],
-    deflections: Deflections,
+    blocks: Iterable[Deflections],
+    unit: DeflectionUnit,
     pendulum: PendulumOnBall | None,
     settings: FitSettings,
     clock_rate: float = 1.0,
 ) -> Settled:
     """The half-cycles as they stand once the motion is known from all of them.
 
+    `blocks` are consecutive deflections, in `unit`, in which the swings were detected.
+
     They stay as they were detected where the laws cannot be fitted, which need deflections in rad, or
     where the fit does not describe the deflections.
     """
     as_detected = Settled(swings, None)
-    if pendulum is None or deflections.unit is not DeflectionUnit.RAD:
+    if pendulum is None or unit is not DeflectionUnit.RAD:
         return as_detected
     points = points_in_true_time(swings, clock_rate)
     try:
@@ -66,7 +69,7 @@ def settled_swings(
         motion = known_motion(exact.parameters, pendulum, float(points.amplitude[0]), clock_rate)
     except DataError:
         return as_detected
-    again = measured_again(swings, deflections.times_ns, deflections.y, deflections.u_y, motion)
+    again = measured_again(swings, blocks, motion)
     return Settled(again, motion) if agree(swings, again) else as_detected
 
 

@@ -5,7 +5,6 @@ from collections.abc import Mapping
 from dataclasses import astuple, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration import Axes
 from processing.angle import ARCSEC_RAD
@@ -76,18 +75,6 @@ def rig_quantities(config: Configuration, fast_ratio: float = 0.0) -> RigQuantit
         fast_ratio=fast_ratio,
         balls=balls(config),
     )
-
-
-def fast_ratio(x: NDArray[np.float64], y: NDArray[np.float64]) -> float:
-    """Ratio of fast to slow motion, from deflections x and y (n,) in one unit.
-
-    Each is the root mean square about the median, without NaN. The ratio is 0 if there is no slow motion.
-    """
-    spread_x, spread_y = (
-        float(np.sqrt(np.mean((good - np.median(good)) ** 2))) if len(good) else 0.0
-        for good in (values[np.isfinite(values)] for values in (x, y))
-    )
-    return spread_x / spread_y if spread_y > 0 else 0.0
 
 
 def contact_of(rig: RigQuantities) -> HertzContact:

@@ -1,7 +1,7 @@
 """From a closed record to its results: fits, verdicts, what other kinds of pendulum report."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -9,15 +9,16 @@ import numpy as np
 
 from acquisition.record.digest import sha256_of
 from acquisition.record.reader import RecordReader
-from acquisition.record.topics import ENVIRONMENT
-from processing.deflections import Deflections, DeflectionUnit
+from acquisition.record.topics import DEFLECTION_FIELDS, ENVIRONMENT
+from processing.deflections import Deflections, DeflectionUnit, joined
 from processing.fit import FitMethod, FitResult, RigQuantities
 from processing.swing import Swing, TurningPoints
 from rig.analysis.contact_laws import DecayFits, fit_decay, points_in_true_time, settled_swings
 from rig.analysis.contact_series import combined_series
-from rig.analysis.contact_verdicts import evaluate, fast_ratio, fit_results, rig_quantities
+from rig.analysis.contact_verdicts import evaluate, fit_results, rig_quantities
 from rig.analysis.other_instruments import Air, Reduction, reduce_run
 from rig.analysis.other_instruments_series import reduce_series
+from rig.analysis.passing_deflections import PassingDeflections
 from rig.analysis.results import RunResults, Series, SessionResults
 from rig.analysis.results_file import relative_record
 from rig.analysis.stored_turning_points import StoredTurningPoints
@@ -45,37 +46,50 @@ def analyse_record(path: Path, overrides: Sequence[str] = ()) -> AnalysedRun:
     """Fit one closed record; `overrides` change its configuration (fit settings, pendulum) for this fit."""
     with RecordReader(path) as reader:
         config = recorded_configuration(reader, overrides)
-        spots = reader.spots()
-        missing = int(spots["sequence"][-1]) + 1 - len(spots) if len(spots) else 0
-        return analyse_run(reader, config, reader.swings(), reader.deflections(spots), dropped_frames=missing)
+        following = 0
+
+        def blocks() -> Iterator[Deflections]:
+            nonlocal following
+            for spots in reader.spot_blocks(fields=("sequence", *DEFLECTION_FIELDS[reader.deflection_unit])):
+                following = int(spots["sequence"][-1]) + 1
+                yield reader.deflections(spots)
+
+        run = analyse_run(reader, config, reader.swings(), blocks(), reader.deflection_unit)
+    return with_dropped_frames(run, following - run.results.frames)
 
 
 def analyse_run(
     reader: RecordReader,
     config: Configuration,
     swings: Sequence[Swing],
-    deflections: Deflections,
-    *,
-    dropped_frames: int,
+    blocks: Iterable[Deflections],
+    unit: DeflectionUnit,
 ) -> AnalysedRun:
-    """Fit half-cycles and deflections that came from a record: those in it, or what a replay made of it."""
-    times_ns = deflections.times_ns
-    began, ended = (reader.utc(int(times_ns[at]) if len(times_ns) else 0) for at in (0, -1))
-    calibration, doubts = judge_calibration(config, reader.attachments, began, ended)
+    """Fit half-cycles and deflections that came from a record: those in it, or what a replay made of it.
+
+    `blocks` are the deflections of consecutive frames, in `unit`.
+    """
+    deflections = PassingDeflections(blocks, unit)
     run = _analyse_swings(reader.path, swings, config, deflections, recorded_air(reader, config))
+    began, ended = reader.utc(deflections.first_ns), reader.utc(deflections.last_ns)
+    calibration, doubts = judge_calibration(config, reader.attachments, began, ended)
     warnings = [*run.results.warnings, *doubts]
     if reader.truncated:
         warnings.append(reader.cut_notice)
     warnings += [f"damaged chunk: {damage.what}" for damage in reader.damages]
     results = replace(
         run.results,
-        frames=len(times_ns),
-        dropped_frames=dropped_frames,
+        frames=deflections.frames,
         losses=reader.losses(),
         warnings=tuple(warnings),
         calibration=calibration,
     )
     return replace(run, results=results)
+
+
+def with_dropped_frames(run: AnalysedRun, dropped_frames: int) -> AnalysedRun:
+    """The run with the number of frames that are missing between its first and its last."""
+    return replace(run, results=replace(run.results, dropped_frames=dropped_frames))
 
 
 def recorded_air(reader: RecordReader, config: Configuration) -> Air:
@@ -93,7 +107,7 @@ def recorded_air(reader: RecordReader, config: Configuration) -> Air:
 
 
 def _analyse_swings(
-    path: Path, swings: Sequence[Swing], config: Configuration, deflections: Deflections, air: Air
+    path: Path, swings: Sequence[Swing], config: Configuration, deflections: PassingDeflections, air: Air
 ) -> AnalysedRun:
     """Reduce the half-cycles of one run as its kind of pendulum asks.
 
@@ -101,9 +115,9 @@ def _analyse_swings(
     """
     unit = deflections.unit
     if config.instrument.description().report != "contact" and unit is DeflectionUnit.RAD:
-        return _reduced(path, swings, config, deflections, air)
+        return _reduced(path, swings, config, joined(deflections, unit), air)
     pendulum, clock_rate = pendulum_on_ball(config), _clock_rate(config)
-    settled = settled_swings(swings, deflections, pendulum, config.fit, clock_rate)
+    settled = settled_swings(swings, deflections, unit, pendulum, config.fit, clock_rate)
     points = points_in_true_time(settled.swings, clock_rate)
     if unit is DeflectionUnit.RAD:
         decay = fit_decay(points, pendulum, config.fit)
@@ -112,7 +126,7 @@ def _analyse_swings(
             {}, None, "the record has no calibration (no [lever]): amplitudes are in px, the laws need rad"
         )
     results = replace(
-        _head(path, points, deflections.unit),
+        _head(path, points, unit),
         measured_again_on=settled.motion,
         fits={name: fit_results(fit) for name, fit in decay.fits.items()},
         surface_energy_j_per_m2=decay.surface_energy,
@@ -121,7 +135,7 @@ def _analyse_swings(
         settings=config.fit.model_dump(),
         turning_points=StoredTurningPoints.of(points, settled.swings, unit, clock_rate),
     )
-    rig = rig_quantities(config, fast_ratio(deflections.x, deflections.y))
+    rig = rig_quantities(config, deflections.fast_ratio())
     if decay.fits and pendulum is not None:
         seed = int(results.sha256[:12], 16)
         results = evaluate(results, points, pendulum, decay.fits[FitMethod.EXACT], rig, seed)

@@ -64,7 +64,8 @@ def analyse_table(
     if config is not None and not laws.problem:
         pendulum = pendulum_on_ball(config)
         deflections = slow_deflections(trajectory.times_ns, deflection, noise)
-        points = turning_points(settled_swings(swings, deflections, pendulum, config.fit).swings)
+        settled = settled_swings(swings, [deflections], deflections.unit, pendulum, config.fit)
+        points = turning_points(settled.swings)
         laws = fit_decay(points, pendulum, config.fit)
     results = _results(path, trajectory, summary, laws)
     return AnalysedTable(trajectory, swings, summary, noise / scale, results)

@@ -85,7 +85,11 @@ def simulate_pair(pair: PrintedPair, b_exponent: int, seed: int) -> PairSeries:
         detector = SwingDetector()
         swings = detector.update(seen.times_ns, seen.y_rad, u) + detector.finish()
         deflections = slow_deflections(seen.times_ns, seen.y_rad, u)
-        runs.append(turning_points(settled_swings(swings, deflections, pendulum, FitSettings()).swings))
+        runs.append(
+            turning_points(
+                settled_swings(swings, [deflections], deflections.unit, pendulum, FitSettings()).swings
+            )
+        )
         if shown is None:
             first_ns = next(swing.turn_time_ns for swing in swings if swing.flags == 0)
             time_s = np.asarray((seen.times_ns - first_ns) * 1e-9, dtype=np.float64)

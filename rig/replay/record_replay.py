@@ -17,6 +17,7 @@ from rig.analysis import (
     print_results,
     recorded_results,
     session_results,
+    with_dropped_frames,
     write_results,
 )
 from rig.instrument import recorded_configuration
@@ -87,9 +88,8 @@ def replay_record(
             player.play()
         result = replay.finish()
         partial = replay.partial or replay.sought or player.ended_by_user
-        run = analyse_run(
-            reader, config, result.swings, result.deflections, dropped_frames=result.dropped_frames
-        )
+        run = analyse_run(reader, config, result.swings, result.deflections, config.deflection_unit)
+        run = with_dropped_frames(run, result.dropped_frames)
         if partial:
             part = f"replayed from {replay.begun_s:.2f} s to {replay.position_s:.2f} s of the record"
             run = replace(run, results=replace(run.results, warnings=(part, *run.results.warnings)))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from acquisition.frame import Frame
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import WINDOW, RecordedWindow
-from processing.deflections import Deflections, joined
+from processing.deflections import Deflections
 from processing.errors import RecordError
 from processing.spot import Spot, SpotFlag
 from processing.swing import Swing
@@ -33,10 +33,13 @@ class Step(NamedTuple):
 
 
 class Replayed(NamedTuple):
-    """Results of a replay; `dropped_frames` are missing in the record between the first and the last."""
+    """Results of a replay; `dropped_frames` are missing in the record between the first and the last.
+
+    `deflections` are in the pieces in which they were processed.
+    """
 
     swings: list[Swing]
-    deflections: Deflections
+    deflections: list[Deflections]
     dropped_frames: int
     comparison: Comparison
 
@@ -171,9 +174,8 @@ class Replay:
         swings = self._pipeline.finish()
         whole_end = math.isinf(self.next_s) and self._to_ns >= self._last_ns
         self._swings += swings
-        deflections = joined(self._deflections, self._config.deflection_unit)
         first = self._first_sequence if self.partial or self.sought else 0
-        dropped = self._last_sequence + 1 - first - len(deflections)
+        dropped = self._last_sequence + 1 - first - sum(map(len, self._deflections))
         # at the end of a part the last half-cycle lacks samples that it had when it was recorded
         compared = self._swings if whole_end else self._swings[: len(self._swings) - len(swings)]
         comparison = self._comparison.finish(
@@ -182,7 +184,7 @@ class Replay:
             from_start=self._begun_ns == self.start_ns,
             to_end=whole_end,
         )
-        return Replayed(self._swings, deflections, dropped, comparison)
+        return Replayed(self._swings, self._deflections, dropped, comparison)
 
     def _begin(self, time_ns: int) -> None:
         shape = self._shape

@@ -139,12 +139,12 @@ def turning_points_again(reader: RecordReader, results: RunResults) -> StoredTur
 
     Those that were fitted where the results say on which motion they were measured again; else as detected.
     """
-    deflections, clock_rate = reader.deflections(reader.spots()), _clock_rate(reader, [])
+    clock_rate = _clock_rate(reader, [])
     motion, swings = results.measured_again_on, reader.swings()
     if motion is not None:
-        swings = measured_again(swings, deflections.times_ns, deflections.y, deflections.u_y, motion)
+        swings = measured_again(swings, reader.deflection_blocks(), motion)
     points = points_in_true_time(swings, clock_rate)
-    return StoredTurningPoints.of(points, swings, deflections.unit, clock_rate)
+    return StoredTurningPoints.of(points, swings, reader.deflection_unit, clock_rate)
 
 
 def _clock_rate(reader: RecordReader, notes: list[str]) -> float:

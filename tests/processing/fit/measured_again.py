@@ -1,10 +1,12 @@
 """Decays in rad with noise, and their half-cycles determined again with the fitted motion."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 
 from processing.contact.parameters import ContactParameters, PendulumOnBall
+from processing.deflections import Deflections, slow_deflections
 from processing.fit.exact import fit_exact
 from processing.fit.remeasure import known_motion, measured_again
 from processing.swing import Swing, turning_points
@@ -48,4 +50,11 @@ def again_with_fit(record: Record, swings: list[Swing], contact: str) -> list[Sw
     pendulum = contact_truth(contact)[1]
     exact = fit_exact(turning_points(swings), pendulum)
     motion = known_motion(exact.parameters, pendulum, swings[0].amplitude)
-    return measured_again(swings, record.times_ns, record.deflection, record.u_deflection, motion)
+    return measured_again(swings, in_blocks(record), motion)
+
+
+def in_blocks(record: Record) -> Iterator[Deflections]:
+    """The samples of a record, 1,000 at a time."""
+    for first in range(0, len(record.times_ns), 1000):
+        part = slice(first, first + 1000)
+        yield slow_deflections(record.times_ns[part], record.deflection[part], record.u_deflection[part])

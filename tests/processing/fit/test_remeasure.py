@@ -8,7 +8,7 @@ import pytest
 from processing.errors import DataError
 from processing.fit.remeasure import agree, known_motion, measured_again
 from processing.swing import KnownMotion, Swing
-from tests.processing.fit.measured_again import again_with_fit, contact_truth, in_rad, noisy
+from tests.processing.fit.measured_again import again_with_fit, contact_truth, in_blocks, in_rad, noisy
 from tests.processing.swing.truth import (
     ARCSEC_RAD,
     Errors,
@@ -41,13 +41,7 @@ def test_known_motion_is_that_of_the_integrated_equation(contact: str, reference
 
 
 def measured_again_from_nothing(record: Record, motion: KnownMotion) -> list[Swing]:
-    return measured_again(
-        detect(record),
-        record.times_ns,
-        record.deflection,
-        record.u_deflection,
-        motion,
-    )
+    return measured_again(detect(record), in_blocks(record), motion)
 
 
 def test_early_half_cycles_stand_at_the_bound_and_apart(glass: Record) -> None:
@@ -86,7 +80,7 @@ def test_flagged_ones_stay_and_those_that_are_gone_are_flagged(glass: Record) ->
     turn_s = swings[50].turn_time_ns * 1e-9
     hidden[np.abs(record.time_s - turn_s) < 0.6] = np.nan
     motion = known_motion(*contact_truth("glass"), swings[0].amplitude)
-    again = measured_again(swings, record.times_ns, hidden, record.u_deflection, motion)
+    again = measured_again(swings, in_blocks(replace(record, deflection=hidden)), motion)
     assert [swing.index for swing in again] == [swing.index for swing in swings]
     assert again[20] == swings[20]
     assert again[50].flags != 0
@@ -101,7 +95,7 @@ def test_laws_that_are_not_those_of_the_motion_do_not_agree(glass: Record) -> No
     # the same loss at 60 arcsec, but constant: the turning times of every half-cycle would shift
     constant = replace(parameters, c=parameters.b * (60 * ARCSEC_RAD) ** parameters.p, b=1e-9)
     motion = known_motion(constant, pendulum, swings[0].amplitude)
-    again = measured_again(swings, record.times_ns, record.deflection, record.u_deflection, motion)
+    again = measured_again(swings, in_blocks(record), motion)
     assert not agree(swings, again)
 
 

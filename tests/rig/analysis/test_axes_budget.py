@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 from calibration.axes import Axes
+from processing.deflections import Deflections, DeflectionUnit, Floats
 from processing.fit.apparatus import Quantity
 from processing.fit.reported import FittedContact
 from processing.fit.uncertainty import budgets
-from rig.analysis.contact_verdicts import fast_ratio, rig_quantities
+from rig.analysis.contact_verdicts import rig_quantities
+from rig.analysis.passing_deflections import PassingDeflections
 from rig.instrument import complete
 from rig.settings import load_configuration
 from tests.processing.fit.test_uncertainty import found, points, rig
@@ -75,5 +77,15 @@ def test_the_fast_mode_is_compared_with_the_slow_one() -> None:
     phase = np.linspace(0.0, 20 * np.pi, 5001)[:-1]
     slow = 3.0 + np.sin(phase)
     assert fast_ratio(0.1 * np.sin(5 * phase), slow) == pytest.approx(0.1, rel=1e-3)
-    assert fast_ratio(np.full(4, np.nan), slow) == 0.0
+    assert fast_ratio(np.full(5000, np.nan), slow) == 0.0
     assert fast_ratio(slow, np.zeros(5000)) == 0.0
+
+
+def fast_ratio(x: Floats, y: Floats) -> float:
+    """In blocks, the first of which has passed before."""
+    every = Deflections(np.arange(len(x)), x, y, np.ones(len(x)), np.ones(len(x)), DeflectionUnit.RAD)
+    passing = PassingDeflections([every[:700], every[:0], every[700:]], every.unit)
+    assert len(next(iter(passing))) == 700
+    found = passing.fast_ratio()
+    assert (passing.frames, passing.first_ns, passing.last_ns) == (len(x), 0, len(x) - 1)
+    return found

@@ -111,7 +111,7 @@ def measure(
     assert pendulum is not None
     assert quantities is not None
     slow, clock_rate = slow_deflections(stamps_ns, y_rad, u_y_rad), config.timebase.camera_rate
-    settled = settled_swings(swings, slow, pendulum, config.fit, clock_rate)
+    settled = settled_swings(swings, [slow], slow.unit, pendulum, config.fit, clock_rate)
     points = points_in_true_time(settled.swings, clock_rate)
     table = budgets(fitted_contact(fit_exact(points, pendulum)), quantities)
     truth = {name: float(getattr(contact, name)) for name in ("b", "p", "c", "n", "period0_s", "gamma_pa")}

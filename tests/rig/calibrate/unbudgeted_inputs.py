@@ -51,7 +51,9 @@ def _found(spots: Spots) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     swings = [swing for swing in swings if swing.amplitude > FINAL_ARCSEC * ARCSEC_RAD]
     pendulum = pendulum_on_ball(0.406, 6.05e-3, MATERIALS["steel"], MATERIALS["glass_k8"])
     slow = slow_deflections(times_ns, y_rad, u_y_rad)
-    fit = fit_exact(turning_points(settled_swings(swings, slow, pendulum, FitSettings()).swings), pendulum)
+    fit = fit_exact(
+        turning_points(settled_swings(swings, [slow], slow.unit, pendulum, FitSettings()).swings), pendulum
+    )
     estimates = [fit.estimate(name) for name in PAPER.names()]
     return np.array([e.value for e in estimates]), np.array([e.standard_uncertainty for e in estimates])
 

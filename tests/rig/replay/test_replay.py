@@ -111,7 +111,7 @@ def test_a_part_begins_and_ends_where_it_is_told(record: Path) -> None:
         played(replay, math.inf, {})
         result = replay.finish()
     assert replay.partial
-    assert len(result.deflections) == 30 * RATE_HZ + 1 - 1
+    assert sum(map(len, result.deflections)) == 30 * RATE_HZ + 1 - 1
     assert result.dropped_frames == 1
     comparison = result.comparison
     assert (comparison.spots, comparison.spots_changed) == (30 * RATE_HZ, 0)
@@ -193,7 +193,7 @@ def test_backwards_the_pipeline_begins_anew(record: Path) -> None:
     assert script.at(5.4).elapsed_s == pytest.approx(5.0, abs=0.05)
     assert script.at(5.4).frames == 0
     assert replay.sought
-    assert len(result.deflections) == 55 * RATE_HZ - 1
+    assert sum(map(len, result.deflections)) == 55 * RATE_HZ - 1
 
 
 def test_seeking_beyond_the_ends_stops_there(record: Path) -> None:
