@@ -76,36 +76,43 @@ def uniform(state: np.uint64) -> tuple[np.uint64, float]:
 @njit(cache=True, nogil=True)
 def _normal_beyond(
     state: np.uint64, z: float, layer: int, edges: NDArray[np.float64]
-) -> tuple[np.uint64, float, bool]:
-    """The rare cases of the ziggurat method: the tail, and the edges of the layers."""
-    if layer == 0:
-        while True:
-            state, first = uniform(state)
-            state, second = uniform(state)
-            step = -math.log(first) / _LAYER_EDGE
-            if -2.0 * math.log(second) >= step * step:
-                beyond = _LAYER_EDGE + step
-                return state, (beyond if z > 0 else -beyond), True
-    low = math.exp(-0.5 * (edges[layer] ** 2 - z * z))
-    high = math.exp(-0.5 * (edges[layer + 1] ** 2 - z * z))
-    state, level = uniform(state)
-    return state, z, low + level * (high - low) < 1.0
-
-
-@njit(cache=True, nogil=True, inline="always")
-def normal(state: np.uint64, edges: NDArray[np.float64]) -> tuple[np.uint64, float]:
-    """Next state and a number of the standard normal distribution."""
-    z = 0.0
-    accepted = False
-    while not accepted:
+) -> tuple[np.uint64, float]:
+    """The rare cases of the ziggurat method: tail, edges of the layers, new numbers until one is accepted."""
+    while True:
+        if layer == 0:
+            while True:
+                state, first = uniform(state)
+                state, second = uniform(state)
+                step = -math.log(first) / _LAYER_EDGE
+                if -2.0 * math.log(second) >= step * step:
+                    beyond = _LAYER_EDGE + step
+                    return state, (beyond if z > 0 else -beyond)
+        low = math.exp(-0.5 * (edges[layer] ** 2 - z * z))
+        high = math.exp(-0.5 * (edges[layer + 1] ** 2 - z * z))
+        state, level = uniform(state)
+        if low + level * (high - low) < 1.0:
+            return state, z
         state = state + _GOLDEN
         bits = scramble(state)
         layer = int(bits & _LAYER)
-        z = (np.float64(bits >> _S11) * (2.0 * _TO_UNIT) - 1.0) * edges[layer]
-        accepted = abs(z) < edges[layer + 1]
-        if not accepted:
-            state, z, accepted = _normal_beyond(state, z, layer, edges)
-    return state, z
+        z = (np.float64(np.int64(bits >> _S11)) * (2.0 * _TO_UNIT) - 1.0) * edges[layer]
+        if abs(z) < edges[layer + 1]:
+            return state, z
+
+
+@njit(cache=True, nogil=True)
+def fill_normals(state: np.uint64, edges: NDArray[np.float64], numbers: NDArray[np.float64]) -> np.uint64:
+    """Next state, and `numbers` filled with the standard normal distribution."""
+    # written out, because handing `edges` to a function counts its references at every number
+    for i in range(numbers.shape[0]):
+        state = state + _GOLDEN
+        bits = scramble(state)
+        layer = int(bits & _LAYER)
+        z = (np.float64(np.int64(bits >> _S11)) * (2.0 * _TO_UNIT) - 1.0) * edges[layer]
+        if not abs(z) < edges[layer + 1]:
+            state, z = _normal_beyond(state, z, layer, edges)
+        numbers[i] = z
+    return state
 
 
 @njit(cache=True, nogil=True)
@@ -147,5 +154,4 @@ def frame_normals(
     """Standard normal numbers, one row a frame: `out` is (frames, numbers)."""
     for row in range(out.shape[0]):
         state = stream_key(seed, run, first_frame + row, purpose)
-        for column in range(out.shape[1]):
-            state, out[row, column] = normal(state, edges)
+        fill_normals(state, edges, out[row])
