@@ -25,9 +25,9 @@ class Optics:
         """Converts spots to deflections, on a sensor of (ny, nx) pixels."""
         return Deflector(self.lever, self.axes, sensor_shape)
 
-    def pipeline(self, sensor_shape: tuple[int, int]) -> Pipeline:
+    def pipeline(self, sensor_shape: tuple[int, int], *, balance_beside: bool = False) -> Pipeline:
         """A new pipeline from frames to deflections and half-cycles."""
-        return Pipeline(self.tracker(), self.lever, self.axes, sensor_shape)
+        return Pipeline(self.tracker(), self.lever, self.axes, sensor_shape, balance_beside=balance_beside)
 
     @property
     def unit(self) -> DeflectionUnit:

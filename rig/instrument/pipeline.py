@@ -12,6 +12,7 @@ from processing.balance import Balance, BalanceEstimator
 from processing.deflections import Deflections
 from processing.spot import Spot, SpotTracker
 from processing.swing import Swing, SwingDetector
+from rig.instrument.balance_thread import BalanceThread
 
 
 class Block(NamedTuple):
@@ -39,16 +40,27 @@ class Pipeline:
         Calibration. Without a lever (None) deflections are in px, see `Deflector`.
     sensor_shape
         (ny, nx) of the whole sensor; its centre is the reference if the lever states none.
+    balance_beside
+        Estimate the balance in a thread of its own. Its estimates are the same, but come with a later block
+        than the one that completes them, the last ones with `finish_balance`.
     """
 
     def __init__(
-        self, tracker: SpotTracker, lever: Lever | None, axes: Axes, sensor_shape: tuple[int, int]
+        self,
+        tracker: SpotTracker,
+        lever: Lever | None,
+        axes: Axes,
+        sensor_shape: tuple[int, int],
+        *,
+        balance_beside: bool = False,
     ) -> None:
         self.tracker = tracker
         self._deflector = Deflector(lever, axes, sensor_shape)
         self._sensor_shape = sensor_shape
         self._detector = SwingDetector()
-        self._balance = BalanceEstimator()
+        estimator = BalanceEstimator()
+        self._beside = BalanceThread(estimator.update) if balance_beside else None
+        self._balance = self._beside or estimator
 
     def process(self, frames: Sequence[Frame], origins_px: Sequence[tuple[int, int]] | None = None) -> Block:
         """Track the spot in some consecutive frames, and continue with `measure`.
@@ -77,6 +89,10 @@ class Pipeline:
     def finish(self) -> list[Swing]:
         """Swings that are completed by the end of the samples."""
         return self._detector.finish()
+
+    def finish_balance(self) -> list[Balance]:
+        """Wait for the balances that are still being estimated, and return them."""
+        return [] if self._beside is None else self._beside.finish()
 
 
 class Deflector:

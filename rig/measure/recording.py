@@ -47,7 +47,10 @@ class Recording:
         `begun` are the frames with which the record begins, `events` the events before them.
         """
         first, parts, stream, status = begun[0], self._parts, self._stream, self._status
-        pipeline = parts.optics.pipeline((first.image.shape[0], first.image.shape[1]))
+        # frames made on demand wait for the balance, so that a run of the simulated rig repeats exactly
+        pipeline = parts.optics.pipeline(
+            (first.image.shape[0], first.image.shape[1]), balance_beside=stream.policy != "wait"
+        )
         counts = FrameCounts(first, round(parts.full_frame_interval_s * 1e9), keep_windows=parts.keep_windows)
         end = EndOfRun(parts.end)
         status.begin_record()
@@ -98,7 +101,8 @@ class Recording:
         if stream.ended and not rejected:
             self._stop.because(stream.ended)
         swings = pipeline.finish()
-        empty = pipeline.measure(np.empty(0, np.int64), [])._replace(swings=swings)
+        empty = pipeline.measure(np.empty(0, np.int64), [])
+        empty = empty._replace(swings=swings, balances=[*empty.balances, *pipeline.finish_balance()])
         why = f"start not accepted: {rejected}" if rejected else self._stop.reason
         last = [*self._device_events(counts.last_ns), Event(counts.last_ns, EventKind.STOP, why)]
         self._recorder.put(Entry(block=empty, events=last, losses=self._losses.last(counts.last_ns)))

@@ -1,0 +1,78 @@
+"""The balance estimated beside the frames: the same values, and no frame waits for them."""
+
+import threading
+
+import numpy as np
+import pytest
+
+from calibration.axes import Axes
+from processing.balance import Balance, BalanceEstimator
+from processing.deflections import Deflections, DeflectionUnit
+from processing.errors import DataError
+from processing.spot import SensorModel, SpotTracker
+from rig.instrument import Pipeline
+from rig.instrument.balance_thread import BalanceThread
+
+ARCSEC_RAD = np.pi / 180 / 3600
+
+
+def swinging(duration_s: float) -> list[Deflections]:
+    """A swing in both axes at 100 frames/s, with noise, in blocks of 40 frames."""
+    random = np.random.default_rng(4)
+    time_s = np.arange(0, duration_s, 0.01)
+    noise = random.normal(0, 0.02, (2, len(time_s)))
+    slow = 300 * np.exp(-time_s / 300) * np.cos(2 * np.pi * time_s / 4.07)
+    fast = 5 * np.cos(2 * np.pi * time_s / 1.31)
+    x_rad, y_rad = (fast + noise[0]) * ARCSEC_RAD, (slow + noise[1]) * ARCSEC_RAD
+    u_rad = np.full(len(time_s), 0.02 * ARCSEC_RAD)
+    whole = Deflections(
+        np.round(time_s * 1e9).astype(np.int64), x_rad, y_rad, u_rad, u_rad, DeflectionUnit.RAD
+    )
+    return [whole[first : first + 40] for first in range(0, len(time_s), 40)]
+
+
+def test_the_same_balances_as_in_line() -> None:
+    blocks = swinging(40.0)
+    estimator = BalanceEstimator()
+    in_line = [balance for block in blocks for balance in estimator.update(block)]
+    assert len(in_line) > 4
+    pipeline = Pipeline(
+        SpotTracker(SensorModel(39.2, 7.0, 255)), None, Axes(), (640, 320), balance_beside=True
+    )
+    beside = [balance for block in blocks for balance in pipeline.detect([], block).balances]
+    beside += pipeline.finish_balance()
+    assert [repr(balance) for balance in beside] == [repr(balance) for balance in in_line]
+
+
+def test_samples_are_taken_while_an_estimate_is_being_made() -> None:
+    going_on = threading.Event()
+    seen: list[int] = []
+
+    def slow(block: Deflections) -> list[Balance]:
+        assert going_on.wait(30.0)
+        seen.append(len(block))
+        return []
+
+    beside = BalanceThread(slow)
+    blocks = swinging(4.0)
+    for block in blocks:
+        assert beside.update(block) == []
+    assert not seen
+    going_on.set()
+    assert beside.finish() == []
+    assert seen == [len(block) for block in blocks]
+
+
+def test_an_error_is_raised_in_the_thread_that_asks() -> None:
+    def failing(_: Deflections) -> list[Balance]:
+        raise DataError("times, deflections and uncertainties must be of one length")
+
+    beside = BalanceThread(failing)
+    block = swinging(1.0)[0]
+
+    def ask() -> None:
+        beside.update(block)
+        beside.finish()
+
+    with pytest.raises(DataError, match="one length"):
+        ask()
