@@ -57,7 +57,7 @@ class FrameStream:
         first = self._first_frame()
         if first is None:
             return None
-        self._queue = FrameQueue(_capacity(first), self.policy)
+        self._queue = FrameQueue(_capacity(first, self.policy), self.policy)
         self._queue.put(first)
         self._thread = threading.Thread(target=self._acquire, name="camera", daemon=True)
         self._thread.start()
@@ -181,6 +181,9 @@ class FrameStream:
             _log.error("%s", reason, exc_info=error)
 
 
-def _capacity(frame: Frame) -> int:
-    """Length of the queue for a bounded amount of memory; at least a few, at most about 1000 frames."""
-    return max(8, min(1024, _QUEUE_BYTES // max(frame.image.nbytes, 1)))
+def _capacity(frame: Frame, policy: Policy) -> int:
+    """Length of the queue for a bounded amount of memory: at least a few frames, at most about 1000.
+
+    Frames on demand are not lost while the queue is full; a short one keeps them in the processor's cache.
+    """
+    return max(8, min(64 if policy == "wait" else 1024, _QUEUE_BYTES // max(frame.image.nbytes, 1)))
