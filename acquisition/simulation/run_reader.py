@@ -6,7 +6,7 @@ import threading
 from collections.abc import Callable
 
 from acquisition.camera import CameraLost, CameraStatus, FrameTimeout
-from acquisition.frame import Frame
+from acquisition.frame import Frame, Image
 from acquisition.simulation.faults import FaultSettings
 from acquisition.simulation.scene import Plan, Scene
 from acquisition.simulation.settings import SimulationSettings
@@ -14,6 +14,8 @@ from processing.errors import DeviceError
 
 _log = logging.getLogger(__name__)
 CAMERA_NAME = "simulated camera"
+_AHEAD_BYTES = 16 * 1024 * 1024
+"""Memory of this size comes in large pages, whose first use costs little."""
 
 
 class RunReader:
@@ -47,6 +49,8 @@ class RunReader:
         self._clock_ns = clock_ns
         self._block = block
         self._plan: Plan = scene.plan(block)
+        self._ahead = 1 if settings.real_time else max(1, _AHEAD_BYTES // scene.image_bytes)
+        self._drawn: dict[int, Image] = {}
         self._stopped = threading.Event()
         self._next = 0
         self._numbered_from = 0
@@ -169,11 +173,21 @@ class RunReader:
     def _row(self, frame: int) -> int:
         while frame >= self._plan.first + self._block:
             self._plan = self._scene.plan(self._block)
+            self._drawn.clear()
         return frame - self._plan.first
+
+    def _image(self, frame: int, row: int) -> Image:
+        """Image of a row of the plan; on demand the next ones are drawn in the same call."""
+        if row not in self._drawn:
+            plan = self._plan
+            rows = slice(row, row + self._ahead)
+            images = self._scene.draw_frames(frame, plan.x_px[rows], plan.y_px[rows], plan.power[rows])
+            self._drawn = dict(enumerate(images, start=row))
+        return self._drawn.pop(row)
 
     def _deliver(self, frame: int, row: int) -> Frame:
         plan = self._plan
-        image = self._scene.draw(frame, plan.x_px[row], plan.y_px[row], plan.power[row])
+        image = self._image(frame, row)
         host_ns = self._clock_ns()
         if self._settings.real_time:
             # a frame in the buffer arrived at its exposure, before it was read

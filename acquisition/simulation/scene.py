@@ -129,30 +129,34 @@ class Scene:
             dropped=self._noise.dropped(first, count, settings.disturbances.dropped_fraction),
         )
 
+    @property
+    def image_bytes(self) -> int:
+        """Size of one image."""
+        return self._light_e.size * np.dtype(self._dtype).itemsize
+
     def draw(self, frame: int, x_px: float, y_px: float, power: float) -> Image:
         """Image (ny, nx) of one frame with the spot at (x_px, y_px) on the sensor and this relative power."""
+        images = self.draw_frames(frame, np.array([x_px]), np.array([y_px]), np.array([power]))
+        image: Image = images[0]
+        return image
+
+    def draw_frames(
+        self, first: int, x_px: NDArray[np.float64], y_px: NDArray[np.float64], power: NDArray[np.float64]
+    ) -> Image:
+        """Images (n, ny, nx) of consecutive frames; the same as of each by `draw`, with one call for all."""
         readings = self._readings
         optics = self._settings.optics
-        main = Beam(
-            x_px - readings.x0_px,
-            y_px - readings.y0_px,
-            optics.sigma_x_px,
-            optics.sigma_y_px,
-            optics.rotation_rad,
-            self._peak_e * power,
+        peak_e = self._peak_e * power
+        x, y = x_px - readings.x0_px, y_px - readings.y0_px
+        main = np.column_stack((x, y, peak_e))
+        ghost = np.column_stack(
+            (x + optics.ghost_dx_px, y + optics.ghost_dy_px, peak_e * optics.ghost_relative)
         )
-        ghost = Beam(
-            main.x_px + optics.ghost_dx_px,
-            main.y_px + optics.ghost_dy_px,
-            main.sigma_x_px,
-            main.sigma_y_px,
-            main.rotation_rad,
-            main.peak_e * optics.ghost_relative,
-        )
-        image = np.empty((readings.height_px, readings.width_px), dtype=self._dtype)
-        sensor.expose(
-            image,
+        images = np.empty((len(x_px), readings.height_px, readings.width_px), dtype=self._dtype)
+        sensor.expose_frames(
+            images,
             self._light_e,
+            Beam(0.0, 0.0, optics.sigma_x_px, optics.sigma_y_px, optics.rotation_rad, 0.0),
             main,
             ghost,
             self._readout,
@@ -161,9 +165,9 @@ class Scene:
             self._edges,
             self._settings.seed,
             self._run,
-            frame,
+            first,
         )
-        return image
+        return images
 
     def _command(self, state: RigState, time_s: float) -> None:
         """Apply the controller's outputs from `time_s` on."""

@@ -193,6 +193,43 @@ def expose(
 
 
 @njit(cache=True, nogil=True)
+def expose_frames(
+    images: NDArray[np.uint8],
+    light_e: NDArray[np.float64],
+    shape: Beam,
+    main: NDArray[np.float64],
+    ghost: NDArray[np.float64],
+    readout: Readout,
+    dark: DarkTable,
+    pixel: Pixels,
+    edges: NDArray[np.float64],
+    seed: int,
+    run: int,
+    first: int,
+) -> None:
+    """Draw consecutive frames (n, ny, nx), see `expose`.
+
+    `main` and `ghost` (n, 3) are the centres (x, y) in px and the peaks in e- of the beams, which have the
+    same `shape`.
+    """
+    for i in range(images.shape[0]):
+        sigma_x_px, sigma_y_px, rotation_rad = shape.sigma_x_px, shape.sigma_y_px, shape.rotation_rad
+        expose(
+            images[i],
+            light_e,
+            Beam(main[i, 0], main[i, 1], sigma_x_px, sigma_y_px, rotation_rad, main[i, 2]),
+            Beam(ghost[i, 0], ghost[i, 1], sigma_x_px, sigma_y_px, rotation_rad, ghost[i, 2]),
+            readout,
+            dark,
+            pixel,
+            edges,
+            seed,
+            run,
+            first + i,
+        )
+
+
+@njit(cache=True, nogil=True)
 def _draw_dark(image: NDArray[np.uint8], dark: DarkTable, state: np.uint64) -> np.uint64:
     """Draw every pixel as if without light; returns the state of the random numbers."""
     flat = image.reshape(-1)
