@@ -5,11 +5,12 @@ from typing import NamedTuple
 
 from acquisition.frame import Image
 from acquisition.record.schemas import Kind, MessageType, message_type_of
+from acquisition.record.window_residual import SpotModel
 from processing.balance import names_with_units
 from processing.deflections import DeflectionUnit
 from processing.spot import Spot
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 """Increased if a reader of the previous version would misunderstand a record; not for additional fields."""
 PACKAGE = "optical_pendulum"
 LIBRARY = "optical-pendulum-rig"
@@ -134,8 +135,13 @@ WINDOW = _message(
     *_ints(
         "sequence", "time_ns", "x0_px", "y0_px", "width_px", "height_px", "bytes_per_pixel", "byte_planes"
     ),
+    *_ints(*(f"model_{name}" for name in SpotModel._fields), "bit_planes"),
     tail=(("pixels", "bytes"),),
 )
-"""Pixels row by row; if `byte_planes` is 1, first the low bytes of all pixels, then their high bytes."""
+"""Pixels row by row; if `byte_planes` is 1, first the low bytes of all pixels, then their high bytes.
+
+If `model_inverse_x` is not 0, `pixels` are the bit planes of the pixels minus a model of the spot; see
+`acquisition.record.window_residual`.
+"""
 EVENT = _message("Event", "/event", *_ints("time_ns"), tail=(("kind", "text"), ("text", "text")))
 ENVIRONMENT = message_type_of(Environment, f"{PACKAGE}.Environment", "/environment")

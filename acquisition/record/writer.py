@@ -149,11 +149,15 @@ class RecordWriter:
         self._numbers.add_rows(self._channels[SPOT.topic], sequences, log_times_ns, rows)
         self._added(self._numbers)
 
-    def write_window(self, sequence: int, time_ns: int, image: Image, x0_px: int, y0_px: int) -> None:
+    def write_window(
+        self, sequence: int, time_ns: int, image: Image, x0_px: int, y0_px: int, spot: Spot | None = None
+    ) -> None:
         """Write the raw pixels (ny, nx) around the spot; (x0, y0) is the first pixel's position on the
         sensor.
+
+        With the fitted `spot` about half the bytes are written. It need not be correct.
         """
-        data = encode_window(sequence, time_ns, image, x0_px, y0_px)
+        data = encode_window(sequence, time_ns, image, x0_px, y0_px, spot)
         self._add(self._pixels, WINDOW.topic, time_ns, data, sequence=sequence)
 
     def write_image(self, frame: Frame) -> None:
@@ -348,3 +352,8 @@ class RecordWriter:
             f"{self.path}: could not be closed properly: {error.strerror or error}; "
             "rig recover makes a complete file of it"
         )
+
+
+def compile_window(image: Image, spot: Spot) -> None:
+    """Compile what `RecordWriter.write_window` needs for images of this pixel type."""
+    encode_window(0, 0, image, 0, 0, spot)

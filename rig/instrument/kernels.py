@@ -5,6 +5,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from acquisition.record.writer import compile_window
 from processing.spot import SensorModel, SpotTracker
 from processing.swing import compile_kernels
 
@@ -30,10 +31,11 @@ def prepare_kernels(sensor: SensorModel, say: Callable[[str], None]) -> None:
 
 
 def _track(sensor: SensorModel) -> None:
-    """Track two frames of the camera's pixel type: the first is searched, the second is followed."""
+    """Track two frames of the camera's pixel type, the first searched, the second followed; encode one."""
     y, x = np.mgrid[0:_SIDE_PX, 0:_SIDE_PX] - 0.5 * (_SIDE_PX - 1)
     spot = 0.5 * sensor.full_scale_dn * np.exp(-0.5 * (x**2 + y**2) / _SIGMA_PX**2)
     image = spot.astype(np.uint8 if sensor.full_scale_dn <= np.iinfo(np.uint8).max else np.uint16)
     tracker = SpotTracker(sensor)
     for _ in range(2):
-        tracker.track(image)
+        spot = tracker.track(image)
+    compile_window(image, spot)

@@ -107,9 +107,10 @@ class Recorder:
                 block.deflections,
             )
             times_ns = block.deflections.times_ns
-            for sequence, time_ns, window in zip(entry.sequences, times_ns, entry.windows, strict=True):
+            frames = zip(entry.sequences, times_ns.tolist(), entry.windows, block.spots, strict=True)
+            for sequence, time_ns, window, spot in frames:
                 if window is not None:
-                    writer.write_window(sequence, int(time_ns), window.image, window.x0_px, window.y0_px)
+                    writer.write_window(sequence, time_ns, *window, spot)
             for swing in block.swings:
                 writer.write_swing(swing)
             for balance in block.balances:

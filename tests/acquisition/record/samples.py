@@ -77,10 +77,11 @@ def write_sample(
             hosts = (times + 123).tolist()
             deflections = Deflections(times, *columns, unit)
             writer.write_spots(sequences, times.tolist(), hosts, spots, deflections)
-            for sequence in sequences:
+            for sequence, spot in zip(sequences, spots, strict=True):
                 pixels = rng.poisson(40, (window_px, window_px)).astype(dtype)
+                about_it = spot._replace(rotation_rad=0.0, amplitude_dn=4.0, background_dn=38.0)
                 done.windows.append((sequence, pixels, (sequence % 7, 3)))
-                writer.write_window(sequence, sequence * FRAME_NS, pixels, sequence % 7, 3)
+                writer.write_window(sequence, sequence * FRAME_NS, pixels, sequence % 7, 3, about_it)
             time_ns = int(times[-1])
             swing = Swing(first, time_ns, 1e-6, *rng.normal(size=5).tolist(), (-1) ** first, 0)
             done.swings.append(swing)

@@ -15,6 +15,7 @@ from acquisition.record.digest import sha256_of
 from acquisition.record.info import record_info
 from acquisition.record.reader import RecordReader
 from acquisition.record.recover import recover
+from acquisition.record.topics import SCHEMA_VERSION
 from acquisition.record.writer import RecordWriter
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import RecordError
@@ -184,7 +185,7 @@ def test_info_reads_no_chunk(tmp_path: Path, whole: bytes) -> None:
     path.write_bytes(scrambled)
     assert record_info(path) == expected
     assert expected.messages["/spot"] == FRAMES
-    assert expected.schema_version == 1
+    assert expected.schema_version == SCHEMA_VERSION
     assert expected.duration_s == pytest.approx(0.64)
     assert expected.whole
     path.write_bytes(whole[: len(whole) - 9])

@@ -19,7 +19,7 @@ from acquisition.record.topics import SCHEMA_VERSION, Environment
 from tests.acquisition.record.samples import SampleBalance, write_sample
 
 FOLDER = Path(__file__).parent / "data"
-VERSIONS = [1]
+VERSIONS = [1, 2]
 
 
 def summary(path: Path) -> dict[str, Any]:
