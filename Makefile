@@ -16,9 +16,11 @@ demo: $(VENV)/.installed
 SHARED = -n 2 --dist loadgroup --no-loadscope-reorder
 
 test: $(VENV)/.installed-test
+	$(BIN)/python -m tests.compile_kernels
 	$(BIN)/python -m pytest $(SHARED) -m "not bench and not kernel" $(ARGS)
 
 test-quick: $(VENV)/.installed-test
+	$(BIN)/python -m tests.compile_kernels
 	$(BIN)/python -m pytest $(SHARED) $(ARGS)
 
 test-kernel: $(VENV)/.installed-test

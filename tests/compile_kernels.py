@@ -1,0 +1,44 @@
+"""Compiles the kernels before the tests begin, in two processes at once; each test's limit of time counts then.
+
+A short session compiles what a run and its fit need for pixels of 8 bits, the other process the tracker of 12.
+"""
+
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+from tests.rig.command_line import CONFIGS, SMALL, set_words
+
+TWELVE_BITS = """
+from processing.spot import SensorModel
+from rig.instrument.kernels import prepare_kernels
+prepare_kernels(SensorModel(gain_e_per_dn=2.4, read_noise_e=7.0, full_scale_dn=4095.0), print)
+"""
+
+
+def main() -> None:
+    """Both processes, of which each must succeed."""
+    with tempfile.TemporaryDirectory() as folder:
+        words = set_words({**SMALL, "session.max_duration_s": "70"})
+        session = [
+            sys.executable,
+            "-m",
+            "rig",
+            "run",
+            str(CONFIGS / "demo.toml"),
+            "-o",
+            f"{folder}/out",
+            *words,
+        ]
+        programs = [session, [sys.executable, "-c", TWELVE_BITS]]
+        log = Path(folder) / "log"
+        with log.open("wb") as said:
+            running = [subprocess.Popen(program, stdout=said, stderr=said) for program in programs]
+            statuses = [process.wait() for process in running]
+        if any(statuses):
+            sys.exit(log.read_text())
+
+
+if __name__ == "__main__":
+    main()
