@@ -1,6 +1,7 @@
-"""Compiles the kernels before the tests begin, in two processes at once; each test's limit of time counts then.
+"""Compiles the kernels before the tests begin, in two processes, so that no test's limit of time counts it.
 
-A short session compiles what a run and its fit need for pixels of 8 bits, the other process the tracker of 12.
+A short session compiles what a run and its fit need for pixels of 8 bits; the other process compiles the
+tracker for 12 bits.
 """
 
 import subprocess
