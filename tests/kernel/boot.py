@@ -4,6 +4,7 @@ No disk image is made: the kernel's own modules go into a small initramfs, and t
 machine is shared read-only over 9p. Without KVM the guest runs about ten times slower.
 """
 
+import fcntl
 import json
 import os
 import shutil
@@ -39,13 +40,17 @@ class Missing(Exception):
 def find_kernel() -> tuple[Path, Path]:
     """(kernel image, folder of its modules); fetched with apt where there is none yet."""
     folder = Path(os.environ.get("RIG_TEST_KERNEL", KERNEL_FOLDER))
-    if not list(folder.glob("boot/vmlinuz-*")):
-        fetch_kernel(folder)
-    image = sorted(folder.glob("boot/vmlinuz-*"))[-1]
-    version = image.name.removeprefix("vmlinuz-")
-    modules = folder / "lib" / "modules" / version
-    if not (modules / "modules.dep").exists():
-        subprocess.run(["depmod", "-b", str(folder), version], check=True, capture_output=True)
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    # two workers may come here at once; a half unpacked kernel boots without the modules it needs
+    with folder.with_suffix(".lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not list(folder.glob("boot/vmlinuz-*")):
+            fetch_kernel(folder)
+        image = sorted(folder.glob("boot/vmlinuz-*"))[-1]
+        version = image.name.removeprefix("vmlinuz-")
+        modules = folder / "lib" / "modules" / version
+        if not (modules / "modules.dep").exists():
+            subprocess.run(["depmod", "-b", str(folder), version], check=True, capture_output=True)
     return image, modules
 
 
