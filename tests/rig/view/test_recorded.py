@@ -152,7 +152,7 @@ def test_a_record_cut_short_is_shown_as_far_as_it_goes(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("content", "message"), [(b"", "empty"), (b"no MCAP at all", "no MCAP"), (None, "no such")]
+    ("content", "message"), [(b"", "empty"), (b"no MCAP at all", "not an MCAP file"), (None, "no such")]
 )
 def test_bad_files_are_named_and_nothing_is_written(
     tmp_path: Path, content: bytes | None, message: str
