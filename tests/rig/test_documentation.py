@@ -5,11 +5,12 @@ import shlex
 import textwrap
 import tomllib
 from pathlib import Path
-from typing import Any
+from typing import Any, get_origin
 
 import pytest
 
-from rig.settings import validate_configuration
+from rig.settings import Configuration, validate_configuration
+from rig.settings.configuration import section_fields, section_of
 from tests.rig.command_line import rig
 from tests.rig.replay.replay_record import RATE_HZ, make_record
 
@@ -65,6 +66,40 @@ def test_configurations_that_are_shown_are_valid() -> None:
             validate_configuration(tomllib.loads(textwrap.dedent(block)), document.name)
             found += 1
     assert found >= 4
+
+
+def test_sections_that_are_named_exist() -> None:
+    """In README and docs; the example in CONTRIBUTING adds a section of its own."""
+    found = set()
+    for document in [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]:
+        for name in re.findall(r"`\[([\w.]+)\]`", document.read_text(encoding="utf-8")):
+            assert is_section(name), f"{document.name}: [{name}] is no section of a configuration"
+            found.add(name)
+    assert len(found) >= 5
+
+
+def test_a_section_that_does_not_exist_is_found() -> None:
+    assert is_section("start")
+    assert is_section("simulation.release")
+    assert is_section("materials.mine")
+    assert not is_section("starts")
+    assert not is_section("start.release")
+    assert not is_section("start.way")
+
+
+def is_section(name: str) -> bool:
+    """Whether a dotted name is a section of the configuration, or one of a table of sections."""
+    section: type = Configuration
+    parts = iter(name.split("."))
+    for part in parts:
+        field = section_fields(section).get(part)
+        inner = None if field is None else section_of(field)
+        if field is None or inner is None:
+            return False
+        if get_origin(field.annotation) is dict:
+            next(parts, None)
+        section = inner
+    return True
 
 
 def test_the_snippet_about_records_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
