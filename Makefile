@@ -12,19 +12,19 @@ INSTALL = $(PIP) install --quiet
 demo: $(VENV)/.installed
 	$(BIN)/rig run configs/demo.toml $(ARGS)
 
-# Two workers; tests/conftest.py says what runs in which.
-SHARED = -n 2 --dist loadgroup --no-loadscope-reorder
+# tests/conftest.py says how many workers `auto` is, and what runs in which.
+SHARED = --dist loadgroup --no-loadscope-reorder
 
 test: $(VENV)/.installed-test
 	$(BIN)/python -m tests.compile_kernels
-	$(BIN)/python -m pytest $(SHARED) -m "not bench and not kernel" $(ARGS)
+	$(BIN)/python -m pytest -n auto $(SHARED) -m "not bench and not kernel" $(ARGS)
 
 test-quick: $(VENV)/.installed-test
 	$(BIN)/python -m tests.compile_kernels
-	$(BIN)/python -m pytest $(SHARED) $(ARGS)
+	$(BIN)/python -m pytest -n auto $(SHARED) $(ARGS)
 
 test-kernel: $(VENV)/.installed-test
-	$(BIN)/python -m pytest $(SHARED) -m kernel tests/kernel -rs $(ARGS)
+	$(BIN)/python -m pytest -n 2 $(SHARED) -m kernel tests/kernel -rs $(ARGS)
 
 lint: $(VENV)/.installed-test
 	$(BIN)/ruff format --check .

@@ -24,13 +24,18 @@ LONGER_S = {"kernel": 1500, "slow": 300, "realtime": 300}
 """Limits in s, for a busy machine, of tests that are marked so; the others have the one of pyproject.toml."""
 
 
+def pytest_xdist_auto_num_workers() -> int:
+    """One worker more than processors (`-n auto`): the one with what measures real time mostly waits."""
+    return (os.cpu_count() or 1) + 1
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Give tests their limits of time, and the groups of which one worker runs each.
 
     What measures real time is one group, since two such tests at once would disturb each other; otherwise
     a file is a group, since its tests share fixtures. The group of real time comes first, then files with
-    slow tests, so that both workers are busy until the end.
+    slow tests, so that all workers are busy until the end.
     """
     slow_files = {item.path for item in items if item.get_closest_marker("slow")}
     for item in items:

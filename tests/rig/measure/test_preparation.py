@@ -15,8 +15,6 @@ from acquisition.record.reader import RecordReader
 from processing.angle import ARCSEC_RAD
 from tests.rig.command_line import CONFIGS, SMALL, rig, set_words
 
-pytestmark = pytest.mark.realtime
-
 BY_HAND = {
     **SMALL,
     "start.way": '"by hand"',
@@ -120,6 +118,7 @@ MAGNET = {
 }
 
 
+@pytest.mark.realtime
 @pytest.mark.slow
 def test_a_magnet_holds_and_lets_go(tmp_path: Path) -> None:
     """In real time, since a controller moves the simulated rig."""
@@ -139,6 +138,7 @@ def test_a_magnet_holds_and_lets_go(tmp_path: Path) -> None:
     assert dict(events)["stop"].startswith("time limit")
 
 
+@pytest.mark.realtime
 @pytest.mark.slow
 def test_a_magnet_that_holds_nothing_is_said(tmp_path: Path) -> None:
     # held at 2 arcsec: less than what counts as motion
@@ -214,6 +214,7 @@ def test_resume_wants_a_session(tmp_path: Path) -> None:
     assert "contains no session" in done.stderr
 
 
+@pytest.mark.timeout(300)
 def test_a_reader_of_json_lines_that_goes_away_ends_no_measurement(tmp_path: Path) -> None:
     folder = tmp_path / "out"
     command = [sys.executable, "-m", "rig", "run", str(CONFIGS / "demo.toml"), "-o", str(folder), "--json"]

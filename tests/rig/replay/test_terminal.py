@@ -21,7 +21,7 @@ if os.name != "posix":
 import pty
 import termios
 
-pytestmark = pytest.mark.realtime
+pytestmark = pytest.mark.timeout(300)
 
 LIMIT_S = 180.0
 SECONDS = 60.0

@@ -20,7 +20,7 @@ from rig.view.viewer import Viewer
 from tests.rig.view import scene as view_scene
 from tests.rig.view.headless_viewer import headless_viewer, pixels_of, require_software_vulkan
 
-pytestmark = [pytest.mark.slow, pytest.mark.realtime]
+pytestmark = pytest.mark.slow
 
 REFERENCES = Path(__file__).parent / "data"
 SCALE = 5

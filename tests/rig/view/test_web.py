@@ -18,7 +18,7 @@ from tests.rig.view import scene as view_scene
 from tests.rig.view.headless_browser import headless_browser, wait_for_picture
 from tests.rig.view.headless_viewer import pixels_of
 
-pytestmark = [pytest.mark.slow, pytest.mark.realtime]
+pytestmark = pytest.mark.slow
 
 WANTED = (palette.TRAJECTORY_COLOUR, palette.X_COLOUR, palette.Y_COLOUR, palette.PERIOD_COLOUR)
 
