@@ -1,9 +1,9 @@
 """Records at the speed of a camera with 400 frames/s until it is killed, and reports what was written when.
 
-Each line on stdin is "record report": a process of its own, forked from this one, which has imported everything
-already, writes that record. Its number is the answer on stdout. Each line of its report, after a block of
-frames was handed to the writer: host time in s at which that began, number of the last frame. The first line is
-"begun".
+Each line on stdin is "record report": a process of its own, forked from this one, which has imported
+everything already, writes that record. Its number is the answer on stdout. The first line of its report is
+"begun"; the others, after a block of frames was handed to the writer: host time in s at which that began,
+number of the last frame.
 """
 
 import os
