@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 from acquisition.simulation import randomness
 from acquisition.simulation.faults import FaultSettings
 from acquisition.simulation.motion import ARCSEC_RAD, Motion
-from acquisition.simulation.settings import DisturbanceTruth
+from acquisition.simulation.settings import SimulationSettings
+from acquisition.simulation.smooth_series import KNOTS_PER_PERIOD, BandNoise, SmoothSeries
 
 _JITTER, _WALK, _CLOCK, _POWER, _DROP = 4, 5, 6, 7, 8
+_AIR, _PHASE = (17, 18), 19
 
 
 class FrameNoise:
@@ -57,11 +59,17 @@ class FrameNoise:
 class Pointing:
     """Slow and random motion of the beam on the sensor; frames must be requested in order, without gaps."""
 
-    def __init__(self, truth: DisturbanceTruth, noise: FrameNoise, frame_period_s: float) -> None:
-        self._truth = truth
+    def __init__(
+        self, settings: SimulationSettings, noise: FrameNoise, run: int, frame_period_s: float
+    ) -> None:
+        self._truth = settings.disturbances
         self._noise = noise
         self._period_s = frame_period_s
         self._walked = np.zeros(2)
+        self._air_px = air_px(settings, run) if self._truth.air_arcsec > 0 else ()
+        # a generator's first numbers, so that a further frequency leaves the others as they are
+        phases = np.random.Generator(np.random.PCG64([settings.seed, run, _PHASE]))
+        self._phases = phases.uniform(0, 2 * np.pi, (len(self._truth.microphonics), 2))
 
     def offset_px(self, first: int, count: int) -> NDArray[np.float64]:
         """Offset of the spot in x and y, (count, 2), px."""
@@ -78,7 +86,33 @@ class Pointing:
             path = np.cumsum(steps, axis=0)[1:]
             self._walked = path[-1]
             offset += path
+        times_s = np.arange(first, first + count, dtype=np.float64) * self._period_s
+        if truth.air_arcsec > 0:
+            offset += np.column_stack([series.at(times_s) for series in self._air_px])
+        for one, phases in zip(truth.microphonics, self._phases, strict=True):
+            cycle = 2 * np.pi * one.frequency_hz * times_s
+            offset += one.amplitude_px * np.sin(cycle[:, None] + phases)
         return offset
+
+
+def air_px(settings: SimulationSettings, run: int) -> tuple[SmoothSeries, SmoothSeries]:
+    """What air in the beam does to the spot, x and y in px: a function of time, whatever the frame rate."""
+    truth = settings.disturbances
+    rms_px = truth.air_arcsec * ARCSEC_RAD * 2 * settings.optics.arm_m / settings.sensor.pixel_pitch_m
+    span = math.log(truth.air_to_hz / truth.air_from_hz)
+
+    def density(frequencies_hz: NDArray[np.float64]) -> NDArray[np.float64]:
+        inside = (frequencies_hz >= truth.air_from_hz) & (frequencies_hz <= truth.air_to_hz)
+        return np.where(inside, rms_px / np.sqrt(frequencies_hz * span), 0.0)
+
+    rate_hz = KNOTS_PER_PERIOD * truth.air_to_hz
+    x, y = (
+        SmoothSeries(
+            rate_hz, [(1.0, BandNoise(density, rate_hz, truth.air_to_hz, (settings.seed, run, key)))]
+        )
+        for key in _AIR
+    )
+    return x, y
 
 
 def laser_factor(faults: FaultSettings, times_s: NDArray[np.float64]) -> NDArray[np.float64]:

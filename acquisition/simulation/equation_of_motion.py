@@ -1,6 +1,6 @@
 """Integration of the equation of motion of one mode: Eq. 4 with Eqs. 1 and 3 on the right-hand side.
 
-    phi'' = w0^2 [ push - phi + kappa |phi|^(n+1) (pi/2 - (R/a) |phi|) sign(phi)
+    phi'' = w0^2 [ push + ground(t) - phi + kappa |phi|^(n+1) (pi/2 - (R/a) |phi|) sign(phi)
                    - (c + b |phi|^p) sign(phi') - drag phi' ]
 
 For amplitudes of degrees, sin(phi) takes the place of phi, and the round support rolls: with
@@ -12,8 +12,9 @@ of contact is 1 + 2 epsilon (1 - cos phi) times that at rest, whence
 Two properties limit the accuracy of ordinary integrators: friction changes sign at the turning points, and
 |phi|^p and |phi|^(n+1) have no smooth derivatives at phi = 0. Therefore every step ends at such a point or
 before it; the points are located by Newton's method on the length of the step, and steps shrink geometrically
-towards phi = 0 and grow again after it. Each step is a Gauss collocation with 6 stages (order 12), solved by
-iteration; its polynomial gives the motion within the step.
+towards phi = 0 and grow again after it. The ground acts as polynomials between even knots: where it does,
+steps end at the knots too. Each step is a Gauss collocation with 6 stages (order 12), solved by iteration; its
+polynomial gives the motion within the step.
 """
 
 import math
@@ -22,6 +23,8 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+
+from acquisition.simulation.smooth_series import Pieces
 
 STAGES = 6
 LONGEST_STEP_RAD = 0.35
@@ -82,8 +85,42 @@ class ModeConstants(NamedTuple):
     """epsilon, the support's radius in units of g/w0^2; used only if `exact`."""
 
 
+class Stretch(NamedTuple):
+    """What the ground does during one step: row `knot` of the pieces, from the place `begin` in it on."""
+
+    pieces: Pieces
+    knot: int
+    begin: float
+
+
 @njit(cache=True, nogil=True, inline="always")
-def _acceleration(angle: float, rate: float, direction: float, mode: ModeConstants) -> float:
+def _ground_rad(stretch: Stretch, since_s: float) -> float:
+    """The ground as a shift of the rest position, so long after the step's begin."""
+    rows = stretch.pieces.coefficients
+    if rows.shape[0] == 0:
+        return 0.0
+    u = stretch.begin + since_s / stretch.pieces.step_s
+    value = 0.0
+    for k in range(rows.shape[1] - 1, -1, -1):
+        value = value * u + rows[stretch.knot, k]
+    return value
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _stretch(pieces: Pieces, time_s: float) -> tuple[Stretch, float]:
+    """The stretch that begins at a time, and its length up to the next knot; endless without ground."""
+    if pieces.coefficients.shape[0] == 0:
+        return Stretch(pieces, 0, 0.0), math.inf
+    place = (time_s - pieces.start_s) / pieces.step_s
+    # rounded, a time may lie just before the knot at which the step before it ended, also before the last
+    knot = min(math.floor(place + 1e-6), pieces.coefficients.shape[0] - 1)
+    return Stretch(pieces, knot, place - knot), pieces.start_s + (knot + 1) * pieces.step_s - time_s
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _acceleration(
+    angle: float, rate: float, direction: float, ground_rad: float, mode: ModeConstants
+) -> float:
     size = max(abs(angle), 1e-300)
     log_size = math.log(size)
     elastic = (
@@ -92,10 +129,12 @@ def _acceleration(angle: float, rate: float, direction: float, mode: ModeConstan
     friction = mode.c + mode.b * math.exp(mode.p * log_size)
     if mode.exact:
         sine = math.sin(angle)
-        moment = mode.push_rad + angle * elastic - sine - friction * direction - mode.drag_s * rate
+        moment = (
+            mode.push_rad + ground_rad + angle * elastic - sine - friction * direction - mode.drag_s * rate
+        )
         inertia = 1.0 + 4.0 * mode.rolling * math.sin(0.5 * angle) ** 2
         return (mode.w0_rad_per_s**2 * moment - mode.rolling * sine * rate * rate) / inertia
-    forces = mode.push_rad + angle * (elastic - 1.0) - friction * direction - mode.drag_s * rate
+    forces = mode.push_rad + ground_rad + angle * (elastic - 1.0) - friction * direction - mode.drag_s * rate
     return mode.w0_rad_per_s**2 * forces
 
 
@@ -105,15 +144,18 @@ def _stages(
     rate: float,
     direction: float,
     length_s: float,
+    stretch: Stretch,
     mode: ModeConstants,
     rule: Collocation,
     f: NDArray[np.float64],
 ) -> tuple[float, float]:
     """Accelerations at the nodes into `f`; angle and rate at the step's end."""
     h = length_s
+    ground = np.empty(STAGES)
     for j in range(STAGES):
-        f[j] = _acceleration(angle + rule.nodes[j] * h * rate, rate, direction, mode)
-    scale = mode.w0_rad_per_s**2 * (abs(angle) + abs(rate) / mode.w0_rad_per_s)
+        ground[j] = _ground_rad(stretch, rule.nodes[j] * h)
+        f[j] = _acceleration(angle + rule.nodes[j] * h * rate, rate, direction, ground[j], mode)
+    scale = mode.w0_rad_per_s**2 * (abs(angle) + abs(rate) / mode.w0_rad_per_s + abs(ground[0]))
     for _ in range(40):
         change = 0.0
         for j in range(STAGES):
@@ -123,7 +165,11 @@ def _stages(
                 to_angle += rule.to_angle[j, k] * f[k]
                 to_rate += rule.to_rate[j, k] * f[k]
             new = _acceleration(
-                angle + h * (rule.nodes[j] * rate + h * to_angle), rate + h * to_rate, direction, mode
+                angle + h * (rule.nodes[j] * rate + h * to_angle),
+                rate + h * to_rate,
+                direction,
+                ground[j],
+                mode,
             )
             change = max(change, abs(new - f[j]))
             f[j] = new
@@ -144,6 +190,7 @@ def _length_to(
     rate: float,
     direction: float,
     longest_s: float,
+    stretch: Stretch,
     mode: ModeConstants,
     rule: Collocation,
     f: NDArray[np.float64],
@@ -154,13 +201,15 @@ def _length_to(
     start = angle if wanted == ANGLE else rate
     h = longest_s
     for _ in range(60):
-        end_angle, end_rate = _stages(angle, rate, direction, h, mode, rule, f)
+        end_angle, end_rate = _stages(angle, rate, direction, h, stretch, mode, rule, f)
         value = end_angle if wanted == ANGLE else end_rate
         if value * start > 0.0 or (start == 0.0 and value * direction > 0.0):
             low = h
         else:
             high = h
-        slope = end_rate if wanted == ANGLE else _acceleration(end_angle, end_rate, direction, mode)
+        slope = end_rate
+        if wanted == RATE:
+            slope = _acceleration(end_angle, end_rate, direction, _ground_rad(stretch, h), mode)
         new = h - value / slope if slope != 0.0 else 0.5 * (low + high)
         if not low <= new <= high:
             new = 0.5 * (low + high)
@@ -171,19 +220,49 @@ def _length_to(
 
 
 @njit(cache=True, nogil=True)
-def direction_from_rest(angle: float, mode: ModeConstants) -> float:
+def direction_from_rest(angle: float, ground_rad: float, mode: ModeConstants) -> float:
     """Direction (+1, -1) in which the pendulum starts from rest; 0 if friction holds it."""
-    free = _acceleration(angle, 0.0, 0.0, mode)
-    held = free - _acceleration(angle, 0.0, 1.0, mode)
+    free = _acceleration(angle, 0.0, 0.0, ground_rad, mode)
+    held = free - _acceleration(angle, 0.0, 1.0, ground_rad, mode)
     if abs(free) <= held:
         return 0.0
     return 1.0 if free > 0.0 else -1.0
 
 
 @njit(cache=True, nogil=True)
+def direction_at(time_s: float, angle: float, pieces: Pieces, mode: ModeConstants) -> float:
+    """Which way the pendulum leaves a standstill at a time; 0 where friction holds it."""
+    return direction_from_rest(angle, _ground_rad(_stretch(pieces, time_s)[0], 0.0), mode)
+
+
+@njit(cache=True, nogil=True)
+def _breaks_away(
+    angle: float, longest_s: float, stretch: Stretch, mode: ModeConstants
+) -> tuple[float, float]:
+    """How long friction still holds a pendulum that the ground shakes, and which way it leaves then (or 0).
+
+    Looked at eight times between two knots, of which there are four in the shortest period of the band.
+    """
+    for part in range(1, 9):
+        low = longest_s * (part - 1) / 8
+        high = longest_s * part / 8
+        direction = direction_from_rest(angle, _ground_rad(stretch, high), mode)
+        if direction != 0.0:
+            for _ in range(30):
+                middle = 0.5 * (low + high)
+                if direction_from_rest(angle, _ground_rad(stretch, middle), mode) == direction:
+                    high = middle
+                else:
+                    low = middle
+            return high, direction
+    return longest_s, 0.0
+
+
+@njit(cache=True, nogil=True)
 def advance(
     state: NDArray[np.float64],
     stop_s: float,
+    pieces: Pieces,
     mode: ModeConstants,
     rule: Collocation,
     rows: NDArray[np.float64],
@@ -193,7 +272,7 @@ def advance(
 
     `state` is (time, angle, rate, direction) and is changed in place. `rows` (m, COLUMNS) takes the
     steps, `turns` (k, 2) time and angle of the turning points; returned are the numbers of both.
-    A step never passes `stop_s`.
+    A step never passes `stop_s`, nor a knot of `pieces`, which must cover the time until then.
     """
     w0 = mode.w0_rad_per_s
     longest_s = LONGEST_STEP_RAD / w0
@@ -209,30 +288,34 @@ def advance(
         row[:] = 0.0
         row[START] = state[TIME]
         row[POLYNOMIAL] = angle
+        stretch, to_knot_s = _stretch(pieces, state[TIME])
+        left_s = min(stop_s - state[TIME], to_knot_s)
         if direction == 0.0:
-            row[LENGTH] = stop_s - state[TIME]
-            state[TIME] = stop_s
+            if to_knot_s < math.inf:
+                left_s, state[DIRECTION] = _breaks_away(angle, left_s, stretch, mode)
+            row[LENGTH] = left_s
+            state[TIME] = stop_s if left_s == stop_s - state[TIME] else state[TIME] + left_s
             n_rows += 1
             continue
         # steps shrink geometrically towards phi = 0 and grow again after it, see the module's docstring
         inward = angle * direction < 0.0
         from_zero_s = math.atan2(w0 * abs(angle), abs(rate)) / w0
         h = min(longest_s, max(shortest_s, (0.62 if inward else 1.6) * from_zero_s))
-        h = min(h, stop_s - state[TIME])
-        end_angle, end_rate = _stages(angle, rate, direction, h, mode, rule, f)
+        h = min(h, left_s)
+        end_angle, end_rate = _stages(angle, rate, direction, h, stretch, mode, rule, f)
         turned = end_rate * direction <= 0.0
         crossed = inward and end_angle * angle <= 0.0
         if crossed:
-            shorter = _length_to(ANGLE, angle, rate, direction, h, mode, rule, f)
-            end_angle, end_rate = _stages(angle, rate, direction, shorter, mode, rule, f)
+            shorter = _length_to(ANGLE, angle, rate, direction, h, stretch, mode, rule, f)
+            end_angle, end_rate = _stages(angle, rate, direction, shorter, stretch, mode, rule, f)
             # a crossing after a turning point within the step does not exist: friction changes sign before it
             if end_rate * direction > 0.0:
                 h = shorter
                 end_angle = 0.0
                 turned = False
         if turned:
-            h = _length_to(RATE, angle, rate, direction, h, mode, rule, f)
-            end_angle, end_rate = _stages(angle, rate, direction, h, mode, rule, f)
+            h = _length_to(RATE, angle, rate, direction, h, stretch, mode, rule, f)
+            end_angle, end_rate = _stages(angle, rate, direction, h, stretch, mode, rule, f)
             end_rate = 0.0
         row[LENGTH] = h
         row[POLYNOMIAL + 1] = h * rate
@@ -251,7 +334,7 @@ def advance(
             turns[n_turns, 0] = state[TIME]
             turns[n_turns, 1] = end_angle
             n_turns += 1
-            state[DIRECTION] = direction_from_rest(end_angle, mode)
+            state[DIRECTION] = direction_from_rest(end_angle, _ground_rad(stretch, h), mode)
     return n_rows, n_turns
 
 

@@ -17,7 +17,9 @@ from acquisition.simulation.equation_of_motion import (
     TIME,
     ModeConstants,
 )
+from acquisition.simulation.ground import ground_of
 from acquisition.simulation.settings import ContactTruth, FastModeTruth, SimulationSettings
+from acquisition.simulation.smooth_series import Pieces, SmoothSeries, no_pieces
 from processing.errors import ConfigurationError
 
 ARCSEC_RAD = math.pi / (180 * 3600)
@@ -79,6 +81,8 @@ class Motion:
         Constants of the equation of motion.
     angle_rad, rate_rad_per_s
         Angle and its derivative at `start_s`; before, the pendulum is held at `held_rad`.
+    ground
+        What the ground adds to the rest position, in rad; None: it stands still.
 
     Raises
     ------
@@ -87,7 +91,13 @@ class Motion:
     """
 
     def __init__(
-        self, mode: ModeConstants, angle_rad: float, rate_rad_per_s: float, start_s: float, held_rad: float
+        self,
+        mode: ModeConstants,
+        angle_rad: float,
+        rate_rad_per_s: float,
+        start_s: float,
+        held_rad: float,
+        ground: SmoothSeries | None = None,
     ) -> None:
         largest_rad = math.hypot(angle_rad, rate_rad_per_s / mode.w0_rad_per_s)
         softening = mode.kappa * 0.5 * math.pi * largest_rad**mode.n
@@ -98,6 +108,8 @@ class Motion:
                 "is possible: lower gamma_pa"
             )
         self._mode = mode
+        self._ground = ground
+        self._still = no_pieces()
         self._rule = equation_of_motion.collocation()
         self._rows = np.zeros((_ROWS, COLUMNS))
         self._turns = np.zeros((_TURNS, 2))
@@ -166,9 +178,12 @@ class Motion:
         if math.isinf(stop_s):
             # a pendulum that friction holds is one long step, which needs an end
             stop_s = self._state[TIME] + 100 * 2 * math.pi / self._mode.w0_rad_per_s
+        pieces = self._pieces()
+        if len(pieces.coefficients):
+            stop_s = min(stop_s, pieces.start_s + len(pieces.coefficients) * pieces.step_s)
         self._row = 0
         self._n_rows, n_turns = equation_of_motion.advance(
-            self._state, stop_s, self._mode, self._rule, self._rows, self._turns
+            self._state, stop_s, pieces, self._mode, self._rule, self._rows, self._turns
         )
         return self._turns[:n_turns].copy()
 
@@ -184,8 +199,20 @@ class Motion:
 
     @property
     def at_rest(self) -> bool:
-        """Whether friction holds the pendulum and no impulse follows."""
-        return bool(self._state[DIRECTION] == 0.0) and not self._kicks
+        """Whether friction holds the pendulum, and neither an impulse nor the ground moves it later."""
+        return bool(self._state[DIRECTION] == 0.0) and not self._kicks and self._ground is None
+
+    def _pieces(self) -> Pieces:
+        """What the ground does from now on, if it reaches the pendulum."""
+        if self._ground is None or self._held:
+            return self._still
+        time_s = float(self._state[TIME])
+        if time_s > self._ground.end_s - 1e-6 / self._ground.rate_hz:
+            raise ConfigurationError(
+                f"simulation.ground.file: the file ends after {self._ground.end_s:.6g} s of the run, which "
+                "goes on; take a longer one, a smaller file_offset_s, or simulation.max_duration_s"
+            )
+        return self._ground.pieces(time_s)
 
     def _stand_at(self, time_s: float) -> None:
         """Bring the state to `time_s`, which must not be before a time already requested."""
@@ -201,7 +228,9 @@ class Motion:
         elif rate != 0.0:
             self._state[DIRECTION] = math.copysign(1.0, rate)
         else:
-            self._state[DIRECTION] = equation_of_motion.direction_from_rest(self._state[ANGLE], self._mode)
+            self._state[DIRECTION] = equation_of_motion.direction_at(
+                self._state[TIME], self._state[ANGLE], self._pieces(), self._mode
+            )
 
     def _return_to(self, time_s: float) -> None:
         """Discard the motion that was integrated beyond `time_s`."""
@@ -222,8 +251,10 @@ class Motion:
         return np.concatenate(([length_s], row[POLYNOMIAL:] * ratio ** np.arange(COLUMNS - POLYNOMIAL)))
 
 
-def motions(settings: SimulationSettings) -> tuple[Motion, Motion]:
-    """Motions of the fast and the slow mode, with the release of the settings."""
+def motions(settings: SimulationSettings, run: int = 0) -> tuple[Motion, Motion]:
+    """Motions of the fast and the slow mode: the release of the settings, the ground of this run."""
+    ground = ground_of(settings, run)
+    slow_ground, fast_ground = (None, None) if ground is None else ground.drive_rad
     slow = slow_mode(settings.contact)
     fast = fast_mode(settings.contact, settings.fast)
     release = settings.release
@@ -231,16 +262,17 @@ def motions(settings: SimulationSettings) -> tuple[Motion, Motion]:
     fast_rad = settings.fast.amplitude_arcsec * ARCSEC_RAD
     phase = settings.fast.phase_rad
     if release.way == "let go":
-        slow_motion = Motion(slow, amplitude_rad, 0.0, release.at_s, amplitude_rad)
+        slow_motion = Motion(slow, amplitude_rad, 0.0, release.at_s, amplitude_rad, slow_ground)
     elif release.way == "push":
-        slow_motion = Motion(slow, 0.0, amplitude_rad * slow.w0_rad_per_s, release.at_s, 0.0)
+        slow_motion = Motion(slow, 0.0, amplitude_rad * slow.w0_rad_per_s, release.at_s, 0.0, slow_ground)
     else:
-        return Motion(fast, 0.0, 0.0, 0.0, 0.0), Motion(slow, 0.0, 0.0, 0.0, 0.0)
+        return Motion(fast, 0.0, 0.0, 0.0, 0.0, fast_ground), Motion(slow, 0.0, 0.0, 0.0, 0.0, slow_ground)
     fast_motion = Motion(
         fast,
         fast_rad * math.cos(phase),
         -fast_rad * fast.w0_rad_per_s * math.sin(phase),
         release.at_s,
         fast_rad * math.cos(phase) if release.way == "let go" else 0.0,
+        fast_ground,
     )
     return fast_motion, slow_motion

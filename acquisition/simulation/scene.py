@@ -71,10 +71,10 @@ class Scene:
         self._faults = faults
         self._readings = readings
         self._run = run
-        self._fast, self._slow = motions(settings)
+        self._fast, self._slow = motions(settings, run)
         add_draught(faults, self._fast, self._slow)
         self._noise = FrameNoise(settings.seed, run)
-        self._pointing = Pointing(settings.disturbances, self._noise, 1 / readings.frame_rate_hz)
+        self._pointing = Pointing(settings, self._noise, run, 1 / readings.frame_rate_hz)
         self._next = 0
         self._inputs = inputs
         self._commanded = RigState(laser_w=settings.optics.laser_w)

@@ -8,6 +8,8 @@ from typing import Literal, NamedTuple, Self
 
 from pydantic import BaseModel, Field, model_validator
 
+from acquisition.simulation.ground_settings import GroundTruth, PersonTruth
+
 
 class Section(BaseModel, frozen=True, extra="forbid"):
     """Base class of the settings; an unknown key is an error."""
@@ -166,6 +168,13 @@ class ClockTruth(Section, frozen=True):
     )
 
 
+class MicrophonicTruth(Section, frozen=True):
+    """One frequency at which laser or camera shake: the spot's place in x and y, each at its own phase."""
+
+    frequency_hz: float = Field(gt=0, le=10_000)
+    amplitude_px: float = Field(ge=0, le=100)
+
+
 class DisturbanceTruth(Section, frozen=True):
     """Disturbances by the laboratory; positions on the sensor in px."""
 
@@ -173,9 +182,28 @@ class DisturbanceTruth(Section, frozen=True):
     pointing_drift_x_px_per_min: float = 0.0
     pointing_drift_y_px_per_min: float = 0.0
     pointing_walk_px_per_sqrt_s: float = Field(default=0.0, ge=0, description="random walk, per axis")
+    air_arcsec: float = Field(
+        default=0.0,
+        ge=0,
+        le=100,
+        description="bending of the beam by air, per axis, rms of its 1/f spectrum between the frequencies "
+        "below, as the tilt of the pendulum that it looks like",
+    )
+    air_from_hz: float = Field(default=0.01, gt=0, description="at least a thousandth of air_to_hz")
+    air_to_hz: float = Field(default=10.0, gt=0, le=1000)
     dropped_fraction: float = Field(
         default=0.0, ge=0, lt=1, description="frames lost by the camera, at random"
     )
+    microphonics: tuple[MicrophonicTruth, ...] = ()
+
+    @model_validator(mode="after")
+    def _air_has_a_band(self) -> Self:
+        if not 1 < self.air_to_hz / self.air_from_hz <= 1000:
+            raise ValueError(
+                f"disturbances.air_from_hz = {self.air_from_hz:g} must lie below air_to_hz = "
+                f"{self.air_to_hz:g}, by a factor of 1000 at most"
+            )
+        return self
 
 
 class SimulationSettings(Section, frozen=True):
@@ -201,6 +229,8 @@ class SimulationSettings(Section, frozen=True):
     sensor: SensorTruth = SensorTruth()
     clock: ClockTruth = ClockTruth()
     disturbances: DisturbanceTruth = DisturbanceTruth()
+    ground: GroundTruth = GroundTruth()
+    person: PersonTruth = PersonTruth()
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

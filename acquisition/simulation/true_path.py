@@ -29,14 +29,17 @@ class TruePath(NamedTuple):
 
 
 def true_turning_points(
-    settings: SimulationSettings, final_amplitude_arcsec: float = 2.0, max_duration_s: float = 86_400.0
+    settings: SimulationSettings,
+    final_amplitude_arcsec: float = 2.0,
+    max_duration_s: float = 86_400.0,
+    run: int = 0,
 ) -> TruePoints:
     """Turning points of the slow mode from the release down to an amplitude.
 
     If the pendulum is released at its amplitude, the release is the first point. Points below
     `final_amplitude_arcsec` or after `max_duration_s` are left out.
     """
-    slow = motions(settings)[1]
+    slow = motions(settings, run)[1]
     found = []
     if settings.release.way == "let go":
         found.append([[settings.release.at_s, settings.release.amplitude_arcsec * ARCSEC_RAD]])
@@ -67,12 +70,12 @@ def axes_motion(
 
 
 def true_path(
-    settings: SimulationSettings, duration_s: float, frame_rate_hz: float | None = None
+    settings: SimulationSettings, duration_s: float, frame_rate_hz: float | None = None, run: int = 0
 ) -> TruePath:
     """Tilts without noise at evenly spaced times from 0 on; by default at the camera's frame rate."""
     rate_hz = settings.clock.frame_rate_hz if frame_rate_hz is None else frame_rate_hz
     times_s = np.arange(math.floor(duration_s * rate_hz) + 1) / rate_hz
-    fast, slow = motions(settings)
+    fast, slow = motions(settings, run)
     x_rad, y_rad = axes_motion(settings, fast, slow, times_s)
     return TruePath(np.rint(times_s * 1e9).astype(np.int64), x_rad, y_rad)
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from pydantic import BaseModel, ValidationError
+from scipy.signal import welch
 
 from acquisition.simulation.faults import FaultSettings
 from acquisition.simulation.inputs import RigInputs
@@ -15,6 +16,7 @@ from acquisition.simulation.scene import Plan, Readings, Scene
 from acquisition.simulation.settings import SimulationSettings
 from acquisition.simulation.true_path import true_path, true_turning_points
 
+SIXTY = {"frame_rate_hz": 60.0}
 ONE_ARCSEC_PX = 1.0 * 2 * ARCSEC_RAD / 4.8e-6
 
 
@@ -155,9 +157,52 @@ def test_pointing_jitter_and_walk_have_their_sizes() -> None:
         assert np.diff(path).std() == pytest.approx(0.05, rel=4 / math.sqrt(2 * 20_000))
 
 
+def test_air_has_its_level_and_a_spectrum_of_one_over_f() -> None:
+    """0.1 arcsec between 0.01 and 10 Hz, a factor of 1000: an equal part of the variance in each decade."""
+    count = 400_000
+    air = {"air_arcsec": 0.1}
+    plain, blown = plan(count, clock=SIXTY), plan(count, clock=SIXTY, disturbances=air)
+    for noise in (blown.x_px - plain.x_px, blown.y_px - plain.y_px):
+        noise_arcsec = noise / ONE_ARCSEC_PX
+        frequencies_hz, density = welch(noise_arcsec, 60.0, nperseg=2**15)
+        step_hz = frequencies_hz[1]
+        # 12, 120 and 1200 s^-1 hold as many independent numbers per two of a bin's segments
+        for low_hz, high_hz, bound in ((0.01, 0.1, 0.25), (0.1, 1.0, 0.1), (1.0, 10.0, 0.05)):
+            decade = (frequencies_hz >= low_hz) & (frequencies_hz < high_hz)
+            assert density[decade].sum() * step_hz == pytest.approx(0.1**2 / 3, rel=bound)
+        assert density[frequencies_hz > 12.6].sum() * step_hz < 1e-5 * 0.1**2
+    other = scene(run=1, clock=SIXTY, disturbances=air).plan(100)
+    assert not np.allclose(other.x_px, scene(clock=SIXTY, disturbances=air).plan(100).x_px, atol=1e-6)
+    # the same air at another frame rate
+    slower = plan(100, clock={"frame_rate_hz": 30.0}, disturbances=air).y_px
+    assert slower == pytest.approx(blown.y_px[:200:2], abs=1e-9)
+
+
+def test_microphonics_are_lines_of_their_frequencies() -> None:
+    plain = plan(6000, clock=SIXTY)
+    lines = [{"frequency_hz": 11.0, "amplitude_px": 0.03}, {"frequency_hz": 23.5, "amplitude_px": 0.01}]
+    shaken = plan(6000, clock=SIXTY, disturbances={"microphonics": lines})
+    for noise in (shaken.x_px - plain.x_px, shaken.y_px - plain.y_px):
+        amplitudes = 2 * np.abs(np.fft.rfft(noise)) / 6000
+        assert np.flatnonzero(amplitudes > 1e-6).tolist() == [1100, 2350]
+        assert amplitudes[[1100, 2350]] == pytest.approx([0.03, 0.01])
+    first = plan(6000, clock=SIXTY, disturbances={"microphonics": lines[:1]})
+    second = shaken.x_px - first.x_px
+    assert second.std() == pytest.approx(0.01 / math.sqrt(2), rel=1e-3)
+
+
+def test_air_without_a_band_is_refused() -> None:
+    for change in ({"air_from_hz": 20.0}, {"air_from_hz": 1e-3}):
+        with pytest.raises(ValidationError, match="air_from_hz"):
+            SimulationSettings.model_validate({"disturbances": change})
+
+
 def test_plans_do_not_depend_on_their_length() -> None:
     changes: dict[str, Any] = {
+        "ground": {"model": "peterson"},
         "disturbances": {
+            "air_arcsec": 0.1,
+            "microphonics": [{"frequency_hz": 7.0, "amplitude_px": 0.1}],
             "pointing_jitter_px": 0.1,
             "pointing_walk_px_per_sqrt_s": 0.1,
             "dropped_fraction": 0.3,

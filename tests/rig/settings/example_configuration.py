@@ -61,13 +61,13 @@ def keys(path: str = "", model: type = Configuration) -> Iterator[str]:
             yield from keys(f"{place}.{EXAMPLE_NAME}." if _is_table_of(field) else f"{place}.", inner)
 
 
-def _section(path: str, model: type) -> Iterator[str]:
+def _section(path: str, model: type, listed: bool = False) -> Iterator[str]:
     if path:
         active = any(key.startswith(path) for key in ACTIVE)
         yield ""
         document = (model.__doc__ or "").strip().split("\n\n")[0]
         yield from (f"# {line}" for line in textwrap.wrap(" ".join(document.split()), 100))
-        yield f"{'' if active else '# '}[{path.rstrip('.')}]"
+        yield f"{'' if active else '# '}{f'[[{path[:-1]}]]' if listed else f'[{path[:-1]}]'}"
     inner = [(name, field) for name, field in section_fields(model).items() if section_of(field) is not None]
     for name, field in section_fields(model).items():
         if section_of(field) is None:
@@ -76,7 +76,9 @@ def _section(path: str, model: type) -> Iterator[str]:
         below = section_of(field)
         assert below is not None
         yield from _section(
-            f"{path}{name}.{EXAMPLE_NAME}." if _is_table_of(field) else f"{path}{name}.", below
+            f"{path}{name}.{EXAMPLE_NAME}." if _is_table_of(field) else f"{path}{name}.",
+            below,
+            str(field.annotation).startswith("tuple"),
         )
 
 

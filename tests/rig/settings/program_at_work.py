@@ -12,6 +12,7 @@ from acquisition.cameras.simulated import SimulatedCamera
 from acquisition.simulation.faults import FaultSettings
 from acquisition.simulation.inputs import RigInputs
 from acquisition.simulation.settings import SimulationSettings
+from acquisition.simulation.true_path import true_turning_points
 from processing.errors import RigError
 from rig.balance.look import LooksView, look
 from rig.control import (
@@ -200,6 +201,7 @@ def suffer_every_fault() -> None:
         draught_at_s=0.1,
     )
     tiny = {
+        "disturbances": {"air_arcsec": 0.1, "microphonics": [{"frequency_hz": 50.0, "amplitude_px": 0.1}]},
         "sensor": {"width_px": 32, "height_px": 32},
         "optics": {"arm_m": 0.02, "sigma_x_px": 2, "sigma_y_px": 2},
     }
@@ -212,6 +214,17 @@ def suffer_every_fault() -> None:
     for act in (inputs.starter, inputs.brake):
         act(True)
     _read(SimulatedCamera(real, FaultSettings(), inputs), 20)
+
+
+def shake_the_ground(folder: Path) -> None:
+    """Ground of every model, and someone who walks by."""
+    file = folder / "ground.csv"
+    file.write_text("\n".join(["time_s,a_nm_per_s2", *(f"{t},{(-1) ** t}" for t in range(200))]) + "\n")
+    person = {"passes_at_s": [0.1], "passes_per_hour": 60.0}
+    for model in ("white", "peterson", "file"):
+        ground = {"model": model, "file": str(file), "tilt_rad_per_sqrt_hz": 1e-9}
+        truth = SimulationSettings.model_validate({"ground": ground, "person": person})
+        assert len(true_turning_points(truth, max_duration_s=10.0).time_s)
 
 
 def _read(camera: SimulatedCamera, count: int) -> None:

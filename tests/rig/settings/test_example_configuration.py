@@ -22,7 +22,7 @@ def test_every_key_stands_in_the_example() -> None:
     section = ""
     found = set()
     for line in TARGET.read_text(encoding="utf-8").splitlines():
-        if match := re.fullmatch(r"(?:# )?\[([\w.]+)\]", line):
+        if match := re.fullmatch(r"(?:# )?\[+([\w.]+)\]+", line):
             section = match.group(1) + "."
         elif match := re.match(r"(?:# )?(\w+) = ", line):
             found.add(section + match.group(1))

@@ -1,0 +1,171 @@
+"""The ground under the simulated pendulum, and how it drives both modes.
+
+The mass centre lies a height d over the point of contact. In a base that is accelerated by a(t) along
+the swing and tilted by th(t), its inertia turns the pendulum about the point of contact, and gravity's
+restoring moment is measured from the tilted base:
+
+    I phi'' + m g R (phi - th) = M_fr + M_el - m d a
+
+Divided by m g R, the ground stands beside the rest position as an angle th - d a/(g R), whatever the moment
+of inertia. Both modes roll on the same ball under the same weight, hence with the same stiffness m g R: the
+fast mode's equation differs in I alone, I_U = I_V/`period_ratio`^2, and each mode follows its own component
+of a and th by that same angle. phi is an angle in space, and so is what the light lever shows: a tilt
+of laser and sensor with the base is left out.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import resample_poly
+
+from acquisition.simulation.ground_file import GroundRecord, read_ground_file
+from acquisition.simulation.ground_settings import GroundTruth, PersonTruth
+from acquisition.simulation.noise_models import density_of_db, nhnm_db, nlnm_db
+from acquisition.simulation.settings import SimulationSettings
+from acquisition.simulation.smooth_series import (
+    BLOCK_KNOTS,
+    DEGREE,
+    KNOTS_PER_PERIOD,
+    BandNoise,
+    SmoothSeries,
+    Term,
+    coefficients_through,
+    sampled,
+)
+from processing.errors import ConfigurationError
+
+_ACCELERATION, _TILT, _PERSON = (12, 13), (14, 15), 16
+SLOW, FAST = 0, 1
+
+
+class Ground(NamedTuple):
+    """Along the slow and the fast swing: acceleration in m/s^2, tilt in rad, and the angle that drives it."""
+
+    acceleration_m_per_s2: tuple[SmoothSeries, SmoothSeries]
+    tilt_rad: tuple[SmoothSeries, SmoothSeries]
+    drive_rad: tuple[SmoothSeries, SmoothSeries]
+
+
+def ground_of(settings: SimulationSettings, run: int) -> Ground | None:
+    """The ground of one run; None where nothing moves.
+
+    Raises ConfigurationError for a file that cannot be used, or ends before the run may.
+    """
+    truth = settings.ground
+    if truth.model == "none" and truth.tilt_rad_per_sqrt_hz == 0 and not settings.person.passes:
+        return None
+    seed = (settings.seed + 0x9E3779B97F4A7C15 * truth.seed) % 2**63
+    record = None
+    rate_hz = KNOTS_PER_PERIOD * truth.bandwidth_hz
+    end_s = math.inf
+    if truth.model == "file":
+        record = _knots_of_file(truth)
+        rate_hz = record.rate_hz
+        end_s = (len(record.accelerations_m_per_s2) - 1) / rate_hz - truth.file_offset_s
+        _check_length(settings, end_s)
+    contact = settings.contact
+    lever = truth.mass_centre_height_m / (contact.gravity_m_per_s2 * contact.ball_radius_m)
+    series = []
+    for mode in (SLOW, FAST):
+        shaking: list[tuple[float, Term]] = []
+        tilting: list[tuple[float, Term]] = []
+        if record is not None:
+            if mode < record.accelerations_m_per_s2.shape[1]:
+                shaking.append((1.0, _recorded(record, mode, truth.file_offset_s)))
+        elif truth.model != "none":
+            shaking.append((1.0, _noise(truth, rate_hz, (seed, run, _ACCELERATION[mode]))))
+        if settings.person.passes:
+            shaking.append((1.0, sampled(_Person(settings.person, mode, seed, run), rate_hz)))
+        if truth.tilt_rad_per_sqrt_hz > 0:
+            noise = BandNoise(np.ones_like, rate_hz, truth.bandwidth_hz, (seed, run, _TILT[mode]))
+            tilting.append((truth.tilt_rad_per_sqrt_hz, noise))
+        driving = [*tilting, *((-lever * factor, term) for factor, term in shaking)]
+        series.append([SmoothSeries(rate_hz, terms, end_s) for terms in (shaking, tilting, driving)])
+    acceleration, tilt, drive = zip(*series, strict=True)
+    return Ground(acceleration, tilt, drive)
+
+
+def acceleration_density(truth: GroundTruth, frequencies_hz: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Amplitude spectral density of 'white' or 'peterson', one-sided, per component, in m/s^2/sqrt(Hz)."""
+    if truth.model == "white":
+        return np.full(len(frequencies_hz), truth.white_m_per_s2_per_sqrt_hz)
+    low_db = nlnm_db(frequencies_hz)
+    if truth.above_low_noise_db is not None:
+        return density_of_db(low_db + truth.above_low_noise_db)
+    return density_of_db(low_db + truth.between_noise_models * (nhnm_db(frequencies_hz) - low_db))
+
+
+def _noise(truth: GroundTruth, rate_hz: float, key: tuple[int, int, int]) -> Term:
+    return BandNoise(lambda f: acceleration_density(truth, f), rate_hz, truth.bandwidth_hz, key)
+
+
+def _knots_of_file(truth: GroundTruth) -> GroundRecord:
+    """The file's accelerations at as many knots per second as its own band, or the wanted one, needs."""
+    assert truth.file is not None
+    record = read_ground_file(truth.file)
+    wanted_hz = KNOTS_PER_PERIOD * truth.bandwidth_hz
+    more = max(1, math.ceil(wanted_hz / record.rate_hz - 1e-6))
+    fewer = max(1, math.floor(record.rate_hz / wanted_hz + 1e-6))
+    values = record.accelerations_m_per_s2
+    if more > 1 or fewer > 1:
+        values = resample_poly(values, more, fewer, axis=0, padtype="line")
+    # knots beyond the last sample would be extrapolated
+    count = 1 + (len(record.accelerations_m_per_s2) - 1) * more // fewer
+    return GroundRecord(record.rate_hz * more / fewer, values[:count])
+
+
+def _recorded(record: GroundRecord, column: int, offset_s: float) -> Term:
+    through = coefficients_through(record.accelerations_m_per_s2[:, column])
+    offset = round(offset_s * record.rate_hz)
+
+    def term(block: int) -> NDArray[np.float64]:
+        first = offset + block * BLOCK_KNOTS - 2
+        place = np.arange(first, first + BLOCK_KNOTS + DEGREE)
+        # mirrored beyond its ends, as the coefficients are; no run goes there
+        period = 2 * (len(through) - 1)
+        place = np.abs((place + period // 2) % period - period // 2)
+        return np.asarray(through[place])
+
+    return term
+
+
+def _check_length(settings: SimulationSettings, end_s: float) -> None:
+    truth = settings.ground
+    if end_s <= 0 or (settings.max_duration_s is not None and settings.max_duration_s > end_s):
+        wanted = "any run" if settings.max_duration_s is None else f"{settings.max_duration_s:g} s of a run"
+        raise ConfigurationError(
+            f"simulation.ground.file = {str(truth.file)!r}: from file_offset_s = {truth.file_offset_s:g} on "
+            f"it lasts {end_s:.6g} s, too short for {wanted}; take a longer file, or less of it"
+        )
+
+
+class _Person:
+    """Acceleration of the ground, one component, while someone walks by."""
+
+    def __init__(self, truth: PersonTruth, mode: int, seed: int, run: int) -> None:
+        self._truth = truth
+        self._mode = mode
+        self._key = (seed, run, _PERSON)
+
+    def __call__(self, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
+        truth = self._truth
+        total = np.zeros(len(times_s))
+        for begin_s, direction_rad, phase_rad in self._passes(times_s[0] - truth.duration_s, times_s[-1]):
+            since_s = times_s - begin_s
+            envelope = np.sin(np.pi * np.clip(since_s / truth.duration_s, 0, 1)) ** 2
+            part = math.sin(direction_rad) if self._mode == FAST else math.cos(direction_rad)
+            total += part * envelope * np.sin(2 * np.pi * truth.steps_per_s * since_s + phase_rad)
+        return truth.acceleration_m_per_s2 * total
+
+    def _passes(self, first_s: float, last_s: float) -> list[tuple[float, float, float]]:
+        """Begin, direction and phase of every pass that begins between two times."""
+        generator = np.random.Generator(np.random.PCG64([*self._key, 0]))
+        found = [(at_s, *generator.uniform(0, 2 * np.pi, 2)) for at_s in self._truth.passes_at_s]
+        for hour in range(max(0, math.floor(first_s / 3600)), math.floor(max(last_s, 0) / 3600) + 1):
+            generator = np.random.Generator(np.random.PCG64([*self._key, 1 + hour]))
+            for _ in range(generator.poisson(self._truth.passes_per_hour)):
+                at_s, direction, phase = generator.uniform(0, 1, 3)
+                found.append((3600 * (hour + at_s), 2 * np.pi * direction, 2 * np.pi * phase))
+        return [one for one in found if first_s <= one[0] <= last_s]

@@ -1,0 +1,178 @@
+"""Random and other functions of time that are smooth: quintic splines over even knots, made block by block.
+
+A stationary noise of a wanted spectrum is the spline whose B-spline coefficients are white numbers
+through a filter. The filter's gain is the wanted amplitude spectral density divided by that of the
+B-spline, sinc(f/rate)^6, and falls to 0 between the band's end and 1.25 times it. With four knots per
+period of the band's end, the images of the band about the knots' rate hold less than 1e-5 of its power
+(8e-5 in the falling part). The result has four continuous derivatives and is a polynomial between knots,
+which an integrator that stops at knots takes without error.
+
+Every white number depends on its place and a key alone, so that a series is the same whoever asks, in
+which steps, and when; memory holds two blocks.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+from scipy.interpolate import BSpline, PPoly
+from scipy.ndimage import spline_filter1d
+
+from acquisition.simulation import randomness
+
+DEGREE: Final = 5
+KNOTS_PER_PERIOD = 4
+"""Knots per period of the highest frequency of the band."""
+BLOCK_KNOTS = 32_000
+TAPS = 2**15
+"""Length of the filter in knots: its reciprocal is how finely a spectrum is followed."""
+_FFT = 2 * TAPS
+_COLUMNS = 64
+_FALL = 1.25
+_MARGIN = 40
+
+Term = Callable[[int], NDArray[np.float64]]
+"""B-spline coefficients of a block, (BLOCK_KNOTS + DEGREE,): the first belongs to the knot two before it."""
+
+
+class Pieces(NamedTuple):
+    """A function of time as polynomials between even knots, from `start_s` on.
+
+    Row k of `coefficients` (m, 6), rising powers, holds from ``start_s + k step_s`` on, in units of
+    `step_s` since then. No rows: the function is zero everywhere.
+    """
+
+    start_s: float
+    step_s: float
+    coefficients: NDArray[np.float64]
+
+
+def no_pieces() -> Pieces:
+    """The function that is zero."""
+    return Pieces(0.0, 1.0, np.empty((0, DEGREE + 1)))
+
+
+def _basis() -> NDArray[np.float64]:
+    """What each of six neighbouring coefficients adds to the polynomial between the middle two of them."""
+    spline = BSpline.basis_element(np.arange(-3.0, 4.0), extrapolate=False)
+    falling_powers = PPoly.from_spline(spline.tck).c[:, DEGREE:-DEGREE]
+    return np.ascontiguousarray(falling_powers.T[::-1, ::-1], dtype=np.float64)
+
+
+class SmoothSeries:
+    """A sum of terms as one function of time, from 0 on.
+
+    Parameters
+    ----------
+    rate_hz
+        Knots per second.
+    terms
+        Each with the factor it is multiplied by.
+    end_s
+        The series is not known from here on; whoever uses it stops there.
+    """
+
+    def __init__(self, rate_hz: float, terms: Sequence[tuple[float, Term]], end_s: float = math.inf) -> None:
+        self.rate_hz = rate_hz
+        self.end_s = end_s
+        self._terms = tuple(terms)
+        self._basis = _basis()
+        self._blocks: dict[int, Pieces] = {}
+
+    def pieces(self, time_s: float) -> Pieces:
+        """The block of a time before `end_s`; 1e-6 of a step before a knot counts as that knot."""
+        block = math.floor(time_s * self.rate_hz + 1e-6) // BLOCK_KNOTS
+        if block not in self._blocks:
+            total = np.zeros(BLOCK_KNOTS + DEGREE)
+            for factor, term in self._terms:
+                total += factor * term(block)
+            left = min(self.end_s * self.rate_hz - block * BLOCK_KNOTS + 1e-6, BLOCK_KNOTS)
+            pieces = (sliding_window_view(total, DEGREE + 1) @ self._basis)[: math.floor(left)]
+            if len(self._blocks) == 2:
+                del self._blocks[min(self._blocks)]
+            self._blocks[block] = Pieces(block * BLOCK_KNOTS / self.rate_hz, 1 / self.rate_hz, pieces)
+        return self._blocks[block]
+
+    def at(self, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Values at times before `end_s` that do not fall."""
+        out = np.empty(len(times_s))
+        done = 0
+        while done < len(times_s):
+            pieces = self.pieces(times_s[done])
+            place = (times_s[done:] - pieces.start_s) / pieces.step_s
+            place = place[: np.searchsorted(place, BLOCK_KNOTS - 1e-6)]
+            knot = np.maximum(np.floor(place), 0.0).astype(np.int64)
+            u = place - knot
+            value = np.zeros(len(place))
+            for power in range(DEGREE, -1, -1):
+                value = value * u + pieces.coefficients[knot, power]
+            out[done : done + len(place)] = value
+            done += len(place)
+        return out
+
+
+class BandNoise:
+    """Stationary normal noise of a stated spectrum: a `Term`.
+
+    Parameters
+    ----------
+    density
+        Amplitude spectral density, one-sided, of frequencies in Hz: the unit of the series over
+        sqrt(Hz). It is followed as finely as `rate_hz`/`TAPS`; what lies below twice that is not to be
+        relied upon, and the mean is zero.
+    rate_hz
+        Knots per second, at least `KNOTS_PER_PERIOD` times `band_hz`.
+    band_hz
+        The spectrum holds up to this frequency, and is cut off above.
+    key
+        Seed, run and purpose.
+    """
+
+    def __init__(
+        self,
+        density: Callable[[NDArray[np.float64]], NDArray[np.float64]],
+        rate_hz: float,
+        band_hz: float,
+        key: tuple[int, int, int],
+    ) -> None:
+        frequencies_hz = np.arange(1, TAPS // 2 + 1) * (rate_hz / TAPS)
+        fall = np.clip((frequencies_hz / band_hz - 1) / (_FALL - 1), 0, 1)
+        inside = fall < 1
+        gain = np.zeros(TAPS // 2 + 1)
+        gain[1:][inside] = (
+            density(frequencies_hz[inside])
+            * math.sqrt(rate_hz / 2)
+            * np.cos(0.5 * np.pi * fall[inside])
+            / np.sinc(frequencies_hz[inside] / rate_hz) ** (DEGREE + 1)
+        )
+        # without the window a step of the spectrum rings all over it
+        taps = np.roll(np.fft.irfft(gain), TAPS // 2) * np.sin(np.pi * np.arange(TAPS) / TAPS) ** 2
+        self._response = np.conj(np.fft.rfft(taps, _FFT))
+        self._key = key
+
+    def __call__(self, block: int) -> NDArray[np.float64]:
+        white = np.empty((_FFT // _COLUMNS, _COLUMNS))
+        seed, run, purpose = self._key
+        first = block * (BLOCK_KNOTS // _COLUMNS)
+        randomness.frame_normals(seed, run, purpose, first, randomness.ziggurat().x, white)
+        filtered = np.fft.irfft(np.fft.rfft(white.reshape(-1)) * self._response)
+        return filtered[: BLOCK_KNOTS + DEGREE]
+
+
+def coefficients_through(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """B-spline coefficients of the quintic spline through values at even knots, mirrored at both ends."""
+    return np.asarray(spline_filter1d(values, order=DEGREE, mode="mirror", output=np.float64))
+
+
+def sampled(function: Callable[[NDArray[np.float64]], NDArray[np.float64]], rate_hz: float) -> Term:
+    """A smooth function of time, by its values at the knots."""
+
+    def term(block: int) -> NDArray[np.float64]:
+        first = block * BLOCK_KNOTS - 2
+        knots = np.arange(first - _MARGIN, first + BLOCK_KNOTS + DEGREE + _MARGIN)
+        return coefficients_through(function(knots / rate_hz))[_MARGIN:-_MARGIN]
+
+    return term
