@@ -24,47 +24,16 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from acquisition.simulation.smooth_series import Pieces
+from acquisition.simulation.collocation import COLUMNS, LENGTH, POLYNOMIAL, STAGES, START, Collocation
+from acquisition.simulation.smooth_series import Pieces, Stretch, stretch_at, value_after
 
-STAGES = 6
 LONGEST_STEP_RAD = 0.35
 """Longest step, as phase of the oscillation; the error within a step is about 1e-10 of the amplitude."""
 SHORTEST_STEP_RAD = 1e-4
 """Steps at phi = 0, where the error due to |phi|^p is below 2e-12 of the amplitude even for p = 0.4."""
 
-START, LENGTH, POLYNOMIAL = 0, 1, 2
-COLUMNS = POLYNOMIAL + STAGES + 2
-"""A row, one step of the motion: start time in s, length in s, then from `POLYNOMIAL` on the coefficients of
-phi, in rad, as a polynomial in (t - start)/length."""
-
 TIME, ANGLE, RATE, DIRECTION = 0, 1, 2, 3
 """Entries of a state. Direction is the sign of the velocity, 0 if friction holds the pendulum."""
-
-
-class Collocation(NamedTuple):
-    """Gauss nodes on (0, 1), and the matrices that convert accelerations at the nodes to velocities and
-    angles.
-    """
-
-    nodes: NDArray[np.float64]
-    weights: NDArray[np.float64]
-    to_rate: NDArray[np.float64]
-    to_angle: NDArray[np.float64]
-    to_polynomial: NDArray[np.float64]
-
-
-def collocation() -> Collocation:
-    """Nodes and matrices for `STAGES` stages."""
-    u, w = np.polynomial.legendre.leggauss(STAGES)
-    nodes = 0.5 * (u + 1.0)
-    values = np.polynomial.legendre.legvander(u, STAGES)
-    integrals = np.empty((STAGES, STAGES))
-    integrals[:, 0] = nodes
-    for k in range(1, STAGES):
-        integrals[:, k] = (values[:, k + 1] - values[:, k - 1]) / (2.0 * (2 * k + 1))
-    to_rate = integrals @ np.linalg.inv(values[:, :STAGES])
-    to_polynomial = np.linalg.inv(np.vander(nodes, STAGES, increasing=True)).astype(np.float64)
-    return Collocation(nodes, 0.5 * w, to_rate, to_rate @ to_rate, to_polynomial)
 
 
 class ModeConstants(NamedTuple):
@@ -83,38 +52,6 @@ class ModeConstants(NamedTuple):
     """Sine of the angle and a rolling support; False: Eq. 4 for small angles."""
     rolling: float = 0.0
     """epsilon, the support's radius in units of g/w0^2; used only if `exact`."""
-
-
-class Stretch(NamedTuple):
-    """What the ground does during one step: row `knot` of the pieces, from the place `begin` in it on."""
-
-    pieces: Pieces
-    knot: int
-    begin: float
-
-
-@njit(cache=True, nogil=True, inline="always")
-def _ground_rad(stretch: Stretch, since_s: float) -> float:
-    """The ground as a shift of the rest position, so long after the step's begin."""
-    rows = stretch.pieces.coefficients
-    if rows.shape[0] == 0:
-        return 0.0
-    u = stretch.begin + since_s / stretch.pieces.step_s
-    value = 0.0
-    for k in range(rows.shape[1] - 1, -1, -1):
-        value = value * u + rows[stretch.knot, k]
-    return value
-
-
-@njit(cache=True, nogil=True, inline="always")
-def _stretch(pieces: Pieces, time_s: float) -> tuple[Stretch, float]:
-    """The stretch that begins at a time, and its length up to the next knot; endless without ground."""
-    if pieces.coefficients.shape[0] == 0:
-        return Stretch(pieces, 0, 0.0), math.inf
-    place = (time_s - pieces.start_s) / pieces.step_s
-    # rounded, a time may lie just before the knot at which the step before it ended, also before the last
-    knot = min(math.floor(place + 1e-6), pieces.coefficients.shape[0] - 1)
-    return Stretch(pieces, knot, place - knot), pieces.start_s + (knot + 1) * pieces.step_s - time_s
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -153,7 +90,7 @@ def _stages(
     h = length_s
     ground = np.empty(STAGES)
     for j in range(STAGES):
-        ground[j] = _ground_rad(stretch, rule.nodes[j] * h)
+        ground[j] = value_after(stretch, rule.nodes[j] * h)
         f[j] = _acceleration(angle + rule.nodes[j] * h * rate, rate, direction, ground[j], mode)
     scale = mode.w0_rad_per_s**2 * (abs(angle) + abs(rate) / mode.w0_rad_per_s + abs(ground[0]))
     for _ in range(40):
@@ -209,7 +146,7 @@ def _length_to(
             high = h
         slope = end_rate
         if wanted == RATE:
-            slope = _acceleration(end_angle, end_rate, direction, _ground_rad(stretch, h), mode)
+            slope = _acceleration(end_angle, end_rate, direction, value_after(stretch, h), mode)
         new = h - value / slope if slope != 0.0 else 0.5 * (low + high)
         if not low <= new <= high:
             new = 0.5 * (low + high)
@@ -232,7 +169,7 @@ def direction_from_rest(angle: float, ground_rad: float, mode: ModeConstants) ->
 @njit(cache=True, nogil=True)
 def direction_at(time_s: float, angle: float, pieces: Pieces, mode: ModeConstants) -> float:
     """Which way the pendulum leaves a standstill at a time; 0 where friction holds it."""
-    return direction_from_rest(angle, _ground_rad(_stretch(pieces, time_s)[0], 0.0), mode)
+    return direction_from_rest(angle, value_after(stretch_at(pieces, time_s)[0], 0.0), mode)
 
 
 @njit(cache=True, nogil=True)
@@ -246,11 +183,11 @@ def _breaks_away(
     for part in range(1, 9):
         low = longest_s * (part - 1) / 8
         high = longest_s * part / 8
-        direction = direction_from_rest(angle, _ground_rad(stretch, high), mode)
+        direction = direction_from_rest(angle, value_after(stretch, high), mode)
         if direction != 0.0:
             for _ in range(30):
                 middle = 0.5 * (low + high)
-                if direction_from_rest(angle, _ground_rad(stretch, middle), mode) == direction:
+                if direction_from_rest(angle, value_after(stretch, middle), mode) == direction:
                     high = middle
                 else:
                     low = middle
@@ -288,7 +225,7 @@ def advance(
         row[:] = 0.0
         row[START] = state[TIME]
         row[POLYNOMIAL] = angle
-        stretch, to_knot_s = _stretch(pieces, state[TIME])
+        stretch, to_knot_s = stretch_at(pieces, state[TIME])
         left_s = min(stop_s - state[TIME], to_knot_s)
         if direction == 0.0:
             if to_knot_s < math.inf:
@@ -334,38 +271,5 @@ def advance(
             turns[n_turns, 0] = state[TIME]
             turns[n_turns, 1] = end_angle
             n_turns += 1
-            state[DIRECTION] = direction_from_rest(end_angle, _ground_rad(stretch, h), mode)
+            state[DIRECTION] = direction_from_rest(end_angle, value_after(stretch, h), mode)
     return n_rows, n_turns
-
-
-@njit(cache=True, nogil=True)
-def sample(
-    rows: NDArray[np.float64],
-    first_row: int,
-    n_rows: int,
-    times_s: NDArray[np.float64],
-    first: int,
-    angles: NDArray[np.float64],
-    rates: NDArray[np.float64],
-) -> tuple[int, int]:
-    """Angles (rad) and rates (rad/s) at rising times, from `times_s[first]` on, as far as the rows reach.
-
-    Returns the last row used and the index of the first time that is beyond the rows.
-    """
-    row = first_row
-    for i in range(first, times_s.shape[0]):
-        t = times_s[i]
-        while row < n_rows and t > rows[row, START] + rows[row, LENGTH]:
-            row += 1
-        if row == n_rows:
-            return row, i
-        theta = (t - rows[row, START]) / rows[row, LENGTH] if rows[row, LENGTH] > 0.0 else 0.0
-        angle = 0.0
-        rate = 0.0
-        # Horner's rule for the polynomial and its derivative together
-        for k in range(COLUMNS - 1, POLYNOMIAL - 1, -1):
-            rate = rate * theta + angle
-            angle = angle * theta + rows[row, k]
-        angles[i] = angle
-        rates[i] = rate / rows[row, LENGTH] if rows[row, LENGTH] > 0.0 else 0.0
-    return row, times_s.shape[0]

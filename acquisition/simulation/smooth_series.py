@@ -16,6 +16,7 @@ from collections.abc import Callable, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
+from numba import njit
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline, PPoly
@@ -60,6 +61,38 @@ def _basis() -> NDArray[np.float64]:
     spline = BSpline.basis_element(np.arange(-3.0, 4.0), extrapolate=False)
     falling_powers = PPoly.from_spline(spline.tck).c[:, DEGREE:-DEGREE]
     return np.ascontiguousarray(falling_powers.T[::-1, ::-1], dtype=np.float64)
+
+
+class Stretch(NamedTuple):
+    """Row `knot` of the pieces, from the place `begin` in it on, in units of `step_s`."""
+
+    pieces: Pieces
+    knot: int
+    begin: float
+
+
+@njit(cache=True, nogil=True, inline="always")
+def value_after(stretch: Stretch, since_s: float) -> float:
+    """Value at a time after the begin of a stretch."""
+    rows = stretch.pieces.coefficients
+    if rows.shape[0] == 0:
+        return 0.0
+    u = stretch.begin + since_s / stretch.pieces.step_s
+    value = 0.0
+    for k in range(rows.shape[1] - 1, -1, -1):
+        value = value * u + rows[stretch.knot, k]
+    return value
+
+
+@njit(cache=True, nogil=True, inline="always")
+def stretch_at(pieces: Pieces, time_s: float) -> tuple[Stretch, float]:
+    """The stretch that begins at a time, and its length in s up to the next knot; without pieces infinite."""
+    if pieces.coefficients.shape[0] == 0:
+        return Stretch(pieces, 0, 0.0), math.inf
+    place = (time_s - pieces.start_s) / pieces.step_s
+    # rounded, a time may lie just before the knot at which the step before it ended, also before the last
+    knot = min(math.floor(place + 1e-6), pieces.coefficients.shape[0] - 1)
+    return Stretch(pieces, knot, place - knot), pieces.start_s + (knot + 1) * pieces.step_s - time_s
 
 
 class SmoothSeries:

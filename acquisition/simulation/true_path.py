@@ -36,8 +36,8 @@ def true_turning_points(
 ) -> TruePoints:
     """Turning points of the slow mode from the release down to an amplitude.
 
-    If the pendulum is released at its amplitude, the release is the first point. Points below
-    `final_amplitude_arcsec` or after `max_duration_s` are left out.
+    If the pendulum is released at its amplitude, the release is the first point. Points from the first below
+    `final_amplitude_arcsec` on, or after `max_duration_s`, are left out. `run` decides the ground.
     """
     slow = motions(settings, run)[1]
     found = []
@@ -50,7 +50,9 @@ def true_turning_points(
         if len(turns) and abs(turns[-1, 1]) < final_rad:
             break
     points = np.array([point for chunk in found for point in chunk]).reshape(-1, 2)
-    points = points[np.abs(points[:, 1]) >= final_rad]
+    below = np.abs(points[:, 1]) < final_rad
+    if below.any():
+        points = points[: np.argmax(below)]
     return TruePoints(points[:, 0].copy(), points[:, 1].copy())
 
 
