@@ -13,8 +13,8 @@ Two properties limit the accuracy of ordinary integrators: friction changes sign
 |phi|^p and |phi|^(n+1) have no smooth derivatives at phi = 0. Therefore every step ends at such a point or
 before it; the points are located by Newton's method on the length of the step, and steps shrink geometrically
 towards phi = 0 and grow again after it. The ground acts as polynomials between even knots: where it does,
-steps end at the knots too. Each step is a Gauss collocation with 6 stages (order 12), solved by iteration; its
-polynomial gives the motion within the step.
+steps end at the knots too. Each step is a Gauss collocation with 6 stages (order 12), solved by iteration;
+its polynomial gives the motion within the step.
 """
 
 import math
@@ -24,7 +24,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from acquisition.simulation.collocation import COLUMNS, LENGTH, POLYNOMIAL, STAGES, START, Collocation
+from acquisition.simulation.collocation import LENGTH, POLYNOMIAL, STAGES, START, Collocation
 from acquisition.simulation.smooth_series import Pieces, Stretch, stretch_at, value_after
 
 LONGEST_STEP_RAD = 0.35

@@ -226,9 +226,7 @@ class Motion:
     def _return_to(self, time_s: float) -> None:
         """Discard the motion that was integrated beyond `time_s`."""
         angles, rates = np.empty(1), np.empty(1)
-        row, _ = collocation.sample(
-            self._rows, self._row, self._n_rows, np.array([time_s]), 0, angles, rates
-        )
+        row, _ = collocation.sample(self._rows, self._row, self._n_rows, np.array([time_s]), 0, angles, rates)
         begin_s = self._rows[row, START]
         self._rows[row, LENGTH:] = self._cut(self._rows[row], time_s - begin_s)
         self._n_rows = row + 1

@@ -194,7 +194,9 @@ class DisturbanceTruth(Section, frozen=True):
     dropped_fraction: float = Field(
         default=0.0, ge=0, lt=1, description="frames lost by the camera, at random"
     )
-    microphonics: tuple[MicrophonicTruth, ...] = ()
+    microphonics: tuple[MicrophonicTruth, ...] = Field(
+        default=(), description="frequencies at which mounts shake the spot"
+    )
 
     @model_validator(mode="after")
     def _air_has_a_band(self) -> Self:
