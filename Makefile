@@ -6,6 +6,9 @@ BIN    := $(VENV)/bin
 PIP    := $(BIN)/python -m pip --disable-pip-version-check
 INSTALL = $(PIP) install --quiet
 
+# Where the environment forbids bytecode, every process of the tests would compile all modules anew.
+export PYTHONDONTWRITEBYTECODE =
+
 .DELETE_ON_ERROR:
 .PHONY: demo test test-quick test-kernel bench lint format schema pins clean
 
@@ -13,18 +16,16 @@ demo: $(VENV)/.installed
 	$(BIN)/rig run configs/demo.toml $(ARGS)
 
 # tests/conftest.py says how many workers `auto` is, and what runs in which.
-SHARED = --dist loadgroup --no-loadscope-reorder
-
 test: $(VENV)/.installed-test
 	$(BIN)/python -m tests.compile_kernels
-	$(BIN)/python -m pytest -n auto $(SHARED) -m "not bench and not kernel" $(ARGS)
+	$(BIN)/python -m pytest -n auto --no-loadscope-reorder -m "not bench and not kernel" $(ARGS)
 
 test-quick: $(VENV)/.installed-test
 	$(BIN)/python -m tests.compile_kernels
-	$(BIN)/python -m pytest -n auto $(SHARED) $(ARGS)
+	$(BIN)/python -m pytest -n auto --no-loadscope-reorder $(ARGS)
 
 test-kernel: $(VENV)/.installed-test
-	$(BIN)/python -m pytest -n 2 $(SHARED) -m kernel tests/kernel -rs $(ARGS)
+	$(BIN)/python -m pytest -n 2 -m kernel tests/kernel -rs $(ARGS)
 
 lint: $(VENV)/.installed-test
 	$(BIN)/ruff format --check .

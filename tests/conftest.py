@@ -2,10 +2,13 @@
 
 import os
 import signal
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import settings
+from xdist.scheduler import LoadScopeScheduling
 
 # Shared machines are slow at times: an example is not judged by the clock. CI repeats the same
 # examples, a person's run looks for new ones.
@@ -29,23 +32,37 @@ def pytest_xdist_auto_num_workers() -> int:
     return (os.cpu_count() or 1) + 1
 
 
+class FileByFile(LoadScopeScheduling):
+    """A file's tests run in one worker, since they share fixtures; all of real time in the same one."""
+
+    def _split_scope(self, nodeid: str) -> str:
+        path = nodeid.partition("::")[0]
+        return "realtime" if measures_real_time(self.config.rootpath / path) else path
+
+
+@cache
+def measures_real_time(path: Path) -> bool:
+    """Two such tests at once would disturb each other."""
+    return "mark.realtime" in path.read_text(encoding="utf-8")
+
+
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> FileByFile:
+    """What pytest-xdist gives to which worker.
+
+    Its own groups (`--dist loadgroup`) write into a test's name, which pytest 9.2 does not let them.
+    """
+    return FileByFile(config, log)
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Give tests their limits of time, and the groups of which one worker runs each.
-
-    What measures real time is one group, since two such tests at once would disturb each other; otherwise
-    a file is a group, since its tests share fixtures. The group of real time comes first, then files with
-    slow tests, so that all workers are busy until the end.
-    """
-    slow_files = {item.path for item in items if item.get_closest_marker("slow")}
+    """Limits of time, and the order: real time first, then files with slow tests; short ones end together."""
     for item in items:
         limit_s = max((limit for mark, limit in LONGER_S.items() if item.get_closest_marker(mark)), default=0)
         if limit_s and not item.get_closest_marker("timeout"):
             item.add_marker(pytest.mark.timeout(limit_s))
-        realtime = item.get_closest_marker("realtime") is not None
-        name = "realtime" if realtime else str(item.path.relative_to(item.config.rootpath))
-        item.add_marker(pytest.mark.xdist_group(name))
-    items.sort(key=lambda item: (not item.get_closest_marker("realtime"), item.path not in slow_files))
+    slow_files = {item.path for item in items if item.get_closest_marker("slow")}
+    items.sort(key=lambda item: (not measures_real_time(item.path), item.path not in slow_files))
 
 
 @pytest.fixture(scope="session")

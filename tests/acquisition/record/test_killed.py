@@ -23,7 +23,7 @@ pytestmark = pytest.mark.realtime
 PROGRAM = "tests.acquisition.record.until_killed"
 ROOT = Path(__file__).resolve().parents[3]
 LOST_S = 0.9
-"""What may be missing, counted from the last block that the writer began: killed killed a block's 20 ms later
+"""What may be missing, counted from the last block that the writer began: it was killed a block's 20 ms later
 unless the machine let it wait."""
 START_S = 20.0
 

@@ -97,18 +97,3 @@ def test_a_full_disk_ends_the_run_with_that_reason_and_the_record_is_whole(tmp_p
     with RecordReader(folder / "run-1.mcap") as reader:
         assert not reader.truncated
         assert len(reader.spots()) > 1000
-
-
-@pytest.mark.realtime
-@pytest.mark.slow
-def test_all_faults_at_once_in_real_time_leave_a_record_that_says_what_happened(tmp_path: Path) -> None:
-    done = rig("run", CONFIGS / "faults.toml", "-o", tmp_path / "out")
-    assert "Traceback" not in done.stderr
-    record = tmp_path / "out" / "run-1.mcap"
-    kinds = {kind for kind, _ in events_of(record)}
-    assert {"rest", "warm-up", "preflight", "release", "start", "stop"} <= kinds
-    assert {"spot lost", "spot found", "camera lost", "camera back"} <= kinds
-    with RecordReader(record) as reader:
-        assert not reader.truncated
-    state = json.loads((tmp_path / "out" / "session.json").read_text())
-    assert state["entries"][-1]["state"] == "complete"

@@ -1,0 +1,66 @@
+"""Sessions in real time, since a controller moves the simulated rig."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from acquisition.record.reader import RecordReader
+from processing.angle import ARCSEC_RAD
+from tests.rig.command_line import CONFIGS, SMALL, rig, set_words
+
+pytestmark = [pytest.mark.slow, pytest.mark.realtime]
+
+
+def events_of(record: Path) -> list[tuple[str, str]]:
+    with RecordReader(record) as reader:
+        return [(event.kind, event.text) for event in reader.events()]
+
+
+MAGNET = {
+    **SMALL,
+    "start.way": '"magnet"',
+    "preflight.duration_s": "1.0",
+    "phases.rest_window_s": "2.0",
+    "phases.warm_up_window_s": "2.1",
+    "session.max_duration_s": "16",
+}
+
+
+def test_a_magnet_holds_and_lets_go(tmp_path: Path) -> None:
+    folder = tmp_path / "out"
+    done = rig("run", CONFIGS / "live.toml", "-o", folder, *set_words(MAGNET))
+    assert "Traceback" not in done.stderr
+    with RecordReader(folder / "run-1.mcap") as reader:
+        swings = [swing for swing in reader.swings() if swing.flags == 0]
+    events = events_of(folder / "run-1.mcap")
+    kinds = [kind for kind, _ in events]
+    assert kinds.count("rest") == 2  # free, then held
+    assert kinds.index("preflight") < kinds.index("magnet") < kinds.index("release") < kinds.index("start")
+    held_arcsec = float(dict(events)["magnet"].removeprefix("holds the pendulum at ").split()[0])
+    # where it was held it starts from: 124 arcsec, less the first quarter cycle's loss and noise
+    assert held_arcsec == pytest.approx(124.0, abs=0.5)
+    assert swings[0].amplitude / ARCSEC_RAD == pytest.approx(held_arcsec, rel=0.02)
+    assert dict(events)["stop"].startswith("time limit")
+
+
+def test_a_magnet_that_holds_nothing_is_said(tmp_path: Path) -> None:
+    # held at 2 arcsec: less than what counts as motion
+    weak = {**MAGNET, "simulation.release.amplitude_arcsec": "2"}
+    done = rig("run", CONFIGS / "live.toml", "-o", tmp_path / "out", *set_words(weak))
+    assert done.returncode == 1
+    assert "the magnet holds nothing" in done.stderr
+    assert not list((tmp_path / "out").glob("*.mcap"))
+
+
+def test_all_faults_at_once_leave_a_record_that_says_what_happened(tmp_path: Path) -> None:
+    done = rig("run", CONFIGS / "faults.toml", "-o", tmp_path / "out")
+    assert "Traceback" not in done.stderr
+    record = tmp_path / "out" / "run-1.mcap"
+    kinds = {kind for kind, _ in events_of(record)}
+    assert {"rest", "warm-up", "preflight", "release", "start", "stop"} <= kinds
+    assert {"spot lost", "spot found", "camera lost", "camera back"} <= kinds
+    with RecordReader(record) as reader:
+        assert not reader.truncated
+    state = json.loads((tmp_path / "out" / "session.json").read_text())
+    assert state["entries"][-1]["state"] == "complete"
