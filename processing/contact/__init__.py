@@ -33,6 +33,7 @@ from processing.contact.law import (
 )
 from processing.contact.laws import LAWS, PAPER
 from processing.contact.moments import cycle_work, surface_energy, weight_moment
+from processing.contact.one_half_swing import OneHalfSwing, one_half_swing
 from processing.contact.parameters import STANDARD_GRAVITY_M_PER_S2, ContactParameters, PendulumOnBall
 from processing.contact.period_law import cosine_moment, frequency_drop, period
 
@@ -52,6 +53,7 @@ __all__ = [
     "HertzContact",
     "Law",
     "Material",
+    "OneHalfSwing",
     "Parameter",
     "PendulumOnBall",
     "PeriodStart",
@@ -66,6 +68,7 @@ __all__ = [
     "measured_losses",
     "model_losses",
     "moment_loop",
+    "one_half_swing",
     "path_nodes",
     "pendulum_on_ball",
     "period",

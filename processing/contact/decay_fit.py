@@ -87,6 +87,11 @@ def fit_decay(
     solution = solve(model, start, lower=lower, upper=upper, loss=loss)
     known, matrix = natural(solution.values)
     return (
-        replace(solution, values=known, covariance=propagate(matrix, solution.covariance)),
+        replace(
+            solution,
+            values=known,
+            covariance=propagate(matrix, solution.covariance),
+            jacobian=solution.jacobian @ np.linalg.inv(matrix),
+        ),
         curve(solution.values)[0] * reference,
     )

@@ -5,6 +5,7 @@ from processing.fit.asymptotic import fit_asymptotic
 from processing.fit.determination import Determination, Verdict, identifiability, strong_correlations
 from processing.fit.drag import DragVerdict, drag_verdict
 from processing.fit.exact import fit_exact
+from processing.fit.ground import Ground
 from processing.fit.remeasure import agree, known_motion, measured_again
 from processing.fit.reported import (
     FittedContact,
@@ -35,6 +36,7 @@ __all__ = [
     "FitMethod",
     "FitResult",
     "FittedContact",
+    "Ground",
     "Propagated",
     "Quantity",
     "RigQuantities",

@@ -11,7 +11,8 @@ from processing.contact import PendulumOnBall, fit_decay, relative_curvature, st
 from processing.contact.laws import AMPLITUDE, PAPER
 from processing.errors import DataError
 from processing.fit.checks import OUTLIER, check_turning_points, data_warnings
-from processing.fit.period_fit import fit_period, period_by_log_rho, period_covariance
+from processing.fit.driven_scatter import driven_covariance
+from processing.fit.period_fit import by_turning_time, fit_period, period_by_log_rho, period_covariance
 from processing.fit.result import FitResult
 from processing.fit_method import FitMethod
 from processing.least_squares import Loss, propagate
@@ -32,6 +33,7 @@ def fit_asymptotic(
     drag: bool = False,
     loss: Loss = "linear",
     printed_curvature: bool = False,
+    exact: FitResult | None = None,
 ) -> FitResult:
     """Eq. 5 to the amplitudes, then Eq. 6 to the full periods, each weighted by its uncertainty.
 
@@ -47,6 +49,9 @@ def fit_asymptotic(
         ``linear``, or a robust loss that reduces the influence of outliers.
     printed_curvature
         Use 0.55 in Eq. 6 as printed, instead of the value for the fitted n.
+    exact
+        The exact fit of the same points. If it found that the ground drives the pendulum, its turning
+        points are fitted, and the uncertainties contain the drive (`driven_covariance`).
 
     Raises
     ------
@@ -57,9 +62,11 @@ def fit_asymptotic(
     Notes
     -----
     T of Eq. 5 is the mean period of the run. The elements of `covariance` between the parameters of the two
-    fits are zero, because the fits are independent.
+    fits are zero, because the fits are independent; a drive makes them dependent.
     """
     check_turning_points(points)
+    if exact is not None:
+        points = points.first(exact.half_cycles)
     reference = reference_amplitude(points)
     rho = relative_curvature(pendulum) * reference
     mean = mean_period(points)
@@ -98,8 +105,14 @@ def fit_asymptotic(
         to_physical[6, 3] = drag_factor
     to_physical[-1, k - 1] = reference
     scatter = np.zeros((k + 3, k + 3))
-    scatter[:k, :k] = decay.covariance * max(1.0, decay.chi2 / decay.dof)
-    scatter[k:, k:] = period_covariance(period, points, periods) * max(1.0, period.chi2 / period.dof)
+    if exact is None or exact.ground is None or exact.ground.noise.at_rest:
+        scatter[:k, :k] = decay.covariance * max(1.0, decay.chi2 / decay.dof)
+        scatter[k:, k:] = period_covariance(period, points, periods) * max(1.0, period.chi2 / period.dof)
+    else:
+        by_amplitude, by_time = np.zeros((len(points), k + 3)), np.zeros((len(points), k + 3))
+        by_amplitude[:, :k] = decay.jacobian / points.u_amplitude[:, None] @ decay.covariance
+        by_time[:, k:] = by_turning_time(period, points, periods) @ period.covariance
+        scatter = driven_covariance(by_amplitude, by_time, points, pendulum, exact)
 
     moved = period_by_log_rho(period, points, periods, reference, rho, printed_curvature)
     by_log_rho = to_physical @ np.concatenate([np.zeros(k), moved])
@@ -125,4 +138,5 @@ def fit_asymptotic(
         cost=decay.cost + period.cost,
         outliers=tuple(int(i) for i in points.index[outlying]),
         warnings=data_warnings(points, pendulum, decay.chi2 / decay.dof, period.chi2 / period.dof),
+        half_cycles=len(points),
     )

@@ -149,21 +149,20 @@ def profile_likelihood(
 
     Notes
     -----
-    The rise of chi2 is divided by max(1, chi2/dof); the limit is where its square root equals Student's t. b
-    and gamma are varied on a logarithmic scale if their estimates are positive. The search ends at ten
-    standard uncertainties (b and gamma: at a factor of a million), or at zero for parameters that cannot be
-    negative.
+    The noise is that of the fit. The rise of chi2 is divided by max(1, chi2/dof); the limit is where
+    its square root equals Student's t. b and gamma are varied on a logarithmic scale if their estimates
+    are positive. The search ends at ten standard uncertainties (b and gamma: at a factor of a million),
+    or at zero for parameters that cannot be negative.
     """
     if result.method is not FitMethod.EXACT:
         raise DataError("a profile likelihood belongs to an exact fit")
-    model = ExactModel(points, pendulum, law=result.law, drag=result.has_drag)
+    model, best = ExactModel.of(points, pendulum, result)
     parameter = result.law.parameter(name)
     value, u = result.estimate(name)
     if not np.isfinite(u):
         u = abs(value) or 1.0
     scale = max(1.0, 2 * result.cost / result.dof) if result.loss == "linear" else 1.0
     target = float(stdtrit(result.dof, 0.5 * (1 + coverage)))
-    best = model.columns_of(result)
     held = _Held(model, name, best)
     logarithmic = parameter.logarithmic and value > 0
     trace: list[tuple[float, float]] = [(value, 0.0)]

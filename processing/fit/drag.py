@@ -8,7 +8,7 @@ from processing.contact import PendulumOnBall
 from processing.contact.laws import DRAG
 from processing.errors import DataError
 from processing.estimate import Estimate
-from processing.fit.exact import fit_exact
+from processing.fit.exact import fit_exact, fit_exact_with
 from processing.fit.result import FitResult
 from processing.fit_method import FitMethod
 from processing.least_squares import Loss
@@ -76,7 +76,10 @@ def drag_verdict(
     elif without.has_drag or without.method is not FitMethod.EXACT:
         raise DataError("the drag verdict compares with an exact fit without drag")
     with_drag = fit_exact(points, pendulum, drag=True, loss=loss)
-    gain = 2 * (without.cost - with_drag.cost)
+    cost = without.cost
+    if with_drag.ground != without.ground:
+        cost = fit_exact_with(points, pendulum, with_drag, drag=False).cost
+    gain = 2 * (cost - with_drag.cost)
     f_statistic = max(gain, 0.0) / (2 * with_drag.cost / with_drag.dof)
     p_value = float(fdtrc(1, with_drag.dof, f_statistic))
     scale = max(1.0, 2 * with_drag.cost / with_drag.dof)

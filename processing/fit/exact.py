@@ -1,4 +1,7 @@
-"""Joint fit of the exact half-swing map to the amplitudes and times of all turning points."""
+"""Joint fit of the exact half-swing map to all amplitudes and times, on ground that may move."""
+
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -6,35 +9,80 @@ from numpy.typing import NDArray
 from processing.contact import PendulumOnBall
 from processing.contact.laws import PAPER, Law
 from processing.errors import DataError
-from processing.estimate import WELL_DETERMINED
-from processing.fit.checks import OUTLIER, check_turning_points, data_warnings
+from processing.estimate import Estimate
+from processing.fit.checks import FEWEST_HALF_CYCLES, OUTLIER, check_turning_points, data_warnings
+from processing.fit.doubts import of_correlation, of_ground, of_limits, of_uncertainties
 from processing.fit.exact_model import ExactModel
+from processing.fit.ground import AT_REST, Ground, Noise, density_of_step
+from processing.fit.noise_estimate import LikeliestNoise, NoiseSearch
 from processing.fit.result import FitResult
+from processing.fit.whiteness import Whiteness, correlated_covariance, whiteness
 from processing.fit_method import FitMethod
 from processing.least_squares import Loss, Solution, propagate, solve
-from processing.periods import full_periods, mean_period_estimate
+from processing.periods import full_periods, mean_period, mean_period_estimate
 from processing.swing import TurningPoints
 
 _GOOD_CHI2 = 1.5
 """Reduced chi-square above which a minimum may be a local one; other start values are tried then."""
+_ROUNDS = 12
+"""Most alternations of noise and parameters; two or three suffice."""
+_SETTLED = 0.02
+"""Change of the parameters, in standard uncertainties, below which the alternation ends."""
+_WEAKEST = 10.0
+"""Smallest amplitude fitted, in steps of the drive: amplitude and phase do not describe a smaller motion."""
 
 
-def solve_exact(model: ExactModel, loss: Loss) -> Solution:
-    """Best converged minimum over the start values; the first one is accepted if it fits the data."""
+class _Settled(NamedTuple):
+    """A minimum: the model with its weights, and the noise that belongs to it."""
+
+    model: ExactModel
+    solution: Solution
+    likeliest: LikeliestNoise
+
+
+def _settle(
+    model: ExactModel, start: NDArray[np.float64], loss: Loss, kind: Noise
+) -> _Settled | None:
+    """Noise and parameters in turn from one start, until both stay; None if it does not converge."""
+    columns = start
+    noise: Noise | None = None
+    for _ in range(_ROUNDS):
+        likeliest = NoiseSearch(model, columns, loss, kind).likeliest()
+        if not np.isfinite(likeliest.deviance):
+            return None
+        here = model.on_ground(columns, _kept(likeliest.noise))
+        solution = solve(here, columns, lower=model.lower, upper=model.upper, loss=loss, cost_tolerance=1e-9)
+        moved = np.abs(solution.values - columns) / np.sqrt(np.diag(solution.covariance))
+        columns = solution.values
+        same = noise is not None and abs(likeliest.noise.step - noise.step) <= 0.01 * noise.step
+        if same and np.all(moved[np.isfinite(moved)] < _SETTLED):
+            break
+        noise = likeliest.noise
+    final = solve(here, columns, lower=model.lower, upper=model.upper, loss=loss)
+    return _Settled(here, final, likeliest) if final.converged else None
+
+
+def _kept(noise: Noise) -> Noise:
+    """The noise by which residuals are weighted: on ground at rest, the uncertainties as they are stated."""
+    return AT_REST if noise.at_rest else noise
+
+
+def _best(model: ExactModel, loss: Loss, kind: Noise) -> _Settled:
+    """Likeliest minimum over the start values; the first one is accepted if it fits the data."""
     starts = model.starts()
     if not starts:
         raise DataError("no start from which the half-swing map reaches the last half-cycle")
-    best: Solution | None = None
-    message = ""
+    best: _Settled | None = None
     for start in starts:
-        solution = solve(model, start, lower=model.lower, upper=model.upper, loss=loss)
-        message = solution.message
-        if solution.converged and (best is None or solution.cost < best.cost):
-            best = solution
-        if best is not None and 2 * best.cost / best.dof < _GOOD_CHI2:
+        found = _settle(model, start, loss, kind)
+        if found is None:
+            continue
+        if best is None or found.likeliest.deviance < best.likeliest.deviance:
+            best = found
+        if best.likeliest.noise.scale**2 < _GOOD_CHI2:
             break
     if best is None:
-        raise DataError(f"the exact fit did not converge from {len(starts)} starts ({message})")
+        raise DataError(f"the exact fit did not converge from {len(starts)} starts")
     return best
 
 
@@ -45,6 +93,7 @@ def fit_exact(
     law: Law = PAPER,
     drag: bool = False,
     loss: Loss = "linear",
+    averaged: bool = True,
 ) -> FitResult:
     """Fit the exact half-swing map to amplitudes and times of the turning points, jointly.
 
@@ -62,75 +111,157 @@ def fit_exact(
         Also fit a linear drag, moment ``-m g R drag_s phi'``.
     loss
         ``linear``, or a robust loss that reduces the influence of outliers.
+    averaged
+        The turning points were measured on the samples of their half-cycles, as the swing detector does. False:
+        amplitude and time are those of the instant at which the pendulum turns.
 
     Raises
     ------
     DataError
-        Turning points that cannot be fitted (see `check_turning_points`), or no convergence.
+        Turning points that cannot be fitted (see `check_turning_points`), no convergence, or a ground
+        that drives the pendulum as strongly as it swings.
 
     Notes
     -----
     Only b is forced to be positive. c, gamma and the drag may become negative, so that the estimate of a
     coefficient near zero is unbiased and its interval covers the true value. See `identifiability`.
+
+    Turning points scatter by their measurement and because the ground drives the pendulum. Both variances are
+    estimated along with the parameters (`NoiseSearch`). If there is no drive, the residuals are the
+    distances from one free decay; if there is, those from the predictions of a Kalman filter.
     """
     check_turning_points(points)
-    model = ExactModel(points, pendulum, law=law, drag=drag)
-    solution = solve_exact(model, loss)
+    kind = Noise(averaged=averaged, limit=np.inf if loss == "linear" else OUTLIER)
+    kept = points
+    while True:
+        model = ExactModel(kept, pendulum, law=law, drag=drag)
+        found = _best(model, loss, kind)
+        weakest = _WEAKEST * found.likeliest.noise.step * model.reference
+        lost = np.nonzero(kept.amplitude < weakest)[0]
+        if not len(lost):
+            break
+        if lost[0] < FEWEST_HALF_CYCLES:
+            raise DataError(
+                "the ground drives the pendulum as strongly as it swings: amplitudes below "
+                f"{weakest:.2g} are lost in its motion, which leaves {lost[0]} half-cycles; start higher, or "
+                "wait for a quieter hour"
+            )
+        kept = kept.first(int(lost[0]))
+    bounds = NoiseSearch(model, found.solution.values, loss, kind).bounds(found.likeliest)
+    half_period_s = 0.5 * mean_period(kept)
+    step, reference = found.likeliest.noise.step, model.reference
+    ground = Ground(
+        density=Estimate(
+            density_of_step(step * reference, half_period_s),
+            density_of_step(bounds.u_step * reference, half_period_s),
+        ),
+        upper_95=density_of_step(bounds.highest_step * reference, half_period_s),
+        noise=replace(found.likeliest.noise, step=step * reference),
+        against_rest=found.likeliest.against_rest,
+        left_out=len(points) - len(kept),
+    )
+    return _result(found.model, found.solution, ground, loss)
+
+
+def fit_exact_with(
+    points: TurningPoints,
+    pendulum: PendulumOnBall | None,
+    like: FitResult,
+    *,
+    drag: bool,
+) -> FitResult:
+    """The exact fit of another model to the same turning points, with the noise of an earlier fit of them.
+
+    Models are compared with one noise: each with its own would call what it lacks a drive.
+    """
+    if like.ground is None:
+        raise DataError(f"the {like.method} fit has no noise that another fit could take over")
+    model = ExactModel(points.first(like.half_cycles), pendulum, law=like.law, drag=drag)
+    noise = model.noise_of(like)
+    best: tuple[ExactModel, Solution] | None = None
+    starts = model.starts()
+    for start in starts:
+        columns = start
+        for _ in range(3):
+            here = model.on_ground(columns, noise)
+            solution = solve(here, columns, lower=model.lower, upper=model.upper, loss=like.loss)
+            columns = solution.values
+            if noise.at_rest:
+                break
+        if solution.converged and (best is None or solution.cost < best[1].cost):
+            best = here, solution
+        if best is not None and 2 * best[1].cost / best[1].dof < _GOOD_CHI2:
+            break
+    if best is None:
+        raise DataError(f"the exact fit did not converge from {len(starts)} starts")
+    return _result(*best, like.ground, like.loss)
+
+
+def _result(model: ExactModel, solution: Solution, ground: Ground, loss: Loss) -> FitResult:
+    """Physical values, their uncertainties and what is to be said of them."""
+    points, pendulum = model.points, model.pendulum
     amplitude, time, _, _ = model.curve(solution.values)
-    amplitude_model = amplitude * model.reference
+    deviation = np.abs(points.amplitude - amplitude * model.reference) / points.amplitude
     values, to_physical = model.columns.physical(solution.values)
     chi2_per_dof = solution.chi2 / solution.dof
     scatter = solution.covariance * (max(1.0, chi2_per_dof) if loss == "linear" else 1.0)
     covariance = propagate(to_physical, scatter)
+    white = whiteness(solution.residuals)
+    if white.correlated:
+        covariance, white = _widened(covariance, to_physical, solution, white)
 
     count = len(points)
     normalised = np.abs(solution.residuals)
     outlying = (normalised[:count] > OUTLIER) | (normalised[count:] > OUTLIER)
     periods = full_periods(points)
     period_model = time[periods.where + 1] - time[periods.where - 1]
-    period_residual = periods.period_s - period_model
+    period_deviation = np.abs(periods.period_s - period_model) / periods.period_s
+    scatter_of_points = chi2_per_dof if ground.noise.at_rest else ground.noise.scale**2
     return FitResult(
         method=FitMethod.EXACT,
-        law=law,
+        law=model.law,
         names=model.names,
         values=values,
         covariance=covariance,
         chi2=solution.chi2,
         dof=solution.dof,
-        arae_decay=float(np.mean(np.abs(points.amplitude - amplitude_model) / points.amplitude)),
-        arae_period=(
-            float(np.mean(np.abs(period_residual) / periods.period_s)) if len(periods.where) else float("nan")
-        ),
+        arae_decay=_mean_of_finite(deviation),
+        arae_period=_mean_of_finite(period_deviation),
         reference_rad=model.reference,
-        by_log_rho=to_physical @ model.by_log_rho(solution.values, solution.jacobian),
-        mean_period_s=mean_period_estimate(points, chi2_per_dof),
+        by_log_rho=to_physical @ model.by_log_rho(solution.values),
+        mean_period_s=mean_period_estimate(points, scatter_of_points),
         loss=loss,
         cost=solution.cost,
         outliers=tuple(int(i) for i in points.index[outlying]),
         warnings=(
-            *data_warnings(points, pendulum, chi2_per_dof),
-            *_doubts(model, solution),
-            *_poorly_determined(model.names, values, covariance),
+            *data_warnings(points, pendulum, scatter_of_points),
+            *of_ground(ground, points),
+            *of_correlation(white),
+            *of_limits(model.columns.at_limit(solution.values)),
+            *of_uncertainties(model.names, values, covariance),
         ),
+        half_cycles=count,
+        ground=ground,
+        whiteness=white,
     )
 
 
-def _poorly_determined(
-    names: tuple[str, ...], values: NDArray[np.float64], covariance: NDArray[np.float64]
-) -> tuple[str, ...]:
-    """Parameters with a large relative uncertainty; the last two names (amplitude, time) are not tested."""
-    found = []
-    for name, value, variance in zip(names[:-2], values, np.diag(covariance), strict=False):
-        u = float(np.sqrt(variance))
-        if u > WELL_DETERMINED * abs(value):
-            known = f"u = {u / abs(value):.0%} of it" if value and np.isfinite(u) else "u without limit"
-            found.append(f"{name} is poorly determined ({known}): take its interval, not its value")
-    return tuple(found)
+def _mean_of_finite(values: NDArray[np.float64]) -> float:
+    """The free decay may end before a driven one does."""
+    finite = values[np.isfinite(values)]
+    return float(np.mean(finite)) if len(finite) else float("nan")
 
 
-def _doubts(model: ExactModel, solution: Solution) -> tuple[str, ...]:
-    """Warnings about parameters at a limit of the range of search."""
-    return tuple(
-        f"{name} stands at the limit of its range: the data do not determine it"
-        for name in model.columns.at_limit(solution.values)
-    )
+def _widened(
+    covariance: NDArray[np.float64], to_physical: NDArray[np.float64], solution: Solution, white: Whiteness
+) -> tuple[NDArray[np.float64], Whiteness]:
+    """The covariance with every standard uncertainty enlarged by what correlated residuals add."""
+    if not np.all(np.isfinite(covariance)):
+        return covariance, white
+    residuals = solution.residuals / np.sqrt(solution.chi2 / solution.dof)
+    wider = correlated_covariance(residuals, solution.jacobian, solution.covariance, white.lags)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        before = np.diag(to_physical @ solution.covariance @ to_physical.T)
+        share = np.diag(to_physical @ wider @ to_physical.T) / before
+    factor = np.sqrt(np.maximum(1.0, np.nan_to_num(share, nan=1.0)))
+    return covariance * np.outer(factor, factor), replace(white, widened=float(factor.max()))

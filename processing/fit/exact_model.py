@@ -1,18 +1,41 @@
-"""A law's half-swing map as a least-squares model of amplitudes and times."""
+"""A law's half-swing map as a least-squares model of amplitudes and times, at rest or on moving ground."""
+
+from copy import copy
+from dataclasses import replace
+from itertools import islice
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from processing.contact import PendulumOnBall
+from processing.contact import OneHalfSwing, PendulumOnBall, one_half_swing
 from processing.contact.laws import PAPER, Law
+from processing.fit.ground import AT_REST, Noise
+from processing.fit.ground_filter import GAINS, drive_filter
 from processing.fit.result import FitResult
+from processing.periods import mean_period
 from processing.swing import TurningPoints
 
 Array = NDArray[np.float64]
 
 
+class Filtered(NamedTuple):
+    """Whitened innovations, their derivatives by the columns at fixed gains, and what `drive_filter` adds."""
+
+    residuals: Array
+    jacobian: Array
+    state: Array
+    log_det: float
+    gains: Array
+
+
 class ExactModel:
     """Residuals and Jacobian of the joint fit, for the solver's columns of a law.
+
+    On ground at rest all turning points lie on one free decay, and the residuals are their distances from
+    it in standard uncertainties. Where the ground moves (`on_ground`) they are the whitened innovations
+    of a Kalman filter: each turning point against the prediction from those before it. Steps are in
+    units of `reference`.
 
     Raises
     ------
@@ -24,6 +47,7 @@ class ExactModel:
         self, points: TurningPoints, pendulum: PendulumOnBall | None, *, law: Law = PAPER, drag: bool = False
     ) -> None:
         self.points = points
+        self.pendulum = pendulum
         self.law = law
         self.names = law.fit_names(calibrated=pendulum is not None, drag=drag)
         self.columns = law.columns(points, pendulum, self.names)
@@ -31,7 +55,14 @@ class ExactModel:
         self.lower, self.upper = self.columns.lower, self.columns.upper
         self._index = np.ascontiguousarray(points.index - points.index[0])
         self._x = points.amplitude / self.reference
-        self._u = points.u_amplitude / self.reference
+        self.u_amplitude = self._u = points.u_amplitude / self.reference
+        self.lowest = float(self._x.min())
+        self._rate = 2 * np.pi / mean_period(points)
+        self._measured = np.array([self._x, points.time_s])
+        self._variance = np.array([self._u, points.u_time_s]) ** 2
+        self._noise = AT_REST
+        self._gains: Array | None = None
+        self._tabulated: tuple[bytes, OneHalfSwing] | None = None
 
     def curve(self, columns: Array) -> tuple[Array, Array, Array, Array]:
         """Amplitude (in units of the reference), time (s), and the derivatives of both by the columns.
@@ -52,6 +83,9 @@ class ExactModel:
 
     def __call__(self, columns: Array) -> tuple[Array, Array]:
         """Residuals divided by their standard uncertainties, and their derivatives by the columns."""
+        if self._gains is not None:
+            found = self.filtered(columns, self._noise, self._gains)
+            return found.residuals, found.jacobian
         amplitude, time, amplitude_jacobian, time_jacobian = self.curve(columns)
         residuals = np.concatenate(
             [(amplitude - self._x) / self._u, (time - self.points.time_s) / self.points.u_time_s]
@@ -61,30 +95,106 @@ class ExactModel:
         )
         return residuals, jacobian
 
-    def starts(self) -> list[Array]:
-        """Start values for which the map reaches the last half-cycle, the most promising first."""
-        usable = []
-        for attempts in self.columns.starts(self.points):
-            for attempt in attempts:
-                columns = np.clip(attempt, self.lower + 1e-9, self.upper - 1e-9)
-                if np.all(np.isfinite(self(columns)[0])):
-                    usable.append(columns)
+    def on_ground(self, columns: Array, noise: Noise) -> "ExactModel":
+        """The same model with residuals that allow for the drive, weighted as the filter does at `columns`.
+
+        The weights stay: the residuals then depend on the columns by the predictions alone, so that a minimum
+        of their squares is where the predictions are best, and not where the weights are smallest.
+        """
+        out = copy(self)
+        out._noise = noise
+        out._gains = None if noise == AT_REST else self.filtered(columns, noise).gains
+        return out
+
+    def filtered(
+        self, columns: Array, noise: Noise, gains: Array | None = None, *, with_rho: bool = False
+    ) -> Filtered:
+        """The Kalman filter over the half-cycles; with `gains` of an earlier call it uses these.
+
+        `with_rho` adds a column to the Jacobian, the derivatives by ln(R/a).
+        """
+        parameters, matrix = self.columns.map_parameters(columns)
+        if with_rho:
+            by_rho = np.concatenate([self.columns.map_by_log_rho, [0.0, 0.0]])
+            matrix = np.column_stack([matrix, by_rho])
+        count, held = len(self._x), gains is not None
+        gains = np.zeros((count, GAINS)) if gains is None else gains
+        table = self._table(parameters)
+        if table is None:
+            nothing = np.full((2 * count, matrix.shape[1]), np.nan)
+            return Filtered(nothing[:, 0], nothing, nothing[:, :2].T, np.nan, gains)
+        period0_s = parameters[-2]
+        of_map = np.ascontiguousarray(matrix[:-2])
+        innovations, jacobian, state, log_det = drive_filter(
+            np.array(
+                [
+                    table.amplitude, table.loss, table.loss_slope,
+                    period0_s * table.duration, period0_s * table.duration_slope,
+                ]
+            ),
+            table.loss_gradient @ of_map,
+            period0_s * (table.duration_gradient @ of_map) + table.duration[:, None] * matrix[-2],
+            parameters[[-3, -1]],
+            matrix[[-3, -1]],
+            self._index,
+            self._measured,
+            self._variance * noise.scale**2,
+            noise.step,
+            self._rate,
+            noise.averaged,
+            noise.limit,
+            gains,
+            held,
+        )  # fmt: skip
+        return Filtered(innovations.ravel(), jacobian.reshape(2 * count, -1), state, log_det, gains)
+
+    def _table(self, parameters: Array) -> OneHalfSwing | None:
+        """One half-swing at all amplitudes of the data; None if it cannot be had for these parameters."""
+        if not np.all(np.isfinite(parameters)):
+            return None
+        key = parameters[:-3].tobytes()
+        if self._tabulated is None or self._tabulated[0] != key:
+            highest, lowest = 1.05 * float(self._x.max()), 0.9 * float(self._x.min())
+            count = int(1.1 * self._index[-1]) + 20
+            while True:
+                table = one_half_swing(self.law.half_swing_map, parameters[:-2], highest, count)
+                reached = len(table.amplitude)
+                if reached < count or count > 4 * self._index[-1] or table.amplitude[-1] < lowest:
                     break
-        return usable
+                count *= 2
+            self._tabulated = key, table
+        table = self._tabulated[1]
+        return table if len(table.amplitude) > 1 else None
 
-    def by_log_rho(self, columns: Array, jacobian: Array) -> Array:
+    def starts(self) -> list[Array]:
+        """Start values for which the map reaches the last half-cycle, the most promising first.
+
+        Where none does, the first of each kind: a driven pendulum may swing for longer than any free one.
+        """
+        usable, others = [], []
+        for attempts in self.columns.starts(self.points):
+            inside = [np.clip(attempt, self.lower + 1e-9, self.upper - 1e-9) for attempt in attempts]
+            reaching = (columns for columns in inside if np.all(np.isfinite(self(columns)[0])))
+            usable += list(islice(reaching, 1))
+            others += inside[:1]
+        return usable or others
+
+    def by_log_rho(self, columns: Array) -> Array:
         """Derivative of the fitted columns by ln(R/a), by linearised least squares."""
-        parameters, _ = self.columns.map_parameters(columns)
-        found = self.law.half_swing_map(parameters[:-2], self._index)
-        by_rho = self.columns.map_by_log_rho
-        change = np.concatenate(
-            [
-                found.amplitude_gradient @ by_rho / self._u,
-                parameters[-2] * (found.time_gradient @ by_rho) / self.points.u_time_s,
-            ]
-        )
-        return np.asarray(-np.linalg.lstsq(jacobian, change, rcond=1e-12)[0], dtype=np.float64)
+        both = self.filtered(columns, self._noise, self._gains, with_rho=True).jacobian
+        return np.asarray(-np.linalg.lstsq(both[:, :-1], both[:, -1], rcond=1e-12)[0], dtype=np.float64)
 
-    def columns_of(self, result: FitResult) -> Array:
-        """The solver's columns of a finished exact fit of the same points."""
-        return self.columns.from_physical({name: result.estimate(name).value for name in self.names})
+    @classmethod
+    def of(
+        cls, points: TurningPoints, pendulum: PendulumOnBall | None, result: FitResult
+    ) -> tuple["ExactModel", Array]:
+        """The model of a finished exact fit of these points with its noise, and the fitted columns."""
+        model = cls(points.first(result.half_cycles), pendulum, law=result.law, drag=result.has_drag)
+        columns = model.columns.from_physical({name: result.estimate(name).value for name in model.names})
+        return model.on_ground(columns, model.noise_of(result)), columns
+
+    def noise_of(self, result: FitResult) -> Noise:
+        """The noise by which a finished fit of the same points weighted its residuals."""
+        if result.ground is None or result.ground.noise.at_rest:
+            return AT_REST
+        return replace(result.ground.noise, step=result.ground.noise.step / self.reference)

@@ -46,15 +46,21 @@ def fit_period(
     return solution, curve(solution.values), starts
 
 
+def by_turning_time(solution: Solution, points: TurningPoints, periods: Periods) -> NDArray[np.float64]:
+    """Derivatives of the fit's score by the turning times; the covariance makes them those of the values."""
+    weighted = solution.jacobian / periods.u_period_s[:, None]
+    by_time = np.zeros((len(points), 3))
+    np.add.at(by_time, periods.where + 1, weighted)
+    np.add.at(by_time, periods.where - 1, -weighted)
+    return by_time
+
+
 def period_covariance(solution: Solution, points: TurningPoints, periods: Periods) -> NDArray[np.float64]:
     """Covariance of the fitted values from the uncertainties of the turning times.
 
     Overlapping full periods share turning points and are correlated; the turning times are independent.
     """
-    weighted = solution.jacobian / periods.u_period_s[:, None]
-    by_time = np.zeros((len(points), 3))
-    np.add.at(by_time, periods.where + 1, weighted)
-    np.add.at(by_time, periods.where - 1, -weighted)
+    by_time = by_turning_time(solution, points, periods)
     spread = (by_time * points.u_time_s[:, None] ** 2).T @ by_time
     with np.errstate(invalid="ignore"):
         return np.asarray(solution.covariance @ spread @ solution.covariance)

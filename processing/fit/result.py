@@ -10,6 +10,8 @@ from processing.contact import ContactParameters
 from processing.contact.laws import AMPLITUDE, DRAG, PAPER, TIME, Law
 from processing.errors import DataError
 from processing.estimate import Estimate
+from processing.fit.ground import Ground
+from processing.fit.whiteness import Whiteness
 from processing.fit_method import FitMethod
 from processing.least_squares import Loss
 
@@ -27,7 +29,10 @@ class FitResult:
         In the order of `names`, in SI units. The covariance is multiplied by max(1, chi2/dof): it is enlarged
         if the residuals exceed the uncertainties, but not reduced if they are smaller.
     chi2, dof
-        Chi-square of the unscaled residuals of amplitudes and times, and degrees of freedom.
+        Chi-square of the residuals of amplitudes and times, and degrees of freedom. For ground at
+        rest these are distances from the free decay in stated uncertainties; for a driven pendulum
+        they are distances from the predictions, in the uncertainties that follow from `ground`, and
+        their chi-square is near `dof`.
     arae_decay, arae_period
         Mean relative deviations of amplitude and period, Eqs. 8 and 9, divided by the number of terms in
         the sum.
@@ -45,6 +50,12 @@ class FitResult:
         Indices of half-cycles with a residual of amplitude or time above 5 standard uncertainties.
     warnings
         Warnings for the user.
+    half_cycles
+        Number of turning points fitted, counted from the first; 0 if it is not known.
+    ground
+        How strongly the ground drove the pendulum; None for a fit that does not ask.
+    whiteness
+        Test whether the residuals are correlated.
     """
 
     method: FitMethod
@@ -63,6 +74,9 @@ class FitResult:
     cost: float
     outliers: tuple[int, ...]
     warnings: tuple[str, ...] = field(default=())
+    half_cycles: int = 0
+    ground: Ground | None = None
+    whiteness: Whiteness | None = None
 
     @property
     def chi2_per_dof(self) -> float:

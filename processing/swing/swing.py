@@ -64,6 +64,16 @@ class TurningPoints:
     def __len__(self) -> int:
         return len(self.index)
 
+    def first(self, count: int) -> "TurningPoints":
+        """The first so many of them."""
+        return TurningPoints(
+            self.index[:count],
+            self.time_s[:count],
+            self.u_time_s[:count],
+            self.amplitude[:count],
+            self.u_amplitude[:count],
+        )
+
 
 def turning_points(swings: Sequence[Swing]) -> TurningPoints:
     """Unflagged swings as arrays; times are relative to the first of them."""

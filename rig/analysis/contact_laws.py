@@ -81,14 +81,18 @@ def fit_decay(points: TurningPoints, pendulum: PendulumOnBall | None, settings: 
         )
     loss = _loss(settings)
     try:
-        fits: dict[str, FitResult] = {
-            FitMethod.ASYMPTOTIC: fit_asymptotic(
-                points, pendulum, drag=settings.drag, loss=loss, printed_curvature=settings.printed_055
-            ),
-            FitMethod.EXACT: fit_exact(points, pendulum, drag=settings.drag, loss=loss),
-        }
+        exact = fit_exact(points, pendulum, drag=settings.drag, loss=loss)
+        asymptotic = fit_asymptotic(
+            points,
+            pendulum,
+            drag=settings.drag,
+            loss=loss,
+            printed_curvature=settings.printed_055,
+            exact=exact,
+        )
     except DataError as error:
         return DecayFits({}, None, str(error))
+    fits: dict[str, FitResult] = {FitMethod.ASYMPTOTIC: asymptotic, FitMethod.EXACT: exact}
     return DecayFits(fits, surface_energies(fits, pendulum))
 
 

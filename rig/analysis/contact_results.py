@@ -14,6 +14,7 @@ from processing.estimate import Estimate
 from processing.fit import FitMethod, Verdict
 from rig.analysis.encoding import (
     Entries,
+    LeftOut,
     Number,
     Value,
 )
@@ -30,12 +31,49 @@ class Correlation:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Ground:
+    """How strongly the ground drove the pendulum during a run, as the turning points show it.
+
+    `density_rad_per_s2_rthz` is the one-sided spectral density of the angular acceleration at the
+    pendulum's frequency, in rad/s^2/sqrt(Hz), `upper_95` its bound of 95 %; `seen` is false where
+    the run sets no more than that bound. `measurement_scale` is the factor by which turning points
+    scatter more than their stated uncertainties. `left_out_half_cycles` at the end were not fitted:
+    the ground moves the pendulum in one half-swing by more than a tenth of its amplitude there, and
+    amplitude and phase do not describe its motion.
+    """
+
+    density_rad_per_s2_rthz: Value = NOT_DETERMINED
+    upper_95: Number = nan
+    seen: bool = False
+    measurement_scale: Number = 1.0
+    left_out_half_cycles: int = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Whiteness:
+    """Test of Ljung and Box whether the residuals of neighbouring half-cycles are correlated.
+
+    `p_amplitude` and `p_time` are the chances of correlations at least as large in pure noise, over `lags`
+    neighbours; `first_amplitude` and `first_time` are the correlations of next neighbours. `widened`
+    is the largest factor by which correlation enlarged an uncertainty of the fit.
+    """
+
+    lags: int = 0
+    p_amplitude: Number = nan
+    p_time: Number = nan
+    first_amplitude: Number = nan
+    first_time: Number = nan
+    widened: Number = 1.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Fit:
     """One fit of one decay: parameters by name, and how well the curve describes the data.
 
     `law` names the law of `processing.contact.laws` that was fitted, empty in files of earlier
-    versions. `arae_decay` and `arae_period` are the mean relative errors of Eqs. 8 and 9. `outliers` are
-    indices of half-cycles.
+    versions. `ground` and `whiteness` are empty for the asymptotic fit and in files of earlier
+    versions. `arae_decay` and `arae_period` are the mean relative errors of Eqs. 8 and 9. `outliers`
+    are indices of half-cycles.
     """
 
     law: str = ""
@@ -46,6 +84,8 @@ class Fit:
     chi2_per_dof: Number = nan
     degrees_of_freedom: int = 0
     correlation: Correlation = field(default_factory=Correlation)
+    ground: Annotated[Ground | None, LeftOut] = None
+    whiteness: Annotated[Whiteness | None, LeftOut] = None
     outliers: tuple[int, ...] = ()
     warnings: tuple[str, ...] = ()
 

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import astuple, replace
+from dataclasses import asdict, astuple, replace
 
 import numpy as np
 
@@ -28,6 +28,7 @@ from processing.fit import (
     strong_correlations,
     work_per_cycle_j,
 )
+from processing.fit import Ground as MovingGround
 from processing.fit import Propagated as Sampled
 from processing.swing import TurningPoints
 from rig.analysis.contact_results import (
@@ -37,9 +38,11 @@ from rig.analysis.contact_results import (
     Determination,
     Drag,
     Fit,
+    Ground,
     Hertz,
     MonteCarlo,
     Propagated,
+    Whiteness,
     Work,
 )
 from rig.analysis.results import RunResults
@@ -174,8 +177,20 @@ def fit_results(fit: FitResult) -> Fit:
         chi2_per_dof=fit.chi2_per_dof,
         degrees_of_freedom=fit.dof,
         correlation=Correlation(tuple(fit.names), tuple(map(tuple, fit.correlation.tolist()))),
+        ground=None if fit.ground is None else _ground(fit.ground),
+        whiteness=None if fit.whiteness is None else Whiteness(**asdict(fit.whiteness)),
         outliers=fit.outliers,
         warnings=fit.warnings,
+    )
+
+
+def _ground(found: MovingGround) -> Ground:
+    return Ground(
+        density_rad_per_s2_rthz=found.density,
+        upper_95=found.upper_95,
+        seen=found.seen,
+        measurement_scale=found.noise.scale,
+        left_out_half_cycles=found.left_out,
     )
 
 

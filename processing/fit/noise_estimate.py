@@ -1,0 +1,153 @@
+"""How strongly the ground drives the pendulum, by the restricted likelihood of the turning points.
+
+Two variances explain how far turning points lie from their predictions: that of their measurement
+and that of the drive. They are estimated by the likelihood of what the fitted parameters leave over
+(restricted likelihood): with that of the turning points themselves they would come out too small,
+since the parameters take up part of them.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from processing.fit.checks import OUTLIER
+from processing.fit.exact_model import ExactModel
+from processing.fit.ground import Noise
+from processing.least_squares import Loss
+
+Array = NDArray[np.float64]
+
+_TRIED = np.arange(-3.0, 3.01, 0.5)
+"""Decimal logarithms of the first steps tried, in units of the median uncertainty of the amplitudes."""
+_LARGEST = 0.2
+"""Largest step tried, as a fraction of the lowest amplitude."""
+_ONE_SIDED = 2.706
+"""Rise of -2 ln L at a bound of 95 %: the square of the normal quantile 1.645."""
+_LEAST_SHARE = 1e-13
+
+
+class LikeliestNoise(NamedTuple):
+    """The likeliest noise at given columns.
+
+    `deviance` is its -2 ln L, `against_rest` by how much that of ground at rest is larger.
+    """
+
+    noise: Noise
+    deviance: float
+    against_rest: float = 0.0
+
+
+class NoiseBounds(NamedTuple):
+    """Standard uncertainty of the step and its bound of 95 %, in units of the reference."""
+
+    u_step: float
+    highest_step: float
+
+
+class NoiseSearch:
+    """Maximises the restricted likelihood over the drive and the scale of the stated uncertainties.
+
+    The model is taken as linear in the columns about the given ones; whoever fits repeats both until neither
+    moves. `kind` is any noise that tells how the turning points were measured. The scale is at least 1; with a
+    robust loss, which copes with outliers by itself, it is 1.
+    """
+
+    def __init__(self, model: ExactModel, columns: Array, loss: Loss, kind: Noise) -> None:
+        self._model, self._columns, self._loss = model, columns, loss
+        self._kind = kind
+        self._unit = float(np.median(model.u_amplitude))
+        self._highest = float(np.log10(_LARGEST * model.lowest / self._unit))
+        self._known: dict[float, LikeliestNoise] = {}
+        self._rest = self._at(-np.inf)
+
+    def likeliest(self) -> LikeliestNoise:
+        """The optimum over all steps."""
+        tried = np.append(_TRIED[_TRIED < self._highest], self._highest)
+        best = int(np.argmin([self._deviance(x) for x in tried.tolist()]))
+        low, high = float(tried[max(best - 1, 0)]), float(tried[min(best + 1, len(tried) - 1)])
+        found = self._at(_lowest(self._deviance, low, high))
+        found = found if found.deviance < self._rest.deviance else self._rest
+        return found._replace(against_rest=self._rest.deviance - found.deviance)
+
+    def bounds(self, found: LikeliestNoise) -> NoiseBounds:
+        """From the rise of -2 ln L on either side of the optimum."""
+        at_rest = found.noise.at_rest
+        start = (
+            float(_TRIED[0])
+            if at_rest
+            else float(np.log10(found.noise.step / found.noise.scale / self._unit))
+        )
+        target = found.deviance + _ONE_SIDED
+        above = start
+        while self._deviance(above + 0.25) < target and above < self._highest:
+            above += 0.25
+        above = _crossing(lambda x: self._deviance(x) - target, above, above + 0.25)
+        highest = self._at(above).noise.step
+        if at_rest:
+            # half of a normal distribution about zero that has this bound
+            return NoiseBounds(highest / 1.96, highest)
+        h = 0.05
+        bend = self._deviance(start + h) - 2 * found.deviance + self._deviance(start - h)
+        relative = np.sqrt(2 / bend) * h * np.log(10) if bend > 0 else np.inf
+        # where the likelihood does not fall towards zero, the bound says more than the curvature
+        return NoiseBounds(min(float(found.noise.step * relative), highest), highest)
+
+    def _deviance(self, log_step: float) -> float:
+        return self._at(log_step).deviance
+
+    def _at(self, log_step: float) -> LikeliestNoise:
+        if log_step not in self._known:
+            self._known[log_step] = self._evaluate(10.0**log_step * self._unit)
+        return self._known[log_step]
+
+    def _evaluate(self, ratio: float) -> LikeliestNoise:
+        """-2 ln L of a step in units of the scale; the scale that goes with it is known in closed form."""
+        found = self._model.filtered(self._columns, replace(self._kind, step=ratio))
+        if not np.all(np.isfinite(found.residuals)):
+            return LikeliestNoise(self._kind, np.inf)
+        residuals, jacobian = found.residuals, found.jacobian
+        linear = self._loss == "linear"
+        kept = np.ones(len(residuals), dtype=np.bool_) if linear else np.abs(residuals) < OUTLIER
+        # Sums instead of a factorisation: the threads that linear algebra would start for so few columns
+        # cost more than they save, and the columns are chosen so that they hardly depend on one another.
+        weighted = jacobian * kept[:, None]
+        information = np.einsum("ij,ik->jk", weighted, jacobian)
+        norm = np.sqrt(np.diag(information))
+        norm[norm == 0] = 1.0
+        share, vectors = np.linalg.eigh(information / np.outer(norm, norm))
+        share = np.maximum(share, _LEAST_SHARE)
+        score = np.einsum("ij,i->j", weighted, residuals) / norm
+        left = residuals - jacobian @ ((vectors / share) @ (vectors.T @ score) / norm)
+        chi2 = float(np.sum(left[kept] ** 2)) + OUTLIER**2 * float(np.count_nonzero(~kept))
+        dof = len(left) - len(self._columns)
+        scale2 = max(1.0, chi2 / dof) if linear else 1.0
+        log_information = float(np.sum(np.log(share)) + 2 * np.sum(np.log(norm)))
+        deviance = chi2 / scale2 + dof * np.log(scale2) + found.log_det + log_information
+        scale = float(np.sqrt(scale2))
+        noise = replace(self._kind, step=ratio * scale, scale=scale)
+        return LikeliestNoise(noise, float(deviance))
+
+
+def _lowest(function: Callable[[float], float], low: float, high: float) -> float:
+    """Minimum between two points by golden sections."""
+    ratio = 0.5 * (np.sqrt(5) - 1)
+    left, right = high - ratio * (high - low), low + ratio * (high - low)
+    while high - low > 3e-3:
+        if function(left) < function(right):
+            high, right = right, left
+            left = high - ratio * (high - low)
+        else:
+            low, left = left, right
+            right = low + ratio * (high - low)
+    return float(left if function(left) < function(right) else right)
+
+
+def _crossing(function: Callable[[float], float], low: float, high: float) -> float:
+    """Where a function that rises from negative values crosses zero, by halving."""
+    for _ in range(8):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if function(middle) < 0 else (low, middle)
+    return 0.5 * (low + high)
