@@ -12,6 +12,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from processing.errors import DataError
+
 Loss = Literal["linear", "soft_l1", "huber", "cauchy"]
 Model = Callable[[NDArray[np.float64]], tuple[NDArray[np.float64], NDArray[np.float64]]]
 """Function from values to (residuals, Jacobian); residuals that are not finite make the solver shorten its
@@ -72,6 +74,11 @@ def solve(
     cost_tolerance
         Relative reduction of the cost below which the search ends.
 
+    Raises
+    ------
+    DataError
+        The model has no finite value where the search begins.
+
     Returns
     -------
     Solution
@@ -101,22 +108,28 @@ def solve(
     values = np.asarray(start, dtype=np.float64)
     cost, left, converged, message = np.inf, max_evaluations, False, "no step made"
     while left > 0 and not converged:
-        result = least_squares(
-            residuals_at,
-            values,
-            jac=jacobian_at,
-            bounds=(
-                np.full(len(start), -np.inf) if lower is None else lower,
-                np.full(len(start), np.inf) if upper is None else upper,
-            ),
-            x_scale="jac",
-            loss=loss,
-            f_scale=loss_scale,
-            xtol=1e-12,
-            ftol=cost_tolerance,
-            gtol=1e-14,
-            max_nfev=min(left, _ROUND),
-        )
+        try:
+            result = least_squares(
+                residuals_at,
+                values,
+                jac=jacobian_at,
+                bounds=(
+                    np.full(len(start), -np.inf) if lower is None else lower,
+                    np.full(len(start), np.inf) if upper is None else upper,
+                ),
+                x_scale="jac",
+                loss=loss,
+                f_scale=loss_scale,
+                xtol=1e-12,
+                ftol=cost_tolerance,
+                gtol=1e-14,
+                max_nfev=min(left, _ROUND),
+            )
+        except ValueError as error:
+            # the solver begins a step inside the bounds, where the model need not have a value
+            if "finite" not in str(error):
+                raise
+            raise DataError(f"a fit cannot begin there: {error}") from None
         left -= int(result.nfev)
         values, message = np.asarray(result.x, dtype=np.float64), str(result.message)
         if result.status > 0:

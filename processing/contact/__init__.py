@@ -33,7 +33,7 @@ from processing.contact.law import (
 )
 from processing.contact.laws import LAWS, PAPER
 from processing.contact.moments import cycle_work, surface_energy, weight_moment
-from processing.contact.one_half_swing import OneHalfSwing, one_half_swing
+from processing.contact.one_half_swing import OneHalfSwing, tabulated_half_swing
 from processing.contact.parameters import STANDARD_GRAVITY_M_PER_S2, ContactParameters, PendulumOnBall
 from processing.contact.period_law import cosine_moment, frequency_drop, period
 
@@ -68,7 +68,6 @@ __all__ = [
     "measured_losses",
     "model_losses",
     "moment_loop",
-    "one_half_swing",
     "path_nodes",
     "pendulum_on_ball",
     "period",
@@ -77,6 +76,7 @@ __all__ = [
     "scaled_contact",
     "stiffness_ratio",
     "surface_energy",
+    "tabulated_half_swing",
     "turning_points_of",
     "weight_moment",
 ]

@@ -40,7 +40,7 @@ class OneHalfSwing(NamedTuple):
     duration_gradient: Array
 
 
-def one_half_swing(
+def tabulated_half_swing(
     half_swing_map: Callable[[Array, NDArray[np.int64]], HalfSwings],
     parameters: Array,
     highest: float,

@@ -61,15 +61,18 @@ def check_turning_points(points: TurningPoints) -> None:
         )
 
 
-def jumps(points: TurningPoints) -> list[int]:
-    """Half-cycles whose amplitude is significantly larger than the one before: a kick or a vibration."""
+def jumps(points: TurningPoints, drive_step: float = 0.0) -> list[int]:
+    """Half-cycles whose amplitude is significantly larger than the one before: a kick or a vibration.
+
+    `drive_step` is the standard deviation by which the ground moves an amplitude in a half-swing.
+    """
     step = np.diff(points.amplitude)
-    noise = np.hypot(points.u_amplitude[1:], points.u_amplitude[:-1])
+    noise = np.hypot(np.hypot(points.u_amplitude[1:], points.u_amplitude[:-1]), drive_step)
     return [int(i) for i in points.index[1:][(step > 6 * noise) & (step > 0.01 * points.amplitude[:-1])]]
 
 
 def data_warnings(
-    points: TurningPoints, pendulum: PendulumOnBall | None, *chi2_per_dof: float
+    points: TurningPoints, pendulum: PendulumOnBall | None, *chi2_per_dof: float, drive_step: float = 0.0
 ) -> tuple[str, ...]:
     """Warnings about the data that do not depend on the fitted parameters."""
     warnings = []
@@ -78,7 +81,7 @@ def data_warnings(
             "no calibration: b, c and kappa are in the unit of the amplitudes; neither gamma nor a surface "
             "energy follows from them"
         )
-    kicked = jumps(points)
+    kicked = jumps(points, drive_step)
     if kicked:
         listed = ", ".join(str(i) for i in kicked[:5]) + (", ..." if len(kicked) > 5 else "")
         warnings.append(f"the amplitude jumps up at half-cycle {listed}: a kick or a vibration")

@@ -15,21 +15,23 @@ def of_ground(ground: Ground, points: TurningPoints) -> tuple[str, ...]:
     """That the end of the run was left out; `points` are those fitted."""
     if not ground.left_out:
         return ()
-    return (
+    text = (
         f"{ground.left_out} half-cycles at the end are left out: below {points.amplitude[-1]:.3g} rad the "
-        "ground moves the pendulum in one half-swing by more than a tenth of its amplitude",
+        "ground moves the pendulum in one half-swing by more than a tenth of its amplitude"
     )
+    return (text,)
 
 
 def of_correlation(white: Whiteness) -> tuple[str, ...]:
     """That the residuals are no noise."""
     if not white.correlated:
         return ()
-    return (
+    text = (
         "the residuals of neighbouring half-cycles are correlated (chance "
         f"{min(white.p_amplitude, white.p_time):.1g}): the model does not describe all of the motion; "
-        f"uncertainties are widened by up to {white.widened:.2g} for it",
+        f"uncertainties are widened by up to {white.widened:.2g} for it"
     )
+    return (text,)
 
 
 def of_limits(limited: Sequence[str]) -> tuple[str, ...]:

@@ -40,9 +40,7 @@ class _Settled(NamedTuple):
     likeliest: LikeliestNoise
 
 
-def _settle(
-    model: ExactModel, start: NDArray[np.float64], loss: Loss, kind: Noise
-) -> _Settled | None:
+def _settle(model: ExactModel, start: NDArray[np.float64], loss: Loss, kind: Noise) -> _Settled | None:
     """Noise and parameters in turn from one start, until both stay; None if it does not converge."""
     columns = start
     noise: Noise | None = None
@@ -51,7 +49,12 @@ def _settle(
         if not np.isfinite(likeliest.deviance):
             return None
         here = model.on_ground(columns, _kept(likeliest.noise))
-        solution = solve(here, columns, lower=model.lower, upper=model.upper, loss=loss, cost_tolerance=1e-9)
+        try:
+            solution = solve(
+                here, columns, lower=model.lower, upper=model.upper, loss=loss, cost_tolerance=1e-9
+            )
+        except DataError:
+            return None
         moved = np.abs(solution.values - columns) / np.sqrt(np.diag(solution.covariance))
         columns = solution.values
         same = noise is not None and abs(likeliest.noise.step - noise.step) <= 0.01 * noise.step
@@ -63,8 +66,8 @@ def _settle(
 
 
 def _kept(noise: Noise) -> Noise:
-    """The noise by which residuals are weighted: on ground at rest, the uncertainties as they are stated."""
-    return AT_REST if noise.at_rest else noise
+    """The noise by which residuals are weighted; chi2/dof then shows the scale of the uncertainties."""
+    return AT_REST if noise.at_rest else noise.in_stated_uncertainties
 
 
 def _best(model: ExactModel, loss: Loss, kind: Noise) -> _Settled:
@@ -82,7 +85,10 @@ def _best(model: ExactModel, loss: Loss, kind: Noise) -> _Settled:
         if best.likeliest.noise.scale**2 < _GOOD_CHI2:
             break
     if best is None:
-        raise DataError(f"the exact fit did not converge from {len(starts)} starts")
+        raise DataError(
+            f"the exact fit did not converge from {len(starts)} starts: the amplitudes are no decay that the "
+            "law describes; see which half-cycles are disturbed, or start higher"
+        )
     return best
 
 
@@ -112,8 +118,8 @@ def fit_exact(
     loss
         ``linear``, or a robust loss that reduces the influence of outliers.
     averaged
-        The turning points were measured on the samples of their half-cycles, as the swing detector does. False:
-        amplitude and time are those of the instant at which the pendulum turns.
+        The turning points were measured on the samples of their half-cycles, as the swing detector
+        does. False: amplitude and time are those of the instant at which the pendulum turns.
 
     Raises
     ------
@@ -206,7 +212,7 @@ def _result(model: ExactModel, solution: Solution, ground: Ground, loss: Loss) -
     chi2_per_dof = solution.chi2 / solution.dof
     scatter = solution.covariance * (max(1.0, chi2_per_dof) if loss == "linear" else 1.0)
     covariance = propagate(to_physical, scatter)
-    white = whiteness(solution.residuals)
+    white = whiteness(solution.residuals / np.sqrt(max(1.0, chi2_per_dof)))
     if white.correlated:
         covariance, white = _widened(covariance, to_physical, solution, white)
 
@@ -216,7 +222,6 @@ def _result(model: ExactModel, solution: Solution, ground: Ground, loss: Loss) -
     periods = full_periods(points)
     period_model = time[periods.where + 1] - time[periods.where - 1]
     period_deviation = np.abs(periods.period_s - period_model) / periods.period_s
-    scatter_of_points = chi2_per_dof if ground.noise.at_rest else ground.noise.scale**2
     return FitResult(
         method=FitMethod.EXACT,
         law=model.law,
@@ -229,12 +234,12 @@ def _result(model: ExactModel, solution: Solution, ground: Ground, loss: Loss) -
         arae_period=_mean_of_finite(period_deviation),
         reference_rad=model.reference,
         by_log_rho=to_physical @ model.by_log_rho(solution.values),
-        mean_period_s=mean_period_estimate(points, scatter_of_points),
+        mean_period_s=mean_period_estimate(points, chi2_per_dof),
         loss=loss,
         cost=solution.cost,
         outliers=tuple(int(i) for i in points.index[outlying]),
         warnings=(
-            *data_warnings(points, pendulum, scatter_of_points),
+            *data_warnings(points, pendulum, chi2_per_dof, drive_step=ground.noise.step),
             *of_ground(ground, points),
             *of_correlation(white),
             *of_limits(model.columns.at_limit(solution.values)),

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from processing.contact import OneHalfSwing, PendulumOnBall, one_half_swing
+from processing.contact import OneHalfSwing, PendulumOnBall, tabulated_half_swing
 from processing.contact.laws import PAPER, Law
 from processing.fit.ground import AT_REST, Noise
 from processing.fit.ground_filter import GAINS, drive_filter
@@ -157,7 +157,7 @@ class ExactModel:
             highest, lowest = 1.05 * float(self._x.max()), 0.9 * float(self._x.min())
             count = int(1.1 * self._index[-1]) + 20
             while True:
-                table = one_half_swing(self.law.half_swing_map, parameters[:-2], highest, count)
+                table = tabulated_half_swing(self.law.half_swing_map, parameters[:-2], highest, count)
                 reached = len(table.amplitude)
                 if reached < count or count > 4 * self._index[-1] or table.amplitude[-1] < lowest:
                     break
@@ -197,4 +197,5 @@ class ExactModel:
         """The noise by which a finished fit of the same points weighted its residuals."""
         if result.ground is None or result.ground.noise.at_rest:
             return AT_REST
-        return replace(result.ground.noise, step=result.ground.noise.step / self.reference)
+        noise = result.ground.noise.in_stated_uncertainties
+        return replace(noise, step=noise.step / self.reference)

@@ -1,6 +1,6 @@
 """The ground as a source of scatter: the noise of a fit, and what a fit says of it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import inf
 
 import numpy as np
@@ -30,6 +30,11 @@ class Noise:
     @property
     def at_rest(self) -> bool:
         return self.step == 0
+
+    @property
+    def in_stated_uncertainties(self) -> "Noise":
+        """The same noise over `scale`: with it as weights, chi2/dof is the square of the scale."""
+        return replace(self, step=self.step / self.scale, scale=1.0)
 
 
 AT_REST = Noise()

@@ -51,8 +51,8 @@ class NoiseSearch:
     """Maximises the restricted likelihood over the drive and the scale of the stated uncertainties.
 
     The model is taken as linear in the columns about the given ones; whoever fits repeats both until neither
-    moves. `kind` is any noise that tells how the turning points were measured. The scale is at least 1; with a
-    robust loss, which copes with outliers by itself, it is 1.
+    moves. `kind` is any noise that tells how the turning points were measured. The scale is at least 1;
+    with a robust loss, which copes with outliers by itself, it is 1.
     """
 
     def __init__(self, model: ExactModel, columns: Array, loss: Loss, kind: Noise) -> None:
@@ -65,7 +65,7 @@ class NoiseSearch:
 
     def likeliest(self) -> LikeliestNoise:
         """The optimum over all steps."""
-        tried = np.append(_TRIED[_TRIED < self._highest], self._highest)
+        tried = np.append(_TRIED[self._highest > _TRIED], self._highest)
         best = int(np.argmin([self._deviance(x) for x in tried.tolist()]))
         low, high = float(tried[max(best - 1, 0)]), float(tried[min(best + 1, len(tried) - 1)])
         found = self._at(_lowest(self._deviance, low, high))

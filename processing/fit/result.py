@@ -29,10 +29,9 @@ class FitResult:
         In the order of `names`, in SI units. The covariance is multiplied by max(1, chi2/dof): it is enlarged
         if the residuals exceed the uncertainties, but not reduced if they are smaller.
     chi2, dof
-        Chi-square of the residuals of amplitudes and times, and degrees of freedom. For ground at
-        rest these are distances from the free decay in stated uncertainties; for a driven pendulum
-        they are distances from the predictions, in the uncertainties that follow from `ground`, and
-        their chi-square is near `dof`.
+        Chi-square of the unscaled residuals of amplitudes and times, and degrees of freedom. For
+        ground at rest the residuals are distances from the free decay; for a driven pendulum, from the
+        predictions of a Kalman filter, and their uncertainties contain the drive.
     arae_decay, arae_period
         Mean relative deviations of amplitude and period, Eqs. 8 and 9, divided by the number of terms in
         the sum.

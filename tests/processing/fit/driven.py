@@ -39,10 +39,16 @@ def _advance(x: float, v: float, direction: float, dt: float, law: Floats) -> tu
 
 @njit(cache=True)
 def _integrate(
-    first: float, last: float, law: Floats, dt: float, kick: float, seed: int, keep: int, path: Floats
+    first: float,
+    last: float,
+    law: Floats,
+    dt: float,
+    kick: float,
+    rng: np.random.Generator,
+    keep: int,
+    path: Floats,
 ) -> tuple[Floats, Floats]:
     """Turning points (times, deflections) down to `last`; every `keep`-th position goes into `path`."""
-    np.random.seed(seed)
     turns, times = np.empty(20_000), np.empty(20_000)
     turns[0], times[0], found = first, 0.0, 1
     x, v, direction, t, steps = first, 0.0, -math.copysign(1.0, first), 0.0, 0
@@ -74,7 +80,7 @@ def _integrate(
                 t, left = t + part, left - part
             else:
                 x, v, t, left = new_x, new_v, t + left, 0.0
-        v += kick * np.random.standard_normal()
+        v += kick * rng.standard_normal()
         if v * direction < 0.0:
             # a kick may turn a pendulum that has nearly stopped
             direction = -direction
@@ -122,7 +128,8 @@ def driven_path(
         dt = 1 / (frames_per_s * keep)
         path = np.full(round(5_000 * frames_per_s), np.nan)
     kick = q * math.sqrt(0.5 * dt)
-    times, turns = _integrate(first_arcsec * ARCSEC, last_arcsec * ARCSEC, law, dt, kick, seed, keep, path)
+    rng = np.random.default_rng(seed)
+    times, turns = _integrate(first_arcsec * ARCSEC, last_arcsec * ARCSEC, law, dt, kick, rng, keep, path)
     return times, turns, path[np.isfinite(path)]
 
 

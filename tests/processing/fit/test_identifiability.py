@@ -71,8 +71,7 @@ def test_held_parameters_have_the_right_derivatives(drag_s: float) -> None:
     parameters, pendulum = paper_pair("glass_k8", drag_s)
     points = decay(parameters, pendulum, noise_arcsec=0.005, seed=3, last_arcsec=60)
     result = fit_exact(points, pendulum, drag=drag_s > 0)
-    model = ExactModel(points, pendulum, drag=drag_s > 0)
-    best = model.columns_of(result)
+    model, best = ExactModel.of(points, pendulum, result)
     for name in result.names[:-2]:
         held = _Held(model, name, best)
         value, free = result.estimate(name).value, best[held.free]
@@ -82,7 +81,8 @@ def test_held_parameters_have_the_right_derivatives(drag_s: float) -> None:
             step = np.zeros(len(free))
             step[k] = 1e-5 * max(abs(free[k]), 1e-3)
             numeric = (held.at(value)(free + step)[0] - held.at(value)(free - step)[0]) / (2 * step[k])
-            np.testing.assert_allclose(jacobian[:, k], numeric, atol=1e-4 * np.abs(numeric).max(), rtol=1e-4)
+            # between its nodes the filter's table takes them as linear
+            np.testing.assert_allclose(jacobian[:, k], numeric, atol=5e-4 * np.abs(numeric).max(), rtol=1e-4)
 
 
 def test_profile_of_a_well_determined_parameter_is_its_symmetric_interval() -> None:
