@@ -1,7 +1,8 @@
 """Decays with known turning points: damped sinusoids and the integrated equation of motion."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cache, cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +33,7 @@ class Record:
     turn_time_s: Floats
     turn_amplitude: Floats
 
-    @property
+    @cached_property
     def time_s(self) -> Floats:
         return self.times_ns * 1e-9
 
@@ -99,6 +100,20 @@ def contact_decay(
     hold: bool = False,
 ) -> Record:
     """Eq. 4 with the moments of Eqs. 1 and 3, integrated from turning point to turning point; in px."""
+    clean = _integrated(contact, half_cycles, first_arcsec, frames_per_s, start_s, hold)
+    count = len(clean.deflection)
+    deflection = clean.deflection
+    if rng is not None:
+        deflection = deflection + 7.0 + noise * rng.standard_normal(count)
+    u_deflection = np.full(count, noise if noise else 1e-3)
+    return replace(clean, deflection=deflection, u_deflection=u_deflection)
+
+
+@cache
+def _integrated(
+    contact: str, half_cycles: int, first_arcsec: float, frames_per_s: float, start_s: float, hold: bool
+) -> Record:
+    """A decay without noise."""
     b, p, c, n, period0_s, gamma, radius = CONTACTS[contact]
     rate2 = (2.0 * math.pi / period0_s) ** 2
     kappa = 2.0 * gamma * radius**2 / (MASS_KG * GRAVITY)
@@ -145,13 +160,10 @@ def contact_decay(
         turns.append(turn)
         amplitudes.append(amplitude)
     seen = np.isfinite(phi) & ((t >= start_s) | hold)
-    deflection = phi[seen] * PX_PER_RAD
-    if rng is not None:
-        deflection = deflection + 7.0 + noise * rng.standard_normal(len(deflection))
     return Record(
         times_ns[seen],
-        deflection,
-        np.full(len(deflection), noise if noise else 1e-3),
+        phi[seen] * PX_PER_RAD,
+        np.full(np.count_nonzero(seen), 1e-3),
         np.array(turns),
         np.array(amplitudes) * PX_PER_RAD,
     )
