@@ -37,10 +37,13 @@ class Done:
     stderr: str
 
 
-def rig(*words: str | Path, cwd: Path | None = None) -> Done:
+def rig(*words: str | Path, cwd: Path | None = None, figures: bool = False) -> Done:
     """Run a command in this process.
 
     What belongs to a process of its own (signals, a terminal, the environment) is tested with `rig_process`.
+
+    Without `figures` those of the report are made, but not drawn: that takes most of a short session's time,
+    and the report has tests of its own.
     """
     out, errors = io.StringIO(), io.StringIO()
     with (
@@ -50,6 +53,7 @@ def rig(*words: str | Path, cwd: Path | None = None) -> Done:
         contextlib.redirect_stderr(errors),
         contextlib.chdir(cwd or Path.cwd()),
         _logging_of_its_own(),
+        contextlib.nullcontext() if figures else _figures_are_not_drawn(),
     ):
         try:
             main()
@@ -71,6 +75,15 @@ def rig_process(*words: str | Path, cwd: Path | None = None) -> Done:
         check=False,
     )
     return Done(done.returncode, done.stdout, done.stderr)
+
+
+@contextlib.contextmanager
+def _figures_are_not_drawn() -> Iterator[None]:
+    with (
+        patch("rig.report.session_report.svg", return_value=b"<svg/>"),
+        patch("rig.report.session_report.png", return_value=b""),
+    ):
+        yield
 
 
 @contextlib.contextmanager

@@ -222,7 +222,9 @@ def test_ctrl_c_closes_the_record_and_fits_what_there_is(tmp_path: Path) -> None
 def test_the_demonstration_finds_the_truth(pair: str, tmp_path: Path) -> None:
     # one pair with every frame as it is for a user; the others, which take longer, with a fifth of the pixels
     less = {} if pair == "glass" else SMALL
-    done = rig("run", CONFIGS / f"{pair}.toml", "-o", tmp_path / "out", "--runs", "1", *set_words(less))
+    done = rig(
+        "run", CONFIGS / f"{pair}.toml", "-o", tmp_path / "out", "--runs", "1", *set_words(less), figures=True
+    )
     assert done.returncode == 0, done.stderr
     run = results_of(tmp_path / "out")["runs"][0]
     assert run["dropped_frames"] == 0
