@@ -16,8 +16,8 @@ settings.register_profile("here", deadline=None)
 settings.register_profile("ci", deadline=None, derandomize=True)
 settings.load_profile("ci" if os.environ.get("CI") else "here")
 
-# Before numpy is imported, here and in every process started from here: threads of the linear algebra, several
-# workers on as many processors, wait for each other in loops and take up to five times the time.
+# Before numpy is imported, here and in every process started from here: threads of linear algebra, of several
+# workers on few processors, wait for each other in loops and take up to five times the time.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 # A background job of a shell ignores Ctrl-C, and one under nohup a closed terminal; every process that is
