@@ -27,7 +27,7 @@ def main() -> None:
     said: dict[str, Any] = {"serial": info.serial, "exposure_us": applied.exposure_us, "starts": []}
     for again in (True, False):
         camera.start()
-        frames = [frame for frame in (camera.read(10.0) for _ in range(20)) if frame]
+        frames = [frame for frame in (camera.read(60.0) for _ in range(20)) if frame]
         status = camera.status
         if again:
             camera.stop()

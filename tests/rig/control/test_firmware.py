@@ -216,7 +216,7 @@ def test_junk_half_lines_and_losses_are_survived(
 ) -> None:
     board = make_board(through_wire=True)
     assert board.wire is not None
-    controller = opened(board, watchdog_s=5.0, timeout_s=0.15, retries=5)
+    controller = opened(board, watchdog_s=5.0, timeout_s=0.15, retries=10)
     turn = 0
 
     def spoil(data: bytes) -> bytes:

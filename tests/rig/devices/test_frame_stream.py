@@ -42,15 +42,16 @@ def stream_of(faults: FaultSettings, *, real_time: bool, timeout_s: float = 5.0)
     return FrameStream(camera, asked, policy=policy, timeout_s=timeout_s, reconnect_s=10.0)
 
 
-def drain(stream: FrameStream, until_s: float) -> tuple[list[Frame], list[tuple[float, str, str]]]:
-    """Frames until the end or for so long, and events with when they were seen."""
+def drain(stream: FrameStream, last: int) -> tuple[list[Frame], list[tuple[str, str]]]:
+    """Frames up to this number or to the end, and events."""
     frames: list[Frame] = []
-    events: list[tuple[float, str, str]] = []
+    events: list[tuple[str, str]] = []
     assert stream.begin() is not None
-    end_s = time.monotonic() + until_s
-    while not stream.drained and time.monotonic() < end_s:
+    deadline_s = time.monotonic() + 60.0
+    while not stream.drained and not (frames and frames[-1].sequence >= last):
+        assert time.monotonic() < deadline_s, f"no frame {last}, no end"
         frames += stream.take(64, 0.02)
-        events += [(time.monotonic(), kind, text) for kind, text in stream.take_events()]
+        events += stream.take_events()
     return frames, events
 
 
@@ -115,19 +116,22 @@ def test_losses_are_told_apart() -> None:
 def test_a_silent_stall_is_named_and_the_stream_goes_on() -> None:
     faults = FaultSettings(frames_stalled_at_s=0.5, frames_stalled_duration_s=1.5)
     stream = stream_of(faults, real_time=True)
-    frames, events = drain(stream, 3.0)
+    frames, events = drain(stream, 220)
     stream.close()
-    assert [kind for _, kind, _ in events] == ["camera silent", "camera speaks"]
-    assert frames[-1].sequence > 210, "the stream goes on after it"
+    # a busy machine may add a silence of its own
+    kinds = [kind for kind, _ in events]
+    assert kinds
+    assert kinds == ["camera silent", "camera speaks"] * (len(kinds) // 2)
+    assert frames[-1].sequence >= 220, "the stream goes on after it"
     assert stream.failure is None
 
 
 def test_a_stall_longer_than_the_timeout_ends_the_stream() -> None:
     faults = FaultSettings(frames_stalled_at_s=0.2, frames_stalled_duration_s=6.0)
     stream = stream_of(faults, real_time=True, timeout_s=1.0)
-    _, events = drain(stream, 5.0)
+    _, events = drain(stream, 700)
     stream.close()
-    assert [kind for _, kind, _ in events] == ["camera silent"]
+    assert events[-1][0] == "camera silent"
     assert isinstance(stream.failure, FrameTimeout)
     assert "stalled" in stream.ended
 
@@ -136,9 +140,10 @@ def test_a_stall_longer_than_the_timeout_ends_the_stream() -> None:
 def test_unplugging_leaves_a_gap_of_the_right_length(real_time: bool) -> None:
     faults = FaultSettings(camera_unplugged_at_s=0.5, camera_replugged_at_s=1.5)
     stream = stream_of(faults, real_time=real_time)
-    frames, events = drain(stream, 3.0 if real_time else 20.0)
+    frames, events = drain(stream, 250)
     stream.close()
-    assert [kind for _, kind, _ in events] == ["camera lost", "camera back"]
+    lost, back = [(kind, text) for kind, text in events if kind in ("camera lost", "camera back")]
+    assert (lost[0], back[0]) == ("camera lost", "camera back")
     numbers = [frame.sequence for frame in frames]
     steps = [(later - earlier, index) for index, (earlier, later) in enumerate(itertools.pairwise(numbers))]
     longest, index = max(steps)
@@ -146,7 +151,7 @@ def test_unplugging_leaves_a_gap_of_the_right_length(real_time: bool) -> None:
     # the gap in the numbers is the gap in time, to half a frame
     assert longest == round(passed_ns * 1e-9 * RATE_HZ)
     assert longest >= 100
-    assert "without frames" in events[1][2]
+    assert "without frames" in back[1]
     assert stream.losses == FrameLosses(while_unplugged=longest - 1)
 
 

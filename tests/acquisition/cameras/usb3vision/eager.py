@@ -39,14 +39,15 @@ class EagerTransfers:
         self._changed = threading.Condition()
         self._under_way: deque[_Read] = deque()
         self._submitted: deque[_Read] = deque()
-        self._ended = False
-        threading.Thread(target=self._work, daemon=True).start()
+        self._thread: threading.Thread | None = None
 
     def _work(self) -> None:
+        """Until no read is under way, or for good when the camera is gone."""
         while True:
             with self._changed:
-                while not self._under_way:
-                    self._changed.wait()
+                if not self._under_way:
+                    self._thread = None
+                    return
                 read = self._under_way[0]
             try:
                 count = self._device.stream_in(memoryview(read.buffer), 0.005)
@@ -68,7 +69,9 @@ class EagerTransfers:
         with self._changed:
             self._under_way.append(read)
             self._submitted.append(read)
-            self._changed.notify_all()
+            if self._thread is None:
+                self._thread = threading.Thread(target=self._work, daemon=True)
+                self._thread.start()
 
     def wait(self, timeout_s: float) -> Arrived:
         """The oldest read's end."""
@@ -90,3 +93,6 @@ class EagerTransfers:
         with self._changed:
             self._under_way.clear()
             self._submitted.clear()
+            thread = self._thread
+        if thread is not None:
+            thread.join()

@@ -19,7 +19,7 @@ from acquisition.cameras.usb3vision.settings import Usb3VisionSettings
 from processing.errors import DeviceError
 from tests.acquisition.cameras.conformance import CameraConformance, Unplug
 from tests.acquisition.cameras.usb3vision import description
-from tests.acquisition.cameras.usb3vision.backend import InProcessBackend
+from tests.acquisition.cameras.usb3vision.backend import InProcessBackend, wait_until
 from tests.acquisition.cameras.usb3vision.device import EIRM, SIRM, VisionDevice
 
 pytestmark = pytest.mark.realtime
@@ -355,7 +355,7 @@ def test_stop_and_close_return_in_time_while_open_hangs() -> None:
 
     thread = threading.Thread(target=opening, daemon=True)
     thread.start()
-    time.sleep(0.1)
+    assert wait_until(lambda: device.commands > 0)
     begin_s = time.monotonic()
     camera.close()
     assert time.monotonic() - begin_s < 1.0
