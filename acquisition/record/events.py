@@ -1,7 +1,7 @@
 """Events of a measurement, such as the start or the loss of frames, and the list of their kinds."""
 
 from enum import StrEnum
-from typing import Final, NamedTuple
+from typing import Final, Literal, NamedTuple
 
 
 class EventKind(StrEnum):
@@ -32,12 +32,19 @@ class EventKind(StrEnum):
     LASER = "laser"
     SENSOR = "sensor"
     """Messages of the device."""
+    LASER_DARK = "laser dark"
+    """It went dark during the run, with the reason."""
+    LASER_LIT = "laser lit"
+    """It is lit again after `LASER_DARK`."""
 
 
 WARNING_KINDS: Final = frozenset(
     {EventKind.GAP, EventKind.SPOT_LOST, EventKind.CAMERA_LOST, EventKind.RECORD}
 )
 """Kinds that mean missing data: warnings in the record's log and in every view."""
+
+ERROR_KINDS: Final = frozenset({EventKind.LASER_DARK})
+"""Kinds without whose remedy the run is worth nothing: errors in the record's log and in every view."""
 
 
 class Event(NamedTuple):
@@ -48,9 +55,11 @@ class Event(NamedTuple):
     text: str
 
     @property
-    def is_warning(self) -> bool:
-        """Whether data are missing."""
-        return self.kind in WARNING_KINDS
+    def level(self) -> Literal["info", "warning", "error"]:
+        """How much it matters, as a log calls it."""
+        if self.kind in ERROR_KINDS:
+            return "error"
+        return "warning" if self.kind in WARNING_KINDS else "info"
 
     @property
     def line(self) -> str:

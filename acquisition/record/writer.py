@@ -43,7 +43,7 @@ from processing.swing import Swing
 _CHUNK_BYTES = 1024 * 1024
 _RESERVE_BYTES = 4 * 1024 * 1024
 _FLUSH_INTERVAL_S = 0.8
-_LEVEL_INFO, _LEVEL_WARNING = 2, 3
+_LOG_LEVELS = {"info": 2, "warning": 3, "error": 4}
 _MEDIA_TYPES = {".json": "application/json", ".toml": "application/toml"}
 
 
@@ -180,7 +180,7 @@ class RecordWriter:
         """Write an event, also as a line of the log, which viewers display."""
         event = Event(time_ns, kind, text)
         self._add(self._numbers, EVENT.topic, time_ns, EVENT.encode(*event))
-        self.write_log(time_ns, _LEVEL_WARNING if event.is_warning else _LEVEL_INFO, "event", event.line)
+        self.write_log(time_ns, _LOG_LEVELS[event.level], "event", event.line)
 
     def write_log(self, time_ns: int, level: int, source: str, text: str) -> None:
         """Write a line of the log; `level` as in foxglove.Log (1 debug ... 5 fatal)."""

@@ -61,8 +61,6 @@ def balance_rig(
         return advice_text(stated, balance, session.responses)
 
     with Devices(config) as devices, LooksView(config, rrd, advise) as view:
-        if lit := devices.light():
-            say(lit)
         while True:
             if trimmed is not None:
                 config = config.model_copy(update={"simulation": trimmed.settings})

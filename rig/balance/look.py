@@ -7,8 +7,8 @@ from typing import Self
 
 from acquisition.frame import Frame
 from processing.balance import Balance
-from processing.errors import ConfigurationError, DataError
-from rig.devices import Devices, FrameStream
+from processing.errors import ConfigurationError, DataError, DeviceError
+from rig.devices import Devices, FrameStream, LightWatch
 from rig.instrument import Block, camera_settings, frame_policy, optics_of, prepare_kernels
 from rig.presentation import say
 from rig.settings import Configuration
@@ -67,7 +67,7 @@ def look(
 ) -> Balance:
     """Measure the balance over some periods; returns the last one, `show` is called with each of them.
 
-    Raises DataError without frames or without a swing.
+    Raises DataError without frames or without a swing, DeviceError if the laser goes dark.
     """
     if config.lever is None:
         raise ConfigurationError("rig balance needs [lever], because its limits are in arcsec")
@@ -75,13 +75,18 @@ def look(
     with devices.camera(config) as camera:
         optics = optics_of(config, camera.info.full_scale_dn)
         prepare_kernels(optics.sensor, say)
+        # lit only while frames are taken: then the operator's hands may be at the pendulum
+        if lit := devices.light():
+            say(lit)
         camera.camera.start()
         stream = FrameStream(
             camera.camera,
             camera_settings(config),
             policy=frame_policy(config),
             timeout_s=config.camera.timeout_s,
+            permit=devices.permit,
         )
+        light = LightWatch(devices)
         try:
             first = stream.begin()
             if first is None:
@@ -92,6 +97,9 @@ def look(
             end_ns = first.time_ns + round(1e9 * config.balance.seconds)
             while not stream.drained:
                 frames = stream.take(32, 0.1)
+                light.look()
+                if light.alarm:
+                    raise DeviceError(light.alarm)
                 if not frames:
                     continue
                 block = pipeline.process(frames)
@@ -102,6 +110,7 @@ def look(
                 if frames[-1].time_ns >= end_ns:
                     break
         finally:
+            devices.darken()
             stream.close()
     if found is None:
         raise stream.failure or DataError(

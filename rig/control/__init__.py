@@ -4,6 +4,7 @@ from rig.control.controller import Controller
 from rig.control.environment import EnvironmentService
 from rig.control.laser_service import LONGEST_JOB_S, LaserService
 from rig.control.lasers import LaserSettings, LaserState, make_laser
+from rig.control.light_permit import LightPermit, Stage
 from rig.control.ports import check_controller, check_environment, check_laser, list_serial_ports
 from rig.control.service import ControlService, ControlState
 from rig.control.settings import ControllerSettings, EnvironmentSettings
@@ -20,7 +21,9 @@ __all__ = [
     "LaserService",
     "LaserSettings",
     "LaserState",
+    "LightPermit",
     "SimulatedOutputs",
+    "Stage",
     "check_controller",
     "check_environment",
     "check_laser",

@@ -144,6 +144,10 @@ class Controller:
         """Restart the board's watchdog time; returns the board's state."""
         return _status(self._ask("SYST:HEAR?"))
 
+    def status(self) -> ControllerStatus:
+        """The board's state, without restarting its watchdog time."""
+        return _status(self._ask("SYST:STAT?"))
+
     def environment(self) -> Environment:
         """Reading of the controller's own sensor; NaN without one."""
         return Environment(*_floats(self._ask("ENV?"), 3))
@@ -204,8 +208,14 @@ class Controller:
 
     def next_error(self) -> tuple[int, str]:
         """Oldest entry of the board's error queue, (0, "No error") when it is empty."""
-        code, _, text = self._ask("SYST:ERR?").partition(",")
-        return int(code), text.strip('"')
+        reply = self._ask("SYST:ERR?")
+        code, _, text = reply.partition(",")
+        try:
+            return int(code), text.strip('"')
+        except ValueError:
+            raise DeviceError(
+                f"the controller answered {reply!r}, which is not an error's number and text"
+            ) from None
 
     def take_events(self) -> tuple[BoardEvent, ...]:
         """Unsolicited messages of the board (TRIP, BOOT) since the last call."""
@@ -248,15 +258,25 @@ def _status(values: str) -> ControllerStatus:
     if len(fields) != 10:
         raise DeviceError(f"the controller answered {values!r}; a status of 10 fields was expected")
     uptime_ms, interlock, laser, power_w, magnet, starter, clamp, brake, trip, errors = fields
-    return ControllerStatus(
-        uptime_ms=int(uptime_ms),
-        interlock_closed=interlock == "1",
-        laser_on=laser == "1",
-        laser_power_w=float(power_w),
-        magnet_on=magnet == "1",
-        starter_on=starter == "1",
-        clamp_closed=clamp == "1",
-        brake_on=brake == "1",
-        trip=trip,
-        errors_waiting=int(errors),
-    )
+    try:
+        return ControllerStatus(
+            uptime_ms=int(uptime_ms),
+            interlock_closed=_is_one(interlock),
+            laser_on=_is_one(laser),
+            laser_power_w=float(power_w),
+            magnet_on=_is_one(magnet),
+            starter_on=_is_one(starter),
+            clamp_closed=_is_one(clamp),
+            brake_on=_is_one(brake),
+            trip=trip,
+            errors_waiting=int(errors),
+        )
+    except ValueError:
+        raise DeviceError(f"the controller answered {values!r}, which is not a status") from None
+
+
+def _is_one(field: str) -> bool:
+    """Raises ValueError for anything but 0 and 1: an unknown state must not pass for dark or closed."""
+    if field not in ("0", "1"):
+        raise ValueError(field)
+    return field == "1"

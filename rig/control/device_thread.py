@@ -24,7 +24,7 @@ class DeviceThread(ABC):
     """
 
     def __init__(self, name: str, longest_job_s: float = 5.0) -> None:
-        self._name = name
+        self.name = name
         self._longest_job_s = longest_job_s
         self._events: deque[str] = deque(maxlen=_EVENTS_KEPT)
         self._worker = Worker(name, self._turn, self._finish)
@@ -70,5 +70,5 @@ class DeviceThread(ABC):
         return tuple(events)
 
     def _say(self, text: str) -> None:
-        _log.info("%s: %s", self._name, text)
+        _log.info("%s: %s", self.name, text)
         self._events.append(text)

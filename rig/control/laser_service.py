@@ -9,10 +9,12 @@ from typing import TypeVar
 from processing.errors import DeviceError
 from rig.control.device_thread import DeviceThread
 from rig.control.lasers.laser import ON_WITHIN_S, Laser, LaserIdentity, LaserState
+from rig.control.light_permit import LightPermit
 from rig.control.link import ReplyTimeout
 from rig.control.serial_port import PortLost
 
 _REOPEN_S = 1.0
+_LOOK_AT_PERMIT_S = 0.5
 
 LONGEST_JOB_S = 2.0 * ON_WITHIN_S
 """Longest time of one command: switching on, with the delay of the safety class, and repeated queries."""
@@ -35,12 +37,24 @@ class LaserSnapshot:
 class LaserService(DeviceThread):
     """Operates a `Laser` from `start` to `close`; commands return futures, as in `ControlService`.
 
-    If the connection is lost, the laser is opened again; `Laser.open` switches it off.
+    If the connection is lost, the laser is opened again; `Laser.open` switches it off. While `permit`
+    refuses the light, the laser is switched off. `own_interlock` is False for a laser whose interlock is the
+    controller's relay, which opens whenever the controller goes dark.
     """
 
-    def __init__(self, laser: Laser, period_s: float = 1.0) -> None:
+    def __init__(
+        self,
+        laser: Laser,
+        period_s: float = 1.0,
+        permit: LightPermit | None = None,
+        *,
+        own_interlock: bool = True,
+    ) -> None:
         self._laser = laser
         self._period_s = period_s
+        self._permit = permit or LightPermit()
+        self._own_interlock = own_interlock
+        self._refused = ""
         self._is_open = False
         self._snapshot = LaserSnapshot()
         super().__init__("rig-laser", LONGEST_JOB_S)
@@ -51,8 +65,8 @@ class LaserService(DeviceThread):
         return self._snapshot
 
     def enable(self) -> "Future[None]":
-        """Switch the laser on, unless the interlock is open; may take several seconds."""
-        return self._submit(lambda laser: laser.enable(), timeout_s=5.0)
+        """Switch the laser on, unless the interlock is open or `permit` refuses; may take several seconds."""
+        return self._submit(self._light, timeout_s=5.0)
 
     def off(self) -> "Future[None]":
         """Switch the laser off, before all waiting commands."""
@@ -80,17 +94,34 @@ class LaserService(DeviceThread):
                 self._say(
                     f"{identity.vendor} {identity.model} {identity.serial} open, dark".replace("  ", " ")
                 )
+            self._keep_to_the_permit()
             self._read()
         except DeviceError as error:
             self._lose(error)
             return _REOPEN_S
-        return self._period_s
+        return min(self._period_s, _LOOK_AT_PERMIT_S)
+
+    def _light(self, laser: Laser) -> None:
+        if refusal := self._permit.refusal:
+            raise DeviceError(f"the laser stays off: {refusal}")
+        laser.enable()
+
+    def _keep_to_the_permit(self) -> None:
+        """Switch the laser off when the permit begins to refuse it."""
+        refusal, before = self._permit.refusal, self._refused
+        if refusal and not before:
+            self._laser.off()
+            self._say(f"laser off: {refusal}")
+        # set only now: a command that failed is given again at the next turn
+        self._refused = refusal
 
     def _read(self) -> None:
         before, state = self._snapshot.state, self._laser.state()
         self._snapshot = replace(self._snapshot, state=state, state_time_ns=time.monotonic_ns())
         if before is not None and before.interlock_closed and not state.interlock_closed:
             self._say("interlock opened")
+            if self._own_interlock:
+                self._permit.interlock_opened("the laser")
         if state.fault and (before is None or before.fault != state.fault):
             self._say(state.fault)
 

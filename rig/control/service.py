@@ -14,6 +14,7 @@ from typing import TypeVar
 from processing.errors import DeviceError
 from rig.control.controller import Controller, ControllerIdentity, ControllerStatus, Environment
 from rig.control.device_thread import DeviceThread
+from rig.control.light_permit import LightPermit
 from rig.control.link import ControllerReset, ReplyTimeout
 from rig.control.serial_port import PortLost
 from rig.control.settings import ControllerSettings
@@ -60,13 +61,22 @@ class ControlService(DeviceThread):
     command or is not connected, or the command waited longer than its time limit and was not sent
     (`Overdue`). If the connection is lost, the board's watchdog puts its outputs into their safe state. The
     service then opens the controller again, but does not switch the laser on by itself.
+
+    While `permit` refuses the light, the laser is switched off. While it says that frames have stalled, no
+    heartbeat is sent either, so that the board's watchdog makes everything safe even if that command is lost.
     """
 
     def __init__(
-        self, controller: Controller, settings: ControllerSettings, environment_period_s: float = 1.0
+        self,
+        controller: Controller,
+        settings: ControllerSettings,
+        environment_period_s: float = 1.0,
+        permit: LightPermit | None = None,
     ) -> None:
         self._controller = controller
         self._settings = settings
+        self._permit = permit or LightPermit()
+        self._refused = ""
         self._environment_period_s = environment_period_s
         self._snapshot = ControlSnapshot()
         self._is_open = False
@@ -100,8 +110,8 @@ class ControlService(DeviceThread):
         return self._worker.submit(lambda: self._guarded(call), timeout_s, urgent)
 
     def laser_on(self) -> "Future[None]":
-        """Switch the laser on, unless the interlock is open."""
-        return self.submit(Controller.laser_on)
+        """Switch the laser on, unless the interlock is open or `permit` refuses."""
+        return self.submit(self._light)
 
     def laser_off(self) -> "Future[None]":
         """Switch the laser off, before all waiting commands."""
@@ -141,6 +151,7 @@ class ControlService(DeviceThread):
         try:
             if not self._is_open:
                 self._open()
+            self._keep_to_the_permit()
             self._beat()
         except DeviceError as error:
             self._note_failure(error)
@@ -163,9 +174,23 @@ class ControlService(DeviceThread):
         )
         self._say(f"{identity.serial} open, firmware {identity.firmware}")
 
+    def _light(self, controller: Controller) -> None:
+        if refusal := self._permit.refusal:
+            raise DeviceError(f"{controller.name}: the laser stays off: {refusal}")
+        controller.laser_on()
+
+    def _keep_to_the_permit(self) -> None:
+        """Switch the laser off when the permit begins to refuse it."""
+        refusal, before = self._permit.refusal, self._refused
+        if refusal and not before:
+            self._controller.laser_off()
+            self._say(f"laser off: {refusal}")
+        # set only now: a command that failed is given again at the next turn
+        self._refused = refusal
+
     def _beat(self) -> None:
         controller = self._controller
-        status = controller.heartbeat()
+        status = controller.status() if self._permit.stalled else controller.heartbeat()
         now_s, now_ns = time.monotonic(), time.monotonic_ns()
         self._heard_s = now_s
         junk, late, retried = (
@@ -180,8 +205,11 @@ class ControlService(DeviceThread):
             late_replies=late,
             retried=retried,
         )
-        for event in controller.take_events():
+        happened = controller.take_events()
+        for event in happened:
             self._say(f"{event.name} {event.detail}".rstrip())
+        if not status.interlock_closed or any(event.detail == "INTERLOCK" for event in happened):
+            self._permit.interlock_opened("the controller")
         if status.errors_waiting:
             code, text = controller.next_error()
             self._say(f"error {code}: {text}")

@@ -8,6 +8,7 @@ from rig.devices.frame_stream import FrameStream
 from rig.devices.host_clock import ntp_state
 from rig.devices.laser import STAYS_LIT, WIRE_IT, LaserNow, goes_dark_by_itself, wait_for_command
 from rig.devices.latest_frames import watch_latest
+from rig.devices.light_watch import LightWatch
 from rig.devices.picture import PictureFigures
 from rig.devices.session_devices import Devices, OpenCamera
 
@@ -17,6 +18,7 @@ __all__ = [
     "Devices",
     "FrameStream",
     "LaserNow",
+    "LightWatch",
     "OpenCamera",
     "PictureFigures",
     "examine",

@@ -11,6 +11,7 @@ from acquisition.frame_losses import FrameLosses
 from acquisition.frame_queue import FrameQueue, Policy
 from acquisition.record.events import EventKind
 from processing.errors import DeviceError, RigError
+from rig.control import LightPermit, Stage
 
 _log = logging.getLogger(__name__)
 _QUEUE_BYTES = 256 * 1024 * 1024
@@ -20,7 +21,8 @@ class FrameStream:
     """Reads a camera in a thread into a bounded queue, reconnects it after unplugging, counts lost frames.
 
     With `policy` "wait" the camera waits while the queue is full, otherwise frames are dropped and
-    counted. `ended` is a text that says why the stream ended, `failure` the error that ended it.
+    counted. `ended` is a text that says why the stream ended, `failure` the error that ended it. `permit`
+    learns that frames arrive and are taken, on which the light of a laser depends.
     """
 
     def __init__(
@@ -31,8 +33,10 @@ class FrameStream:
         policy: Policy = "every",
         timeout_s: float = 5.0,
         reconnect_s: float = 60.0,
+        permit: LightPermit | None = None,
     ) -> None:
         self._camera = camera
+        self.permit = permit or LightPermit()
         self._settings = settings
         self.policy: Policy = policy
         self._timeout_s = timeout_s
@@ -57,6 +61,7 @@ class FrameStream:
         first = self._first_frame()
         if first is None:
             return None
+        self.permit.moved(Stage.CAMERA)
         self._queue = FrameQueue(_capacity(first, self.policy), self.policy)
         self._queue.put(first)
         self._thread = threading.Thread(target=self._acquire, name="camera", daemon=True)
@@ -65,6 +70,7 @@ class FrameStream:
 
     def take(self, at_most: int, timeout_s: float) -> list[Frame]:
         """Up to `at_most` frames in order; empty after the timeout, and if drained."""
+        self.permit.moved(Stage.PROCESSING)
         return [] if self._queue is None else self._queue.take(at_most, timeout_s)
 
     def take_events(self) -> list[tuple[EventKind, str]]:
@@ -143,6 +149,7 @@ class FrameStream:
                 if frame is None:
                     self.ended = self.ended or "the camera delivered its last frame"
                     break
+                self.permit.moved(Stage.CAMERA)
                 if silent_s:
                     self._events.append(
                         (EventKind.CAMERA_SPEAKS, f"after more than {silent_s:.2f} s of silence")

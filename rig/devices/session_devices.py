@@ -11,13 +11,14 @@ from acquisition.camera import Camera, CameraInfo
 from acquisition.cameras.simulated import SimulatedCamera
 from acquisition.record.events import EventKind
 from acquisition.simulation.inputs import RigInputs
-from processing.errors import ConfigurationError
+from processing.errors import ConfigurationError, DeviceError
 from rig.control import (
     Controller,
     ControlService,
     ControlState,
     EnvironmentService,
     LaserService,
+    LightPermit,
     SimulatedOutputs,
     make_laser,
     simulated_controller,
@@ -52,6 +53,7 @@ class Devices:
         self.control: ControlService | None = None
         self.laser: LaserService | None = None
         self.sensor: EnvironmentService | None = None
+        self.permit = LightPermit()
         if config.controller.kind == "simulated":
             if not config.simulated or config.on_demand:
                 raise ConfigurationError(
@@ -77,14 +79,22 @@ class Devices:
         config = self._config
         if config.controller.kind != "none":
             self.control = self._closing.enter_context(
-                ControlService(self.make_controller(), config.controller, config.environment_sensor.period_s)
+                ControlService(
+                    self.make_controller(),
+                    config.controller,
+                    config.environment_sensor.period_s,
+                    self.permit,
+                )
             )
             self.control.wait_open()
         if config.environment_sensor.kind == "serial":
             self.sensor = self._closing.enter_context(EnvironmentService(config.environment_sensor))
         laser = make_laser(config.laser)
         if laser is not None:
-            self.laser = self._closing.enter_context(LaserService(laser))
+            own_interlock = config.laser.interlock == "own"
+            self.laser = self._closing.enter_context(
+                LaserService(laser, permit=self.permit, own_interlock=own_interlock)
+            )
 
     @contextmanager
     def camera(self, config: Configuration) -> Iterator[OpenCamera]:
@@ -124,8 +134,46 @@ class Devices:
         )
 
     def light(self) -> str:
-        """Switch the laser on; returns what was done. Raises as `rig.devices.laser.light`."""
+        """Switch the laser on; returns what was done. Raises as `rig.devices.laser.light`.
+
+        From now on frames must be read and taken, else the laser is switched off again (`LightPermit`). To
+        be called when the first frame is due. Raises DeviceError if an interlock opened earlier and nobody
+        has acknowledged it.
+        """
+        if self.permit.unacknowledged:
+            raise DeviceError(
+                f"the laser stays off: {self.permit.unacknowledged}, which was not acknowledged"
+            )
+        self.permit.begin()
         return light(self._config.laser, self.control, self.laser)
+
+    def darken(self) -> None:
+        """Switch the laser off before all waiting commands; never blocks."""
+        if self.control is not None and self._config.laser.kind != "none":
+            self.control.laser_off()
+        if self.laser is not None:
+            self.laser.off()
+        self.permit.end()
+
+    def darkness(self) -> str:
+        """Why the laser does not emit although it should; empty if it emits, or if none is controlled."""
+        laser = self.laser_now()
+        if laser is None or laser.on:
+            return ""
+        if self.permit.refusal:
+            return self.permit.refusal
+        for service in (self.control, self.laser):
+            if service is not None and service.failure is not None:
+                return f"{service.name} has failed: {service.failure}"
+        if self.control is not None:
+            snapshot = self.control.snapshot
+            if snapshot.status is None:
+                return f"the controller is {snapshot.state}: {snapshot.last_error}".rstrip(": ")
+            if not snapshot.status.interlock_closed:
+                return "the controller's interlock is open"
+            if snapshot.status.trip != "NONE":
+                return f"the controller has tripped: {snapshot.status.trip}"
+        return laser.words
 
     def laser_now(self) -> LaserNow | None:
         """State of the laser; None if this program controls none. Never blocks."""

@@ -12,7 +12,8 @@ class Snapshot:
 
     `frame_age_s` is the time between the arrival of the oldest frame of the last block and the start of
     its processing; it grows if processing is too slow. `losses` are the dropped frames by cause, as
-    counted by the camera. `instruction` is a request to the operator, `controller` the controller's state.
+    counted by the camera. `instruction` is a request to the operator, `controller` the controller's state,
+    `alarm` what is wrong with the light, empty if nothing is.
     """
 
     phase: str = "waiting for the first frame"
@@ -33,3 +34,4 @@ class Snapshot:
     pressure_pa: float = math.nan
     controller: str = ""
     instruction: str = ""
+    alarm: str = ""

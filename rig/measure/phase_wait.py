@@ -8,6 +8,9 @@ from rig.instrument import Snapshot
 from rig.measure.end_of_run import StopRequest
 from rig.measure.recent_frames import RecentFrames
 
+NO_SPOT = "no spot is seen: look at the laser, the beam's path and the camera's region"
+_SPOTLESS_S = 3.0
+
 
 class Stopped(Exception):
     """The operator stopped the wait, or the frames have ended."""
@@ -57,8 +60,11 @@ class PhaseWait:
                 raise Stopped
             begun_ns = begun_ns or frames.now_ns
             elapsed_s = (frames.now_ns - begun_ns) * 1e-9
+            if frames.spotless_s > _SPOTLESS_S:
+                self.progress = f"no spot is seen for {frames.spotless_s:.0f} s"
             phase = f"{name}: {self.progress}" if self.progress else name
-            self._report(Snapshot(phase=phase, elapsed_s=elapsed_s, instruction=instruction))
+            shout = NO_SPOT if frames.spotless_s > _SPOTLESS_S else instruction
+            self._report(Snapshot(phase=phase, elapsed_s=elapsed_s, instruction=shout))
             due = frames.now_ns - asked_ns >= every_s * 1e9
             asked_ns = frames.now_ns if due else asked_ns
             if due and frames.now_ns and reached():

@@ -154,7 +154,9 @@ class PhasesBeforeRecord:
             drift = max(
                 _drift_per_min(recent.times_s, recent.shown_x), _drift_per_min(recent.times_s, recent.shown_y)
             )
-            self._wait.progress = f"drift {drift:.2f} {self._unit.shown}/min"
+            self._wait.progress = (
+                f"drift {drift:.2f} {self._unit.shown}/min" if math.isfinite(drift) else "no spot is seen"
+            )
             if self._unit is DeflectionUnit.PX:
                 self._wait.progress += f", not checked: {frame_checks.NO_LEVER}"
                 return True

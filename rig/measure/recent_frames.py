@@ -37,6 +37,7 @@ class RecentFrames:
         self._blocks: deque[tuple[list[Spot], Deflections]] = deque()
         self._frames_ns = round(frames_s * 1e9)
         self._window_ns = round(window_s * 1e9)
+        self._found_ns = 0
         self.seen = 0
 
     def advance(self) -> bool:
@@ -48,7 +49,10 @@ class RecentFrames:
             self._deflector = self._optics.deflector((block[0].image.shape[0], block[0].image.shape[1]))
         spots = [self._tracker.track(frame.image) for frame in block]
         times_ns = np.array([frame.time_ns for frame in block], dtype=np.int64)
-        self._blocks.append((spots, self._deflector(times_ns, spots)))
+        deflections = self._deflector(times_ns, spots)
+        self._blocks.append((spots, deflections))
+        found_ns = times_ns[deflections.found]
+        self._found_ns = int(found_ns[-1]) if len(found_ns) else self._found_ns or int(times_ns[0])
         self._frames.extend(block)
         self.seen += len(block)
         newest_ns = block[-1].time_ns
@@ -58,6 +62,11 @@ class RecentFrames:
         while newest_ns - self._blocks[0][1].times_ns[-1] > self._window_ns:
             self._blocks.popleft()
         return True
+
+    @property
+    def spotless_s(self) -> float:
+        """Time since a spot was last found, or since the first frame."""
+        return (self.now_ns - self._found_ns) * 1e-9 if self._blocks else 0.0
 
     @property
     def now_ns(self) -> int:

@@ -12,6 +12,7 @@ from acquisition.record.events import Event
 from acquisition.record.topics import ENVIRONMENT, LOSSES_TOPIC, Environment, RecordedLosses
 from acquisition.record.writer import RecordWriter
 from processing.spot import Spot
+from rig.control import LightPermit, Stage
 from rig.instrument import Block
 
 _log = logging.getLogger(__name__)
@@ -46,11 +47,13 @@ class Recorder:
     """Writes entries in order, flushes regularly, keeps the first error.
 
     `put` waits if the disk is slow, so that no measured data are lost. After an error (a full disk, a
-    removed drive) further entries are discarded; the session has to check `error`.
+    removed drive) further entries are discarded; the session has to check `error`. `permit` learns that the
+    writing goes on, on which the light of a laser depends.
     """
 
-    def __init__(self, writer: RecordWriter, capacity: int = 16) -> None:
+    def __init__(self, writer: RecordWriter, capacity: int = 16, permit: LightPermit | None = None) -> None:
         self._writer = writer
+        self._permit = permit or LightPermit()
         self._entries: queue.Queue[Entry | None] = queue.Queue(capacity)
         self._thread = threading.Thread(target=self._work, name="recorder", daemon=True)
         self.error: Exception | None = None
@@ -76,7 +79,14 @@ class Recorder:
         self._thread.join()
 
     def _work(self) -> None:
+        try:
+            self._write_all()
+        finally:
+            self._permit.ended(Stage.RECORDER)
+
+    def _write_all(self) -> None:
         while True:
+            self._permit.moved(Stage.RECORDER)
             try:
                 entry = self._entries.get(timeout=_IDLE_S)
             except queue.Empty:

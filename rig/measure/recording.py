@@ -8,6 +8,7 @@ import numpy as np
 
 from acquisition.frame import Frame
 from acquisition.record.events import Event, EventKind
+from processing.errors import DeviceError
 from processing.swing import Swing
 from rig.instrument import Snapshot
 from rig.measure.end_of_run import EndOfRun, StopRequest
@@ -69,6 +70,8 @@ class Recording:
                 if new:
                     self._recorder.put(Entry(events=new))
                     status.tell_events(counts.start_ns, new)
+                self._publish("measuring", counts, [], math.nan)
+                self._end_in_darkness()
                 continue
             frames = counts.numbered(taken)
             block = pipeline.process(frames)
@@ -88,6 +91,7 @@ class Recording:
             status.tell(counts.start_ns, frames, block, new)
             if self._recorder.error is not None:
                 raise self._recorder.error
+            self._end_in_darkness()
             if self._judge is not None:
                 rejected = self._judge.rejection(block.swings, block.balances, counts.elapsed_s)
                 if rejected:
@@ -109,6 +113,15 @@ class Recording:
         self._publish("closing the record", counts, swings, math.nan)
         status.tell(counts.start_ns, [], empty, last)
         return rejected
+
+    def _end_in_darkness(self) -> None:
+        """End the run if the laser is dark, unless the run is to wait for its light."""
+        alarm, devices = self._status.light.alarm, self._parts.devices
+        if not alarm or devices is None or self._stop:
+            return
+        if self._parts.waits_in_darkness and not devices.permit.unacknowledged:
+            return
+        self._stop.failed(DeviceError(f"{alarm}; the run is ended, laser.when_dark = 'wait' would go on"))
 
     def _device_events(self, time_ns: int) -> list[Event]:
         """Events of camera, controller, laser and sensors since the last call."""

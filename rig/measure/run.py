@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from acquisition.frame import Frame
 from acquisition.record.events import Event
-from processing.errors import DataError
+from processing.errors import DataError, DeviceError
 from rig.instrument import Snapshot
 from rig.interruption import reason_of
 from rig.measure.end_of_run import StopRequest
@@ -20,6 +20,11 @@ from rig.measure.run_status import RunStatus
 from rig.measure.start_judge import StartJudge
 
 _log = logging.getLogger(__name__)
+
+_PATIENCE_S = 60.0
+"""For so long nothing may move before what hangs is abandoned; a slow disk gets its time."""
+_LITTLE_PATIENCE_S = 2.0
+"""The same after a second interrupt."""
 
 
 class Run:
@@ -50,42 +55,72 @@ class Run:
     ) -> RunOutcome:
         """Measure until the run ends; returns with the record closed.
 
-        Ctrl-C and `Terminated` end it like `request_stop`, and immediately if frames come on demand. If
-        the terminal was closed (`show` raises OSError), the run continues without it.
+        Ctrl-C and `Terminated` switch the laser off and end the run like `request_stop`, immediately if
+        frames come on demand. What hangs while the run is ended is abandoned after a time, and sooner after
+        a second interrupt. If the terminal was closed (`show` raises OSError), the run continues without it.
         """
         self._stream.start_camera()
-        worker = threading.Thread(target=self._process, name="processing", daemon=True)
-        worker.start()
+        threading.Thread(target=self._process, name="processing", daemon=True).start()
         interrupt: KeyboardInterrupt | None = None
+        hangs = ""
         try:
-            while worker.is_alive():
+            while not (self._done.is_set() or interrupt or self._stands_still()):
                 try:
-                    show = self._watch(show, interval_s, worker.is_alive)
+                    show = self._watch(show, interval_s)
                 except KeyboardInterrupt as error:
-                    interrupt = interrupt or error
+                    interrupt = error
                     self._stop.skip_waiting = True
+                    self._darken(reason_of(error))
                     self.request_stop(reason_of(error))
         finally:
             # also after an interrupt or an error in the loop, so that the record is complete
             self.request_stop("the program has failed")
-            worker.join()
-        return RunOutcome(self.snapshot, self.snapshot.half_cycles, self._stop.failure, interrupt)
+            hangs = self._end()
+        return RunOutcome(self.snapshot, self.snapshot.half_cycles, self._stop.failure, interrupt, hangs)
 
-    def _watch(
-        self, show: Callable[[Snapshot], None], interval_s: float, is_alive: Callable[[], bool]
-    ) -> Callable[[Snapshot], None]:
+    def _darken(self, why: str) -> None:
+        """Refuse the light from now on, and ask for darkness; nothing here can be blocked."""
+        if self._parts.devices is not None:
+            self._parts.devices.permit.withdraw(why)
+            self._parts.devices.darken()
+
+    def _stands_still(self) -> bool:
+        return self._stream.permit.paused_s > _PATIENCE_S
+
+    def _end(self) -> str:
+        """Wait for the end of the processing thread; returns what hung, if it had to be abandoned."""
+        patience_s = _PATIENCE_S
+        # not by joining the thread: an interrupted join takes a living thread for one that has ended
+        while not self._done.is_set():
+            try:
+                paused_s = self._stream.permit.paused_s
+                if paused_s > patience_s:
+                    return f"nothing was processed or recorded for {paused_s:.0f} s"
+                self._done.wait(0.1)
+            except KeyboardInterrupt:
+                patience_s = _LITTLE_PATIENCE_S
+        return ""
+
+    def _watch(self, show: Callable[[Snapshot], None], interval_s: float) -> Callable[[Snapshot], None]:
         """Show the run until it ends; returns the function to be used for further output."""
         done = False
         while not done:
-            done = self._done.wait(interval_s) or not is_alive()
+            done = self._done.wait(interval_s) or self._stands_still()
             try:
                 for instructing in self._status.take_instructions():
                     show(instructing)
-                show(self.snapshot)
+                show(self._snapshot_with_stall())
+                if self._parts.waits_in_darkness:
+                    self._status.light.relight()
             except OSError as error:
                 _log.warning("the display of the run failed, the run continues: %s", error)
                 return _show_nothing
         return show
+
+    def _snapshot_with_stall(self) -> Snapshot:
+        """The state of the run; a stalled thread cannot say by itself that it has stalled."""
+        stalled = self._stream.permit.stalled
+        return replace(self.snapshot, alarm=stalled) if stalled else self.snapshot
 
     def _process(self) -> None:
         """The processing thread, from the first frame to the closed record."""
@@ -114,7 +149,9 @@ class Run:
         frames, events = self._first_frames()
         self._losses = LossLog(self._stream, from_start=parts.phases is None)
         preflight = () if parts.phases is None else parts.phases.verdicts
-        recorder = Recorder(parts.record.open(epoch_offset_ns, frames[0], preflight))
+        recorder = Recorder(
+            parts.record.open(epoch_offset_ns, frames[0], preflight), permit=self._stream.permit
+        )
         rejected = ""
         try:
             judge = None if parts.start is None else StartJudge(parts.start)
@@ -138,7 +175,7 @@ class Run:
         """The frames with which the record begins, at least one, and the events before them."""
         phases, stream = self._parts.phases, self._stream
         if phases is not None:
-            frames, events = phases.run(stream, self._status.prepare, self._stop)
+            frames, events = phases.run(stream, self._prepare, self._stop)
             if not frames:
                 why = self._stop.reason or stream.ended or "stopped"
                 raise stream.failure or DataError(f"{why} before the run began; nothing was recorded")
@@ -148,6 +185,12 @@ class Run:
             if frames:
                 return frames, []
         raise stream.failure or DataError("stopped before the run began; nothing was recorded")
+
+    def _prepare(self, snapshot: Snapshot) -> None:
+        """Publish a state before the record; raises DeviceError if the laser is dark."""
+        self._status.prepare(snapshot)
+        if self._status.light.alarm:
+            raise DeviceError(f"{self._status.light.alarm}; nothing was recorded")
 
     def _shut_down(self) -> None:
         self._stop.close_stream()

@@ -44,10 +44,12 @@ def run_panel(
         _bar(done, width - 4),
         table,
     ]
+    if snapshot.alarm:
+        parts.insert(0, Text(f"!!! {snapshot.alarm.upper()} !!!", style="bold white on red"))
     if snapshot.instruction:
         parts.append(Text(f">>> {snapshot.instruction.upper()} <<<", style="bold reverse"))
     used = 4 + (len(rows) + 1) // 2 if wide else 4 + len(rows)
-    room = max(1, min(_MOST_NOTES, height - used - 3 - bool(snapshot.instruction)))
+    room = max(1, min(_MOST_NOTES, height - used - 3 - bool(snapshot.instruction) - bool(snapshot.alarm)))
     parts += [Text(note, style="dim", no_wrap=True, overflow="ellipsis") for note in notes[-room:]]
     return Panel(Group(*parts), width=width - 1, padding=(0, 1))
 

@@ -62,6 +62,9 @@ class RunParts:
         Controller, laser and environment sensor, whose events and readings are recorded.
     environment_period_s
         Time between two recorded readings of the environment.
+    waits_in_darkness
+        Go on, and light the laser again, if it went dark during the run for another reason than an
+        interlock; otherwise the run ends.
     """
 
     stream: FrameStream
@@ -76,6 +79,7 @@ class RunParts:
     environment_period_s: float = 1.0
     full_frame_interval_s: float = 10.0
     keep_windows: bool = True
+    waits_in_darkness: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,10 +87,12 @@ class RunOutcome:
     """How a run ended.
 
     `failure` is the error that ended it, None for a regular end. `interrupt` is the exception raised in
-    the main thread by Ctrl-C or a signal. The record is closed in any case.
+    the main thread by Ctrl-C or a signal. The record is closed, unless `hangs` says what hung while the run
+    was ended: the record then stays as it is, cut short.
     """
 
     snapshot: Snapshot
     swings: int
     failure: Exception | None
     interrupt: KeyboardInterrupt | None = None
+    hangs: str = ""

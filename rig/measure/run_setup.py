@@ -84,6 +84,7 @@ def _execute(plan: RunPlan, devices: Devices, camera: OpenCamera, watchers: list
             camera_settings(config),
             policy=frame_policy(config),
             timeout_s=config.camera.timeout_s,
+            permit=devices.permit,
         ),
         optics=optics,
         record=RecordFile(record, config, plan.source, camera.info, optics),
@@ -100,7 +101,11 @@ def _execute(plan: RunPlan, devices: Devices, camera: OpenCamera, watchers: list
         environment_period_s=config.environment_sensor.period_s,
         full_frame_interval_s=config.record.full_frame_interval_s,
         keep_windows=config.record.windows,
+        waits_in_darkness=config.laser.when_dark == "wait",
     )
     prepare_kernels(optics.sensor, say)
+    # only now: compiling takes time, and a laser may be lit only while frames are processed
+    if lit := devices.light():
+        say(lit)
     with display:
         return Run(parts).execute(display.show)

@@ -10,7 +10,7 @@ from acquisition.record.events import Event, EventKind
 from acquisition.record.topics import Environment
 from processing.deflections import DeflectionUnit
 from processing.swing import Swing
-from rig.devices import Devices
+from rig.devices import Devices, LightWatch
 from rig.instrument import Block, Snapshot
 from rig.measure.run_parts import Watcher
 
@@ -39,6 +39,8 @@ class RunStatus:
     ) -> None:
         self._watchers = tuple(watchers)
         self._devices = devices
+        self.light = LightWatch(devices)
+        self._noticed: list[tuple[EventKind, str]] = []
         self._unit = unit
         self._environment_period_ns = round(environment_period_s * 1e9)
         self._environment_due_ns = 0
@@ -58,7 +60,8 @@ class RunStatus:
         self.snapshot = replace(self.snapshot, half_cycles=0, amplitude=math.nan, period_s=math.nan)
 
     def prepare(self, snapshot: Snapshot) -> None:
-        """Publish the state before the record, as reported by the phases."""
+        """Publish the state before the record, as reported by the phases; looks at the laser."""
+        self._noticed += self.light.look()
         instruction_before = self.snapshot.instruction
         self.snapshot = self._with_devices(snapshot)
         if snapshot.instruction and snapshot.instruction != instruction_before:
@@ -98,7 +101,9 @@ class RunStatus:
 
     def take_events(self) -> list[tuple[EventKind, str]]:
         """Events of controller, laser and sensors since the last call, as (kind, text)."""
-        return [] if self._devices is None else self._devices.take_events()
+        happened = [] if self._devices is None else self._devices.take_events()
+        noticed, self._noticed = self._noticed, []
+        return happened + noticed + self.light.look()
 
     def environment(self, time_ns: int) -> Environment | None:
         """A reading of the environment, once per period; None in between and without a sensor."""
@@ -118,4 +123,5 @@ class RunStatus:
             humidity_percent=humidity_percent,
             pressure_pa=pressure_pa,
             controller=self._devices.describe(),
+            alarm=self.light.alarm,
         )

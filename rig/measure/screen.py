@@ -59,7 +59,7 @@ class RunDisplay:
         self._console = console or Console(stderr=True)
         self._live: Live | None = None
         self._printed_s = 0.0
-        self._phase = ""
+        self._phase = self._alarm = ""
         self._swings: deque[tuple[float, float, float]] = deque(maxlen=_SWINGS_KEPT)
         self._balance: Balance | None = None
         self._notes: deque[str] = deque(maxlen=12)
@@ -131,7 +131,7 @@ class RunDisplay:
             self._forecast_s = now_s
             self._forecast = self._predicted()
         first_word = snapshot.phase.split(":")[0]
-        changed = first_word != self._phase
+        changed = first_word != self._phase or snapshot.alarm != self._alarm
         if self._live is not None:
             self._live.update(self.screen(snapshot), refresh=True)
         elif changed or now_s - self._printed_s >= (_JSON_INTERVAL_S if self._json else _PLAIN_INTERVAL_S):
@@ -141,9 +141,10 @@ class RunDisplay:
                 self.line("state", {**asdict(snapshot), "losses": losses, **self._numbers()})
             else:
                 say(f"{self._title}: {100 * self._fraction(snapshot):.0f} %  {self._plain(snapshot)}")
-            if changed and snapshot.instruction and not self._json:
-                say(f"{self._title}: {snapshot.instruction.upper()}")
-        self._phase = first_word
+            for shout in (snapshot.alarm, snapshot.instruction):
+                if changed and shout and not self._json:
+                    say(f"{self._title}: {shout.upper()}")
+        self._phase, self._alarm = first_word, snapshot.alarm
 
     def screen(self, snapshot: Snapshot) -> RenderableType:
         """The whole screen, cut to the size of the terminal."""

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from acquisition.record.reader import RecordReader
 from acquisition.record.recover import recover
-from processing.errors import ConfigurationError, RecordError, RigError
+from processing.errors import ConfigurationError, DeviceError, RecordError, RigError
 from rig.analysis import (
     AnalysedRun,
     analyse_record,
@@ -137,9 +137,7 @@ def _make_runs(
             _numbered(config, number), source, record, f"run {number}", force, json_lines, start_rejected
         )
         try:
-            # the laser may be off after a run in which an interlock opened or the controller was lost
-            if lit := devices.light():
-                say(lit)
+            acknowledge_interlock(devices)
             outcome = measure_run(plan, devices)
         except RigError as error:
             file.note(number, record.name, "failed", str(error))
@@ -148,6 +146,12 @@ def _make_runs(
             say(f"run {number} failed: {error}", error=True)
             failed = True
             break
+        if outcome.hangs:
+            # the entry stays as it is: only when nothing writes any more can the record be repaired
+            raise DeviceError(
+                f"{outcome.hangs}: the laser is dark, {record} stays as it is; "
+                f"remove the cause (a disk that hangs?), then rig run --resume {folder}"
+            )
         reason = outcome.snapshot.reason
         interrupt = outcome.interrupt
         stopped = interrupt is not None and reason == reason_of(interrupt)
@@ -164,6 +168,19 @@ def _make_runs(
             say(f"{reason}; rig run --resume {folder} goes on, rig fit fits what there is")
             raise interrupt
     return _Made(records, failed, stopped)
+
+
+def acknowledge_interlock(devices: Devices) -> None:
+    """After an interlock has opened, ask whether light is allowed again; raises DeviceError without a yes."""
+    opened = devices.permit.unacknowledged
+    if not opened:
+        return
+    if sys.stdin.isatty() and sys.stderr.isatty():
+        answer = input(f"{opened}. Look that nobody is in the beam's way. Light the laser again? [y/N] ")
+        if answer.strip().lower() in {"y", "yes"}:
+            devices.permit.acknowledge()
+            return
+    raise DeviceError(f"{opened} and nobody has allowed light again; rig run --resume makes the missing runs")
 
 
 def _report(config: Configuration, folder: Path, made: _Made, *, json_lines: bool) -> int:

@@ -19,4 +19,5 @@ def state_text(snapshot: Snapshot, unit: DeflectionUnit) -> str:
     if snapshot.losses.total:
         lines.append(f"lost: {snapshot.losses}")
     lines.append(f"{snapshot.half_cycles} half-cycles")
-    return f"**{snapshot.phase}**\n\n" + "\n".join(f"- {line}" for line in lines) + "\n"
+    alarm = f"# {snapshot.alarm.upper()}\n\n" if snapshot.alarm else ""
+    return f"{alarm}**{snapshot.phase}**\n\n" + "\n".join(f"- {line}" for line in lines) + "\n"

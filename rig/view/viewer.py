@@ -229,8 +229,7 @@ class Viewer:
 
     def event(self, start_ns: int, event: Event, *, later_s: float = 0.0, run: str = "") -> None:
         """Write an event to the log."""
-        level: LogLevel = "warning" if event.is_warning else "info"
-        self.log((event.time_ns - start_ns) * 1e-9 + later_s, level, event.line, run=run)
+        self.log((event.time_ns - start_ns) * 1e-9 + later_s, event.level, event.line, run=run)
 
     def snapshot(self, snapshot: Snapshot) -> None:
         """State and losses, at most twice a second."""

@@ -28,6 +28,11 @@ class LaserSettings(BaseModel, frozen=True, extra="forbid"):
     interlock: Literal["own", "controller"] = "own"
     max_current_a: float = Field(default=0.0, ge=0, le=20, allow_inf_nan=False)
     current_a: float = Field(default=0.0, ge=0, allow_inf_nan=False)
+    when_dark: Literal["end", "wait"] = Field(
+        default="end",
+        description="a laser that goes dark during a run ends it; 'wait': it is lit again when it can be, "
+        "except after an interlock",
+    )
     warm_up_min_s: float = Field(default=0.0, ge=0)
     warm_up_max_s: float = Field(default=1800.0, gt=0)
 

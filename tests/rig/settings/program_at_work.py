@@ -78,6 +78,9 @@ class _Stubs:
     def laser_now(self) -> LaserNow:
         return LaserNow(True, "on")
 
+    def darkness(self) -> str:
+        return ""
+
     def environment(self) -> tuple[float, float, float]:
         return 20.0, 50.0, 1e5
 

@@ -1,0 +1,92 @@
+"""Whether lasers may be lit: only while frames are read, processed and recorded."""
+
+import time
+from collections.abc import Callable
+from enum import StrEnum
+from typing import Final
+
+
+class Stage(StrEnum):
+    """What must go on while a laser is lit."""
+
+    CAMERA = "the camera"
+    PROCESSING = "the processing of frames"
+    RECORDER = "the writing of the record"
+
+
+LONGEST_PAUSE_S: Final = {Stage.CAMERA: 5.0, Stage.PROCESSING: 5.0, Stage.RECORDER: 30.0}
+"""A stage that pauses for longer has stalled. A slow disk is allowed more: frames wait for it in memory,
+and once they cannot, the processing stalls too."""
+
+
+class LightPermit:
+    """Whether lasers may be lit, as a dead man's switch: a stage that stalls refuses the light.
+
+    The threads of the devices ask for `refusal` before each heartbeat. The stages report their progress;
+    camera and processing are watched from `begin` on, the recorder from its first report until `ended`.
+    All methods may be called from any thread and never block: they only set plain values.
+    """
+
+    def __init__(self, clock_s: Callable[[], float] = time.monotonic) -> None:
+        self._clock_s = clock_s
+        self._moved_s: dict[Stage, float] = {}
+        self._begun = False
+        self._withdrawn = ""
+        self._unacknowledged = ""
+
+    def begin(self) -> None:
+        """A laser is about to be lit: from now on camera and processing must move."""
+        now_s = self._clock_s()
+        self._moved_s |= {Stage.CAMERA: now_s, Stage.PROCESSING: now_s}
+        self._begun = True
+
+    def end(self) -> None:
+        """The lasers are dark, and nothing needs to move."""
+        self._begun = False
+
+    def moved(self, stage: Stage) -> None:
+        """A stage has done something."""
+        self._moved_s[stage] = self._clock_s()
+
+    def ended(self, stage: Stage) -> None:
+        """A stage has come to its regular end."""
+        self._moved_s.pop(stage, None)
+
+    def withdraw(self, why: str) -> None:
+        """Refuse the light for good, for example after an interrupt; the first reason is kept."""
+        self._withdrawn = self._withdrawn or why
+
+    def interlock_opened(self, whose: str) -> None:
+        """Refuse the light until `acknowledge`, because an interlock opened while light was permitted."""
+        if self._begun:
+            self._unacknowledged = f"the interlock of {whose} opened"
+
+    def acknowledge(self) -> None:
+        """Someone has looked, and allows light again."""
+        self._unacknowledged = ""
+
+    @property
+    def unacknowledged(self) -> str:
+        """The interlock that opened and was not acknowledged; empty if none."""
+        return self._unacknowledged
+
+    @property
+    def refusal(self) -> str:
+        """Why no laser may be lit; empty while it may."""
+        return self._withdrawn or self._unacknowledged or self.stalled
+
+    @property
+    def paused_s(self) -> float:
+        """Time since any stage has moved; 0 before the first has."""
+        return self._clock_s() - max(self._moved_s.values(), default=self._clock_s())
+
+    @property
+    def stalled(self) -> str:
+        """Which stage has stalled; empty while all move, and while nothing is lit."""
+        if not self._begun:
+            return ""
+        now_s = self._clock_s()
+        for stage, moved_s in tuple(self._moved_s.items()):
+            if now_s - moved_s > LONGEST_PAUSE_S[stage]:
+                return f"{stage} has stalled"
+        return ""

@@ -1,0 +1,163 @@
+"""The laser is lit only while frames are processed, and a run that loses its light says so."""
+
+import _thread
+import json
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from acquisition.record.reader import RecordReader
+from acquisition.record.writer import RecordWriter
+from acquisition.simulation.inputs import RigInputs
+from rig.control import Stage
+from rig.control.light_permit import LONGEST_PAUSE_S
+from rig.control.simulated import SimulatedBoard
+from tests.rig.command_line import CONFIGS, SMALL, rig, set_words
+
+pytestmark = [pytest.mark.realtime, pytest.mark.timeout(120)]
+
+LIVE = {
+    **SMALL,
+    "start.way": '"at once"',
+    "preflight.when": '"never"',
+    "simulation.release.way": '"let go"',
+    "session.max_duration_s": "10",
+}
+
+
+class Apparatus:
+    """The simulated laser as the tests see it, and the moment at which the record has begun.
+
+    `lit` and `dark` are set when the laser's light has come and gone during the run. `write` is called
+    before each block of spots that the record's thread writes.
+    """
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.recording = threading.Event()
+        self.dark = threading.Event()
+        self.power_w = 0.0
+        self.write: Callable[[], None] = lambda: None
+        blocks = 0
+        usual_write, usual_laser = RecordWriter.write_spots, RigInputs.laser
+
+        def write_spots(writer: RecordWriter, *values: Any) -> None:
+            nonlocal blocks
+            blocks += 1
+            if blocks == 20:
+                self.recording.set()
+            self.write()
+            usual_write(writer, *values)
+
+        def laser(inputs: RigInputs, power_w: float) -> None:
+            self.power_w = power_w
+            if power_w == 0.0 and self.recording.is_set():
+                self.dark.set()
+            usual_laser(inputs, power_w)
+
+        monkeypatch.setattr(RecordWriter, "write_spots", write_spots)
+        monkeypatch.setattr(RigInputs, "laser", laser)
+
+
+@pytest.fixture
+def apparatus(monkeypatch: pytest.MonkeyPatch) -> Apparatus:
+    return Apparatus(monkeypatch)
+
+
+def entry_of(folder: Path) -> dict[str, Any]:
+    entry: dict[str, Any] = json.loads((folder / "session.json").read_text())["entries"][-1]
+    return entry
+
+
+def events_of(folder: Path) -> list[tuple[str, str]]:
+    with RecordReader(folder / "run-1.mcap") as reader:
+        assert not reader.truncated
+        return [(event.kind, event.text) for event in reader.events()]
+
+
+def test_a_run_whose_laser_goes_dark_ends_with_an_error_and_a_whole_record(
+    tmp_path: Path, apparatus: Apparatus, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(SimulatedBoard, "unplugged", lambda _: apparatus.recording.is_set())
+    done = rig("run", CONFIGS / "live.toml", "-o", tmp_path / "out", *set_words(LIVE))
+    assert done.returncode == 1
+    assert "THE LASER IS DARK: THE CONTROLLER IS LOST" in done.stderr
+    entry = entry_of(tmp_path / "out")
+    assert entry["state"] == "failed"
+    assert "the laser is dark: the controller is lost" in entry["reason"]
+    assert [text for kind, text in events_of(tmp_path / "out") if kind == "laser dark"]
+    assert (tmp_path / "out" / "results.json").exists()
+
+
+def test_a_run_may_wait_for_its_light(
+    tmp_path: Path, apparatus: Apparatus, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def unplugged(_: SimulatedBoard) -> bool:
+        return apparatus.recording.is_set() and not apparatus.dark.is_set()
+
+    monkeypatch.setattr(SimulatedBoard, "unplugged", unplugged)
+    waiting = {**LIVE, "laser.when_dark": '"wait"', "session.max_duration_s": "20"}
+    rig("run", CONFIGS / "live.toml", "-o", tmp_path / "out", *set_words(waiting))
+    kinds = [kind for kind, _ in events_of(tmp_path / "out")]
+    assert kinds.index("laser dark") < kinds.index("laser lit")
+    assert entry_of(tmp_path / "out")["state"] == "complete"
+
+
+def test_after_an_interlock_nothing_is_lit_that_nobody_allowed(
+    tmp_path: Path, apparatus: Apparatus, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def closed(_: SimulatedBoard) -> bool:
+        return apparatus.dark.is_set() or not apparatus.recording.is_set()
+
+    monkeypatch.setattr(SimulatedBoard, "interlock_closed", closed)
+    waiting = {**LIVE, "laser.when_dark": '"wait"', "session.runs": "2"}
+    done = rig("run", CONFIGS / "live.toml", "-o", tmp_path / "out", *set_words(waiting))
+    assert done.returncode == 1
+    assert "the interlock of the controller opened" in done.stderr
+    assert not (tmp_path / "out" / "run-2.mcap").exists()
+    assert entry_of(tmp_path / "out")["state"] == "failed"
+
+
+def test_an_interlock_that_opens_before_the_run_is_named(
+    tmp_path: Path, apparatus: Apparatus, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(SimulatedBoard, "interlock_closed", lambda _: not apparatus.power_w)
+    waiting = {**LIVE, "start.way": '"by hand"'}
+    done = rig("run", CONFIGS / "live.toml", "-o", tmp_path / "out", *set_words(waiting))
+    assert done.returncode == 1
+    assert "the interlock of the controller opened; nothing was recorded" in done.stderr
+    assert not (tmp_path / "out" / "run-1.mcap").exists()
+
+
+def test_a_disk_that_hangs_darkens_the_laser_and_two_interrupts_end_the_program(
+    tmp_path: Path, apparatus: Apparatus, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for stage in Stage:
+        monkeypatch.setitem(LONGEST_PAUSE_S, stage, 1.0)
+    released = threading.Event()
+    seen: list[bool] = []
+
+    def hang() -> None:
+        if apparatus.recording.is_set():
+            seen.append(apparatus.power_w > 0)
+            released.wait()
+
+    def operator() -> None:
+        seen.append(apparatus.dark.wait(60.0))
+        while not released.wait(0.5):
+            _thread.interrupt_main()
+
+    apparatus.write = hang
+    acting = threading.Thread(target=operator)
+    acting.start()
+    try:
+        done = rig("run", CONFIGS / "live.toml", "-o", tmp_path / "out", *set_words(LIVE))
+    finally:
+        released.set()
+        acting.join()
+    assert seen == [True, True]
+    assert done.returncode != 0
+    assert "nothing was processed or recorded for" in done.stderr
+    assert entry_of(tmp_path / "out")["state"] == "recording"
