@@ -74,6 +74,7 @@ class SimulatedBoard:
         self._random = random.Random(faults.seed)
         self._thread: threading.Thread | None = None
         self._reset_done = False
+        self._enabled = False
         self._firmware = Firmware(self)  # type: ignore[no-untyped-call]
 
     def open_line(self) -> Line:
@@ -134,7 +135,12 @@ class SimulatedBoard:
 
     def set_laser(self, on: bool, power_w: float) -> None:
         """Switch the laser, with this power."""
+        self._enabled = on
         self._outputs.laser(power_w if on else 0.0)
+
+    def laser_enabled(self) -> bool:
+        """Whether the laser's relay is closed."""
+        return self._enabled
 
     def set_magnet(self, on: bool) -> None:
         """Switch the holding magnet."""

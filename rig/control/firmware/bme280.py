@@ -56,6 +56,10 @@ class Bme280:
 
     def __init__(self, i2c, address: int = 0x76) -> None:  # type: ignore[no-untyped-def]
         self.i2c, self.address = i2c, address
+        self._begin()
+
+    def _begin(self) -> None:
+        i2c, address = self.i2c, self.address
         if i2c.readfrom_mem(address, 0xD0, 1)[0] != 0x60:
             raise OSError("no BME280 at this address")
         self.calibration = Calibration(
@@ -67,8 +71,23 @@ class Bme280:
         i2c.writeto_mem(address, 0xF4, b"\x4f")
 
     def read(self) -> tuple[float, float, float]:
-        """Temperature in degrees Celsius, relative humidity in per cent, pressure in Pa."""
+        """Temperature in degrees Celsius, relative humidity in per cent, pressure in Pa.
+
+        OSError if there is no measurement: the first one is not ready, the sensor has lost its settings
+        (its supply was interrupted; it is set up again), or the values are outside its range.
+        """
+        settings = self.i2c.readfrom_mem(self.address, 0xF2, 4)
+        if (settings[0] & 7, settings[2], settings[3]) != (0x01, 0x4F, 0x88):
+            self._begin()
+            raise OSError("BME280 had lost its settings")
         d = self.i2c.readfrom_mem(self.address, 0xF7, 8)
         raw_p = (d[0] << 12) | (d[1] << 4) | (d[2] >> 4)
         raw_t = (d[3] << 12) | (d[4] << 4) | (d[5] >> 4)
-        return compensate(self.calibration, raw_t, raw_p, (d[6] << 8) | d[7])
+        raw_h = (d[6] << 8) | d[7]
+        # what the registers hold before the first measurement, and for a quantity that is not measured
+        if raw_p == 0x80000 or raw_t == 0x80000 or raw_h == 0x8000:
+            raise OSError("BME280 has not measured yet")
+        t, h, p = compensate(self.calibration, raw_t, raw_p, raw_h)
+        if not (-40.0 <= t <= 85.0 and 30000.0 <= p <= 110000.0):
+            raise OSError("BME280 reads values outside its range")
+        return t, h, p

@@ -43,9 +43,10 @@ class Board:
         self.starter_max_ms = 5000
         self.brake_max_ms = 60000
         self._read_limits()
+        self._i2c = machine.I2C(0, sda=machine.Pin(16), scl=machine.Pin(17), freq=400_000)
         self._sensor = None
         try:
-            self._sensor = Bme280(machine.I2C(0, sda=machine.Pin(16), scl=machine.Pin(17), freq=400_000))
+            self._sensor = Bme280(self._i2c)
         except OSError:
             self.fault = self.fault or "no BME280 on I2C 0"
         self._poll = select.poll()
@@ -91,6 +92,10 @@ class Board:
             self._enable.value(0)
             self._laser.duty_u16(0)
 
+    def laser_enabled(self) -> bool:
+        """True if the enable relay's pin is high, as read back from the pin itself."""
+        return bool(self._enable.value())
+
     def set_magnet(self, on: bool) -> None:
         """Energise the holding magnet."""
         self._magnet.value(on)
@@ -120,7 +125,8 @@ class Board:
     def environment(self) -> tuple[float, float, float]:
         """Degrees Celsius, per cent of relative humidity and Pa; OSError without a sensor."""
         if self._sensor is None:
-            raise OSError("no sensor")
+            # it may have been plugged in since
+            self._sensor = Bme280(self._i2c)
         return self._sensor.read()  # type: ignore[no-any-return]
 
     def ticks_ms(self) -> int:

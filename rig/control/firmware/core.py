@@ -90,6 +90,7 @@ class Firmware:
         self.starter = False
         self.clamp = board.clamp_closed
         self.brake = False
+        self._disagrees = False
         self._starter_end_ms = 0
         self._brake_end_ms = 0
         self._errors: list[tuple[int, str]] = []
@@ -167,6 +168,11 @@ class Firmware:
             self._trip("WATCHDOG", 101)
         if self.laser and not board.interlock_closed():
             self._trip("INTERLOCK", 102)
+        # a pin that does not do what it was told: wired wrongly, or broken
+        disagrees = board.laser_enabled() != self.laser
+        if disagrees and not self._disagrees:
+            self._trip("OUTPUT", 103)
+        self._disagrees = disagrees
         if self.starter and board.ticks_diff(now, self._starter_end_ms) >= 0:
             self.starter = False
             board.set_starter(False)

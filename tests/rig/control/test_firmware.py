@@ -334,3 +334,15 @@ def test_another_instrument_with_our_framing_is_named(make_board: Callable[..., 
     controller = Controller(settings_for(board.port), MAX_W)
     with pytest.raises(DeviceError, match="'somebody,else,1,1\\.0' answers there"):
         controller.open()
+
+
+def test_a_relay_that_does_not_do_what_it_was_told_trips(board: FirmwareBoard) -> None:
+    controller = opened(board, watchdog_s=5.0)
+    controller.set_laser_power_w(0.0005)
+    controller.laser_on()
+    board.press(b"p")
+    board.wait_for(lambda: board.outputs()["laser"][0] == 0, 30.0)
+    status = controller.heartbeat()
+    assert (status.laser_on, status.trip) == (False, "OUTPUT")
+    assert controller.next_error() == (103, "Tripped; OUTPUT")
+    controller.close()

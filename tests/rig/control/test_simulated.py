@@ -16,7 +16,8 @@ from pydantic import ValidationError
 
 from rig.control.controller import Environment, InterlockOpen, PowerLimit
 from rig.control.environment import EnvironmentService, parse_environment
-from rig.control.firmware.bme280 import Calibration, compensate
+from rig.control.firmware.bme280 import Bme280, Calibration, compensate
+from rig.control.firmware.core import Firmware
 from rig.control.lasers import LaserSettings
 from rig.control.ports import check_controller, check_environment, check_laser, list_serial_ports
 from rig.control.service import ControlService, ControlState
@@ -177,6 +178,72 @@ def test_bme280_compensation_agrees_with_the_data_sheets_worked_example() -> Non
     assert temperature_c == pytest.approx(25.08, abs=0.005)
     assert pressure_pa == pytest.approx(100653.27, abs=0.5)
     assert 0.0 < humidity_percent < 100.0
+
+
+class Bme280Chip:
+    """The registers of a BME280 as its data sheet describes them: sections 5.3 and 5.4, reset values 5.3."""
+
+    def __init__(self) -> None:
+        words = (27504, 26435, -1000, 36477, -10685, 3024, 2855, 140, -7, 15500, -14600, 6000)
+        self.memory = bytearray(256)
+        self.memory[0xD0] = 0x60
+        self.memory[0x88:0xA0] = b"".join((word & 0xFFFF).to_bytes(2, "little") for word in words)
+        self.memory[0xA1] = 0x4B
+        self.memory[0xE1:0xE8] = bytes([0x6A, 0x01, 0x00, 0x13, 0x29, 0x03, 0x1E])
+        self.power_up()
+
+    def power_up(self) -> None:
+        self.memory[0xF2:0xF6] = bytes(4)
+        self.memory[0xF7:0xFF] = bytes([0x80, 0, 0, 0x80, 0, 0, 0x80, 0])
+
+    def measure(self, raw_p: int = 415148, raw_t: int = 519888, raw_h: int = 30000) -> None:
+        if self.memory[0xF4] & 3 == 3:
+            self.memory[0xF7:0xFF] = (
+                (raw_p << 4).to_bytes(3, "big") + (raw_t << 4).to_bytes(3, "big") + raw_h.to_bytes(2, "big")
+            )
+
+    def readfrom_mem(self, address: int, register: int, count: int) -> bytes:
+        return bytes(self.memory[register : register + count])
+
+    def writeto_mem(self, address: int, register: int, data: bytes) -> None:
+        self.memory[register] = data[0]
+
+
+def test_a_bme280_that_lost_its_supply_is_set_up_again_and_reads_nothing_meanwhile() -> None:
+    chip = Bme280Chip()
+    sensor = Bme280(chip)
+    with pytest.raises(OSError, match="not measured yet"):
+        sensor.read()
+    chip.measure()
+    assert sensor.read()[0] == pytest.approx(25.08, abs=0.005)
+    chip.power_up()
+    with pytest.raises(OSError, match="lost its settings"):
+        sensor.read()
+    chip.measure()
+    assert sensor.read()[0] == pytest.approx(25.08, abs=0.005)
+    chip.measure(raw_p=1_000_000)
+    with pytest.raises(OSError, match="outside its range"):
+        sensor.read()
+
+
+@pytest.mark.parametrize("status", ["1,1,1,0.001,0,0,0,0,NONE,many", "1,maybe,1,0.001,0,0,0,0,NONE,0", "1,2"])
+def test_a_status_that_makes_no_sense_does_not_end_the_service(
+    status: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its checksum is right: the board itself speaks nonsense for a while."""
+    usual, sensible = Firmware._status, threading.Event()
+
+    def nonsense(firmware: Firmware, argument: str) -> str:
+        return usual(firmware, argument) if sensible.is_set() else status
+
+    monkeypatch.setattr(Firmware, "_status", nonsense)
+    settings = simulated()
+    with ControlService(simulated_controller(settings, 0.001), settings) as service:
+        service.wait_open()
+        until(lambda: any(repr(status) in event for event in service.take_events()))
+        assert service.failure is None
+        sensible.set()
+        until(lambda: service.snapshot.status is not None)
 
 
 # -- ports and checks ------------------------------------------------------------

@@ -21,6 +21,7 @@ class Board:
         self.starter_max_ms = 5000
         self.brake_max_ms = 300
         self._turning = False
+        self._enabled = False
         self._log("boot 1")
 
     def _log(self, line):
@@ -30,7 +31,11 @@ class Board:
         return False
 
     def set_laser(self, on, power_w):
+        self._enabled = on
         self._log(f"laser {int(on)} {power_w:.9g}")
+
+    def laser_enabled(self):
+        return self._enabled and not wires.stuck()
 
     def set_magnet(self, on):
         self._log(f"magnet {int(on)}")

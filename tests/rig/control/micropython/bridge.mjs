@@ -18,7 +18,7 @@ const { loadMicroPython } = await import(pathToFileURL(path.join(packageDir, 'mi
 
 const buffer = Buffer.alloc(4096);
 const sleeper = new Int32Array(new SharedArrayBuffer(4));
-const state = { interlock: true, sensor: true, reset: false };
+const state = { interlock: true, sensor: true, reset: false, stuck: false };
 let quietTurns = 0;
 
 function take(fd) {
@@ -38,6 +38,7 @@ function sleep(ms) {
 const wires = {
   interlock: () => state.interlock,
   sensor: () => state.sensor,
+  stuck: () => state.stuck,
   log: (line) => fs.writeSync(log, line + '\n'),
   resetWanted: () => state.reset,
   read: () => {
@@ -67,6 +68,7 @@ const wires = {
         if (key === 'x') state.sensor = false;
         if (key === 's') state.sensor = true;
         if (key === 'r') state.reset = true;
+        if (key === 'p') state.stuck = true;
         if (key === 'h') sleep(700);
       }
     }
