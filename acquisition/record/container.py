@@ -13,6 +13,8 @@ single open chunk for all topics and a fixed compression level (decision 6).
 import contextlib
 import errno
 import os
+import secrets
+import shutil
 import struct
 import sys
 import threading
@@ -45,6 +47,7 @@ from acquisition.record.chunk_builder import ChunkBuilder
 from acquisition.record.contents import MAGIC
 from acquisition.record.reserve import Reserve
 from acquisition.record.topics import LIBRARY
+from acquisition.record.whole_file import sync_folder
 from processing.errors import RecordError
 
 _ZSTD_LEVEL = 1
@@ -83,11 +86,13 @@ class McapFile:
         self._reserve_lock = threading.Lock()
         self._background = BackgroundSync(self._force)
         self._compressor = zstandard.ZstdCompressor(level=_ZSTD_LEVEL)
-        self._file = path.open("xb", buffering=0)
+        self._path = path
+        # also readable, so that a record whose name was removed can be copied
+        self._file = path.open("x+b", buffering=0)
         try:
             self._reserve = Reserve(path.parent, reserve_bytes)
             self._append(MAGIC + serialised(Header("", library)))
-            _sync_folder(path.parent)
+            sync_folder(path.parent)
         except OSError:
             self._file.close()
             path.unlink()
@@ -212,6 +217,8 @@ class McapFile:
                     raise
                 self._append(serialised(DataEnd(self._crc)) + serialised(Footer(0, 0, 0)) + MAGIC)
             _sync_file(self._file.fileno())
+            if not self._has_its_name():
+                self._copy_to_its_name()
             self.raise_failure()
         finally:
             self.abandon()
@@ -250,6 +257,8 @@ class McapFile:
             self._file.seek(self.size)
 
     def _force(self) -> None:
+        if not self._has_its_name():
+            raise OSError(errno.ENOENT, "the file was removed or renamed while it was written")
         try:
             with self._reserve_lock:
                 needed = self._reserve_bytes + len(self._chunk_index) + _SPARE_BYTES
@@ -261,6 +270,26 @@ class McapFile:
             if not self._give_reserve_back(error):
                 raise
             _sync_file(self._file.fileno())
+
+    def _has_its_name(self) -> bool:
+        """Whether the path still names this file."""
+        try:
+            return os.path.samestat(os.fstat(self._file.fileno()), self._path.stat())
+        except FileNotFoundError:
+            return False
+
+    def _copy_to_its_name(self) -> None:
+        """Save the content of a file that was removed: it lives only as long as it is open."""
+        path = self._path
+        if os.path.lexists(path):
+            path = path.with_name(f"{path.stem}-{secrets.token_hex(4)}{path.suffix}")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        self._file.seek(0)
+        with path.open("xb") as copy:
+            shutil.copyfileobj(self._file, copy)
+            copy.flush()
+            _sync_file(copy.fileno())
+        sync_folder(path.parent)
 
     def _give_reserve_back(self, error: OSError) -> bool:
         if error.errno not in _FULL_DISK:
@@ -331,13 +360,3 @@ def _sync_file(number: int) -> None:
         fcntl.fcntl(number, fcntl.F_FULLFSYNC)
     else:
         os.fsync(number)
-
-
-def _sync_folder(folder: Path) -> None:
-    """Flush the folder, so that the new file's name survives a power failure; Windows has no such call."""
-    if os.name == "posix":
-        number = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(number)
-        finally:
-            os.close(number)

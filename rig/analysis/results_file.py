@@ -9,6 +9,7 @@ from typing import Any
 from pydantic import TypeAdapter, ValidationError
 from pydantic_core import ErrorDetails
 
+from acquisition.record import whole_file
 from processing.errors import RecordError
 from rig.analysis.encoding import JsonObject, with_entries_beside
 from rig.analysis.results import SCHEMA, RunResults, SessionResults, TableResults
@@ -33,8 +34,7 @@ def encoded(values: object) -> JsonObject:
 def write_results(path: Path, results: SessionResults | TableResults) -> None:
     """Write results.json; never over an existing one. Raises RecordError."""
     try:
-        with path.open("x", encoding="utf-8") as file:
-            file.write(_text(encoded(results)) + "\n")
+        whole_file.write_new(path, (_text(encoded(results)) + "\n").encode())
     except FileExistsError:
         raise RecordError(f"{path}: exists already and is not overwritten; choose another folder") from None
     except OSError as error:

@@ -19,6 +19,8 @@ from rig.measure.run_parts import RunParts
 from rig.measure.run_status import RunStatus
 from rig.measure.start_judge import StartJudge
 
+NOT_ACCEPTED = "start not accepted"
+"""How the reason of a stop begins if the start was rejected."""
 _BLOCK_FRAMES = 64
 
 
@@ -107,7 +109,7 @@ class Recording:
         swings = pipeline.finish()
         empty = pipeline.measure(np.empty(0, np.int64), [])
         empty = empty._replace(swings=swings, balances=[*empty.balances, *pipeline.finish_balance()])
-        why = f"start not accepted: {rejected}" if rejected else self._stop.reason
+        why = f"{NOT_ACCEPTED}: {rejected}" if rejected else self._stop.reason
         last = [*self._device_events(counts.last_ns), Event(counts.last_ns, EventKind.STOP, why)]
         self._recorder.put(Entry(block=empty, events=last, losses=self._losses.last(counts.last_ns)))
         self._publish("closing the record", counts, swings, math.nan)

@@ -1,6 +1,5 @@
 """Sets up camera, phases, record, view and display for one run of a session, and executes it."""
 
-import errno
 import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -8,7 +7,7 @@ from pathlib import Path
 
 from processing.angle import ARCSEC_RAD
 from processing.deflections import DeflectionUnit
-from processing.errors import ConfigurationError
+from processing.errors import ConfigurationError, RecordError
 from rig.devices import Devices, FrameStream, OpenCamera
 from rig.instrument import camera_settings, frame_policy, optics_of, prepare_kernels
 from rig.measure.end_of_run import EndLimits
@@ -48,7 +47,10 @@ def measure_run(plan: RunPlan, devices: Devices) -> RunOutcome:
         raise ConfigurationError(f"{record}: exists already and is never overwritten; choose another output")
     free_bytes = shutil.disk_usage(record.parent).free
     if free_bytes < _RESERVE_BYTES:
-        raise OSError(errno.ENOSPC, f"{record.parent}: {free_bytes // 2**20} MiB free; nothing was started")
+        raise RecordError(
+            f"{record.parent}: {free_bytes // 2**20} MiB of disk are free, {_RESERVE_BYTES // 2**20} MiB are "
+            "needed to begin; nothing was started: free some, or name another folder"
+        )
     with devices.camera(plan.config) as camera:
         for line in camera.notes:
             say(line)

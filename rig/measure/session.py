@@ -2,10 +2,11 @@
 
 import datetime
 import sys
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import NamedTuple
 
+from acquisition.record.events import EventKind
 from acquisition.record.reader import RecordReader
 from acquisition.record.recover import recover
 from processing.errors import ConfigurationError, DeviceError, RecordError, RigError
@@ -14,12 +15,15 @@ from rig.analysis import (
     analyse_record,
     free_path,
     print_results,
+    read_results,
+    results_path,
     session_results,
     write_results,
 )
 from rig.devices import Devices
 from rig.instrument import check_materials, complete
 from rig.interruption import Terminated, reason_of
+from rig.measure.recording import NOT_ACCEPTED
 from rig.measure.run_setup import RunPlan, measure_run
 from rig.measure.session_file import STATE_NAME, RunEntry, RunState, SessionFile
 from rig.presentation import print_json_line, say
@@ -68,7 +72,7 @@ def resume_session(folder: Path, *, force: bool = False, json_lines: bool = Fals
                 _notice_cut(record)
         missing = file.state.runs_wanted - len(file.state.complete)
         say(f"{folder}: {len(file.state.complete)} of {file.state.runs_wanted} runs are complete")
-        if missing <= 0 and (folder / "results.json").exists():
+        if missing <= 0 and _has_results(folder):
             say("no run is missing")
             return 0
         with Devices(config) as devices:
@@ -80,6 +84,21 @@ def resume_session(folder: Path, *, force: bool = False, json_lines: bool = Fals
         file.close()
 
 
+def _has_results(folder: Path) -> bool:
+    """Whether there are whole results; a report that is missing beside them is made."""
+    from rig.report import make_report
+
+    path = results_path(folder)
+    try:
+        read_results(path)
+    except RecordError as error:
+        say(str(error))
+        return False
+    if not path.with_name(path.name.replace("results", "report", 1)).with_suffix(".html").exists():
+        say(f"report {make_report(path)}")
+    return True
+
+
 def _notice_cut(record: Path) -> None:
     """Report a record that was complete at the end of its run but is truncated now, e.g. by a failed copy."""
     with RecordReader(record) as reader:
@@ -88,8 +107,16 @@ def _notice_cut(record: Path) -> None:
 
 
 def _close_interrupted(file: SessionFile, entry: RunEntry) -> None:
-    """Make a repaired copy of a truncated record, which itself is not changed."""
+    """Note a record that came to its end as complete; make a repaired copy of one that was cut short."""
     record = file.folder / entry.record
+    if record.exists():
+        with suppress(RecordError), RecordReader(record) as reader:
+            stops = [event.text for event in reader.events() if event.kind == EventKind.STOP]
+            if stops and not reader.truncated:
+                state: RunState = "rejected" if stops[-1].startswith(NOT_ACCEPTED) else "complete"
+                file.note(entry.number, entry.record, state, stops[-1])
+                say(f"{entry.record} is whole: {stops[-1]}")
+                return
     whole = record.with_name(f"{record.stem}-recovered{record.suffix}")
     name, reason = "", "the session was interrupted"
     if record.exists():
@@ -131,7 +158,7 @@ def _make_runs(
 
         def start_rejected(path: Path, reason: str, number: int = number) -> None:
             file.note(number, path.name, "rejected", reason)
-            say(f"run {number}: start not accepted: {reason}")
+            say(f"run {number}: {NOT_ACCEPTED}: {reason}")
 
         plan = RunPlan(
             _numbered(config, number), source, record, f"run {number}", force, json_lines, start_rejected
@@ -139,7 +166,7 @@ def _make_runs(
         try:
             acknowledge_interlock(devices)
             outcome = measure_run(plan, devices)
-        except RigError as error:
+        except (RigError, OSError) as error:
             file.note(number, record.name, "failed", str(error))
             if not records:
                 raise

@@ -8,6 +8,7 @@ from typing import IO, Any, Literal, Self
 
 from pydantic import BaseModel, ValidationError
 
+from acquisition.record import whole_file
 from processing.errors import ConfigurationError, RecordError
 
 try:
@@ -67,7 +68,12 @@ class SessionFile:
 
     @classmethod
     def made(cls, folder: Path, source: Path, runs: int, configuration: dict[str, Any]) -> Self:
-        """Create the file of a new session."""
+        """Create the file of a new session; raises ConfigurationError if the folder holds one already."""
+        if os.path.lexists(folder / STATE_NAME):
+            raise ConfigurationError(
+                f"{folder}: holds a session already; rig run --resume {folder} goes on with it, "
+                "or name another folder"
+            )
         file = cls(folder, SessionState(source=str(source), runs_wanted=runs, configuration=configuration))
         file._take_lock()
         file.save(file.state)
@@ -112,13 +118,8 @@ class SessionFile:
     def save(self, state: SessionState) -> None:
         """Replace the file atomically, so that a power failure leaves either the old or the new file."""
         path = self.folder / STATE_NAME
-        new = path.with_suffix(".json.new")
         try:
-            with new.open("wb") as file:
-                file.write(json.dumps(state.model_dump(mode="json"), indent=1).encode())
-                file.flush()
-                os.fsync(file.fileno())
-            new.replace(path)
+            whole_file.replace(path, json.dumps(state.model_dump(mode="json"), indent=1).encode())
         except OSError as error:
             raise RecordError(f"{path}: cannot be written: {error.strerror or error}") from None
         self.state = state
@@ -132,7 +133,12 @@ class SessionFile:
     def _take_lock(self) -> None:
         if fcntl is None:
             return
-        lock = (self.folder / ".session.lock").open("wb")
+        path = self.folder / ".session.lock"
+        try:
+            # never through a symbolic link, which could name any file
+            lock = os.fdopen(os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666), "r+b")
+        except OSError as error:
+            raise ConfigurationError(f"{path}: cannot be opened: {error.strerror or error}") from None
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from acquisition.record import whole_file
 from processing.contact.laws import PAPER
 from processing.errors import RecordError
 from processing.estimate import Estimate
@@ -53,7 +54,7 @@ def make_report(folder: Path, output: Path | None = None) -> Path:
             body += _run(run, files / f"run-{number_}", alone=len(source.runs) == 1)
         body += _provenance(source)
         title, subtitle = _title(source)
-        target.write_text(html.page(title, subtitle, body), encoding="utf-8")
+        whole_file.replace(target, html.page(title, subtitle, body).encode())
     except OSError as error:
         raise RecordError(f"{target}: cannot be written: {error.strerror or error}") from None
     return target

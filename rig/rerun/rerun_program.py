@@ -6,6 +6,7 @@ usage data; both are switched off here.
 """
 
 import os
+import stat
 import subprocess
 import sys
 import tempfile
@@ -36,6 +37,10 @@ def quiet_environment() -> dict[str, str]:
     if sys.platform.startswith("linux"):
         settings = Path(tempfile.gettempdir()) / f"rerun-settings-{os.getuid()}"
         settings.mkdir(mode=0o700, exist_ok=True)
+        made = settings.lstat()
+        if not stat.S_ISDIR(made.st_mode) or made.st_uid != os.getuid() or made.st_mode & 0o077:
+            # in a folder for all users anyone could have made it before, and read or change what is in it
+            settings = Path(tempfile.mkdtemp(prefix="rerun-settings-"))
         environment["XDG_CONFIG_HOME"] = str(settings)
     subprocess.run(
         [program(), "analytics", "disable"], check=True, capture_output=True, timeout=60, env=environment

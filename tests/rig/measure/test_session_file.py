@@ -1,0 +1,103 @@
+"""The files of a session are whole, belong to it, and are believed only after reading."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from acquisition.record.reader import RecordReader
+from processing.errors import ConfigurationError
+from rig.measure.session_file import SessionFile
+from tests.rig.command_line import CONFIGS, SMALL, rig, set_words
+
+
+def test_no_file_elsewhere_is_reached_through_a_symbolic_link(tmp_path: Path) -> None:
+    elsewhere, folder = tmp_path / "elsewhere", tmp_path / "out"
+    elsewhere.write_text("precious")
+    folder.mkdir()
+    (folder / ".session.lock").symlink_to(elsewhere)
+    with pytest.raises(ConfigurationError, match=r"\.session\.lock: cannot be opened"):
+        SessionFile.made(folder, CONFIGS / "demo.toml", 1, {})
+    (folder / ".session.lock").unlink()
+    file = SessionFile.made(folder, CONFIGS / "demo.toml", 1, {})
+    (folder / "session.json").unlink()
+    (folder / "session.json").symlink_to(elsewhere)
+    file.note(1, "run-1.mcap", "recording")
+    file.close()
+    assert elsewhere.read_text() == "precious"
+    assert not (folder / "session.json").is_symlink()
+
+
+def test_a_session_that_is_there_is_not_written_over(tmp_path: Path) -> None:
+    SessionFile.made(tmp_path, CONFIGS / "demo.toml", 1, {}).close()
+    with pytest.raises(ConfigurationError, match="holds a session already; rig run --resume"):
+        SessionFile.made(tmp_path, CONFIGS / "demo.toml", 1, {})
+
+
+@pytest.fixture(scope="module")
+def ended(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A session whose program ended after the record was closed and before anything else was noted."""
+    folder = tmp_path_factory.mktemp("ended") / "out"
+    short = set_words({**SMALL, "session.max_duration_s": "90"})
+    assert rig("run", CONFIGS / "demo.toml", "-o", folder, *short).returncode == 0
+    state = json.loads((folder / "session.json").read_text())
+    state["entries"][-1]["state"] = "recording"
+    (folder / "session.json").write_text(json.dumps(state))
+    return folder
+
+
+def test_a_record_that_came_to_its_end_is_complete(ended: Path) -> None:
+    whole = (ended / "results.json").read_text()
+    # half a file, as an older version left it when the power failed
+    (ended / "results.json").write_text(whole[: len(whole) // 2])
+    before = (ended / "run-1.mcap").read_bytes()
+    done = rig("run", "--resume", ended)
+    assert done.returncode == 0, done.stderr
+    assert "run-1.mcap is whole: time limit" in done.stderr
+    assert "1 of 1 runs are complete" in done.stderr
+    assert sorted(path.name for path in ended.glob("*.mcap")) == ["run-1.mcap"]
+    assert (ended / "run-1.mcap").read_bytes() == before
+    assert json.loads((ended / "results-2.json").read_text())["runs"][0]["record"] == "run-1.mcap"
+
+    (ended / "report-2.html").unlink()
+    again = rig("run", "--resume", ended)
+    assert "no run is missing" in again.stderr
+    assert (ended / "report-2.html").exists()
+
+
+def test_a_disk_without_room_is_said_in_one_line_and_leaves_no_open_entry(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rig.measure.run_setup._RESERVE_BYTES", 1 << 62)
+    done = rig("run", CONFIGS / "demo.toml", "-o", tmp_path / "out")
+    assert done.returncode == 2 or done.returncode == 1
+    assert done.stderr.count("\n") == 1
+    assert "MiB of disk are free" in done.stderr
+    state = json.loads((tmp_path / "out" / "session.json").read_text())
+    assert [entry["state"] for entry in state["entries"]] == ["failed"]
+
+
+def test_a_record_whose_folder_is_removed_ends_the_run_and_is_saved(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import shutil
+
+    from acquisition.record.writer import RecordWriter
+
+    usual, blocks = RecordWriter.write_spots, 0
+
+    def write_spots(writer: RecordWriter, *values: object) -> None:
+        nonlocal blocks
+        blocks += 1
+        if blocks == 30:
+            shutil.rmtree(tmp_path / "out")
+        usual(writer, *values)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(RecordWriter, "write_spots", write_spots)
+    short = set_words({**SMALL, "session.max_duration_s": "600"})
+    done = rig("run", CONFIGS / "demo.toml", "-o", tmp_path / "out", *short)
+    assert done.returncode == 1
+    assert "was removed" in done.stderr
+    with RecordReader(tmp_path / "out" / "run-1.mcap") as reader:
+        assert not reader.truncated
+        assert len(reader.spots()) > 30 * 64
