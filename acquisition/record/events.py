@@ -36,12 +36,23 @@ class EventKind(StrEnum):
     """It went dark during the run, with the reason."""
     LASER_LIT = "laser lit"
     """It is lit again after `LASER_DARK`."""
+    REST_STEP = "rest step"
+    """The rest position has moved at once, and stays where it is."""
+    LIGHT_STEP = "light step"
+    """The same of the background: a lamp was switched."""
 
 
 WARNING_KINDS: Final = frozenset(
-    {EventKind.GAP, EventKind.SPOT_LOST, EventKind.CAMERA_LOST, EventKind.RECORD}
+    {
+        EventKind.GAP,
+        EventKind.SPOT_LOST,
+        EventKind.CAMERA_LOST,
+        EventKind.RECORD,
+        EventKind.REST_STEP,
+        EventKind.LIGHT_STEP,
+    }
 )
-"""Kinds that mean missing data: warnings in the record's log and in every view."""
+"""Kinds that mean missing or disturbed data: warnings in the record's log and in every view."""
 
 ERROR_KINDS: Final = frozenset({EventKind.LASER_DARK})
 """Kinds without whose remedy the run is worth nothing: errors in the record's log and in every view."""

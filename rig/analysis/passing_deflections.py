@@ -23,8 +23,8 @@ class PassingDeflections:
 
     Attributes
     ----------
-    frames
-        How many have passed.
+    frames, lost_spots
+        How many have passed, and how many of them without a spot.
     first_ns, last_ns
         Times of the first and of the last of them; 0 where none has.
     """
@@ -32,6 +32,7 @@ class PassingDeflections:
     def __init__(self, blocks: Iterable[Deflections], unit: DeflectionUnit) -> None:
         self.unit = unit
         self.frames = 0
+        self.lost_spots = 0
         self.first_ns = 0
         self.last_ns = 0
         self._blocks = iter(blocks)
@@ -46,6 +47,7 @@ class PassingDeflections:
                 self.first_ns = int(block.times_ns[0])
             self.last_ns = int(block.times_ns[-1])
             self.frames += len(block)
+            self.lost_spots += len(block) - int(np.count_nonzero(block.found))
             self._x.append(block.x)
             self._y.append(block.y)
             yield block

@@ -21,6 +21,7 @@ from rig.analysis.other_instruments_series import reduce_series
 from rig.analysis.passing_deflections import PassingDeflections
 from rig.analysis.results import RunResults, Series, SessionResults
 from rig.analysis.results_file import relative_record
+from rig.analysis.run_conditions import run_conditions
 from rig.analysis.stored_turning_points import StoredTurningPoints
 from rig.instrument import judge_calibration, pendulum_on_ball, recorded_configuration
 from rig.settings import Configuration
@@ -40,6 +41,7 @@ class AnalysedRun:
     fits: Mapping[str, FitResult]
     rig: RigQuantities | None = None
     reduction: Reduction | None = None
+    lost_spots: int = 0
 
 
 def analyse_record(path: Path, overrides: Sequence[str] = ()) -> AnalysedRun:
@@ -55,7 +57,7 @@ def analyse_record(path: Path, overrides: Sequence[str] = ()) -> AnalysedRun:
                 yield reader.deflections(spots)
 
         run = analyse_run(reader, config, reader.swings(), blocks(), reader.deflection_unit)
-    return with_dropped_frames(run, following - run.results.frames)
+        return with_dropped_frames(run, following - run.results.frames, reader, config)
 
 
 def analyse_run(
@@ -84,12 +86,16 @@ def analyse_run(
         warnings=tuple(warnings),
         calibration=calibration,
     )
-    return replace(run, results=results)
+    return replace(run, results=results, lost_spots=deflections.lost_spots)
 
 
-def with_dropped_frames(run: AnalysedRun, dropped_frames: int) -> AnalysedRun:
-    """The run with the number of frames that are missing between its first and its last."""
-    return replace(run, results=replace(run.results, dropped_frames=dropped_frames))
+def with_dropped_frames(
+    run: AnalysedRun, dropped_frames: int, reader: RecordReader, config: Configuration
+) -> AnalysedRun:
+    """The run with the number of frames missing between its first and its last, and with its conditions."""
+    results = replace(run.results, dropped_frames=dropped_frames)
+    conditions = run_conditions(reader, results.frames, run.lost_spots, dropped_frames, config.preflight)
+    return replace(run, results=replace(results, conditions=conditions))
 
 
 def recorded_air(reader: RecordReader, config: Configuration) -> Air:

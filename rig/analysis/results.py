@@ -35,6 +35,7 @@ from rig.analysis.encoding import (
 )
 from rig.analysis.instrument_results import InstrumentResults, InstrumentSeries
 from rig.analysis.stored_turning_points import StoredTurningPoints
+from rig.presentation import Verdict
 
 SCHEMA = 2
 """Version of the file. 1, the first, has no `amplitude_unit`, `record_bytes` and `turning_points`, and px
@@ -49,7 +50,8 @@ class RunResults:
     are missing; None where an older record does not. `measured_again_on` is the motion on which the fitted
     turning points were measured again (see `processing.fit.remeasure`); None: they are as detected.
     `initial_amplitude` and `final_amplitude` are in `amplitude_unit`: arcsec, or px of a record without a
-    lever; those in arcsec are not determined then. What follows from a fit (`pendulum` to `notes`) is empty
+    lever; those in arcsec are not determined then. `conditions` judges light, losses and what else the record
+    shows of the circumstances. What follows from a fit (`pendulum` to `notes`) is empty
     where there is none.
     """
 
@@ -83,6 +85,7 @@ class RunResults:
     notes: tuple[str, ...] = ()
     instrument: Annotated[InstrumentResults | None, LeftOut] = None
     turning_points: StoredTurningPoints | None = None
+    conditions: tuple[Verdict, ...] = ()
 
     def half_cycles_text(self, unit: str, before_amplitudes: str = ", ") -> str:
         """`33 half-cycles, 123.24 to 101.09 arcsec`, or that there are none.

@@ -27,6 +27,11 @@ def print_results(results: SessionResults, paths: Sequence[tuple[str, Path]]) ->
             print_tables([parameters, quality_table(run.fits)])
         for line in (*(run.instrument.text if run.instrument else ()), *remarks(run)):
             console.print(f"  {line}", highlight=False, markup=False, soft_wrap=True)
+        for condition in run.conditions:
+            if not condition.ok:
+                line = f"  {condition.name.upper()}: {condition.measured} (limit {condition.limit}); "
+                line += f"{condition.reason}; {condition.remedy}"
+                console.print(line, highlight=False, markup=False, soft_wrap=True)
         for warning in run.warnings:
             console.print(f"  note: {warning}", highlight=False, markup=False, soft_wrap=True)
     if results.series is not None and results.series.instrument is not None:

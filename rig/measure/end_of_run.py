@@ -10,7 +10,7 @@ from processing.swing import Swing
 from rig.devices import FrameStream
 
 _log = logging.getLogger(__name__)
-_BELOW_IN_A_ROW = 3
+BELOW_IN_A_ROW = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +36,7 @@ class EndOfRun:
         """Why the run must end, as text for the record; None while it continues."""
         for swing in swings:
             self._below = self._below + 1 if swing.amplitude < self._limits.final_amplitude else 0
-            if self._below >= _BELOW_IN_A_ROW:
+            if self._below >= BELOW_IN_A_ROW:
                 return "final amplitude reached"
         if elapsed_s >= self._limits.max_duration_s:
             return f"time limit of {self._limits.max_duration_s:g} s reached"

@@ -23,6 +23,8 @@ from rig.presentation import Verdict, failures
 from rig.settings import Configuration
 
 _AT_ONCE_FRAMES = 100
+_RESTING_FRAMES = 110
+"""Some more than noise and spectrum need."""
 _BRAKE_AGAIN_NS = 2_000_000_000
 _RESTING_NOISES = 6.0
 """Limit of half the range at rest in standard deviations of one frame; noise alone stays below it."""
@@ -69,11 +71,9 @@ class PhasesBeforeRecord:
         reason if the run must not begin.
         """
         config = self._config
-        window_s = max(
-            config.phases.rest_window_s, config.phases.warm_up_window_s, config.preflight.duration_s
-        )
+        window_s = max(config.phases.rest_window_s, config.phases.warm_up_window_s, _preflight_s(config))
         # the preflight needs whole frames too
-        kept_s = max(config.start.pretrigger_s, config.preflight.duration_s)
+        kept_s = max(config.start.pretrigger_s, _preflight_s(config))
         frames = RecentFrames(stream, self._optics, kept_s, window_s)
         self._wait = PhaseWait(frames, report, stop)
         self._attempt += 1
@@ -169,7 +169,7 @@ class PhasesBeforeRecord:
         if not preflight_wanted(self._config):
             return
         begun_ns = self._wait.frames.now_ns
-        duration_ns = round(self._config.preflight.duration_s * 1e9)
+        duration_ns = round(_preflight_s(self._config) * 1e9)
         self._wait.until_reached(
             "preflight", math.inf, lambda: self._wait.frames.now_ns - begun_ns >= duration_ns
         )
@@ -184,7 +184,7 @@ class PhasesBeforeRecord:
         self.verdicts = [
             device_checks.camera(self._camera.info.driver, self._camera.notes),
             *frame_checks.check_look(
-                frames.look(resting, limits.duration_s),
+                frames.look(resting, _preflight_s(config)),
                 config,
                 self._camera.info.full_scale_dn,
                 frames.window_bytes(),
@@ -266,6 +266,11 @@ def preflight_wanted(config: Configuration) -> bool:
     if when == "auto":
         return not config.on_demand
     return when == "always"
+
+
+def _preflight_s(config: Configuration) -> float:
+    """How long the resting spot is watched: longer with a slow camera, so that its frames suffice."""
+    return max(config.preflight.duration_s, _RESTING_FRAMES / (config.camera.frame_rate_hz or math.inf))
 
 
 def _drift_per_min(times_s: np.ndarray, values: np.ndarray) -> float:

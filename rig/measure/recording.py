@@ -18,6 +18,7 @@ from rig.measure.run_losses import LossLog
 from rig.measure.run_parts import RunParts
 from rig.measure.run_status import RunStatus
 from rig.measure.start_judge import StartJudge
+from rig.measure.step_events import StepEvents
 
 NOT_ACCEPTED = "start not accepted"
 """How the reason of a stop begins if the start was rejected."""
@@ -56,6 +57,7 @@ class Recording:
         )
         counts = FrameCounts(first, round(parts.full_frame_interval_s * 1e9), keep_windows=parts.keep_windows)
         end = EndOfRun(parts.end)
+        steps = StepEvents(parts.optics.unit)
         status.begin_record()
         events = [*events, Event(first.time_ns, EventKind.START, "first frame")]
         self._recorder.put(Entry(events=events))
@@ -78,7 +80,7 @@ class Recording:
             frames = counts.numbered(taken)
             block = pipeline.process(frames)
             entry = counts.entry(frames, block, pipeline)
-            new = [*entry.events, *self._device_events(counts.last_ns)]
+            new = [*entry.events, *steps.take(block), *self._device_events(counts.last_ns)]
             self._recorder.put(
                 replace(
                     entry,

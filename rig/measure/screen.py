@@ -22,6 +22,7 @@ from processing.balance import Balance
 from processing.decay_forecast import Forecast, forecast
 from processing.deflections import DeflectionUnit
 from rig.instrument import Block, Snapshot
+from rig.measure.end_of_run import BELOW_IN_A_ROW
 from rig.measure.rates import Rates
 from rig.measure.run_panel import run_panel
 from rig.presentation import Verdict, print_json_line, print_verdicts, say, table_tree
@@ -204,7 +205,14 @@ class RunDisplay:
     def _predicted(self) -> Forecast:
         table = np.array(list(self._swings))
         final = self._final * self._unit.shown_size
-        return forecast(table[:, 0], table[:, 1], table[:, 2], final)
+        crossing = forecast(table[:, 0], table[:, 1], table[:, 2], final)
+        # the run ends at the last of some turning points below the limit, the first of which may come up to
+        # one half-cycle after the amplitude has passed it
+        half_period_s = float(np.median(np.diff(table[:, 0])))
+        return Forecast(
+            crossing.remaining_s + (BELOW_IN_A_ROW - 0.5) * half_period_s,
+            math.hypot(crossing.u_remaining_s, half_period_s / math.sqrt(12.0)),
+        )
 
     def _numbers(self) -> dict[str, Any]:
         balance = self._balance

@@ -26,7 +26,7 @@ from rig.interruption import Terminated, reason_of
 from rig.measure.recording import NOT_ACCEPTED
 from rig.measure.run_setup import RunPlan, measure_run
 from rig.measure.session_file import STATE_NAME, RunEntry, RunState, SessionFile
-from rig.presentation import print_json_line, say
+from rig.presentation import failures, print_json_line, say
 from rig.settings import Configuration, validate_configuration
 
 
@@ -224,6 +224,7 @@ def _report(config: Configuration, folder: Path, made: _Made, *, json_lines: boo
         return 1
     # without a calibration nothing can be fitted, which does not count as a failure
     failed = failed or (any(run.results.problem for run in runs) and config.lever is not None)
+    failed = failed or any(failures(run.results.conditions) for run in runs)
     path = free_path(folder)
     results = session_results(runs, folder)
     write_results(path, results)

@@ -89,7 +89,7 @@ def replay_record(
         result = replay.finish()
         partial = replay.partial or replay.sought or player.ended_by_user
         run = analyse_run(reader, config, result.swings, result.deflections, config.deflection_unit)
-        run = with_dropped_frames(run, result.dropped_frames)
+        run = with_dropped_frames(run, result.dropped_frames, reader, config)
         if partial:
             part = f"replayed from {replay.begun_s:.2f} s to {replay.position_s:.2f} s of the record"
             run = replace(run, results=replace(run.results, warnings=(part, *run.results.warnings)))

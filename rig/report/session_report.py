@@ -186,6 +186,7 @@ def _run(run: RunData, files: Path, *, alone: bool) -> list[str]:
     body += take("kind-decrement", "kind-period", "kind-plane")
     body += take("instrument", "parameters")
     body.append(html.side_by_side(take("quality", "hertz")))
+    body += take("conditions")
     body += take("fig12-decay", "fig13-period", "fig14-smoother", "residuals")
     body += take("table4-loops", "work", "losses")
     body.append(html.side_by_side(take("drag", "identifiability")))

@@ -16,7 +16,7 @@ from rig.report.tables_uncertainty import budget_table, identifiability_table, m
 def run_tables(run: RunData, curves: Curves | None) -> list[Table]:
     """All tables of one run; a table without content is left out."""
     results = run.results
-    tables = [instrument_table(results), half_cycle_table(run, curves)]
+    tables = [instrument_table(results), conditions_table(results), half_cycle_table(run, curves)]
     if results.fits:
         tables = [
             parameter_table(results.fits, results.surface_energy_j_per_m2, results.verdicts()),
@@ -31,6 +31,19 @@ def run_tables(run: RunData, curves: Curves | None) -> list[Table]:
             *tables,
         ]
     return [table for table in tables if table.rows]
+
+
+_CONDITIONS = ("condition", "verdict", "measured", "limit", "reason")
+
+
+def conditions_table(results: RunResults) -> Table:
+    """The conditions of the run against their limits."""
+    shown = [
+        [item.name, "ok" if item.ok else "NOT OK", item.measured, item.limit, item.reason]
+        for item in results.conditions
+    ]
+    rows: list[list[Cell]] = [[*row] for row in shown]
+    return Table("conditions", "Conditions of the run", _CONDITIONS, rows, _CONDITIONS, shown)
 
 
 def instrument_table(results: RunResults) -> Table:

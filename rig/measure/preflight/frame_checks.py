@@ -18,6 +18,7 @@ from rig.presentation import Verdict
 from rig.settings import Configuration, PreflightSettings
 
 _SPOT_BYTES = 260
+_MOST_PPM = 1000.0
 NO_LEVER = "no lever: values in px have no limit in arcsec"
 
 
@@ -89,7 +90,7 @@ def noise_and_vibration(
     noise_limit = f"{limits.max_noise_arcsec:g} arcsec"
     line_limit = f"{limits.max_vibration_arcsec:g} arcsec"
     if x is None or y is None:
-        return [_not_at_rest("noise floor", noise_limit), _not_at_rest("vibration", line_limit)]
+        return [_too_few_spots("noise floor", noise_limit), _too_few_spots("vibration", line_limit)]
     noise = max(x.noise, y.noise) / unit.shown_size
     lines = sorted([*x.lines, *y.lines], key=lambda line: -line.amplitude)
     strongest = lines[0].amplitude / unit.shown_size if lines else 0.0
@@ -145,9 +146,13 @@ def rest_position(look: Look, limits: PreflightSettings) -> Verdict:
     return _against_arcsec(verdict, at.unit)
 
 
-def clock(frames: Sequence[Frame], limits: PreflightSettings) -> Verdict:
-    """Check the jitter of the frame times, and report the drift of the camera's clock against the host's."""
-    limit = f"jitter {limits.max_clock_jitter_us:g} us"
+def clock(frames: Sequence[Frame], limits: PreflightSettings, *, on_demand: bool = False) -> Verdict:
+    """Check the jitter of the frame times, and the rate of the camera's clock against the host's.
+
+    A quartz is right within 100 ppm: a clock that runs otherwise counts in another unit than was believed.
+    The clock of frames that are made on demand has no rate in real time.
+    """
+    limit = f"jitter {limits.max_clock_jitter_us:g} us, rate {_MOST_PPM:g} ppm"
     if frames and frames[0].device_time_ns < 0:
         return Verdict("clock", True, measured="the camera has none; the host's is used", limit=limit)
     try:
@@ -158,6 +163,15 @@ def clock(frames: Sequence[Frame], limits: PreflightSettings) -> Verdict:
         )
     except DataError as error:
         return Verdict("clock", False, str(error), "restart the camera", measured="not measured", limit=limit)
+    if not on_demand and abs(relation.drift_ppm) - 3.0 * relation.u_drift_ppm > _MOST_PPM:
+        return Verdict(
+            "clock",
+            False,
+            f"the camera's clock runs {1.0 + 1e-6 * relation.drift_ppm:.6g} times as fast as the computer's",
+            "the driver misreads its unit, or the computer's clock was set: see rig doctor",
+            measured=f"{relation.drift_ppm:+.0f} ± {relation.u_drift_ppm:.0f} ppm",
+            limit=limit,
+        )
     jitter_us = relation.frame_jitter_s * 1e6
     ok = jitter_us <= limits.max_clock_jitter_us
     return Verdict(
@@ -219,8 +233,6 @@ def check_look(
 ) -> list[Verdict]:
     """All checks that are made from some seconds of frames."""
     limits, at = config.preflight, look.deflections
-    still_x = _still(at.times_s, at.x, at.u_x) if look.resting else None
-    still_y = _still(at.times_s, at.y, at.u_y) if look.resting else None
     span_s = max(float(at.times_s[-1]), 1e-9) if len(at) else 1.0
     rate_hz = len(look.frames) / span_s
     bytes_per_frame = _SPOT_BYTES + (window_bytes if config.record.windows else 0.0)
@@ -229,10 +241,10 @@ def check_look(
         spot_found(look.spots, limits),
         exposure(look.spots, full_scale_dn, limits),
         saturation(look.spots, limits),
-        *noise_and_vibration(still_x, still_y, at.unit, limits),
+        *stillness(look, limits),
         rest_position(look, limits),
         frame_rate(look.frames, config.camera.frame_rate_hz, limits),
-        clock(look.frames, limits),
+        clock(look.frames, limits, on_demand=config.on_demand),
         disk(
             free_bytes,
             bytes_per_frame,
@@ -241,6 +253,28 @@ def check_look(
             windows=config.record.windows,
         ),
     ]
+
+
+def stillness(look: Look, limits: PreflightSettings) -> list[Verdict]:
+    """Check noise and vibration of the spot of a pendulum at rest; one that may swing has neither."""
+    at = look.deflections
+    if not look.resting:
+        names = ("noise floor", limits.max_noise_arcsec), ("vibration", limits.max_vibration_arcsec)
+        return [_not_at_rest(name, f"{limit:g} arcsec") for name, limit in names]
+    return noise_and_vibration(
+        _still(at.times_s, at.x, at.u_x), _still(at.times_s, at.y, at.u_y), at.unit, limits
+    )
+
+
+def _too_few_spots(name: str, limit: str) -> Verdict:
+    return Verdict(
+        name,
+        False,
+        "too few frames with a spot to judge by",
+        "raise preflight.duration_s; find the spot",
+        measured="not measured",
+        limit=limit,
+    )
 
 
 def _not_at_rest(name: str, limit: str) -> Verdict:

@@ -1,6 +1,7 @@
 """Each check of the preflight: go and no-go from plain values, with reason and remedy."""
 
 import math
+from dataclasses import replace
 from io import StringIO
 
 import numpy as np
@@ -85,14 +86,26 @@ def test_a_line_of_vibration_is_named_with_its_frequency() -> None:
     assert "50.0 Hz (mains" in shaking.measured
 
 
+SWINGING = Look([], [], Deflections(*[np.empty(0)] * 5, DeflectionUnit.RAD), False)
+
+
 def test_a_swinging_pendulum_has_no_noise_floor_and_that_is_no_fault() -> None:
-    verdicts = frame_checks.noise_and_vibration(None, None, DeflectionUnit.RAD, LIMITS)
+    verdicts = frame_checks.stillness(SWINGING, LIMITS)
     assert all(v.ok and not v.made and v.measured == "not measured" and v.reason for v in verdicts)
+
+
+def test_a_resting_spot_seen_too_seldom_is_no_go() -> None:
+    """Below 25 frames/s four seconds were too short, and that passed as go."""
+    few = look(0.0, 0.0, DeflectionUnit.RAD)
+    few = replace(few, deflections=few.deflections[:80])
+    for verdict in frame_checks.stillness(few, LIMITS):
+        assert_no(verdict)
+        assert verdict.made
 
 
 def test_what_was_not_checked_and_what_is_a_warning_is_not_called_go() -> None:
     verdicts = [
-        *frame_checks.noise_and_vibration(None, None, DeflectionUnit.RAD, LIMITS),
+        *frame_checks.stillness(SWINGING, LIMITS),
         frame_checks.spot_found(spots(100), LIMITS),
         device_checks.laser(LaserNow(True, "on, 0.5 mW"), goes_dark_by_itself=False),
         frame_checks.disk(1, 5000.0, 500.0, 3600.0),
@@ -149,6 +162,16 @@ def test_clock_that_jitters() -> None:
     assert_no(frame_checks.clock(frames(10), LIMITS))
     without = [frame._replace(device_time_ns=-1) for frame in frames(200)]
     assert frame_checks.clock(without, LIMITS).ok
+
+
+@pytest.mark.parametrize("faster", [8.0, 125.0, 1.002, 0.5])
+def test_a_clock_that_counts_in_another_unit_is_no_go(faster: float) -> None:
+    """A register in ticks taken for nanoseconds, for example."""
+    wrong = [frame._replace(device_time_ns=round(frame.device_time_ns * faster)) for frame in frames(400)]
+    verdict = frame_checks.clock(wrong, LIMITS)
+    assert_no(verdict)
+    assert f"{faster:.3g}"[:4] in verdict.reason
+    assert "times as fast as the computer's" not in frame_checks.clock(wrong, LIMITS, on_demand=True).reason
 
 
 def test_frame_rate_and_losses() -> None:

@@ -1,0 +1,42 @@
+"""The conditions of a run are judged from its record, and decide the exit status."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from acquisition.record.reader import RecordReader
+from rig.analysis.run_conditions import run_conditions
+from rig.settings import PreflightSettings
+from tests.rig.command_line import CONFIGS, SMALL, rig, set_words
+
+
+@pytest.mark.parametrize(
+    ("frames", "lost", "dropped", "against"),
+    [(1000, 10, 1, set()), (1000, 11, 1, {"lost spots"}), (1000, 0, 2, {"dropped frames"}), (0, 0, 0, set())],
+)
+def test_losses_are_held_against_the_limits_of_the_preflight(
+    frames: int, lost: int, dropped: int, against: set[str], measured_series: Path
+) -> None:
+    with RecordReader(measured_series / "run-1.mcap") as reader:
+        found = run_conditions(reader, frames, lost, dropped, PreflightSettings())
+    assert {verdict.name for verdict in found if not verdict.ok} == against
+    assert {"light", "rest position", "ambient light"} <= {verdict.name for verdict in found}
+
+
+def test_a_run_that_loses_spots_says_so_and_fails(tmp_path: Path) -> None:
+    fading = {
+        **SMALL,
+        "session.max_duration_s": "100",
+        "faults.laser_fades_at_s": "30",
+        "faults.laser_fade_duration_s": "10",
+    }
+    done = rig("run", CONFIGS / "demo.toml", "-o", tmp_path / "out", *set_words(fading))
+    assert done.returncode == 1
+    assert "LOST SPOTS: " in done.stdout
+    (run,) = json.loads((tmp_path / "out" / "results.json").read_text())["runs"]
+    assert [item["name"] for item in run["conditions"] if not item["ok"]] == ["lost spots"]
+    again = rig("fit", tmp_path / "out" / "run-1.mcap", "-o", tmp_path / "again")
+    assert "LOST SPOTS: " in again.stdout
+    report = (tmp_path / "out" / "report.html").read_text()
+    assert "Conditions of the run" in report
