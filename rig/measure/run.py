@@ -4,6 +4,7 @@ import logging
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 
 from acquisition.frame import Frame
@@ -75,7 +76,7 @@ class Run:
         finally:
             # also after an interrupt or an error in the loop, so that the record is complete
             self.request_stop("the program has failed")
-            hangs = self._end()
+            hangs = self._end(show)
         return RunOutcome(self.snapshot, self.snapshot.half_cycles, self._stop.failure, interrupt, hangs)
 
     def _darken(self, why: str) -> None:
@@ -87,16 +88,19 @@ class Run:
     def _stands_still(self) -> bool:
         return self._stream.permit.paused_s > _PATIENCE_S
 
-    def _end(self) -> str:
+    def _end(self, show: Callable[[Snapshot], None]) -> str:
         """Wait for the end of the processing thread; returns what hung, if it had to be abandoned."""
         patience_s = _PATIENCE_S
         # not by joining the thread: an interrupted join takes a living thread for one that has ended
-        while not self._done.is_set():
+        done = False
+        while not done:
             try:
                 paused_s = self._stream.permit.paused_s
-                if paused_s > patience_s:
+                if paused_s > patience_s and not self._done.is_set():
                     return f"nothing was processed or recorded for {paused_s:.0f} s"
-                self._done.wait(0.1)
+                done = self._done.wait(0.1)
+                with suppress(OSError):
+                    show(self._snapshot_with_stall())
             except KeyboardInterrupt:
                 patience_s = _LITTLE_PATIENCE_S
         return ""

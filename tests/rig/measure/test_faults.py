@@ -25,7 +25,8 @@ def events_of(record: Path) -> list[tuple[str, str]]:
 
 def test_a_camera_that_comes_back_costs_the_frames_between(tmp_path: Path) -> None:
     done = run_with(tmp_path / "out", faults__camera_unplugged_at_s="20", faults__camera_replugged_at_s="23")
-    assert done.returncode == 0, done.stderr
+    assert done.returncode == 1, done.stderr
+    assert "DROPPED FRAMES: 150 of" in done.stdout
     kinds = [kind for kind, _ in events_of(tmp_path / "out" / "run-1.mcap")]
     assert kinds.index("camera lost") < kinds.index("camera back")
     assert "stop" in kinds
@@ -36,7 +37,8 @@ def test_a_camera_that_comes_back_costs_the_frames_between(tmp_path: Path) -> No
 
 def test_a_laser_that_fades_loses_spots_and_goes_on(tmp_path: Path) -> None:
     done = run_with(tmp_path / "out", faults__laser_fades_at_s="20", faults__laser_fade_duration_s="3")
-    assert done.returncode == 0, done.stderr
+    assert done.returncode == 1, done.stderr
+    assert "LOST SPOTS: " in done.stdout
     kinds = [kind for kind, _ in events_of(tmp_path / "out" / "run-1.mcap")]
     assert kinds.index("spot lost") < len(kinds) - 1 - kinds[::-1].index("spot found")
     results = json.loads((tmp_path / "out" / "results.json").read_text())
