@@ -83,8 +83,7 @@ class Pair:
         self.ours = NodeMap(xml, self.our_memory, "camera")
 
     def forget(self) -> None:
-        for node in self.reference.nodes:
-            node.node.invalidate_node()
+        self.reference._invalidate_nodes()
         self.ours.forget()
         for memory in (self.reference_memory, self.our_memory):
             memory.reads.clear()
