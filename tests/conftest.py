@@ -44,6 +44,10 @@ class FileByFile(LoadScopeScheduling):
         return "realtime" if measures_real_time(self.config.rootpath / path) else path
 
 
+WHOLE_SESSIONS = {"measured_series", "short_session"}
+"""Fixtures for which the first test that wants them may wait as long as a slow one."""
+
+
 @cache
 def measures_real_time(path: Path) -> bool:
     """Two such tests at once would disturb each other."""
@@ -63,6 +67,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Limits of time, and the order: real time first, then files with slow tests; short ones end together."""
     for item in items:
         limit_s = max((limit for mark, limit in LONGER_S.items() if item.get_closest_marker(mark)), default=0)
+        if WHOLE_SESSIONS & set(getattr(item, "fixturenames", ())):
+            limit_s = max(limit_s, LONGER_S["slow"])
         if limit_s and not item.get_closest_marker("timeout"):
             item.add_marker(pytest.mark.timeout(limit_s))
     slow_files = {item.path for item in items if item.get_closest_marker("slow")}

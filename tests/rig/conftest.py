@@ -1,5 +1,8 @@
 """Sessions used by several tests of reports and exports."""
 
+import contextlib
+import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -22,10 +25,30 @@ APPARATUS = (
 
 @pytest.fixture(scope="session")
 def measured_series(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A session of two runs of 70 simulated seconds from (small) frames on, as `rig run` leaves it."""
-    folder = tmp_path_factory.mktemp("report") / "series"
-    source = CONFIGS / "demo.toml"
-    small = (f"{key}={value}" for key, value in SMALL.items())
-    wanted = (*small, "session.max_duration_s=70", "session.runs=2", *APPARATUS)
-    assert measure_session(load_configuration(source, wanted), source, folder) == 0
+    """A session of two runs of 70 simulated seconds from (small) frames on, as `rig run` leaves it.
+
+    All workers share it: nobody writes there.
+    """
+    shared = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        shared = shared.parent
+    folder = shared / "series"
+    with alone(shared / "series.lock"):
+        if not (shared / "series-is-whole").exists():
+            source = CONFIGS / "demo.toml"
+            small = (f"{key}={value}" for key, value in SMALL.items())
+            wanted = (*small, "session.max_duration_s=70", "session.runs=2", *APPARATUS)
+            assert measure_session(load_configuration(source, wanted), source, folder) == 0
+            (shared / "series-is-whole").touch()
     return folder
+
+
+@contextlib.contextmanager
+def alone(lock: Path) -> Iterator[None]:
+    """One process at a time, where the system has such locks; elsewhere tests run in one process."""
+    with lock.open("w") as file:
+        with contextlib.suppress(ImportError):
+            import fcntl
+
+            fcntl.flock(file, fcntl.LOCK_EX)
+        yield

@@ -207,6 +207,7 @@ def test_view(layout: str) -> None:
         assert Path(f"{name}.rrd").stat().st_size > 100_000
 
 
+@pytest.mark.slow
 def test_an_interrupted_session_goes_on(folder: Path) -> None:
     rig("run --resume series")
     state = results("series/session.json")

@@ -19,7 +19,7 @@ from acquisition.record.reader import RecordReader
 from tests.rig.command_line import CONFIGS
 from tests.rig.control.wires import FirmwareBoard
 
-pytestmark = pytest.mark.realtime
+pytestmark = [pytest.mark.slow, pytest.mark.realtime]
 
 # For a machine that is busy with other tests.
 BEGUN_WITHIN_S = 300.0

@@ -198,6 +198,7 @@ def measuring_with(
             process.wait()
 
 
+@pytest.mark.slow
 def test_killed_the_relay_darkens_it(board: FirmwareBoard, wired: BehindTheRelay, tmp_path: Path) -> None:
     with measuring_with(wired, board, tmp_path, "controller", lambda: wired.emits) as process:
         process.send_signal(signal.SIGKILL)
@@ -206,6 +207,7 @@ def test_killed_the_relay_darkens_it(board: FirmwareBoard, wired: BehindTheRelay
 
 
 # lit after a kill: that is what documentation and preflight warn of
+@pytest.mark.slow
 @pytest.mark.parametrize(("number", "lit_after"), [(signal.SIGTERM, False), (signal.SIGKILL, True)])
 def test_without_the_relay_sigterm_darkens_it_and_sigkill_does_not(
     board: FirmwareBoard, tmp_path: Path, number: signal.Signals, lit_after: bool

@@ -35,6 +35,7 @@ def test_a_camera_that_comes_back_costs_the_frames_between(tmp_path: Path) -> No
     assert f"{run['dropped_frames']} while unplugged" in rig("info", tmp_path / "out" / "run-1.mcap").stdout
 
 
+@pytest.mark.slow
 def test_a_laser_that_fades_loses_spots_and_goes_on(tmp_path: Path) -> None:
     done = run_with(tmp_path / "out", faults__laser_fades_at_s="20", faults__laser_fade_duration_s="3")
     assert done.returncode == 1, done.stderr
@@ -45,6 +46,7 @@ def test_a_laser_that_fades_loses_spots_and_goes_on(tmp_path: Path) -> None:
     assert results["runs"][0]["half_cycles"] >= 36
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fault", ["vibration_burst_at_s", "draught_at_s"])
 def test_a_disturbance_flags_half_cycles_and_goes_on(fault: str, tmp_path: Path) -> None:
     done = run_with(tmp_path / "out", **{f"faults__{fault}": "30"})
@@ -69,6 +71,7 @@ def test_a_stalled_camera_ends_the_run_with_that_reason_and_the_record_is_whole(
     assert json.loads((tmp_path / "out" / "session.json").read_text())["entries"][0]["state"] == "failed"
 
 
+@pytest.mark.slow
 def test_a_full_disk_ends_the_run_with_that_reason_and_the_record_is_whole(tmp_path: Path) -> None:
     # a limit on the size of files stands for the disk's end
     script = (

@@ -172,7 +172,7 @@ def test_resume_wants_a_session(tmp_path: Path) -> None:
     assert "contains no session" in done.stderr
 
 
-@pytest.mark.timeout(300)
+@pytest.mark.slow
 def test_a_reader_of_json_lines_that_goes_away_ends_no_measurement(tmp_path: Path) -> None:
     folder = tmp_path / "out"
     command = [sys.executable, "-m", "rig", "run", str(CONFIGS / "demo.toml"), "-o", str(folder), "--json"]

@@ -192,7 +192,7 @@ def test_a_spot_that_leaves_the_sensor_gives_no_wrong_swing(tmp_path: Path) -> N
         assert abs(swing.amplitude - abs(truth.angle_rad[nearest])) < 5 * swing.u_amplitude
 
 
-@pytest.mark.timeout(300)
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="signals are those of POSIX")
 def test_ctrl_c_closes_the_record_and_fits_what_there_is(tmp_path: Path) -> None:
     words = [sys.executable, "-m", "rig", "run", str(CONFIGS / "demo.toml"), "-o", str(tmp_path / "out")]

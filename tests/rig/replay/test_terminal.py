@@ -141,6 +141,7 @@ def test_ctrl_c_leaves_the_terminal_as_it_was(terminal: Terminal) -> None:
     assert terminal.settings == terminal.before
 
 
+@pytest.mark.slow
 def test_without_a_terminal_there_are_no_keys(record: Path, tmp_path: Path) -> None:
     rrd = tmp_path / "replay.rrd"
     done = subprocess.run(

@@ -185,6 +185,7 @@ def seen(tmp_path_factory: pytest.TempPathFactory) -> set[Key]:
     return found
 
 
+@pytest.mark.slow
 def test_every_other_key_is_read(seen: set[Key]) -> None:
     unread = []
     for key, owner in leaves():
