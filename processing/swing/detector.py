@@ -62,6 +62,7 @@ class SwingDetector:
         self._known = known
         self._search: OnsetSearch | None = OnsetSearch(self._samples, 0, known=known)
         self._follower: Follower | None = None
+        self._before: Follower | None = None
         self._half_period_s = math.nan
         self._last: Swing | None = None
         self._last_good: Swing | None = None
@@ -118,7 +119,7 @@ class SwingDetector:
                 self._broken_off = None
             self._emit(index, first.half.reference_ns, first.half.side, first.result, flags, swings)
         self._search = None
-        self._follower = Follower(onset, index)
+        self._follower = Follower(onset, index, self._before)
         self._samples.forget_before(self._samples.position(self._follower.start_ns))
 
     def _continuation(self, before: Swing, first: FirstHalfCycle) -> SwingFlag:
@@ -160,8 +161,14 @@ class SwingDetector:
                 self._broken_off = self._last_good
             self._follower = None
             self._search = OnsetSearch(
-                self._samples, position, self._half_period_s, half.reference_ns, self._known
+                self._samples,
+                position,
+                self._half_period_s,
+                half.reference_ns,
+                self._known,
+                follower.noise.level.effective,
             )
+            self._before = follower
         elif not follower.misses:
             self._samples.forget_before(self._samples.position(end_ns))
         return True

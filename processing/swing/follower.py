@@ -8,22 +8,30 @@ expected.
 """
 
 import math
-from collections import deque
 
 import numpy as np
 
 from processing.swing.arc import Arc, HalfCycleSamples, state_on_arc
-from processing.swing.half_cycle import AMPLITUDE, CENTRE, DRIFT, RATE, SHAPE, TIME, Matrix
+from processing.swing.driven_walk import DrivenWalk
+from processing.swing.half_cycle import (
+    AMPLITUDE,
+    CENTRE,
+    DRIFT,
+    FAST_RATE,
+    RATE,
+    SHAPE,
+    STATES,
+    TIME,
+    Matrix,
+)
 from processing.swing.half_cycle_fit import HalfCycleFit, excess, fit_half_cycle
 from processing.swing.judgement import judge
 from processing.swing.onset import Onset
 from processing.swing.prediction import SLOPE_WANDER, predict
+from processing.swing.sample_noise import SampleNoise
 from processing.swing.swing import SwingFlag
-from processing.swing.term_selection import extend
+from processing.swing.term_selection import ANHARMONIC, FAST_MODE, bent, extend, prior
 from processing.swing.waveform import DAMPING, RISE
-
-_NOISE_MEMORY = 15
-"""Number of half-cycles whose median reduced chi-square gives the factor on the samples' uncertainties."""
 
 _REFITS = (8, 16, 32, 64)
 _LINEAR_REFITS = (6, 8, 10, 12, 16, 24, 32, 64)
@@ -46,12 +54,24 @@ next."""
 _ARC_EXCESS = 4.0
 """Largest chi-square, in standard deviations above its expectation, for which an arc without process noise is
 accepted."""
-_MOST_RESTLESS = 1e12
 _SETTLED = 8
 """Number of half-cycles before which an unexpected turning point is blamed on a wrong start, not on a
 kick."""
 _PATIENCE = 3
 """Number of disturbed half-cycles in a row after which the oscillation counts as lost."""
+
+_RESTLESS = 1e4
+"""Restlessness that a rest position without draughts does not reach."""
+
+_THIRD = 0.4
+"""Distance of a fast mode's frequency from three times the pendulum's within which it may be a harmonic."""
+
+_MOST_COLOURED = 1e6
+"""Largest restlessness in slow noise, which moves the rest position, too, and counts in the samples'
+noise."""
+
+_DOUBT = 2.0
+"""Factor on the uncertainties of frequency and shape where they predict a driven motion wrongly."""
 
 _RUNAWAY = 10.0
 """Amplitude, relative to the reference, above which the filter has diverged."""
@@ -63,19 +83,22 @@ lost."""
 class Follower:
     """State of the oscillation, carried from half-cycle to half-cycle."""
 
-    def __init__(self, onset: Onset, index: int) -> None:
-        """Start from a newly found oscillation; `index` is the index of its last half-cycle."""
+    def __init__(self, onset: Onset, index: int, before: "Follower | None" = None) -> None:
+        """Start from a newly found oscillation; `index` is the index of its last half-cycle.
+
+        What the follower `before` it has learned of the samples' noise still holds.
+        """
         arc, last = onset.arc, onset.halves[-1]
         self.index = index
         self.side = last.side
         self.reference_ns = last.reference_ns
-        self.noise_scale = onset.noise_scale
+        self.noise: SampleNoise = SampleNoise(onset.noise_scale) if before is None else before.noise
+        self.walk = DrivenWalk()
         self.misses = 0
         self.first_miss_ns = 0
         self._age = 0
         self._active = arc.active
         self._reference = arc.reference
-        self._ratios: deque[float] = deque([onset.noise_scale**2] * _NOISE_MEMORY, maxlen=_NOISE_MEMORY)
         self._agility = 1.0
         self._surprise = 1.0
         self._restlessness = _RESTLESS_AT_FIRST
@@ -109,7 +132,7 @@ class Follower:
     @property
     def lost(self) -> bool:
         """Whether the oscillation is lost and a new search is needed."""
-        if not 0.0 < self._x[AMPLITUDE] < _RUNAWAY * self._reference:
+        if not 0.0 < self._x[AMPLITUDE] < _RUNAWAY * self._reference or not math.isfinite(self._end_s):
             return True
         blurred = math.sqrt(self._covariance[TIME, TIME]) > _BLUR * self.half_period_s
         return blurred or self.misses >= _PATIENCE
@@ -127,10 +150,14 @@ class Follower:
             flags_again = self._judge(again)
             if again.valid and not flags_again & SwingFlag.VIBRATION and again.surprise < _JUMP:
                 result, flags = again, flags_again
-                self._restlessness = min(max(self._restlessness, 100.0) * 10.0, _MOST_RESTLESS)
+                self._restlessness = max(self._restlessness, 100.0) * 10.0
         fine = result.valid and not flags & SwingFlag.VIBRATION
+        if fine and self._drive_begins(result):
+            result = self._measure(half, self._covariance)
+            flags = self._judge(result)
+            fine = result.valid and not flags & SwingFlag.VIBRATION
         if result.valid and not flags & SwingFlag.GAP:
-            self._learn_noise(result)
+            self.noise.learn(result)
         if self._history is not None:
             self._history.append(half if fine else _empty(half))
         self._age += 1
@@ -146,6 +173,8 @@ class Follower:
         return result, flags
 
     def _measure(self, half: HalfCycleSamples, covariance: Matrix) -> HalfCycleFit:
+        noise = self.noise.level
+        within = self.walk.within(self._resolution)
         result = fit_half_cycle(
             self._x,
             covariance,
@@ -153,7 +182,7 @@ class Follower:
             float(self.side),
             self._reference,
             self._active,
-            self.noise_scale,
+            noise.effective * within.samples,
             self._restlessness < _CALM,
             self._start_s,
             self._end_s,
@@ -164,7 +193,11 @@ class Follower:
         # A centre that wanders between half-cycles also wanders within one, which the model of a linear drift
         # does not describe: enlarge the uncertainties accordingly.
         wider = math.sqrt(1.0 + (_WITHIN * SLOPE_WANDER) ** 2 * self._restlessness)
-        return result._replace(u_amplitude=result.u_amplitude * wider, u_time_s=result.u_time_s * wider)
+        return result._replace(
+            u_amplitude=result.u_amplitude * wider * noise.amplitude * within.amplitude / within.samples,
+            u_time_s=result.u_time_s * wider * within.time / within.samples,
+            resolution=result.resolution / within.samples,
+        )
 
     def _measure_restless(self, half: HalfCycleSamples) -> HalfCycleFit:
         """Measure with wide uncertainties of the centre and its drift, for a rest position that has moved.
@@ -183,7 +216,7 @@ class Follower:
     def _judge(self, result: HalfCycleFit) -> SwingFlag:
         if not result.valid:
             return SwingFlag.GAP
-        return judge(result, self.noise_scale, float(self._x[TIME]), self.half_period_s)
+        return judge(result, self.noise.level, float(self._x[TIME]), self.half_period_s)
 
     def _learn_restlessness(self, result: HalfCycleFit) -> None:
         """Adapt the process noise of the drift so that the centre's corrections are as large as expected.
@@ -196,7 +229,7 @@ class Follower:
             correction = (result.state[CENTRE] - self._x[CENTRE]) ** 2 / expected
             self._correction += (min(correction, 16.0) - self._correction) / 8.0
             if self._correction > 1.8:
-                self._restlessness = min(self._restlessness * max(2.0, min(correction, 16.0)), _MOST_RESTLESS)
+                self._restlessness *= max(2.0, min(correction, 16.0))
             elif self._correction < 1.0:
                 self._restlessness = max(self._restlessness * 0.8, 1.0)
 
@@ -208,10 +241,16 @@ class Follower:
             self.first_miss_ns = self.start_ns
             return SwingFlag.VIBRATION
         self._learn_restlessness(result)
+        self._restlessness = min(self._restlessness, self.walk.most_restless(self._resolution))
+        if self.noise.level.colour > 1.0:
+            self._restlessness = min(self._restlessness, _MOST_COLOURED)
         self._x, self._covariance = result.state, result.covariance
         self._resolution = result.resolution
         self._surprise += (min(result.surprise / 2.0, 8.0) - self._surprise) / 8.0
-        if self._surprise > _SURPRISED:
+        if self.walk.variance > 0.0:
+            if self.walk.offset():
+                self._loosen_shape()
+        elif self._surprise > _SURPRISED:
             self._agility = min(self._agility * max(2.0, 0.1 * result.surprise), 1e6)
         else:
             self._agility = max(self._agility * 0.9, 1.0)
@@ -226,6 +265,50 @@ class Follower:
             self._anchor = self._x.copy()
         return SwingFlag(0)
 
+    def _drive_begins(self, result: HalfCycleFit) -> bool:
+        """Learn the drive; where it begins to be seen, forget what the motion without one seemed to be."""
+        to_arc = float(self._x[AMPLITUDE] * self._x[RATE])
+        differences = result.amplitude - self._x[AMPLITUDE], (result.time_s - self._x[TIME]) * to_arc
+        variances = (
+            self._covariance[AMPLITUDE, AMPLITUDE] + result.u_amplitude**2,
+            (self._covariance[TIME, TIME] + result.u_time_s**2) * to_arc**2,
+        )
+        restless = self._restlessness > _RESTLESS
+        if not self.walk.learn(differences, variances, result.resolution, restless):
+            return False
+        self._covariance *= self.walk.excess
+        self._covariance[AMPLITUDE, AMPLITUDE] += self.walk.variance
+        self._covariance[TIME, TIME] += self.walk.variance / to_arc**2
+        self._agility = self._surprise = self._correction = 1.0
+        self._restlessness = min(self._restlessness, _RESTLESS_AT_FIRST)
+        # a joint fit without the drive says nothing
+        self._history = None
+        if RATE in self._active and SHAPE + RISE not in self._active:
+            self._bend()
+        return True
+
+    def _bend(self) -> None:
+        """Add the anharmonic terms, which joint fits of a driven motion do not find.
+
+        A fast mode near the third harmonic is dropped: it has stood for them.
+        """
+        terms = {*self._active.tolist(), *ANHARMONIC}
+        if abs(self._x[FAST_RATE] / self._x[RATE] - 3.0) < _THIRD:
+            terms -= set(FAST_MODE)
+            self._x[list(FAST_MODE)] = 0.0
+        sigma = prior(self._x, anharmonic=True)[1]
+        self._x = bent(self._x)
+        self._anchor = self._x.copy()
+        for term in ANHARMONIC:
+            self._covariance[term, term] = sigma[term] ** 2
+        self._active = np.array(sorted(terms), dtype=np.int64)
+
+    def _loosen_shape(self) -> None:
+        """Doubt frequency and shape, which predict a driven motion wrongly."""
+        factors = np.full(STATES, _DOUBT)
+        factors[[AMPLITUDE, TIME]] = 1.0
+        self._covariance *= np.outer(factors, factors)
+
     def _accept_jump(self, result: HalfCycleFit) -> None:
         """After a kick, replace amplitude and time by the measured ones and drop the motion before it."""
         self._history = None
@@ -233,13 +316,6 @@ class Follower:
         for k, u in ((AMPLITUDE, result.u_amplitude), (TIME, result.u_time_s)):
             self._covariance[k, :] = self._covariance[:, k] = 0.0
             self._covariance[k, k] = u * u
-
-    def _learn_noise(self, result: HalfCycleFit) -> None:
-        degrees = max(result.samples - 2, 1)
-        self._ratios.append(result.chi2 / degrees)
-        median = sorted(self._ratios)[_NOISE_MEMORY // 2]
-        scatter = 1.25 * math.sqrt(2.0 / degrees / _NOISE_MEMORY)
-        self.noise_scale = math.sqrt(median) if median > 1.0 + 4.0 * scatter else 1.0
 
     def _refit(self) -> None:
         """Fit all half-cycles so far again jointly, each time their number has about doubled.
@@ -253,7 +329,7 @@ class Follower:
             return
         arc = extend(self._first, self._history, self._reference, self._active)
         bent = SHAPE + RISE in self._active
-        if arc is not None and excess(arc.chi2 / self.noise_scale**2, float(arc.samples)) < _ARC_EXCESS:
+        if arc is not None and excess(arc.chi2 / self.noise.level.scale**2, float(arc.samples)) < _ARC_EXCESS:
             self._first = arc.states[0].copy()
             if bent or len(arc.active) > len(self._active):
                 self._adopt(arc)
@@ -268,7 +344,7 @@ class Follower:
         """
         self._active = arc.active
         self._x, self._covariance = state_on_arc(arc, len(arc.states) - 1)
-        self._covariance *= self.noise_scale**2
+        self._covariance *= self.noise.level.effective**2
         self._anchor = self._x.copy()
         halves = len(arc.states)
         slope = SLOPE_WANDER * self._resolution / self.half_period_s * math.sqrt(halves)
@@ -287,6 +363,7 @@ class Follower:
             self._resolution,
             self._agility,
             self._restlessness,
+            self.walk.variance,
         )
         self._start_s = end_s - step_ns * 1e-9
         self.reference_ns += step_ns

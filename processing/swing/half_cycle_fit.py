@@ -40,6 +40,10 @@ from processing.swing.half_cycle import (
 from processing.swing.waveform import NODES, SHAPES, N, P
 
 SEGMENTS = 8
+SLOW_TERMS = (4, 5, 6)
+"""Terms of a cosine series over the half-cycle that show slow noise: 4 to 6 times the pendulum's frequency.
+Those below are mostly taken up by amplitude, time, centre and drift."""
+SLOW_FEWEST = 24
 _GATE = 6.0
 _ITERATIONS = 4
 _SEEN = 2.5
@@ -69,8 +73,11 @@ class HalfCycleFit(NamedTuple):
     """Chi-square of the samples at the local solution, with their uncertainties as given (no noise scale)."""
     samples: int
     outliers: int
-    worst_excess: float
-    """Largest `excess` of the chi-square of one of SEGMENTS parts of the half-cycle."""
+    worst_segment: float
+    """Largest chi-square per sample of one of SEGMENTS parts of the half-cycle, of the same kind."""
+    slow: float
+    """Mean power of the residuals in the bands of `SLOW_TERMS`, in units of white noise of the samples'
+    uncertainties as given; NaN with fewer than `SLOW_FEWEST` samples."""
     surprise: float
     """Chi-square (two degrees of freedom) of the local amplitude and time against the prediction."""
     hole_s: float
@@ -100,18 +107,41 @@ def _longest_hole(tau: Vector, deflection: Vector, start: float, end: float) -> 
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def segment_size(count: int) -> int:
+    """Number of samples in each of SEGMENTS parts."""
+    return max(count // SEGMENTS, 4)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def _worst_segment(residual: Vector, weight: Vector, count: int) -> float:
-    """Largest `excess` among SEGMENTS parts; a short disturbance would not show in the total chi-square."""
-    size = max(count // SEGMENTS, 4)
-    worst, total, n = -math.inf, 0.0, 0
+    """Largest chi-square per sample among SEGMENTS parts: a short disturbance would not show in the whole."""
+    size = segment_size(count)
+    worst, total, n = 0.0, 0.0, 0
     for i in range(len(residual)):
         if weight[i] > 0.0 and residual[i] == residual[i]:
             total += weight[i] * residual[i] * residual[i]
             n += 1
             if n == size:
-                worst = max(worst, excess(total, float(n)))
+                worst = max(worst, total / n)
                 total, n = 0.0, 0
     return worst
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _slow_power(tau: Vector, residual: Vector, weight: Vector, count: int, start: float, end: float) -> float:
+    """Mean of the residuals' squared projections on `SLOW_TERMS`; 1 for white noise of the weights."""
+    if count < SLOW_FEWEST:
+        return math.nan
+    power = 0.0
+    for term in SLOW_TERMS:
+        projection, norm = 0.0, 0.0
+        for i in range(len(tau)):
+            if weight[i] > 0.0 and residual[i] == residual[i]:
+                cosine = math.cos(math.pi * term * (tau[i] - start) / (end - start))
+                projection += weight[i] * residual[i] * cosine
+                norm += weight[i] * cosine * cosine
+        power += projection * projection / norm
+    return power / len(SLOW_TERMS)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -276,7 +306,7 @@ def fit_half_cycle(
     if not valid:
         return HalfCycleFit(
             False, math.nan, math.nan, math.nan, math.nan, math.nan, math.nan, math.nan, count, outliers,
-            math.nan, math.nan, hole, state, posterior,
+            math.nan, math.nan, math.nan, hole, state, posterior,
         )  # fmt: skip
     full_covariance, full = np.empty((k, k)), np.zeros(k)
     precision[:] = information + predicted
@@ -318,7 +348,8 @@ def fit_half_cycle(
         chi2_local * noise_scale * noise_scale,
         count,
         outliers,
-        _worst_segment(residual, weight, count),
+        _worst_segment(residual, weight, count) * noise_scale * noise_scale,
+        _slow_power(tau, residual, weight, count, start, end) * noise_scale * noise_scale,
         cost_full - cost_local,
         hole,
         state,

@@ -1,7 +1,8 @@
 """Quality checks of a measured half-cycle, which give its flags."""
 
 from processing.swing.arc import HalfCycleSamples
-from processing.swing.half_cycle_fit import HalfCycleFit, excess
+from processing.swing.half_cycle_fit import HalfCycleFit, excess, segment_size
+from processing.swing.sample_noise import NoiseLevel
 from processing.swing.swing import SwingFlag
 
 _EXCESS = 5.0
@@ -23,18 +24,22 @@ _FAINT = 5.0
 
 
 def judge(
-    result: HalfCycleFit, noise_scale: float, predicted_time_s: float, half_period_s: float
+    result: HalfCycleFit, noise: NoiseLevel, predicted_time_s: float, half_period_s: float
 ) -> SwingFlag:
     """Flags of a valid measurement; 0 if all checks are passed."""
     flags = SwingFlag(0)
     spacing = half_period_s / (result.samples + 1)
     if result.samples < _FEWEST or result.hole_s > max(_HOLE * half_period_s, _HOLE_SPACINGS * spacing):
         flags |= SwingFlag.GAP
-    high = excess(result.chi2 / noise_scale**2, max(result.samples - 2.0, 1.0))
+    # of slow residuals fewer are independent, so that their chi-square scatters more
+    degrees = max(max(result.samples - 2.0, 1.0) / noise.concentration, 1.0)
+    high = excess(result.chi2 / noise.scale**2 / noise.concentration, degrees)
+    size = max(segment_size(result.samples) / noise.concentration, 1.0)
+    part = excess(result.worst_segment / noise.scale**2 * size, size)
     shifted = abs(result.time_s - predicted_time_s) > _SHIFT * half_period_s
     if (
         high > _EXCESS
-        or result.worst_excess > _SEGMENT_EXCESS
+        or part > _SEGMENT_EXCESS
         or result.outliers > _OUTLIERS * result.samples + 1
         or shifted
     ):

@@ -19,6 +19,7 @@ from processing.swing.known_motion import KnownMotion
 from processing.swing.pivots import FOUND, FOUND_TIME, SEARCH_STATE, Pivot, regular, search
 from processing.swing.prediction import window
 from processing.swing.sample_buffer import SampleBuffer
+from processing.swing.sample_noise import NoiseLevel
 from processing.swing.swing import SwingFlag
 from processing.swing.term_selection import choose, first_guess
 
@@ -94,12 +95,15 @@ class OnsetSearch:
         half_period_s: float = math.nan,
         lost_ns: int = 0,
         known: KnownMotion | None = None,
+        least_noise: float = 1.0,
     ) -> None:
         """Start at a position in the buffer.
 
-        After the loss of an oscillation, `half_period_s` is its half period and `lost_ns` the time of the
-        loss; NaN at the beginning of a record. `known` is the motion, if it is known.
+        After the loss of an oscillation, `half_period_s` is its half period, `lost_ns` the time of the
+        loss, and `least_noise` the factor on the samples' uncertainties found before; NaN at the
+        beginning of a record. `known` is the motion, if it is known.
         """
+        self._least_noise = least_noise
         self._samples = samples
         self._known = known
         self._half_period_s = half_period_s
@@ -174,7 +178,8 @@ class OnsetSearch:
                 arc, halves = later, halves[1:]
         if arc is None or not _believable(arc, halves):
             return None
-        noise_scale = math.sqrt(max(1.0, arc.chi2 / max(arc.samples - len(arc.active), 1)))
+        reduced = arc.chi2 / max(arc.samples - len(arc.active), 1)
+        noise_scale = max(self._least_noise, math.sqrt(max(1.0, reduced)))
         before = _measure_before(self._samples, arc, halves[0], noise_scale)
         measured = [] if before is None else [before]
         measured += [_measure_one(arc, k, half, noise_scale) for k, half in enumerate(halves)]
@@ -229,7 +234,7 @@ def _measure_one(arc: Arc, k: int, half: HalfCycleSamples, noise_scale: float) -
     )
     flags = SwingFlag(0)
     if result.valid:
-        flags = judge(result, noise_scale, float(x[TIME]), math.pi / float(x[RATE]))
+        flags = judge(result, NoiseLevel(noise_scale), float(x[TIME]), math.pi / float(x[RATE]))
     return FirstHalfCycle(half, result, flags)
 
 
@@ -264,7 +269,7 @@ def _measure_before(
     )
     if not turned(result, half):
         return None
-    flags = judge(result, noise_scale, float(x[TIME]), math.pi / float(x[RATE]))
+    flags = judge(result, NoiseLevel(noise_scale), float(x[TIME]), math.pi / float(x[RATE]))
     if flags & SwingFlag.VIBRATION:
         flags = flags & ~SwingFlag.VIBRATION | SwingFlag.START
     return FirstHalfCycle(half, result, flags)

@@ -49,6 +49,7 @@ def predict(
     resolution: float,
     agility: float,
     restlessness: float,
+    walk: float,
 ) -> tuple[int, Vector, Matrix, float]:
     """Predict the next half-cycle.
 
@@ -69,6 +70,9 @@ def predict(
         measurements.
     restlessness
         The same factor for the drift; its square root applies to the centre.
+    walk
+        Variance of the steps that a drive adds to the amplitude, and to the phase times the amplitude, from
+        one half-cycle to the next; square of the unit of the deflection.
 
     Returns
     -------
@@ -126,6 +130,8 @@ def predict(
         elif i == CENTRE:
             scale = math.sqrt(restlessness)
         carried[i, i] += scale * wander[i] * wander[i]
+    carried[AMPLITUDE, AMPLITUDE] += walk
+    carried[TIME, TIME] += walk / (x[AMPLITUDE] * rate) ** 2
     # the next half-cycle crosses zero at nearly the same phase as this one
     _, after = zero_phases(table)
     return step_ns, following, carried, following[TIME] + after / rate

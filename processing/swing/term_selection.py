@@ -20,6 +20,7 @@ from processing.swing.half_cycle import (
     STATES,
     TIME,
     Indices,
+    Matrix,
     Vector,
     linearise,
     tabulate_state,
@@ -40,6 +41,12 @@ _GAIN_PER_TERM = 3.5
 
 _FAST_MODE_TOLL = 20.0
 """... and a further reduction required of a fast mode, because many frequencies are tried."""
+
+_PROMINENT = 15.0
+"""Power of a line of a fast mode over the median power of the rates around it ..."""
+
+_NEIGHBOURHOOD = 1.6
+"""... up to so many times higher and lower."""
 
 _HOPELESS = 0.25
 """Fraction of the variance left by a damped sinusoid above which no further term is tried."""
@@ -199,21 +206,34 @@ def _with_fast_mode(arc: Arc, halves: Sequence[HalfCycleSamples]) -> Arc | None:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _strongest_line(
-    time_s: Vector, residual: Vector, weight: Vector, rates: Vector
-) -> tuple[float, float, float]:
-    best_power, best_rate, best_cosine, best_sine = -1.0, 0.0, 0.0, 0.0
-    for rate in rates:
-        power, cosine, sine = line(rate, time_s, residual, weight)
-        if power > best_power:
-            best_power, best_rate, best_cosine, best_sine = power, rate, cosine, sine
-    return best_rate, best_cosine, best_sine
+def _lines(time_s: Vector, residual: Vector, weight: Vector, rates: Vector) -> Matrix:
+    """Power, cosine and sine amplitude at each of the rates, (n, 3)."""
+    out = np.empty((len(rates), 3))
+    for k in range(len(rates)):
+        out[k] = line(rates[k], time_s, residual, weight)
+    return out
+
+
+def _outstanding(rates: Vector, power: Vector) -> int | None:
+    """The strongest line, if it stands out of its neighbourhood; or the one that stands out most."""
+
+    def prominence(k: int) -> float:
+        near = (rates > rates[k] / _NEIGHBOURHOOD) & (rates < rates[k] * _NEIGHBOURHOOD)
+        return float(power[k] / np.median(power[near]))
+
+    strongest = int(np.argmax(power))
+    if prominence(strongest) > _PROMINENT:
+        return strongest
+    prominences = [prominence(k) for k in range(len(rates))]
+    most = int(np.argmax(prominences))
+    return most if prominences[most] > _PROMINENT else None
 
 
 def guess_fast_mode(arc: Arc, halves: Sequence[HalfCycleSamples]) -> tuple[float, float, float] | None:
     """Strongest spectral line in the residuals: angular frequency in rad/s, cosine and sine amplitude.
 
-    None if the samples are too short or too sparse for a fast mode.
+    None if the samples are too short or too sparse for a fast mode, or no line stands out: noise of air or
+    ground has no lines, but is strong where it is slow.
     """
     times, residuals, weights = [], [], []
     k = len(arc.active)
@@ -242,4 +262,6 @@ def guess_fast_mode(arc: Arc, halves: Sequence[HalfCycleSamples]) -> tuple[float
     rates = np.arange(2.2 * rate, top, 0.5 * math.pi / span)
     if len(rates) == 0:
         return None
-    return _strongest_line(time_s, np.nan_to_num(residual), weight, rates)
+    found = _lines(time_s, np.nan_to_num(residual), weight, rates)
+    place = _outstanding(rates, found[:, 0])
+    return None if place is None else (float(rates[place]), float(found[place, 1]), float(found[place, 2]))

@@ -1,0 +1,119 @@
+"""A pendulum that the ground drives, or that is read through air: followed, and with honest uncertainties."""
+
+import math
+
+import numpy as np
+import pytest
+
+from acquisition.simulation.settings import SimulationSettings
+from acquisition.simulation.true_path import true_path, true_turning_points
+from processing.swing import SwingFlag
+from tests.processing.swing.truth import ARCSEC_RAD, CONTACTS, Errors, Record, detect, errors, rms
+
+PER_ACCELERATION = 2e-4 / (9.80665 * 6.05e-3)
+"""Angle per acceleration of the ground, in rad s^2/m, with the mass centre 0.2 mm high."""
+
+
+def driven(contact: str, q: float, seed: int, frames_per_s: float = 25.0, noise: float = 0.005) -> Record:
+    """A decay of the published contact in arcsec, driven by q rad/s^2/sqrt(Hz)."""
+    b, p, c, n, period0_s, gamma, _ = CONTACTS[contact]
+    settings = SimulationSettings.model_validate(
+        {
+            "seed": seed,
+            "contact": {"b": b, "p": p, "c": c, "n": n, "period0_s": period0_s, "gamma_pa": gamma},
+            "fast": {"amplitude_arcsec": 0.0},
+            "ground": {
+                "model": "white" if q else "none",
+                "white_m_per_s2_per_sqrt_hz": q / (2 * math.pi / period0_s) ** 2 / PER_ACCELERATION,
+            },
+        }
+    )
+    turns = true_turning_points(settings)
+    path = true_path(settings, float(turns.time_s[-1]) + 0.6 * period0_s, frames_per_s)
+    deflection = path.y_rad / ARCSEC_RAD
+    return Record(
+        path.times_ns,
+        deflection + noise * np.random.default_rng(seed).standard_normal(len(deflection)),
+        np.full(len(deflection), noise),
+        turns.time_s,
+        np.abs(turns.angle_rad) / ARCSEC_RAD,
+    )
+
+
+def agrees(e: Errors, largest: float) -> bool:
+    """Whether uncertainties are neither too small nor much too large, once the drive has been learned.
+
+    One half-cycle in a hundred is left out: those beside a disturbance.
+    """
+    learned = e.index > 40
+    kept = int(0.99 * np.count_nonzero(learned))
+    errors_over_u = (np.sort(np.abs(values[learned]))[:kept] for values in (e.amplitude, e.time))
+    return all(0.7 < rms(values) < largest for values in errors_over_u)
+
+
+@pytest.mark.parametrize("contact", ["glass", "silicon", "steel"])
+def test_a_strong_drive_is_motion_not_vibration(contact: str) -> None:
+    """3e-7 rad/s^2/sqrt(Hz): the driven motion is 0.3 arcsec rms, and all swings are above 2 arcsec."""
+    record = driven(contact, 3e-7, 1)
+    e = errors(record, detect(record))
+    assert len(e) >= 0.98 * len(record.turn_time_s)
+    assert agrees(e, 1.5)
+
+
+@pytest.mark.parametrize("q", [1e-8, 1e-7])
+def test_uncertainties_on_a_driven_pendulum_are_those_of_measurement(q: float) -> None:
+    """A half-cycle's own samples give 1.0 mas; a drive within it adds a third of what it adds between two."""
+    step_arcsec = q * math.sqrt(4.071 / 2) / (4 * math.pi / 4.071) / ARCSEC_RAD
+    record = driven("glass", q, 1)
+    swings = detect(record)
+    e = errors(record, swings)
+    assert len(e) >= len(record.turn_time_s) - 3
+    assert agrees(e, 1.3)
+    u = float(np.median([swing.u_amplitude for swing in swings]))
+    assert u < 1.3 * math.hypot(0.001, 0.4 * step_arcsec)
+
+
+def test_a_knock_on_a_driven_pendulum_is_flagged() -> None:
+    """Three bursts of 0.3 arcsec at 7 Hz, and two pushes by 3 arcsec, a hundred steps of the drive."""
+    record = driven("glass", 3e-7, 1)
+    turns = record.turn_time_s
+    burst, push = np.zeros(len(record.time_s)), np.zeros(len(record.time_s))
+    for place in (100, 250, 400):
+        since = np.clip(record.time_s - turns[place], 0.0, 0.8)
+        burst += 0.3 * np.exp(-since / 0.3) * np.sin(2 * np.pi * 7.3 * since) * (since < 0.8)
+    for place in (150, 350):
+        push += 3.0 * np.sin(2 * np.pi / 4.07 * np.maximum(record.time_s - turns[place] - 0.9, 0.0))
+    for disturbance, places in ((burst, (100, 250, 400)), (push, (150, 350))):
+        swings = detect(record.plus(disturbance))
+        for place in places:
+            hit = [s for s in swings if abs(s.turn_time_ns * 1e-9 - turns[place]) < 3.1]
+            assert any(s.flags & SwingFlag.VIBRATION for s in hit)
+
+
+def air(count: int, rate_hz: float, rng: np.random.Generator) -> np.ndarray:
+    """0.02 arcsec of 1/f noise from 0.01 to 10 Hz."""
+    frequencies_hz = np.fft.rfftfreq(2 * count, 1 / rate_hz)
+    inside = (frequencies_hz > 0.01) & (frequencies_hz < 10.0)
+    size = np.zeros(len(frequencies_hz))
+    size[inside] = 0.02 * np.sqrt(count * rate_hz / 2 / (math.log(1000.0) * frequencies_hz[inside]))
+    normals = rng.standard_normal((2, len(size)))
+    return np.asarray(np.fft.irfft(size * (normals[0] + 1j * normals[1]), 2 * count)[:count])
+
+
+@pytest.mark.parametrize("contact", ["glass", "steel"])
+@pytest.mark.parametrize("q", [0.0, 1e-7])
+def test_air_counts_in_the_uncertainties(contact: str, q: float) -> None:
+    record = driven(contact, q, 1, 60.0, 0.0027)
+    windy = record.plus(air(len(record.times_ns), 60.0, np.random.default_rng(5)))
+    swings = detect(windy)
+    e = errors(windy, swings)
+    assert len(e) > 0.98 * len(record.turn_time_s)
+    assert agrees(e, 1.4)
+
+
+def test_without_drive_nothing_is_learned() -> None:
+    """White noise as stated: uncertainties at the bound of a half-cycle's own samples."""
+    record = driven("silicon", 0.0, 1)
+    swings = [s for s in detect(record) if not s.flags]
+    u = np.array([swing.u_amplitude for swing in swings[50:]])
+    assert u.max() < 1.1 * 0.005 * math.sqrt(2 / (25.0 * 4.072 / 2))
