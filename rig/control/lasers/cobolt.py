@@ -36,6 +36,12 @@ class Cobolt(SerialLaser):
         )
 
     def _prepare(self) -> None:
+        # models without this mode answer with a syntax error
+        if self.ask("@cobas?") == "1":
+            raise LaserRefused(
+                f"{self.name}: autostart is on, in which the laser lights by its key and rejects commands; "
+                "switch it off (@cobas 0, or in Cobolt Monitor) and turn the key off and on"
+            )
         self._told("cp")
 
     def _switch(self, on: bool) -> None:

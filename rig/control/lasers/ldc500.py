@@ -4,8 +4,12 @@
 is switched off, because it would add to the set current.
 """
 
+import time
+
 from rig.control.lasers.laser import LaserIdentity, LaserRefused, LaserState
 from rig.control.lasers.serial_laser import SerialLaser, rounded_down
+
+_CARRIED_OUT_S = 0.1
 
 
 class Ldc500(SerialLaser):
@@ -56,6 +60,8 @@ class Ldc500(SerialLaser):
 
     def _told(self, command: str) -> None:
         self.tell(command)
+        # an error is entered only after the command was carried out, and a query does not wait for that
+        time.sleep(_CARRIED_OUT_S)
         # LEXE? is the error of the last execution, LCME? that of the last command; reading clears them.
         errors = (self.ask("LEXE?"), self.ask("LCME?"))
         if any(error not in ("0", "0.0") for error in errors):

@@ -1,7 +1,7 @@
 """Coherent OBIS and its remotes: SCPI, lines end with CR LF, power in W.
 
 With handshaking (the factory setting) each command is answered by a line ``OK`` or ``ERR<number>``, which
-also follows the answer to each query. Both lines are always read.
+also follows the answer to each query. Both lines are always read; handshaking is switched on at first.
 """
 
 import time
@@ -21,9 +21,11 @@ class Obis(SerialLaser):
 
     def identify(self) -> LaserIdentity:
         """Vendor, model and serial number."""
-        identity = self.ask("*IDN?")
+        # without the OK behind it, which comes only with handshaking
+        identity = super().ask("*IDN?")
         if "COHERENT" not in identity.upper() or "OBIS" not in identity.upper():
             raise LaserRefused(f"{self.name}: {identity!r} is no Coherent OBIS; check the port")
+        self._shake_hands()
         return LaserIdentity(
             "Coherent", self.ask("SYSTem:INFormation:MODel?"), self.ask("SYSTem:INFormation:SNUMber?")
         )
@@ -61,6 +63,13 @@ class Obis(SerialLaser):
         reader.clear()
         self.tell(command)
         self._handshake(command)
+
+    def _shake_hands(self) -> None:
+        """Switch handshaking on; whether this is answered depends on what it was before."""
+        _, reader = self._claimed()
+        reader.clear()
+        self.tell("SYSTem:COMMunicate:HANDshaking ON")
+        reader.read_line(time.monotonic() + self._settings.timeout_s)
 
     def _handshake(self, command: str) -> None:
         _, reader = self._claimed()

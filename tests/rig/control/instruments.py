@@ -8,6 +8,7 @@ import os
 import pty
 import select
 import threading
+import time
 import tty
 
 
@@ -133,18 +134,29 @@ class FakeThorlabs(Instrument):
 
 
 class FakeObis(Instrument):
-    """OBIS LX with handshaking on: a line OK or ERR after everything."""
+    """OBIS LX; with handshaking a line OK or ERR after everything, without it only answers to queries."""
 
     terminator = b"\r\n"
 
     def __init__(self) -> None:
         self.delay = 2
         self.faults = 0
+        self.handshaking = True
         super().__init__()
 
     def answer(self, command: str) -> str | None:
+        if command.upper() == "SYSTEM:COMMUNICATE:HANDSHAKING ON":
+            self.handshaking = True
+        reply = self.shaken(command)
+        if self.handshaking:
+            return reply
+        return None if reply.startswith(("OK", "ERR")) else reply.removesuffix("OK\r\n")
+
+    def shaken(self, command: str) -> str:
         header, _, argument = command.partition(" ")
         match header.upper():
+            case "SYSTEM:COMMUNICATE:HANDSHAKING":
+                return "OK\r\n"
             case "*IDN?":
                 return "Coherent, Inc - OBIS 640nm 100mW C - V1.0.1 - Dec 14 2010\r\nOK\r\n"
             case "SYSTEM:INFORMATION:MODEL?":
@@ -188,17 +200,26 @@ class FakeLdc500(Instrument):
         self.limit_ma = 500.0
         self.lexe = 0
         self.lcme = 0
+        self.obeyed_s = 0.0
+        self.error_after_s = 0.05
         super().__init__()
 
     def answer(self, command: str) -> str | None:
         header, _, argument = command.partition(" ")
+        if not header.endswith("?"):
+            self.obeyed_s = time.monotonic()
         match header:
             case "*IDN?":
                 return "Stanford_Research_Systems,LDC501,s/n098023,v1.02\r\n"
             case "LEXE?":
+                # an error is entered some time after the command
+                if time.monotonic() - self.obeyed_s < self.error_after_s:
+                    return "0\r\n"
                 code, self.lexe = self.lexe, 0
                 return f"{code}\r\n"
             case "LCME?":
+                if time.monotonic() - self.obeyed_s < self.error_after_s:
+                    return "0\r\n"
                 code, self.lcme = self.lcme, 0
                 return f"{code}\r\n"
             case "ILOC?":
@@ -239,12 +260,14 @@ class FakeCobolt(Instrument):
 
     def __init__(self) -> None:
         self.fault = 0
+        self.autostart = False
         super().__init__()
 
     def answer(self, command: str) -> str | None:
         word, _, argument = command.partition(" ")
         answers = {
             "sn?": "12345",
+            "@cobas?": str(int(self.autostart)),
             "l?": str(int(self.on)),
             "ilk?": str(int(not self.interlock_closed)),
             "f?": str(self.fault if self.interlock_closed else 3),
@@ -253,6 +276,8 @@ class FakeCobolt(Instrument):
         }
         if word in answers:
             return answers[word] + "\r\n"
+        if word == "l1" and self.autostart:
+            return "Syntax error: not allowed in autostart mode\r\n"
         if word in ("l1", "l0"):
             self.light(word == "l1")
         elif word == "p" and 0.0 <= float(argument) <= 0.05:

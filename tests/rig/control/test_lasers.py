@@ -234,3 +234,43 @@ def test_service_publishes_and_survives_a_silence() -> None:
         assert not instrument.on
         assert any("no reply" in text for text in service.take_events())
     instrument.close()
+
+
+def test_an_obis_without_handshaking_is_given_it() -> None:
+    instrument = FakeObis()
+    instrument.handshaking = False
+    laser = laser_for("obis", instrument.port)
+    try:
+        assert laser.open().serial == "LX123456"
+        laser.set_power_w(0.01)
+        laser.enable()
+        assert instrument.on
+    finally:
+        laser.close()
+        instrument.close()
+    assert not instrument.on
+
+
+def test_a_cobolt_in_autostart_names_the_remedy() -> None:
+    instrument = FakeCobolt()
+    instrument.autostart = True
+    laser = laser_for("cobolt", instrument.port)
+    try:
+        with pytest.raises(LaserRefused, match=r"autostart is on.*switch it off"):
+            laser.open()
+    finally:
+        laser.close()
+        instrument.close()
+
+
+def test_an_ldc500_that_enters_its_error_late_is_heard() -> None:
+    instrument = FakeLdc500()
+    laser = laser_for("ldc500", instrument.port)
+    try:
+        laser.open()
+        instrument.limit_ma = 1.0
+        with pytest.raises(LaserRefused, match="LEXE 1"):
+            laser.set_current_a(0.01)
+    finally:
+        laser.close()
+        instrument.close()
