@@ -53,7 +53,7 @@ def rig(*words: str | Path, cwd: Path | None = None, figures: bool = False) -> D
         contextlib.redirect_stderr(errors),
         contextlib.chdir(cwd or Path.cwd()),
         _logging_of_its_own(),
-        contextlib.nullcontext() if figures else _figures_are_not_drawn(),
+        contextlib.nullcontext() if figures else figures_are_not_drawn(),
     ):
         try:
             main()
@@ -78,7 +78,8 @@ def rig_process(*words: str | Path, cwd: Path | None = None) -> Done:
 
 
 @contextlib.contextmanager
-def _figures_are_not_drawn() -> Iterator[None]:
+def figures_are_not_drawn() -> Iterator[None]:
+    """A report is made with everything but the drawing of its figures."""
     with (
         patch("rig.report.session_report.svg", return_value=b"<svg/>"),
         patch("rig.report.session_report.png", return_value=b""),

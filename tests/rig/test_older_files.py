@@ -15,6 +15,7 @@ from acquisition.record.reader import RecordReader
 from calibration.store import read_calibration
 from processing.errors import RigError
 from rig.cli import app
+from tests.rig.command_line import figures_are_not_drawn
 
 OLDER = Path(__file__).parent / "data" / "older"
 SPOTS = 577
@@ -33,7 +34,8 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def rig(command: str, status: int = 0) -> str:
     """What a command prints."""
-    done = CliRunner().invoke(app, command.split())
+    with figures_are_not_drawn():
+        done = CliRunner().invoke(app, command.split())
     if isinstance(done.exception, RigError):
         raise done.exception
     assert done.exit_code == status, f"{done.output}\n{done.exception}"
