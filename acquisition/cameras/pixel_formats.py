@@ -10,17 +10,17 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from acquisition.camera import PixelFormat
 from acquisition.frame import Image
+from processing.kernel import kernel
 
 Bytes = NDArray[np.uint8]
 _Kernel = Callable[[Bytes, NDArray[np.uint16]], None]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def unpack_10p(packed: Bytes, pixels: NDArray[np.uint16]) -> None:
     """Four pixels of 10 bits in five bytes, least significant bits first."""
     groups = pixels.size // 4
@@ -37,7 +37,7 @@ def unpack_10p(packed: Bytes, pixels: NDArray[np.uint16]) -> None:
         pixels[pixel] = (word >> np.uint16(pixel * 10 % 8)) & np.uint16(0x3FF)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def unpack_12p(packed: Bytes, pixels: NDArray[np.uint16]) -> None:
     """Two pixels of 12 bits in three bytes, least significant bits first."""
     pairs = pixels.size // 2
@@ -52,7 +52,7 @@ def unpack_12p(packed: Bytes, pixels: NDArray[np.uint16]) -> None:
         )
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def unpack_12_packed(packed: Bytes, pixels: NDArray[np.uint16]) -> None:
     """Two pixels of 12 bits in three bytes: high bits, low bits of both, high bits."""
     pairs = pixels.size // 2

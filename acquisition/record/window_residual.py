@@ -9,10 +9,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from acquisition.frame import Image
+from processing.kernel import kernel
 from processing.spot import Spot
 
 _LAST = 9216
@@ -107,7 +107,7 @@ def _profile(count: int, centre: int, inverse: int) -> NDArray[np.int64]:
     return _table().take(distance * distance * inverse >> 40, mode="clip")
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _fill_planes(
     image: Image,
     table: NDArray[np.int64],

@@ -3,8 +3,9 @@
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from processing.kernel import kernel
 
 STAGES = 6
 START, LENGTH, POLYNOMIAL = 0, 1, 2
@@ -39,7 +40,7 @@ def collocation() -> Collocation:
     return Collocation(nodes, 0.5 * w, to_rate, to_rate @ to_rate, to_polynomial)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def sample(
     rows: NDArray[np.float64],
     first_row: int,

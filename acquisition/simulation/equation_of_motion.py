@@ -21,11 +21,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from acquisition.simulation.collocation import LENGTH, POLYNOMIAL, STAGES, START, Collocation
 from acquisition.simulation.smooth_series import Pieces, Stretch, stretch_at, value_after
+from processing.kernel import kernel
 
 LONGEST_STEP_RAD = 0.35
 """Longest step, as phase of the oscillation; the error within a step is about 1e-10 of the amplitude."""
@@ -54,7 +54,7 @@ class ModeConstants(NamedTuple):
     """epsilon, the support's radius in units of g/w0^2; used only if `exact`."""
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel
 def _acceleration(
     angle: float, rate: float, direction: float, ground_rad: float, mode: ModeConstants
 ) -> float:
@@ -75,7 +75,7 @@ def _acceleration(
     return mode.w0_rad_per_s**2 * forces
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _stages(
     angle: float,
     rate: float,
@@ -120,7 +120,7 @@ def _stages(
     return angle + h * (rate + h * to_angle), rate + h * to_rate
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _length_to(
     wanted: int,
     angle: float,
@@ -156,7 +156,7 @@ def _length_to(
     return h
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def direction_from_rest(angle: float, ground_rad: float, mode: ModeConstants) -> float:
     """Direction (+1, -1) in which the pendulum starts from rest; 0 if friction holds it."""
     free = _acceleration(angle, 0.0, 0.0, ground_rad, mode)
@@ -166,13 +166,13 @@ def direction_from_rest(angle: float, ground_rad: float, mode: ModeConstants) ->
     return 1.0 if free > 0.0 else -1.0
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def direction_at(time_s: float, angle: float, pieces: Pieces, mode: ModeConstants) -> float:
     """Which way the pendulum leaves a standstill at a time; 0 where friction holds it."""
     return direction_from_rest(angle, value_after(stretch_at(pieces, time_s)[0], 0.0), mode)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _breaks_away(
     angle: float, longest_s: float, stretch: Stretch, mode: ModeConstants
 ) -> tuple[float, float]:
@@ -195,7 +195,7 @@ def _breaks_away(
     return longest_s, 0.0
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def advance(
     state: NDArray[np.float64],
     stop_s: float,

@@ -4,10 +4,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from acquisition.simulation.settings import AxesTruth, OpticsTruth, SensorTruth
+from processing.kernel import kernel
 
 FAINTEST_E = 1e-3
 """Light of fewer electrons per pixel than this is neglected."""
@@ -54,13 +54,13 @@ def spot_position_px(
     )
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def beam_reach(beam: Beam) -> float:
     """Distance from the centre, in standard deviations, at which a pixel gets `FAINTEST_E`."""
     return math.sqrt(2.0 * math.log(beam.peak_e / FAINTEST_E)) + 0.5
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def beam_box(beam: Beam, ny: int, nx: int) -> tuple[int, int, int, int]:
     """Rows y0 <= y < y1 and columns x0 <= x < x1 with light of the beam, as (y0, y1, x0, x1); empty if
     none.
@@ -81,7 +81,7 @@ def beam_box(beam: Beam, ny: int, nx: int) -> tuple[int, int, int, int]:
     return int(y0), int(y1), int(x0), int(x1)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def add_beam(light_e: NDArray[np.float64], beam: Beam, y0: int, y1: int, x0: int, x1: int) -> None:
     """Add the beam, integrated over each pixel, to light_e[y0:y1, x0:x1].
 
@@ -135,7 +135,7 @@ def add_beam(light_e: NDArray[np.float64], beam: Beam, y0: int, y1: int, x0: int
                 ratio_r *= shrink
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel
 def _row_start(
     height: float, dx: float, dy: float, qxx: float, qxy: float, qyy: float
 ) -> tuple[float, float]:
@@ -144,7 +144,7 @@ def _row_start(
     return value, math.exp(-qxx * (dx + 0.5) - qxy * dy)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _integrals(out: NDArray[np.float64], centre_px: float, sigma_px: float) -> None:
     """Gaussian of unit height integrated over the pixels 0, 1, ... of a line."""
     scale = 1.0 / (math.sqrt(2.0) * sigma_px)

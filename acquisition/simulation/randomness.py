@@ -12,8 +12,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from processing.kernel import kernel
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _MIX1 = np.uint64(0xBF58476D1CE4E5B9)
@@ -49,7 +50,7 @@ def ziggurat() -> Ziggurat:
     return Ziggurat(x)
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel
 def scramble(z: np.uint64) -> np.uint64:
     """One-to-one mapping of 64 bits to 64 bits, which look random."""
     z = (z ^ (z >> _S30)) * _MIX1
@@ -57,7 +58,7 @@ def scramble(z: np.uint64) -> np.uint64:
     return z ^ (z >> _S31)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def stream_key(seed: int, run: int, frame: int, purpose: int) -> np.uint64:
     """Initial state of the random numbers of one frame of one run for one purpose."""
     key = scramble(np.uint64(seed) + _GOLDEN)
@@ -66,14 +67,14 @@ def stream_key(seed: int, run: int, frame: int, purpose: int) -> np.uint64:
     return scramble(key ^ (np.uint64(frame) * _GOLDEN + _MIX2))
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel
 def uniform(state: np.uint64) -> tuple[np.uint64, float]:
     """Next state and a number in (0, 1)."""
     state = state + _GOLDEN
     return state, (np.float64(scramble(state) >> _S11) + 0.5) * _TO_UNIT
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _normal_beyond(
     state: np.uint64, z: float, layer: int, edges: NDArray[np.float64]
 ) -> tuple[np.uint64, float]:
@@ -100,7 +101,7 @@ def _normal_beyond(
             return state, z
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def fill_normals(state: np.uint64, edges: NDArray[np.float64], numbers: NDArray[np.float64]) -> np.uint64:
     """Next state, and `numbers` filled with the standard normal distribution."""
     # written out, because handing `edges` to a function counts its references at every number
@@ -115,7 +116,7 @@ def fill_normals(state: np.uint64, edges: NDArray[np.float64], numbers: NDArray[
     return state
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def poisson(state: np.uint64, mean: float) -> tuple[np.uint64, float]:
     """Next state and a number of the Poisson distribution, exact for any mean."""
     if mean < 10.0:
@@ -147,7 +148,7 @@ def poisson(state: np.uint64, mean: float) -> tuple[np.uint64, float]:
             return state, k
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def frame_normals(
     seed: int, run: int, purpose: int, first_frame: int, edges: NDArray[np.float64], out: NDArray[np.float64]
 ) -> None:

@@ -10,13 +10,13 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from acquisition.simulation import randomness
 from acquisition.simulation.optics import FAINTEST_E, Beam, add_beam, beam_box
 from acquisition.simulation.randomness import fill_normals, poisson, scramble, stream_key, uniform
 from acquisition.simulation.settings import SensorState, SensorTruth
+from processing.kernel import kernel
 
 _MAP, _HOT, FRAME = 1, 2, 3
 _MOST_COLUMNS = 2**14
@@ -150,7 +150,7 @@ def pixels(truth: SensorTruth, seed: int, x0: int, y0: int, nx: int, ny: int) ->
     return Pixels(np.ascontiguousarray(response), row[inside] - y0, column[inside] - x0, hot_e[inside])
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def expose(
     image: NDArray[np.uint8],
     light_e: NDArray[np.float64],
@@ -192,7 +192,7 @@ def expose(
     light_e[y0:y1, x0:x1] = 0.0
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def expose_frames(
     images: NDArray[np.uint8],
     light_e: NDArray[np.float64],
@@ -229,7 +229,7 @@ def expose_frames(
         )
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _draw_dark(image: NDArray[np.uint8], dark: DarkTable, state: np.uint64) -> np.uint64:
     """Draw every pixel as if without light; returns the state of the random numbers."""
     flat = image.reshape(-1)
@@ -262,13 +262,13 @@ def _draw_dark(image: NDArray[np.uint8], dark: DarkTable, state: np.uint64) -> n
     return state
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel
 def _column_value(bits: np.uint64, dark: DarkTable, shift: np.uint64, mask: np.uint64) -> int:
     column = bits >> shift
     return int(dark.first[column] if (bits & mask) < dark.threshold[column] else dark.second[column])
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _draw_lit(
     image: NDArray[np.uint8],
     light_e: NDArray[np.float64],
@@ -325,7 +325,7 @@ def _draw_lit(
     return state
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel
 def _is_exact(mean_e: float, read_variance: float, readout: Readout) -> bool:
     """Whether the sum of shot and read noise is too far from normal, or the full well too near."""
     variance = mean_e + read_variance
@@ -333,7 +333,7 @@ def _is_exact(mean_e: float, read_variance: float, readout: Readout) -> bool:
 
 
 # without numpy's error model each division would be checked for zero, and nothing be a vector instruction
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _bend(mean_e: NDArray[np.float64], number: NDArray[np.float64], readout: Readout) -> None:
     """Turn standard normal numbers into the DN of pixels with these means."""
     read_variance = readout.read_noise_e**2
@@ -352,7 +352,7 @@ def _bend(mean_e: NDArray[np.float64], number: NDArray[np.float64], readout: Rea
         number[i] = min(max(dn, 0.0), readout.full_scale_dn)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _read_exactly(
     mean_e: float,
     readout: Readout,

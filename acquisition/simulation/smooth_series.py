@@ -16,13 +16,13 @@ from collections.abc import Callable, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline, PPoly
 from scipy.ndimage import spline_filter1d
 
 from acquisition.simulation import randomness
+from processing.kernel import kernel
 
 DEGREE: Final = 5
 KNOTS_PER_PERIOD = 4
@@ -71,7 +71,7 @@ class Stretch(NamedTuple):
     begin: float
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel
 def value_after(stretch: Stretch, since_s: float) -> float:
     """Value at a time after the begin of a stretch."""
     rows = stretch.pieces.coefficients
@@ -84,7 +84,7 @@ def value_after(stretch: Stretch, since_s: float) -> float:
     return value
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel
 def stretch_at(pieces: Pieces, time_s: float) -> tuple[Stretch, float]:
     """The stretch that begins at a time, and its length in s up to the next knot; without pieces infinite."""
     if pieces.coefficients.shape[0] == 0:

@@ -8,14 +8,15 @@ Without the linear term d this is Eq. 5 of the paper; the tests compare with its
 from functools import lru_cache
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from processing.kernel import kernel
 
 _LONGEST_STEP = 0.25
 """Largest fraction of the amplitude lost in one step of `decay_path`; 8 nodes then give an error of 1e-13."""
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def decay_path(
     rate_time: NDArray[np.float64],
     start: float,

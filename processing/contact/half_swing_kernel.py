@@ -15,10 +15,10 @@ gives inf, and the solver rejects the step.
 """
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from processing.contact.quadrature import NODES
+from processing.kernel import kernel
 
 B, P, C, N, KAPPA, DRAG, RHO, A0 = range(8)
 MAP_PARAMETERS = 8
@@ -28,7 +28,7 @@ ENDED = 1
 DIVERGED = 2
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _shape(
     q: NDArray[np.float64],
     side: float,
@@ -91,7 +91,7 @@ def _shape(
     return False
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _energy(
     q: NDArray[np.float64], side: float, a: float, root: NDArray[np.float64], across: NDArray[np.float64]
 ) -> float:
@@ -110,7 +110,7 @@ def _energy(
     return float(total)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _adjoint(
     side_drag: float,
     source: NDArray[np.float64],
@@ -143,7 +143,7 @@ def _adjoint(
             return
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _gradient(
     q: NDArray[np.float64],
     side: float,
@@ -186,7 +186,7 @@ def _gradient(
     ) / a
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _quarter(
     q: NDArray[np.float64],
     side: float,
@@ -243,7 +243,7 @@ def _quarter(
     return time / (2 * np.pi)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def half_swing_map(
     q: NDArray[np.float64],
     index: NDArray[np.int64],

@@ -16,8 +16,9 @@ effect on the amplitude is small (next neighbours correlate by less than 0.1) an
 """
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from processing.kernel import kernel
 
 GAINS = 7
 """Numbers that the filter computes for a half-cycle and uses again where its gains are held."""
@@ -25,7 +26,7 @@ GAINS = 7
 SMEARED_VARIANCE, SMEARED_COVARIANCE = 0.0670, 0.1757
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def drive_filter(
     nodes: NDArray[np.float64],
     loss_by: NDArray[np.float64],

@@ -6,17 +6,17 @@ and the choice itself is smoothed.
 """
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from processing.errors import DataError
+from processing.kernel import kernel
 
 SPANS = (0.05, 0.2, 0.5)
 """Friedman's three spans (tweeter, midrange, woofer) as fractions of the number of points."""
 _FEWEST = 8
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _running_lines(
     x: NDArray[np.float64], y: NDArray[np.float64], weight: NDArray[np.float64], span: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

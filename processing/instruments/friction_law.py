@@ -13,11 +13,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from processing.errors import DataError
 from processing.estimate import Estimate
+from processing.kernel import kernel
 from processing.swing import TurningPoints
 
 _FEWEST = 6
@@ -114,7 +114,7 @@ def fit_friction_law(points: TurningPoints) -> FrictionLaw:
     )
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _decay(
     log_initial: float, log_moment: float, exponent: float, reference: float, steps: NDArray[np.int64]
 ) -> NDArray[np.float64]:

@@ -7,9 +7,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from processing.kernel import kernel
 from processing.spot.fit_values import (
     AMPLITUDE,
     BACKGROUND,
@@ -64,12 +64,12 @@ class CleanFit(NamedTuple):
     """The start values were too far from the spot: from better ones the same fit may well succeed."""
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _not_done(far: bool) -> CleanFit:
     return CleanFit(Fitted(False, 0.0, 0, 0, 0, UPRIGHT, False, False), 0.0, far)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def moved(image: Image, p: Floats, noise: PixelNoise) -> bool:
     """Whether the light at the expected centre has fallen so far that the spot must be elsewhere.
 
@@ -90,7 +90,7 @@ def moved(image: Image, p: Floats, noise: PixelNoise) -> bool:
     return bool(light < 0.75 * expected - 5.0 * math.sqrt(variance / 9.0))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def fit_clean(
     image: Image, work: Workspace, rough: bool, tilted: bool, noise: PixelNoise, tables: NDArray[np.float32]
 ) -> CleanFit:

@@ -3,8 +3,9 @@
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from processing.kernel import kernel
 
 Floats = NDArray[np.float64]
 
@@ -80,7 +81,7 @@ class Fitted(NamedTuple):
 WORKSPACE_SHAPE = (1 + 2 * PARAMETERS, PARAMETERS)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def workspace_of(array: Floats) -> Workspace:
     """`Workspace` made of views of an array of WORKSPACE_SHAPE.
 
@@ -89,7 +90,7 @@ def workspace_of(array: Floats) -> Workspace:
     return Workspace(array[0], array[1 : 1 + PARAMETERS], array[1 + PARAMETERS : 1 + 2 * PARAMETERS])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def as_kind(fitted: Fitted, size: int, tilted: bool, two: bool) -> Fitted:
     """The same result with `size`, `tilted` and `two` replaced."""
     return Fitted(

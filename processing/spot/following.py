@@ -7,9 +7,9 @@ used where the spot needs it.
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from processing.kernel import kernel
 from processing.spot.clean_fit import TILT_EVIDENCE, fit_clean, moved
 from processing.spot.fit_values import (
     AMPLITUDE,
@@ -32,13 +32,13 @@ SEARCH = -1
 """Returned in place of the flags if the spot was not found at the expected position."""
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _not_here() -> Result:
     nan = math.nan
     return nan, nan, nan, nan, nan, nan, nan, nan, nan, nan, SEARCH
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def follow(
     image: Image,
     origin_x: int,
@@ -102,7 +102,7 @@ def follow(
     return finish(image, place, memory, work, noise, fitted, followed=True)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _plausible(p: Floats, memory: Floats, noise: PixelNoise, fitted: Fitted) -> bool:
     """Whether the fitted spot resembles that of the previous frame; if not, the whole frame is searched.
 

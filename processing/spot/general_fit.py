@@ -23,8 +23,8 @@ whatever factors the residuals are multiplied by.
 import math
 
 import numpy as np
-from numba import njit
 
+from processing.kernel import kernel
 from processing.spot.fit_values import (
     AMPLITUDE,
     BACKGROUND,
@@ -57,7 +57,7 @@ _FAR = 2.0 * 20.7
 """(u, v) P (u, v)^T beyond which the light is less than 1e-9 of the peak."""
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def inverse_covariance(p: Floats) -> tuple[float, float, float]:
     """Elements xx, yy and xy of P = C^-1, in px^-2."""
     xx, yy = p[SIGMA_X] * p[SIGMA_X], p[SIGMA_Y] * p[SIGMA_Y]
@@ -65,7 +65,22 @@ def inverse_covariance(p: Floats) -> tuple[float, float, float]:
     return yy / determinant, xx / determinant, -p[COVARIANCE] / determinant
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
+def _add_pixel(
+    size: int, weight: float, wr: float, derivative: Floats, gradient: Floats, matrix: Floats
+) -> None:
+    """Add a pixel of weighted residual `wr` to the sums of the first `size` parameters.
+
+    The sums take most of the time of a fit: the trailing parameters that are not fitted are left out.
+    """
+    for k in range(size):
+        gradient[k] += wr * derivative[k]
+        wk = weight * derivative[k]
+        for m in range(k + 1):
+            matrix[k, m] += wk * derivative[m]
+
+
+@kernel
 def score_general(
     image: Image,
     window: Window,
@@ -117,8 +132,6 @@ def score_general(
     derivative = np.zeros(PARAMETERS)
     derivative[BACKGROUND] = 1.0
     floor = background_variance(p[BACKGROUND], noise)
-    # the sums take most of the time: leave out the trailing parameters that are not fitted
-    size = PARAMETERS if two else (TILTED if tilted else UPRIGHT)
     chi2 = 0.0
     pixels = 0
     saturated = 0
@@ -176,11 +189,13 @@ def score_general(
             chi2 += z
             pixels += 1
             wr = weight * r
-            for k in range(size):
-                gradient[k] += wr * derivative[k]
-                wk = weight * derivative[k]
-                for m in range(k + 1):
-                    matrix[k, m] += wk * derivative[m]
+            # a constant number of parameters each, for which the compiler unrolls the sums
+            if two:
+                _add_pixel(PARAMETERS, weight, wr, derivative, gradient, matrix)
+            elif tilted:
+                _add_pixel(TILTED, weight, wr, derivative, gradient, matrix)
+            else:
+                _add_pixel(UPRIGHT, weight, wr, derivative, gradient, matrix)
     # a row and column of the unit matrix give a parameter that is not fitted the step zero
     for k in range(PARAMETERS):
         if (k == COVARIANCE and not tilted) or (k >= SECOND_AMPLITUDE and not two):
@@ -194,7 +209,7 @@ def score_general(
     return chi2, pixels, saturated, outliers
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def window_of(p: Floats, nx: int, ny: int, reach: float) -> Window:
     """Pixels within `reach` standard deviations of the centre, cut at the image's edges."""
     hx = math.ceil(reach * p[SIGMA_X])
@@ -204,7 +219,7 @@ def window_of(p: Floats, nx: int, ny: int, reach: float) -> Window:
     return Window(max(0, cx - hx), max(0, cy - hy), min(nx, cx + hx + 1), min(ny, cy + hy + 1))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def fit_general(
     image: Image, work: Workspace, tilted: bool, two: bool, noise: PixelNoise, reach: float
 ) -> Fitted:

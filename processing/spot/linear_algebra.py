@@ -3,13 +3,14 @@
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from processing.kernel import kernel
 
 Floats = NDArray[np.float64]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def cholesky(matrix: Floats, size: int, factor: Floats) -> bool:
     """Lower factor L, L L^T = matrix, of the first `size` rows; False if it is not positive definite."""
     for k in range(size):
@@ -26,7 +27,7 @@ def cholesky(matrix: Floats, size: int, factor: Floats) -> bool:
     return True
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def solve(factor: Floats, size: int, right: Floats, solution: Floats) -> None:
     """Solution of (L L^T) x = right: forward, then backward substitution."""
     for k in range(size):
@@ -41,7 +42,7 @@ def solve(factor: Floats, size: int, right: Floats, solution: Floats) -> None:
         solution[k] = total / factor[k, k]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def inverse_diagonal(factor: Floats, size: int, index: int) -> float:
     """Element (index, index) of the inverse matrix: the squared norm of column `index` of L^-1."""
     column = np.zeros(size)

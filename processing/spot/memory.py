@@ -1,8 +1,8 @@
 """State of the tracker between frames: the last spot, its last displacement, and the kind of fit it needs."""
 
 import numpy as np
-from numba import njit
 
+from processing.kernel import kernel
 from processing.spot.fit_values import (
     PARAMETERS,
     SECOND_X,
@@ -32,7 +32,7 @@ def empty_memory() -> Floats:
     return np.zeros(_SIZE)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def forget(memory: Floats) -> None:
     """Stop following: the next frame is searched as a whole."""
     memory[FOLLOWS] = 0.0
@@ -40,7 +40,7 @@ def forget(memory: Floats) -> None:
     memory[STEP_Y] = 0.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def expect(memory: Floats, place: Place, p: Floats) -> None:
     """Write the parameters expected in the next image into `p`.
 
@@ -55,7 +55,7 @@ def expect(memory: Floats, place: Place, p: Floats) -> None:
     p[SECOND_Y] += memory[STEP_Y] - place.origin_y
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def remember(memory: Floats, place: Place, p: Floats, fitted: Fitted, followed: bool) -> None:
     """Store the fitted spot. After a search the displacement is unknown and is set to zero."""
     x = p[X] + place.origin_x

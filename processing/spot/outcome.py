@@ -3,8 +3,8 @@
 import math
 
 import numpy as np
-from numba import njit
 
+from processing.kernel import kernel
 from processing.spot.fit_values import (
     AMPLITUDE,
     BACKGROUND,
@@ -44,7 +44,7 @@ _OUTLIERS = SpotFlag.OUTLIERS.value
 _MULTIPLE = SpotFlag.MULTIPLE.value
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def lost(memory: Floats) -> Result:
     """Result for a frame without a spot: NaN and the flag LOST; the next frame is searched as a whole."""
     forget(memory)
@@ -52,7 +52,7 @@ def lost(memory: Floats) -> Result:
     return nan, nan, nan, nan, nan, nan, nan, nan, nan, nan, _LOST
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def significant(p: Floats, noise: PixelNoise, fitted: Fitted) -> bool:
     """Whether the spot is significant against the background noise and does not consist of outliers.
 
@@ -65,7 +65,7 @@ def significant(p: Floats, noise: PixelNoise, fitted: Fitted) -> bool:
     return p[AMPLITUDE] * math.sqrt(area) > 8.0 * math.sqrt(floor) and fitted.outliers < 0.3 * fitted.pixels
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def finish(
     image: Image,
     place: Place,
@@ -95,7 +95,7 @@ def finish(
     return _report(place, work, noise, fitted)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _information(image: Image, work: Workspace, noise: PixelNoise, fitted: Fitted) -> None:
     """Fisher information at the final parameters, written into `work.information`."""
     ny, nx = image.shape
@@ -114,7 +114,7 @@ def _information(image: Image, work: Workspace, noise: PixelNoise, fitted: Fitte
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _report(place: Place, work: Workspace, noise: PixelNoise, fitted: Fitted) -> Result:
     """Fields of the `Spot`: position on the sensor, uncertainties, principal axes and flags."""
     p = work.parameters

@@ -7,16 +7,17 @@ from collections.abc import Callable
 from typing import Any, cast
 
 from llvmlite import ir  # type: ignore[import-untyped]
-from numba import njit, types
+from numba import types
 from numba.extending import intrinsic
 
+from processing.kernel import kernel
 from processing.spot.spot import Image
 
 LINE_BYTES = 64
 _READ, _KEEP, _DATA = 0, 3, 1
 
 
-@intrinsic
+@intrinsic  # type: ignore[untyped-decorator]
 def _prefetch(typing_context: Any, image: Any, place: Any) -> Any:
     """Generate the LLVM prefetch instruction for `prefetch`."""
 
@@ -40,7 +41,7 @@ for an index beyond the end of the image.
 """
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def prefetch_window(image: Image, x0: int, y0: int, nx: int, ny: int) -> None:
     """Start loading nx x ny pixels from (x0, y0) on.
 

@@ -5,9 +5,9 @@ column, the highest value met. The brightest place is then located in the few ro
 """
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from processing.kernel import kernel
 from processing.spot.prefetch import LINE_BYTES, prefetch, prefetch_window
 from processing.spot.spot import Image
 
@@ -30,7 +30,7 @@ _ROWS_AHEAD = 4
 # would be widened to 64 bits, and the compiler would not vectorise them.
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def scan_every_row(image: Image, bands: Image) -> None:
     """For each band and column, find the highest of the minima of four pixels one above the other.
 
@@ -72,7 +72,7 @@ def scan_every_row(image: Image, bands: Image) -> None:
                         part[i] = value if value > part[i] else part[i]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def scan_some_rows(image: Image, row_step: int, bands: Image) -> None:
     """For each band and column, write the highest pixel among every `row_step`-th row into `bands`."""
     ny, nx = image.shape
@@ -91,7 +91,7 @@ def scan_some_rows(image: Image, row_step: int, bands: Image) -> None:
                 line[i] = value if value > line[i] else line[i]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _highest_of_three(line: Image, first: int, count: int) -> int:
     """Highest of the minima of three neighbouring pixels, for `count` triples from `first` on."""
     left = line[first : first + count]
@@ -107,13 +107,13 @@ def _highest_of_three(line: Image, first: int, count: int) -> int:
     return int(top)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def of_three(image: Image, x: int, y: int) -> int:
     """Lowest of a pixel and its neighbours to the left and right: a hot pixel does not raise it."""
     return int(min(min(image[y, x - 1], image[y, x]), image[y, x + 1]))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def brightest(image: Image, bands: Image) -> tuple[int, int, int]:
     """Brightest place after a scan.
 
@@ -158,7 +158,7 @@ def brightest(image: Image, bands: Image) -> tuple[int, int, int]:
     return peak, x, (first + last) // 2
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _ranked(sample: NDArray[np.int64], rank: int, bits: int) -> int:
     """Order statistic: the highest value of `bits` bits such that at most `rank` of the sample are lower.
 
@@ -175,7 +175,7 @@ def _ranked(sample: NDArray[np.int64], rank: int, bits: int) -> int:
     return value
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def background_of(image: Image, row_step: int, sample: NDArray[np.int64]) -> tuple[float, float]:
     """Median and robust standard deviation, DN, of a grid of 512 pixels in rows that the scan has read."""
     ny, nx = image.shape
@@ -194,7 +194,7 @@ def background_of(image: Image, row_step: int, sample: NDArray[np.int64]) -> tup
     return float(middle), max((middle - low) / 0.8416, 0.3)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def brightest_block(image: Image, size: int, clip: float) -> tuple[float, int, int]:
     """Highest mean of a block of size x size pixels: mean in DN, and x, y of its centre.
 

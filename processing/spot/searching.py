@@ -3,9 +3,9 @@
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from processing.kernel import kernel
 from processing.spot.clean_fit import TILT_EVIDENCE, fit_clean
 from processing.spot.fit_values import (
     AMPLITUDE,
@@ -48,7 +48,7 @@ _SMALLEST_SPOT_PX = 0.7
 """A smaller fitted sigma means a cluster of hot pixels and not a spot."""
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _climb(image: Image, peak: int, x: int, y: int) -> tuple[int, int]:
     """Climb up or down column `x` to its local maximum; returns the value there and y.
 
@@ -69,7 +69,7 @@ def _climb(image: Image, peak: int, x: int, y: int) -> tuple[int, int]:
     return peak, y
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _fit_any(image: Image, work: Workspace, noise: PixelNoise) -> Fitted:
     """General fit of a single spot; as upright unless its tilt is significant (five standard deviations).
 
@@ -92,7 +92,7 @@ def _fit_any(image: Image, work: Workspace, noise: PixelNoise) -> Fitted:
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _near_edge(image: Image, p: Floats) -> bool:
     """Whether the image's edge is nearer to the spot than two standard deviations."""
     ny, nx = image.shape
@@ -100,7 +100,7 @@ def _near_edge(image: Image, p: Floats) -> bool:
     return bool(edge_x < 2.0 * p[SIGMA_X] or edge_y < 2.0 * p[SIGMA_Y])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def search(
     image: Image,
     origin_x: int,

@@ -2,8 +2,7 @@
 
 import math
 
-from numba import njit
-
+from processing.kernel import kernel
 from processing.spot.fit_values import (
     AMPLITUDE,
     BACKGROUND,
@@ -27,7 +26,7 @@ _ONE, _TWO = 6, 9
 """Number of unknowns of one upright spot, and of two of the same shape."""
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def find_second(image: Image, p: Floats, noise: PixelNoise) -> bool:
     """Look for a second spot in the residuals of a fit; if there is one, write start values for it into `p`.
 
@@ -71,7 +70,7 @@ def find_second(image: Image, p: Floats, noise: PixelNoise) -> bool:
     return found
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def try_second(image: Image, work: Workspace, noise: PixelNoise, one: Fitted) -> Fitted:
     """Fit two spots jointly and return that fit if it is clearly better; otherwise return `one` unchanged.
 
@@ -98,6 +97,7 @@ def try_second(image: Image, work: Workspace, noise: PixelNoise, one: Fitted) ->
         and 0.0 < trial[SECOND_AMPLITUDE] <= trial[AMPLITUDE]
         and apart > 1.2
     ):
-        p[:] = trial
+        for k in range(len(p)):
+            p[k] = trial[k]
         return two
     return one

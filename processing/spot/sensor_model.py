@@ -4,10 +4,10 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from processing.errors import DataError
+from processing.kernel import kernel
 
 LEAST_VARIANCE_DN2 = 1.0 / 12.0
 """Variance of rounding to whole DN (uniform distribution of width 1), the least that a pixel can have."""
@@ -84,13 +84,13 @@ class SensorModel:
         )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def pixel_noise_of(values: NDArray[np.float64]) -> PixelNoise:
     """`PixelNoise` from an array of its fields; numba takes a NamedTuple argument from Python only slowly."""
     return PixelNoise(values[0], values[1], values[2], values[3])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def background_variance(background_dn: float, noise: PixelNoise) -> float:
     """Variance in DN^2 of a pixel that receives only the background."""
     return float(max(noise.at_zero_dn2 + background_dn * noise.dn_per_e, LEAST_VARIANCE_DN2))

@@ -4,9 +4,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from processing.kernel import kernel
 from processing.spot.fit_values import (
     AMPLITUDE,
     BACKGROUND,
@@ -42,7 +42,7 @@ class _Area(NamedTuple):
     y_last: int
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _crossing(image: Image, x: int, y: int, dx: int, dy: int, level: float) -> float:
     """Distance in px from (x, y) to where the light falls below a level, along the direction (dx, dy).
 
@@ -63,7 +63,7 @@ def _crossing(image: Image, x: int, y: int, dx: int, dy: int, level: float) -> f
         distance += 1
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def start_on_chords(image: Image, x: int, y: int, background: float, peak: int, p: Floats) -> bool:
     """Start values from the chords at half maximum along a row and a column, written into `p`.
 
@@ -102,7 +102,7 @@ def start_on_chords(image: Image, x: int, y: int, background: float, peak: int, 
     return True
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _flood(
     image: Image,
     x: int,
@@ -148,7 +148,7 @@ def _flood(
     return _Area(count, sum_x, sum_y, sum_xx, sum_yy, sum_xy, x_first, x_last, y_first, y_last)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def start_on_areas(
     image: Image,
     x: int,

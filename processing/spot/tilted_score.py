@@ -12,9 +12,9 @@ written as a polynomial so that the compiler turns it into vector instructions.
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from processing.kernel import kernel
 from processing.spot.fit_values import (
     AMPLITUDE,
     BACKGROUND,
@@ -37,7 +37,7 @@ _FAR = np.float32(20.7 / _PARTS)
 """Exponent, in parts, beyond which the light is less than 1e-9 of the peak."""
 
 
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@kernel(fastmath=True)
 def score_tilted(
     image: Image,
     x0: int,
@@ -139,7 +139,7 @@ def score_tilted(
     return float(chi2), float(kept)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def information_tilted(
     image: Image, window: Window, p: Floats, noise: PixelNoise, step_x: int, step_y: int, matrix: Floats
 ) -> None:

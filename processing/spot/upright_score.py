@@ -8,9 +8,9 @@ multiplications in single precision, which the compiler turns into vector instru
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from processing.kernel import kernel
 from processing.spot.fit_values import (
     AMPLITUDE,
     BACKGROUND,
@@ -38,7 +38,7 @@ ALONG_Y = 3
 TABLE_ROWS = 6
 
 
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@kernel(fastmath=True)
 def profile(table: Singles, first: int, count: int, centre: float, sigma: float) -> None:
     """Tabulate a pixel-integrated Gaussian of unit peak density and its derivatives by centre and sigma.
 
@@ -87,7 +87,7 @@ def profile(table: Singles, first: int, count: int, centre: float, sigma: float)
             i += move
 
 
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@kernel(fastmath=True)
 def score(
     image: Image,
     x0: int,
@@ -171,7 +171,7 @@ def score(
     return float(row_step * chi2), float(row_step * kept)
 
 
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@kernel(fastmath=True)
 def information(
     nx: int,
     ny: int,

@@ -16,9 +16,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from processing.kernel import kernel
 from processing.swing.half_cycle import (
     AMPLITUDE,
     RATE,
@@ -33,6 +33,7 @@ from processing.swing.half_cycle import (
     propagate,
     tabulate_state,
 )
+from processing.swing.small_matrices import copy, times_matrix
 from processing.swing.waveform import NODES, SHAPES, zero_phases
 
 _STEPS = 30
@@ -107,7 +108,7 @@ class Arc:
         return np.asarray(seen[:, 0] / seen[:, 1], dtype=np.float64)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _walk_kernel(
     x0: Vector,
     reference: float,
@@ -129,28 +130,42 @@ def _walk_kernel(
     transitions, information = np.empty((halves, k, k)), np.empty((halves, k, k))
     scores, windows, chi2_each = np.empty((halves, k)), np.empty((halves, 2)), np.empty((halves, 2))
     table, turn = np.zeros((2 + SHAPES, NODES, 2)), np.zeros((2, 2 + SHAPES))
-    own, own_score, small = np.empty((k, k)), np.empty(k), np.empty((k, k))
-    x, towards = x0.copy(), np.eye(k)
+    own, own_score, small, product = np.empty((k, k)), np.empty(k), np.empty((k, k)), np.empty((k, k))
+    x, towards = x0.copy(), np.zeros((k, k))
+    for m in range(k):
+        towards[m, m] = 1.0
     for half in range(halves):
         i, j = bounds[half], bounds[half + 1]
-        states[half], transitions[half] = x, towards
+        for m in range(STATES):
+            states[half, m] = x[m]
+        copy(towards, transitions[half])
         tabulate_state(x, x, reference, active, table, turn)
         residual, jacobian = np.empty(j - i), np.empty((j - i, k))
         linearise(x, sides[half], active, table, tau[i:j], deflection[i:j], residual, jacobian)
-        weight = 1.0 / u_deflection[i:j] ** 2
+        weight = np.empty(j - i)
+        for sample in range(j - i):
+            weight[sample] = 1.0 / u_deflection[i + sample] ** 2
         chi2, count = normal_equations(residual, jacobian, weight, own, own_score)
-        information[half] = towards.T @ own @ towards
-        scores[half] = towards.T @ own_score
+        times_matrix(towards, own, True, product)
+        times_matrix(product, towards, False, information[half])
+        for m in range(k):
+            scores[half, m] = 0.0
+            for n in range(k):
+                scores[half, m] += towards[n, m] * own_score[n]
         chi2_each[half, 0], chi2_each[half, 1] = chi2, count
         before, after = zero_phases(table)
         windows[half, 0], windows[half, 1] = x[TIME] + before / x[RATE], x[TIME] + after / x[RATE]
         x, transition = propagate(x, turn, steps[half])
-        if not (math.isfinite(chi2) and np.all(np.isfinite(x)) and x[AMPLITUDE] > 0.0):
+        finite = math.isfinite(chi2)
+        for m in range(STATES):
+            finite &= math.isfinite(x[m])
+        if not (finite and x[AMPLITUDE] > 0.0):
             return states, transitions, information, scores, windows, chi2_each, False
         for m in range(k):
             for n in range(k):
                 small[m, n] = transition[active[m], active[n]]
-        towards = small @ towards
+        times_matrix(small, towards, False, product)
+        copy(product, towards)
     return states, transitions, information, scores, windows, chi2_each, True
 
 

@@ -11,7 +11,7 @@ _FRAMES_PER_S, _SECONDS, _RATE, _LOSS = 20.0, 60.0, 1.5, 0.01
 def compile_kernels() -> None:
     """Run every compiled kernel of this package once, so that numba compiles it or loads it from its cache.
 
-    This takes about 20 s on the first run after an installation and a few tenths of a second later. Call
+    This takes about 10 s on the first run after an installation and a few tenths of a second later. Call
     it before a measurement: compilation during the first swing would block the processing of samples.
     """
     time_s = np.arange(0.0, _SECONDS, 1.0 / _FRAMES_PER_S)

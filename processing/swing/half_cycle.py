@@ -19,10 +19,20 @@ digits. Only the active entries of the state are free; the others are constants.
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from processing.swing.waveform import DAMPING, LOG_RATIO, NODES_BEFORE, SHAPES, STEP, Table, locate, tabulate
+from processing.kernel import kernel
+from processing.swing.waveform import (
+    DAMPING,
+    LOG_RATIO,
+    NODES,
+    NODES_BEFORE,
+    SHAPES,
+    STEP,
+    Table,
+    locate,
+    tabulate,
+)
 
 AMPLITUDE, TIME, RATE, SHAPE, CENTRE, DRIFT = 0, 1, 2, 3, 10, 11
 FAST_COSINE, FAST_SINE, FAST_RATE, FAST_DAMPING = 12, 13, 14, 15
@@ -33,7 +43,7 @@ Matrix = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def invert(matrix: Matrix, inverse: Matrix) -> bool:
     """Inverse of a symmetric positive definite matrix by its Cholesky factor; False if it is not one.
 
@@ -75,7 +85,7 @@ def invert(matrix: Matrix, inverse: Matrix) -> bool:
     return True
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def tabulate_state(
     x: Vector, anchor: Vector, reference: float, active: Indices, table: Table, turn: Matrix
 ) -> None:
@@ -103,19 +113,23 @@ def tabulate_state(
         wanted[count] = LOG_RATIO
         count += 1
     shape = np.empty(SHAPES + 1)
-    shape[:SHAPES] = anchor[SHAPE : SHAPE + SHAPES]
+    for k in range(SHAPES):
+        shape[k] = anchor[SHAPE + k]
     shape[LOG_RATIO] = math.log(abs(x[AMPLITUDE]) / reference)
     tabulate(shape, wanted[:count], table, turn)
     if not bent:
-        turn[:, 1 + LOG_RATIO] = 0.0
+        turn[0, 1 + LOG_RATIO] = turn[1, 1 + LOG_RATIO] = 0.0
     for k in wanted[:count]:
         away = x[SHAPE + k] - anchor[SHAPE + k] if k < SHAPES else 0.0
         if away != 0.0:
-            table[0] += away * table[1 + k]
-            turn[:, 0] += away * turn[:, 1 + k]
+            for node in range(NODES):
+                table[0, node, 0] += away * table[1 + k, node, 0]
+                table[0, node, 1] += away * table[1 + k, node, 1]
+            turn[0, 0] += away * turn[0, 1 + k]
+            turn[1, 0] += away * turn[1, 1 + k]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def linearise(
     x: Vector,
     side: float,
@@ -207,7 +221,7 @@ def linearise(
             jacobian[i, n] = value
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def normal_equations(
     residual: Vector, jacobian: Matrix, weight: Vector, information: Matrix, score: Vector
 ) -> tuple[float, int]:
@@ -234,7 +248,7 @@ def normal_equations(
     return total, count
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def propagate(x: Vector, turn: Matrix, elapsed: float) -> tuple[Vector, Matrix]:
     """State at the next turning point and its derivatives by the present state (transition matrix).
 
@@ -247,7 +261,9 @@ def propagate(x: Vector, turn: Matrix, elapsed: float) -> tuple[Vector, Matrix]:
     is allowed for centre and fast mode.
     """
     following = x.copy()
-    transition = np.eye(STATES)
+    transition = np.zeros((STATES, STATES))
+    for k in range(STATES):
+        transition[k, k] = 1.0
     rate = x[RATE]
     following[AMPLITUDE] = x[AMPLITUDE] * turn[1, 0]
     following[TIME] = x[TIME] + turn[0, 0] / rate - elapsed

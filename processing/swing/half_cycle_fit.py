@@ -19,8 +19,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from processing.kernel import kernel
 from processing.robust import MAD_TO_SIGMA
 from processing.swing.half_cycle import (
     AMPLITUDE,
@@ -37,6 +37,7 @@ from processing.swing.half_cycle import (
     normal_equations,
     tabulate_state,
 )
+from processing.swing.small_matrices import add, dot, quadratic, sort, times
 from processing.swing.waveform import NODES, SHAPES, N, P
 
 SEGMENTS = 8
@@ -86,7 +87,7 @@ class HalfCycleFit(NamedTuple):
     covariance: Matrix
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def excess(chi2: float, degrees: float) -> float:
     """Chi-square converted to a standard normal deviate (Wilson and Hilferty 1931)."""
     if degrees < 1.0:
@@ -95,7 +96,7 @@ def excess(chi2: float, degrees: float) -> float:
     return float(((chi2 / degrees) ** (1.0 / 3.0) - 1.0 + spread) / math.sqrt(spread))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _longest_hole(tau: Vector, deflection: Vector, start: float, end: float) -> float:
     """Longest gap between samples within the window, s."""
     hole, last = 0.0, start
@@ -106,13 +107,13 @@ def _longest_hole(tau: Vector, deflection: Vector, start: float, end: float) -> 
     return max(hole, end - last)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def segment_size(count: int) -> int:
     """Number of samples in each of SEGMENTS parts."""
     return max(count // SEGMENTS, 4)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _worst_segment(residual: Vector, weight: Vector, count: int) -> float:
     """Largest chi-square per sample among SEGMENTS parts: a short disturbance would not show in the whole."""
     size = segment_size(count)
@@ -127,7 +128,7 @@ def _worst_segment(residual: Vector, weight: Vector, count: int) -> float:
     return worst
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _slow_power(tau: Vector, residual: Vector, weight: Vector, count: int, start: float, end: float) -> float:
     """Mean of the residuals' squared projections on `SLOW_TERMS`; 1 for white noise of the weights."""
     if count < SLOW_FEWEST:
@@ -144,7 +145,7 @@ def _slow_power(tau: Vector, residual: Vector, weight: Vector, count: int, start
     return power / len(SLOW_TERMS)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _gate(residual: Vector, jacobian: Matrix, step: Vector, weight: Vector) -> int:
     """Reject outliers by setting their weight to 0; returns their number.
 
@@ -164,7 +165,10 @@ def _gate(residual: Vector, jacobian: Matrix, step: Vector, weight: Vector) -> i
             count += 1
     if largest <= _GATE:
         return 0
-    threshold = _GATE * max(1.0, MAD_TO_SIGMA * float(np.median(size[:count])))
+    kept = size[:count].copy()
+    sort(kept, count)
+    median = 0.5 * (kept[(count - 1) // 2] + kept[count // 2])
+    threshold = _GATE * max(1.0, MAD_TO_SIGMA * median)
     gated, k = 0, 0
     for i in range(n):
         if weight[i] > 0.0 and residual[i] == residual[i]:
@@ -175,7 +179,7 @@ def _gate(residual: Vector, jacobian: Matrix, step: Vector, weight: Vector) -> i
     return gated
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _forget_drift(mean: Vector, covariance: Matrix, active: Indices) -> None:
     """Set the drift to zero if it is not significant; this reduces the scatter of the centre four times.
 
@@ -190,7 +194,9 @@ def _forget_drift(mean: Vector, covariance: Matrix, active: Indices) -> None:
         variance = covariance[d, d]
         if not mean[DRIFT] ** 2 < _SEEN**2 * variance:
             return
-        column = covariance[:, d].copy()
+        column = np.empty(len(active))
+        for i in range(len(active)):
+            column[i] = covariance[i, d]
         for i in range(len(active)):
             mean[active[i]] -= column[i] * mean[DRIFT] / variance if i != d else 0.0
             for j in range(len(active)):
@@ -201,7 +207,7 @@ def _forget_drift(mean: Vector, covariance: Matrix, active: Indices) -> None:
         covariance[d, d] = 1e-6 * variance
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def fit_half_cycle(
     x: Vector,
     covariance: Matrix,
@@ -248,9 +254,14 @@ def fit_half_cycle(
     if calm:
         _forget_drift(mean, covered, active)
     # prior of the local solution: the inverse of the covariance without amplitude and time, which are free
-    inner = np.empty((k - 2, k - 2))
-    valid = invert(covered[2:, 2:].copy(), inner) and valid
-    shared[2:, 2:] = inner
+    rest, inner = np.empty((k - 2, k - 2)), np.empty((k - 2, k - 2))
+    for i in range(k - 2):
+        for j in range(k - 2):
+            rest[i, j] = covered[2 + i, 2 + j]
+    valid = invert(rest, inner) and valid
+    for i in range(k - 2):
+        for j in range(k - 2):
+            shared[2 + i, 2 + j] = inner[i, j]
     weight = np.empty(n)
     for i in range(n):
         usable = deflection[i] == deflection[i] and u_deflection[i] > 0.0
@@ -265,7 +276,7 @@ def fit_half_cycle(
         linearise(current, side, active, table, tau, deflection, residual, jacobian)
         while True:
             chi2, count = normal_equations(residual, jacobian, weight, information, score)
-            precision[:] = information + shared
+            add(information, shared, precision)
             valid = count > 4 and invert(precision, local_covariance)
             if not valid:
                 break
@@ -273,7 +284,7 @@ def fit_half_cycle(
             for i in range(k):
                 for j in range(2, k):
                     right[i] += shared[i, j] * (mean[active[j]] - current[active[j]])
-            local = local_covariance @ right
+            times(local_covariance, right, local)
             newly = _gate(residual, jacobian, local, weight)
             outliers += newly
             if newly == 0:
@@ -289,7 +300,7 @@ def fit_half_cycle(
             column = active[i]
             if SHAPE <= column < SHAPE + SHAPES:
                 # the exponents multiply terms that are themselves small
-                flat = column in (SHAPE + P, SHAPE + N)
+                flat = column == SHAPE + P or column == SHAPE + N
                 step += abs(local[i]) * (0.05 if flat else 1.0)
             elif column == RATE:
                 step += abs(local[i] / current[RATE])
@@ -309,31 +320,33 @@ def fit_half_cycle(
             math.nan, math.nan, math.nan, hole, state, posterior,
         )  # fmt: skip
     full_covariance, full = np.empty((k, k)), np.zeros(k)
-    precision[:] = information + predicted
+    add(information, predicted, precision)
     valid = invert(precision, full_covariance)
-    right = score.copy()
-    offset = np.empty(k)
+    right, offset, away = np.empty(k), np.empty(k), np.empty(k)
     for j in range(k):
         offset[j] = x[active[j]] - current[active[j]]
-    right += predicted @ offset
-    full = full_covariance @ right
+    times(predicted, offset, right)
+    for j in range(k):
+        right[j] += score[j]
+    times(full_covariance, right, full)
     # The cost of a step d is chi2 - 2 d.g + d.H d from the samples and (d - e).S (d - e) from the prior, with
     # e = m - x0. The difference of the two solutions' costs is the chi-square of amplitude and time against
     # their prediction.
-    away = full - offset
-    cost_full = chi2 - 2.0 * np.dot(full, score) + np.dot(full, information @ full)
-    cost_full += np.dot(away, predicted @ away)
     for j in range(k):
-        offset[j] = mean[active[j]] - current[active[j]]
-    chi2_local = chi2 - 2.0 * np.dot(local, score) + np.dot(local, information @ local)
-    away = local - offset
-    cost_local = chi2_local + np.dot(away, shared @ away)
+        away[j] = full[j] - offset[j]
+    cost_full = chi2 - 2.0 * dot(full, score) + quadratic(information, full) + quadratic(predicted, away)
+    for j in range(k):
+        away[j] = local[j] - (mean[active[j]] - current[active[j]])
+    chi2_local = chi2 - 2.0 * dot(local, score) + quadratic(information, local)
+    cost_local = chi2_local + quadratic(shared, away)
     for i in range(k):
         state[active[i]] += full[i]
         for j in range(k):
             posterior[active[i], active[j]] = full_covariance[i, j]
+    total_weight = 0.0
     for i in range(n):
-        residual[i] -= np.dot(jacobian[i], local)
+        residual[i] -= dot(jacobian[i], local)
+        total_weight += weight[i]
     moved = current.copy()
     for i in range(k):
         moved[active[i]] += local[i]
@@ -344,7 +357,7 @@ def fit_half_cycle(
         math.sqrt(local_covariance[AMPLITUDE, AMPLITUDE]),
         math.sqrt(local_covariance[TIME, TIME]),
         moved[CENTRE] + moved[DRIFT] * moved[TIME],
-        math.sqrt(2.0 / weight.sum()),
+        math.sqrt(2.0 / total_weight),
         chi2_local * noise_scale * noise_scale,
         count,
         outliers,

@@ -7,9 +7,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from processing.kernel import kernel
 from processing.swing.spectral_line import line
 
 Floats = NDArray[np.float64]
@@ -179,7 +179,7 @@ def fit_terms(p: Floats, active: list[int], samples: Samples, slow_rate: float) 
     return Fit(p, covariance, active, chi2, left_x, left_y)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _equations(
     p: Floats, t: Floats, x: Floats, y: Floats, weights_x: Floats, weights_y: Floats
 ) -> tuple[Floats, Floats, float, Floats, Floats]:
@@ -243,7 +243,7 @@ def _equations(
     return information, score, chi2, left_x, left_y
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _strongest(
     t: Floats, x: Floats, y: Floats, weights_x: Floats, weights_y: Floats, rates: Floats
 ) -> tuple[float, float]:

@@ -4,8 +4,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from processing.kernel import kernel
 
 REVERSAL = 0.25
 """A turning point is accepted once the deflection has returned by this fraction of the last swing's range
@@ -32,12 +33,12 @@ class Pivot(NamedTuple):
     deflection: float
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _middle(a: float, b: float, c: float) -> float:
     return max(min(a, b), min(max(a, b), c))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def search(
     times_ns: NDArray[np.int64],
     deflection: NDArray[np.float64],

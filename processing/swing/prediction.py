@@ -13,8 +13,8 @@ what one half-cycle can measure. The filter then averages over many half-cycles,
 import math
 
 import numpy as np
-from numba import njit
 
+from processing.kernel import kernel
 from processing.swing.half_cycle import (
     AMPLITUDE,
     CENTRE,
@@ -39,7 +39,7 @@ SLOPE_WANDER = 1e-3
 """Standard deviation of the change of the drift per half-cycle, in units of (resolution per half-cycle)."""
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def predict(
     x: Vector,
     covariance: Matrix,
@@ -137,7 +137,7 @@ def predict(
     return step_ns, following, carried, following[TIME] + after / rate
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def window(x: Vector, reference: float) -> tuple[float, float, float]:
     """Zero crossings before and after the turning point and the next turning point, s from the reference."""
     table, turn = np.zeros((2 + SHAPES, NODES, 2)), np.zeros((2, 2 + SHAPES))

@@ -3,17 +3,17 @@
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from processing.errors import DataError
+from processing.kernel import kernel
 from processing.swing.arc import HalfCycleSamples
 
 _FINE, _BACKWARDS, _UNCERTAINTY = 0, 1, 2
 _FIRST_SIZE = 4096
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _fault(
     times_ns: NDArray[np.int64], deflection: NDArray[np.float64], u_deflection: NDArray[np.float64], last: int
 ) -> tuple[int, int]:

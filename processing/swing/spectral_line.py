@@ -2,12 +2,11 @@
 
 import math
 
-from numba import njit
-
+from processing.kernel import kernel
 from processing.swing.half_cycle import Vector
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def line(rate: float, time_s: Vector, value: Vector, weight: Vector) -> tuple[float, float, float]:
     """Fit ``c cos(rate t) + s sin(rate t)``.
 

@@ -4,8 +4,8 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numba import njit
 
+from processing.kernel import kernel
 from processing.swing.arc import Arc, HalfCycleSamples, fit_arc, gain_of_more
 from processing.swing.half_cycle import (
     AMPLITUDE,
@@ -205,7 +205,7 @@ def _with_fast_mode(arc: Arc, halves: Sequence[HalfCycleSamples]) -> Arc | None:
     return fit_arc(start, mean, sigma, halves, arc.reference, (*arc.active.tolist(), *FAST_MODE))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _lines(time_s: Vector, residual: Vector, weight: Vector, rates: Vector) -> Matrix:
     """Power, cosine and sine amplitude at each of the rates, (n, 3)."""
     out = np.empty((len(rates), 3))

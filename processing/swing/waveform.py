@@ -18,8 +18,10 @@ sinusoid.
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from processing.kernel import kernel
+from processing.swing.small_matrices import copy
 
 DAMPING, DRY, RISE, P, STIFF, N, BEND, LOG_RATIO = range(8)
 """Indices of the terms. LOG_RATIO is ln r; it follows from the amplitude and is not fitted."""
@@ -45,7 +47,7 @@ Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _box(logarithm: float, power: float, exponent: float) -> tuple[float, float]:
     """``(u^q - 1)/q`` and its derivative by q, from ln u and u^q; by a series near q = 0."""
     if abs(exponent) < _SMALLEST_EXPONENT:
@@ -55,7 +57,7 @@ def _box(logarithm: float, power: float, exponent: float) -> tuple[float, float]
     return box, (logarithm * power - box) / exponent
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _acceleration(y: float, v: float, sense: float, shape: Vector, by: Vector) -> float:
     """y''; its derivatives by the terms, by ln r, by y and by v are written into `by`.
 
@@ -95,7 +97,7 @@ def _acceleration(y: float, v: float, sense: float, shape: Vector, by: Vector) -
     return float(force + y * stiffening + friction)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _step(
     motion: Matrix,
     sense: float,
@@ -149,7 +151,7 @@ def _step(
             )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _step_on_grid(
     motion: Matrix,
     before: Matrix,
@@ -163,21 +165,21 @@ def _step_on_grid(
     The powers of |y| are not smooth at y = 0. A step that crosses zero is therefore divided there, with the
     crossing found by Newton's method; otherwise the Runge-Kutta method would lose its order.
     """
-    before[:] = motion
+    copy(motion, before)
     _step(motion, sense, shape, wanted, STEP, rates)
     if before[0, 0] > 0.0 > motion[0, 0]:
         fraction = STEP * before[0, 0] / (before[0, 0] - motion[0, 0])
         for _ in range(3):
-            motion[0] = before[0]
+            motion[0, 0], motion[0, 1] = before[0, 0], before[0, 1]
             _step(motion, sense, shape, wanted[:0], fraction, rates)
             fraction -= motion[0, 0] / motion[0, 1]
-        motion[:] = before
+        copy(before, motion)
         _step(motion, sense, shape, wanted, fraction, rates)
         motion[0, 0] = -0.0
         _step(motion, sense, shape, wanted, STEP - fraction, rates)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _tabulate_sinusoid(damping: float, table: Table, turn: Matrix) -> None:
     """Tabulate the damped sinusoid and its derivative by the damping d, in closed form.
 
@@ -201,7 +203,7 @@ def _tabulate_sinusoid(damping: float, table: Table, turn: Matrix) -> None:
     turn[1, 1 + DAMPING] = -turn[1, 0] * math.pi / rate**3
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def tabulate(shape: Vector, wanted: NDArray[np.int64], table: Table, turn: Matrix) -> None:
     """Tabulate the half-swing and its derivatives by the wanted terms.
 
@@ -221,7 +223,8 @@ def tabulate(shape: Vector, wanted: NDArray[np.int64], table: Table, turn: Matri
             _tabulate_sinusoid(shape[DAMPING], table, turn)
             return
     motion = np.zeros((2 + SHAPES, 2))
-    before = np.empty_like(motion)
+    before = np.empty((2 + SHAPES, 2))
+    turning = np.empty((2 + SHAPES, 2))
     rates = np.empty((5, SHAPES + 3, 2))
     motion[0, 0] = 1.0
     # before the turning point the integration runs backwards in time, which reverses friction and damping
@@ -236,20 +239,20 @@ def tabulate(shape: Vector, wanted: NDArray[np.int64], table: Table, turn: Matri
     by = rates[4, :, 0]
     for step in range(NODES_AFTER):
         node = NODES_BEFORE + step
-        table[0, node] = motion[0]
+        table[0, node, 0], table[0, node, 1] = motion[0, 0], motion[0, 1]
         for k in wanted:
-            table[1 + k, node] = motion[1 + k]
+            table[1 + k, node, 0], table[1 + k, node, 1] = motion[1 + k, 0], motion[1 + k, 1]
         _step_on_grid(motion, before, 1.0, shape, wanted, rates)
         if step > 1 and before[0, 1] < 0.0 <= motion[0, 1]:
             # y' changes its sign within this step: Newton's method for the turning point, then its
             # derivatives from d(y')/dp + y'' ds/dp = 0
             fraction = 0.5 * STEP
-            turning = before.copy()
+            copy(before, turning)
             for _ in range(3):
-                turning[0] = before[0]
+                turning[0, 0], turning[0, 1] = before[0, 0], before[0, 1]
                 _step(turning, 1.0, shape, wanted[:0], fraction, rates)
                 fraction -= turning[0, 1] / _acceleration(turning[0, 0], turning[0, 1], 1.0, shape, by)
-            turning[:] = before
+            copy(before, turning)
             _step(turning, 1.0, shape, wanted, fraction, rates)
             rate = _acceleration(turning[0, 0], turning[0, 1], 1.0, shape, by)
             turn[0, 0], turn[1, 0] = step * STEP + fraction, -turning[0, 0]
@@ -258,7 +261,7 @@ def tabulate(shape: Vector, wanted: NDArray[np.int64], table: Table, turn: Matri
                 turn[1, 1 + k] = -turning[1 + k, 0]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def locate(s: float) -> tuple[int, float]:
     """First of the two nodes around phase `s`, position between them (0 to 1); node -1 outside the table."""
     if s >= 0.0:
@@ -272,7 +275,7 @@ def locate(s: float) -> tuple[int, float]:
     return cell, -s / STEP - cell
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def zero_phases(table: Table) -> tuple[float, float]:
     """Phases of the zero crossings before (negative) and after the turning point; NaN if not in the table."""
     before, after = math.nan, math.nan

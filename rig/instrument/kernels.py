@@ -1,33 +1,34 @@
 """Compiles the numba kernels before a camera delivers frames, which would be lost meanwhile."""
 
-import threading
 from collections.abc import Callable
 
 import numpy as np
 
 from acquisition.record.writer import compile_window
+from processing.kernel import at_compilation
 from processing.spot import SensorModel, SpotTracker
 from processing.swing import compile_kernels
 
 _SIDE_PX, _SIGMA_PX = 64, 4.0
-_SAY_AFTER_S = 2.0
 
 
 def prepare_kernels(sensor: SensorModel, say: Callable[[str], None]) -> None:
     """Track a synthetic spot and detect synthetic swings once, which compiles the kernels.
 
-    This takes about a minute after an installation, and less than a second afterwards (from the cache).
-    `say` is called with one line if it takes longer than two seconds.
+    This takes half a minute after an installation, and less than a second afterwards (from the cache).
+    `say` is called with one line if something is compiled.
     """
-    text = "compiling the numerical kernels (only once after an installation, about a minute)"
-    timer = threading.Timer(_SAY_AFTER_S, say, [text])
-    timer.daemon = True
-    timer.start()
-    try:
+
+    def announce(kept: bool) -> None:
+        text = "compiling the numerical kernels (half a minute, "
+        if kept:
+            say(f"{text}only once after an installation)")
+        else:
+            say(f"{text}at every start: no cache can be written; NUMBA_CACHE_DIR can name a folder for it)")
+
+    with at_compilation(announce):
         _track(sensor)
         compile_kernels()
-    finally:
-        timer.cancel()
 
 
 def _track(sensor: SensorModel) -> None:

@@ -9,16 +9,16 @@ differences of powers whose limits are logarithms.
 """
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from processing.errors import DataError
+from processing.kernel import kernel
 
 _CHANGE_OF_SERIES = 2.0
 """z where one series hands over to the other; both converge at least like (2/3)^k around it."""
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _from_zero(x: float, b: float, p: float, c: float) -> float:
     """integral_0^x dphi/(c + b phi^p), b x^p <= 2 c, by 2F1(1, 1; 1+1/p; z/(1+z))."""
     rate = c + b * x**p
@@ -32,7 +32,7 @@ def _from_zero(x: float, b: float, p: float, c: float) -> float:
     return float(x / rate * total)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _between(low: float, high: float, b: float, p: float, c: float) -> float:
     """integral_low^high dphi/(c + b phi^p), b low^p >= 2 c, term by term in c/(b phi^p)."""
     span = np.log(high / low)
@@ -59,7 +59,7 @@ def _between(low: float, high: float, b: float, p: float, c: float) -> float:
     return total
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _elapsed(
     amplitude: NDArray[np.float64], start: float, b: float, p: float, c: float
 ) -> NDArray[np.float64]:
@@ -122,7 +122,7 @@ def decay_time(
     return (period_s / 4) * _elapsed(flat, float(initial_amplitude), b / (p + 1), p, c).reshape(alpha.shape)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _invert(elapsed: NDArray[np.float64], start: float, b: float, p: float, c: float) -> NDArray[np.float64]:
     """Amplitude after the given integrals: safeguarded Newton in the amplitude itself."""
     out = np.empty_like(elapsed)

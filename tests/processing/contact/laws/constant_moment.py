@@ -8,19 +8,19 @@ Each half-swing takes 2 c from the amplitude and lasts T0/2, at every amplitude.
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from processing.contact import HalfSwings, HeldColumn, Law, Parameter, PendulumOnBall
 from processing.contact.law import BranchMoments
 from processing.contact.moments import weight_moment
+from processing.kernel import kernel
 from processing.periods import mean_period, reference_amplitude
 from processing.swing import TurningPoints
 
 Array = NDArray[np.float64]
 
 
-@njit(error_model="numpy")
+@kernel
 def _half_swings(q: Array, index: NDArray[np.int64]) -> tuple[Array, Array, Array, Array]:
     """q = (c, first amplitude): amplitude = q[1] - 2 c i, time = i/2 in units of T0."""
     count = len(index)

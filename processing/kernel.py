@@ -1,0 +1,192 @@
+"""Compilation of the numerical kernels, with a cache that knows all sources and may be missing.
+
+numba compiles a kernel anew for each constant that another kernel hands to it, its cache does not notice a
+change in a kernel that is called from another file, and it refuses to compile where no cache can be written.
+Here a kernel is compiled for types only; a cache entry belongs to the code of the kernel and of all that it
+calls; and without a cache a kernel is compiled in every process.
+"""
+
+import hashlib
+import pickle
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from types import CodeType, FunctionType, ModuleType
+from typing import Any, TypeVar, overload
+
+import numpy as np
+from numba.core import config, event
+from numba.core.caching import FunctionCache, IndexDataCacheFile, NullCache
+from numba.core.compiler_lock import global_compiler_lock
+from numba.core.registry import CPUDispatcher
+from numba.types import unliteral
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+@overload
+def kernel(function: Function, /) -> Function: ...
+@overload
+def kernel(*, fastmath: bool = ...) -> Callable[[Function], Function]: ...
+def kernel(function: Function | None = None, /, *, fastmath: bool = False) -> Any:
+    """Compile a function on numbers and arrays with numba, when it is first called, for the types then given.
+
+    It runs without Python's lock, and a division by zero gives an infinity or NaN as in numpy. `fastmath`
+    lets the compiler reorder sums, which it needs to turn them into vector instructions.
+    """
+    if function is None:
+        return lambda undecorated: kernel_of(undecorated, fastmath=fastmath)
+    return kernel_of(function, fastmath=False)
+
+
+def kernel_of(function: Function, *, fastmath: bool) -> Any:
+    """The compiled function, or the plain one where numba is turned off (NUMBA_DISABLE_JIT)."""
+    if config.DISABLE_JIT:
+        return function
+    options = {"nopython": True, "nogil": True, "error_model": "numpy", "fastmath": fastmath}
+    options["no_cfunc_wrapper"] = True  # nothing calls them as functions of C
+    return Kernel(function, targetoptions=options)
+
+
+@contextmanager
+def at_compilation(call: Callable[[bool], None]) -> Iterator[None]:
+    """Call once, within the context, when a kernel is compiled and not merely loaded from its cache.
+
+    `call` is told whether the machine code will be kept for the next process.
+    """
+    listener = _FirstCompilation(call)
+    with event.install_listener("numba:compile", listener):
+        yield
+
+
+class _FirstCompilation(event.Listener):  # type: ignore[misc]
+    def __init__(self, call: Callable[[bool], None]) -> None:
+        self._call: Callable[[bool], None] | None = call
+
+    def on_start(self, event: Any) -> None:
+        call, self._call = self._call, None
+        if call is not None:
+            call(event.data["dispatcher"].stats.cache_path is not None)
+
+    def on_end(self, event: Any) -> None:
+        pass
+
+
+class Kernel(CPUDispatcher):  # type: ignore[misc]
+    """A compiled function (see `kernel`)."""
+
+    _cache_is_open = False
+    _within_another = False
+
+    def compile(self, sig: Any) -> Any:
+        """Called for a call from Python: loads the machine code from the cache, or compiles and keeps it."""
+        with global_compiler_lock:
+            if self._within_another:
+                return super().compile(sig)
+            if not self._cache_is_open:
+                self._cache, self._cache_is_open = cache_of(self.py_func, self.targetoptions), True
+            known = self.overloads.get(sig)
+            if known is None:
+                return super().compile(sig)
+            self.add_overload(known)
+            self._cache.save_overload(sig, known)
+            return known.entry_point
+
+    def get_call_template(self, args: Any, kws: Any) -> Any:
+        """Called for a call within another kernel: compiles for types, not for the values of constants.
+
+        The code is not kept by itself, since it becomes a part of the caller's: keeping it would take a
+        third of the time that compiling takes.
+        """
+        types = tuple(unliteral(kind) for kind in args)
+        named = {name: unliteral(kind) for name, kind in kws.items()}
+        cache, self._cache, self._within_another = self._cache, NullCache(), True
+        try:
+            return super().get_call_template(types, named)
+        finally:
+            self._cache, self._within_another = cache, False
+
+    def add_overload(self, cres: Any) -> None:
+        """Offer compiled code to Python, unless it is compiled for another kernel only."""
+        if self._within_another:
+            self.overloads[cres.signature.args] = cres
+        else:
+            super().add_overload(cres)
+
+
+class _Cache(FunctionCache):  # type: ignore[misc]
+    """numba's cache of a function, valid for the code of all that the function calls."""
+
+    def __init__(self, function: FunctionType, code: str) -> None:
+        super().__init__(function)
+        self._cache_file = IndexDataCacheFile(
+            cache_path=self._cache_path, filename_base=self._impl.filename_base, source_stamp=code
+        )
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        try:
+            return super().load_overload(sig, target_context)
+        except (OSError, EOFError, pickle.UnpicklingError):
+            # cut off by a crash, or not for this user to read: compiled again
+            with suppress(OSError):
+                self.flush()
+            return None
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        with suppress(OSError):  # a full disk, say: the next process compiles it again
+            super().save_overload(sig, data)
+
+
+def cache_of(function: Any, options: dict[str, Any]) -> Any:
+    """Where compiled code of the function is kept; nowhere if no folder for it can be written."""
+    code = hashlib.sha256(repr(sorted(options.items())).encode())
+    code.update(Path(__file__).read_bytes())  # how it is compiled
+    for line in code_of(function, set()):
+        code.update(line)
+    try:
+        return _Cache(function, code.hexdigest())
+    except RuntimeError:
+        return NullCache()
+
+
+def code_of(function: FunctionType, seen: set[object]) -> Iterator[bytes]:
+    """What the machine code of a function follows from: bytecode, values it uses, functions it calls."""
+    if function in seen:
+        return
+    seen.add(function)
+    yield repr(function.__defaults__).encode()
+    codes = [function.__code__]
+    while codes:
+        code = codes.pop()
+        yield code.co_code
+        documentation = function.__doc__ if code is function.__code__ else None
+        for constant in code.co_consts:
+            if isinstance(constant, CodeType):
+                codes.append(constant)
+            elif constant is None or constant != documentation:
+                yield repr(constant).encode()
+        for name in code.co_names:
+            if name in function.__globals__:
+                value = function.__globals__[name]
+                yield name.encode()
+                yield from _code_of_value(value, seen)
+                if isinstance(value, ModuleType):  # a kernel of it may be called
+                    named = [vars(value).get(attribute) for attribute in code.co_names]
+                    for member in named:
+                        if isinstance(member, Kernel):
+                            yield from _code_of_value(member, seen)
+
+
+def _code_of_value(value: Any, seen: set[object]) -> Iterator[bytes]:
+    inner = getattr(value, "py_func", getattr(value, "_defn", value))  # of a kernel, of an intrinsic
+    if isinstance(inner, FunctionType):
+        yield repr(sorted(getattr(value, "targetoptions", {}).items())).encode()
+        yield from code_of(inner, seen)
+    elif isinstance(value, np.ndarray):
+        yield repr((value.dtype.str, value.shape)).encode() + value.tobytes()
+    elif isinstance(value, ModuleType):
+        yield value.__name__.encode()
+    elif isinstance(value, type):
+        yield repr((value.__qualname__, getattr(value, "_fields", ()))).encode()
+    else:
+        yield repr(value).encode()

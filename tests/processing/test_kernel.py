@@ -1,0 +1,211 @@
+"""Kernels are compiled once, kept while nothing that they use has changed, and work without a cache."""
+
+import importlib
+import json
+import os
+import shutil
+import stat
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from processing.kernel import at_compilation
+from tests.rig.long_record import make_long_record
+
+ROOT = Path(__file__).parents[2]
+OUTER = """
+from processing.kernel import kernel
+import inner_kernel
+from inner_kernel import FACTOR, filled
+
+@kernel
+def outer(x, ways):
+    '''Text.'''
+    return FACTOR * inner_kernel.scaled(x, True) + inner_kernel.scaled(x, ways > 1) + 0.0 * filled(1)[0]
+"""
+INNER = """
+import numpy as np
+from processing.kernel import kernel
+
+FACTOR = 10.0
+
+@kernel
+def filled(n):
+    return np.full(n, FACTOR)
+
+@kernel
+def scaled(x, much):
+    return 2.0 * x if much else x
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    (tmp_path / "outer_kernel.py").write_text(OUTER)
+    (tmp_path / "inner_kernel.py").write_text(INNER)
+    monkeypatch.syspath_prepend(tmp_path)
+    # two versions of a source may have the same size and time
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+    yield tmp_path
+    for name in ("outer_kernel", "inner_kernel"):
+        sys.modules.pop(name, None)
+
+
+def imported_anew() -> ModuleType:
+    for name in ("outer_kernel", "inner_kernel"):
+        sys.modules.pop(name, None)
+    importlib.invalidate_caches()
+    return importlib.import_module("outer_kernel")
+
+
+def compilations(module: ModuleType, ways: int = 1) -> tuple[float, list[bool]]:
+    """Result of `outer`, and what was said of its compilation: one entry if it was compiled."""
+    said: list[bool] = []
+    with at_compilation(said.append):
+        return module.outer(1.0, ways), said
+
+
+def test_compiled_once_and_then_loaded(folder: Path) -> None:
+    assert compilations(imported_anew()) == (21.0, [True])
+    assert compilations(imported_anew()) == (21.0, [])
+
+
+def test_a_kernel_called_by_another_and_by_python_is_loaded_for_both(folder: Path) -> None:
+    program = "import outer_kernel; print(outer_kernel.outer(1.0, 1), outer_kernel.filled(2).tolist())"
+    for _ in range(2):  # compiled, then loaded in a process that has compiled nothing
+        done = subprocess.run(
+            [sys.executable, "-c", program], cwd=folder, capture_output=True, text=True, check=True
+        )
+        assert done.stdout == "21.0 [10.0, 10.0]\n"
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "result"),
+    [
+        ("inner_kernel", "2.0 * x", "3.0 * x", 31.0),
+        ("inner_kernel", "FACTOR = 10.0", "FACTOR = 20.0", 41.0),
+        ("outer_kernel", "FACTOR * inner", "FACTOR + inner", 13.0),
+    ],
+)
+def test_compiled_again_after_a_change(folder: Path, name: str, old: str, new: str, result: float) -> None:
+    assert compilations(imported_anew()) == (21.0, [True])
+    source = folder / f"{name}.py"
+    source.write_text(source.read_text().replace(old, new))
+    assert compilations(imported_anew()) == (result, [True])
+
+
+def test_not_compiled_again_for_words(folder: Path) -> None:
+    assert compilations(imported_anew()) == (21.0, [True])
+    for name, old, new in (("outer", "Text.", "Other text."), ("inner", "FACTOR =", "# why\nFACTOR =")):
+        source = folder / f"{name}_kernel.py"
+        source.write_text(source.read_text().replace(old, new))
+    assert compilations(imported_anew()) == (21.0, [])
+
+
+def test_an_inner_kernel_is_compiled_for_types_and_not_for_values(folder: Path) -> None:
+    module = imported_anew()
+    assert compilations(module, ways=2)[0] == 22.0
+    assert len(module.inner_kernel.scaled.signatures) == 1
+
+
+def test_a_spoilt_cache_is_made_anew(folder: Path) -> None:
+    module = imported_anew()
+    assert compilations(module) == (21.0, [True])
+    for path in Path(module.outer.stats.cache_path).glob("outer_kernel*.nb?"):
+        path.write_bytes(b"")
+    assert compilations(imported_anew()) == (21.0, [True])
+    assert compilations(imported_anew()) == (21.0, [])
+
+
+@pytest.fixture
+def for_everyone() -> Iterator[Path]:
+    """A folder that another user can enter, which pytest's own are not."""
+    folder = Path(tempfile.mkdtemp(prefix="kernels-"))
+    folder.chmod(0o755)
+    yield folder
+    shutil.rmtree(folder)
+
+
+def as_nobody(*command: str) -> list[str]:
+    """A command line for a user who may write nowhere: permissions do not bind root."""
+    if os.geteuid() != 0:
+        return list(command)
+    if shutil.which("setpriv") is None:
+        pytest.skip("root may write everywhere, and setpriv is not installed")
+    return ["setpriv", "--reuid=65534", "--regid=65534", "--clear-groups", "--no-new-privs", *command]
+
+
+def locked(folder: Path) -> Path:
+    for path in [folder, *folder.rglob("*")]:
+        path.chmod(path.stat().st_mode & ~(stat.S_IWUSR | stat.S_IWGRP | stat.S_IWOTH))
+    return folder
+
+
+PROGRAM = """
+import json, outer_kernel
+from processing.kernel import at_compilation
+from tests.rig.long_record import make_long_record
+said = []
+with at_compilation(said.append):
+    result = outer_kernel.outer(1.0, 1)
+print(json.dumps([result, said]))
+"""
+
+
+def run_as_nobody(folder: Path, *words: str) -> str:
+    """What a python prints that may write nowhere; it finds modules in this folder first."""
+    done = subprocess.run(
+        as_nobody(sys.executable, "-B", *words),
+        cwd=folder,
+        env={
+            "PATH": os.environ["PATH"],
+            "HOME": str(folder),
+            "PYTHONPATH": os.pathsep.join([str(folder), str(ROOT)]),
+        },
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if done.returncode != 0 and "Permission denied" in done.stderr and "python" in done.stderr.split("\n")[0]:
+        pytest.skip(f"another user cannot run this python: {done.stderr.splitlines()[0]}")
+    assert done.returncode == 0, done.stderr
+    return done.stdout + done.stderr
+
+
+def test_works_where_nothing_can_be_written(for_everyone: Path) -> None:
+    (for_everyone / "outer_kernel.py").write_text(OUTER)
+    (for_everyone / "inner_kernel.py").write_text(INNER)
+    locked(for_everyone)
+    assert json.loads(run_as_nobody(for_everyone, "-c", PROGRAM)) == [21.0, [False]]
+
+
+@pytest.fixture
+def sources(for_everyone: Path) -> Path:
+    """A copy of the program that nobody can write, with a folder for records that everybody can."""
+    for name in ("rig", "acquisition", "calibration", "processing", "configs"):
+        shutil.copytree(ROOT / name, for_everyone / name, ignore=shutil.ignore_patterns("__pycache__"))
+    locked(for_everyone)
+    for_everyone.chmod(0o755)
+    (for_everyone / "records").mkdir()
+    (for_everyone / "records").chmod(0o777)
+    return for_everyone
+
+
+def test_a_record_is_shown_where_no_cache_can_be_written(sources: Path) -> None:
+    record = make_long_record(sources / "records" / "run.mcap", 200)
+    record.chmod(0o644)
+    assert "full_scale_dn" in run_as_nobody(sources, "-m", "rig", "info", "records/run.mcap")
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1200)  # it compiles all kernels of a run
+def test_a_run_is_recorded_where_no_cache_can_be_written(sources: Path) -> None:
+    words = ["simulate", "configs/demo.toml", "-o", "records/run.mcap", "--set", "session.max_duration_s=2"]
+    assert "at every start: no cache can be written" in run_as_nobody(sources, "-m", "rig", *words)
+    assert (sources / "records" / "run.mcap").exists()
+    assert not list(sources.rglob("*.nbi"))
