@@ -4,6 +4,7 @@ Heavy imports are made inside the commands, so that ``rig --help`` responds imme
 """
 
 import logging
+import os
 import sys
 from typing import Annotated
 
@@ -59,6 +60,9 @@ def main() -> None:
 
     Exit status 2 for wrong usage, 1 for a failed measurement, 130 after Ctrl-C, SIGTERM or SIGHUP.
     """
+    # Matrices here have a few columns: OpenBLAS's threads only spin, at the expense of the frames', and
+    # make the last digits depend on the number of cores.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     spell_out_what_is_missing()
     debug = "--debug" in sys.argv
     if debug:
