@@ -73,7 +73,7 @@ def simulate_pair(pair: PrintedPair, b_exponent: int, seed: int) -> PairSeries:
     """
     truth = printed_parameters(pair, b_exponent)
     pendulum = pendulum_on_ball(MASS_KG, BALL_RADIUS_M, MATERIALS[BALL], MATERIALS[pair.flat])
-    settings = _settings(pair, truth)
+    settings = pair_settings(pair, truth)
     end_s = float(true_turning_points(settings, FINAL_AMPLITUDE_ARCSEC).time_s[-1])
     motion = true_path(settings, end_s + 0.6 * truth.period0_s)
     noise_rad = NOISE_ARCSEC * ARCSEC_RAD
@@ -113,7 +113,8 @@ def simulate_pair(pair: PrintedPair, b_exponent: int, seed: int) -> PairSeries:
     return PairSeries(pair, truth, pendulum, runs, shown, run, combined_series(fits, runs, pendulum, rig))
 
 
-def _settings(pair: PrintedPair, truth: ContactParameters) -> SimulationSettings:
+def pair_settings(pair: PrintedPair, truth: ContactParameters) -> SimulationSettings:
+    """The simulated rig with one pair's contact, on ground that stands still."""
     flat, ball = MATERIALS[pair.flat], MATERIALS[BALL]
     return SimulationSettings(
         contact=ContactTruth(
