@@ -5,10 +5,12 @@ from processing.swing.detector import SwingDetector
 from processing.swing.known_motion import KnownMotion
 from processing.swing.modes import TwoModes, separate_modes
 from processing.swing.noise import estimate_noise
+from processing.swing.residual_spectrum import ResidualSpectrum, residual_spectrum
 from processing.swing.swing import Swing, SwingFlag, TurningPoints, turning_points
 
 __all__ = [
     "KnownMotion",
+    "ResidualSpectrum",
     "Swing",
     "SwingDetector",
     "SwingFlag",
@@ -16,6 +18,7 @@ __all__ = [
     "TwoModes",
     "compile_kernels",
     "estimate_noise",
+    "residual_spectrum",
     "separate_modes",
     "turning_points",
 ]

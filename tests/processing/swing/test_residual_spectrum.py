@@ -1,0 +1,48 @@
+"""The spectrum outside the modes: sensor, air and ground come out at their levels."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from processing.errors import DataError
+from processing.swing import residual_spectrum
+from tests.processing.swing.test_driven import PER_ACCELERATION, driven
+from tests.processing.swing.truth import ARCSEC_RAD, damped_sinusoid, detect
+
+
+def test_white_noise_has_its_level_with_gaps_too() -> None:
+    record = damped_sinusoid(np.random.default_rng(4), 300.0, 60.0, 200, noise=0.02)
+    gap = (record.time_s > 200.0) & (record.time_s < 203.0)
+    for seen in (record, record.keep(~gap), record.plus(np.where(gap, np.nan, 0.0))):
+        found = residual_spectrum(seen.times_ns, seen.deflection, detect(seen))
+        assert found.pendulum_hz == pytest.approx(0.25, rel=1e-3)
+        count = len(found.density)
+        assert found.density.mean() == pytest.approx(
+            2 * 0.02**2 / 100.0, rel=4 * found.relative_u / count**0.5
+        )
+        assert found.density.std() / found.density.mean() == pytest.approx(found.relative_u, rel=0.15)
+
+
+def test_base_acceleration_is_that_of_the_ground() -> None:
+    """Between 0.55 and 1.2 Hz the drive stands out of the sensor's noise."""
+    q = 1e-6
+    record = driven("steel", q, 2, 25.0, 0.001)
+    in_rad = replace(
+        record, deflection=record.deflection * ARCSEC_RAD, u_deflection=record.u_deflection * ARCSEC_RAD
+    )
+    found = residual_spectrum(in_rad.times_ns, in_rad.deflection, detect(in_rad))
+    wanted = q / (2 * math.pi / 4.049) ** 2 / PER_ACCELERATION
+    band = found.frequency_hz < 1.2
+    level = math.sqrt(float(np.mean(found.base_acceleration(PER_ACCELERATION)[band] ** 2)))
+    assert level == pytest.approx(wanted, rel=0.15)
+
+
+def test_what_has_no_spectrum_says_so() -> None:
+    record = damped_sinusoid(np.random.default_rng(4), 300.0, 60.0, 30)
+    swings = detect(record)
+    with pytest.raises(DataError, match="5 good half-cycles"):
+        residual_spectrum(record.times_ns, record.deflection, swings[2:7])
+    with pytest.raises(DataError, match="without a gap"):
+        residual_spectrum(record.times_ns, record.deflection, swings)
