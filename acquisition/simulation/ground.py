@@ -22,7 +22,6 @@ from scipy.signal import resample_poly
 
 from acquisition.simulation.ground_file import GroundRecord, read_ground_file
 from acquisition.simulation.ground_settings import GroundTruth, PersonTruth
-from acquisition.simulation.noise_models import density_of_db, nhnm_db, nlnm_db
 from acquisition.simulation.settings import SimulationSettings
 from acquisition.simulation.smooth_series import (
     BLOCK_KNOTS,
@@ -35,6 +34,7 @@ from acquisition.simulation.smooth_series import (
     sampled,
 )
 from processing.errors import ConfigurationError
+from processing.noise_models import density_of_db, nhnm_db, nlnm_db
 
 _ACCELERATION, _TILT, _PERSON = (12, 13), (14, 15), 16
 SLOW, FAST = 0, 1

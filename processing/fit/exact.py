@@ -18,7 +18,7 @@ from processing.fit.noise_estimate import LikeliestNoise, NoiseSearch
 from processing.fit.result import FitResult
 from processing.fit.whiteness import Whiteness, correlated_covariance, whiteness
 from processing.fit_method import FitMethod
-from processing.least_squares import Loss, Solution, propagate, solve
+from processing.least_squares import Loss, Solution, covariance_of, propagate, solve
 from processing.periods import full_periods, mean_period, mean_period_estimate
 from processing.swing import TurningPoints
 
@@ -247,8 +247,16 @@ def _result(model: ExactModel, solution: Solution, ground: Ground, loss: Loss) -
         ),
         half_cycles=count,
         ground=ground,
+        reading_covariance=propagate(to_physical, _of_reading(model, solution)),
         whiteness=white,
     )
+
+
+def _of_reading(model: ExactModel, solution: Solution) -> NDArray[np.float64]:
+    """Covariance of the columns if only the measurement of the turning points were uncertain."""
+    residuals, jacobian = model.on_ground(solution.values, AT_REST)(solution.values)
+    reached = np.isfinite(residuals)
+    return np.asarray(covariance_of(jacobian[reached]) * max(1.0, solution.chi2 / solution.dof))
 
 
 def _mean_of_finite(values: NDArray[np.float64]) -> float:

@@ -33,7 +33,8 @@ class FittedContact:
     """Fitted contact parameters with their type A covariance, from one fit or from a series.
 
     `names` are the six contact parameters and, if fitted, the drag. `dof` is the number of degrees of
-    freedom of the covariance.
+    freedom of the covariance. `reading_covariance` is the part of it that remains on ground at rest; None
+    where it is not known.
     """
 
     names: tuple[str, ...]
@@ -42,6 +43,7 @@ class FittedContact:
     dof: float
     by_log_rho: NDArray[np.float64]
     reference_rad: float
+    reading_covariance: NDArray[np.float64] | None = None
 
 
 def fitted_contact(result: FitResult) -> FittedContact:
@@ -59,6 +61,7 @@ def fitted_contact(result: FitResult) -> FittedContact:
         float(result.dof),
         result.by_log_rho[at],
         result.reference_rad,
+        None if result.reading_covariance is None else result.reading_covariance[np.ix_(at, at)],
     )
 
 

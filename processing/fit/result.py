@@ -53,6 +53,8 @@ class FitResult:
         Number of turning points fitted, counted from the first; 0 if it is not known.
     ground
         How strongly the ground drove the pendulum; None for a fit that does not ask.
+    reading_covariance
+        What the covariance would be on ground at rest: by the measurement of the turning points alone.
     whiteness
         Test whether the residuals are correlated.
     """
@@ -75,6 +77,7 @@ class FitResult:
     warnings: tuple[str, ...] = field(default=())
     half_cycles: int = 0
     ground: Ground | None = None
+    reading_covariance: NDArray[np.float64] | None = None
     whiteness: Whiteness | None = None
 
     @property

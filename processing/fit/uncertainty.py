@@ -14,7 +14,9 @@ from processing.fit.apparatus import RigQuantities
 from processing.fit.reported import OUTPUTS, FittedContact, draw_fitted, reported_quantities
 
 FIT = "swings"
-"""Name of the type A source: the fit's covariance, or that of a series of runs."""
+"""Name of a type A source: the fit's covariance, or that of a series of runs."""
+GROUND = "ground"
+"""Name of that part of the fit's uncertainty which the ground's drive adds to the reading of the swings."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,7 +134,12 @@ def _budget(
     if type_a > 0:
         own = found.names.index(name) if name in found.names else None
         u_own = sqrt(found.covariance[own, own]) if own is not None else float("nan")
-        parts.append((FIT, "A", u_own, float("nan"), type_a))
+        reading = _reading(found, by_value, type_a)
+        ground = sqrt(type_a**2 - reading**2) if isfinite(type_a) else 0.0
+        share = reading / type_a if isfinite(type_a) else 1.0
+        parts.append((FIT, "A", u_own * share, float("nan"), reading))
+        if ground > 0:
+            parts.append((GROUND, "A", u_own * sqrt(1 - share**2), float("nan"), ground))
     inputs = rig.inputs()
     for source, slope in by_input.items():
         u = inputs[source].u
@@ -148,6 +155,16 @@ def _budget(
     )
     factor = float(stdtrit(min(dof, 1e9), 0.975))
     return Budget(name, unit, value, combined, dof, factor, lines)
+
+
+def _reading(found: FittedContact, by_value: NDArray[np.float64], type_a: float) -> float:
+    """What of a type A uncertainty remains on ground at rest; all of it where that is not known."""
+    if found.reading_covariance is None or not isfinite(type_a):
+        return type_a
+    of_reading = np.where(np.isfinite(found.reading_covariance), found.reading_covariance, 0.0)
+    reading = sqrt(max(float(by_value @ of_reading @ by_value), 0.0))
+    # equal but for rounding
+    return reading if reading < 0.999 * type_a else type_a
 
 
 def monte_carlo(

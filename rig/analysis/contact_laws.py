@@ -79,7 +79,7 @@ def fit_decay(points: TurningPoints, pendulum: PendulumOnBall | None, settings: 
         return DecayFits(
             {}, None, "no [pendulum] in the configuration: state mass_kg and ball_radius_m to fit the contact"
         )
-    loss = _loss(settings)
+    loss, printed_curvature = _loss(settings), settings.printed_055
     try:
         exact = fit_exact(points, pendulum, drag=settings.drag, loss=loss)
         asymptotic = fit_asymptotic(
@@ -87,7 +87,7 @@ def fit_decay(points: TurningPoints, pendulum: PendulumOnBall | None, settings: 
             pendulum,
             drag=settings.drag,
             loss=loss,
-            printed_curvature=settings.printed_055,
+            printed_curvature=printed_curvature,
             exact=exact,
         )
     except DataError as error:

@@ -31,6 +31,21 @@ class Correlation:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class BaseMotion:
+    """Horizontal acceleration of the ground that the drive of a pendulum corresponds to.
+
+    One-sided spectral density at the pendulum's frequency, in m/s^2/sqrt(Hz), for the stated height of the
+    mass centre over the point of contact, its bound of 95 %, and its level over Peterson's new low noise
+    model of 1993.
+    """
+
+    mass_centre_height_m: Number
+    acceleration_m_per_s2_rthz: Value
+    upper_95: Number = nan
+    above_low_noise_model_db: Number = nan
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Ground:
     """How strongly the ground drove the pendulum during a run, as the turning points show it.
 
@@ -39,7 +54,9 @@ class Ground:
     the run sets no more than that bound. `measurement_scale` is the factor by which turning points
     scatter more than their stated uncertainties. `left_out_half_cycles` at the end were not fitted:
     the ground moves the pendulum in one half-swing by more than a tenth of its amplitude there, and
-    amplitude and phase do not describe its motion.
+    amplitude and phase do not describe its motion. `widening` says for each parameter how many times
+    larger its uncertainty is than on ground at rest. `base` is empty where the configuration
+    does not state the height of the mass centre.
     """
 
     density_rad_per_s2_rthz: Value = NOT_DETERMINED
@@ -47,6 +64,8 @@ class Ground:
     seen: bool = False
     measurement_scale: Number = 1.0
     left_out_half_cycles: int = 0
+    widening: Mapping[str, Number] = field(default_factory=dict)
+    base: Annotated[BaseMotion | None, LeftOut] = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

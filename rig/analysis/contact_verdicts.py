@@ -31,6 +31,7 @@ from processing.fit import (
 from processing.fit import Ground as MovingGround
 from processing.fit import Propagated as Sampled
 from processing.swing import TurningPoints
+from rig.analysis.base_motion import base_motion
 from rig.analysis.contact_results import (
     Budget,
     BudgetSource,
@@ -47,7 +48,7 @@ from rig.analysis.contact_results import (
 )
 from rig.analysis.results import RunResults
 from rig.instrument import balls, material
-from rig.settings import Configuration, TimebaseSettings
+from rig.settings import Configuration, PendulumSettings, TimebaseSettings
 
 DRAWS = 10_000
 TABLE4_AMPLITUDE_ARCSEC = 3.1
@@ -166,8 +167,8 @@ def evaluate(
     )
 
 
-def fit_results(fit: FitResult) -> Fit:
-    """What is reported of one fit."""
+def fit_results(fit: FitResult, pendulum: PendulumSettings | None = None) -> Fit:
+    """What is reported of one fit; `pendulum` states the height of the mass centre, if it is known."""
     return Fit(
         law=fit.law.name,
         parameters=fit.estimates(),
@@ -177,21 +178,32 @@ def fit_results(fit: FitResult) -> Fit:
         chi2_per_dof=fit.chi2_per_dof,
         degrees_of_freedom=fit.dof,
         correlation=Correlation(tuple(fit.names), tuple(map(tuple, fit.correlation.tolist()))),
-        ground=None if fit.ground is None else _ground(fit.ground),
+        ground=None if fit.ground is None else _ground(fit, fit.ground, pendulum),
         whiteness=None if fit.whiteness is None else Whiteness(**asdict(fit.whiteness)),
         outliers=fit.outliers,
         warnings=fit.warnings,
     )
 
 
-def _ground(found: MovingGround) -> Ground:
+def _ground(fit: FitResult, found: MovingGround, pendulum: PendulumSettings | None) -> Ground:
     return Ground(
         density_rad_per_s2_rthz=found.density,
         upper_95=found.upper_95,
         seen=found.seen,
         measurement_scale=found.noise.scale,
         left_out_half_cycles=found.left_out,
+        widening=_widening(fit),
+        base=base_motion(found.density, found.upper_95, fit.mean_period_s.value, pendulum),
     )
+
+
+def _widening(fit: FitResult) -> dict[str, float]:
+    if fit.reading_covariance is None:
+        return {}
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = fit.standard_uncertainty / np.sqrt(np.diag(fit.reading_covariance))
+    known = dict(zip(fit.names, ratio.tolist(), strict=True))
+    return {name: known[name] for name in fit.contact_names}
 
 
 def budget_results(found: Mapping[str, GumBudget]) -> dict[str, Budget]:

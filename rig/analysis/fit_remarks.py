@@ -5,6 +5,9 @@ from rig.analysis.contact_results import Drag, Ground
 from rig.analysis.results import RunResults
 from rig.presentation import plain, quantity, with_uncertainty
 
+_MUCH = 1.5
+"""Factor by which the ground enlarges an uncertainty, from which on it is named."""
+
 
 def remarks(run: RunResults) -> list[str]:
     """Sentences on the ground, drag, correlated and undetermined parameters, then the run's notes."""
@@ -21,17 +24,40 @@ def remarks(run: RunResults) -> list[str]:
 
 def ground_sentence(ground: Ground) -> str:
     """How strongly the ground drove the pendulum: a value, or a bound where the run shows none."""
-    density = (
-        with_uncertainty(*ground.density_rad_per_s2_rthz)
-        if ground.seen
-        else f"below {plain(ground.upper_95, 2)} (95 %)"
-    )
+    density = _density(*ground.density_rad_per_s2_rthz, ground.upper_95, "rad/s²/√Hz", ground.seen)
+    base = ""
+    if ground.base is not None:
+        moved = ground.base
+        value, u = moved.acceleration_m_per_s2_rthz
+        base = ", " + _density(1e9 * value, 1e9 * u, 1e9 * moved.upper_95, "nm/s²/√Hz", ground.seen)
+        base += f" of acceleration for a mass centre {plain(1e3 * moved.mass_centre_height_m, 3)} mm high"
+        if ground.seen:
+            base += f", NLNM {moved.above_low_noise_model_db:+.0f} dB"
     left_out = (
         f"; the last {ground.left_out_half_cycles} half-cycles are its motion and were not fitted"
         if ground.left_out_half_cycles
         else ""
     )
-    return f"Ground at the pendulum's frequency: {density} rad/s²/√Hz{left_out}."
+    return f"Ground at the pendulum's frequency: {density}{base}{left_out}.{_cost(ground)}"
+
+
+def _density(value: float, u: float, upper_95: float, unit: str, seen: bool) -> str:
+    return f"{with_uncertainty(value, u)} {unit}" if seen else f"below {plain(upper_95, 2)} {unit} (95 %)"
+
+
+def _cost(ground: Ground) -> str:
+    """What the ground adds to the uncertainties, and what would help; nothing where it adds little."""
+    widened = {name: factor for name, factor in ground.widening.items() if factor > _MUCH}
+    if not widened or not ground.seen:
+        return ""
+    listed = ", ".join(
+        f"{quantity(name).symbol} {plain(factor, 2)}"
+        for name, factor in sorted(widened.items(), key=lambda item: -item[1])
+    )
+    return (
+        f" It limits what is known: uncertainties are larger than on ground at rest by factors of {listed}. "
+        "A finer balance, a quieter hour, a higher start or more runs would help."
+    )
 
 
 def _drag_sentence(drag: Drag) -> str:

@@ -134,7 +134,7 @@ def _analyse_swings(
     results = replace(
         _head(path, points, unit),
         measured_again_on=settled.motion,
-        fits={name: fit_results(fit) for name, fit in decay.fits.items()},
+        fits={name: fit_results(fit, config.pendulum) for name, fit in decay.fits.items()},
         surface_energy_j_per_m2=decay.surface_energy,
         problem=decay.problem,
         warnings=tuple(dict.fromkeys(_fit_warnings(decay.fits))),

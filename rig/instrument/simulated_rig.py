@@ -68,13 +68,14 @@ def _axes(truth: SimulationSettings) -> Axes:
 
 
 def _pendulum(truth: SimulationSettings) -> PendulumSettings:
-    contact = truth.contact
+    contact, ground = truth.contact, truth.ground
     return PendulumSettings(
         mass_kg=contact.mass_kg,
         ball_radius_m=contact.ball_radius_m,
         contact_radius_m=contact.contact_radius_m,
         ball_material=SIMULATED_BALL,
         flat_material=SIMULATED_FLAT,
+        mass_centre_height_m=None if ground.model == "none" else ground.mass_centre_height_m,
         gravity_m_per_s2=contact.gravity_m_per_s2,
     )
 

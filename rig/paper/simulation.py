@@ -95,9 +95,12 @@ def simulate_pair(pair: PrintedPair, b_exponent: int, seed: int) -> PairSeries:
             time_s = np.asarray((seen.times_ns - first_ns) * 1e-9, dtype=np.float64)
             shown = Motion(time_s, seen.x_rad / ARCSEC_RAD, seen.y_rad / ARCSEC_RAD, DeflectionUnit.RAD)
     assert shown is not None
+    exact = [fit_exact(points, pendulum) for points in runs]
     fits: dict[str, list[FitResult]] = {
-        FitMethod.ASYMPTOTIC: [fit_asymptotic(points, pendulum) for points in runs],
-        FitMethod.EXACT: [fit_exact(points, pendulum) for points in runs],
+        FitMethod.ASYMPTOTIC: [
+            fit_asymptotic(points, pendulum, exact=fit) for points, fit in zip(runs, exact, strict=True)
+        ],
+        FitMethod.EXACT: exact,
     }
     rig = RigQuantities(
         Quantity(MASS_KG), Quantity(BALL_RADIUS_M), MATERIALS[BALL], MATERIALS[pair.flat],

@@ -72,6 +72,13 @@ class PendulumSettings(Section, frozen=True):
     contact_radius_m: float | None = Field(
         default=None, gt=0, lt=1e-2, description="of the contact; if left out, Hertz's radius"
     )
+    mass_centre_height_m: float | None = Field(
+        default=None,
+        gt=-1,
+        lt=1,
+        description="of the pendulum over the point of contact (below it: negative); if stated, the results "
+        "say which acceleration of the ground drives it",
+    )
     gravity_m_per_s2: float = Field(default=STANDARD_GRAVITY_M_PER_S2, gt=0)
     u_gravity_m_per_s2: float = Field(default=0.0, ge=0)
 

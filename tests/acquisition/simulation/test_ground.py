@@ -14,11 +14,11 @@ from scipy.stats import chi2
 from acquisition.simulation.ground import FAST, SLOW, Ground, acceleration_density, ground_of
 from acquisition.simulation.ground_settings import GroundTruth
 from acquisition.simulation.motion import ARCSEC_RAD, motions
-from acquisition.simulation.noise_models import nhnm_db, nlnm_db
 from acquisition.simulation.settings import SimulationSettings
 from acquisition.simulation.smooth_series import BLOCK_KNOTS, SmoothSeries
 from acquisition.simulation.true_path import true_path, true_turning_points
 from processing.errors import ConfigurationError
+from processing.noise_models import nhnm_db, nlnm_db
 
 PERIOD_S = 4.071
 W0 = 2 * math.pi / PERIOD_S

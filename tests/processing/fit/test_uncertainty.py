@@ -17,9 +17,10 @@ from processing.fit.reported import (
     reported_quantities,
     work_per_cycle_j,
 )
-from processing.fit.uncertainty import FIT, budgets, monte_carlo
+from processing.fit.uncertainty import FIT, GROUND, budgets, monte_carlo
 from processing.swing import TurningPoints
 from tests.processing.fit.decays import ARCSEC, decay, paper_pair
+from tests.processing.fit.driven import driven_decay
 
 STEEL = replace(MATERIALS["steel"], u_youngs_modulus_pa=3e9, u_poisson_ratio=0.01)
 GLASS = replace(MATERIALS["glass_k8"], u_youngs_modulus_pa=2e9, u_poisson_ratio=0.005)
@@ -104,7 +105,22 @@ def test_the_budget_adds_up_and_puts_the_largest_first(found: FittedContact) -> 
     assert energy.value == pytest.approx(28.9e-3, rel=0.01)
     assert table["contact_radius_m"].lines[0].kind == "B"
     assert all(line.source != FIT for line in table["contact_radius_m"].lines)
+    assert all(line.source != GROUND for line in energy.lines), "a run at rest"
     assert energy.expanded == pytest.approx(1.96 * energy.standard_uncertainty, rel=1e-3)
+
+
+def test_the_ground_has_a_line_of_its_own_beside_the_reading() -> None:
+    parameters, pendulum = paper_pair("glass_k8")
+    points = driven_decay(parameters, pendulum, q=1e-8, noise_arcsec=0.005, seed=3, last_arcsec=10)
+    result = fit_exact(points, pendulum, averaged=False)
+    at_rest = fit_exact(decay(parameters, pendulum, noise_arcsec=0.005, seed=3, last_arcsec=10), pendulum)
+    lines = {line.source: line for line in budgets(fitted_contact(result), rig())["c"].lines}
+    assert lines[GROUND].kind == "A"
+    assert lines[GROUND].contribution > 3 * lines[FIT].contribution
+    assert np.hypot(lines[GROUND].contribution, lines[FIT].contribution) == pytest.approx(
+        result.estimate("c").standard_uncertainty, rel=1e-6
+    )
+    assert lines[FIT].contribution == pytest.approx(at_rest.estimate("c").standard_uncertainty, rel=0.2)
 
 
 def test_few_runs_widen_the_coverage_factor(found: FittedContact) -> None:

@@ -9,9 +9,11 @@ from acquisition.camera import CameraInfo
 from acquisition.frame import Frame
 from processing.balance import Balance, find_faults
 from processing.deflections import DeflectionUnit
+from processing.estimate import Estimate
 from processing.instruments import DEGREE_RAD
 from processing.spot import Spot
 from processing.swing import Swing
+from rig.analysis.base_motion import base_motion
 from rig.analysis.contact_verdicts import rig_quantities
 from rig.analysis.other_instruments import Air, reduce_run
 from rig.analysis.other_instruments_series import reduce_series
@@ -44,8 +46,9 @@ def optical_path(config: Configuration) -> Any:
 
 
 def apparatus(config: Configuration) -> Any:
-    """The pendulum and every input of the uncertainty budget."""
-    return repr((pendulum_on_ball(config), rig_quantities(config)))
+    """The pendulum, every input of the uncertainty budget, and the ground's motion."""
+    moved = base_motion(Estimate(1e-8, 1e-9), 2e-8, 4.0, config.pendulum)
+    return repr((pendulum_on_ball(config), rig_quantities(config), moved))
 
 
 def calibrated(config: Configuration) -> Any:

@@ -87,6 +87,7 @@ OTHER: dict[str, Any] = {
     "pendulum.ball_material": "steel",
     "pendulum.flat_material": "steel",
     "pendulum.contact_radius_m": 1e-4,
+    "pendulum.mass_centre_height_m": 1e-4,
     "instrument.kind": "persoz",
     "instrument.reference_runs": (2,),
 }

@@ -1,0 +1,278 @@
+"""The exact fit on ground that moves: coverage of its intervals, scatter against the bound, speed.
+
+Run as ``python -m tests.benchmarks.bench_ground [--quick] [--seeds N] [CASE...]`` from the repository. White
+drives come from the tests' own integration, the basement and the recorded ground from the simulated rig;
+neither shares a formula with the fit. A case named "frames" goes through the swing detector, from 25 tilts a
+second with the noise of a tracked spot; the others give the fit true turning points with noise.
+"""
+
+import argparse
+import json
+import os
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from time import process_time
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.simulation.settings import SimulationSettings
+from acquisition.simulation.true_path import true_path, true_turning_points
+from processing.contact import ContactParameters, PendulumOnBall
+from processing.contact.laws import PAPER
+from processing.deflections import DeflectionUnit, slow_deflections
+from processing.errors import RigError
+from processing.fit import fit_exact
+from processing.fit.exact_model import ExactModel
+from processing.fit.ground import Noise, density_of_step
+from processing.least_squares import covariance_of
+from processing.swing import SwingDetector, TurningPoints, turning_points
+from rig.analysis.contact_laws import settled_swings
+from rig.settings import FitSettings
+from tests.processing.fit.decays import ARCSEC, PAIRS, paper_pair, truth
+from tests.processing.fit.driven import driven_decay, driven_path
+
+NOISE_ARCSEC = 0.005
+FRAMES_PER_S = 25.0
+SHARED = Path(os.environ.get("RIG_SHARED_DATA", Path(__file__).parents[3] / "shared" / "data"))
+GROUND_FILE = SHARED / "ground" / "ulaanbaatar-lh1.csv"
+COVERAGES = (0.6827, 0.95)
+
+Floats = NDArray[np.float64]
+
+
+class Case(NamedTuple):
+    """A pair on a ground, and how many seeds of it."""
+
+    name: str
+    flat: str
+    points: Callable[[int], TurningPoints]
+    q: float | None = None
+    share: float = 1.0
+    averaged: bool = False
+
+
+def white(flat: str, q: float) -> Case:
+    parameters, pendulum = paper_pair(flat)
+    return Case(
+        f"{flat} q={q:g}",
+        flat,
+        lambda seed: driven_decay(parameters, pendulum, q=q, noise_arcsec=NOISE_ARCSEC, seed=5000 + seed),
+        q,
+    )
+
+
+def white_frames(flat: str, q: float) -> Case:
+    parameters, pendulum = paper_pair(flat)
+
+    def points(seed: int) -> TurningPoints:
+        _, _, path = driven_path(parameters, pendulum, q=q, seed=5000 + seed, frames_per_s=FRAMES_PER_S)
+        return detected(path, pendulum, seed)
+
+    return Case(f"{flat} q={q:g} frames", flat, points, q, 0.15, averaged=True)
+
+
+def simulated(flat: str, ground: dict[str, Any], run: int) -> SimulationSettings:
+    parameters, pendulum = paper_pair(flat)
+    contact = {name: getattr(parameters, name) for name in PAPER.names()}
+    return SimulationSettings.model_validate(
+        {
+            "contact": {**contact, "contact_radius_m": pendulum.contact_radius_m},
+            "ground": {"mass_centre_height_m": 2e-4, **ground, "seed": run},
+            "axes": {"leakage": 0.0, "rest_slow_arcsec": 0.0, "rest_drift_slow_arcsec_per_min": 0.0},
+        }
+    )
+
+
+def simulated_case(name: str, flat: str, ground: Callable[[int], dict[str, Any]]) -> Case:
+    def points(seed: int) -> TurningPoints:
+        time_s, angle_rad = true_turning_points(simulated(flat, ground(seed), seed), run=seed)
+        return noisy(time_s, np.abs(angle_rad), paper_pair(flat)[0], seed)
+
+    return Case(f"{flat} {name}", flat, points)
+
+
+def simulated_frames(name: str, flat: str, ground: Callable[[int], dict[str, Any]]) -> Case:
+    def points(seed: int) -> TurningPoints:
+        settings = simulated(flat, ground(seed), seed)
+        end_s = float(true_turning_points(settings, run=seed).time_s[-1])
+        return detected(true_path(settings, end_s, FRAMES_PER_S, run=seed).y_rad, paper_pair(flat)[1], seed)
+
+    return Case(f"{flat} {name} frames", flat, points, share=0.15, averaged=True)
+
+
+def basement(_: int) -> dict[str, Any]:
+    return {"model": "peterson", "between_noise_models": 0.5}
+
+
+def recorded(seed: int) -> dict[str, Any]:
+    """The recorded ground from a random second on: 90 minutes of record, and runs of at most 40."""
+    offset_s = float(np.random.default_rng([seed, 5]).integers(0, 2500))
+    return {"model": "file", "file": GROUND_FILE, "file_offset_s": offset_s}
+
+
+def noisy(time_s: Floats, amplitude: Floats, parameters: ContactParameters, seed: int) -> TurningPoints:
+    u = np.full(len(time_s), NOISE_ARCSEC * ARCSEC)
+    u_time = u / (amplitude * 2 * np.pi / parameters.period0_s)
+    rng = np.random.default_rng([seed, 77])
+    return TurningPoints(
+        np.arange(len(time_s), dtype=np.int64),
+        time_s + u_time * rng.standard_normal(len(time_s)),
+        u_time,
+        amplitude + u * rng.standard_normal(len(time_s)),
+        u,
+    )
+
+
+def detected(path: Floats, pendulum: PendulumOnBall, seed: int) -> TurningPoints:
+    """Turning points that the swing detector finds in tilts, measured again as in a session."""
+    noise = NOISE_ARCSEC * ARCSEC * np.sqrt(FRAMES_PER_S / 25.0)
+    times_ns = np.rint(np.arange(len(path)) * 1e9 / FRAMES_PER_S).astype(np.int64)
+    seen = path + noise * np.random.default_rng([seed, 78]).standard_normal(len(path))
+    u_seen = np.full(len(path), noise)
+    detector = SwingDetector()
+    swings = [*detector.update(times_ns, seen, u_seen), *detector.finish()]
+    blocks = [slow_deflections(times_ns, seen, u_seen)]
+    settled = settled_swings(swings, blocks, DeflectionUnit.RAD, pendulum, FitSettings())
+    return turning_points(settled.swings)
+
+
+def cases() -> list[Case]:
+    """Those of the record; the one of a recorded ground only where the record is."""
+    out = [white("glass_k8", q) for q in (0.0, 1e-9, 1e-8, 1e-7)]
+    out += [simulated_case("basement", flat, basement) for flat in PAIRS]
+    if GROUND_FILE.exists():
+        out.append(simulated_case("recorded ground", "glass_k8", recorded))
+    out += [white_frames("glass_k8", q) for q in (0.0, 1e-8, 1e-7)]
+    out += [simulated_frames("basement", flat, basement) for flat in PAIRS]
+    return out
+
+
+def bound(points: TurningPoints, case: Case, noise: Noise) -> Floats:
+    """Standard deviations of the Cramer-Rao bound of the driven model at the truth, with its noise known."""
+    parameters, pendulum = paper_pair(case.flat)
+    model = ExactModel(points, pendulum)
+    known = dict(zip(model.names, truth(parameters, model.names), strict=False))
+    known |= {"initial_amplitude_rad": float(points.amplitude[0]), "start_time_s": float(points.time_s[0])}
+    columns = model.columns.from_physical(known)
+    if case.q is not None:
+        half_period_s = float(np.diff(points.time_s).mean())
+        noise = Noise(case.q / density_of_step(1.0, half_period_s), averaged=case.averaged)
+    noise = replace(noise, step=noise.step / model.reference)
+    jacobian = model.on_ground(columns, noise)(columns)[1]
+    matrix = model.columns.physical(columns)[1]
+    return np.asarray(np.sqrt(np.diag(matrix @ covariance_of(jacobian) @ matrix.T)))[: len(PAPER.names())]
+
+
+def measure(case: Case, seeds: int) -> dict[str, Any]:
+    """Shares of seeds whose intervals hold the truth, and rms errors in units of u and of the bound."""
+    parameters, pendulum = paper_pair(case.flat)
+    names = PAPER.names()
+    inside: list[list[tuple[bool, ...]]] = []
+    pulls, to_bound, q, fits_s = [], [], [], []
+    warned = failed = left_out = 0
+    for seed in range(seeds):
+        points = case.points(seed)
+        began_s = process_time()
+        try:
+            result = fit_exact(points, pendulum, averaged=case.averaged)
+        except RigError as error:
+            failed += 1
+            print(f"  seed {seed}: {error}")
+            continue
+        fits_s.append(process_time() - began_s)
+        assert result.ground is not None
+        assert result.whiteness is not None
+        warned += result.whiteness.correlated
+        left_out += result.ground.left_out
+        q.append(result.ground.density.value)
+        error = result.values[: len(names)] - truth(parameters, names)
+        pulls.append(error / result.standard_uncertainty[: len(names)])
+        to_bound.append(error / bound(points.first(result.half_cycles), case, result.ground.noise))
+        row = []
+        for name in names:
+            low_high = [result.interval(name, share) for share in COVERAGES]
+            row.append(tuple(low <= getattr(parameters, name) <= high for low, high in low_high))
+        inside.append(row)
+    shares = np.mean(np.array(inside, dtype=np.float64), axis=0)
+    return {
+        "case": case.name,
+        "seeds": seeds,
+        "failed": failed,
+        "called_correlated": warned,
+        "half_cycles_left_out": left_out,
+        "q_stated": case.q,
+        "q_median": float(np.median(q)),
+        "fit_cpu_s": float(np.median(fits_s)),
+        "one_u": dict(zip(names, shares[:, 0].tolist(), strict=True)),
+        "ninety_five": dict(zip(names, shares[:, 1].tolist(), strict=True)),
+        "rms_pull": dict(zip(names, rms(pulls), strict=True)),
+        "median_pull": dict(zip(names, np.median(pulls, axis=0).tolist(), strict=True)),
+        "rms_to_bound": dict(zip(names, rms(to_bound), strict=True)),
+    }
+
+
+def rms(rows: list[Floats]) -> list[float]:
+    return list(np.sqrt(np.mean(np.square(rows), axis=0)).tolist())
+
+
+def seconds_of_long_runs() -> dict[str, float]:
+    """CPU time of one fit to the longest run of the paper, about 1,100 half-cycles, with drives."""
+    out = {}
+    parameters, pendulum = paper_pair("steel")
+    for q in (0.0, 1e-8, 1e-7):
+        points = driven_decay(parameters, pendulum, q=q, noise_arcsec=NOISE_ARCSEC, seed=1)
+        fit_exact(points, pendulum)
+        times = []
+        for _ in range(3):
+            began_s = process_time()
+            fit_exact(points, pendulum)
+            times.append(process_time() - began_s)
+        out[f"q={q:g}, {len(points)} half-cycles"] = min(times)
+    return out
+
+
+def run(quick: bool = False, seeds: int = 200, only: tuple[str, ...] = ()) -> dict[str, Any]:
+    """All of it; numbers as plain values. The surface energy is proportional to c, and so is its interval."""
+    result: dict[str, Any] = {"fit_cpu_s": seconds_of_long_runs(), "cases": []}
+    for name, seconds in result["fit_cpu_s"].items():
+        print(f"{name}: {seconds:.2f} s of CPU time")
+    for case in cases():
+        if only and not any(word in case.name for word in only):
+            continue
+        count = 4 if quick else max(round(seeds * case.share), 4)
+        found = measure(case, count)
+        result["cases"].append(found)
+        print(
+            f"{case.name}, {count} seeds ({found['failed']} failed, {found['called_correlated']} called "
+            f"correlated), q {found['q_median']:.3g}, {found['fit_cpu_s']:.2f} s a fit",
+            *(
+                f"  {title:13}" + "".join(f" {name} {value:.2f}" for name, value in found[key].items())
+                for title, key in (
+                    ("within 1 u", "one_u"),
+                    ("within 95 %", "ninety_five"),
+                    ("rms error/u", "rms_pull"),
+                    ("median", "median_pull"),
+                    ("rms/bound", "rms_to_bound"),
+                )
+            ),
+            sep="\n",
+            flush=True,
+        )
+    return result
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("cases", nargs="*", metavar="CASE", help="parts of names of cases; all without")
+    parser.add_argument("--quick", action="store_true")
+    parser.add_argument("--seeds", type=int, default=200)
+    words = parser.parse_args()
+    json.dump(run(words.quick, words.seeds, tuple(words.cases)), sys.stderr, indent=1)
+
+
+if __name__ == "__main__":
+    main()
