@@ -44,6 +44,7 @@ def results_of(folder: Path) -> dict[str, Any]:
     return tree
 
 
+@pytest.mark.slow
 def test_a_session_leaves_records_a_view_and_results(short_session: Path) -> None:
     tree = results_of(short_session)
     assert tree["schema"] == 2
@@ -64,6 +65,7 @@ def test_a_session_leaves_records_a_view_and_results(short_session: Path) -> Non
     assert tree["runs"][0]["sha256"] != tree["runs"][1]["sha256"]
 
 
+@pytest.mark.slow
 def test_the_runs_of_a_simulated_series_have_noise_of_their_own(short_session: Path) -> None:
     positions = []
     for number in (1, 2):
@@ -72,6 +74,7 @@ def test_the_runs_of_a_simulated_series_have_noise_of_their_own(short_session: P
     assert not (positions[0] == positions[1]).any()
 
 
+@pytest.mark.slow
 def test_the_record_says_how_it_came_about(short_session: Path) -> None:
     with RecordReader(short_session / "run-1.mcap") as reader:
         kinds = [event.kind for event in reader.events()]
@@ -95,12 +98,14 @@ def test_the_record_shows_the_lever_as_a_camera(measured_series: Path) -> None:
     assert list(seen.K) == [distance_px, 0, middle[0], 0, distance_px, middle[1], 0, 0, 1]
 
 
+@pytest.mark.slow
 def test_replay_is_equal_bit_for_bit(short_session: Path) -> None:
     done = rig("replay", short_session / "run-1.mcap")
     assert done.returncode == 0, done.stderr
     assert "equal bit for bit" in done.stdout
 
 
+@pytest.mark.slow
 def test_retracking_stays_within_a_tenth_of_the_uncertainty(short_session: Path) -> None:
     with RecordReader(short_session / "run-1.mcap") as reader:
         replay = Replay(reader, recorded_configuration(reader), retrack=True)
@@ -112,6 +117,7 @@ def test_retracking_stays_within_a_tenth_of_the_uncertainty(short_session: Path)
     assert comparison.largest_swing_change_u < 0.1
 
 
+@pytest.mark.slow
 def test_fit_of_the_records_alone_gives_the_same_again(short_session: Path, tmp_path: Path) -> None:
     done = rig("fit", short_session / "run-1.mcap", short_session / "run-2.mcap", "-o", tmp_path / "fit")
     assert done.returncode == 0, done.stderr
@@ -121,6 +127,7 @@ def test_fit_of_the_records_alone_gives_the_same_again(short_session: Path, tmp_
         assert new["fits"]["exact"]["b"] == old["fits"]["exact"]["b"]
 
 
+@pytest.mark.slow
 def test_a_folder_that_holds_a_run_is_never_written_over(short_session: Path) -> None:
     before = {path: path.stat().st_mtime_ns for path in short_session.iterdir()}
     done = rig("run", CONFIGS / "demo.toml", "-o", short_session)
