@@ -240,7 +240,7 @@ def _report(config: Configuration, folder: Path, made: _Made, *, json_lines: boo
         print_results(results, paths)
         if config.simulated and config.simulation.ground.model == "none":
             say(
-                "the simulated foundation stood still, so the uncertainties are smaller than on any real one; "
+                "the simulated foundation stood still, so uncertainties are smaller than on a real one; "
                 "configs/basement.toml is the same rig in an ordinary basement"
             )
     return 1 if failed else 0
