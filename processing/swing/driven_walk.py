@@ -15,8 +15,8 @@ _MEMORY = 32
 _AT_FIRST = 16
 _BEGINS = 4.0
 """Sum of the running means of both squares, in units of their variances, above which there is a drive."""
-_BEGINS_RESTLESS = 2.6
-"""The same where the rest position seems to move."""
+_BEGINS_RESTLESS = 3.4
+"""The same where the rest position seems to move: by chance the sum is 2, with a deviation of 0.35."""
 _LARGEST = 4.0
 """Largest difference that counts later, in standard deviations."""
 _OFFSET = 0.65

@@ -25,7 +25,7 @@ def run_conditions(
 ) -> tuple[Verdict, ...]:
     """One verdict for each condition; a record of a version that knew less has fewer events to go by.
 
-    The limits of lost spots and dropped frames are those of the preflight.
+    Frames that were dropped cost what lost spots cost: the limit of both is the preflight's of lost spots.
     """
     return (
         _fraction("lost spots", lost_spots, frames, limits.max_lost_fraction, "see laser, beam and exposure"),
@@ -33,7 +33,7 @@ def run_conditions(
             "dropped frames",
             dropped_frames,
             frames + dropped_frames,
-            limits.max_dropped_fraction,
+            limits.max_lost_fraction,
             "see who lost them: camera, bus or computer",
         ),
         *_steps(reader.events()),

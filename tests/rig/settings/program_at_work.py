@@ -92,11 +92,11 @@ class _Stubs:
 
 
 def go_through_the_phases(folder: Path) -> None:
-    """Rest, warm-up, preflight and release of a pendulum that is pushed at 5 s."""
+    """Rest, warm-up, preflight and release of a pendulum that is pushed at 9 s."""
     config = complete(
         configuration(
             start__way='"starter"',
-            simulation__release__at_s=5.0,
+            simulation__release__at_s=9.0,
             simulation__release__way='"push"',
             preflight__when='"always"',
             preflight__duration_s=0.6,
