@@ -1,8 +1,8 @@
 """Verification of a record: checksums, counts, and order of times."""
 
+import hashlib
 import json
 import struct
-import zlib
 from collections import Counter, defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -14,17 +14,19 @@ from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 from acquisition.record.chunk_places import ChunkPlace
-from acquisition.record.chunk_reader import ChunkDamage, message_heads, open_chunk
-from acquisition.record.contents import Contents, parse, read_record, walk
+from acquisition.record.chunk_reader import ChunkDamage, message_heads
+from acquisition.record.contents import Contents, walk
 from acquisition.record.digest import sha256_of
 from acquisition.record.frame_numbers import MOST_SHOWN, FrameNumbers
+from acquisition.record.proof import data_crc_matches, unproved_parts
 from acquisition.record.reader import RecordReader
+from acquisition.record.records import intact_attachment, read_record
+from acquisition.record.recover import RECOVERY
 from acquisition.record.schemas import parse_message_type
 from acquisition.record.topics import PACKAGE, SPOT, WINDOW
 from acquisition.record.utc import utc_text
 from processing.errors import RecordError
 
-_BLOCK_BYTES = 256 * 1024
 Severity = Literal["error", "warning", "note"]
 
 
@@ -97,17 +99,25 @@ def check_record(path: Path, results: Path | None = None) -> list[Finding]:
         findings += _check_chunks(reader, tally)
         findings += _check_attachments(reader)
         findings += _check_index(reader.file, contents)
-        bytes_changed = not _data_crc_matches(reader.file, contents)
+        bytes_changed = not data_crc_matches(reader.file, contents)
         if bytes_changed and not any(finding.severity == "error" for finding in findings):
             findings.append(
                 Finding("error", "bytes have changed outside chunks: in metadata or a description")
             )
+        if reader.truncated or bytes_changed:
+            findings += [
+                Finding("warning", f"{part}: nothing in the file proves it")
+                for part in unproved_parts(reader.file, contents)
+            ]
+        findings += [
+            _check_recovery(texts) for name, texts in reader.metadata.items() if name.startswith(RECOVERY)
+        ]
         findings += _check_types(contents)
         findings += _check_counts(contents, tally)
         findings += _check_order(contents, tally)
         findings += _check_sequences(contents, tally)
-    if results is not None:
-        findings.append(_check_hash(path, results))
+        if results is not None:
+            findings += _check_hashes(reader, results)
     return findings
 
 
@@ -118,6 +128,7 @@ def _followed(contents: Contents) -> frozenset[int]:
 def _check_chunks(reader: RecordReader, tally: _Tally) -> list[Finding]:
     contents = reader.contents
     findings = []
+    opened = reader.chunk_opener()
     for place in contents.chunks:
 
         def found(what: str, place: ChunkPlace = place) -> None:
@@ -126,8 +137,8 @@ def _check_chunks(reader: RecordReader, tally: _Tally) -> list[Finding]:
             findings.append(Finding("error", f"{where}: {what}"))
 
         try:
-            chunk = open_chunk(reader.file, place)
-            places, heads = message_heads(chunk.data)
+            chunk = opened(place)
+            places, heads = message_heads(chunk)
         except ChunkDamage as damage:
             found(str(damage))
             continue
@@ -167,19 +178,25 @@ def _index_matches(
     return True
 
 
+def _check_recovery(recovery: Mapping[str, str]) -> Finding:
+    """What the record lacked from which this one was made: sound bytes may hold what was changed before."""
+    missing = [
+        f"{name.replace('_', ' ')}: {recovery[name]}"
+        for name in ("lost_chunks", "lost_bytes_at_the_end", "lost_parts", "unproved")
+        if recovery.get(name, "0") not in ("0", "")
+    ]
+    text = f"recovered from {recovery.get('source', '?')}; {'; '.join(missing) or 'nothing was lost'}"
+    return Finding("warning" if missing else "note", text)
+
+
 def _check_attachments(reader: RecordReader) -> list[Finding]:
     findings = []
-    for name, place in reader.contents.attachment_places.items():
-        try:
-            opcode, data = read_record(reader.file, place)
-            parse(opcode, data)
-            intact = zlib.crc32(data[:-4]) == struct.unpack("<I", data[-4:])[0] or not any(data[-4:])
-        except (ValueError, struct.error):
-            intact = False
-        if not intact:
-            findings.append(
-                Finding("error", f"attachment {name}: its checksum does not match: bytes have changed")
-            )
+    for name, places in reader.contents.attachment_places.items():
+        for place in places:
+            try:
+                intact_attachment(read_record(reader.file, place)[1])
+            except ValueError as error:
+                findings.append(Finding("error", f"attachment {name}: {error}"))
     return findings
 
 
@@ -192,27 +209,8 @@ def _check_index(file: IO[bytes], contents: Contents) -> list[Finding]:
     listed, found = (np.unique(each.chunks.extents(), axis=0) for each in (contents, walked))
     if walked.data_end == contents.data_end and np.array_equal(listed, found) and not walked.damage:
         return []
-    return [
-        Finding(
-            "error",
-            f"the records of the data section cannot be followed from byte {walked.readable_bytes} on: "
-            "a length or kind has changed",
-        )
-    ]
-
-
-def _data_crc_matches(file: IO[bytes], contents: Contents) -> bool:
-    if not contents.whole or contents.data_crc == 0:
-        return True
-    crc, rest = 0, contents.data_end
-    file.seek(0)
-    while rest > 0:
-        block = file.read(min(_BLOCK_BYTES, rest))
-        if not block:
-            return False
-        crc = zlib.crc32(block, crc)
-        rest -= len(block)
-    return crc == contents.data_crc
+    what = "; ".join(walked.damage) or "a length or kind has changed"
+    return [Finding("error", f"the records of the data section cannot be followed: {what}")]
 
 
 def _check_types(contents: Contents) -> list[Finding]:
@@ -284,21 +282,35 @@ def _check_sequences(contents: Contents, tally: _Tally) -> list[Finding]:
     return findings
 
 
-def _check_hash(path: Path, results: Path) -> Finding:
+def _check_hashes(reader: RecordReader, results: Path) -> list[Finding]:
+    """Compare what a results.json states of the record, its configuration and its calibrations."""
     try:
         tree = json.loads(results.read_text(encoding="utf-8"))
-        stated = {Path(run["record"]).name: str(run["sha256"]) for run in tree["runs"]}
+        stated = {Path(run["record"]).name: run for run in tree["runs"]}
+        run = stated.get(reader.path.name)
+        sha256, inputs = ("", {}) if run is None else (run["sha256"], dict(run.get("inputs_sha256", {})))
     except OSError as error:
         raise RecordError(f"{results}: cannot be read: {error.strerror or error}") from None
-    except (ValueError, KeyError, TypeError):
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
         raise RecordError(f"{results}: is not a results.json; name the one beside the record") from None
-    if path.name not in stated:
-        return Finding("warning", f"{results.name} does not contain {path.name}")
-    if stated[path.name] != sha256_of(path):
-        return Finding(
-            "error", f"SHA-256 is not the one in {results.name}: the record is not the one that was fitted"
-        )
-    return Finding("note", f"SHA-256 is the one in {results.name}")
+    if run is None:
+        return [Finding("warning", f"{results.name} does not contain {reader.path.name}")]
+    if sha256 != sha256_of(reader.path):
+        return [
+            Finding(
+                "error",
+                f"SHA-256 is not the one in {results.name}: the record is not the one that was fitted",
+            )
+        ]
+    held = {name: hashlib.sha256(data).hexdigest() for name, data in reader.attachments.items()}
+    others = sorted(name for name, value in inputs.items() if held.get(name) != value)
+    if others:
+        return [
+            Finding("error", f"{results.name} states another SHA-256 of {name} than the record's")
+            for name in others
+        ]
+    more = f", also of {', '.join(sorted(inputs))}" if inputs else ""
+    return [Finding("note", f"SHA-256 is the one in {results.name}{more}")]
 
 
 def _topics(contents: Contents, place: ChunkPlace) -> str:

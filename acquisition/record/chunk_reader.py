@@ -1,4 +1,7 @@
-"""Reads the bytes of a chunk, checks them, and splits them into messages."""
+"""Reads the bytes of a chunk, checks them, and splits them into messages.
+
+A file of one megabyte can claim to hold gigabytes: what a chunk may unpack to is limited before that.
+"""
 
 import struct
 import zlib
@@ -6,19 +9,22 @@ from collections.abc import Iterator
 from typing import IO, NamedTuple, TypeAlias
 
 import numpy as np
+import zstandard
 from mcap.opcode import Opcode
-from mcap.records import Chunk
-from mcap.stream_reader import get_chunk_data_stream
 from numpy.typing import NDArray
 
 from acquisition.record.chunk_builder import MESSAGE_HEAD, MESSAGE_HEAD_DTYPE
 from acquisition.record.chunk_places import ChunkPlace
+from acquisition.record.records import CHUNK, HEAD
 
-_HEAD = struct.Struct("<BQ")
-_CHUNK = struct.Struct("<QQQII")
+LARGEST_CHUNK_BYTES = 64 * 1024 * 1024
+"""Without compression. The writer ends a chunk at 1 MiB, and a whole frame may stand at its end."""
 _MESSAGE_START = struct.Struct("<BQH")
 _MESSAGE = int(Opcode.MESSAGE)
-_LARGEST_CHUNK_BYTES = 2**31
+_RECORDS_OF_A_CHUNK = frozenset({int(Opcode.SCHEMA), int(Opcode.CHANNEL), _MESSAGE})
+_FEW_MESSAGES = 64
+_UNPACKED_BYTES = 256 * 1024 * 1024
+_UNPACKED_PER_BYTE = 256
 
 
 class ChunkDamage(ValueError):
@@ -40,27 +46,43 @@ class RawMessage(NamedTuple):
 
 
 class OpenedChunk(NamedTuple):
-    """Decompressed records of a chunk, and the range of log times stated in its header."""
+    """Decompressed records of a chunk, and the range of log times stated in its header.
+
+    `most_records` is how many there may be: each takes more than a byte of the compressed data.
+    """
 
     data: bytes
     start_ns: int
     end_ns: int
+    most_records: int
+
+
+class UnpackLimit:
+    """Bytes that the chunks of a file may take in one pass through it; whole sessions stay far below."""
+
+    def __init__(self, file_bytes: int) -> None:
+        self._left = _UNPACKED_BYTES + _UNPACKED_PER_BYTE * file_bytes
+
+    def allows(self, count: int) -> bool:
+        """Whether so many more may be unpacked."""
+        self._left -= count
+        return self._left >= 0
 
 
 def open_chunk(file: IO[bytes], place: ChunkPlace, *, validate_crc: bool = True) -> OpenedChunk:
     """Read and decompress a chunk. Raises ChunkDamage."""
     file.seek(place.offset)
     record = file.read(place.length)
-    if len(record) < place.length or place.length < _HEAD.size + _CHUNK.size:
+    if len(record) < place.length or place.length < HEAD.size + CHUNK.size:
         raise ChunkDamage("ends early")
-    opcode, length = _HEAD.unpack_from(record)
-    if opcode != Opcode.CHUNK or length != place.length - _HEAD.size:
+    opcode, length = HEAD.unpack_from(record)
+    if opcode != Opcode.CHUNK or length != place.length - HEAD.size:
         raise ChunkDamage("its head has changed")
-    start_ns, end_ns, size, crc, name_length = _CHUNK.unpack_from(record, _HEAD.size)
-    data_at = _HEAD.size + _CHUNK.size + name_length + 8
-    if size > _LARGEST_CHUNK_BYTES or data_at > len(record):
+    start_ns, end_ns, size, crc, name_length = CHUNK.unpack_from(record, HEAD.size)
+    data_at = HEAD.size + CHUNK.size + name_length + 8
+    if size > LARGEST_CHUNK_BYTES or data_at > len(record):
         raise ChunkDamage("its head has changed")
-    compression = record[_HEAD.size + _CHUNK.size : data_at - 8]
+    compression = record[HEAD.size + CHUNK.size : data_at - 8]
     (data_length,) = struct.unpack_from("<Q", record, data_at - 8)
     if data_at + data_length != len(record):
         raise ChunkDamage("its head has changed")
@@ -69,34 +91,35 @@ def open_chunk(file: IO[bytes], place: ChunkPlace, *, validate_crc: bool = True)
         raise ChunkDamage(f"has {len(data)} bytes, but its header states {size}")
     if validate_crc and crc not in (0, zlib.crc32(data)):
         raise ChunkDamage("its checksum does not match: bytes have changed")
-    return OpenedChunk(data, start_ns, end_ns)
+    return OpenedChunk(data, start_ns, end_ns, _FEW_MESSAGES + data_length)
 
 
-def messages_in(data: bytes, channels: frozenset[int] | None = None) -> Iterator[RawMessage]:
+def messages_in(chunk: OpenedChunk, channels: frozenset[int] | None = None) -> Iterator[RawMessage]:
     """Messages of the given channels (None: all) in a chunk. Raises ChunkDamage if a record is incomplete."""
-    unpack, head_size = MESSAGE_HEAD.unpack_from, MESSAGE_HEAD.size
-    for place, size in zip(*_places(data, channels), strict=True):
+    data, unpack, head_size = chunk.data, MESSAGE_HEAD.unpack_from, MESSAGE_HEAD.size
+    for place, size in zip(*_places(chunk, channels), strict=True):
         _, _, channel, sequence, log_time_ns, _ = unpack(data, place)
         content = data[place + head_size : place + head_size + size]
         yield RawMessage(channel, sequence, log_time_ns, content, place)
 
 
-def packed_messages(data: bytes, channels: frozenset[int] | None = None) -> PackedMessages:
+def packed_messages(chunk: OpenedChunk, channels: frozenset[int] | None = None) -> PackedMessages:
     """Contents of the messages that `messages_in` returns."""
-    places, sizes = _places(data, channels)
+    data = chunk.data
+    places, sizes = _places(chunk, channels)
     contents = np.array(places, dtype=np.int64) + MESSAGE_HEAD.size
     if len(set(sizes)) == 1:
         return _items(data, contents, sizes[0])
     return [data[place : place + size] for place, size in zip(contents.tolist(), sizes, strict=True)]
 
 
-def message_heads(data: bytes) -> tuple[NDArray[np.int64], NDArray[np.void]]:
+def message_heads(chunk: OpenedChunk) -> tuple[NDArray[np.int64], NDArray[np.void]]:
     """Positions (n,) of the messages in a chunk, and their headers (n,) as rows of `MESSAGE_HEAD_DTYPE`.
 
     Raises ChunkDamage if a record is incomplete.
     """
-    places = np.array(_places(data)[0], dtype=np.int64)
-    return places, _items(data, places, MESSAGE_HEAD.size).view(MESSAGE_HEAD_DTYPE)
+    places = np.array(_places(chunk)[0], dtype=np.int64)
+    return places, _items(chunk.data, places, MESSAGE_HEAD.size).view(MESSAGE_HEAD_DTYPE)
 
 
 def _items(data: bytes, places: NDArray[np.int64], size: int) -> NDArray[np.void]:
@@ -108,28 +131,35 @@ def _items(data: bytes, places: NDArray[np.int64], size: int) -> NDArray[np.void
     return every[places]
 
 
-def _places(data: bytes, channels: frozenset[int] | None = None) -> tuple[list[int], list[int]]:
+def _places(chunk: OpenedChunk, channels: frozenset[int] | None = None) -> tuple[list[int], list[int]]:
     """Positions of the messages of the given channels in a chunk, and the sizes of their contents."""
     places, sizes = [], []
-    place, end = 0, len(data)
+    data = chunk.data
+    place, end, left = 0, len(data), chunk.most_records
     unpack, head_size = _MESSAGE_START.unpack_from, MESSAGE_HEAD.size
     while place + _MESSAGE_START.size <= end:
         opcode, length, channel = unpack(data, place)
-        following = place + _HEAD.size + length
+        following = place + HEAD.size + length
+        left -= 1
+        if opcode not in _RECORDS_OF_A_CHUNK or left < 0:
+            break
         if opcode == _MESSAGE and (channels is None or channel in channels):
             places.append(place)
             sizes.append(following - place - head_size)
         place = following
     if place != end or min(sizes, default=0) < 0:
-        raise ChunkDamage("a record in it is incomplete")
+        raise ChunkDamage("a record in it is incomplete, or there are more than it can hold")
     return places, sizes
 
 
 def _decompressed(compression: bytes, data: bytes, size: int) -> bytes:
+    if compression == b"":
+        return data
+    if compression != b"zstd":
+        raise ChunkDamage(f"its compression {compression!r} is not that of rig run")
     try:
-        chunk = Chunk(compression.decode(), data, 0, 0, 0, size)
-        stream, length = get_chunk_data_stream(chunk)
-        return bytes(stream.read(length))
-    except Exception as error:
-        # each decompressor raises its own exceptions for damaged data
+        if zstandard.get_frame_parameters(data).content_size != size:
+            raise ChunkDamage("its head and its data state different sizes")
+        return zstandard.ZstdDecompressor(max_window_size=LARGEST_CHUNK_BYTES).decompress(data)
+    except zstandard.ZstdError as error:
         raise ChunkDamage(f"cannot be decompressed ({error})") from None

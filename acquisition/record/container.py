@@ -12,6 +12,7 @@ single open chunk for all topics and a fixed compression level (decision 6).
 
 import contextlib
 import errno
+import json
 import os
 import secrets
 import shutil
@@ -44,9 +45,10 @@ from mcap.records import (
 
 from acquisition.record.background_sync import BackgroundSync
 from acquisition.record.chunk_builder import ChunkBuilder
-from acquisition.record.contents import MAGIC
+from acquisition.record.descriptions import OWN_SHA256, sha256_of_description
+from acquisition.record.records import MAGIC
 from acquisition.record.reserve import Reserve
-from acquisition.record.topics import LIBRARY
+from acquisition.record.topics import LIBRARY, METADATA_COPY
 from acquisition.record.whole_file import sync_folder
 from processing.errors import RecordError
 
@@ -77,6 +79,7 @@ class McapFile:
         self._channels: list[Channel] = []
         self._attachments: list[AttachmentIndex] = []
         self._metadata: list[MetadataIndex] = []
+        self._copies: list[tuple[Attachment, bytes]] = []
         self._chunk_index = bytearray()
         self._counts: Counter[int] = Counter()
         self._chunks = 0
@@ -103,27 +106,45 @@ class McapFile:
         """Latest log time of all chunks; 0 without any."""
         return self._end_ns
 
-    def add_metadata(self, name: str, texts: Mapping[str, str]) -> None:
-        """Texts by key."""
-        data = serialised(Metadata(name, dict(texts)))
-        self._metadata.append(MetadataIndex(self.size, len(data), name))
-        self._append(data)
+    def add_metadata(self, sections: Mapping[str, Mapping[str, str]], log_time_ns: int) -> None:
+        """All metadata, texts by key by section; as an attachment, too, because that has a checksum."""
+        for name, texts in sections.items():
+            data = serialised(Metadata(name, dict(texts)))
+            self._metadata.append(MetadataIndex(self.size, len(data), name))
+            self._append(data)
+        copy = json.dumps({name: dict(texts) for name, texts in sections.items()}, ensure_ascii=False)
+        self.add_attachment(METADATA_COPY, "application/json", copy.encode(), log_time_ns)
 
     def add_attachment(self, name: str, media_type: str, data: bytes, log_time_ns: int) -> None:
-        """A file within the file."""
-        record = serialised(Attachment(log_time_ns, log_time_ns, name, media_type, data))
-        self._attachments.append(
-            AttachmentIndex(self.size, len(record), log_time_ns, log_time_ns, len(data), name, media_type)
-        )
+        """A file within the file. The end of a finished file holds it once more."""
+        attachment = Attachment(log_time_ns, log_time_ns, name, media_type, data)
+        record = serialised(attachment)
+        self._copies.append((attachment, record))
+        self._attach(attachment, record)
+
+    def _attach(self, attachment: Attachment, record: bytes) -> None:
+        place = self.size
         self._append(record)
+        self._attachments.append(
+            AttachmentIndex(
+                place,
+                len(record),
+                attachment.create_time,
+                attachment.log_time,
+                len(attachment.data),
+                attachment.name,
+                attachment.media_type,
+            )
+        )
 
     def add_channel(
         self, topic: str, schema_name: str, descriptor: bytes, texts: Mapping[str, str] | None = None
     ) -> int:
         """Add a channel of protobuf messages.
 
-        It is written outside the chunks, so that each chunk can be read without the others. `texts` are the
-        channel's metadata; unlike metadata records they are repeated in the summary, under its checksum.
+        It is written outside the chunks, so that each chunk can be read without the others, and twice, so
+        that one changed bit does not make the topic unreadable. `texts` are the channel's metadata; unlike
+        metadata records they are repeated in the summary, under its checksum.
         """
         schema = self._schemas.get((schema_name, descriptor))
         data = b""
@@ -132,8 +153,9 @@ class McapFile:
             self._schemas[schema_name, descriptor] = schema
             data = serialised(schema)
         channel = Channel(len(self._channels) + 1, topic, "protobuf", dict(texts or {}), schema.id)
+        channel.metadata[OWN_SHA256] = sha256_of_description(channel, schema)
         self._channels.append(channel)
-        self._append(data + serialised(channel))
+        self._append(2 * (data + serialised(channel)))
         return channel.id
 
     def add_chunk(self, builder: ChunkBuilder) -> None:
@@ -211,6 +233,8 @@ class McapFile:
         self._background.wait()
         try:
             try:
+                for attachment, record in self._copies:
+                    self._attach(attachment, record)
                 self._append(self._ending())
             except OSError as error:
                 if error.errno not in _FULL_DISK:

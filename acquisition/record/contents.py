@@ -5,46 +5,39 @@ summary, as after a power failure, the data section is walked through from recor
 of chunks are read, so that a file of any size takes about a second.
 """
 
-import io
 import os
 import struct
 import zlib
 from collections import Counter
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import IO, Any
+from typing import IO
 
-from mcap.data_stream import ReadDataStream
-from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import (
-    Attachment,
-    AttachmentIndex,
-    Channel,
-    Footer,
-    Header,
-    Metadata,
-    MetadataIndex,
-    Schema,
-    Statistics,
-)
+from mcap.records import Channel, Footer, Header, Metadata, Schema, Statistics
 
 from acquisition.record.chunk_places import ChunkPlace, ChunkPlaces
+from acquisition.record.descriptions import Descriptions
+from acquisition.record.record_search import RecordSearch
+from acquisition.record.records import (
+    CHUNK,
+    HEAD,
+    INDEX_ENTRY_BYTES,
+    MAGIC,
+    MESSAGE_INDEX,
+    check_form,
+    parse,
+    read_record,
+)
 
-MAGIC = b"\x89MCAP0\r\n"
-_HEAD = struct.Struct("<BQ")
 _FOOTER = struct.Struct("<BQQQI")
-_CHUNK = struct.Struct("<QQQII")
 _CHUNK_INDEX = struct.Struct("<QQQQI")
 _SUMMARY_OFFSET = struct.Struct("<BQQ")
-_MESSAGE_INDEX = struct.Struct("<HI")
 _INDEX_OFFSET = struct.Struct("<HQ")
-_INDEX_ENTRY_BYTES = 16
 _FIRST_OPCODE, _LAST_OPCODE = int(Opcode.HEADER), int(Opcode.DATA_END)
 _CHUNK_OPCODE, _MESSAGE_INDEX_OPCODE = int(Opcode.CHUNK), int(Opcode.MESSAGE_INDEX)
 _LOOK_BYTES = 4096
-_LARGEST_HEAD_BYTES = _HEAD.size + _CHUNK.size
-_SMALL_RECORD_BYTES = 256 * 1024 * 1024
+_LARGEST_HEAD_BYTES = HEAD.size + CHUNK.size
 
 
 @dataclass
@@ -53,7 +46,8 @@ class Contents:
 
     `whole` is False for a file without an ending; `readable_bytes` is the end of its last complete record.
     `indexed` is True if the chunks come from a summary with a correct checksum, so that their channels are
-    reliable. `damage` describes parts of the structure that could not be read.
+    reliable. `damage` describes parts of the structure that could not be read, `unproved` those that could,
+    though nothing in the file proves them.
     """
 
     size: int
@@ -65,7 +59,8 @@ class Contents:
     channels: dict[int, Channel] = field(default_factory=dict)
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     attachments: dict[str, int] = field(default_factory=dict)
-    attachment_places: dict[str, int] = field(default_factory=dict)
+    attachment_places: dict[str, list[int]] = field(default_factory=dict)
+    descriptions: Descriptions = field(default_factory=Descriptions)
     walked_chunks: ChunkPlaces = field(default_factory=ChunkPlaces)
     chunk_index: bytes = b""
     counts: Counter[int] = field(default_factory=Counter)
@@ -73,6 +68,7 @@ class Contents:
     data_end: int = 0
     data_crc: int = 0
     damage: list[str] = field(default_factory=list)
+    unproved: list[str] = field(default_factory=list)
 
     @cached_property
     def chunks(self) -> ChunkPlaces:
@@ -106,54 +102,75 @@ def read_contents(file: IO[bytes]) -> Contents:
     contents = Contents(size)
     footer = _footer(file, size)
     contents.whole = footer is not None
-    if footer is not None and footer.summary_start:
-        if _read_summary(file, contents, footer):
-            return contents
-        contents = Contents(size, whole=True, damage=contents.damage)
-    walk(file, contents)
+    if footer is None or not footer.summary_start or not _read_summary(file, contents, footer):
+        contents = Contents(size, whole=contents.whole, damage=contents.damage)
+        walk(file, contents)
+    _settle_descriptions(contents)
+    file.seek(0)
+    if file.read(len(MAGIC)) != MAGIC:
+        contents.damage.append("the magic at its beginning has changed")
     return contents
+
+
+def _settle_descriptions(contents: Contents) -> None:
+    contents.schemas, contents.channels, changed, unproved = contents.descriptions.settled()
+    contents.damage += [f"a copy of the description of {topic} has changed" for topic in changed]
+    if not contents.indexed:
+        contents.unproved += [f"description of {topic}" for topic in unproved]
 
 
 def walk(file: IO[bytes], contents: Contents) -> None:
     """List the data section record by record, without decompression, up to its last complete record.
 
-    The records between two chunks are read in one piece for speed: a record of one day has 200,000 chunks.
+    Behind bytes that are no record, the next one whose content can be verified is looked for. The records
+    between two chunks are read in one piece for speed: a record of one day has 200,000 chunks.
     """
     chunk: tuple[int, int, int, int] | None = None
     channels: tuple[int, ...] = ()
     known: dict[tuple[int, ...], frozenset[int]] = {}
-    place, size, counts = len(MAGIC), contents.size, contents.counts
-    head, head_size = _HEAD.unpack_from, _HEAD.size
+    search = RecordSearch(file)
+    place, before, size, counts = len(MAGIC), 0, contents.size, contents.counts
+    head, head_size = HEAD.unpack_from, HEAD.size
     data, base, readable = b"", 0, 0
     while place + head_size <= size:
         at = place - base
-        if at > readable:
+        if not 0 <= at <= readable:
             file.seek(place)
             data, base, at = file.read(_LOOK_BYTES), place, 0
             readable = len(data) - _LARGEST_HEAD_BYTES if place + len(data) < size else len(data)
-        try:
-            opcode, length = head(data, at)
-        except struct.error:
-            break
+        opcode, length = head(data, at)
         end = place + head_size + length
+        fault = ""
         if end > size or not _FIRST_OPCODE <= opcode <= _LAST_OPCODE:
-            break
-        try:
-            if opcode == _MESSAGE_INDEX_OPCODE:
-                channel, bytes_of_entries = _MESSAGE_INDEX.unpack_from(data, at + head_size)
-                counts[channel] += bytes_of_entries // _INDEX_ENTRY_BYTES
-                channels += (channel,)
-            elif opcode == _CHUNK_OPCODE:
-                if chunk is not None:
-                    contents.walked_chunks.append(ChunkPlace(*chunk, _set_of(channels, known)))
+            fault = "there is no record"
+        else:
+            try:
+                if opcode == _MESSAGE_INDEX_OPCODE:
+                    channel, of_entries = MESSAGE_INDEX.unpack_from(data, at + head_size)
+                    if of_entries % INDEX_ENTRY_BYTES or length != MESSAGE_INDEX.size + of_entries:
+                        raise ValueError("its lengths contradict each other")
+                    counts[channel] += of_entries // INDEX_ENTRY_BYTES
+                    channels += (channel,)
+                elif opcode == _CHUNK_OPCODE:
+                    start_ns, end_ns, *_ = CHUNK.unpack_from(data, at + head_size)
+                    if chunk is not None:
+                        contents.walked_chunks.append(ChunkPlace(*chunk, _set_of(channels, known)))
                     channels = ()
-                start_ns, end_ns, *_ = _CHUNK.unpack_from(data, at + head_size)
-                chunk = (place, head_size + length, start_ns, end_ns)
-            else:
-                _list_record(file, contents, opcode, place)
-        except (struct.error, ValueError) as error:
-            contents.damage.append(f"record at byte {place} cannot be read ({error})")
-        place = end
+                    chunk = (place, head_size + length, start_ns, end_ns)
+                else:
+                    _list_record(file, contents, opcode, place)
+            except (struct.error, ValueError) as error:
+                fault = str(error)
+        if fault:
+            # the length of the record before may be what has changed
+            doubtful = place if not before or search.is_sound(before) else before
+            found = search.next_from(doubtful + 1)
+            if found is None:
+                break
+            contents.damage.append(f"bytes {doubtful} to {found} cannot be read: {fault}")
+            place, before = found, 0
+            continue
+        before, place = place, end
         if opcode in (Opcode.DATA_END, Opcode.FOOTER):
             break
     if chunk is not None:
@@ -171,66 +188,32 @@ def _set_of(channels: tuple[int, ...], known: dict[tuple[int, ...], frozenset[in
 
 
 def _list_record(file: IO[bytes], contents: Contents, opcode: int, place: int) -> None:
+    data = read_record(file, place)[1]
+    if opcode == Opcode.ATTACHMENT:
+        # its checksum is verified when it is read
+        attachment = parse(opcode, data)
+        contents.attachments[attachment.name] = len(attachment.data)
+        contents.attachment_places.setdefault(attachment.name, []).append(place)
+        return
+    check_form(opcode, data)
     if opcode == Opcode.DATA_END:
         contents.data_end = place
-        contents.data_crc = struct.unpack("<I", read_record(file, place)[1])[0]
-    elif opcode == Opcode.ATTACHMENT:
-        attachment = parse(*read_record(file, place))
-        contents.attachments[attachment.name] = len(attachment.data)
-        contents.attachment_places[attachment.name] = place
+        contents.data_crc = struct.unpack("<I", data)[0]
     elif opcode in (Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA):
-        _list_small(contents, *read_record(file, place))
+        _list_small(contents, opcode, data)
 
 
 def _list_small(contents: Contents, opcode: int, data: bytes) -> None:
     record = parse(opcode, data)
     if isinstance(record, Header):
         contents.library = record.library
-    elif isinstance(record, Schema):
-        contents.schemas[record.id] = record
-    elif isinstance(record, Channel):
-        contents.channels[record.id] = record
+    elif isinstance(record, Schema | Channel):
+        contents.descriptions.add(record)
     elif isinstance(record, Metadata):
         contents.metadata[record.name] = record.metadata
     elif isinstance(record, Statistics):
         contents.statistics = record
         contents.counts.update(record.channel_message_counts)
-
-
-_CLASSES: dict[int, Any] = {
-    Opcode.HEADER: Header,
-    Opcode.SCHEMA: Schema,
-    Opcode.CHANNEL: Channel,
-    Opcode.METADATA: Metadata,
-    Opcode.STATISTICS: Statistics,
-    Opcode.ATTACHMENT: Attachment,
-    Opcode.ATTACHMENT_INDEX: AttachmentIndex,
-    Opcode.METADATA_INDEX: MetadataIndex,
-}
-
-
-def parse(opcode: int, data: bytes) -> Any:
-    """A record of the mcap library from its bytes; None for a kind that is not needed here."""
-    kind = _CLASSES.get(opcode)
-    try:
-        return None if kind is None else kind.read(ReadDataStream(io.BytesIO(data)))
-    except (struct.error, UnicodeDecodeError, McapError) as error:
-        raise ValueError(str(error) or type(error).__name__) from None
-
-
-def read_record(file: IO[bytes], place: int) -> tuple[int, bytes]:
-    """Opcode and content of the record at a position in the file. Raises ValueError if there is none."""
-    file.seek(place)
-    head = file.read(_HEAD.size)
-    if len(head) < _HEAD.size:
-        raise ValueError(f"no record at byte {place}")
-    opcode, length = _HEAD.unpack(head)
-    if length > _SMALL_RECORD_BYTES:
-        raise ValueError(f"record at byte {place} claims {length} bytes")
-    data = file.read(length)
-    if len(data) < length:
-        raise ValueError(f"record at byte {place} ends early")
-    return opcode, data
 
 
 def _footer(file: IO[bytes], size: int) -> Footer | None:
@@ -281,9 +264,9 @@ def _list_summary(file: IO[bytes], contents: Contents, summary: bytes, footer: F
             contents.chunk_index += summary[place : place + length]
             place += length
             continue
-        opcode, length = _HEAD.unpack_from(summary, place)
-        end = place + _HEAD.size + length
-        data = summary[place + _HEAD.size : end]
+        opcode, length = HEAD.unpack_from(summary, place)
+        end = place + HEAD.size + length
+        data = summary[place + HEAD.size : end]
         if opcode == Opcode.CHUNK_INDEX:
             contents.chunk_index += summary[place:end]
         elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS):
@@ -294,7 +277,7 @@ def _list_summary(file: IO[bytes], contents: Contents, summary: bytes, footer: F
         elif opcode == Opcode.ATTACHMENT_INDEX:
             index = parse(opcode, data)
             contents.attachments[index.name] = index.data_size
-            contents.attachment_places[index.name] = index.offset
+            contents.attachment_places.setdefault(index.name, []).append(index.offset)
         place = end
 
 
@@ -311,11 +294,11 @@ def _groups(summary: bytes, footer: Footer) -> dict[tuple[int, int], int]:
     if footer.summary_offset_start < footer.summary_start:
         return {}
     records = summary[footer.summary_offset_start - footer.summary_start :]
-    size = _HEAD.size + _SUMMARY_OFFSET.size
+    size = HEAD.size + _SUMMARY_OFFSET.size
     return {
         (kind, start - footer.summary_start): length
         for kind, start, length in (
-            _SUMMARY_OFFSET.unpack_from(records, place + _HEAD.size)
+            _SUMMARY_OFFSET.unpack_from(records, place + HEAD.size)
             for place in range(0, len(records) - size + 1, size)
         )
         if length > 0
@@ -326,14 +309,14 @@ def _chunk_places(index: bytes) -> ChunkPlaces:
     found = ChunkPlaces()
     place = 0
     while place < len(index):
-        _, record_length = _HEAD.unpack_from(index, place)
+        _, record_length = HEAD.unpack_from(index, place)
         start_ns, end_ns, offset, length, bytes_of_offsets = _CHUNK_INDEX.unpack_from(
-            index, place + _HEAD.size
+            index, place + HEAD.size
         )
-        at = place + _HEAD.size + _CHUNK_INDEX.size
+        at = place + HEAD.size + _CHUNK_INDEX.size
         channels = frozenset(
             channel for channel, _ in _INDEX_OFFSET.iter_unpack(index[at : at + bytes_of_offsets])
         )
         found.append(ChunkPlace(offset, length, start_ns, end_ns, channels))
-        place += _HEAD.size + record_length
+        place += HEAD.size + record_length
     return found

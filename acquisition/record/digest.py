@@ -1,5 +1,6 @@
 """SHA-256 of a record, by which results.json identifies it."""
 
+import functools
 import hashlib
 from collections.abc import Callable
 from pathlib import Path
@@ -7,6 +8,20 @@ from pathlib import Path
 from processing.errors import RecordError
 
 _BLOCK_BYTES = 1024 * 1024
+
+
+@functools.lru_cache(maxsize=256)
+def _known(path: Path, identity: tuple[int, ...]) -> str:
+    return sha256_of(path)
+
+
+def known_sha256_of(path: Path) -> str:
+    """The same; of a file that this process has read and that is still the same one, without reading."""
+    try:
+        found = path.stat()
+    except (OSError, ValueError):
+        return sha256_of(path)
+    return _known(path.resolve(), (found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns))
 
 
 def sha256_of(path: Path, progress: Callable[[int, int], None] | None = None) -> str:
@@ -23,4 +38,6 @@ def sha256_of(path: Path, progress: Callable[[int, int], None] | None = None) ->
                     progress(done, total)
     except OSError as error:
         raise RecordError(f"{path}: cannot be read: {error.strerror or error}") from None
+    except ValueError as error:
+        raise RecordError(f"{str(path)!r}: is not the name of a file ({error})") from None
     return digest.hexdigest()

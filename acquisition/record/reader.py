@@ -10,17 +10,29 @@ from types import TracebackType
 from typing import IO, Any, NamedTuple, Self, TypeVar
 
 import numpy as np
+from mcap.opcode import Opcode
 from numpy.typing import NDArray
+from pydantic import TypeAdapter, ValidationError
 
 from acquisition.frame import Frame
 from acquisition.frame_losses import FrameLosses
 from acquisition.record.balances import balances_of
 from acquisition.record.chunk_places import ChunkPlace
-from acquisition.record.chunk_reader import ChunkDamage, RawMessage, messages_in, open_chunk, packed_messages
-from acquisition.record.contents import MAGIC, Contents, parse, read_contents, read_record
+from acquisition.record.chunk_reader import (
+    ChunkDamage,
+    OpenedChunk,
+    RawMessage,
+    UnpackLimit,
+    messages_in,
+    open_chunk,
+    packed_messages,
+)
+from acquisition.record.contents import Contents, read_contents
+from acquisition.record.descriptions import own_texts
 from acquisition.record.events import Event
 from acquisition.record.foxglove import decode_log
 from acquisition.record.pixels import decode_image, decode_window
+from acquisition.record.records import MAGIC, intact_attachment, read_record
 from acquisition.record.schemas import MessageType, message_type_of, parse_message_type
 from acquisition.record.spots_and_swings import deflections_of, spot_table, swings_of
 from acquisition.record.topics import (
@@ -30,6 +42,7 @@ from acquisition.record.topics import (
     IMAGE_TOPIC,
     LOG_TOPIC,
     LOSSES_TOPIC,
+    METADATA_COPY,
     SCHEMA_VERSION,
     SPOT,
     SWING,
@@ -48,6 +61,7 @@ _log = logging.getLogger(__name__)
 _Value = TypeVar("_Value")
 _Found = TypeVar("_Found", bound=Sized)
 _ROWS_AT_ONCE = 4096
+_SECTIONS = TypeAdapter(dict[str, dict[str, str]])
 
 
 class Message(NamedTuple):
@@ -96,6 +110,7 @@ class RecordReader:
         self.file = open_mcap(path)
         try:
             self.contents: Contents = read_contents(self.file)
+            self._prove_metadata()
             self._check_ours()
         except OSError as error:
             self.file.close()
@@ -131,6 +146,14 @@ class RecordReader:
             f"rig recover {self.path} makes a complete file of it"
         )
 
+    def doubts(self) -> list[str]:
+        """What has to be said with everything that was read so far: cut short, damaged, changed; one line
+        each.
+        """
+        lines = [self.cut_notice] if self.truncated else []
+        lines += [f"damaged, not used: {damage.what}" for damage in self.damages]
+        return lines + [f"the record's structure: {text}" for text in self.contents.damage]
+
     @property
     def metadata(self) -> dict[str, dict[str, str]]:
         """Metadata: texts by key, by name (session, camera, environment, versions, record)."""
@@ -138,15 +161,20 @@ class RecordReader:
 
     @property
     def attachments(self) -> dict[str, bytes]:
-        """Attached files by name; one that cannot be read is left out and listed in `damages`."""
-        found = {}
-        for name, place in self.contents.attachment_places.items():
+        """Attached files by name; one of which no copy is intact is left out, every damaged copy listed in
+        `damages`.
+        """
+        found = {name: self._attached(name) for name in self.contents.attachment_places}
+        return {name: data for name, data in found.items() if name != METADATA_COPY and data is not None}
+
+    def _attached(self, name: str) -> bytes | None:
+        """The first intact copy of an attachment."""
+        for place in self.contents.attachment_places.get(name, ()):
             try:
-                opcode, data = read_record(self.file, place)
-                found[name] = parse(opcode, data).data
+                return intact_attachment(read_record(self.file, place)[1])
             except ValueError as error:
                 self._remember(place, Damage(0, 0, (), f"attachment {name}: {error}"))
-        return found
+        return None
 
     @property
     def epoch_offset_ns(self) -> int:
@@ -193,7 +221,8 @@ class RecordReader:
         kind = self._type(topic)
         if kind is None:
             return np.empty(0, dtype=np.dtype([]))
-        table = np.empty(self.counts[topic], dtype=kind.table_dtype)
+        # what is stated may be a lie: a message takes more than a byte of the file
+        table = np.empty(min(self.counts[topic], self.contents.size), dtype=kind.table_dtype)
         filled = 0
         for part in self._tables(kind):
             if filled + len(part) > len(table):
@@ -329,7 +358,7 @@ class RecordReader:
 
     def _by_chunk(
         self,
-        take: Callable[[bytes, frozenset[int] | None], _Found],
+        take: Callable[[OpenedChunk, frozenset[int] | None], _Found],
         topics: frozenset[str],
         start_ns: int | None = None,
     ) -> Iterator[_Found]:
@@ -342,6 +371,7 @@ class RecordReader:
         if topics:
             channels = self.contents.channels.items()
             wanted = frozenset(number for number, channel in channels if channel.topic in topics)
+        opened = self.chunk_opener()
         for place in self.contents.chunks:
             if from_ns is not None and place.end_ns < from_ns:
                 continue
@@ -349,12 +379,30 @@ class RecordReader:
             if wanted is not None and listed and not wanted & place.channels:
                 continue
             try:
-                found = take(open_chunk(self.file, place, validate_crc=self._validate_crcs).data, wanted)
+                found = take(opened(place), wanted)
             except ChunkDamage as damage:
                 self.note_damage(place, str(damage))
                 continue
             if len(found):
                 yield found
+
+    def chunk_opener(self) -> Callable[[ChunkPlace], OpenedChunk]:
+        """What opens the chunks in one pass through them.
+
+        It raises ChunkDamage, and RecordError where they unpack to more than a measurement can.
+        """
+        limit = UnpackLimit(self.contents.size)
+
+        def opened(place: ChunkPlace) -> OpenedChunk:
+            chunk = open_chunk(self.file, place, validate_crc=self._validate_crcs)
+            if not limit.allows(max(len(chunk.data), place.length)):
+                raise RecordError(
+                    f"{self.path}: its chunks unpack to more than can have been measured; "
+                    "it was not written by rig run"
+                )
+            return chunk
+
+        return opened
 
     def _type(self, topic: str) -> MessageType | None:
         """Message type of a topic as described in the file; None if the record has no such topic."""
@@ -380,7 +428,23 @@ class RecordReader:
         if offset not in self._damaged:
             self._damaged.add(offset)
             self.damages.append(damage)
-            _log.warning("%s: damaged at byte %d, left out: %s", self.path, offset, damage.what)
+            _log.warning("%s: damaged at byte %d, not used: %s", self.path, offset, damage.what)
+
+    def _prove_metadata(self) -> None:
+        """Take the metadata from their copy, which has a checksum."""
+        contents = self.contents
+        copy = self._attached(METADATA_COPY)
+        if copy is None:
+            contents.unproved += [f"metadata {name}" for name in contents.metadata]
+            return
+        try:
+            proved = _SECTIONS.validate_json(copy)
+        except ValidationError:
+            raise RecordError(f"{self.path}: {METADATA_COPY} in it was not written by this program") from None
+        changed = [name for name, texts in proved.items() if contents.metadata.get(name) != texts]
+        if changed:
+            contents.damage.append(f"metadata {', '.join(changed)}: bytes have changed; a copy is taken")
+        contents.metadata = proved
 
     def _check_ours(self) -> None:
         """Check the metadata "record", of which the channel of spots contains a copy.
@@ -388,7 +452,8 @@ class RecordReader:
         The copy is taken if both exist: it is repeated in the summary, which has a checksum.
         """
         metadata = self.metadata.get("record", {})
-        beside = next((c.metadata for c in self.contents.channels.values() if c.topic == SPOT.topic), {})
+        spots = (c for c in self.contents.channels.values() if c.topic == SPOT.topic)
+        beside = next(map(own_texts, spots), {})
         if metadata and beside and metadata != beside:
             self.contents.damage.append("metadata record differs from its copy: bytes have changed")
         head = {**metadata, **beside}
@@ -416,18 +481,30 @@ class RecordReader:
 def open_mcap(path: Path) -> IO[bytes]:
     """Open an MCAP file. Raises RecordError if it is missing, cannot be read, or is another kind of file."""
     try:
+        if not path.is_dir() and path.exists() and not path.is_file():
+            raise RecordError(f"{path}: is not a file but a pipe or device; copy the record into a file")
         file = path.open("rb")
-        head = file.read(len(MAGIC))
+        head = file.read(len(MAGIC) + 1)
     except FileNotFoundError:
         raise RecordError(f"{path}: no such record") from None
     except OSError as error:
         raise RecordError(f"{path}: cannot be read: {error.strerror or error}") from None
-    if head != MAGIC:
+    except ValueError as error:
+        raise RecordError(f"{str(path)!r}: is not the name of a file ({error})") from None
+    if not _is_magic(head):
         file.close()
         what = "is empty" if not head else "is not an MCAP file"
         raise RecordError(f"{path}: {what}; a record is made by rig run")
     return file
 
 
-def _messages(data: bytes, channels: frozenset[int] | None) -> list[RawMessage]:
-    return list(messages_in(data, channels))
+def _is_magic(head: bytes) -> bool:
+    """Whether a file begins as MCAP files do, up to one changed byte, with the first record behind it."""
+    alike = sum(byte == expected for byte, expected in zip(head, MAGIC, strict=False))
+    return head[: len(MAGIC)] == MAGIC or (
+        alike >= len(MAGIC) - 1 and head[len(MAGIC) :] == bytes([Opcode.HEADER])
+    )
+
+
+def _messages(chunk: OpenedChunk, channels: frozenset[int] | None) -> list[RawMessage]:
+    return list(messages_in(chunk, channels))

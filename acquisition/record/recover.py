@@ -6,13 +6,17 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from acquisition.record.chunk_builder import ChunkBuilder
-from acquisition.record.chunk_reader import ChunkDamage, messages_in, open_chunk
+from acquisition.record.chunk_reader import ChunkDamage, messages_in
 from acquisition.record.container import McapFile, create_record
+from acquisition.record.descriptions import own_texts
 from acquisition.record.digest import sha256_of
+from acquisition.record.proof import unproved_parts
 from acquisition.record.reader import Damage, RecordReader
 from processing.errors import RecordError
 
 _RESERVE_BYTES = 1024 * 1024
+RECOVERY = "recovery"
+"""Name of the metadata; of a second recovery "recovery 2"."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,8 +24,9 @@ class Recovery:
     """Result of `recover`.
 
     `messages` are the numbers of recovered messages by topic, `start_ns` and `end_ns` (UTC) the times of the
-    first and the last. `lost` are damaged chunks and attachments, `lost_bytes` the number of bytes after the
-    last complete record.
+    first and the last. `lost` are damaged chunks and attachments, `damage` describes other parts that were
+    not as written, `unproved` names what was copied although nothing in the source proves it, `lost_bytes` is
+    the number of bytes after the last complete record.
     """
 
     source: Path
@@ -30,13 +35,16 @@ class Recovery:
     start_ns: int
     end_ns: int
     lost: tuple[Damage, ...]
+    damage: tuple[str, ...]
+    unproved: tuple[str, ...]
     lost_bytes: int
 
 
 def recover(source: Path, path: Path) -> Recovery:
     """Copy every intact message of a record, its metadata and attachments into a new file.
 
-    The source is not changed. The metadata "recovery" of the new file state its source and what is missing.
+    The source is not changed. The metadata `RECOVERY` of the new file state its source and what is missing;
+    those of an earlier recovery stay.
 
     Raises
     ------
@@ -63,38 +71,54 @@ def recover(source: Path, path: Path) -> Recovery:
 
 def _copy(reader: RecordReader, file: McapFile, path: Path) -> Recovery:
     contents = reader.contents
-    for name, texts in contents.metadata.items():
-        file.add_metadata(name, texts)
     for name, data in reader.attachments.items():
         file.add_attachment(name, "application/octet-stream", data, contents.start_ns)
     numbers: dict[int, int] = {}
     for number, channel in sorted(contents.channels.items()):
-        schema = contents.schemas[channel.schema_id]
-        numbers[number] = file.add_channel(channel.topic, schema.name, schema.data, channel.metadata)
+        schema = contents.schemas.get(channel.schema_id)
+        if schema is not None:
+            numbers[number] = file.add_channel(channel.topic, schema.name, schema.data, own_texts(channel))
     counts: Counter[str] = Counter()
+    opened = reader.chunk_opener()
     for place in contents.chunks:
         builder = ChunkBuilder()
         try:
-            for message in messages_in(open_chunk(reader.file, place).data):
-                builder.add(numbers[message.channel], message.sequence, message.log_time_ns, message.data)
+            for message in messages_in(opened(place)):
+                number = numbers.get(message.channel)
+                if number is None:
+                    reader.note_damage(place, "messages of a topic without a description")
+                    continue
+                builder.add(number, message.sequence, message.log_time_ns, message.data)
                 counts[contents.channels[message.channel].topic] += 1
-        except (ChunkDamage, KeyError) as damage:
+        except ChunkDamage as damage:
             reader.note_damage(place, str(damage))
             continue
         file.add_chunk(builder)
         if file.full is not None:
             raise file.full
     lost_bytes = 0 if contents.whole else contents.size - contents.readable_bytes
-    file.add_metadata(
-        "recovery",
-        {
-            "source": reader.path.name,
-            "source_sha256": sha256_of(reader.path),
-            "source_was_cut": str(reader.truncated).lower(),
-            "lost_chunks": str(len(reader.damages)),
-            "lost_bytes_at_the_end": str(lost_bytes),
-        },
-    )
+    unproved = unproved_parts(reader.file, contents)
+    lost_parts = [damage.what for damage in reader.damages if not damage.start_ns]
+    recovery = {
+        "source": reader.path.name,
+        "source_sha256": sha256_of(reader.path),
+        "source_was_cut": str(reader.truncated).lower(),
+        "lost_chunks": str(len(reader.damages) - len(lost_parts)),
+        "lost_parts": "; ".join([*lost_parts, *contents.damage]),
+        "lost_bytes_at_the_end": str(lost_bytes),
+        "unproved": ", ".join(unproved),
+    }
+    earlier = sum(name.startswith(RECOVERY) for name in contents.metadata)
+    name = f"{RECOVERY} {earlier + 1}" if earlier else RECOVERY
+    file.add_metadata({**contents.metadata, name: recovery}, contents.start_ns)
     return Recovery(
-        reader.path, path, dict(counts), contents.start_ns, file.end_ns, tuple(reader.damages), lost_bytes
+        source=reader.path,
+        path=path,
+        messages=dict(counts),
+        start_ns=contents.start_ns,
+        end_ns=file.end_ns,
+        lost=tuple(reader.damages),
+        damage=tuple(contents.damage),
+        unproved=unproved,
+        lost_bytes=lost_bytes,
     )

@@ -19,6 +19,8 @@ IMAGE_TOPIC = "/image"
 LOG_TOPIC = "/log"
 CAMERA_TOPIC = "/camera_calibration"
 LOSSES_TOPIC = "/losses"
+METADATA_COPY = "metadata.json"
+"""Attachment that holds all metadata once more, since MCAP gives them no checksum."""
 SENSOR_FRAME = "sensor"
 """Frame of reference of images and camera calibration, for viewers."""
 

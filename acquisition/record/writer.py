@@ -250,11 +250,8 @@ class RecordWriter:
     def _write_head(
         self, metadata: Mapping[str, Mapping[str, str]], attachments: Mapping[str, bytes]
     ) -> None:
-        self._file.add_metadata("record", metadata["record"])
-        for name, texts in metadata.items():
-            if name != "record":
-                self._file.add_metadata(name, texts)
         opened_ns = time.time_ns()
+        self._file.add_metadata({"record": metadata["record"], **metadata}, opened_ns)
         for name, data in attachments.items():
             media_type = _MEDIA_TYPES.get(Path(name).suffix, "application/octet-stream")
             self._file.add_attachment(name, media_type, data, opened_ns)

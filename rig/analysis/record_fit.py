@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from acquisition.record.digest import sha256_of
+from acquisition.record.digest import known_sha256_of
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import DEFLECTION_FIELDS, ENVIRONMENT
 from processing.deflections import Deflections, DeflectionUnit, joined
@@ -23,7 +23,7 @@ from rig.analysis.results import RunResults, Series, SessionResults
 from rig.analysis.results_file import relative_record
 from rig.analysis.run_conditions import run_conditions
 from rig.analysis.stored_turning_points import StoredTurningPoints
-from rig.instrument import judge_calibration, pendulum_on_ball, recorded_configuration
+from rig.instrument import inputs_sha256, judge_calibration, pendulum_on_ball, recorded_configuration
 from rig.settings import Configuration
 
 
@@ -75,16 +75,14 @@ def analyse_run(
     run = _analyse_swings(reader.path, swings, config, deflections, recorded_air(reader, config))
     began, ended = reader.utc(deflections.first_ns), reader.utc(deflections.last_ns)
     calibration, doubts = judge_calibration(config, reader.attachments, began, ended)
-    warnings = [*run.results.warnings, *doubts]
-    if reader.truncated:
-        warnings.append(reader.cut_notice)
-    warnings += [f"damaged chunk: {damage.what}" for damage in reader.damages]
+    warnings = [*run.results.warnings, *doubts, *reader.doubts()]
     results = replace(
         run.results,
         frames=deflections.frames,
         losses=reader.losses(),
         warnings=tuple(warnings),
         calibration=calibration,
+        inputs_sha256=inputs_sha256(reader),
     )
     return replace(run, results=results, lost_spots=deflections.lost_spots)
 
@@ -172,7 +170,7 @@ def _head(path: Path, points: TurningPoints, unit: DeflectionUnit) -> RunResults
     in_arcsec = unit is DeflectionUnit.RAD
     return RunResults(
         record=path.name,
-        sha256=sha256_of(path),
+        sha256=known_sha256_of(path),
         record_bytes=path.stat().st_size,
         half_cycles=len(points),
         amplitude_unit=unit.shown,

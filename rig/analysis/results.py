@@ -46,7 +46,8 @@ under the names in arcsec of a record without a lever."""
 class RunResults:
     """What is reported of one run; `problem` says in one line why a fit is missing.
 
-    `record` is relative to the folder of the file where it can be. `losses` says who lost the frames that
+    `record` is relative to the folder of the file where it can be; `sha256` is its hash, `inputs_sha256` are
+    those of the configuration and the calibrations in it. `losses` says who lost the frames that
     are missing; None where an older record does not. `measured_again_on` is the motion on which the fitted
     turning points were measured again (see `processing.fit.remeasure`); None: they are as detected.
     `initial_amplitude` and `final_amplitude` are in `amplitude_unit`: arcsec, or px of a record without a
@@ -57,6 +58,7 @@ class RunResults:
 
     record: str
     sha256: str = ""
+    inputs_sha256: Mapping[str, str] = field(default_factory=dict)
     record_bytes: int | None = None
     frames: int = 0
     dropped_frames: int = 0

@@ -72,7 +72,7 @@ def read_results(source: Path) -> SessionResults:
         raise RecordError(
             f"{source}: holds no {RESULTS_NAME}; rig run makes one, and rig fit from records"
         ) from None
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise RecordError(f"{path}: cannot be read: {error}") from None
     if not isinstance(tree, dict) or not isinstance(tree.get("runs"), list) or not tree["runs"]:
         raise RecordError(f"{path}: names no runs; it was not made from records of rig run")

@@ -4,6 +4,8 @@ from pathlib import Path
 
 from acquisition.record.check import check_record
 from acquisition.record.info import record_info
+from acquisition.record.proof import is_sound
+from acquisition.record.reader import RecordReader
 from acquisition.record.recover import recover
 from acquisition.record.utc import utc_text
 
@@ -39,6 +41,10 @@ def print_check(path: Path, results: Path | None) -> int:
     if results is None and (path.parent / "results.json").exists():
         results = path.parent / "results.json"
     findings = check_record(path, results)
+    if results is not None:
+        from rig.report import check_report
+
+        findings += check_report(results)
     for finding in findings:
         print(f"{finding.severity}: {finding.text}")
     errors = sum(finding.severity == "error" for finding in findings)
@@ -47,7 +53,14 @@ def print_check(path: Path, results: Path | None) -> int:
 
 
 def recover_record(path: Path, output: Path | None) -> None:
-    """Write a complete file beside the cut one, which is only read, and print what was saved and lost."""
+    """Write a complete file beside the cut one, which is only read, and print what was saved and lost.
+
+    Of a sound record it only says so.
+    """
+    with RecordReader(path) as reader:
+        if is_sound(reader.file, reader.contents):
+            print(f"{path}: is sound, every byte is as it was written; there is nothing to recover")
+            return
     target = output or path.with_name(f"{path.stem}-recovered{path.suffix}")
     recovery = recover(path, target)
     counts = ", ".join(f"{count} {topic.lstrip('/')}" for topic, count in recovery.messages.items() if count)
@@ -55,7 +68,12 @@ def recover_record(path: Path, output: Path | None) -> None:
     print(f"lost: {recovery.lost_bytes} bytes after the last complete record")
     for damage in recovery.lost:
         topics = ", ".join(damage.topics)
-        print(f"lost: {topics} from {utc_text(damage.start_ns)} to {utc_text(damage.end_ns)}: {damage.what}")
+        span = f"{topics} from {utc_text(damage.start_ns)} to {utc_text(damage.end_ns)}: " if topics else ""
+        print(f"lost: {span}{damage.what}")
+    for text in recovery.damage:
+        print(f"damaged: {text}")
+    for part in recovery.unproved:
+        print(f"not proved: {part} has no checksum; compare it with what you know of the run")
 
 
 def _size(count: int) -> str:

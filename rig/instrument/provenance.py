@@ -1,5 +1,6 @@
 """Provenance of a record (configuration, software versions, host), written to it and read back."""
 
+import hashlib
 import importlib.metadata
 import platform
 import socket
@@ -68,6 +69,11 @@ def configuration_attachments(config: Configuration, source: Path) -> dict[str, 
     return {**attachments, **calibration_attachments(config)}
 
 
+def inputs_sha256(reader: RecordReader) -> dict[str, str]:
+    """SHA-256 of the configuration and of every calibration in a record, by name, as read and verified."""
+    return {name: hashlib.sha256(data).hexdigest() for name, data in sorted(reader.attachments.items())}
+
+
 def frame_shape(reader: RecordReader) -> tuple[int, int]:
     """(ny, nx) of the frames of a record."""
     frame = reader.metadata.get("frame")
@@ -82,6 +88,11 @@ def recorded_configuration(reader: RecordReader, overrides: Sequence[str] = ()) 
     """The configuration that a record was made with, with ``KEY=VALUE`` overrides applied."""
     attachment = reader.attachments.get(CONFIGURATION_NAME)
     if attachment is None:
+        if CONFIGURATION_NAME in reader.contents.attachment_places or reader.contents.damage:
+            raise RecordError(
+                f"{reader.path}: its configuration has been damaged, and no copy is intact: what was "
+                "measured with is not known; take the record from a backup"
+            )
         raise RecordError(f"{reader.path}: contains no configuration; it was not made by rig run")
     try:
         config = Configuration.model_validate_json(attachment)

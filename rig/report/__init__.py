@@ -3,6 +3,7 @@
 from rig.report import figures_contact, figures_laws, figures_motion, html
 from rig.report.comparison import compare
 from rig.report.drawing import Drawing, styled
+from rig.report.made_from import check_report
 from rig.report.run_data import Motion, RunData, turning_points_again
 from rig.report.session_report import draw_run, make_report, save_figures, save_tables
 from rig.report.tables import instrument_table
@@ -12,6 +13,7 @@ __all__ = [
     "Drawing",
     "Motion",
     "RunData",
+    "check_report",
     "compare",
     "draw_run",
     "figures_contact",

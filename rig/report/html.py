@@ -2,11 +2,13 @@
 
 import base64
 import html
+import re
 from collections.abc import Sequence
 
 from rig.presentation import Table
 from rig.report.drawing import Drawing
 
+RESULTS_SHA256 = "results-sha256"
 STYLE = """
 :root { --ink: #1f2630; --soft: #5b6675; --line: #d9dee5; --tint: #f5f7fa; --accent: #0072b2; }
 * { box-sizing: border-box; }
@@ -64,12 +66,14 @@ table.facts td:first-child { color: var(--soft); white-space: nowrap; vertical-a
 """
 
 
-def page(title: str, subtitle: str, body: Sequence[str]) -> str:
-    """The whole page."""
+def page(title: str, subtitle: str, body: Sequence[str], results_sha256: str = "") -> str:
+    """The whole page; it states the SHA-256 of the results that it was made from."""
+    made_from = f'<meta name="{RESULTS_SHA256}" content="{results_sha256}">' if results_sha256 else ""
     return (
         "<!DOCTYPE html>\n"
         f'<html lang="en"><head><meta charset="utf-8"><title>{escape(title)}</title>'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        f"{made_from}"
         f"<style>{STYLE}</style></head>\n<body>\n"
         f'<header><h1>{escape(title)}</h1><p class="soft">{escape(subtitle)}</p></header>\n'
         + "\n".join(body)
@@ -147,3 +151,9 @@ def key_values(items: Sequence[tuple[str, str]]) -> str:
         + "".join(f"<div><span>{escape(name)}</span><b>{escape(value)}</b></div>" for name, value in items)
         + "</div>"
     )
+
+
+def stated_results_sha256(text: str) -> str:
+    """SHA-256 of the results that a page says it was made from; empty if it says none."""
+    found = re.search(f'<meta name="{RESULTS_SHA256}" content="([0-9a-f]{{64}})">', text)
+    return found[1] if found else ""

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.frame import Frame
-from acquisition.record.digest import sha256_of
+from acquisition.record.digest import known_sha256_of
 from acquisition.record.reader import RecordReader
 from processing.deflections import DeflectionUnit
 from processing.errors import RecordError, RigError
@@ -24,6 +24,7 @@ from rig.analysis import (
     StoredTurningPoints,
     points_in_true_time,
     read_results,
+    results_path,
 )
 from rig.instrument import CONFIGURATION_NAME, recorded_configuration
 
@@ -74,9 +75,13 @@ class RunData:
 
 @dataclass(frozen=True)
 class ReportSource:
-    """A session: its runs and their series, None where they make none."""
+    """A session: its runs and their series, None where they make none.
+
+    `results` are the name and the SHA-256 of the file that was read.
+    """
 
     folder: Path
+    results: tuple[str, str]
     series: Series | None
     runs: Sequence[RunData]
 
@@ -89,26 +94,31 @@ def read_source(source: Path) -> ReportSource:
     results = read_results(source)
     folder = source if source.is_dir() else source.parent
     runs = [_read_run(folder, run, number) for number, run in enumerate(results.runs, start=1)]
-    return ReportSource(folder, results.series, runs)
+    path = results_path(source)
+    return ReportSource(folder, (path.name, known_sha256_of(path)), results.series, runs)
 
 
 def _read_run(folder: Path, results: RunResults, number: int) -> RunData:
     path = folder / results.record
     notes: list[str] = []
+    sha256 = known_sha256_of(path)
     with RecordReader(path) as reader:
         spots = reader.spots()
         picture = _picture(reader, spots, notes)
         deflections = reader.deflections(spots)
         provenance: dict[str, Mapping[str, str]] = {
-            "file": {"record": path.name, "sha256": results.sha256},
+            "file": {
+                "record": path.name,
+                "sha256": results.sha256,
+                **{f"sha256 of {name}": value for name, value in results.inputs_sha256.items()},
+            },
             **reader.metadata,
         }
         configuration = reader.attachments.get(CONFIGURATION_NAME)
         rate = _clock_rate(reader, notes)
         stored = results.turning_points or turning_points_again(reader, results)
-        if reader.truncated:
-            notes.append("the record was cut short")
-    if not _is_same_record(path, results):
+        notes += [line for line in reader.doubts() if line not in results.warnings]
+    if results.sha256 != sha256:
         notes.append("the record is not the one that the results were made from: its hash differs")
     if configuration is not None:
         provenance["configuration"] = _flat(json.loads(configuration))
@@ -122,16 +132,6 @@ def _read_run(folder: Path, results: RunResults, number: int) -> RunData:
     if results.calibration:
         provenance["calibration"] = _flat(results.calibration)
     return RunData(f"Run {number}", results, stored, motion, picture, provenance, notes)
-
-
-def _is_same_record(path: Path, results: RunResults) -> bool:
-    """Whether a record is the one that was analysed, by its size; by its hash where that is not known.
-
-    The reader checks every chunk by its own sum: that a file has been damaged is not found out here.
-    """
-    if results.record_bytes is not None:
-        return path.stat().st_size == results.record_bytes
-    return sha256_of(path) == results.sha256
 
 
 def turning_points_again(reader: RecordReader, results: RunResults) -> StoredTurningPoints:

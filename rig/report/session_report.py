@@ -54,7 +54,9 @@ def make_report(folder: Path, output: Path | None = None) -> Path:
             body += _run(run, files / f"run-{number_}", alone=len(source.runs) == 1)
         body += _provenance(source)
         title, subtitle = _title(source)
-        whole_file.replace(target, html.page(title, subtitle, body).encode())
+        whole_file.replace(
+            target, html.page(title, subtitle, body, results_sha256=source.results[1]).encode()
+        )
     except OSError as error:
         raise RecordError(f"{target}: cannot be written: {error.strerror or error}") from None
     return target
@@ -263,7 +265,8 @@ def save_tables(tables: Sequence[Table], files: Path) -> None:
 
 
 def _provenance(source: ReportSource) -> list[str]:
-    body = [html.heading("Provenance", new_page=True)]
+    name, sha256 = source.results
+    body = [html.heading("Provenance", new_page=True), html.facts([(f"sha256 of {name}", sha256)])]
     for run in source.runs:
         if len(source.runs) > 1:
             body.append(html.heading(run.title, 3))

@@ -264,7 +264,7 @@ def _a_day(folder: Path, chunks: int) -> dict[str, Any]:
     """A record with as many chunks as 24 h have: how long `info` takes, whole and cut."""
     path = folder / "day.mcap"
     file = McapFile(path, "optical-pendulum-rig", 0)
-    file.add_metadata("record", {"schema_version": "1", "epoch_offset_ns": "0"})
+    file.add_metadata({"record": {"schema_version": "1", "epoch_offset_ns": "0"}}, 0)
     channels = [file.add_channel(kind.topic, kind.full_name, kind.descriptor) for kind in (SPOT, SWING)]
     spot, swing = SPOT.encode(*[0] * len(SPOT.numbers)), SWING.encode(*[0] * len(SWING.numbers))
     builder = ChunkBuilder()

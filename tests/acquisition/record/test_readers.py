@@ -16,7 +16,7 @@ from mcap_protobuf.decoder import DecoderFactory
 from rerun.chunk import RrdReader
 
 from acquisition.record.reader import RecordReader
-from acquisition.record.topics import SPOT
+from acquisition.record.topics import METADATA_COPY, SPOT
 from tests.acquisition.record.samples import EPOCH_OFFSET_NS, FRAME_NS, write_sample
 
 PACKAGES = ("@mcap/core@2.2.2", "@mcap/support@1.1.0")
@@ -79,6 +79,7 @@ def test_foxgloves_reader_sees_the_same(mcap_packages: Path, record: Path, mode:
             np.testing.assert_array_equal(pixels, frame.image)
         assert found["logs"] == [line.text for line in reader.log()]
         assert found["metadata"] == reader.metadata
+        assert found["attachments"].pop(METADATA_COPY) > 100
         assert found["attachments"] == {name: len(data) for name, data in reader.attachments.items()}
     if mode == "indexed":
         assert found["stated"] == sum(found["counts"].values())

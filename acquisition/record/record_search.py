@@ -1,0 +1,92 @@
+"""Finds the next record behind bytes that are none, as after a changed bit in a file without an index."""
+
+import os
+import re
+import struct
+from typing import IO
+
+from mcap.opcode import Opcode
+
+from acquisition.record.chunk_places import ChunkPlace
+from acquisition.record.chunk_reader import ChunkDamage, open_chunk
+from acquisition.record.records import CHUNK, HEAD, check_form, read_record
+
+_BLOCK_BYTES = 1024 * 1024
+_KINDS = bytes(
+    [
+        Opcode.SCHEMA,
+        Opcode.CHANNEL,
+        Opcode.CHUNK,
+        Opcode.MESSAGE_INDEX,
+        Opcode.ATTACHMENT,
+        Opcode.METADATA,
+        Opcode.DATA_END,
+    ]
+)
+# a record of the data section, shorter than 64 MiB
+_LIKELY = re.compile(b"[" + re.escape(_KINDS) + rb"](?=.{3}[\x00-\x03]\x00{4})", re.DOTALL)
+_WORK_PER_BYTE = 8
+_LEAST_WORK_BYTES = 64 * 1024 * 1024
+
+
+class RecordSearch:
+    """Judges records by everything that can be verified about them.
+
+    The work is bounded by a multiple of the file's size, so that a file made for the purpose ends, too.
+    """
+
+    def __init__(self, file: IO[bytes]) -> None:
+        self._file = file
+        self._size = file.seek(0, os.SEEK_END)
+        self._left_bytes = _LEAST_WORK_BYTES + _WORK_PER_BYTE * self._size
+
+    def next_from(self, place: int) -> int | None:
+        """Position of the first sound record at or after `place`; None without one."""
+        while place + HEAD.size <= self._size and self._left_bytes > 0:
+            self._file.seek(place)
+            block = self._file.read(_BLOCK_BYTES + HEAD.size - 1)
+            for found in _LIKELY.finditer(block):
+                if self._left_bytes > 0 and self.is_sound(place + found.start(), followed=True):
+                    return place + found.start()
+            place += max(len(block) - HEAD.size + 1, 1)
+        return None
+
+    def is_sound(self, place: int, *, followed: bool = False) -> bool:
+        """Whether there is a record whose checksum matches, or that is well formed where it has none.
+
+        With `followed`, a record without a checksum must be followed by another one or by the file's end.
+        """
+        try:
+            opcode, length = self._head(place)
+            end = place + HEAD.size + length
+            if end > self._size:
+                return False
+            self._left_bytes -= HEAD.size
+            if opcode == Opcode.CHUNK:
+                return self._is_sound_chunk(place, end)
+            self._left_bytes -= length
+            check_form(*read_record(self._file, place))
+            if not followed or opcode == Opcode.ATTACHMENT or end == self._size:
+                return True
+            following, length = self._head(end)
+        except (ValueError, struct.error):
+            return False
+        known = Opcode.HEADER <= following <= Opcode.DATA_END
+        return known and end + HEAD.size + length <= self._size
+
+    def _is_sound_chunk(self, place: int, end: int) -> bool:
+        self._file.seek(place + HEAD.size)
+        head = self._file.read(CHUNK.size)
+        if len(head) < CHUNK.size or CHUNK.unpack(head)[-1] > 4:
+            return False
+        self._left_bytes -= end - place + CHUNK.unpack(head)[2]
+        try:
+            open_chunk(self._file, ChunkPlace(place, end - place, 0, 0, frozenset()))
+        except ChunkDamage:
+            return False
+        return True
+
+    def _head(self, place: int) -> tuple[int, int]:
+        self._file.seek(place)
+        opcode, length = HEAD.unpack(self._file.read(HEAD.size))
+        return opcode, length

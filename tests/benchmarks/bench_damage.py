@@ -1,0 +1,107 @@
+"""What is lost of a damaged record: changed bits, cuts, both; and what files that claim gigabytes take."""
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from acquisition.record.check import check_record
+from acquisition.record.reader import RecordReader
+from tests.acquisition.record.bombs import BOMBS, make_bomb
+from tests.acquisition.record.samples import BLOCK, write_sample
+
+FRAMES = 640
+COMMANDS = ("info", "check", "recover", "fit", "export")
+
+
+def run(quick: bool = False) -> dict[str, Any]:
+    """All numbers; `quick` takes a twentieth of the places."""
+    count = 50 if quick else 1000
+    results: dict[str, Any] = {}
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        write_sample(folder / "whole.mcap", FRAMES)
+        whole = (folder / "whole.mcap").read_bytes()
+        results["record bytes"] = len(whole)
+        rng = np.random.default_rng(7)
+        places, cuts = rng.integers(0, len(whole), count), rng.integers(3000, len(whole), count)
+        for kind, flips, lengths in (
+            ("flipped", places, [len(whole)] * count),
+            ("cut", [-1] * count, cuts),
+            ("flipped and without footer", places % (len(whole) - 40), [len(whole) - 40] * count),
+            ("flipped and cut", places % cuts, cuts),
+        ):
+            results |= _lost(folder / "run.mcap", whole, kind, flips, lengths)
+        for kind in ("zeros", "empty messages") if quick else BOMBS:
+            make_bomb(folder / "bomb.mcap", kind)
+            for command in COMMANDS:
+                peak_mib, spent_s = _taken(folder, command)
+                results[f"{kind}: {command}, MiB over rig --version"] = peak_mib
+                results[f"{kind}: {command}, s"] = spent_s
+    table = Table("damage", "measured")
+    for key, value in results.items():
+        table.add_row(key, f"{value:,.4g}" if isinstance(value, float) else str(value))
+    Console().print(table)
+    return results
+
+
+def _lost(path: Path, whole: bytes, kind: str, flips: Any, lengths: Any) -> dict[str, Any]:
+    """Most frames that one file lost beyond what its cut took, and how many flips `check` did not find."""
+    most = missed = wrong = 0
+    expected: dict[int, tuple[set[int], set[int]]] = {}
+    for place, length in zip(flips, lengths, strict=True):
+        length = int(length)
+        if length not in expected:
+            path.write_bytes(whole[:length])
+            expected[length] = _frames(path)
+        if place < 0:
+            continue
+        changed = bytearray(whole[:length])
+        changed[int(place)] ^= 1 << int(place) % 8
+        path.write_bytes(changed)
+        spots, windows = _frames(path)
+        before_spots, before_windows = expected[length]
+        wrong += not (spots <= before_spots and windows <= before_windows)
+        most = max(most, len(before_spots - spots) + len(before_windows - windows))
+        missed += not any(finding.severity == "error" for finding in check_record(path))
+    return {
+        f"{kind}: frames of a chunk": BLOCK,
+        f"{kind}: most frames lost": most,
+        f"{kind}: not found by check": missed,
+        f"{kind}: with frames that were never written": wrong,
+    }
+
+
+def _frames(path: Path) -> tuple[set[int], set[int]]:
+    with RecordReader(path) as reader:
+        return set(reader.spots()["sequence"].tolist()), {window.sequence for window in reader.windows()}
+
+
+def _taken(folder: Path, command: str) -> tuple[float, float]:
+    """Peak memory in MiB beyond that of the program doing nothing, and time in s."""
+    words = [command, str(folder / "bomb.mcap")]
+    if command == "recover":
+        words += ["-o", str(folder / f"{time.monotonic_ns()}.mcap")]
+    elif command == "fit":
+        words += ["-o", str(folder / f"{time.monotonic_ns()}")]
+    elif command == "export":
+        words += ["--format", "csv", "-o", str(folder / f"{time.monotonic_ns()}")]
+    idle_mib, _ = _peak(["--version"])
+    peak_mib, spent_s = _peak(words)
+    return peak_mib - idle_mib, spent_s
+
+
+def _peak(words: list[str]) -> tuple[float, float]:
+    began_s = time.monotonic()
+    process = subprocess.Popen(
+        [sys.executable, "-m", "rig", *words], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    )
+    _, _, usage = os.wait4(process.pid, 0)
+    return usage.ru_maxrss / 1024, time.monotonic() - began_s
