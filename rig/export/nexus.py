@@ -1,6 +1,7 @@
 """Writes HDF5 in NeXus layout: one NXentry per run, NXdata with units, the provenance as NXnote."""
 
 import json
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -8,15 +9,17 @@ from typing import Any
 from numpy.typing import NDArray
 
 from processing.errors import ConfigurationError
-from rig.analysis import JsonObject
-from rig.export.run import ExportedRun, columns_of, flat_results, unit_of
+from rig.export.run import ExportedRun, columns_of, unit_of
+
+_NEXUS_UNITS = {"px": "pixel"}
 
 
 def write_nexus(path: Path, runs: Sequence[ExportedRun]) -> None:
-    """One file: ``/run-1/spots``, ``/run-1/swings``, ``/run-1/results``, ``/run-1/provenance``.
+    """One file: ``/run_1/spots``, ``/run_1/swings``, ``/run_1/results``, ``/run_1/provenance``.
 
     Field names are the record's. Standard uncertainties ``u_NAME`` are also there as
-    ``NAME_errors``, where NeXus readers look for them.
+    ``NAME_errors``, where NeXus readers look for them. What NeXus does not allow in a name becomes ``_``.
+    The notes on what the record lacks are in ``/run_1/lacking``.
 
     Raises ConfigurationError if h5py is not installed.
     """
@@ -28,50 +31,97 @@ def write_nexus(path: Path, runs: Sequence[ExportedRun]) -> None:
         ) from None
     with h5py.File(path, "x") as file:
         file.attrs["NX_class"] = "NXroot"
-        file.attrs["default"] = runs[0].name
+        file.attrs["default"] = item_name(runs[0].name)
         for run in runs:
-            entry = file.create_group(run.name)
-            entry.attrs["NX_class"] = "NXentry"
-            entry.attrs["default"] = "swings"
-            entry["title"] = run.provenance.get("session.sample", run.name)
-            entry["program_name"] = "optical-pendulum-rig"
-            entry["program_name"].attrs["version"] = run.provenance.get("versions.optical-pendulum-rig", "")
-            slow = "y_rad" if "y_rad" in (run.spots.dtype.names or ()) else "y_deflection_px"
-            amplitude = (
-                "amplitude_rad" if "amplitude_rad" in (run.swings.dtype.names or ()) else "amplitude_px"
-            )
-            _data(entry, "spots", columns_of(run.spots), slow, "time_ns")
-            _data(entry, "swings", columns_of(run.swings), amplitude, "turn_time_ns")
-            note = entry.create_group("provenance")
-            note.attrs["NX_class"] = "NXnote"
-            note["type"] = "application/json"
-            note["data"] = json.dumps(dict(run.provenance))
-            if run.results:
-                _results(entry, run.results)
+            _entry(file, run)
+
+
+def item_name(text: str) -> str:
+    """A name as NeXus allows it: letters, digits and underscores."""
+    return re.sub(r"[^A-Za-z0-9_]", "_", text) or "_"
+
+
+def _entry(file: Any, run: ExportedRun) -> None:
+    about = run.provenance
+    entry = _group(file, item_name(run.name), "NXentry")
+    entry.attrs["default"] = "swings"
+    entry["title"] = about.get("session.sample", run.name)
+    entry["start_time"], entry["end_time"] = run.began, run.ended
+    entry["entry_identifier"] = about["sha256"]
+    entry["program_name"] = "optical-pendulum-rig"
+    entry["program_name"].attrs["version"] = about.get("versions.optical-pendulum-rig", "")
+    _about_the_rig(entry, about)
+    slow = "y_rad" if "y_rad" in (run.spots.dtype.names or ()) else "y_deflection_px"
+    amplitude = "amplitude_rad" if "amplitude_rad" in (run.swings.dtype.names or ()) else "amplitude_px"
+    _data(entry, "spots", columns_of(run.spots), slow, "time_ns")
+    _data(entry, "swings", columns_of(run.swings), amplitude, "turn_time_ns")
+    note = _group(entry, "provenance", "NXnote")
+    note["type"] = "application/json"
+    note["description"] = json.dumps(dict(about))
+    if run.notes:
+        lacking = _group(entry, "lacking", "NXnote")
+        lacking["type"] = "text/plain"
+        lacking["description"] = "\n".join(run.notes)
+    if run.results:
+        results = _group(entry, "results", "NXcollection")
+        results["json"] = json.dumps(run.results)
+        _tree(_group(results, "values", "NXcollection"), run.results)
+
+
+def _about_the_rig(entry: Any, about: Mapping[str, str]) -> None:
+    """Instrument, detector, sample and user, as far as the record names them."""
+    instrument = _group(entry, "instrument", "NXinstrument")
+    instrument["name"] = "optical pendulum"
+    detector = _group(instrument, "detector", "NXdetector")
+    named = [about[f"camera.{key}"] for key in ("vendor", "model") if f"camera.{key}" in about]
+    detector["description"] = " ".join(named) or "camera"
+    if "camera.serial" in about:
+        detector["serial_number"] = about["camera.serial"]
+    sample = _group(entry, "sample", "NXsample")
+    sample["name"] = about.get("session.sample", "not stated")
+    if "session.contact_history" in about:
+        sample["description"] = about["session.contact_history"]
+    if "environment.temperature_c" in about:
+        sample["temperature"] = float(about["environment.temperature_c"])
+        sample["temperature"].attrs["units"] = "degC"
+    _group(entry, "user", "NXuser")["name"] = about.get("session.operator", "not stated")
+
+
+def _group(above: Any, name: str, nexus_class: str) -> Any:
+    group = above.create_group(name)
+    group.attrs["NX_class"] = nexus_class
+    return group
 
 
 def _data(entry: Any, name: str, columns: Mapping[str, NDArray[Any]], signal: str, axis: str) -> None:
-    group = entry.create_group(name)
-    group.attrs["NX_class"] = "NXdata"
+    group = _group(entry, name, "NXdata")
     if signal in columns:
         group.attrs["signal"] = signal
         group.attrs["axes"] = [axis]
+        group.attrs[f"{axis}_indices"] = [0]
     for key, values in columns.items():
-        data = group.create_dataset(key, data=values, compression="gzip", shuffle=True)
-        if unit_of(key):
-            data.attrs["units"] = unit_of(key)
+        _with_unit(group.create_dataset(key, data=values, compression="gzip", shuffle=True), key)
     for key in columns:
         if key.startswith("u_") and key[2:] in columns:
             group[f"{key[2:]}_errors"] = group[key]
 
 
-def _results(entry: Any, results: JsonObject) -> None:
-    group = entry.create_group("results")
-    group.attrs["NX_class"] = "NXcollection"
-    group["json"] = json.dumps(results)
-    for name, value in flat_results(results):
-        place = group.require_group("values/" + "/".join(name.split(".")[:-1])) if "." in name else group
-        place[name.rsplit(".", 1)[-1]] = value
-        parts = [part for part in reversed(name.split(".")) if part not in ("value", "standard_uncertainty")]
-        if isinstance(value, float) and parts and unit_of(parts[0]):
-            place[name.rsplit(".", 1)[-1]].attrs["units"] = unit_of(parts[0])
+def _tree(group: Any, values: Any, unit_name: str = "") -> None:
+    """Nested results as groups and fields; null, not determined, is NaN, and items of a list are numbered."""
+    items = values.items() if isinstance(values, Mapping) else enumerate(values)
+    for key, value in items:
+        name = item_name(str(key))
+        named = unit_name if name in ("value", "standard_uncertainty") else name
+        if isinstance(value, Mapping | list | tuple):
+            _tree(_group(group, name, "NXcollection"), value, named)
+        elif isinstance(value, str):
+            group[name] = value
+        else:
+            group[name] = float("nan") if value is None else float(value)
+            _with_unit(group[name], named)
+
+
+def _with_unit(field: Any, name: str) -> None:
+    unit = unit_of(name)
+    if unit:
+        field.attrs["units"] = _NEXUS_UNITS.get(unit, unit)

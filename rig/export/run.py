@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.record.digest import sha256_of
+from acquisition.record.digest import known_sha256_of
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import SPOT, SWING
+from acquisition.record.utc import utc
 from processing.errors import RecordError
 from rig.analysis import RESULTS_NAME, JsonObject, RunResults, encoded, read_results
 from rig.instrument import CONFIGURATION_NAME
@@ -37,7 +38,8 @@ class ExportedRun:
     """One run: structured arrays by the record's own field names, results as (name, value) rows.
 
     `results` is empty if the run was not fitted. `provenance` maps names to texts, including the
-    record's hash and its complete configuration.
+    record's hash and its complete configuration. `notes` say what the record lacks: that it was cut short,
+    what is damaged. `began` and `ended` are the UTC of its first and its last message, as ISO 8601.
     """
 
     name: str
@@ -45,6 +47,9 @@ class ExportedRun:
     swings: NDArray[Any]
     results: JsonObject
     provenance: Mapping[str, str]
+    notes: tuple[str, ...] = ()
+    began: str = ""
+    ended: str = ""
 
 
 def read_runs(source: Path) -> list[ExportedRun]:
@@ -67,14 +72,26 @@ def _read_run(path: Path, results: RunResults | None) -> ExportedRun:
         if configuration is not None:
             provenance["configuration"] = json.dumps(json.loads(configuration))
         spots, swings = reader.table(SPOT.topic), reader.table(SWING.topic)
-    provenance["sha256"] = sha256_of(path)
+        began, ended = (utc(time_ns).isoformat() for time_ns in _span_ns(reader, spots))
+        notes = tuple(reader.doubts())
+        if configuration is None and CONFIGURATION_NAME in reader.contents.attachment_places:
+            notes = (*notes, "the configuration is damaged and not part of this export")
+    provenance["sha256"] = known_sha256_of(path)
     if results is not None and results.sha256 != provenance["sha256"]:
         raise RecordError(
             f"{path}: differs from the record from which {RESULTS_NAME} was made (other hash); "
             "run rig fit again"
         )
     found = {} if results is None else encoded(results)
-    return ExportedRun(path.stem, spots, swings, found, provenance)
+    return ExportedRun(path.stem, spots, swings, found, provenance, notes, began, ended)
+
+
+def _span_ns(reader: RecordReader, spots: NDArray[Any]) -> tuple[int, int]:
+    """UTC of the first and the last frame; of the first and the last message without frames."""
+    if not len(spots):
+        return reader.contents.start_ns, reader.contents.end_ns
+    first_ns, last_ns = int(spots["time_ns"][0]), int(spots["time_ns"][-1])
+    return first_ns + reader.epoch_offset_ns, last_ns + reader.epoch_offset_ns
 
 
 def unit_of(name: str) -> str:

@@ -7,6 +7,7 @@ from processing.errors import RecordError
 from rig.export.nexus import write_nexus
 from rig.export.run import read_runs
 from rig.export.tables import write_csv, write_parquet
+from rig.presentation import say
 
 Format = Literal["csv", "parquet", "hdf5"]
 
@@ -14,12 +15,16 @@ Format = Literal["csv", "parquet", "hdf5"]
 def export_session(source: Path, kind: Format, output: Path) -> list[Path]:
     """Export a session's folder or one record; returns the files made.
 
-    CSV and Parquet: `output` is a folder, three files a run. HDF5: `output` is the file, one
+    What a record lacks is said on stderr and in every file. CSV and Parquet: `output` is a folder, three
+    files a run. HDF5: `output` is the file, one
     NXentry a run. Nothing that exists is written over.
 
     Raises RecordError for a source without records, a file that exists, a library that is missing.
     """
     runs = read_runs(source)
+    for run in runs:
+        for note in run.notes:
+            say(f"{run.name}: {note}" if source.is_dir() else note)
     try:
         if kind == "hdf5":
             if output.exists():

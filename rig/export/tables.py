@@ -1,7 +1,7 @@
 """Writes CSV and Parquet files: spots, swings and results of each run."""
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pyarrow as pa
@@ -9,13 +9,21 @@ from pyarrow import csv, parquet
 
 from processing.errors import RecordError
 from rig.export.run import ExportedRun, columns_of, flat_results, unit_of
+from rig.presentation import harmless_text
 
 
 def write_csv(folder: Path, run: ExportedRun) -> list[Path]:
-    """Write CSV files; lines that begin with ``#`` contain the provenance, followed by one header line."""
-    head = "".join(f"# {name}: {' '.join(text.split())}\n" for name, text in run.provenance.items())
+    """Write CSV files; lines that begin with ``#`` contain the provenance, followed by one header line.
+
+    What the record lacks comes first.
+    """
+    lines = [
+        *(f"NOTE: {note}" for note in run.notes),
+        *(f"{n}: {text}" for n, text in run.provenance.items()),
+    ]
+    head = "".join(f"# {' '.join(line.split())}\n" for line in lines)
     made = []
-    for path, table in _tables(folder, run, "csv"):
+    for path, table in _tables(folder, run, "csv", harmless_text):
         with path.open("wb") as file:
             file.write(head.encode())
             csv.write_csv(table, file)
@@ -24,16 +32,23 @@ def write_csv(folder: Path, run: ExportedRun) -> list[Path]:
 
 
 def write_parquet(folder: Path, run: ExportedRun) -> list[Path]:
-    """Write Parquet files; provenance (JSON) and units are in the metadata of schema and fields."""
-    metadata = {b"provenance": json.dumps(dict(run.provenance)).encode()}
+    """Write Parquet files; provenance (JSON), notes on what the record lacks (JSON) and units are in the
+    metadata of schema and fields.
+    """
+    metadata = {
+        b"provenance": json.dumps(dict(run.provenance)).encode(),
+        b"notes": json.dumps(list(run.notes)).encode(),
+    }
     made = []
-    for path, table in _tables(folder, run, "parquet"):
+    for path, table in _tables(folder, run, "parquet", str):
         parquet.write_table(table.replace_schema_metadata(metadata), path, compression="zstd")
         made.append(path)
     return made
 
 
-def _tables(folder: Path, run: ExportedRun, suffix: str) -> Iterator[tuple[Path, pa.Table]]:
+def _tables(
+    folder: Path, run: ExportedRun, suffix: str, text_of: Callable[[str], str]
+) -> Iterator[tuple[Path, pa.Table]]:
     tables = {"spots": columns_of(run.spots), "swings": columns_of(run.swings)}
     for name, columns in tables.items():
         fields = [
@@ -47,9 +62,9 @@ def _tables(folder: Path, run: ExportedRun, suffix: str) -> Iterator[tuple[Path,
             _free(folder, run, "results", suffix),
             pa.table(
                 {
-                    "name": [name for name, _ in rows],
+                    "name": [text_of(name) for name, _ in rows],
                     "value": pa.array([v if isinstance(v, float) else None for _, v in rows], pa.float64()),
-                    "text": [v if isinstance(v, str) else "" for _, v in rows],
+                    "text": [text_of(v) if isinstance(v, str) else "" for _, v in rows],
                 }
             ),
         )

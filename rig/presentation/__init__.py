@@ -5,7 +5,7 @@ from rig.presentation.balance import balance_drawn, balance_numbers, balance_pan
 from rig.presentation.numbers import NOT_KNOWN, plain, power, with_uncertainty
 from rig.presentation.printing import plain_values, print_json_line, say
 from rig.presentation.quantities import SOURCES, Quantity, law_parameters, quantity
-from rig.presentation.table import Cell, Table
+from rig.presentation.table import Cell, Table, harmless_text
 from rig.presentation.terminal import print_tables
 from rig.presentation.verdict import Verdict, failures, table_tree
 from rig.presentation.verdict_table import print_verdicts
@@ -22,6 +22,7 @@ __all__ = [
     "balance_panels",
     "balance_table",
     "failures",
+    "harmless_text",
     "law_parameters",
     "palette",
     "plain",

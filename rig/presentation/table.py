@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 Cell = float | int | str
+_FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r")
 
 
 @dataclass(frozen=True)
@@ -30,5 +31,16 @@ class Table:
         writer = csv.writer(out, lineterminator="\n")
         writer.writerow(self.columns)
         for row in self.rows:
-            writer.writerow(["" if isinstance(v, float) and math.isnan(v) else v for v in row])
+            writer.writerow([_cell(value) for value in row])
         return out.getvalue()
+
+
+def harmless_text(text: str) -> str:
+    """A text as the cell of a CSV file: one that a spreadsheet would take for a formula begins with ``'``."""
+    return f"'{text}" if text.startswith(_FORMULA_STARTS) else text
+
+
+def _cell(value: Cell) -> Cell:
+    if isinstance(value, str):
+        return harmless_text(value)
+    return "" if isinstance(value, float) and math.isnan(value) else value

@@ -1,8 +1,10 @@
 """`rig export`: every format can be read back and contains provenance and units."""
 
 import json
+import re
 import shutil
 import sys
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -68,8 +70,8 @@ def test_hdf5_is_laid_out_as_nexus(
     (made,) = export_session(measured_series, "hdf5", tmp_path / "out.h5")
     with h5py.File(made) as file:
         assert file.attrs["NX_class"] == "NXroot"
-        assert sorted(file) == ["run-1", "run-2"]
-        entry = file["run-1"]
+        assert sorted(file) == ["run_1", "run_2"]
+        entry = file["run_1"]
         assert entry.attrs["NX_class"] == "NXentry"
         data = entry["swings"]
         assert data.attrs["NX_class"] == "NXdata"
@@ -78,11 +80,55 @@ def test_hdf5_is_laid_out_as_nexus(
         assert signal.attrs["units"] == "rad"
         np.testing.assert_array_equal(data["amplitude_rad_errors"][:], swings["u_amplitude_rad"])
         assert data[data.attrs["axes"][0]].attrs["units"] == "ns"
-        assert json.loads(entry["provenance/data"][()])["sha256"] == results["sha256"]
+        assert json.loads(entry["provenance/description"][()])["sha256"] == results["sha256"]
         value = entry["results/values/fits/exact/gamma_pa/value"]
         assert value[()] == results["fits"]["exact"]["gamma_pa"]["value"]
         assert value.attrs["units"] == "Pa"
         assert json.loads(entry["results/json"][()]) == results
+        assert entry["instrument/detector"].attrs["NX_class"] == "NXdetector"
+        assert entry["user/name"][()] == b"demonstration"
+        began, ended = (
+            datetime.fromisoformat(entry[name][()].decode()) for name in ("start_time", "end_time")
+        )
+        assert (ended - began).total_seconds() == pytest.approx(70.0, abs=1.0)
+        names: list[str] = []
+        file.visit(names.append)
+        assert all(re.fullmatch(r"[A-Za-z0-9_]+", part) for name in names for part in name.split("/"))
+
+
+def test_what_a_record_lacks_is_said_in_every_file(
+    measured_series: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A cut record with a changed bit is exported as far as it goes, and never looks like a whole one."""
+    path = tmp_path / "=run.mcap"
+    data = bytearray((measured_series / "run-1.mcap").read_bytes()[:-2000])
+    data[len(data) // 2] ^= 1
+    path.write_bytes(data)
+    spots, *_ = export_session(path, "csv", tmp_path / "csv")
+    said = capsys.readouterr().err
+    assert "was cut short" in said
+    assert "bytes have changed" in said
+    head = [line for line in spots.read_text().splitlines() if line.startswith("# NOTE: ")]
+    assert ["was cut short" in line for line in head] == [True, False]
+    assert "bytes have changed" in head[1]
+    table, *_ = export_session(path, "parquet", tmp_path / "parquet")
+    notes = json.loads(parquet.read_schema(table).metadata[b"notes"])
+    assert [f"# NOTE: {note}" for note in notes] == head
+    (made,) = export_session(path, "hdf5", tmp_path / "out.h5")
+    with h5py.File(made) as file:
+        assert file["_run/lacking/description"][()].decode().splitlines() == notes
+
+
+def test_texts_are_no_formulas(measured_series: Path, tmp_path: Path) -> None:
+    shutil.copy(measured_series / "run-1.mcap", tmp_path)
+    tree = json.loads((measured_series / "results.json").read_text())
+    tree["runs"][0]["notes"] = ["=HYPERLINK(0)", "@SUM(1)", "1 is no formula"]
+    (tmp_path / "results.json").write_text(json.dumps(tree))
+    made = export_session(tmp_path / "run-1.mcap", "csv", tmp_path / "out")
+    text = made[2].read_text()
+    assert '"\'=HYPERLINK(0)"' in text
+    assert '"\'@SUM(1)"' in text
+    assert '"1 is no formula"' in text
 
 
 def test_nothing_is_written_over(measured_series: Path, tmp_path: Path) -> None:
