@@ -79,6 +79,8 @@ def read_calibration(path: Path, kind: Kind | None = None) -> CalibrationFile:
         data = path.read_bytes()
     except OSError as error:
         raise ConfigurationError(f"{path}: cannot read the calibration: {error.strerror or error}") from None
+    except ValueError as error:
+        raise ConfigurationError(f"{str(path)!r}: is not the name of a file ({error})") from None
     return parse_calibration(data, str(path), kind)
 
 
@@ -86,7 +88,7 @@ def parse_calibration(data: bytes, name: str, kind: Kind | None = None) -> Calib
     """The same for the content of a file, as a record stores it; `name` is used in messages."""
     try:
         found = CalibrationFile.model_validate(tomllib.loads(data.decode("utf-8")))
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
         raise ConfigurationError(f"{name}: is not TOML: {error}") from None
     except ValidationError as error:
         fault = error.errors()[0]

@@ -2,6 +2,7 @@
 
 import gzip
 import math
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,6 +12,8 @@ from numpy.typing import NDArray
 from processing.angle import ARCSEC_RAD
 from processing.errors import ConfigurationError, DataError
 
+_LARGEST_TABLE_BYTES = 1024 * 1024 * 1024
+_LONGEST_S = 1e9
 _ANGLES_RAD = {
     "rad": 1.0,
     "mrad": 1e-3,
@@ -68,6 +71,10 @@ def read_trajectory(path: Path, time: str | None, positions: list[str], unit: st
     times_s = table[:, t_column]
     good = np.isfinite(times_s)
     table, times_s = table[good], times_s[good]
+    if len(times_s) < 2:
+        raise DataError(f"{path}: {len(times_s)} rows have a time; name the time column with --time")
+    if np.abs(times_s).max() > _LONGEST_S:
+        raise DataError(f"{path}: a time of {np.abs(times_s).max():g} s; times are in seconds")
     backwards = np.nonzero(np.diff(times_s) <= 0)[0]
     if len(backwards):
         row = int(backwards[0])
@@ -87,12 +94,17 @@ def read_trajectory(path: Path, time: str | None, positions: list[str], unit: st
 
 def _table(path: Path) -> tuple[list[str], list[list[float]], int]:
     try:
-        raw = path.read_bytes()
-        text = (gzip.decompress(raw) if path.suffix == ".gz" else raw).decode("utf-8-sig", errors="replace")
+        with gzip.open(path) if path.suffix == ".gz" else path.open("rb") as file:
+            raw = file.read(_LARGEST_TABLE_BYTES + 1)
     except FileNotFoundError:
         raise DataError(f"{path}: no such file") from None
-    except OSError as error:
+    except (OSError, EOFError, zlib.error) as error:
         raise DataError(f"{path}: cannot be read: {error}") from None
+    except ValueError as error:
+        raise DataError(f"{str(path)!r}: is not the name of a file ({error})") from None
+    if len(raw) > _LARGEST_TABLE_BYTES:
+        raise DataError(f"{path}: is longer than {_LARGEST_TABLE_BYTES >> 20} MiB; take fewer rows")
+    text = raw.decode("utf-8-sig", errors="replace")
     header: list[str] = []
     rows: list[list[float]] = []
     skipped = 0

@@ -180,9 +180,9 @@ def load_configuration(path: Path, overrides: Iterable[str] = ()) -> Configurati
 
 def read_toml_tree(path: Path, seen: tuple[Path, ...] = ()) -> dict[str, Any]:
     """Read a file as nested dictionaries, merged over the file that it extends."""
-    if path.resolve() in seen:
-        raise ConfigurationError(f"{path}: extends itself; remove one of the 'extends' lines")
     try:
+        if path.resolve() in seen:
+            raise ConfigurationError(f"{path}: extends itself; remove one of the 'extends' lines")
         tree = tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise ConfigurationError(f"{path}: no such configuration file") from None
@@ -190,8 +190,10 @@ def read_toml_tree(path: Path, seen: tuple[Path, ...] = ()) -> dict[str, Any]:
         raise ConfigurationError(f"{path}: is a folder; name a TOML file") from None
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigurationError(f"{path}: cannot be read: {error}") from None
-    except tomllib.TOMLDecodeError as error:
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise ConfigurationError(f"{path}: is not TOML: {error}") from None
+    except ValueError as error:
+        raise ConfigurationError(f"{str(path)!r}: is not the name of a file ({error})") from None
     base = tree.pop("extends", None)
     if base is None:
         return tree

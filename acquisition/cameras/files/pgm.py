@@ -36,6 +36,8 @@ def read_pgm(data: bytes) -> tuple[NDArray[Any], int]:
         if len(words) < nx * ny:
             raise ValueError(f"the file ends after {len(words)} of {nx * ny} pixels")
         values = np.array([int(word) for word in words[: nx * ny]])
+    if values.min() < 0:
+        raise ValueError(f"a pixel of {values.min()}")
     if values.max() > largest:
         raise ValueError(f"a pixel of {values.max()} is above the stated largest value {largest}")
     return values.reshape(ny, nx).astype(dtype), largest

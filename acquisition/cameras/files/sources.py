@@ -242,7 +242,10 @@ def _decode(data: bytes) -> NDArray[Any]:
     if not data:
         raise Unreadable("the file is empty")
     with _quiet():
-        pixels = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
+        try:
+            pixels = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
+        except cv2.error as error:
+            raise Unreadable(f"the file is damaged or too large ({error.err})") from None
     if pixels is None:
         raise Unreadable("the file is damaged or no image")
     return pixels

@@ -1,0 +1,167 @@
+"""Every file that the project reads, changed at random, gives one clear line or right answers."""
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from acquisition.cameras.files.camera import FilesCamera
+from acquisition.cameras.files.settings import FilesSettings
+from acquisition.record.check import check_record
+from acquisition.record.reader import RecordReader
+from acquisition.record.recover import recover
+from calibration.store import read_calibration
+from processing.errors import RigError
+from rig.analysis import encoded, read_results
+from rig.analysis.position_table import read_trajectory
+from rig.measure.session_file import SessionFile
+from rig.settings.configuration import load_configuration
+from tests.acquisition.record.samples import write_sample
+
+OLDER = Path(__file__).parent / "data" / "older"
+STRANGE = [b"\0", b"-1", b"1e400", b"nan", b"null", b"[" * 2000, b"{", b'"', b"9" * 30, b"\xff", b"\n", b"[]"]
+FEW = settings(max_examples=60, suppress_health_check=list(HealthCheck))
+
+
+@st.composite
+def changes(draw: st.DrawFn) -> list[tuple[str, float, bytes]]:
+    """Up to four changes: what, where (part of the length), with which bytes."""
+    kinds = st.sampled_from(["flip", "replace", "insert", "delete", "cut", "repeat"])
+    pieces = st.one_of(st.binary(min_size=1, max_size=8), st.sampled_from(STRANGE))
+    places = st.floats(0.0, 1.0, exclude_max=True)
+    return draw(st.lists(st.tuples(kinds, places, pieces), min_size=1, max_size=4))
+
+
+def changed(data: bytes, wanted: list[tuple[str, float, bytes]]) -> bytes:
+    for kind, where, piece in wanted:
+        at = int(where * len(data))
+        length = 1 + piece[0]
+        if kind == "flip" and data:
+            data = data[:at] + bytes([data[at] ^ 1 << piece[0] % 8]) + data[at + 1 :]
+        elif kind == "replace":
+            data = data[:at] + piece + data[at + len(piece) :]
+        elif kind == "insert":
+            data = data[:at] + piece + data[at:]
+        elif kind == "delete":
+            data = data[:at] + data[at + length :]
+        elif kind == "cut":
+            data = data[:at]
+        else:
+            data = data[:at] + data[at : at + length] + data[at:]
+    return data
+
+
+def one_line(use: Callable[[], Any]) -> Any:
+    """What a reader returns; None where it gave one clear line."""
+    said = "?"
+    try:
+        return use()
+    except RigError as error:
+        said = str(error)
+    assert said
+    assert "\n" not in said
+    return None
+
+
+@pytest.fixture(scope="module")
+def record(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, bytes, set[bytes]]:
+    path = tmp_path_factory.mktemp("record") / "run.mcap"
+    write_sample(path, 48, window_px=8)
+    with RecordReader(path) as reader:
+        rows = {row.tobytes() for row in reader.spots()}
+    return path, path.read_bytes(), rows
+
+
+@FEW
+@given(wanted=changes())
+def test_a_record(record: tuple[Path, bytes, set[bytes]], wanted: list[tuple[str, float, bytes]]) -> None:
+    path, whole, rows = record
+    path.write_bytes(changed(whole, wanted))
+    copy = path.with_name("copy.mcap")
+
+    def everything() -> None:
+        with RecordReader(path) as reader:
+            assert {row.tobytes() for row in reader.spots()} <= rows
+            list(reader.windows())
+            list(reader.images())
+            reader.swings(), reader.events(), reader.log(), reader.losses(), reader.attachments
+
+    one_line(everything)
+    one_line(lambda: check_record(path))
+    if one_line(lambda: recover(path, copy)) is not None:
+        with RecordReader(copy) as reader:
+            assert {row.tobytes() for row in reader.spots()} <= rows
+    copy.unlink(missing_ok=True)
+
+
+def read_session(path: Path) -> None:
+    SessionFile.opened(path.parent).close()
+
+
+def read_table(path: Path) -> None:
+    found = read_trajectory(path, None, [], "arcsec")
+    assert np.all(np.diff(found.times_ns) >= 0)
+
+
+def read_images(path: Path) -> None:
+    camera = FilesCamera(FilesSettings(path=path.parent, frame_rate_hz=10.0))
+    try:
+        camera.open()
+        camera.start()
+        while camera.read(1.0) is not None:
+            pass
+    finally:
+        camera.close()
+
+
+def written_again(path: Path) -> None:
+    json.dumps(encoded(read_results(path)))
+
+
+FILES: dict[str, tuple[Path | bytes, str, Callable[[Path], Any]]] = {
+    "configuration": (OLDER / "session.toml", "session.toml", load_configuration),
+    "session": (OLDER / "series" / "session.json", "session.json", read_session),
+    "results": (OLDER / "series" / "results.json", "results.json", written_again),
+    "calibration": (OLDER / "calibrations" / "lever-001.toml", "lever-001.toml", read_calibration),
+    "table": (OLDER / "decay.csv", "decay.csv", read_table),
+    "PGM": (b"P5 16 12 255\n" + bytes(range(192)), "frame0.pgm", read_images),
+    "times": (b"time_ns,sequence\n10,0\n", "timestamps.csv", read_images),
+}
+
+
+@pytest.mark.parametrize("kind", FILES)
+@FEW
+@given(wanted=changes())
+def test_a_file(
+    tmp_path_factory: pytest.TempPathFactory, kind: str, wanted: list[tuple[str, float, bytes]]
+) -> None:
+    source, name, use = FILES[kind]
+    folder = tmp_path_factory.mktemp("changed")
+    if kind == "times":
+        (folder / "frame0.pgm").write_bytes(b"P5 16 12 255\n" + bytes(192))
+    data = source if isinstance(source, bytes) else source.read_bytes()
+    path = folder / name
+    path.write_bytes(changed(data, wanted))
+    one_line(lambda: use(path))
+    shutil.rmtree(folder)
+
+
+@pytest.mark.parametrize(
+    "use",
+    [
+        RecordReader,
+        load_configuration,
+        read_calibration,
+        read_results,
+        lambda p: read_trajectory(p, None, [], ""),
+    ],
+)
+def test_a_name_that_is_none(use: Callable[[Path], Any]) -> None:
+    with pytest.raises(RigError, match=r"is not the name of a file|cannot be read"):
+        use(Path("a\0b"))
