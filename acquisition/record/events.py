@@ -40,6 +40,8 @@ class EventKind(StrEnum):
     """The rest position has moved at once, and stays where it is."""
     LIGHT_STEP = "light step"
     """The same of the background: a lamp was switched."""
+    CLOCK_STEP = "clock step"
+    """The computer's clock of the day was set: UTC of the record is that of its beginning."""
 
 
 WARNING_KINDS: Final = frozenset(
@@ -50,6 +52,7 @@ WARNING_KINDS: Final = frozenset(
         EventKind.RECORD,
         EventKind.REST_STEP,
         EventKind.LIGHT_STEP,
+        EventKind.CLOCK_STEP,
     }
 )
 """Kinds that mean missing or disturbed data: warnings in the record's log and in every view."""

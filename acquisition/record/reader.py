@@ -4,12 +4,14 @@ import datetime
 import logging
 import math
 from collections.abc import Callable, Collection, Iterator, Sized
+from functools import partial
 from itertools import chain
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, NamedTuple, Self, TypeVar
 
 import numpy as np
+from google.protobuf.message import DecodeError
 from mcap.opcode import Opcode
 from numpy.typing import NDArray
 from pydantic import TypeAdapter, ValidationError
@@ -21,6 +23,7 @@ from acquisition.record.chunk_places import ChunkPlace
 from acquisition.record.chunk_reader import (
     ChunkDamage,
     OpenedChunk,
+    PackedMessages,
     RawMessage,
     UnpackLimit,
     messages_in,
@@ -60,6 +63,7 @@ from processing.swing import Swing
 _log = logging.getLogger(__name__)
 _Value = TypeVar("_Value")
 _Found = TypeVar("_Found", bound=Sized)
+_Decoded = TypeVar("_Decoded")
 _ROWS_AT_ONCE = 4096
 _SECTIONS = TypeAdapter(dict[str, dict[str, str]])
 
@@ -246,7 +250,7 @@ class RecordReader:
         absent |= {name: "" for name, _ in wanted.tail}
         found = []
         for message in self.messages(topic):
-            fields = dict(zip(kind.names, kind.decode(message.data), strict=True))
+            fields = dict(zip(kind.names, self._decoded(topic, message, kind.decode), strict=True))
             found.append(value_class(**{name: fields.get(name, absent[name]) for name in wanted.names}))
         return found
 
@@ -311,7 +315,7 @@ class RecordReader:
         if kind is None:
             return
         for message in self._since(WINDOW.topic, start_ns):
-            yield decode_window(kind, message.data)
+            yield self._decoded(WINDOW.topic, message, lambda data: decode_window(kind, data))
 
     def images(self, start_ns: int | None = None) -> Iterator[Frame]:
         """Whole frames, in order of time, one at a time; `start_ns` as in `spot_blocks`.
@@ -320,14 +324,26 @@ class RecordReader:
         """
         for message in self._since(IMAGE_TOPIC, start_ns):
             time_ns = message.log_time_ns - self.epoch_offset_ns
-            yield Frame(decode_image(message.data), message.sequence, time_ns, time_ns)
+            image = self._decoded(IMAGE_TOPIC, message, decode_image)
+            yield Frame(image, message.sequence, time_ns, time_ns)
 
     def log(self) -> list[RecordedLog]:
         """Lines of the log."""
         offset_ns = self.epoch_offset_ns
         return [
-            decode_log(message.log_time_ns - offset_ns, message.data) for message in self.messages(LOG_TOPIC)
+            self._decoded(LOG_TOPIC, message, partial(decode_log, message.log_time_ns - offset_ns))
+            for message in self.messages(LOG_TOPIC)
         ]
+
+    def _decoded(
+        self, topic: str, message: Message | RawMessage, decode: Callable[[bytes], _Decoded]
+    ) -> _Decoded:
+        """One message decoded. Raises RecordError if its bytes are sound and yet no such message."""
+        try:
+            return decode(message.data)
+        except (ValueError, DecodeError) as error:
+            what = f"message {message.sequence} of {topic} cannot be read ({error})"
+            raise RecordError(f"{self.path}: {what}; it was not written by rig run") from None
 
     def _since(self, topic: str, start_ns: int | None) -> Iterator[RawMessage]:
         """Messages of one topic from a time on the frames' clock on."""
@@ -346,15 +362,23 @@ class RecordReader:
         for part in self._by_chunk(packed_messages, frozenset([kind.topic]), start_ns):
             alike = isinstance(part, np.ndarray) and (not held or part.dtype == held[0].dtype)
             if held and (not alike or count >= _ROWS_AT_ONCE):
-                yield kind.decode_table(np.concatenate(held), fields)
+                yield self._table_of(kind, np.concatenate(held), fields)
                 held, count = [], 0
             if isinstance(part, np.ndarray):
                 held.append(part)
                 count += len(part)
             else:
-                yield kind.decode_table(part, fields)
+                yield self._table_of(kind, part, fields)
         if held:
-            yield kind.decode_table(np.concatenate(held), fields)
+            yield self._table_of(kind, np.concatenate(held), fields)
+
+    def _table_of(
+        self, kind: MessageType, messages: PackedMessages, fields: Collection[str] | None
+    ) -> NDArray[Any]:
+        try:
+            return kind.decode_table(messages, fields)
+        except ValueError as error:
+            raise RecordError(f"{self.path}: {error}; it was not written by rig run") from None
 
     def _by_chunk(
         self,

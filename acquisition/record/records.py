@@ -53,7 +53,7 @@ def parse(opcode: int, data: bytes) -> Any:
     stream = ReadDataStream(io.BytesIO(data))
     try:
         record = kind.read(stream)
-    except (struct.error, UnicodeDecodeError, McapError) as error:
+    except (struct.error, UnicodeDecodeError, OverflowError, McapError) as error:
         raise ValueError(str(error) or type(error).__name__) from None
     if stream.count != len(data):
         raise ValueError("its lengths contradict each other")

@@ -84,11 +84,11 @@ def _copy(reader: RecordReader, file: McapFile, path: Path) -> Recovery:
         builder = ChunkBuilder()
         try:
             for message in messages_in(opened(place)):
-                number = numbers.get(message.channel)
-                if number is None:
+                copied = numbers.get(message.channel)
+                if copied is None:
                     reader.note_damage(place, "messages of a topic without a description")
                     continue
-                builder.add(number, message.sequence, message.log_time_ns, message.data)
+                builder.add(copied, message.sequence, message.log_time_ns, message.data)
                 counts[contents.channels[message.channel].topic] += 1
         except ChunkDamage as damage:
             reader.note_damage(place, str(damage))

@@ -10,36 +10,36 @@ import struct
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal, get_type_hints
+from typing import Any, get_type_hints
 
 import numpy as np
 from google.protobuf import descriptor_pb2
 from google.protobuf.message import DecodeError
 from numpy.typing import NDArray
 
-Kind = Literal["double", "int", "text", "bytes"]
+from acquisition.record.descriptor import PROTO_TYPE, Kind, Meanings, descriptor_of
 
-_FIELD = descriptor_pb2.FieldDescriptorProto
-_PROTO_TYPE: dict[Kind, "descriptor_pb2.FieldDescriptorProto.Type.ValueType"] = {
-    "double": _FIELD.TYPE_DOUBLE,
-    "int": _FIELD.TYPE_SFIXED64,
-    "text": _FIELD.TYPE_STRING,
-    "bytes": _FIELD.TYPE_BYTES,
-}
-_KIND: dict[int, Kind] = {number: kind for kind, number in _PROTO_TYPE.items()}
+_KIND: dict[int, Kind] = {number: kind for kind, number in PROTO_TYPE.items()}
 _DEFAULT: dict[Kind, Any] = {"double": 0.0, "int": 0, "text": "", "bytes": b""}
 _NUMPY: dict[Kind, str] = {"double": "<f8", "int": "<i8"}
+_MORE_FIELDS = 256
+"""Fields of a later version that a message may have; more would only keep a reader busy."""
 _WIRE_VARINT, _WIRE_FIXED64, _WIRE_LENGTH, _WIRE_FIXED32 = 0, 1, 2, 5
 
 
 @dataclass(frozen=True)
 class MessageType:
-    """A protobuf message: the numbers first, then texts or bytes (`tail`); field numbers count from 1."""
+    """A protobuf message: the numbers first, then texts or bytes (`tail`); field numbers count from 1.
+
+    `about` and `meanings` go into the description that is stored in a file.
+    """
 
     full_name: str
     topic: str
     numbers: tuple[tuple[str, Kind], ...]
     tail: tuple[tuple[str, Kind], ...] = ()
+    about: str = dataclasses.field(default="", compare=False)
+    meanings: tuple[Meanings, ...] = dataclasses.field(default=(), compare=False)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -49,19 +49,7 @@ class MessageType:
     @cached_property
     def descriptor(self) -> bytes:
         """Serialised FileDescriptorSet, as it is stored in MCAP files."""
-        package, _, name = self.full_name.rpartition(".")
-        files = descriptor_pb2.FileDescriptorSet()
-        file = files.file.add(name=f"{package}/{name}.proto", package=package, syntax="proto3")
-        message = file.message_type.add(name=name)
-        for number, (field, kind) in enumerate((*self.numbers, *self.tail), start=1):
-            message.field.add(
-                name=field,
-                number=number,
-                type=_PROTO_TYPE[kind],
-                label=_FIELD.LABEL_OPTIONAL,
-                json_name=field,
-            )
-        return files.SerializeToString()
+        return descriptor_of(self.full_name, (*self.numbers, *self.tail), self.about, self.meanings)
 
     @cached_property
     def table_dtype(self) -> np.dtype[Any]:
@@ -126,7 +114,7 @@ class MessageType:
         """
         kinds = [kind for _, kind in (*self.numbers, *self.tail)]
         values = [_DEFAULT[kind] for kind in kinds]
-        place, end = 0, len(data)
+        place, end, most_fields = 0, len(data), 2 * len(kinds) + _MORE_FIELDS
         layout, _ = self._layout
         if end >= layout.size:
             # messages encoded by this module contain all numbers, in order
@@ -137,6 +125,9 @@ class MessageType:
         try:
             while place < end:
                 key, place = _read_varint(data, place)
+                most_fields -= 1
+                if key < 8 or most_fields < 0:
+                    raise ValueError(f"{self.full_name}: is not such a message")
                 field, wire = (key >> 3) - 1, key & 7
                 known = 0 <= field < len(kinds)
                 if wire == _WIRE_FIXED64:
@@ -269,7 +260,9 @@ def message_type_of(value_class: type, full_name: str, topic: str) -> MessageTyp
             tail.append((name, "text"))
         else:
             raise TypeError(f"{value_class.__name__}.{name}: {kind} cannot be recorded")
-    return MessageType(full_name, topic, tuple(numbers), tuple(tail))
+    return MessageType(
+        full_name, topic, tuple(numbers), tuple(tail), " ".join((value_class.__doc__ or "").split())
+    )
 
 
 def _field_names(value_class: type) -> Iterable[str]:
@@ -304,3 +297,5 @@ def _read_varint(data: bytes, place: int) -> tuple[int, int]:
         if byte < 0x80:
             return value, place
         shift += 7
+        if shift > 63:
+            raise ValueError("a number of more than 64 bits")

@@ -1,14 +1,17 @@
 """Topics of a record: names, message types, and values that are defined in no other package."""
 
 import math
+from enum import IntEnum
 from typing import NamedTuple
 
 from acquisition.frame import Image
-from acquisition.record.schemas import Kind, MessageType, message_type_of
+from acquisition.record.descriptor import Kind, Meanings
+from acquisition.record.schemas import MessageType, message_type_of
 from acquisition.record.window_residual import SpotModel
 from processing.balance import names_with_units
 from processing.deflections import DeflectionUnit
-from processing.spot import Spot
+from processing.spot import Spot, SpotFlag
+from processing.swing import SwingFlag
 
 SCHEMA_VERSION = 2
 """Increased if a reader of the previous version would misunderstand a record; not for additional fields."""
@@ -19,10 +22,18 @@ IMAGE_TOPIC = "/image"
 LOG_TOPIC = "/log"
 CAMERA_TOPIC = "/camera_calibration"
 LOSSES_TOPIC = "/losses"
+CLOCK_TOPIC = "/clock"
 METADATA_COPY = "metadata.json"
 """Attachment that holds all metadata once more, since MCAP gives them no checksum."""
 SENSOR_FRAME = "sensor"
 """Frame of reference of images and camera calibration, for viewers."""
+
+
+class Side(IntEnum):
+    """To which side of the rest position a turning point lies."""
+
+    POSITIVE = 1
+    NEGATIVE = -1
 
 
 class Environment(NamedTuple):
@@ -32,6 +43,16 @@ class Environment(NamedTuple):
     temperature_c: float = math.nan
     humidity_percent: float = math.nan
     pressure_pa: float = math.nan
+
+
+class ClockAnchor(NamedTuple):
+    """The computer's two clocks at one moment, so that UTC can be checked all through a run."""
+
+    time_ns: int
+    host_time_ns: int
+    utc_ns: int
+    u_utc_s: float
+    synchronised: bool
 
 
 class RecordedLosses(NamedTuple):
@@ -72,9 +93,14 @@ def _ints(*names: str) -> tuple[tuple[str, Kind], ...]:
 
 
 def _message(
-    name: str, topic: str, *numbers: tuple[str, Kind], tail: tuple[tuple[str, Kind], ...] = ()
+    name: str,
+    topic: str,
+    *numbers: tuple[str, Kind],
+    tail: tuple[tuple[str, Kind], ...] = (),
+    about: str = "",
+    meanings: tuple[Meanings, ...] = (),
 ) -> MessageType:
-    return MessageType(f"{PACKAGE}.{name}", topic, numbers, tail)
+    return MessageType(f"{PACKAGE}.{name}", topic, numbers, tail, about, meanings)
 
 
 _FRAME = _ints("sequence", "time_ns", "device_time_ns", "host_time_ns")
@@ -97,6 +123,14 @@ def _balance(unit: DeflectionUnit) -> tuple[tuple[str, Kind], ...]:
     return *_ints(time_ns), *_doubles(*numbers)
 
 
+_ABOUT_SPOT = (
+    "One camera frame: its number and times, the laser spot on the sensor, the deflection of the pendulum. "
+    "Every u_NAME is the standard uncertainty (one sigma) of NAME. NaN where the spot was lost."
+)
+_ABOUT_SWING = (
+    "One half-cycle as detected during the measurement: its turning point. Every u_NAME is the standard "
+    "uncertainty (one sigma) of NAME. Half-cycles with flags are not fitted."
+)
 DEFLECTION_FIELDS = {
     DeflectionUnit.RAD: ("x_rad", "y_rad", "u_x_rad", "u_y_rad"),
     DeflectionUnit.PX: ("x_deflection_px", "y_deflection_px", "u_x_deflection_px", "u_y_deflection_px"),
@@ -109,6 +143,8 @@ SPOT = _message(
     *_FRAME,
     *_SPOT,
     *_doubles(*DEFLECTION_FIELDS[DeflectionUnit.RAD], "x_arcsec", "y_arcsec"),
+    about=_ABOUT_SPOT,
+    meanings=(SpotFlag,),
 )
 """One frame: its number and times, the spot, the deflections of the pendulum."""
 SPOT_UNCALIBRATED = _message(
@@ -117,14 +153,26 @@ SPOT_UNCALIBRATED = _message(
     *_FRAME,
     *_SPOT,
     *_doubles(*DEFLECTION_FIELDS[DeflectionUnit.PX]),
+    about=_ABOUT_SPOT,
+    meanings=(SpotFlag,),
 )
 """The same without a calibrated lever: deflections in px."""
 SWING = _message(
-    "Swing", "/swing", *_turning_point(DeflectionUnit.RAD), *_doubles("amplitude_arcsec", "period_s")
+    "Swing",
+    "/swing",
+    *_turning_point(DeflectionUnit.RAD),
+    *_doubles("amplitude_arcsec", "period_s"),
+    about=_ABOUT_SWING,
+    meanings=(SwingFlag, Side),
 )
 """One half-cycle."""
 SWING_UNCALIBRATED = _message(
-    "UncalibratedSwing", "/swing", *_turning_point(DeflectionUnit.PX), *_doubles("period_s")
+    "UncalibratedSwing",
+    "/swing",
+    *_turning_point(DeflectionUnit.PX),
+    *_doubles("period_s"),
+    about=_ABOUT_SWING,
+    meanings=(SwingFlag, Side),
 )
 """The same in px."""
 BALANCE = _message("Balance", "/balance", *_balance(DeflectionUnit.RAD))

@@ -44,7 +44,7 @@ _CHUNK_BYTES = 1024 * 1024
 _RESERVE_BYTES = 4 * 1024 * 1024
 _FLUSH_INTERVAL_S = 0.8
 _LOG_LEVELS = {"info": 2, "warning": 3, "error": 4}
-_MEDIA_TYPES = {".json": "application/json", ".toml": "application/toml"}
+_MEDIA_TYPES = {".json": "application/json", ".toml": "application/toml", ".md": "text/markdown"}
 
 
 class RecordWriter:

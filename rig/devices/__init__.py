@@ -5,7 +5,7 @@ from rig.devices.auto_exposure import find_exposure
 from rig.devices.camera_features import feature_lines
 from rig.devices.doctor import examine
 from rig.devices.frame_stream import FrameStream
-from rig.devices.host_clock import ntp_state
+from rig.devices.host_clock import kernel_clock, ntp_state
 from rig.devices.laser import STAYS_LIT, WIRE_IT, LaserNow, goes_dark_by_itself, wait_for_command
 from rig.devices.latest_frames import watch_latest
 from rig.devices.light_watch import LightWatch
@@ -25,6 +25,7 @@ __all__ = [
     "feature_lines",
     "find_exposure",
     "goes_dark_by_itself",
+    "kernel_clock",
     "ntp_state",
     "picture",
     "wait_for_command",

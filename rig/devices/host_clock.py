@@ -1,12 +1,16 @@
 """How closely the clock of this host follows UTC, according to chrony or systemd."""
 
+import ctypes
+import math
 import shutil
 import subprocess
+import sys
 from dataclasses import dataclass
 
 _RATE_UNSYNCHRONISED = 50e-6
 """Relative standard uncertainty of a computer's free-running quartz oscillator."""
 _PATIENCE_S = 3.0
+_TIME_ERROR, _UNSYNCHRONISED = 5, 0x40
 
 
 @dataclass(frozen=True, slots=True)
@@ -16,6 +20,41 @@ class HostClock:
     synchronised: bool
     text: str
     u_rate: float
+
+
+@dataclass(frozen=True, slots=True)
+class KernelClock:
+    """What the kernel says of its clock of the day; `u_s` is NaN where it says nothing."""
+
+    synchronised: bool
+    u_s: float
+
+
+class _Timex(ctypes.Structure):
+    """The first members of Linux's struct timex, and room for the rest."""
+
+    _fields_ = (
+        ("modes", ctypes.c_uint),
+        ("offset", ctypes.c_long),
+        ("frequency", ctypes.c_long),
+        ("largest_error_us", ctypes.c_long),
+        ("estimated_error_us", ctypes.c_long),
+        ("status", ctypes.c_int),
+        ("rest", ctypes.c_long * 32),
+    )
+
+
+def kernel_clock() -> KernelClock:
+    """State of the kernel's clock, in microseconds of time; on other systems than Linux it is unknown."""
+    if not sys.platform.startswith("linux"):
+        return KernelClock(False, math.nan)
+    state = _Timex()
+    try:
+        answer = ctypes.CDLL(None).adjtimex(ctypes.byref(state))
+    except (OSError, AttributeError):
+        return KernelClock(False, math.nan)
+    synchronised = 0 <= answer < _TIME_ERROR and not state.status & _UNSYNCHRONISED
+    return KernelClock(synchronised, state.estimated_error_us * 1e-6 if synchronised else math.nan)
 
 
 def ntp_state() -> HostClock:

@@ -1,9 +1,12 @@
 """Provenance of a record (configuration, software versions, host), written to it and read back."""
 
+import functools
 import hashlib
 import importlib.metadata
+import json
 import platform
 import socket
+import subprocess
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -18,18 +21,66 @@ from rig.settings import Configuration, apply_overrides, validate_configuration
 
 CONFIGURATION_NAME = "configuration.json"
 SOURCE_NAME = "configuration.toml"
+RECORD_DESCRIPTION = "record.md"
+_INPUTS = ("configuration.", "calibration/")
+_ROOT = Path(__file__).resolve().parents[2]
 _PACKAGES = ("optical-pendulum-rig", "numpy", "scipy", "numba", "opencv-python-headless", "mcap", "rerun-sdk")
 
 
 def versions() -> dict[str, str]:
     """Versions of this program and of the libraries that influence the numbers."""
-    found = {"python": platform.python_version(), "platform": platform.platform()}
+    found = {"python": platform.python_version(), "platform": platform.platform(), "commit": code_commit()}
     for name in _PACKAGES:
         try:
             found[name] = importlib.metadata.version(name)
         except importlib.metadata.PackageNotFoundError:
             found[name] = "not installed"
     return found
+
+
+@functools.cache
+def code_commit() -> str:
+    """The commit of this code: of the checkout it runs from, with "changed" where files differ from it, or
+    of what was installed; "unknown" otherwise.
+    """
+    try:
+        done = subprocess.run(
+            [
+                "git",
+                "-C",
+                str(_ROOT),
+                "describe",
+                "--always",
+                "--abbrev=40",
+                "--dirty=, changed",
+                "--exclude=*",
+            ],
+            capture_output=True,
+            text=True,
+            timeout=5.0,
+            check=False,
+            stdin=subprocess.DEVNULL,
+        )
+        if done.returncode == 0 and (_ROOT / ".git").exists():
+            return done.stdout.strip()
+        origin = importlib.metadata.distribution(_PACKAGES[0]).read_text("direct_url.json")
+        return str(json.loads(origin or "{}")["vcs_info"]["commit_id"])
+    except (
+        OSError,
+        subprocess.SubprocessError,
+        ValueError,
+        KeyError,
+        importlib.metadata.PackageNotFoundError,
+    ):
+        return "unknown"
+
+
+def record_description() -> bytes:
+    """How a record is to be read, for who has nothing else; empty where the installation lacks it."""
+    for path in (_ROOT / "docs" / RECORD_DESCRIPTION, _ROOT / "rig" / RECORD_DESCRIPTION):
+        if path.is_file():
+            return path.read_bytes()
+    return b""
 
 
 def session_metadata(config: Configuration, info: CameraInfo, first: Frame) -> dict[str, dict[str, str]]:
@@ -66,12 +117,16 @@ def configuration_attachments(config: Configuration, source: Path) -> dict[str, 
     attachments = {CONFIGURATION_NAME: config.model_dump_json(indent=1).encode()}
     if source.is_file() and source.suffix == ".toml":
         attachments[SOURCE_NAME] = source.read_bytes()
+    description = record_description()
+    if description:
+        attachments[RECORD_DESCRIPTION] = description
     return {**attachments, **calibration_attachments(config)}
 
 
 def inputs_sha256(reader: RecordReader) -> dict[str, str]:
     """SHA-256 of the configuration and of every calibration in a record, by name, as read and verified."""
-    return {name: hashlib.sha256(data).hexdigest() for name, data in sorted(reader.attachments.items())}
+    inputs = {name: data for name, data in reader.attachments.items() if name.startswith(_INPUTS)}
+    return {name: hashlib.sha256(data).hexdigest() for name, data in sorted(inputs.items())}
 
 
 def frame_shape(reader: RecordReader) -> tuple[int, int]:

@@ -9,7 +9,14 @@ from typing import NamedTuple
 
 from acquisition.frame import Frame, Image
 from acquisition.record.events import Event
-from acquisition.record.topics import ENVIRONMENT, LOSSES_TOPIC, Environment, RecordedLosses
+from acquisition.record.topics import (
+    CLOCK_TOPIC,
+    ENVIRONMENT,
+    LOSSES_TOPIC,
+    ClockAnchor,
+    Environment,
+    RecordedLosses,
+)
 from acquisition.record.writer import RecordWriter
 from processing.spot import Spot
 from rig.control import LightPermit, Stage
@@ -41,6 +48,7 @@ class Entry:
     events: Sequence[Event] = field(default=())
     environment: Environment | None = None
     losses: RecordedLosses | None = None
+    clock: ClockAnchor | None = None
 
 
 class Recorder:
@@ -131,6 +139,8 @@ class Recorder:
             writer.write(ENVIRONMENT.topic, entry.environment, entry.environment.time_ns)
         if entry.losses is not None:
             writer.write(LOSSES_TOPIC, entry.losses, entry.losses.time_ns)
+        if entry.clock is not None:
+            writer.write(CLOCK_TOPIC, entry.clock, entry.clock.time_ns)
         for event in entry.events:
             writer.write_event(event.time_ns, event.kind, event.text)
 

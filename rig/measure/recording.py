@@ -11,6 +11,7 @@ from acquisition.record.events import Event, EventKind
 from processing.errors import DeviceError
 from processing.swing import Swing
 from rig.instrument import Snapshot
+from rig.measure.clock_anchors import ClockAnchors
 from rig.measure.end_of_run import EndOfRun, StopRequest
 from rig.measure.frame_counts import FrameCounts
 from rig.measure.recorder import Entry, Recorder
@@ -58,6 +59,8 @@ class Recording:
         counts = FrameCounts(first, round(parts.full_frame_interval_s * 1e9), keep_windows=parts.keep_windows)
         end = EndOfRun(parts.end)
         steps = StepEvents(parts.optics.unit)
+        # frames made on demand have a clock of their own, which no other one says anything about
+        anchors = None if stream.policy == "wait" else ClockAnchors()
         status.begin_record()
         events = [*events, Event(first.time_ns, EventKind.START, "first frame")]
         self._recorder.put(Entry(events=events))
@@ -80,13 +83,15 @@ class Recording:
             frames = counts.numbered(taken)
             block = pipeline.process(frames)
             entry = counts.entry(frames, block, pipeline)
-            new = [*entry.events, *steps.take(block), *self._device_events(counts.last_ns)]
+            clock, clock_steps = (None, []) if anchors is None else anchors.take(counts.last_ns)
+            new = [*entry.events, *steps.take(block), *clock_steps, *self._device_events(counts.last_ns)]
             self._recorder.put(
                 replace(
                     entry,
                     events=new,
                     environment=status.environment(counts.last_ns),
                     losses=self._losses.due(counts.last_ns),
+                    clock=clock,
                 )
             )
             # frames made on demand have no age

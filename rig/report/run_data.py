@@ -101,7 +101,6 @@ def read_source(source: Path) -> ReportSource:
 def _read_run(folder: Path, results: RunResults, number: int) -> RunData:
     path = folder / results.record
     notes: list[str] = []
-    sha256 = known_sha256_of(path)
     with RecordReader(path) as reader:
         spots = reader.spots()
         picture = _picture(reader, spots, notes)
@@ -118,7 +117,7 @@ def _read_run(folder: Path, results: RunResults, number: int) -> RunData:
         rate = _clock_rate(reader, notes)
         stored = results.turning_points or turning_points_again(reader, results)
         notes += [line for line in reader.doubts() if line not in results.warnings]
-    if results.sha256 != sha256:
+    if results.sha256 != known_sha256_of(path):
         notes.append("the record is not the one that the results were made from: its hash differs")
     if configuration is not None:
         provenance["configuration"] = _flat(json.loads(configuration))

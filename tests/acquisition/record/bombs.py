@@ -19,6 +19,7 @@ _LARGEST = 64 * 1024 * 1024
 
 def make_bomb(path: Path, kind: str) -> None:
     """Write a record without an ending whose last chunks are lies of one `kind` of `BOMBS`."""
+    path.unlink(missing_ok=True)
     write_sample(path, 64)
     with path.open("rb") as file:
         contents = read_contents(file)
@@ -32,30 +33,33 @@ def _chunk(data: bytes, size: int, crc: int) -> bytes:
 
 
 def _honest(data: bytes) -> bytes:
-    return _chunk(zstandard.ZstdCompressor(level=19).compress(data), len(data), zlib.crc32(data))
+    return _chunk(zstandard.ZstdCompressor().compress(data), len(data), zlib.crc32(data))
 
 
 def _many(chunk: bytes) -> bytes:
     return chunk * (_FILE_BYTES // len(chunk))
 
 
+def _zero_frame(size: int) -> bytes:
+    """A zstd frame of so many zeros, a multiple of 128 KiB: 4 bytes for every block."""
+    block = 128 * 1024
+    head = struct.pack("<IBBQ", 0xFD2FB528, 3 << 6, 7 << 3, size)
+    repeated = (1 << 1 | block << 3).to_bytes(3, "little") + b"\0"
+    last = (1 | 1 << 1 | block << 3).to_bytes(3, "little") + b"\0"
+    return head + repeated * (size // block - 1) + last
+
+
 def _six_gigabytes(channel: int) -> bytes:
-    """One frame of zeros: 210 kB for 6 GiB."""
-    packer = zstandard.ZstdCompressor().compressobj(size=6 * 2**30)
-    block = bytes(2**24)
-    data = b"".join(packer.compress(block) for _ in range(384)) + packer.flush()
-    return _chunk(data, 6 * 2**30, 0)
+    return _chunk(_zero_frame(6 * 2**30), 6 * 2**30, 0)
 
 
 def _false_head(channel: int) -> bytes:
     """The head says one kilobyte, the frame 2 GiB."""
-    packer = zstandard.ZstdCompressor().compressobj(size=2**31)
-    block = bytes(2**24)
-    return _chunk(b"".join(packer.compress(block) for _ in range(128)) + packer.flush(), 1024, 0)
+    return _chunk(_zero_frame(2**31), 1024, 0)
 
 
 def _zeros(channel: int) -> bytes:
-    return _many(_honest(bytes(_LARGEST)))
+    return _many(_chunk(_zero_frame(_LARGEST), _LARGEST, zlib.crc32(bytes(_LARGEST))))
 
 
 def _message(channel: int, content: bytes) -> bytes:

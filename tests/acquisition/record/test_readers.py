@@ -17,7 +17,10 @@ from rerun.chunk import RrdReader
 
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import METADATA_COPY, SPOT
+from processing.angle import ARCSEC_RAD
+from processing.swing import SwingFlag
 from tests.acquisition.record.samples import EPOCH_OFFSET_NS, FRAME_NS, write_sample
+from tests.rig.replay.replay_record import make_record
 
 PACKAGES = ("@mcap/core@2.2.2", "@mcap/support@1.1.0")
 SCRIPT = Path(__file__).parent / "node" / "read.mjs"
@@ -96,6 +99,27 @@ def test_foxgloves_reader_sees_the_whole_chunks_of_a_cut_file(
     with RecordReader(path) as reader:
         assert len(found["spots"]) == len(reader.spots())
     assert found["done"] is False
+
+
+def test_a_stranger_plots_the_decay(mcap_packages: Path, tmp_path: Path) -> None:
+    """With an MCAP reader and what the file itself says, without protobuf and without this program."""
+    path = make_record(tmp_path / "run-1.mcap", 40.0)
+    command = ["node", str(SCRIPT.with_name("stranger.mjs")), str(mcap_packages), str(path)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    with RecordReader(path) as reader:
+        swings = [swing for swing in reader.swings() if not swing.flags]
+        expected = [
+            (reader.utc(swing.turn_time_ns).timestamp(), swing.amplitude / ARCSEC_RAD) for swing in swings
+        ]
+    np.testing.assert_allclose(found["decay"], expected, rtol=1e-12)
+    assert "arc" in found["comments"]["amplitude_arcsec"]
+    assert "standard uncertainty" in found["comments"]["u_amplitude_rad"]
+    assert "UTC" in found["comments"]["turn_time_ns"]
+    assert found["enums"]["Flag"] == {"FLAG_NONE": 0, **{f"FLAG_{flag.name}": flag for flag in SwingFlag}}
+    assert found["enums"]["Side"] == {"SIDE_NONE": 0, "SIDE_POSITIVE": 1, "SIDE_NEGATIVE": -1}
+    assert found["attachments"]["record.md"].startswith("# Records")
 
 
 def run_rerun(folder: Path, *arguments: str) -> str:

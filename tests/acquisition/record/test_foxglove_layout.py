@@ -1,0 +1,34 @@
+"""The layout for Foxglove in docs shows topics and fields that records have."""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from acquisition.record.foxglove import foxglove_topics
+from acquisition.record.schemas import message_type_of
+from acquisition.record.topics import ENVIRONMENT, LOSSES_TOPIC, SPOT, SWING, RecordedLosses
+
+LAYOUT = Path(__file__).resolve().parents[3] / "docs" / "foxglove-layout.json"
+
+
+def panels(place: Any) -> Iterator[str]:
+    if isinstance(place, str):
+        yield place
+    else:
+        yield from panels(place["first"])
+        yield from panels(place["second"])
+
+
+def test_everything_it_names_exists() -> None:
+    layout = json.loads(LAYOUT.read_text(encoding="utf-8"))
+    known = {f"{kind.topic}.{name}" for kind in (SPOT, SWING, ENVIRONMENT) for name in kind.names}
+    topics = {LOSSES_TOPIC, *(topic for topic, _, _ in foxglove_topics())}
+    assert message_type_of(RecordedLosses, "x.RecordedLosses", LOSSES_TOPIC).topic in topics
+    shown = layout["configById"]
+    assert set(panels(layout["layout"])) == set(shown)
+    for panel in shown.values():
+        assert {path["value"] for path in panel.get("paths", ())} <= known
+        named = {panel.get("topicToRender"), panel.get("topicPath"), *panel.get("imageMode", {}).values()}
+        assert named - {None} <= topics
+    assert "/swing.amplitude_arcsec" in LAYOUT.read_text(encoding="utf-8")
