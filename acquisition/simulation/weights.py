@@ -62,17 +62,21 @@ class TrimmedPendulum:
                 lower_m,
             ]
         )
-        self._last_way: dict[str, float] = {}
+        # where the screw stands within the play of its nut is chance, as whoever turned it last left it
+        self._screw = {
+            name: self._random.uniform() * weight.backlash_turns for name, weight in weights.items()
+        }
+        self._nut = dict.fromkeys(weights, 0.0)
 
     def turn(self, name: str, turns: float) -> None:
-        """Turn a weight, with backlash after a change of direction and a random error of the turn."""
+        """Turn a weight, with the play of its screw and a random error of the turn."""
         weight = self._weights[name]
-        way = math.copysign(1.0, turns)
-        if self._last_way.get(name, way) != way:
-            turns = way * max(abs(turns) - weight.backlash_turns, 0.0)
-        self._last_way[name] = way
-        done = turns + self._u_turns * self._random.standard_normal()
-        shift_m = weight.mass_kg / self._settings.contact.mass_kg * weight.pitch_m * done
+        self._screw[name] += turns + self._u_turns * self._random.standard_normal()
+        screw, before = self._screw[name], self._nut[name]
+        self._nut[name] = min(max(before, screw - weight.backlash_turns), screw)
+        shift_m = (
+            weight.mass_kg / self._settings.contact.mass_kg * weight.pitch_m * (self._nut[name] - before)
+        )
         self._centre_m = self._centre_m + shift_m * np.array(weight.direction)
 
     @property

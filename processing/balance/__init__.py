@@ -1,15 +1,16 @@
 """Balance of the pendulum, estimated from its swings, and advice on which adjustment weight to turn."""
 
-from processing.balance.advice import (
-    BalanceLimits,
-    Fault,
-    Turn,
-    WeightResponses,
-    find_faults,
-    mass_centre_height_m,
-)
+from processing.balance.advice import Turn, Unreachable, WeightResponses
 from processing.balance.balance import Balance, InUnit, names_with_units
 from processing.balance.estimate import BalanceEstimator
+from processing.balance.faults import (
+    BalanceLimits,
+    Fault,
+    find_faults,
+    implausible,
+    mass_centre_height_m,
+)
+from processing.balance.room import Room
 
 __all__ = [
     "Balance",
@@ -17,9 +18,12 @@ __all__ = [
     "BalanceLimits",
     "Fault",
     "InUnit",
+    "Room",
     "Turn",
+    "Unreachable",
     "WeightResponses",
     "find_faults",
+    "implausible",
     "mass_centre_height_m",
     "names_with_units",
 ]

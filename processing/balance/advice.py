@@ -1,194 +1,271 @@
-"""Advice for balancing: which quantities exceed their limits, which weight to turn, which way and how far.
+"""Advice for balancing: which weight to turn, which way and how far.
 
-The effect of turning each weight is estimated from the states before and after earlier turns; the nominal
-effect (from mass, thread and axis of the weight) serves as the prior.
+A turn is as large as its expected gain less its doubt allows: what the weights do is a distribution, at first
+from mass, thread and axis, then from the states before and after earlier turns.
 """
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import lsq_linear
 
-from processing.angle import ARCSEC_RAD
-from processing.balance.balance import Balance
-from processing.deflections import DeflectionUnit
+from processing.balance.faults import BalanceLimits
+from processing.balance.room import Room
+from processing.balance.weight_response import WeightResponse
 
 Floats = NDArray[np.float64]
-_U_TURN = 0.02
 
-
-@dataclass(frozen=True)
-class BalanceLimits:
-    """Limits within which the rig counts as balanced; units as in the names, ratios without a unit."""
-
-    rest_arcsec: float = field(default=10.0, metadata={"gt": 0})
-    height_m: float = field(default=20e-6, metadata={"gt": 0})
-    line_angle_deg: float = field(default=0.5, metadata={"gt": 0})
-    transverse_ratio: float = field(default=0.01, metadata={"gt": 0})
-    width_ratio: float = field(default=0.01, metadata={"gt": 0})
-    spin_deg_per_min: float = field(default=0.2, metadata={"gt": 0})
-
-
-class Fault(NamedTuple):
-    """A quantity that describes the balance, with its limit and the meaning of its sign."""
-
-    name: str
-    value: float
-    u_value: float
-    unit: str
-    limit: float
-    meaning: str
-
-    @property
-    def ok(self) -> bool:
-        """Whether the value is within its limit; True also for a value that was not determined."""
-        return not abs(self.value) > self.limit
+_LEAST_SWING_ARCSEC = 10.0
+"""Amplitude of the next look for which a turn must leave room."""
+_WEAKEST = 0.3
+"""The weakest weight that is reckoned with, relative to what is expected of it."""
+_UNKNOWN_EFFECT = 30.0
+"""Standard uncertainty of the effect of one turn of a weight of which nothing is known, in limits."""
+_MOST_UNKNOWN_TURNS = 1.0
+_TEST_MOVE = 10.0
+"""Size of a turn that is made to learn: its expected move in limits."""
+_TAKE_UP = 0.75
+"""Turns too far and back again, which take the play out of the screw."""
+_TAKE_UP_COST = 0.3
+_NEEDED = 0.2
+"""Least expected gain of a turn, in squared limits."""
+_CAUTION = 0.25
+"""Weight of a turn's variance beside its mean: what goes wrong is learned from, so that 1 would be timid."""
+_STRETCH = 3.0
+"""How far the weights together may push the rest position to and fro, relative to the way it has to go."""
 
 
 class Turn(NamedTuple):
-    """The next adjustment: the weight, the number of turns (positive: clockwise) and the reason (`why`)."""
+    """The next adjustment: the weight, the number of turns (positive: clockwise) and the reason (`why`).
+
+    `then` is a second part, the other way, which takes the play out of the screw; 0: none. `swing_arcsec` is
+    the largest amplitude with which the spot will stay on the sensor afterwards (inf: not known).
+    """
 
     weight: str
     turns: float
     why: str
+    then: float = 0.0
+    swing_arcsec: float = math.inf
+
+    @property
+    def parts(self) -> tuple[float, ...]:
+        """The turns in sequence."""
+        return (self.turns, self.then) if self.then else (self.turns,)
 
 
-def mass_centre_height_m(
-    period0_s: float, inertia_kg_m2: float, mass_kg: float, ball_radius_m: float, gravity_m_per_s2: float
-) -> float:
-    """Height of the centre of mass above the contact spot in m, from I = m g l T0^2 / (4 pi^2).
+class Unreachable(NamedTuple):
+    """No turn of the weights leads to balance; `why` says what is wrong with them."""
 
-    l is the distance from the ball's centre down to the centre of mass; it equals the ball's radius if the
-    centre of mass lies at the contact spot (Eq. 4). Negative: the centre of mass is below the contact spot.
-    """
-    arm_m = 4.0 * math.pi**2 * inertia_kg_m2 / (mass_kg * gravity_m_per_s2 * period0_s**2)
-    return ball_radius_m - arm_m
-
-
-def find_faults(balance: Balance, height: tuple[float, float], limits: BalanceLimits) -> list[Fault]:
-    """All quantities of the balance with their limits. `height` is (value, standard uncertainty) in m.
-
-    Raises ValueError for a balance in px: its limits are in arcsec.
-    """
-    if balance.unit is not DeflectionUnit.RAD:
-        raise ValueError(
-            f"a balance in {balance.unit} has no limits: they are in arcsec, calibrate the lever"
-        )
-    arcsec, degree = ARCSEC_RAD, math.pi / 180.0
-    b = balance
-    per_min = 60.0 / degree
-    return [
-        Fault(
-            "rest position X", b.rest_x / arcsec, b.u_rest_x / arcsec, "arcsec",
-            limits.rest_arcsec, "mass centre too far towards " + ("+X" if b.rest_x > 0 else "-X"),
-        ),
-        Fault(
-            "rest position Y", b.rest_y / arcsec, b.u_rest_y / arcsec, "arcsec",
-            limits.rest_arcsec, "mass centre too far towards " + ("+Y" if b.rest_y > 0 else "-Y"),
-        ),
-        Fault(
-            "mass centre", height[0] * 1e6, height[1] * 1e6, "um", limits.height_m * 1e6,
-            "too high: the period is long" if height[0] > 0 else "too low: the period is short",
-        ),
-        Fault(
-            "angle of the line", b.line_angle_rad / degree, b.u_line_angle_rad / degree, "deg",
-            limits.line_angle_deg, "turn the camera, or the mirror, "
-            + ("back from X towards Y" if b.line_angle_rad > 0 else "from Y towards X"),
-        ),
-        Fault(
-            "transverse motion", b.transverse_ratio, b.u_transverse_ratio, "", limits.transverse_ratio,
-            "the start pushes sideways: release along Y",
-        ),
-        Fault(
-            "leakage (width)", b.width_ratio, b.u_width_ratio, "", limits.width_ratio,
-            "the slow mode leaks into X: the axes of inertia lie askew to the contact",
-        ),
-        Fault(
-            "spin", b.rotation_rad_per_s * per_min, b.u_rotation_rad_per_s * per_min, "deg/min",
-            limits.spin_deg_per_min, "turns about the vertical: let it settle before the release",
-        ),
-    ]  # fmt: skip
+    why: str
 
 
 class WeightResponses:
-    """Effect of one turn of each weight on (rest X in arcsec, rest Y in arcsec, height in m).
+    """What turns of the weights do to (rest X in arcsec, rest Y in arcsec, height in m), and what to turn.
 
-    Each effect has a normal distribution, which every pair of states before and after a turn narrows (linear
-    regression with a prior). `nominal` gives the prior of each weight: effects and their standard
-    uncertainties, or None if nothing is known; a test turn is advised first then.
+    `nominal` gives what is expected of one turn of each weight: effects and their standard uncertainties, or
+    None if nothing is known; test turns are advised first then.
     """
 
     def __init__(self, nominal: Mapping[str, tuple[Floats, Floats] | None], limits: BalanceLimits) -> None:
         self._scale = np.array([limits.rest_arcsec, limits.rest_arcsec, limits.height_m])
-        self._mean: dict[str, Floats] = {}
-        self._variance: dict[str, Floats] = {}
-        self.pairs = dict.fromkeys(nominal, 0)
+        self._weights: dict[str, WeightResponse] = {}
         for name, known in nominal.items():
-            effect, u_effect = known if known is not None else (np.zeros(3), 1e3 * self._scale)
-            self._mean[name] = np.asarray(effect, dtype=np.float64) / self._scale
-            self._variance[name] = (np.asarray(u_effect, dtype=np.float64) / self._scale) ** 2
+            effect, u_effect = known if known is not None else (np.zeros(3), _UNKNOWN_EFFECT * self._scale)
+            self._weights[name] = WeightResponse(
+                np.asarray(effect, dtype=np.float64) / self._scale,
+                np.asarray(u_effect, dtype=np.float64) / self._scale,
+            )
 
-    def learn(self, weight: str, turns: float, before: Floats, after: Floats, u_state: Floats) -> None:
-        """Update with the states before and after `turns` of one weight; NaN for a component not known."""
-        if turns == 0.0:
-            return
-        step = (after - before) / self._scale
-        size = max(float(np.linalg.norm(np.nan_to_num(step))) / abs(turns), 1e-12)
-        # a turn is made by hand: the uncertainty of its effect is proportional to it
-        noise = 2.0 * (u_state / self._scale) ** 2 + (size * _U_TURN) ** 2 + (0.01 * size * turns) ** 2
-        mean, variance = self._mean[weight], self._variance[weight]
-        seen = np.isfinite(step)
-        gain = np.where(seen, variance * turns / (turns**2 * variance + noise), 0.0)
-        self._mean[weight] = mean + gain * np.where(seen, step - turns * mean, 0.0)
-        self._variance[weight] = np.maximum(variance * (1.0 - gain * turns), 1e-30)
-        self.pairs[weight] += 1
+    @property
+    def pairs(self) -> dict[str, int]:
+        """How many turns of each weight were learned from."""
+        return {name: weight.pairs for name, weight in self._weights.items()}
+
+    def learn(
+        self, weight: str, turns: float | Sequence[float], before: Floats, after: Floats, u_state: Floats
+    ) -> None:
+        """Update with the states before and after turns of one weight; NaN for a component not known."""
+        parts = _parts(turns)
+        if any(parts):
+            step, u_step = (after - before) / self._scale, math.sqrt(2.0) * u_state / self._scale
+            self._weights[weight].learn(parts, step, u_step)
+
+    def turned(self, weight: str, turns: float | Sequence[float]) -> None:
+        """A weight was turned, and nothing can be learned from it: only the play of its screw is followed."""
+        self._weights[weight].turned(_parts(turns))
+
+    def can_make(
+        self, weight: str, turns: float | Sequence[float], before: Floats, after: Floats, u_state: Floats
+    ) -> bool:
+        """Whether turns of one weight can have changed one state into the other."""
+        step, u_step = (after - before) / self._scale, math.sqrt(2.0) * u_state / self._scale
+        return self._weights[weight].can_make(_parts(turns), np.nan_to_num(step), np.nan_to_num(u_step))
 
     def effect(self, weight: str) -> tuple[Floats, Floats]:
         """Effect of one turn of a weight and its standard uncertainties, in (arcsec, arcsec, m)."""
-        return self._mean[weight] * self._scale, np.sqrt(self._variance[weight]) * self._scale
+        mean, u = self._weights[weight].effect()
+        return mean * self._scale, u * self._scale
 
-    def advise(self, state: Floats, test_turns: float = 1.0) -> Turn | None:
+    def largest_turns(self, weight: str, state: Floats) -> float:
+        """The largest turn that can be sensible: enough even if the weight is weak and its screw has play."""
+        known = self._weights[weight]
+        size = float(np.linalg.norm(known.nominal))
+        distance = float(np.linalg.norm(np.nan_to_num(state / self._scale)))
+        return (distance / (_WEAKEST * size) if size else _MOST_UNKNOWN_TURNS) + known.largest_play
+
+    def advise(self, state: Floats, room: Room | None = None) -> Turn | Unreachable | None:
         """The next turn of one weight; None if the state is within the limits.
 
-        Least squares gives the turns of all weights that together would bring the state to zero. The weight
-        that has been turned least often is advised first, because all later turns benefit from what
-        is learned about it; among equals the one whose effect is the most uncertain. Turns with an
-        effect of less than half a limit are omitted. If one turn alone suffices, it is advised.
+        A turn has the smallest expected distance from balance after it, other weights corrected, doubt
+        included; with twice its doubt it leaves the spot on the sensor (`room`). A weight of which nothing
+        was learned comes first, because all later turns benefit; then the one whose turn is the most
+        doubtful.
         """
         wanted = np.nan_to_num(state / self._scale)
         if np.all(np.abs(wanted) <= 1.0):
             return None
-        known = [name for name in self._mean if np.linalg.norm(self._mean[name]) > 0]
-        unknown = [name for name in self._mean if name not in known]
-        for name in known:
-            effect, variance = self._mean[name], self._variance[name]
-            alone = -float(effect @ wanted) / float(effect @ effect)
-            left = np.abs(wanted + alone * effect) + 2.0 * abs(alone) * np.sqrt(variance)
-            if np.all(left <= 0.9):
-                return Turn(name, float(round(alone, 2)), _words(name, self.pairs))
-        turns = np.zeros(0)
-        if known:
-            effects = np.column_stack([self._mean[name] for name in known])
-            turns, *_ = np.linalg.lstsq(effects, -wanted, rcond=1e-3)
-            left = wanted + effects @ turns
-            gains = [abs(t) * float(np.linalg.norm(self._mean[n])) for t, n in zip(turns, known, strict=True)]
-            doubts = [
-                abs(t) * math.sqrt(float(np.sum(self._variance[n])))
-                for t, n in zip(turns, known, strict=True)
-            ]
-            if not unknown or np.all(np.abs(left) <= 1.0):
-                needed = [k for k, gain in enumerate(gains) if gain > 0.5]
-                best = min(
-                    needed or [int(np.argmax(gains))], key=lambda k: (self.pairs[known[k]], -doubts[k])
-                )
-                return Turn(known[best], float(round(turns[best], 2)), _words(known[best], self.pairs))
-        name = unknown[0]
-        return Turn(name, test_turns, "a test turn: nothing is known of this weight yet")
+        if why := self._unreachable(wanted):
+            return Unreachable(why)
+        # a height within its limit is not worth the tilt that a turn for it brings
+        planned = wanted * [1.0, 1.0, float(abs(wanted[2]) > 0.7)]
+        options = {name: self._best(name, state, planned, room) for name in self._weights}
+        needed = {name: found for name, found in options.items() if found.gain > _NEEDED}
+        new = [name for name in needed if not self._weights[name].pairs]
+        alone = [name for name, found in options.items() if found.suffices]
+        # a weight that seems of no use may stand across the axis that it is named after
+        idle = [name for name in self._tilting if not self._weights[name].pairs and name not in needed]
+        tilted = bool(np.any(np.abs(wanted[:2]) > 1.0))
+        if not new and alone:
+            name = max(alone, key=lambda name: options[name].gain)
+        elif not needed or (tilted and idle and not new):
+            name = idle[0] if tilted and idle else self._least_known(wanted)
+            return self._turn(name, self._test(name, state, planned, room), state, room, "a test turn: ")
+        else:
+            name = max(new or needed, key=lambda name: (not self._lifts(name), needed[name].doubt))
+            if not new:
+                name = max(needed, key=lambda name: needed[name].doubt)
+        return self._turn(name, options[name].parts, state, room, "")
+
+    def _best(self, name: str, state: Floats, wanted: Floats, room: Room | None) -> "_Option":
+        """The turn of one weight with the smallest expected cost."""
+        weight = self._weights[name]
+        most = self.largest_turns(name, state)
+        straight = np.linspace(-most, most, 301)
+        zero = np.zeros_like(straight)
+        way = np.sign(straight)
+        first = np.concatenate([straight, straight + way * _TAKE_UP])
+        then = np.concatenate([zero, -way * _TAKE_UP])
+        first, then = np.round(first, 2), np.round(then, 2)
+        move, u_move = weight.predict([first, then])
+        left = wanted + move
+        keep = self._uncorrected(name)
+        cost = np.einsum("ni,ij,nj->n", left, keep, left) + _CAUTION * u_move**2 @ np.diag(keep)
+        cost += _TAKE_UP_COST * (then != 0)
+        allowed = self._allowed(state, move, u_move, room) | (first == 0)
+        k = int(np.argmin(np.where(allowed, cost, np.inf)))
+        gain = float(cost[first == 0].min() - cost[k])
+        suffices = bool(np.all(np.abs(left[k]) + 2.0 * u_move[k] <= 0.9)) and first[k] != 0
+        return _Option((float(first[k]), float(then[k])), gain, float(np.linalg.norm(u_move[k])), suffices)
+
+    def _uncorrected(self, name: str) -> Floats:
+        """Form (3, 3) of what the other weights will leave of a state, each as far as it is known."""
+        others = [weight.effect() for other, weight in self._weights.items() if other != name]
+        if not others:
+            return np.eye(3)
+        effects = np.column_stack([mean for mean, _ in others])
+        doubts = np.diag([float(u @ u) + 1e-9 for _, u in others])
+        return np.asarray(np.eye(3) - effects @ np.linalg.solve(effects.T @ effects + doubts, effects.T))
+
+    def _allowed(self, state: Floats, move: Floats, u_move: Floats, room: Room | None) -> NDArray[np.bool_]:
+        """Which moves leave the spot on the sensor, or if it has no room now, leave it no less."""
+        if room is None:
+            return np.ones(len(move), dtype=np.bool_)
+        rest, u_rest = state[:2] + move[:, :2] * self._scale[:2], u_move[:, :2] * self._scale[:2]
+        now = float(room.largest_swing_arcsec(state[:2], np.zeros(2)))
+        return np.asarray(room.largest_swing_arcsec(rest, u_rest) >= min(_LEAST_SWING_ARCSEC, now))
+
+    @property
+    def _tilting(self) -> list[str]:
+        """The weights that are there for the rest position."""
+        return [name for name in self._weights if not self._lifts(name)]
+
+    def _lifts(self, name: str) -> bool:
+        """Whether a weight is there for the height."""
+        nominal = np.abs(self._weights[name].nominal)
+        return bool(nominal[2] > max(nominal[0], nominal[1]))
+
+    def _least_known(self, wanted: Floats) -> str:
+        tilted = bool(np.any(np.abs(wanted[:2]) > 1.0))
+        return min(self._weights, key=lambda name: (self._weights[name].pairs, self._lifts(name) == tilted))
+
+    def _test(self, name: str, state: Floats, wanted: Floats, room: Room | None) -> tuple[float, float]:
+        """A turn that shows what a weight does, as large as the sensor has room for."""
+        weight = self._weights[name]
+        mean, u = weight.effect()
+        most = min(
+            self.largest_turns(name, state), _TEST_MOVE / max(float(np.linalg.norm(np.hypot(mean, u))), 1e-9)
+        )
+        most += weight.largest_play * min(1, weight.pairs)
+        turns = np.round(np.linspace(-most, most, 40), 2)
+        move, u_move = weight.predict([turns])
+        allowed = self._allowed(state, move, u_move, room) & (turns != 0)
+        if not allowed.any():
+            return round(math.copysign(0.02, -float(wanted @ mean) or 1.0), 2), 0.0
+        cost = np.sum((wanted + move) ** 2, axis=-1) - np.sum(u_move**2, axis=-1)
+        return float(turns[np.argmin(np.where(allowed, cost, np.inf))]), 0.0
+
+    def _turn(
+        self, name: str, parts: tuple[float, float], state: Floats, room: Room | None, why: str
+    ) -> Turn:
+        weight = self._weights[name]
+        move, u_move = weight.predict([np.array([part]) for part in parts])
+        swing = math.inf
+        if room is not None:
+            rest, u_rest = state[:2] + move[0, :2] * self._scale[:2], u_move[0, :2] * self._scale[:2]
+            swing = max(float(room.largest_swing_arcsec(rest, u_rest)), _LEAST_SWING_ARCSEC)
+        count = weight.pairs
+        why += (
+            f"learned from {count} turn{'s' if count > 1 else ''}"
+            if count
+            else (
+                "from its mass and thread" if weight.nominal.any() else "nothing is known of this weight yet"
+            )
+        )
+        return Turn(name, parts[0], why, parts[1], swing)
+
+    def _unreachable(self, wanted: Floats) -> str:
+        """Why the weights that were turned cannot bring the rest position home; empty while it is open."""
+        names = self._tilting
+        if len(names) < 2 or not all(self._weights[name].is_known() for name in names):
+            return ""
+        effects = [self._weights[name].effect()[0][:2] for name in names]
+        ways = np.column_stack([effect / max(float(np.linalg.norm(effect)), 1e-12) for effect in effects])
+        most = _STRETCH * max(float(np.linalg.norm(wanted[:2])), 1.0)
+        found = lsq_linear(ways, -wanted[:2], bounds=(-most, most))
+        left = wanted[:2] + ways @ found.x
+        if np.all(np.abs(left) <= 1.0):
+            return ""
+        across = float(np.linalg.norm(left)) * self._scale[0]
+        angles = ", ".join(
+            f"{name} {math.degrees(math.atan2(way[1], way[0])):.0f} deg"
+            for name, way in zip(names, ways.T, strict=True)
+        )
+        return (
+            f"the weights move the rest position along one line ({angles} from X towards Y): "
+            f"{across:.0f} arcsec across it stay; move one of them to another side of the pendulum"
+        )
 
 
-def _words(weight: str, pairs: Mapping[str, int]) -> str:
-    count = pairs[weight]
-    return f"learned from {count} turn{'s' if count > 1 else ''}" if count else "from its mass and thread"
+class _Option(NamedTuple):
+    parts: tuple[float, float]
+    gain: float
+    doubt: float
+    suffices: bool
+
+
+def _parts(turns: float | Sequence[float]) -> tuple[float, ...]:
+    return (float(turns),) if isinstance(turns, int | float) else tuple(float(part) for part in turns)

@@ -1,5 +1,5 @@
 """The command `rig balance`: measures the balance, advises a turn of a weight, learns from it, repeats."""
 
-from rig.balance.balancing import balance_rig
+from rig.balance.balancing import balance_rig, show_history
 
-__all__ = ["balance_rig"]
+__all__ = ["balance_rig", "show_history"]

@@ -4,106 +4,133 @@ import math
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
-from acquisition.simulation.weights import TrimmedPendulum, TrimWeight, imperfect_weights
-from processing.balance import (
-    Balance,
-    Fault,
-    find_faults,
-)
-from processing.errors import ConfigurationError
+from processing.balance import Balance, Turn, find_faults
+from processing.errors import ConfigurationError, DataError
+from rig.balance import history
 from rig.balance.learned_turns import LearnedTurns
 from rig.balance.look import LooksView, look
 from rig.balance.screen import print_advice, print_faults
+from rig.balance.simulated_operator import SimulatedOperator
 from rig.devices import Devices
-from rig.instrument import (
-    DIRECTIONS,
-    WEIGHTS,
-    advice_text,
-    complete,
-    height_of,
-)
+from rig.instrument import WEIGHTS, advice_text, complete, height_of, turn_text
 from rig.presentation import say
 from rig.settings import Configuration
 
-Floats = NDArray[np.float64]
+_LOOKS_A_TURN = 5
+
+
+def history_path(config: Configuration, stated: Path | None) -> Path:
+    """The file in which turns are kept."""
+    return stated or config.session.output / "balance-history.jsonl"
+
+
+def show_history(config: Configuration, stated: Path | None, *, forget: bool) -> int:
+    """Print what was learned from earlier turns; with `forget` take the last one back first."""
+    config = complete(config)
+    path = history_path(config, stated)
+    if forget:
+        pair = history.forget_last(path)
+        say("nothing was learned yet" if pair is None else f"the turn of weight {pair.weight} is forgotten")
+    history.show(config, path)
+    return 0
 
 
 def balance_rig(
-    config: Configuration, history: Path | None, follow: int, seed: int, rrd: Path | None = None
+    config: Configuration,
+    path: Path | None,
+    follow: int,
+    seed: int,
+    rrd: Path | None = None,
+    operator: SimulatedOperator | None = None,
 ) -> int:
     """Measure, advise and ask which weight was turned, until the operator ends it.
 
-    With `follow` the advice is applied to the simulated rig, for at most so many turns. All
-    measurements are drawn into the configured live view and into `rrd`.
+    With `follow` the advice is applied to the simulated rig, for at most so many turns, by `operator` if
+    given. All measurements are drawn into the configured live view and into `rrd`.
     """
     config = complete(config)
-    trimmed: TrimmedPendulum | None = None
-    if follow:
-        if not config.simulated:
-            raise ConfigurationError("--follow works with the simulated rig only: leave it out")
-        nominal = {
-            name: TrimWeight(
-                getattr(config.balance, f"weight_{name}").mass_kg,
-                getattr(config.balance, f"weight_{name}").pitch_m,
-                DIRECTIONS[name],
-            )
-            for name in WEIGHTS
-        }
-        trimmed = TrimmedPendulum(config.simulation, imperfect_weights(nominal, seed), seed=seed)
-    session = LearnedTurns(config, history or config.session.output / "balance-history.jsonl")
-    moves = 0
+    if follow and not config.simulated:
+        raise ConfigurationError("--follow works with the simulated rig only: leave it out")
+    if follow and operator is None:
+        operator = SimulatedOperator(config, seed)
+    session = LearnedTurns(config, history_path(config, path))
     stated = config
 
     def advise(balance: Balance) -> str:
-        return advice_text(stated, balance, session.responses)
+        return advice_text(stated, balance, session.responses, session.room)
 
+    moves = looks = 0
     with Devices(config) as devices, LooksView(config, rrd, advise) as view:
         while True:
-            if trimmed is not None:
-                config = config.model_copy(update={"simulation": trimmed.settings})
-            balance = look(config, devices, _shower(config), view)
-            faults, before = session.state(balance)
-            print_faults(faults, before)
-            turn = session.advice()
-            print_advice(turn, faults)
-            if trimmed is not None:
-                if turn is None or moves >= follow:
-                    return 0 if turn is None else 1
-                trimmed.turn(turn.weight, turn.turns)
-                session.turned(turn.weight, turn.turns)
+            if operator is not None:
+                config = config.model_copy(update={"simulation": operator.simulation})
+            looks += 1
+            try:
+                why = session.take(look(config, devices, _shower(config), view))
+            except DataError as error:
+                why = str(error)
+            if why:
+                turn = _after_rejection(session, why)
+                ended = False
+            else:
+                print_faults(session.faults, session.before)
+                advice = session.advice()
+                print_advice(advice, session.faults)
+                ended, turn = advice is None, advice if isinstance(advice, Turn) else None
+            if operator is None:
+                if not _ask(session):
+                    return 0 if ended else 1
+            elif why and not session.spot_is_gone and operator.swing_less():
+                continue
+            elif turn is None or moves >= follow or looks > _LOOKS_A_TURN * follow:
+                return 0 if ended else 1
+            else:
+                operator.follow(turn)
+                session.turned(turn.weight, turn.parts)
                 moves += 1
-            elif not _ask(session):
-                return 0 if turn is None else 1
 
 
-def _faults(config: Configuration, balance: Balance) -> list[Fault]:
-    return find_faults(balance, height_of(config, balance), config.balance)
+def _after_rejection(session: LearnedTurns, why: str) -> Turn | None:
+    """Say why a measurement was rejected and what helps; returns the turn back that may."""
+    say(f"this measurement is not used: {why}")
+    turn = session.way_back()
+    if not session.spot_is_gone:
+        say("let it swing by half as much, and measure again" + ("; if that does not help:" if turn else ""))
+    if turn is not None:
+        say(turn_text(turn, []))
+    return turn
 
 
 def _shower(config: Configuration) -> Callable[[Balance], None]:
-    return lambda balance: print_faults(_faults(config, balance), [], live=True)
+    return lambda balance: print_faults(
+        find_faults(balance, height_of(config, balance), config.balance), [], live=True
+    )
 
 
 def _ask(session: LearnedTurns) -> bool:
     """Ask the operator what was turned; False to end."""
+    question = (
+        "turned (weight turns, e.g. x 1.5, or x 1.5 -0.75 in sequence; Enter: measure again;"
+        " f: forget the last turn learned; q: end)? "
+    )
     while True:
         try:
-            answer = input("turned (weight turns, e.g. x 1.5; Enter: measure again; q: end)? ").split()
+            answer = input(question).split()
         except (EOFError, KeyboardInterrupt):
             return False
         if not answer:
             return True
         if answer[0] == "q":
             return False
+        if answer[0] == "f":
+            session.forget()
+            continue
         try:
-            weight, turns = answer[0].lower(), float(answer[1])
-            if weight not in WEIGHTS or not math.isfinite(turns):
+            weight, parts = answer[0].lower(), [float(word) for word in answer[1:]]
+            if weight not in WEIGHTS or not parts or not all(map(math.isfinite, parts)):
                 raise ValueError
-        except (ValueError, IndexError):
+        except ValueError:
             say(f"enter a weight ({', '.join(WEIGHTS)}) and a number of turns, positive clockwise")
             continue
-        session.turned(weight, turns)
+        session.turned(weight, parts)
         return True

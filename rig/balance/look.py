@@ -8,12 +8,15 @@ from typing import Self
 from acquisition.frame import Frame
 from processing.balance import Balance
 from processing.errors import ConfigurationError, DataError, DeviceError
+from processing.spot import SpotFlag
+from rig.balance.learned_turns import Look
 from rig.devices import Devices, FrameStream, LightWatch
 from rig.instrument import Block, camera_settings, frame_policy, optics_of, prepare_kernels
 from rig.presentation import say
 from rig.settings import Configuration
 from rig.view import Viewer, start_view
 
+_UNSEEN = SpotFlag.LOST | SpotFlag.EDGE
 _PAUSE_NS = 2_000_000_000
 
 
@@ -62,12 +65,10 @@ class LooksView:
             self._shown_ns = frames[-1].time_ns - self._shift_ns
 
 
-def look(
-    config: Configuration, devices: Devices, show: Callable[[Balance], None], view: LooksView
-) -> Balance:
-    """Measure the balance over some periods; returns the last one, `show` is called with each of them.
+def look(config: Configuration, devices: Devices, show: Callable[[Balance], None], view: LooksView) -> Look:
+    """Measure the balance over some periods; `show` is called with each balance.
 
-    Raises DataError without frames or without a swing, DeviceError if the laser goes dark.
+    Raises DataError without frames, DeviceError if the laser goes dark or the camera fails.
     """
     if config.lever is None:
         raise ConfigurationError("rig balance needs [lever], because its limits are in arcsec")
@@ -94,6 +95,7 @@ def look(
             shape = (first.image.shape[0], first.image.shape[1])
             pipeline = optics.pipeline(shape)
             view.begin(first, camera.info.full_scale_dn)
+            lost = taken = 0
             end_ns = first.time_ns + round(1e9 * config.balance.seconds)
             while not stream.drained:
                 frames = stream.take(32, 0.1)
@@ -104,6 +106,8 @@ def look(
                     continue
                 block = pipeline.process(frames)
                 view.block(frames, block)
+                taken += len(frames)
+                lost += sum(bool(spot.flags & _UNSEEN) for spot in block.spots)
                 for balance in block.balances:
                     found = balance
                     show(balance)
@@ -112,8 +116,6 @@ def look(
         finally:
             devices.darken()
             stream.close()
-    if found is None:
-        raise stream.failure or DataError(
-            f"no swing was seen in {config.balance.seconds:g} s: let the pendulum swing, some arcsec or more"
-        )
-    return found
+    if found is None and stream.failure is not None:
+        raise stream.failure
+    return Look(found, lost / max(taken, 1), shape)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from rich.console import Console
 from rich.table import Table
 
-from processing.balance import Fault, Turn
+from processing.balance import Fault, Turn, Unreachable
 from rig.instrument import turn_text
 from rig.presentation import NOT_KNOWN, say, with_uncertainty
 
@@ -38,6 +38,6 @@ def _number(fault: Fault) -> str:
     return f"{with_uncertainty(fault.value, fault.u_value, signed=True)} {fault.unit}".rstrip()
 
 
-def print_advice(turn: Turn | None, faults: Sequence[Fault]) -> None:
+def print_advice(turn: Turn | Unreachable | None, faults: Sequence[Fault]) -> None:
     """Print which weight to turn, by how much and in which direction."""
     Console().print(turn_text(turn, faults), highlight=False, markup=False, soft_wrap=True)

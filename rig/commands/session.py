@@ -17,6 +17,12 @@ def register(app: typer.Typer) -> None:
 def balance(
     config: Config,
     history: Annotated[
+        bool, typer.Option("--history", help="Show what was learned from earlier turns, and end.")
+    ] = False,
+    forget_last: Annotated[
+        bool, typer.Option("--forget-last", help="Take the last turn out of the history, show it, and end.")
+    ] = False,
+    history_file: Annotated[
         Path | None, typer.Option(help="File in which looks and turns are kept; earlier ones in it are used.")
     ] = None,
     follow: Annotated[
@@ -28,11 +34,14 @@ def balance(
     set_: Set = None,
 ) -> None:
     """Balance: which weight to turn, which way and how far."""
-    from rig.balance import balance_rig
+    from rig.balance import balance_rig, show_history
     from rig.settings import load_configuration
 
     overrides = [*(set_ or []), *(['view.mode="spawn"'] if view else [])]
-    raise typer.Exit(balance_rig(load_configuration(config, overrides), history, follow, seed, rrd))
+    loaded = load_configuration(config, overrides)
+    if history or forget_last:
+        raise typer.Exit(show_history(loaded, history_file, forget=forget_last))
+    raise typer.Exit(balance_rig(loaded, history_file, follow, seed, rrd))
 
 
 def doctor(

@@ -6,6 +6,7 @@ from rig.instrument.balance import (
     advice_text,
     height_of,
     nominal_effects,
+    sensor_room,
     turn_text,
 )
 from rig.instrument.calibration import judge_calibration
@@ -54,6 +55,7 @@ __all__ = [
     "prepare_kernels",
     "recorded_configuration",
     "sensor_model",
+    "sensor_room",
     "session_metadata",
     "setting_differences",
     "turn_text",

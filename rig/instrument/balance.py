@@ -6,11 +6,14 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration import Axes, deflections
 from processing.angle import ARCSEC_RAD
 from processing.balance import (
     Balance,
     Fault,
+    Room,
     Turn,
+    Unreachable,
     WeightResponses,
     find_faults,
     mass_centre_height_m,
@@ -18,11 +21,14 @@ from processing.balance import (
 from processing.contact import frequency_drop, stiffness_ratio
 from processing.deflections import DeflectionUnit
 from rig.instrument.pendulum import pendulum_on_ball
+from rig.instrument.pipeline import Deflector
 from rig.presentation import with_uncertainty
 from rig.settings import Configuration
 
 Floats = NDArray[np.float64]
-_U_NOMINAL = 0.2
+_U_ACROSS = 0.3
+"""Doubt of a weight's effect out of its plane, relative to that in it."""
+_EDGE_PX = 24
 WEIGHTS = ("x", "y", "height")
 DIRECTIONS = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "height": (0.0, 0.0, 1.0)}
 
@@ -31,7 +37,7 @@ def nominal_effects(config: Configuration) -> dict[str, tuple[Floats, Floats] | 
     """Expected effect of one turn of each weight, from its mass and thread, with standard uncertainty.
 
     An effect is (tilt in x in arcsec, tilt in y in arcsec, height of the mass centre in m); None: unknown.
-    Its uncertainty is a fifth of the shift in every direction, since no screw is exactly along its axis.
+    Its uncertainty is `balance.u_effect` in the plane of the weight's axis, and a part of it across.
     """
     pendulum = config.pendulum
     effects: dict[str, tuple[Floats, Floats] | None] = {}
@@ -44,7 +50,9 @@ def nominal_effects(config: Configuration) -> dict[str, tuple[Floats, Floats] | 
         tilt_arcsec = shift_m / pendulum.ball_radius_m / ARCSEC_RAD
         # a positive turn moves the height weight down, and the mass centre with it
         turn = np.array([tilt_arcsec, tilt_arcsec, -shift_m])
-        effects[name] = (np.array(DIRECTIONS[name]) * turn, _U_NOMINAL * np.abs(turn))
+        direction = np.array(DIRECTIONS[name])
+        across = [_U_ACROSS, _U_ACROSS, 1.0] if name == "height" else [1.0, 1.0, _U_ACROSS]
+        effects[name] = (direction * turn, config.balance.u_effect * np.array(across) * np.abs(turn))
     return effects
 
 
@@ -66,18 +74,51 @@ def height_of(config: Configuration, balance: Balance) -> tuple[float, float]:
     pendulum, inertia = config.pendulum, config.balance.inertia_kg_m2
     if pendulum is None or inertia is None:
         return math.nan, math.nan
-    period0_s = balance.period_s * (1.0 - elastic_drop(config, balance.amplitude))
+    # elasticity takes part of the stiffness, twice that of the frequency; the difference is 3 um on steel
+    period0_s = balance.period_s * math.sqrt(1.0 - 2.0 * elastic_drop(config, balance.amplitude))
     height_m = mass_centre_height_m(
         period0_s, inertia, pendulum.mass_kg, pendulum.ball_radius_m, pendulum.gravity_m_per_s2
     )
     return height_m, 2.0 * pendulum.ball_radius_m * balance.u_period_s / balance.period_s
 
 
-def turn_text(turn: Turn | None, faults: Sequence[Fault]) -> str:
+def sensor_room(config: Configuration, sensor_shape: tuple[int, int]) -> Room | None:
+    """Where the spot may rest to be on the sensor of (ny, nx) pixels, with the width of a spot to spare."""
+    if config.lever is None:
+        return None
+    ny, nx = sensor_shape
+    reference_px = Deflector(config.lever, config.axes or Axes(), sensor_shape).reference_px
+    middle_px = np.array([0.5 * (nx - 1), 0.5 * (ny - 1)])
+    points_px = middle_px + np.array([[0, 0], [1, 0], [0, 1]])
+    zero = np.zeros(3)
+    x_px, y_px = points_px.T
+    tilts = deflections(config.lever, config.axes or Axes(), x_px, y_px, zero, zero, reference_px)
+    middle, right, down = np.column_stack(tilts[:2]) / ARCSEC_RAD
+    px_per_arcsec = np.linalg.inv(np.column_stack([right - middle, down - middle]))
+    scale = np.linalg.norm(px_per_arcsec, axis=1)
+    normals = px_per_arcsec / scale[:, None]
+    half_arcsec = np.maximum(middle_px - _EDGE_PX, 1.0) / scale
+    offset_arcsec = normals @ middle
+    return Room(
+        np.vstack([normals, -normals]),
+        np.concatenate([half_arcsec + offset_arcsec, half_arcsec - offset_arcsec]),
+    )
+
+
+def turn_text(turn: Turn | Unreachable | None, faults: Sequence[Fault]) -> str:
     """One line that says which weight to turn, by how much and in which direction."""
+    if isinstance(turn, Unreachable):
+        return f"out of reach: {turn.why}"
     if turn is not None:
-        way = "clockwise" if turn.turns > 0 else "anticlockwise"
-        return f"turn weight {turn.weight}: {abs(turn.turns):.2f} turns {way} ({turn.why})"
+        parts = ", then ".join(
+            f"{abs(part):.2f} turns {'clockwise' if part > 0 else 'anticlockwise'}" for part in turn.parts
+        )
+        swing = (
+            f"; then let it swing by at most {turn.swing_arcsec:.0f} arcsec"
+            if turn.swing_arcsec < 1e3
+            else ""
+        )
+        return f"turn weight {turn.weight}: {parts} ({turn.why}){swing}"
     verdict = _verdict(faults)
     return verdict if all(fault.ok for fault in faults) else f"the weights are right; still {verdict}"
 
@@ -87,7 +128,12 @@ def _verdict(faults: Sequence[Fault]) -> str:
     return f"out of limits: {rest}" if rest else "balanced: within all limits"
 
 
-def advice_text(config: Configuration, balance: Balance, learned: WeightResponses | None = None) -> str:
+def advice_text(
+    config: Configuration,
+    balance: Balance,
+    learned: WeightResponses | None = None,
+    room: Room | None = None,
+) -> str:
     """Faults of a balance and the weight to turn, in Markdown.
 
     Uses the effects `learned` by `rig balance` if given, else the expected ones. Empty for a balance in px,
@@ -100,7 +146,7 @@ def advice_text(config: Configuration, balance: Balance, learned: WeightResponse
     state = np.array([faults[0].value, faults[1].value, height_m[0]])
     effects = {name: effect for name, effect in nominal_effects(config).items() if effect is not None}
     responses = learned or (WeightResponses(effects, config.balance) if effects else None)
-    head = _verdict(faults) if responses is None else turn_text(responses.advise(state), faults)
+    head = _verdict(faults) if responses is None else turn_text(responses.advise(state, room), faults)
     lines = [f"**{head}**", ""]
     lines += [
         f"- {fault.name} {with_uncertainty(fault.value, fault.u_value, signed=True)} {fault.unit} "

@@ -25,6 +25,13 @@ class BalanceSettings(BalanceLimits):
     inertia_kg_m2: float | None = Field(
         default=None, gt=0, description="about the contact; if left out, the height is not computed"
     )
+    u_effect: float = Field(
+        default=1.0,
+        gt=0,
+        le=2,
+        description="doubt of what a turn of a weight does, relative to what mass and thread say; "
+        "at 1 a weight may be three times as strong or stand across, 0.2 where the drawing is trusted",
+    )
     gamma_pa: float = Field(
         default=0.0, ge=0, description="elastic adhesion, to compute T0 from T; 0: T0 = T"
     )

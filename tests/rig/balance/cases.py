@@ -56,7 +56,7 @@ def trimmed_pendulum(seed: int) -> TrimmedPendulum:
 
 def seen(settings: SimulationSettings, seed: int) -> Balance:
     """What three periods of noisy deflections tell."""
-    samples = noisy(true_path(settings, 13.5), _U_RAD, _U_RAD, seed)
+    samples = noisy(true_path(settings, 13.5, 25.0), _U_RAD, _U_RAD, seed)
     u = np.full(len(samples.times_ns), _U_RAD)
     deflections = Deflections(samples.times_ns, samples.x_rad, samples.y_rad, u, u, DeflectionUnit.RAD)
     return BalanceEstimator().update(deflections)[-1]

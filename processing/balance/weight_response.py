@@ -1,0 +1,122 @@
+"""What one trimming weight does when it is turned: its effect and its play, learned from turns."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+_MOST_PLAY = 0.6
+_PLAYS = 25
+_SLACKS = 5
+_USUAL_PLAY = 0.3
+_U_TURN, _U_RELATIVE = 0.015, 0.01
+"""A turn made by hand: standard uncertainty in turns, and relative to the turn."""
+_FLOOR = 0.02
+"""Standard uncertainty of a state that no statistics show, in limits."""
+
+
+class WeightResponse:
+    """Distribution of a weight's effect per turn (3,) and of the play of its screw.
+
+    For each of a grid of plays, and of places of the screw within its play, the effect has a normal
+    distribution that every turn narrows; how well the turn was predicted decides the probability of that
+    play. All in units of the limits.
+
+    Parameters
+    ----------
+    effect, u_effect
+        What is expected of one turn before any was made, (3,).
+    """
+
+    def __init__(self, effect: Floats, u_effect: Floats) -> None:
+        self.nominal, self.u_nominal = effect, u_effect
+        self.pairs = 0
+        play = np.repeat(np.linspace(0.0, _MOST_PLAY, _PLAYS), _SLACKS)
+        # turns until a turn in the positive direction begins to move the weight
+        self._slack = play * np.tile(np.linspace(0.0, 1.0, _SLACKS), _PLAYS)
+        self._play = play
+        self._log = -play / _USUAL_PLAY
+        self._mean = np.tile(effect, (len(play), 1))
+        self._variance = np.tile(u_effect**2, (len(play), 1))
+
+    @property
+    def largest_play(self) -> float:
+        """The largest play considered, in turns."""
+        return _MOST_PLAY
+
+    def _moved(self, parts: Sequence[Floats]) -> tuple[Floats, Floats]:
+        """How far turns in sequence move the weight (turns; ..., hypotheses), and the slack left then."""
+        slack = self._slack
+        moved = np.zeros(1)
+        for part in parts:
+            turns = np.asarray(part, dtype=np.float64)[..., None]
+            forward = np.maximum(turns - slack, 0.0)
+            backward = np.maximum(-turns - (self._play - slack), 0.0)
+            moved = moved + forward - backward
+            slack = np.clip(slack - turns, 0.0, self._play)
+        return moved, slack
+
+    def _weights(self) -> Floats:
+        weight = np.exp(self._log - self._log.max())
+        return np.asarray(weight / weight.sum())
+
+    def turned(self, parts: Sequence[float]) -> None:
+        """The weight was turned, with no measurement to learn from: only its play is followed."""
+        _, self._slack = self._moved([np.asarray(part) for part in parts])
+
+    def learn(self, parts: Sequence[float], step: Floats, u_step: Floats) -> None:
+        """Learn from turns in sequence and the change (3,) of the state they made; NaN: not measured."""
+        moved, self._slack = self._moved([np.asarray(part) for part in parts])
+        seen = np.isfinite(step)
+        turns = moved[:, None]
+        # a weight that did not move shows nothing of the hand either
+        u_turn2 = _U_TURN**2 * (turns != 0) + (_U_RELATIVE * turns) ** 2
+        other = u_step**2 + 2.0 * _FLOOR**2
+        mean, variance = self._mean, self._variance
+        size2 = mean**2 + variance
+        # the hand's error is relative to the effect, which the first pass finds
+        for _ in range(2):
+            noise = other + u_turn2 * np.sum(size2, axis=1, keepdims=True)
+            total = turns**2 * variance + noise
+            gain = np.where(seen, variance * turns / total, 0.0)
+            left = np.where(seen, step - turns * mean, 0.0)
+            found = mean + gain * left
+            size2 = found**2
+        self._log = self._log - 0.5 * np.sum(np.where(seen, left**2 / total + np.log(total), 0.0), axis=1)
+        self._mean = found
+        self._variance = np.maximum(variance * (1.0 - gain * turns), 1e-12)
+        self.pairs += 1
+
+    def effect(self) -> tuple[Floats, Floats]:
+        """Mean and standard uncertainty of the effect of one turn, without play."""
+        mean, u = self._moments(np.ones((1, len(self._play))))
+        return mean[0], u[0]
+
+    def predict(self, parts: Sequence[Floats]) -> tuple[Floats, Floats]:
+        """Mean and standard uncertainty (..., 3) of the change by turns in sequence, each (...,)."""
+        moved, _ = self._moved(parts)
+        return self._moments(moved)
+
+    def _moments(self, moved: Floats) -> tuple[Floats, Floats]:
+        weight = self._weights()
+        likely = weight > 1e-6
+        weight, mean, variance = weight[likely], self._mean[likely], self._variance[likely]
+        moved = moved[..., likely]
+        first = (moved * weight) @ mean
+        hand = (_U_TURN**2 * (moved != 0) + (_U_RELATIVE * moved) ** 2) * weight
+        second = (moved**2 * weight) @ (mean**2 + variance) + hand @ mean**2
+        u = np.sqrt(np.maximum(second - first**2, 0.0))
+        return first, u
+
+    def can_make(self, parts: Sequence[float], step: Floats, u_step: Floats) -> bool:
+        """Whether these turns can have made a change of the state at all, by what was expected."""
+        most = sum(abs(part) for part in parts) * (np.abs(self.nominal) + 6.0 * self.u_nominal)
+        return not bool(np.any(np.abs(step) > most + 6.0 * u_step + 0.5))
+
+    def is_known(self) -> bool:
+        """Whether a turn has shown where this weight moves the state."""
+        mean, u = self.effect()
+        return self.pairs > 0 and math.sqrt(float(u @ u)) < 0.7 * math.sqrt(float(mean @ mean))
