@@ -3,6 +3,7 @@
 from rig.devices import picture
 from rig.devices.auto_exposure import find_exposure
 from rig.devices.camera_features import feature_lines
+from rig.devices.clock_watch import MOST_PPM, wrong_rate
 from rig.devices.doctor import examine
 from rig.devices.frame_stream import FrameStream
 from rig.devices.host_clock import kernel_clock, ntp_state
@@ -13,6 +14,7 @@ from rig.devices.picture import PictureFigures
 from rig.devices.session_devices import Devices, OpenCamera
 
 __all__ = [
+    "MOST_PPM",
     "STAYS_LIT",
     "WIRE_IT",
     "Devices",
@@ -30,4 +32,5 @@ __all__ = [
     "picture",
     "wait_for_command",
     "watch_latest",
+    "wrong_rate",
 ]

@@ -12,6 +12,7 @@ from acquisition.frame_queue import FrameQueue, Policy
 from acquisition.record.events import EventKind
 from processing.errors import DeviceError, RigError
 from rig.control import LightPermit, Stage
+from rig.devices.clock_watch import ClockWatch
 
 _log = logging.getLogger(__name__)
 _QUEUE_BYTES = 256 * 1024 * 1024
@@ -21,8 +22,9 @@ class FrameStream:
     """Reads a camera in a thread into a bounded queue, reconnects it after unplugging, counts lost frames.
 
     With `policy` "wait" the camera waits while the queue is full, otherwise frames are dropped and
-    counted. `ended` is a text that says why the stream ended, `failure` the error that ended it. `permit`
-    learns that frames arrive and are taken, on which the light of a laser depends.
+    counted, and a camera whose clock cannot be right is refused. `ended` is a text that says why the stream
+    ended, `failure` the error that ended it. `permit` learns that frames arrive and are taken, on which the
+    light of a laser depends.
     """
 
     def __init__(
@@ -44,6 +46,7 @@ class FrameStream:
         self._stop = threading.Event()
         self._queue: FrameQueue | None = None
         self._line = FrameLine()
+        self._clock = ClockWatch()
         self._thread: threading.Thread | None = None
         self._events: list[tuple[EventKind, str]] = []
         self.ended = ""
@@ -144,12 +147,15 @@ class FrameStream:
                     self._events.append((EventKind.CAMERA_LOST, str(lost)))
                     self._reconnect(lost)
                     line.begin_anew()
+                    self._clock.begin_anew()
                     silent_s = 0.0
                     continue
                 if frame is None:
                     self.ended = self.ended or "the camera delivered its last frame"
                     break
                 self.permit.moved(Stage.CAMERA)
+                if self.policy != "wait":
+                    self._clock.see(frame)
                 if silent_s:
                     self._events.append(
                         (EventKind.CAMERA_SPEAKS, f"after more than {silent_s:.2f} s of silence")

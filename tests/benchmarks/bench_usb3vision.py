@@ -104,7 +104,7 @@ def overhead(frames: int) -> dict[str, float]:
     camera = find_camera(None, InProcessBackend(VisionDevice()))
     link = UsbLink(camera.device, camera.name)
     begin_s = time.perf_counter()
-    stream = FrameStream(memory, plan, Expected(BY_NAME["Mono8"], WIDTH, HEIGHT, 8), queue, link)
+    stream = FrameStream(memory, plan, Expected(BY_NAME["Mono8"], WIDTH, HEIGHT, True), queue, link)
     taken = 0
     while taken < frames:
         taken += len(queue.take(64, 1.0))

@@ -121,7 +121,7 @@ class Usb3VisionCamera:
                 pixel_format,
                 int(features.get("Width")),
                 int(features.get("Height")),
-                session.identity.timestamp_increment_ns,
+                session.identity.timestamp_increment_ns > 0,
             )
             session.registers.enable(False)
             session.link.reset_stream()

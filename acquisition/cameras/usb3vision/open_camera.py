@@ -4,7 +4,7 @@ import logging
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Self
+from typing import Final, Self
 
 from acquisition.camera import CameraInfo, CameraLost
 from acquisition.cameras.pixel_formats import BY_NAME
@@ -23,6 +23,9 @@ from acquisition.cameras.usb3vision.registers import (
 from processing.errors import DeviceError
 
 logger = logging.getLogger(__name__)
+
+_COARSE_NS: Final = 15_000
+"""Jitter of the frame times above which the times of turning points suffer."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +60,14 @@ class OpenCamera:
         for name in ("Width", "Height", "PixelFormat", "AcquisitionStart", "AcquisitionStop"):
             if features.find(name) is None:
                 raise DeviceError(f"{link.name}: its description lacks {name}, which every camera must have")
+        if identity.timestamp_increment_ns > _COARSE_NS:
+            logger.warning(
+                "%s: its clock counts in steps of %g us, by which the times of its frames are uncertain; "
+                "turning times need %g us",
+                link.name,
+                identity.timestamp_increment_ns / 1e3,
+                _COARSE_NS / 1e3,
+            )
         registers = StreamRegisters(channel, identity.stream_address, link.name)
         return cls(link, channel, identity, features, registers)
 
@@ -102,13 +113,12 @@ class OpenCamera:
         The camera stores its clock while it executes a command. The host's time is the middle of the command,
         uncertain by half its duration. Raises DeviceError if the camera has no clock.
         """
-        tick_ns = self.identity.timestamp_increment_ns
-        if not tick_ns:
+        if not self.identity.timestamp_increment_ns:
             raise DeviceError(f"{self.link.name}: has no clock of its own")
         readings = []
         for _ in range(max(attempts, 1)):
             before_ns = time.monotonic_ns()
-            ticks, after_ns = latch_timestamp(self.channel)
+            device_ns, after_ns = latch_timestamp(self.channel)
             half_ns = (after_ns - before_ns + 1) // 2
-            readings.append(ClockReading(ticks * tick_ns, before_ns + half_ns, half_ns))
+            readings.append(ClockReading(device_ns, before_ns + half_ns, half_ns))
         return min(readings, key=lambda reading: reading.u_host_time_ns)

@@ -17,7 +17,7 @@ _IMAGE_TYPES: Final = {0x0001, 0x4001}
 
 @dataclass(frozen=True, slots=True)
 class Leader:
-    """Packet before a frame; `timestamp` is in ticks of the camera's clock, `x_padding` in bytes per line."""
+    """Packet before a frame; `timestamp` is the camera's clock in ns, `x_padding` in bytes per line."""
 
     block: int
     timestamp: int

@@ -40,7 +40,11 @@ _SPEEDS: Final = {1: "low speed", 2: "full speed", 4: "high speed", 8: "SuperSpe
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """Contents of the bootstrap registers; `timestamp_increment_ns` is 0 for a camera without a clock."""
+    """Contents of the bootstrap registers.
+
+    `timestamp_increment_ns` is the resolution of the timestamps, which are in ns whatever it is (GenCP 1.3.1,
+    5.4.16 and 5.4.18); 0 for a camera without a clock.
+    """
 
     vendor: str
     model: str
@@ -128,12 +132,12 @@ def _timestamp_increment(channel: GenCpChannel) -> int:
         increment = _u64(channel, _TIMESTAMP_INCREMENT)
     except RegisterRefused:
         return 0  # a camera without a clock need not have the register
-    # a tick of 1 s or more is not a usable clock: the register does not contain what it should
+    # a resolution of 1 s or more is not a usable clock: the register does not contain what it should
     return increment if increment < 1_000_000_000 else 0
 
 
 def latch_timestamp(channel: GenCpChannel) -> tuple[int, int]:
-    """The camera's clock in ticks, and the host's monotonic clock in ns immediately after it was stored."""
+    """The camera's clock and the host's monotonic clock immediately after it was stored, both in ns."""
     channel.write(_TIMESTAMP_LATCH, struct.pack("<I", 1))
     after_ns = time.monotonic_ns()
     return _u64(channel, _TIMESTAMP), after_ns

@@ -47,12 +47,12 @@ _MOST_MISFITS: Final = 10
 
 @dataclass(frozen=True, slots=True)
 class Expected:
-    """Expected format and size of every frame, and the length of a tick of the camera's clock."""
+    """Expected format and size of every frame, and whether the camera has a clock."""
 
     pixel_format: Format
     width_px: int
     height_px: int
-    tick_ns: int
+    has_clock: bool
 
     @property
     def image_bytes(self) -> int:
@@ -308,8 +308,7 @@ class FrameStream:
             self._whole_payload(), wanted.width_px, wanted.height_px, leader.x_padding
         )
         image.flags.writeable = False
-        tick_ns = self._expected.tick_ns
-        device_time_ns = leader.timestamp * tick_ns if tick_ns else -1
+        device_time_ns = leader.timestamp if wanted.has_clock else -1
         return Frame(image, self._last_sequence, device_time_ns, host_time_ns)
 
     def _whole_payload(self) -> NDArray[np.uint8]:

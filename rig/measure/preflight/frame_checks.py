@@ -14,11 +14,11 @@ from calibration import Stability, relate_clocks, stability
 from processing.deflections import Deflections, DeflectionUnit, Floats
 from processing.errors import DataError
 from processing.spot import Spot, SpotFlag
+from rig.devices import MOST_PPM, wrong_rate
 from rig.presentation import Verdict
 from rig.settings import Configuration, PreflightSettings
 
 _SPOT_BYTES = 260
-_MOST_PPM = 1000.0
 NO_LEVER = "no lever: values in px have no limit in arcsec"
 
 
@@ -149,10 +149,9 @@ def rest_position(look: Look, limits: PreflightSettings) -> Verdict:
 def clock(frames: Sequence[Frame], limits: PreflightSettings, *, on_demand: bool = False) -> Verdict:
     """Check the jitter of the frame times, and the rate of the camera's clock against the host's.
 
-    A quartz is right within 100 ppm: a clock that runs otherwise counts in another unit than was believed.
     The clock of frames that are made on demand has no rate in real time.
     """
-    limit = f"jitter {limits.max_clock_jitter_us:g} us, rate {_MOST_PPM:g} ppm"
+    limit = f"jitter {limits.max_clock_jitter_us:g} us, rate {MOST_PPM:g} ppm"
     if frames and frames[0].device_time_ns < 0:
         return Verdict("clock", True, measured="the camera has none; the host's is used", limit=limit)
     try:
@@ -163,11 +162,12 @@ def clock(frames: Sequence[Frame], limits: PreflightSettings, *, on_demand: bool
         )
     except DataError as error:
         return Verdict("clock", False, str(error), "restart the camera", measured="not measured", limit=limit)
-    if not on_demand and abs(relation.drift_ppm) - 3.0 * relation.u_drift_ppm > _MOST_PPM:
+    wrong = "" if on_demand else wrong_rate(relation)
+    if wrong:
         return Verdict(
             "clock",
             False,
-            f"the camera's clock runs {1.0 + 1e-6 * relation.drift_ppm:.6g} times as fast as the computer's",
+            wrong,
             "the driver misreads its unit, or the computer's clock was set: see rig doctor",
             measured=f"{relation.drift_ppm:+.0f} ± {relation.u_drift_ppm:.0f} ppm",
             limit=limit,

@@ -19,6 +19,8 @@ from acquisition.frame_queue import Policy
 from acquisition.record.reader import RecordReader
 from acquisition.simulation.faults import FaultSettings
 from acquisition.simulation.settings import SimulationSettings
+from processing.errors import DeviceError
+from rig.devices.clock_watch import ClockWatch
 from rig.devices.frame_stream import FrameStream
 from rig.measure.session import simulate_record
 from rig.settings.configuration import load_configuration
@@ -215,3 +217,43 @@ def test_what_a_stalled_consumer_leaves_is_the_hosts_loss_and_nothing_is_missing
     # the frame that was being read when the stream was closed is in neither
     assert status.delivered - len(frames) - lost.by_host in (0, 1)
     camera.close()
+
+
+def clock_at(rate: float, late_s: float = 0.0) -> list[Frame]:
+    """15 s of frames with a clock at this rate, on a computer that lags for a while and catches up."""
+    number = np.arange(1500)
+    lag_s = late_s * np.interp(number, [100, 250, 300], [0, 1, 0])
+    host_s = number / RATE_HZ + np.random.default_rng(1).exponential(1e-4, 1500) + lag_s
+    times_ns = np.rint(1e9 * np.column_stack((rate * number / RATE_HZ, host_s))).astype(np.int64).tolist()
+    image = np.zeros((2, 2), np.uint8)
+    return [Frame(image, i, device, host) for i, (device, host) in enumerate(times_ns)]
+
+
+def watch_clock(frames: list[Frame]) -> None:
+    watch = ClockWatch()
+    for frame in frames:
+        watch.see(frame)
+
+
+@pytest.mark.parametrize("rate", [8.0, 1.002, 0.5])
+def test_a_clock_that_cannot_be_right_is_refused(rate: float) -> None:
+    with pytest.raises(DeviceError, match=f"runs {rate:g}.* times as fast as the computer's"):
+        watch_clock(clock_at(rate))
+
+
+@pytest.mark.parametrize(("rate", "late_s"), [(1.0, 0.0), (1.0005, 0.0), (1.0, 0.4)])
+def test_a_quartz_and_a_computer_that_lags_are_not_refused(rate: float, late_s: float) -> None:
+    watch_clock(clock_at(rate, late_s))
+
+
+class EightTimesAsFast(ScriptedCamera):
+    def read(self, timeout_s: float) -> Frame | None:
+        frame = super().read(timeout_s)
+        return frame and frame._replace(host_time_ns=frame.device_time_ns // 8)
+
+
+def test_a_stream_ends_at_a_camera_that_counts_in_another_unit() -> None:
+    stream = scripted(EightTimesAsFast(frames=6000, silences=0))
+    assert wait_until(lambda: bool(stream.ended), 60.0)
+    stream.close()
+    assert "runs 8 times as fast" in str(stream.failure)

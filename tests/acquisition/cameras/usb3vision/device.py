@@ -85,6 +85,8 @@ class VisionDevice:
         Seconds; frames fall due by it.
     frames_inside
         The camera's own memory: older frames are lost when the host is slow.
+    clock_step_ns, clock_rate
+        Resolution of its clock, and how fast it runs.
     """
 
     def __init__(
@@ -101,6 +103,8 @@ class VisionDevice:
         first_block: int = 0,
         frame_rate_hz: float = 100.0,
         frames_inside: int = 8,
+        clock_step_ns: int = 8,
+        clock_rate: float = 1.0,
     ) -> None:
         self.serial = serial
         self.faults = Faults()
@@ -112,6 +116,8 @@ class VisionDevice:
         self._picture = picture
         self._clock = clock
         self._t0 = clock()
+        self._clock_step_ns = clock_step_ns
+        self._clock_rate = clock_rate
         self._first_block = first_block
         self._frames_inside = frames_inside
         self._replies: deque[tuple[float, bytes]] = deque()
@@ -147,7 +153,7 @@ class VisionDevice:
         put(abrm, 0x1C4, "Q", 0x8 | 0x200 | 0x800)
         put(abrm, 0x1CC, "I", 100)
         put(abrm, 0x1D0, "QQ", MANIFEST, SBRM)
-        put(abrm, 0x1FC, "Q", 8)  # ns a tick
+        put(abrm, 0x1FC, "Q", self._clock_step_ns)
         sbrm = bytearray(0x100)
         put(sbrm, 0x0, "I", 0x00010000)
         put(sbrm, 0x4, "Q", 3)
@@ -225,9 +231,11 @@ class VisionDevice:
         exposure_s = struct.unpack(">I", self.peek(layout.EXPOSURE_TICKS))[0] * 1e-7
         return min(1000.0, 1.0 / max(exposure_s, 1e-5))
 
-    def ticks(self) -> int:
-        """The camera's clock, 8 ns a tick."""
-        return int((self._clock() - self._t0) * 1.25e8) + 1000
+    def clock_ns(self, at_s: float | None = None) -> int:
+        """The camera's clock now or at a time: in ns whatever its resolution, in which it steps."""
+        passed_s = (self._clock() if at_s is None else at_s) - self._t0
+        steps = int(passed_s * 1e9 * self._clock_rate) // self._clock_step_ns
+        return (steps + 1000) * self._clock_step_ns
 
     def _update(self) -> None:
         self.poke(layout.PAYLOAD_SIZE, struct.pack("<I", self.frame_bytes))
@@ -236,7 +244,7 @@ class VisionDevice:
     def _written(self, address: int) -> int:
         """Act on a register that has just been written; a status other than 0 refuses."""
         if address == 0x1F8:
-            self.poke(0x1F0, struct.pack("<Q", self.ticks()))
+            self.poke(0x1F0, struct.pack("<Q", self.clock_ns()))
         elif address == layout.START:
             if not self.number(SIRM + 4) & 1:
                 return 0x8007
@@ -385,7 +393,7 @@ class VisionDevice:
         image = self.image_bytes(block)
         sizes = struct.unpack("<6I", self.peek(SIRM + 0x18, 24))
         leader = struct.pack(
-            "<IHHQHHQIIIIIHH", 0x4C563355, 0, 52, block, 0, 1, int((taken_s - self._t0) * 1.25e8) + 1000,
+            "<IHHQHHQIIIIIHH", 0x4C563355, 0, 52, block, 0, 1, self.clock_ns(taken_s),
             self.pixel_format, width, height, self.number(layout.OFFSET_X), self.number(layout.OFFSET_Y),
             0, 0,
         )  # fmt: skip
@@ -434,7 +442,7 @@ class VisionDevice:
             self._alive()
             if not self.number(EIRM) & 1:
                 raise TimeoutError
-            return struct.pack("<IHHHHHHQ", 0x45563355, 0x4000, 0x0C00, 12, 1, 0, 0x9001, self.ticks())
+            return struct.pack("<IHHHHHHQ", 0x45563355, 0x4000, 0x0C00, 12, 1, 0, 0x9001, self.clock_ns())
 
     def clear_halt(self, endpoint: int) -> None:
         """The host's request to continue after a stall."""

@@ -1,5 +1,6 @@
 """The USB3 Vision driver passes the conformance suite and reports wrong use."""
 
+import itertools
 import threading
 import time
 from collections.abc import Iterator
@@ -259,7 +260,7 @@ def test_clocks_are_related_to_within_the_commands_duration(device: VisionDevice
     second = camera.read_clocks()
     device_ns = second.device_time_ns - first.device_time_ns
     host_ns = second.host_time_ns - first.host_time_ns
-    assert abs(device_ns - host_ns) <= first.u_host_time_ns + second.u_host_time_ns + 16  # two ticks of 8 ns
+    assert abs(device_ns - host_ns) <= first.u_host_time_ns + second.u_host_time_ns + 16  # two steps of 8 ns
     camera.start()
     frame = camera.read(2.0)
     assert frame is not None
@@ -267,6 +268,21 @@ def test_clocks_are_related_to_within_the_commands_duration(device: VisionDevice
     age_ns = latest.device_time_ns - frame.device_time_ns
     assert 0 < age_ns < 2_000_000_000
     camera.close()
+
+
+@pytest.mark.parametrize("step_ns", [8, 125_000])
+def test_timestamps_are_ns_whatever_their_resolution(step_ns: int, caplog: pytest.LogCaptureFixture) -> None:
+    """The increment is the resolution of the clock and not its unit; one of 125 us is said to be coarse."""
+    camera = camera_on(VisionDevice(clock_step_ns=step_ns))
+    assert camera.open().has_clock
+    assert ("steps of 125 us" in caplog.text) == (step_ns == 125_000)
+    camera.configure(CameraSettings(frame_rate_hz=100.0, width_px=32, height_px=32))
+    camera.start()
+    frames = [camera.read(2.0) for _ in range(3)]
+    camera.close()
+    times_ns = [frame.device_time_ns for frame in frames if frame is not None]
+    for before_ns, after_ns in itertools.pairwise(times_ns):
+        assert after_ns - before_ns == pytest.approx(10_000_000, abs=step_ns)
 
 
 def test_unplugged_and_plugged_again_the_counts_go_on(device: VisionDevice) -> None:
