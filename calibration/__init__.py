@@ -13,6 +13,7 @@ from calibration.lever_geometry import GeometryLever, LeverGeometry, lever_from_
 from calibration.light_lever import Lever, deflection_unit
 from calibration.pointing import Stability, stability
 from calibration.sensor import SensorCalibration, photon_transfer
+from calibration.shutter import GLOBAL, Shutter, ShutterFit, fit_row_time
 from calibration.store import (
     CalibrationFile,
     Kind,
@@ -25,6 +26,7 @@ from calibration.timebase import FRAME_JITTER_LIMIT_S, ClockRelation, relate_clo
 
 __all__ = [
     "FRAME_JITTER_LIMIT_S",
+    "GLOBAL",
     "Axes",
     "AxesFit",
     "CalibrationFile",
@@ -37,6 +39,8 @@ __all__ = [
     "LeverGeometry",
     "ScaleCheck",
     "SensorCalibration",
+    "Shutter",
+    "ShutterFit",
     "Sign",
     "Source",
     "Stability",
@@ -45,6 +49,7 @@ __all__ = [
     "deflections",
     "fit_axes",
     "fit_ladder",
+    "fit_row_time",
     "lever_from_geometry",
     "lever_from_shifts",
     "lever_from_tilts",

@@ -13,7 +13,7 @@ from pydantic import BaseModel, Field, ValidationError
 
 from processing.errors import ConfigurationError, RecordError
 
-Kind = Literal["lever", "axes", "sensor", "clock", "pointing", "check"]
+Kind = Literal["lever", "axes", "sensor", "clock", "shutter", "pointing", "check"]
 SCHEMA = 1
 
 

@@ -181,7 +181,9 @@ class RunReader:
         if row not in self._drawn:
             plan = self._plan
             rows = slice(row, row + self._ahead)
-            images = self._scene.draw_frames(frame, plan.x_px[rows], plan.y_px[rows], plan.power[rows])
+            images = self._scene.draw_frames(
+                frame, plan.x_px[rows], plan.y_px[rows], plan.power[rows], plan.slope[rows]
+            )
             self._drawn = dict(enumerate(images, start=row))
         return self._drawn.pop(row)
 

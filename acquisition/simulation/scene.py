@@ -12,7 +12,8 @@ from acquisition.simulation.disturbances import FrameNoise, Pointing, add_draugh
 from acquisition.simulation.faults import FaultSettings
 from acquisition.simulation.inputs import RigInputs, RigState
 from acquisition.simulation.motion import ARCSEC_RAD, motions
-from acquisition.simulation.optics import Beam, spot_position_px
+from acquisition.simulation.optics import spot_position_px
+from acquisition.simulation.rolling_shutter import RollingReadout, Sheared
 from acquisition.simulation.settings import SimulationSettings
 from acquisition.simulation.true_path import axes_motion
 
@@ -21,8 +22,10 @@ class Plan(NamedTuple):
     """Some consecutive frames before they are drawn; arrays of one length.
 
     `first` is the number of the first frame, `true_time_s` the true time of the exposure, `device_time_ns`
-    the timestamp by the camera's clock. `x_px`, `y_px` is the true centre of the spot on the sensor, `power`
-    the relative laser power. `dropped` frames are lost by the camera.
+    the timestamp by the camera's clock; with a rolling shutter, both of the first row. `x_px`, `y_px` is the
+    true centre of the spot on the sensor (when its own rows are exposed), `power` the relative laser power.
+    `slope` (n, 2) is how far the spot moves in x and y from one row to the next, in px, 0 with a global
+    shutter. `dropped` frames are lost by the camera.
     """
 
     first: int
@@ -31,6 +34,7 @@ class Plan(NamedTuple):
     x_px: NDArray[np.float64]
     y_px: NDArray[np.float64]
     power: NDArray[np.float64]
+    slope: NDArray[np.float64]
     dropped: NDArray[np.bool_]
 
 
@@ -98,6 +102,9 @@ class Scene:
         self._edges = randomness.ziggurat().x
         self._light_e = np.zeros((readings.height_px, readings.width_px))
         self._dtype = np.uint8 if readings.bit_depth == 8 else np.uint16
+        self._rolling: RollingReadout | None = None
+        if truth.row_time_s:
+            self._rolling = RollingReadout(truth, readings.y0_px, readings.height_px, readings.frame_rate_hz)
 
     def plan(self, count: int) -> Plan:
         """Calculate the next `count` frames, without their images."""
@@ -109,12 +116,12 @@ class Scene:
         self._next += count
         period_s = 1 / self._readings.frame_rate_hz
         times_s = np.arange(first, first + count, dtype=np.float64) * period_s
-        x_rad, y_rad = axes_motion(settings, self._fast, self._slow, times_s)
-        shake_rad = vibration_rad(self._faults, times_s)
-        x_px, y_px = spot_position_px(
-            x_rad + shake_rad, y_rad + shake_rad, times_s, settings.axes, settings.optics, settings.sensor
-        )
         offset_px = self._pointing.offset_px(first, count)
+        if self._rolling is None:
+            position_px, slope = self._spot_px(times_s) + offset_px, np.zeros((count, 2))
+        else:
+            moving_px = self._spot_px(self._rolling.times_s(times_s)).reshape(count, -1, 2)
+            position_px, slope = self._rolling.seen(moving_px + offset_px[:, None, :])
         power = laser_factor(self._faults, times_s) * (self._commanded.laser_w / settings.optics.laser_w)
         if settings.optics.power_noise > 0:
             relative = 1 + settings.optics.power_noise * self._noise.power(first, count)
@@ -123,10 +130,22 @@ class Scene:
             first=first,
             true_time_s=times_s,
             device_time_ns=self._device_time_ns(first, times_s, period_s),
-            x_px=x_px + offset_px[:, 0],
-            y_px=y_px + offset_px[:, 1],
+            x_px=position_px[:, 0],
+            y_px=position_px[:, 1],
             power=power,
+            slope=slope,
             dropped=self._noise.dropped(first, count, settings.disturbances.dropped_fraction),
+        )
+
+    def _spot_px(self, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Centre of the spot (n, 2) at these times, which must not decrease, without the beam's motion."""
+        settings = self._settings
+        x_rad, y_rad = axes_motion(settings, self._fast, self._slow, times_s)
+        shake_rad = vibration_rad(self._faults, times_s)
+        return np.column_stack(
+            spot_position_px(
+                x_rad + shake_rad, y_rad + shake_rad, times_s, settings.axes, settings.optics, settings.sensor
+            )
         )
 
     @property
@@ -134,29 +153,41 @@ class Scene:
         """Size of one image."""
         return self._light_e.size * np.dtype(self._dtype).itemsize
 
-    def draw(self, frame: int, x_px: float, y_px: float, power: float) -> Image:
+    def draw(
+        self, frame: int, x_px: float, y_px: float, power: float, slope: NDArray[np.float64] | None = None
+    ) -> Image:
         """Image (ny, nx) of one frame with the spot at (x_px, y_px) on the sensor and this relative power."""
-        images = self.draw_frames(frame, np.array([x_px]), np.array([y_px]), np.array([power]))
+        slopes = None if slope is None else slope[None, :]
+        images = self.draw_frames(frame, np.array([x_px]), np.array([y_px]), np.array([power]), slopes)
         image: Image = images[0]
         return image
 
     def draw_frames(
-        self, first: int, x_px: NDArray[np.float64], y_px: NDArray[np.float64], power: NDArray[np.float64]
+        self,
+        first: int,
+        x_px: NDArray[np.float64],
+        y_px: NDArray[np.float64],
+        power: NDArray[np.float64],
+        slope: NDArray[np.float64] | None = None,
     ) -> Image:
-        """Images (n, ny, nx) of consecutive frames; the same as of each by `draw`, with one call for all."""
+        """Images (n, ny, nx) of consecutive frames; the same as of each by `draw`, with one call for all.
+
+        `slope` (n, 2) is that of `Plan`; None: 0.
+        """
         readings = self._readings
         optics = self._settings.optics
         peak_e = self._peak_e * power
         x, y = x_px - readings.x0_px, y_px - readings.y0_px
         main = np.column_stack((x, y, peak_e))
+        sheared = Sheared(optics, np.zeros((len(x), 2)) if slope is None else slope)
         ghost = np.column_stack(
-            (x + optics.ghost_dx_px, y + optics.ghost_dy_px, peak_e * optics.ghost_relative)
+            (x + sheared.ghost_dx_px, y + sheared.ghost_dy_px, peak_e * optics.ghost_relative)
         )
         images = np.empty((len(x_px), readings.height_px, readings.width_px), dtype=self._dtype)
         sensor.expose_frames(
             images,
             self._light_e,
-            Beam(0.0, 0.0, optics.sigma_x_px, optics.sigma_y_px, optics.rotation_rad, 0.0),
+            sheared.shapes,
             main,
             ghost,
             self._readout,

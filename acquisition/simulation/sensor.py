@@ -196,7 +196,7 @@ def expose(
 def expose_frames(
     images: NDArray[np.uint8],
     light_e: NDArray[np.float64],
-    shape: Beam,
+    shapes: NDArray[np.float64],
     main: NDArray[np.float64],
     ghost: NDArray[np.float64],
     readout: Readout,
@@ -209,11 +209,11 @@ def expose_frames(
 ) -> None:
     """Draw consecutive frames (n, ny, nx), see `expose`.
 
-    `main` and `ghost` (n, 3) are the centres (x, y) in px and the peaks in e- of the beams, which have the
-    same `shape`.
+    `main` and `ghost` (n, 3) are the centres (x, y) in px and the peaks in e- of the beams, `shapes` (n, 3)
+    the standard deviations in px and the rotation in rad of both.
     """
     for i in range(images.shape[0]):
-        sigma_x_px, sigma_y_px, rotation_rad = shape.sigma_x_px, shape.sigma_y_px, shape.rotation_rad
+        sigma_x_px, sigma_y_px, rotation_rad = shapes[i, 0], shapes[i, 1], shapes[i, 2]
         expose(
             images[i],
             light_e,

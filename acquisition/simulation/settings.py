@@ -141,6 +141,12 @@ class SensorTruth(Section, frozen=True):
         default=120.0, gt=0, description="mean dark signal of a hot pixel, exponential"
     )
     exposure_us: float = Field(default=100.0, gt=0, description="at which optics.peak_dn holds")
+    row_time_s: float = Field(
+        default=0.0, ge=0, lt=1e-3, description="from one row to the next; 0: a global shutter"
+    )
+    first_row: Literal["top", "bottom"] = Field(
+        default="top", description="of the region that is read out, the row that is exposed first"
+    )
 
     def at(self, bit_depth: int, gain_db: float = 0.0) -> SensorState:
         """Properties at another bit depth and gain; without gain, full scale is the same number of

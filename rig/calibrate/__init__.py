@@ -6,6 +6,7 @@ from rig.calibrate.filing import Filing
 from rig.calibrate.lever import calibrate_lever, check_known_angle
 from rig.calibrate.pointing import calibrate_pointing
 from rig.calibrate.sensor import calibrate_sensor
+from rig.calibrate.shutter import calibrate_shutter
 
 __all__ = [
     "Filing",
@@ -14,5 +15,6 @@ __all__ = [
     "calibrate_lever",
     "calibrate_pointing",
     "calibrate_sensor",
+    "calibrate_shutter",
     "check_known_angle",
 ]

@@ -3,8 +3,10 @@
 import datetime
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from acquisition.record.reader import RecordReader
 from processing.deflections import Deflections, DeflectionUnit
@@ -33,8 +35,17 @@ def mean_spot(spots: Deflections) -> tuple[float, float, float, float]:
 def spots_of_record(record: Path) -> tuple[Deflections, datetime.datetime]:
     """Positions of a record's complete, unsaturated spots on the sensor, and the start of the record.
 
-    x and y are in px from the sensor's first pixel, y downward. Raises DataError if there are fewer
-    than 100 such spots, or if more than a tenth of all spots is saturated.
+    x and y are in px from the sensor's first pixel, y downward. Raises DataError as `whole_spots`.
+    """
+    good, began = whole_spots(record)
+    x_px, y_px, u_x_px, u_y_px = (good[name].copy() for name in ("x_px", "y_px", "u_x_px", "u_y_px"))
+    return Deflections(good["time_ns"].copy(), x_px, y_px, u_x_px, u_y_px, DeflectionUnit.PX), began
+
+
+def whole_spots(record: Path) -> tuple[NDArray[Any], datetime.datetime]:
+    """The table of a record's complete, unsaturated spots, and the start of the record.
+
+    Raises DataError if there are fewer than 100 such spots, or if more than a tenth of all is saturated.
     """
     with RecordReader(record) as reader:
         table = reader.spots()
@@ -51,5 +62,4 @@ def spots_of_record(record: Path) -> tuple[Deflections, datetime.datetime]:
             f"{record}: {len(good)} of {len(table)} frames have a whole, unsaturated spot; "
             "at least 100 are needed"
         )
-    x_px, y_px, u_x_px, u_y_px = (good[name].copy() for name in ("x_px", "y_px", "u_x_px", "u_y_px"))
-    return Deflections(good["time_ns"].copy(), x_px, y_px, u_x_px, u_y_px, DeflectionUnit.PX), began
+    return good, began

@@ -33,6 +33,7 @@ def register(app: typer.Typer) -> None:
     group.command("axes")(axes)
     group.command("sensor")(sensor)
     group.command("clock")(clock)
+    group.command("shutter")(shutter)
     group.command("pointing")(pointing)
     group.command("check")(check)
     app.add_typer(group, name="calibrate")
@@ -89,6 +90,13 @@ def clock(
     from rig.calibrate import calibrate_clock
 
     _say(calibrate_clock(record, _filing(output, valid_days, by), counter_bits))
+
+
+def shutter(record: Record, output: Folder = _FOLDER, valid_days: Days = _DAYS, by: By = "") -> None:
+    """Measure the row time of a rolling shutter, from a run in which the spot swings across the rows."""
+    from rig.calibrate import calibrate_shutter
+
+    _say(calibrate_shutter(record, _filing(output, valid_days, by)))
 
 
 def pointing(record: Record, output: Folder = _FOLDER, valid_days: Days = _DAYS, by: By = "") -> None:

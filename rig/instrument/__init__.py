@@ -11,7 +11,13 @@ from rig.instrument.balance import (
 )
 from rig.instrument.calibration import judge_calibration
 from rig.instrument.complete_configuration import complete
-from rig.instrument.configured_camera import camera_settings, frame_policy, make_camera, setting_differences
+from rig.instrument.configured_camera import (
+    camera_settings,
+    frame_policy,
+    make_camera,
+    setting_differences,
+    shift_to_middle_ns,
+)
 from rig.instrument.kernels import prepare_kernels
 from rig.instrument.optics import Optics, optics_of, sensor_model
 from rig.instrument.pendulum import balls, check_materials, material, pendulum_on_ball
@@ -58,6 +64,7 @@ __all__ = [
     "sensor_room",
     "session_metadata",
     "setting_differences",
+    "shift_to_middle_ns",
     "turn_text",
     "versions",
 ]

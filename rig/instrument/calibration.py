@@ -13,7 +13,13 @@ from processing.errors import ConfigurationError
 from rig.settings import Configuration
 
 PREFIX = "calibration/"
-_SECTIONS: Mapping[Kind, str] = {"sensor": "sensor", "lever": "lever", "axes": "axes", "clock": "timebase"}
+_SECTIONS: Mapping[Kind, str] = {
+    "sensor": "sensor",
+    "lever": "lever",
+    "axes": "axes",
+    "clock": "timebase",
+    "shutter": "shutter",
+}
 
 
 def fill_from_files(config: Configuration) -> Configuration:
@@ -82,6 +88,8 @@ def judge_calibration(
             tree[kind] = _entry(found, data, began)
             if tree[kind]["validity"] != "valid":
                 warnings.append(f"the calibration of the {kind} had expired on {found.valid_until:%Y-%m-%d}")
+        elif kind == "shutter" and config.shutter is None:
+            continue  # a global shutter needs no calibration
         elif config.simulated:
             tree[kind] = {
                 "validity": "simulated",

@@ -1,8 +1,9 @@
 """Makes the configured camera and compares its settings with the requested ones."""
 
-from acquisition.camera import Camera, CameraSettings
+from acquisition.camera import Camera, CameraInfo, CameraSettings
 from acquisition.cameras import drivers
 from acquisition.frame_queue import Policy
+from calibration import GLOBAL
 from rig.settings import Configuration
 
 
@@ -23,8 +24,13 @@ def camera_settings(config: Configuration) -> CameraSettings:
 def setting_differences(asked: CameraSettings, applied: CameraSettings) -> list[str]:
     """One line for each setting in which the camera differs from the request."""
     lines = []
-    for name, wanted in asked.model_dump(exclude_none=True).items():
-        got = getattr(applied, name)
+    plain = asked.model_dump(exclude_none=True, exclude={"features"})
+    pairs = [(name, wanted, getattr(applied, name)) for name, wanted in plain.items()]
+    pairs += [
+        (f"features.{name}", wanted, applied.features.get(name, "nothing"))
+        for name, wanted in asked.features.items()
+    ]
+    for name, wanted, got in pairs:
         near = (
             isinstance(wanted, float)
             and isinstance(got, int | float)
@@ -33,6 +39,21 @@ def setting_differences(asked: CameraSettings, applied: CameraSettings) -> list[
         if got != wanted and not near:
             lines.append(f"camera.{name} = {wanted} was requested, the camera reports {got}")
     return lines
+
+
+def shift_to_middle_ns(config: Configuration, info: CameraInfo, applied: CameraSettings) -> int:
+    """What is added to the camera's timestamps so that they mark the middle of the first row's exposure.
+
+    0 for a camera without a clock, or whose exposure is not known.
+    """
+    stamped = config.camera.stamped or info.stamped
+    if not info.has_clock or applied.exposure_us is None or stamped == "middle":
+        return 0
+    half_ns = round(500.0 * applied.exposure_us)
+    if stamped == "start":
+        return half_ns
+    shutter, rows = config.shutter or GLOBAL, applied.height_px or info.height_px
+    return -half_ns - round(1e9 * shutter.row_time_s * (rows - 1))
 
 
 def frame_policy(config: Configuration) -> Policy:

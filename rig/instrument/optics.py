@@ -1,8 +1,8 @@
-"""The optics that turn an image into a deflection: sensor noise model, light lever, pendulum axes."""
+"""The optics that turn an image into a deflection: sensor noise, shutter, light lever, pendulum axes."""
 
 from dataclasses import dataclass
 
-from calibration import Axes, Lever, deflection_unit
+from calibration import GLOBAL, Axes, Lever, Shutter, deflection_unit
 from processing.deflections import DeflectionUnit
 from processing.spot import SensorModel, SpotTracker
 from rig.instrument.pipeline import Deflector, Pipeline
@@ -16,6 +16,7 @@ class Optics:
     sensor: SensorModel
     lever: Lever | None
     axes: Axes
+    shutter: Shutter = GLOBAL
 
     def tracker(self) -> SpotTracker:
         """A new tracker."""
@@ -23,11 +24,18 @@ class Optics:
 
     def deflector(self, sensor_shape: tuple[int, int]) -> Deflector:
         """Converts spots to deflections, on a sensor of (ny, nx) pixels."""
-        return Deflector(self.lever, self.axes, sensor_shape)
+        return Deflector(self.lever, self.axes, sensor_shape, self.shutter)
 
     def pipeline(self, sensor_shape: tuple[int, int], *, balance_beside: bool = False) -> Pipeline:
         """A new pipeline from frames to deflections and half-cycles."""
-        return Pipeline(self.tracker(), self.lever, self.axes, sensor_shape, balance_beside=balance_beside)
+        return Pipeline(
+            self.tracker(),
+            self.lever,
+            self.axes,
+            sensor_shape,
+            shutter=self.shutter,
+            balance_beside=balance_beside,
+        )
 
     @property
     def unit(self) -> DeflectionUnit:
@@ -37,7 +45,9 @@ class Optics:
 
 def optics_of(config: Configuration, full_scale_dn: float) -> Optics:
     """The optics as configured, for a camera whose pixels saturate at `full_scale_dn`."""
-    return Optics(sensor_model(config, full_scale_dn), config.lever, config.axes or Axes())
+    return Optics(
+        sensor_model(config, full_scale_dn), config.lever, config.axes or Axes(), config.shutter or GLOBAL
+    )
 
 
 def sensor_model(config: Configuration, full_scale_dn: float) -> SensorModel:

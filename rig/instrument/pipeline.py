@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.frame import Frame
-from calibration import Axes, Lever, deflection_unit, deflections
+from calibration import GLOBAL, Axes, Lever, Shutter, deflection_unit, deflections
 from processing.balance import Balance, BalanceEstimator
 from processing.deflections import Deflections
 from processing.spot import Spot, SpotTracker
@@ -40,6 +40,8 @@ class Pipeline:
         Calibration. Without a lever (None) deflections are in px, see `Deflector`.
     sensor_shape
         (ny, nx) of the whole sensor; its centre is the reference if the lever states none.
+    shutter
+        When the rows are exposed; each deflection gets the time of the rows that its spot lies on.
     balance_beside
         Estimate the balance in a thread of its own. Its estimates are the same, but come with a later block
         than the one that completes them, the last ones with `finish_balance`.
@@ -52,10 +54,11 @@ class Pipeline:
         axes: Axes,
         sensor_shape: tuple[int, int],
         *,
+        shutter: Shutter = GLOBAL,
         balance_beside: bool = False,
     ) -> None:
         self.tracker = tracker
-        self._deflector = Deflector(lever, axes, sensor_shape)
+        self._deflector = Deflector(lever, axes, sensor_shape, shutter)
         self._sensor_shape = sensor_shape
         self._detector = SwingDetector()
         estimator = BalanceEstimator()
@@ -78,7 +81,7 @@ class Pipeline:
         return self.measure(np.array([frame.time_ns for frame in frames], dtype=np.int64), spots)
 
     def measure(self, times_ns: NDArray[np.int64], spots: list[Spot]) -> Block:
-        """Deflections, swings and balances from spots that were tracked before."""
+        """Deflections, swings and balances from spots that were tracked before, in frames at these times."""
         return self.detect(spots, self._deflector(times_ns, spots))
 
     def detect(self, spots: list[Spot], deflections: Deflections) -> Block:
@@ -102,7 +105,11 @@ class Deflector:
     `reference_px` is the position (x, y) of the spot at zero tilt, `unit` the unit of the deflections.
     """
 
-    def __init__(self, lever: Lever | None, axes: Axes, sensor_shape: tuple[int, int]) -> None:
+    def __init__(
+        self, lever: Lever | None, axes: Axes, sensor_shape: tuple[int, int], shutter: Shutter = GLOBAL
+    ) -> None:
+        self._shutter = shutter
+        self._rows = sensor_shape[0]
         self._lever = lever
         self._axes = axes
         self.unit = deflection_unit(lever)
@@ -115,9 +122,10 @@ class Deflector:
             )
 
     def __call__(self, times_ns: NDArray[np.int64], spots: Sequence[Spot]) -> Deflections:
-        """Deflections of spots measured at these times."""
+        """Deflections of spots measured in frames at these times."""
         table = np.array([spot[:4] for spot in spots], dtype=np.float64).reshape(-1, 4)
         x_px, y_px, u_x_px, u_y_px = table.T
+        times_ns = self._shutter.times_ns(times_ns, y_px, self._rows)
         if self._lever is None:
             x, y = x_px - self.reference_px[0], self.reference_px[1] - y_px
             return Deflections(times_ns, x, y, u_x_px.copy(), u_y_px.copy(), self.unit)

@@ -96,6 +96,7 @@ def session_metadata(config: Configuration, info: CameraInfo, first: Frame) -> d
         "height_px": str(info.height_px),
         "full_scale_dn": str(info.full_scale_dn),
         "has_clock": str(info.has_clock),
+        "shutter": info.shutter,
     }
     return {
         "session": {

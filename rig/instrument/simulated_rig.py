@@ -4,7 +4,7 @@ import math
 from dataclasses import replace
 
 from acquisition.simulation.settings import SimulationSettings
-from calibration import Axes, Lever
+from calibration import Axes, Lever, Shutter
 from processing.contact import Material
 from processing.spot import SensorModel
 from rig.settings import BalanceSettings, Configuration, PendulumSettings
@@ -14,7 +14,7 @@ SIMULATED_FLAT = "simulated_flat"
 
 
 def fill_from_truth(config: Configuration) -> Configuration:
-    """Fill sensor, lever, axes, pendulum, materials and balance if they are not stated.
+    """Fill sensor, shutter, lever, axes, pendulum, materials and balance if they are not stated.
 
     The calibration is then perfect: ``--set simulation...`` changes the simulated apparatus and the
     values that the analysis uses for it together.
@@ -23,6 +23,7 @@ def fill_from_truth(config: Configuration) -> Configuration:
     return config.model_copy(
         update={
             "sensor": config.sensor or _sensor(truth, config),
+            "shutter": config.shutter or _shutter(truth),
             "lever": config.lever or _lever(truth),
             "axes": config.axes or _axes(truth),
             "pendulum": config.pendulum or _pendulum(truth),
@@ -47,6 +48,12 @@ def _sensor(truth: SimulationSettings, config: Configuration) -> SensorModel:
         pedestal_dn=state.black_level_dn,
         prnu=truth.sensor.prnu,
     )
+
+
+def _shutter(truth: SimulationSettings) -> Shutter | None:
+    """None for a global shutter, which needs no correction."""
+    sensor = truth.sensor
+    return Shutter(sensor.row_time_s, first_row=sensor.first_row) if sensor.row_time_s else None
 
 
 def _lever(truth: SimulationSettings) -> Lever:

@@ -93,7 +93,11 @@ class Replay:
                 f"{reader.path}: contains no windows of raw pixels{why}, the spot cannot be tracked again; "
                 "replay it without --retrack"
             )
-        self._same_deflections = config.lever == recorded.lever and config.axes == recorded.axes
+        self._same_deflections = (config.lever, config.axes, config.shutter) == (
+            recorded.lever,
+            recorded.axes,
+            recorded.shutter,
+        )
         self._shape = frame_shape(reader)
         head = next(reader.spot_blocks(), None)
         if head is None:
@@ -204,7 +208,10 @@ class Replay:
 
     def _block(self, rows: NDArray[Any], spots: list[Spot]) -> Block:
         if self._retrack or not self._same_deflections:
-            return self._pipeline.measure(rows["time_ns"], spots)
+            # the time of a row is that of its spot; the shutter shifts those of the frames again
+            has_clock = rows["device_time_ns"] >= 0
+            frame_times_ns = np.where(has_clock, rows["device_time_ns"], rows["host_time_ns"])
+            return self._pipeline.measure(frame_times_ns.astype(np.int64), spots)
         return self._pipeline.detect(spots, self._reader.deflections(rows))
 
     def _keep(self, rows: NDArray[Any], block: Block) -> None:

@@ -15,6 +15,7 @@ class CalibrationSettings(BaseModel, frozen=True, extra="forbid"):
     lever: Path | None = Field(default=None, description="fills [lever]")
     axes: Path | None = Field(default=None, description="fills [axes]")
     clock: Path | None = Field(default=None, description="fills [timebase]")
+    shutter: Path | None = Field(default=None, description="fills [shutter]")
     pointing: Path | None = Field(
         default=None, description="result of rig calibrate pointing, stored with the record"
     )

@@ -19,7 +19,7 @@ from pydantic_core import ErrorDetails
 from acquisition.cameras.drivers import find_driver
 from acquisition.simulation.faults import FaultSettings
 from acquisition.simulation.settings import SimulationSettings
-from calibration import Axes, Lever, deflection_unit
+from calibration import Axes, Lever, Shutter, deflection_unit
 from processing.contact import STANDARD_GRAVITY_M_PER_S2, Material
 from processing.deflections import DeflectionUnit
 from processing.errors import ConfigurationError
@@ -121,6 +121,7 @@ class Configuration(Section, frozen=True):
     environment: EnvironmentConditions = EnvironmentConditions()
     camera: CameraSection = CameraSection()
     sensor: SensorModel | None = None
+    shutter: Shutter | None = None
     lever: Lever | None = None
     axes: Axes | None = None
     timebase: TimebaseSettings | None = None

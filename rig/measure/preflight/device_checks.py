@@ -3,9 +3,13 @@
 import math
 from collections.abc import Sequence
 
+from calibration import Axes, Shutter
 from rig.devices import STAYS_LIT, WIRE_IT, LaserNow
 from rig.presentation import Verdict
 from rig.settings import PreflightSettings
+
+_ALONG_ROWS = 0.1
+"""Part of the slow swing that may go across the rows of a sensor whose slow axis lies along them."""
 
 
 def air(environment: tuple[float, float, float], expected: bool, limits: PreflightSettings) -> Verdict:
@@ -57,6 +61,33 @@ def laser(now: LaserNow | None, goes_dark_by_itself: bool) -> Verdict:
     if goes_dark_by_itself:
         return Verdict("laser", True, measured=now.words, limit="lit")
     return Verdict("laser", True, STAYS_LIT, WIRE_IT, measured=now.words, limit="lit")
+
+
+def shutter(kind: str, known: Shutter | None, axes: Axes | None) -> Verdict:
+    """Check that the row time of a rolling shutter is known where the spot swings across the rows.
+
+    `kind` is the camera's word for its shutter. Without `axes` the slow axis is taken along the columns.
+    """
+    limit = "global, or its row time known"
+    if not kind.lower().startswith("rolling"):
+        words = kind.lower() or "the camera does not say which"
+        return Verdict("shutter", True, measured=words, limit=limit, made=bool(kind))
+    across = abs(math.cos(0.0 if axes is None else axes.slow_angle_rad))
+    if known is not None:
+        return Verdict(
+            "shutter", True, measured=f"rolling, {1e6 * known.row_time_s:.3g} us a row", limit=limit
+        )
+    if across < _ALONG_ROWS:
+        return Verdict("shutter", True, measured="rolling, the slow axis lies along the rows", limit=limit)
+    return Verdict(
+        "shutter",
+        True,
+        "each row is exposed at its own time: half-periods differ, [shutter] does not say by how much",
+        "turn the camera so that the slow axis lies along the rows, or set a global reset, or rig calibrate "
+        "shutter",
+        measured="rolling, row time unknown",
+        limit=limit,
+    )
 
 
 def camera(driver: str, notes: Sequence[str]) -> Verdict:

@@ -1,0 +1,177 @@
+"""Rolling shutter: the rows of an image are exposed one after the other, each at its own time.
+
+A spot that is centred on row y was exposed ``y * row_time_s`` after the first row. If it swings across the
+rows, its times are modulated by its own position, and a swing ``A cos(w t)`` gets a second harmonic
+``-(A^2 w row_time / 2) sin(2 w t)``, from which the row time is measured.
+"""
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from processing.errors import DataError
+
+Floats = NDArray[np.float64]
+
+_PERIODS = 3.0
+"""Length of a stretch that is fitted on its own, in periods: friction changes the amplitude little in it."""
+_FEWEST_STRETCHES = 6
+_FEWEST_FRAMES = 24
+_LEAST_PATH_PX = 20.0
+_SMALL_PART = 0.2
+"""Stretches with less than this part of the largest amplitude say nothing: the shift goes with its square."""
+
+
+@dataclass(frozen=True, slots=True)
+class Shutter:
+    """When the rows of an image are exposed: `row_time_s` from one row to the next, 0 for all at once.
+
+    It belongs to the rows of the image as delivered: another binning or pixel format may change it. With
+    `first_row` "top" the row with y = 0 is the first, with "bottom" the last row of the image is; of a
+    region of interest, that of the region. The time of a frame is that of its first row.
+    """
+
+    row_time_s: float = field(
+        default=0.0, metadata={"ge": 0, "lt": 1e-2, "description": "0: all rows at once (global shutter)"}
+    )
+    u_row_time_s: float = field(default=0.0, metadata={"ge": 0})
+    first_row: Literal["top", "bottom"] = "top"
+
+    def times_ns(self, frame_times_ns: NDArray[np.int64], y_px: Floats, rows: int) -> NDArray[np.int64]:
+        """Times (n,) of spots at `y_px` in frames of `rows` rows with these times.
+
+        A frame without a spot (NaN) gets the time of its middle row. Times keep their order as long as the
+        rows take less than the interval of the frames.
+        """
+        if not self.row_time_s:
+            return frame_times_ns
+        row = y_px if self.first_row == "top" else rows - 1 - y_px
+        row = np.where(np.isfinite(row), row, 0.5 * (rows - 1))
+        return frame_times_ns + np.rint(1e9 * self.row_time_s * row).astype(np.int64)
+
+
+GLOBAL = Shutter()
+
+
+@dataclass(frozen=True, slots=True)
+class ShutterFit:
+    """Row time found in a run. It is negative if the bottom row is the first.
+
+    `harmonic_px` is the amplitude of the second harmonic that it makes at the largest amplitude,
+    `amplitude_px`. `chi2_per_dof` compares the stretches with each other; the uncertainty includes their
+    scatter. `even_per_px` is the other part of the second harmonic, relative to the squared amplitude: it
+    comes from the geometry and says nothing about times.
+    """
+
+    row_time_s: float
+    u_row_time_s: float
+    amplitude_px: float
+    harmonic_px: float
+    even_per_px: float
+    chi2_per_dof: float
+    stretches: int
+
+
+def fit_row_time(times_s: Floats, y_px: Floats) -> ShutterFit:
+    """Row time from the swing of a spot across the rows.
+
+    Parameters
+    ----------
+    times_s, y_px : (n,)
+        Times of the frames, not corrected for the shutter, and the spot's row; NaN is left out.
+
+    Raises
+    ------
+    DataError
+        The spot moves over fewer than 20 rows, or the run has fewer than six stretches of three periods.
+
+    Notes
+    -----
+    In each stretch the Fourier coefficients C1, C2 of ``y = Re sum C_k exp(i k w t)`` are fitted, with slow
+    changes of offset and amplitude. The shutter adds i w row_time / 2 to C2 / C1^2; whatever is symmetric in
+    time about the turning points (the lever's tangent, a tilted sensor) adds a real number.
+    """
+    good = np.isfinite(y_px)
+    times_s, y_px = times_s[good] - times_s[good][:1].sum(), y_px[good]
+    path_px = float(np.ptp(y_px)) if len(y_px) else 0.0
+    if path_px < _LEAST_PATH_PX:
+        raise DataError(
+            f"row time: the spot moves over {path_px:.3g} rows, at least {_LEAST_PATH_PX:g} are needed: "
+            "let it swing further, with the slow axis along the columns"
+        )
+    period_s = _period(times_s, y_px)
+    length_s = _PERIODS * period_s
+    stretches = int((times_s[-1] - times_s[0]) / length_s)
+    found = []
+    for begin_s in times_s[0] + length_s * np.arange(stretches):
+        inside = slice(*np.searchsorted(times_s, [begin_s, begin_s + length_s]))
+        if inside.stop - inside.start >= _FEWEST_FRAMES:
+            found.append(_harmonics(times_s[inside], y_px[inside], period_s))
+    table = np.array(found).reshape(-1, 4)
+    if len(table):
+        table = table[table[:, 3] > _SMALL_PART * table[:, 3].max()]
+    if len(table) < _FEWEST_STRETCHES:
+        raise DataError(
+            f"row time: {len(table)} stretches of {_PERIODS:g} periods ({period_s:.3g} s) have a swing, "
+            f"{_FEWEST_STRETCHES} are needed; record for longer"
+        )
+    odd, u_odd, even, amplitude_px = table.T
+    weight = u_odd**-2.0
+    mean = float(np.average(odd, weights=weight))
+    chi2 = float(np.sum(((odd - mean) / u_odd) ** 2)) / (len(odd) - 1)
+    u_mean = float(weight.sum() ** -0.5) * max(chi2, 1.0) ** 0.5
+    rate = 2.0 * np.pi / period_s
+    largest_px = float(amplitude_px.max())
+    return ShutterFit(
+        row_time_s=2.0 * mean / rate,
+        u_row_time_s=2.0 * u_mean / rate,
+        amplitude_px=largest_px,
+        harmonic_px=abs(mean) * largest_px**2,
+        even_per_px=float(np.average(even, weights=weight)),
+        chi2_per_dof=chi2,
+        stretches=len(odd),
+    )
+
+
+def _period(times_s: Floats, y_px: Floats) -> float:
+    """Mean period, from the first and the last upward crossing of the middle between the extremes."""
+    middle = 0.5 * (y_px.max() + y_px.min())
+    margin = 0.05 * np.ptp(y_px)
+    far = np.abs(y_px - middle) > margin
+    side = np.sign(y_px[far] - middle)
+    place = np.flatnonzero(far)
+    up = np.flatnonzero((side[:-1] < 0) & (side[1:] > 0))
+    if len(up) < 2:
+        raise DataError("row time: the spot does not swing to and fro across the rows; record a whole run")
+    crossing_s = 0.5 * (times_s[place[up]] + times_s[place[up + 1]])
+    return float(np.median(np.diff(crossing_s)))
+
+
+def _harmonics(times_s: Floats, y_px: Floats, period_s: float) -> tuple[float, float, float, float]:
+    """Odd part of C2 / C1^2 and its standard uncertainty, even part, and |C1|, of one stretch."""
+    middle_s = 0.5 * (times_s[0] + times_s[-1])
+    since_s = times_s - middle_s
+    slow = since_s / period_s
+    rate = 2.0 * np.pi / period_s
+    for _ in range(3):
+        phase = rate * since_s
+        columns = [np.ones_like(slow), slow]
+        for k in (1, 2, 3):
+            columns += [np.cos(k * phase), -np.sin(k * phase)]
+        # slow changes of amplitude and period
+        columns += [slow * columns[2], slow * columns[3], slow**2 * columns[2], slow**2 * columns[3]]
+        design = np.column_stack(columns)
+        values, *_ = np.linalg.lstsq(design, y_px, rcond=None)
+        first = complex(values[2], values[3])
+        # d(phase)/dt from the part that grows with time in quadrature: brings the frequency to this stretch
+        rate += (complex(values[8], values[9]) / first).imag / period_s
+    residual = y_px - design @ values
+    variance = float(residual @ residual) / max(len(y_px) - design.shape[1], 1)
+    covariance = variance * np.linalg.inv(design.T @ design)
+    ratio = complex(values[4], values[5]) / first**2
+    u_ratio = float(np.sqrt(0.5 * (covariance[4, 4] + covariance[5, 5]))) / abs(first) ** 2
+    # 2 odd / rate is the row time: reduce to the mean period
+    scale = 2.0 * np.pi / period_s / rate
+    return ratio.imag * scale, u_ratio, ratio.real, abs(first)

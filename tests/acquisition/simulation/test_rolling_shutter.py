@@ -1,0 +1,76 @@
+"""The simulated rolling shutter: each row sees the spot at its own time, also in a region of interest."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.special import ndtr
+
+from acquisition.camera import CameraSettings
+from acquisition.cameras.simulated import SimulatedCamera
+from acquisition.simulation.faults import FaultSettings
+from acquisition.simulation.motion import motions
+from acquisition.simulation.optics import spot_position_px
+from acquisition.simulation.scene import Readings, Scene
+from acquisition.simulation.settings import OpticsTruth, SensorTruth, SimulationSettings
+from acquisition.simulation.true_path import axes_motion
+from processing.errors import ConfigurationError
+
+ROWS, TOP = 300, 120
+
+
+def settings_of(row_time_s: float, first_row: str = "top") -> SimulationSettings:
+    # noise-free: many electrons, no read noise, 16 bit
+    sensor = SensorTruth.model_validate(
+        {"width_px": 120, "height_px": 640, "row_time_s": row_time_s, "first_row": first_row, "bit_depth": 16}
+        | {"read_noise_e": 0.0, "gain_e_per_dn": 1e5, "full_well_e": 1e12, "black_level_dn": 0.0}
+    )
+    return SimulationSettings(sensor=sensor, optics=OpticsTruth(peak_dn=40000.0))
+
+
+def integrated(pixel: np.ndarray, centre_px: np.ndarray, sigma_px: float) -> np.ndarray:
+    """A Gaussian of unit height over each pixel."""
+    upper, lower = (ndtr((np.asarray(pixel) + edge - centre_px) / sigma_px) for edge in (0.5, -0.5))
+    return sigma_px * math.sqrt(2 * math.pi) * (upper - lower)
+
+
+@pytest.mark.parametrize("first_row", ["top", "bottom"])
+def test_every_row_sees_the_spot_at_its_own_time(first_row: str) -> None:
+    settings = settings_of(30e-6, first_row)
+    readings = Readings(0, TOP, 120, ROWS, 16, 100.0, 0.0, 100.0)
+    scene = Scene(settings, FaultSettings(), readings, 0)
+    plan = scene.plan(121)
+    fast, slow = motions(settings, 0)
+    rows = np.arange(ROWS)
+    order = rows if first_row == "top" else ROWS - 1 - rows
+    for frame in (60, 100, 120):
+        row_times_s = frame / 100.0 + 30e-6 * rows
+        tilts = axes_motion(settings, fast, slow, row_times_s)
+        x_px, y_px = spot_position_px(*tilts, row_times_s, settings.axes, settings.optics, settings.sensor)
+        x_px, y_px = x_px[order], y_px[order] - TOP
+        image = scene.draw(frame, plan.x_px[frame], plan.y_px[frame], 1.0, plan.slope[frame]).astype(float)
+        sigma = settings.optics.sigma_x_px
+        down = integrated(rows, y_px, sigma)
+        across = integrated(np.arange(120)[None, :], x_px[:, None], sigma)
+        expected = 40000.0 * down[:, None] * across
+        assert np.abs(image - expected).max() < 2e-4 * 40000.0
+        weight = image / image.sum()
+        assert plan.y_px[frame] - TOP == pytest.approx((weight.sum(1) * rows).sum(), abs=2e-3)
+
+
+def test_a_readout_longer_than_a_frame_is_refused() -> None:
+    camera = SimulatedCamera(settings_of(30e-6))
+    camera.open()
+    with pytest.raises(ConfigurationError, match=r"640 rows take 0\.01917 s, more than a frame at 100 Hz"):
+        camera.start()
+    camera.configure(CameraSettings(height_px=300, frame_rate_hz=100.0))
+    camera.start()
+    assert camera.read(1.0) is not None
+    camera.close()
+
+
+def test_a_global_shutter_draws_the_same_frames_as_ever() -> None:
+    plan = Scene(settings_of(0.0), FaultSettings(), Readings(0, 0, 120, 640, 16, 100.0, 0.0, 100.0), 0).plan(
+        10
+    )
+    assert not plan.slope.any()

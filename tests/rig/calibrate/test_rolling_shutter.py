@@ -1,0 +1,60 @@
+"""A rolling shutter is measured from a run, stated, and leaves nothing in the results."""
+
+from pathlib import Path
+
+import numpy as np
+
+from acquisition.record.reader import RecordReader
+from calibration import read_calibration
+from rig.calibrate import Filing, calibrate_shutter
+from rig.instrument import recorded_configuration
+from rig.measure.session import simulate_record
+from rig.replay.replay import Replay
+from rig.settings.configuration import load_configuration
+from tests.rig.calibrate.rolling_measurement import compare
+
+DEMO = Path(__file__).resolve().parents[3] / "configs" / "demo.toml"
+ROW_TIME_S = 15e-6
+
+
+def test_corrected_parameters_are_those_of_a_global_shutter() -> None:
+    found = compare(30e-6, along_rows=False, seed=1, duration_s=200.0)
+    assert found.fitted is not None
+    assert abs(found.fitted.row_time_s / 30e-6 - 1.0) < 0.03
+    assert max(abs(shift) for shift in found.corrected.values()) < 0.3
+    assert max(abs(shift) for shift in found.uncorrected.values()) > 10.0
+
+
+def test_a_record_gives_the_row_time_and_is_corrected_with_it(tmp_path: Path) -> None:
+    """The simulated rig knows itself; here the record is made as if nobody knew of the shutter."""
+    words = {
+        "simulation.sensor.row_time_s": ROW_TIME_S,
+        "simulation.sensor.first_row": "bottom",
+        "simulation.sensor.width_px": 64,
+        "simulation.sensor.height_px": 320,
+        "simulation.optics.arm_m": 0.5,
+        "simulation.max_duration_s": 76.0,
+        "camera.frame_rate_hz": 50.0,
+        "session.max_duration_s": 80.0,
+        "shutter.row_time_s": 0.0,
+        "record.windows": "false",
+    }
+    config = load_configuration(DEMO, [f"{key}={value}" for key, value in words.items()])
+    record = tmp_path / "run.mcap"
+    assert simulate_record(config, DEMO, record) == 0
+    values = read_calibration(calibrate_shutter(record, Filing(tmp_path / "calibrations"))).values
+    assert abs(values["row_time_s"] / ROW_TIME_S - 1.0) < 0.03
+    assert values["first_row"] == "bottom"
+    with RecordReader(record) as reader:
+        spots = reader.spots()
+        assert np.array_equal(spots["device_time_ns"], spots["time_ns"])
+        corrected = recorded_configuration(
+            reader, [f"shutter.{key}={value}" for key, value in values.items()]
+        )
+        replay = Replay(reader, corrected, retrack=False)
+        while replay.advance(1e9, 1000) is not None:
+            pass
+        times_ns = np.concatenate([block.times_ns for block in replay.finish().deflections])
+    assert corrected.shutter is not None
+    late_ns = np.rint(1e9 * values["row_time_s"] * (319 - spots["y_px"]))
+    assert np.array_equal(times_ns - spots["time_ns"], late_ns)
