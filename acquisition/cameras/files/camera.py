@@ -8,7 +8,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.camera import CameraInfo, CameraLost, CameraSettings, CameraStatus, PixelFormat
+from acquisition.camera import (
+    CameraInfo,
+    CameraLost,
+    CameraSettings,
+    CameraStatus,
+    PixelFormat,
+    without_features,
+)
 from acquisition.cameras.files.settings import FilesSettings
 from acquisition.cameras.files.sources import Source, Stored, Unreadable, open_source
 from acquisition.cameras.files.timestamps import FrameTimes, frame_times
@@ -63,6 +70,7 @@ class FilesCamera:
             height_px=image.shape[0],
             full_scale_dn=full_scale_dn,
             has_clock=True,
+            stamped="middle",
         )
         return self._info
 
@@ -71,6 +79,7 @@ class FilesCamera:
         info = self._must_be_open()
         if self._stopped is not None and not self._stopped.is_set():
             raise DeviceError(f"{info.serial}: cannot be configured while frames are running; stop it first")
+        without_features(settings, info.serial)
         x0, y0 = settings.offset_x_px or 0, settings.offset_y_px or 0
         width = settings.width_px or info.width_px - x0
         height = settings.height_px or info.height_px - y0

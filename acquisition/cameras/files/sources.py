@@ -1,6 +1,7 @@
 """Sources of recorded frames: folder of images, TIFF file, .npy stack, video."""
 
 import contextlib
+import logging
 import math
 import re
 from collections.abc import Iterator
@@ -11,9 +12,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from acquisition.cameras.files.ffv1 import Ffv1Checksums
 from acquisition.cameras.files.pgm import read_pgm
+from acquisition.cameras.files.tiff import is_cut_off
 from processing.errors import DeviceError
 
+_log = logging.getLogger(__name__)
 IMAGES = (".png", ".pgm", ".tif", ".tiff", ".bmp")
 _STACKS = (".tif", ".tiff")
 _LOSSLESS = ("FFV1", "HFYU", "FFVH", "GREY", "Y800", "Y8  ", "Y16 ", "RAW ", "\0\0\0\0")
@@ -125,18 +129,22 @@ class FolderSource:
 
 
 class TiffSource:
-    """A multi-page TIFF file."""
+    """A multi-page TIFF file; one that is cut off counts one page more, which cannot be read."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
         self.names: list[str] = []
-        self.count = _pages(path)
+        self._pages = self.count = _pages(path)
         self.hint = ""
         self.lossy = ""
         if self.count == 0:
             raise DeviceError(f"{path}: is no TIFF stack that can be read")
+        if is_cut_off(path):
+            self.count += 1
 
     def read(self, index: int) -> Stored:
+        if index == self._pages:
+            raise Unreadable("the file is cut off before this page; copy it again")
         with _quiet():
             good, pages = cv2.imreadmulti(str(self._path), index, 1, flags=cv2.IMREAD_UNCHANGED)
         if not good or len(pages) != 1:
@@ -194,6 +202,12 @@ class VideoSource:
         rate_hz = capture.get(cv2.CAP_PROP_FPS)
         codec = int(capture.get(cv2.CAP_PROP_FOURCC)).to_bytes(4, "little").decode("latin-1").upper()
         self.lossy = "" if codec in _LOSSLESS else codec.strip()
+        self._checksums: Ffv1Checksums | None = None
+        if codec == "FFV1" and self.count > 0:
+            with _quiet():
+                self._checksums = Ffv1Checksums(path)
+            if not self._checksums.present:
+                _log.warning("%s: was written without checksums; damaged frames cannot be told", path)
         self.hint = ""
         if math.isfinite(rate_hz) and rate_hz > 0:
             self.hint = f" (the file itself says {rate_hz:g} frames/s)"
@@ -207,13 +221,18 @@ class VideoSource:
         if self._capture is None or index < self._position:
             self.close()
             self._opened()
+            if self._checksums is not None:
+                self._checksums.rewind()
         while True:
             capture = self._capture
             good, pixels = capture.read() if capture is not None else (False, None)
+            whole = self._checksums is None or self._checksums.next_is_whole()
             self._position += 1
             if not good or pixels is None:
                 raise Unreadable("the video ends here or is damaged")
             if self._position > index:
+                if not whole:
+                    raise Unreadable("its checksum, or that of a frame it builds on, does not match")
                 return _stored(pixels)
 
     def label(self, index: int) -> str:
@@ -222,6 +241,8 @@ class VideoSource:
     def close(self) -> None:
         if self._capture is not None:
             self._capture.release()
+        if self._checksums is not None:
+            self._checksums.close()
         self._capture = None
         self._position = 0
 
@@ -265,10 +286,10 @@ def _pages(path: Path) -> int:
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
     """Suppress OpenCV's messages on stderr about unreadable frames, which the caller reports."""
-    logging = cv2.utils.logging
-    level = logging.getLogLevel()
-    logging.setLogLevel(logging.LOG_LEVEL_SILENT)
+    messages = cv2.utils.logging
+    level = messages.getLogLevel()
+    messages.setLogLevel(messages.LOG_LEVEL_SILENT)
     try:
         yield
     finally:
-        logging.setLogLevel(level)
+        messages.setLogLevel(level)

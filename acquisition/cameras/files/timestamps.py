@@ -11,6 +11,7 @@ from acquisition.cameras.files.settings import FilesSettings
 from processing.errors import DeviceError
 
 T = TypeVar("T")
+_MOST_DIGITS = 11
 
 
 class FrameTimes(NamedTuple):
@@ -86,7 +87,10 @@ def _read(path: Path, count: int, names: Sequence[str]) -> FrameTimes:
 
 
 def _ns_of_seconds(text: str) -> int:
-    return round(Decimal(text) * 1_000_000_000)
+    seconds = Decimal(text)
+    if seconds.is_finite() and seconds.adjusted() > _MOST_DIGITS:
+        raise OverflowError  # an exponent of a thousand million is a number of as many digits
+    return round(seconds * 1_000_000_000)
 
 
 def _column(
@@ -99,7 +103,7 @@ def _column(
         try:
             values.append(convert(text))
         except (ValueError, InvalidOperation, OverflowError):
-            raise DeviceError(f"{path}: line {line}: {name} = {text!r} is no number") from None
+            raise DeviceError(f"{path}: line {line}: {name} = {text!r} is no number, or too large") from None
     return values
 
 
@@ -107,6 +111,8 @@ def _rising(path: Path, name: str, values: list[int]) -> list[int]:
     for line, (before, after) in enumerate(pairwise(values), start=3):
         if after <= before:
             raise DeviceError(f"{path}: line {line}: {name} does not rise; frames must be in the order taken")
+    if values and values[-1] >= 2**63:
+        raise DeviceError(f"{path}: {name} holds more than 9.2e18 ns, which cannot be kept")
     if values and values[0] < 0:
         raise DeviceError(f"{path}: line 2: {name} is negative; count from an earlier moment")
     return values

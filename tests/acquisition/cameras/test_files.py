@@ -1,6 +1,8 @@
 """The files camera passes the conformance suite and reads every container and timestamps; faulty files."""
 
 import shutil
+import struct
+import zlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, ClassVar
@@ -139,6 +141,53 @@ def test_tiff_stack_and_npy_stack_come_back_bit_for_bit(tmp_path: Path) -> None:
     for name in ("stack.npy", "stack.tif"):
         _, frames = play(tmp_path / name)
         assert np.array_equal([frame.image for frame in frames], wanted), name
+
+
+def test_a_damaged_video_frame_and_what_builds_on_it_are_counted_and_not_delivered(tmp_path: Path) -> None:
+    """The decoder delivers all as good: one flipped bit spoils the frames up to the next key frame."""
+    wanted = frames_of(8)
+    path = write_video(tmp_path / "whole.mkv", wanted)
+    whole, frames = play(path)
+    assert (whole.status.delivered, whole.status.incomplete) == (COUNT, 0)
+    raw = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG, [cv2.CAP_PROP_FORMAT, -1])
+    packets = [raw.read()[1].tobytes() for _ in range(COUNT)]
+    data = bytearray(path.read_bytes())
+    at = data.find(packets[4]) + len(packets[4]) // 2
+    data[at] ^= 0x10
+    damaged = tmp_path / "damaged.mkv"
+    damaged.write_bytes(data)
+    camera, frames = play(damaged)
+    for frame in frames:
+        np.testing.assert_array_equal(frame.image, wanted[frame.sequence])
+    missing = sorted(set(range(COUNT)) - {frame.sequence for frame in frames})
+    assert missing[0] == 4
+    assert camera.status.incomplete == len(missing)
+    assert len(frames) >= 12, "from the next key frame on they are good again"
+
+
+def test_a_tiff_stack_that_is_cut_off_is_said_to_be(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    wanted = frames_of(16, 12)
+    path = tmp_path / "stack.tif"
+    cv2.imwritemulti(str(path), list(wanted))
+    assert play(path)[0].status.incomplete == 0
+    path.write_bytes(path.read_bytes()[: path.stat().st_size * 3 // 10])
+    camera, frames = play(path)
+    assert 0 < len(frames) < 12
+    for frame in frames:
+        np.testing.assert_array_equal(frame.image, wanted[frame.sequence])
+    assert camera.status.incomplete >= 1
+    assert "cut off" in caplog.text
+
+
+def test_an_image_that_states_an_absurd_size_is_one_line(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path / "images", frames_of(8, 3), ".png")
+    data = bytearray((folder / "frame1.png").read_bytes())
+    data[16:24] = struct.pack(">II", 200_000, 200_000)
+    data[29:33] = struct.pack(">I", zlib.crc32(data[12:29]))
+    (folder / "frame1.png").write_bytes(data)
+    camera, frames = play(folder)
+    assert [frame.sequence for frame in frames] == [0, 2]
+    assert camera.status.incomplete == 1
 
 
 def test_stack_is_mapped_not_loaded(tmp_path: Path) -> None:
@@ -287,6 +336,8 @@ def test_times_from_csv_are_exact_to_the_nanosecond(folder: Path) -> None:
         ("time_ns\n1.5\n2\n3\n4\n", "line 2: time_ns = '1.5'"),
         ("time_ns\n-1\n2\n3\n4\n", "negative"),
         ("time_s\nnan\n2\n3\n4\n", "line 2: time_s = 'nan'"),
+        ("time_s\n1\n2\n3\n1e999999999\n", "line 5: time_s = '1e999999999' is no number, or too large"),
+        ("time_ns\n1\n2\n3\n10000000000000000000\n", "more than 9.2e18 ns"),
         ("t\n1\n2\n3\n4\n", "no column time_ns or time_s"),
         ("", "is empty"),
         (
