@@ -9,7 +9,14 @@ from typing import Final
 
 import usb.backend
 
-from acquisition.camera import CameraInfo, CameraLost, CameraSettings, CameraStatus, FrameTimeout
+from acquisition.camera import (
+    CameraInfo,
+    CameraLost,
+    CameraSettings,
+    CameraStatus,
+    FeatureValue,
+    FrameTimeout,
+)
 from acquisition.cameras.usb3vision.discovery import find_camera
 from acquisition.cameras.usb3vision.features import Features
 from acquisition.cameras.usb3vision.gencp import GenCpChannel
@@ -233,6 +240,16 @@ class Usb3VisionCamera:
     def features(self) -> Features:
         """All features of the open camera, for ``rig camera show`` and ``rig camera set``."""
         return self._opened().features
+
+    def feature_values(self) -> dict[str, FeatureValue]:
+        """All features that can be read now, by name."""
+        with self._lock, self._noticing_loss():
+            readings = self._opened().features.readings()
+            return {
+                one.name: one.value.hex() if isinstance(one.value, bytes) else one.value
+                for one in readings
+                if one.value is not None and not one.problem and one.kind != "Command"
+            }
 
     def read_clocks(self, attempts: int = 5) -> ClockReading:
         """Simultaneous reading of the camera's and the host's clock: the fastest of a few attempts."""

@@ -1,6 +1,7 @@
 """Search for connected USB3 Vision cameras, and choice of one by its serial number."""
 
 import errno
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -11,7 +12,13 @@ import usb.core
 import usb.util
 
 from acquisition.camera import PluggedCamera
-from acquisition.cameras.usb3vision.link import UDEV_RULE, VISION_CLASS, VISION_SUBCLASS, no_permission
+from acquisition.cameras.usb3vision.link import (
+    UDEV_RULE,
+    VISION_CLASS,
+    VISION_SUBCLASS,
+    WINUSB,
+    no_permission,
+)
 from processing.errors import DeviceError
 
 _DEVICE_INFO_TYPE: Final = 0x24
@@ -64,6 +71,8 @@ def find_cameras(backend: usb.backend.IBackend | None = None) -> tuple[FoundCame
 def list_cameras() -> list[PluggedCamera]:
     """All connected USB3 Vision cameras for ``rig devices``, with the USB speed as `place`."""
     remedy = f"no permission: copy {udev_rule()} to /etc/udev/rules.d and plug the camera in again"
+    if sys.platform == "win32":
+        remedy = WINUSB
     return [
         PluggedCamera(
             driver="usb3vision",
@@ -149,6 +158,9 @@ def _describe(device: Any) -> FoundCamera:
     except usb.core.USBError as error:
         vendor = model = serial = ""
         accessible = error.errno != errno.EACCES
+    except NotImplementedError:  # Windows, for a device without the driver WinUSB
+        vendor = model = serial = ""
+        accessible = False
     finally:
         usb.util.dispose_resources(device)
     return FoundCamera(vendor, model, serial, speed, accessible, device)

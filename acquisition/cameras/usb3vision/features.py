@@ -5,7 +5,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Final
 
-from acquisition.camera import CameraLost, CameraSettings, PixelFormat
+from acquisition.camera import CameraLost, CameraSettings, FeatureValue, PixelFormat
+from acquisition.cameras.automatic import AUTOMATIC, BENDING, RESULTING_RATES
 from acquisition.cameras.pixel_formats import BY_NAME, FORMATS, Format
 from acquisition.cameras.usb3vision.genapi.choice_nodes import Enumeration
 from acquisition.cameras.usb3vision.genapi.node import Access
@@ -128,39 +129,83 @@ class Features:
         back.
         """
         self.nodes.forget()
+        self._leave_images_alone()
         if settings.pixel_format is not None:
             self._set_pixel_format(settings.pixel_format)
         self._set_region(settings)
-        if settings.exposure_us is not None:
-            self._switch_off("ExposureAuto")
-            self._set_number("ExposureTime", settings.exposure_us)
+        self._set_times(settings.exposure_us, settings.frame_rate_hz)
         if settings.gain_db is not None:
-            self._switch_off("GainAuto")
             self._set_number("Gain", settings.gain_db)
-        if settings.frame_rate_hz is not None:
-            self._switch_off("AcquisitionFrameRateAuto")
-            enable = self.find("AcquisitionFrameRateEnable")
-            if enable is not None and self.nodes.node(enable).access().writable:
-                self.nodes.set(enable, True)
-            self._set_number("AcquisitionFrameRate", settings.frame_rate_hz)
-        return self.read_back()
+        for name, value in settings.features.items():
+            self.set(name, value)
+        return self.read_back(tuple(settings.features))
 
-    def read_back(self) -> CameraSettings:
-        """The camera's present settings; None for a feature that it does not have or that is not in use."""
+    def _leave_images_alone(self) -> None:
+        """Switch off what the camera does by itself to its images."""
+        for name in AUTOMATIC:
+            self._switch_off(name)
+        for name in BENDING:
+            node = self.nodes.node(name) if name in self.nodes else None
+            if node is not None and node.access().writable and self.get_if_readable(name):
+                self.nodes.set(name, False)
+
+    def _set_times(self, exposure_us: float | None, frame_rate_hz: float | None) -> None:
+        """Set exposure and frame rate in the order in which they fit: each limits the other."""
+        if exposure_us is None or frame_rate_hz is None:
+            self._set_exposure(exposure_us)
+            self._set_rate(frame_rate_hz)
+            return
+        now_us = self.get_if_readable("ExposureTime")
+        if now_us is None or exposure_us <= now_us:
+            self._set_exposure(exposure_us)
+            self._set_rate(frame_rate_hz)
+        else:
+            self._set_rate(frame_rate_hz)
+            self._set_exposure(exposure_us)
+
+    def _set_exposure(self, exposure_us: float | None) -> None:
+        if exposure_us is not None:
+            self._set_number("ExposureTime", exposure_us)
+
+    def _set_rate(self, frame_rate_hz: float | None) -> None:
+        if frame_rate_hz is None:
+            return
+        self._switch_off("AcquisitionFrameRateAuto")
+        enable = self.find("AcquisitionFrameRateEnable")
+        if enable is not None and self.nodes.node(enable).access().writable:
+            self.nodes.set(enable, True)
+        self._set_number("AcquisitionFrameRate", frame_rate_hz)
+
+    def read_back(self, features: tuple[str, ...] = ()) -> CameraSettings:
+        """The camera's present settings; None for a feature that it does not have or that is not in use.
+
+        The frame rate is the one that results, where exposure or bus do not allow the one that is set.
+        `features` are read too.
+        """
         self.nodes.forget()
         pixel_format = self.pixel_format().pixel_format
-        enabled = self.get_if_readable("AcquisitionFrameRateEnable")
-        rate = None if enabled is False else self.get_if_readable("AcquisitionFrameRate")
         return CameraSettings(
             exposure_us=self._positive("ExposureTime"),
             gain_db=self._gain(),
-            frame_rate_hz=float(rate) if rate else None,
+            frame_rate_hz=self._frame_rate(),
             pixel_format=pixel_format,
             width_px=self.get("Width"),
             height_px=self.get("Height"),
             offset_x_px=self.get_if_readable("OffsetX"),
             offset_y_px=self.get_if_readable("OffsetY"),
+            features={name: _plain(self.get_if_readable(name)) for name in features},
         )
+
+    def _frame_rate(self) -> float | None:
+        enabled = self.get_if_readable("AcquisitionFrameRateEnable")
+        rate_hz = None if enabled is False else self.get_if_readable("AcquisitionFrameRate")
+        if not rate_hz:
+            return None
+        for name in RESULTING_RATES:
+            possible_hz = self.get_if_readable(name)
+            if possible_hz:
+                return float(min(rate_hz, possible_hz))
+        return float(rate_hz)
 
     def _positive(self, name: str) -> float | None:
         value = self.get_if_readable(name)
@@ -168,8 +213,7 @@ class Features:
 
     def _gain(self) -> float | None:
         value = self.get_if_readable("Gain")
-        # some cameras have negative gains (attenuation), which the settings do not allow
-        return max(float(value), 0.0) if value is not None else None
+        return None if value is None else float(value)
 
     def _set_number(self, name: str, wanted: float) -> None:
         found = self.find(name)
@@ -266,3 +310,8 @@ class Features:
                     self.set(offset, min(before, int(self.nodes.node(offset).maximum() or 0)))
             if wanted_offset is not None and (has_offset or wanted_offset):
                 self.set(offset, wanted_offset)
+
+
+def _plain(value: Any) -> FeatureValue:
+    """A feature's value as a configuration states it; empty if it cannot be read."""
+    return value if isinstance(value, bool | int | float | str) else "" if value is None else str(value)

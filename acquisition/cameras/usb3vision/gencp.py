@@ -134,11 +134,11 @@ class GenCpChannel:
 
     def read(self, address: int, length: int) -> bytes:
         """`length` bytes from `address`, in as many commands as the camera's packets need."""
-        largest = self._max_reply - _HEADER.size
+        largest = (self._max_reply - _HEADER.size) & ~3
         data = bytearray()
         while len(data) < length:
             size = min(length - len(data), largest)
-            data += self._read_once(address + len(data), size)
+            data += self._read_part(address + len(data), size)
         return bytes(data)
 
     def write(self, address: int, data: bytes) -> None:
@@ -153,6 +153,15 @@ class GenCpChannel:
                 written = _TWO_WORDS.unpack_from(reply)[1]
                 if written not in (0, len(part)):
                     raise NoAnswer(f"{self._name}: {where}: the camera reports that it has written {written}")
+
+    def _read_part(self, address: int, size: int) -> bytes:
+        """One command; a camera that reads only whole words of 4 bytes is asked for the last one whole."""
+        try:
+            return self._read_once(address, size)
+        except RegisterRefused:
+            if size % 4 == 0:
+                raise
+        return self._read_once(address, size + 3 & ~3)[:size]
 
     def _read_once(self, address: int, size: int) -> bytes:
         where = f"reading {size} bytes at 0x{address:X}"

@@ -2,6 +2,7 @@
 
 import errno
 import logging
+import sys
 from array import array
 from typing import Any, Final
 
@@ -22,6 +23,10 @@ _TO_ENDPOINT: Final = 0x02
 _SET_FEATURE: Final = 3
 _ENDPOINT_HALT: Final = 0
 
+WINUSB: Final = (
+    "Windows has no driver for it that programs can use: give it WinUSB, for example with Zadig "
+    "(zadig.akeo.ie); the maker's program then no longer finds it until its own driver is put back"
+)
 UDEV_RULE: Final = "70-usb3vision.rules"
 
 # Error codes of the operating systems for a device that has been unplugged
@@ -35,7 +40,9 @@ class StreamHalted(DeviceError):
 
 
 def no_permission(name: str) -> DeviceError:
-    """Error for a user without permission to open the camera."""
+    """Error for a user without permission to open the camera, or on Windows without its driver."""
+    if sys.platform == "win32":
+        return DeviceError(f"{name}: {WINUSB}")
     return DeviceError(
         f"{name}: no permission to use it; copy {UDEV_RULE} (rig doctor prints its path) to "
         f"/etc/udev/rules.d, run 'sudo udevadm control --reload', and plug the camera in again"

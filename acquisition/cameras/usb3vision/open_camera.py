@@ -99,6 +99,7 @@ class OpenCamera:
             height_px=features.sensor_size("Height"),
             full_scale_dn=255 if pixel_format is None else pixel_format.full_scale_dn,
             has_clock=identity.timestamp_increment_ns > 0,
+            shutter=str(features.get_if_readable("SensorShutterMode") or ""),
         )
 
     def set_locked(self, locked: bool) -> None:

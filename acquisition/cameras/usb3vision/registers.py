@@ -35,6 +35,8 @@ _STREAM_REQUIRED_LEADER: Final = 0x10
 _STREAM_REQUIRED_TRAILER: Final = 0x14
 _STREAM_HOST_SIZES: Final = 0x18
 
+_USUAL_PACKET: Final = 1024
+
 _SPEEDS: Final = {1: "low speed", 2: "full speed", 4: "high speed", 8: "SuperSpeed", 16: "SuperSpeed+"}
 
 
@@ -169,8 +171,9 @@ class StreamRegisters:
         base = self._address
         alignment = 1 << (_u32(self._channel, base + _STREAM_INFO) >> 24)
         payload = _u64(self._channel, base + _STREAM_REQUIRED_PAYLOAD)
-        leader = _u32(self._channel, base + _STREAM_REQUIRED_LEADER)
-        trailer = _u32(self._channel, base + _STREAM_REQUIRED_TRAILER)
+        # some cameras state 0 after they were plugged in
+        leader = _u32(self._channel, base + _STREAM_REQUIRED_LEADER) or _USUAL_PACKET
+        trailer = _u32(self._channel, base + _STREAM_REQUIRED_TRAILER) or _USUAL_PACKET
         if not 0 < payload <= payload_limit or not 0 < leader <= 65536 or not 0 < trailer <= 65536:
             raise DeviceError(
                 f"{self._name}: requires frames of {payload} bytes with a leader of {leader} and a trailer "

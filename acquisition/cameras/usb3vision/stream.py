@@ -41,6 +41,12 @@ logger = logging.getLogger(__name__)
 _PATIENCE_S: Final = 0.3
 # A larger jump of the block number means that the counter was reset, not that frames were lost.
 _LARGEST_GAP: Final = 1 << 31
+# So many frames in a row that are sent in another way than planned: this camera does so.
+_LEARNED_AFTER: Final = 2
+_UNLEARNED_AFTER: Final = 6
+# Sizes of block counters that are shorter than the standard's 64 bits, and the largest loss across their end.
+_COUNTERS: Final = (1 << 16, 1 << 32)
+_LARGEST_LOSS: Final = 1000
 # So many consecutive frames of a wrong size or format are a wrong setting and not an error of the bus.
 _MOST_MISFITS: Final = 10
 
@@ -65,6 +71,7 @@ class _Part(Enum):
     PAYLOAD = 1
     TRAILER = 2
     SEARCH = 3
+    EMPTY = 4
 
 
 class FrameStream:
@@ -84,11 +91,12 @@ class FrameStream:
         self._plan = plan
         self._expected = expected
         self._link = link
-        self._parts = (
+        self._planned_parts: tuple[tuple[_Part, int], ...] = (
             (_Part.LEADER, plan.leader),
             *((_Part.PAYLOAD, size) for size in plan.payload),
             (_Part.TRAILER, plan.trailer),
         )
+        self._parts = self._planned_parts
         self._ring: deque[tuple[_Part, int, NDArray[np.uint8]]] = deque()
         self._next_part = 0
         self._payload = np.empty(0, np.uint8)  # buffer of the frame for which reads are being queued
@@ -96,6 +104,8 @@ class FrameStream:
         self._received = 0
         self._pieces: list[NDArray[np.uint8]] = []
         self._last_block: int | None = None
+        self._last_timestamp = 0
+        self._deviations, self._deviated = 0, False
         self._last_sequence = -1
         self._lost_parts = 0
         self._misfits = 0
@@ -129,10 +139,17 @@ class FrameStream:
             return None
         self._ring.popleft()
         data = buffer[: arrived.byte_count]
-        if part is _Part.PAYLOAD and self._leader is not None:
-            self._take_payload(data, planned)
-        elif part is _Part.TRAILER and self._leader is not None:
-            return self._take_trailer(data, arrived.host_time_ns)
+        if not data.size and self._leader is not None and part in (_Part.TRAILER, _Part.EMPTY):
+            self._take_empty(part)
+        elif part is _Part.PAYLOAD and self._leader is not None:
+            return self._take_payload(data, planned, arrived.host_time_ns)
+        elif part in (_Part.TRAILER, _Part.EMPTY) and self._leader is not None:
+            frame = self._take_trailer(data, arrived.host_time_ns)
+            if part is _Part.EMPTY:  # which this camera sends, but not at this size
+                self._parts = self._planned_parts
+                self._disturbed = True
+                self._resume_at(0)
+            return frame
         else:
             self._take_leader(data, in_rhythm=part is _Part.LEADER)
         return None
@@ -170,6 +187,8 @@ class FrameStream:
             # Later reads may already have received bytes, which are lost by cancelling them, so that the next
             # part is unknown: search for a leader.
             next_part = -1
+        if next_part <= 0 and self._lost_parts >= _UNLEARNED_AFTER:
+            self._parts = self._planned_parts  # what was learned does not hold (any more)
         self._transfers.cancel()
         self._ring.clear()
         self._payload = np.empty(0, np.uint8)
@@ -193,7 +212,25 @@ class FrameStream:
             self._lost_parts += 1
         self._leader = None
 
+    def _deviates(self) -> bool:
+        """Note that this frame is not sent as planned; whether two in a row are, which then is expected."""
+        self._deviations += not self._deviated
+        self._deviated = True
+        return self._deviations >= _LEARNED_AFTER
+
     # ---- parts of a frame
+
+    def _take_empty(self, part: _Part) -> None:
+        """A packet without bytes: it ends a payload of whole packets, where the standard has none."""
+        if part is _Part.EMPTY:
+            return
+        *before, trailer = self._parts
+        if self._deviates():
+            self._parts = (*before, (_Part.EMPTY, trailer[1]), trailer)
+        self._disturbed = True
+        self._resume_at(len(self._parts) - 1)
+        if self._next_part < 0:
+            self._lose_frame()
 
     def _take_leader(self, data: NDArray[np.uint8], *, in_rhythm: bool) -> None:
         self._lose_frame()
@@ -208,6 +245,7 @@ class FrameStream:
             self._resume_at(0 if begins_like(data.tobytes()[:4], TRAILER_MAGIC) else -1)
             return
         self._leader = leader
+        self._deviated = False
         if not in_rhythm:
             self._resume_at(1)
             if self._next_part != 1:
@@ -225,7 +263,26 @@ class FrameStream:
                 "compression off (rig camera set CONFIGURATION ChunkModeActive=0)"
             )
 
-    def _take_payload(self, data: NDArray[np.uint8], planned: int) -> None:
+    def _take_payload(self, data: NDArray[np.uint8], planned: int, host_time_ns: int) -> Frame | None:
+        # A camera that announced more than it sends: its trailer is in place of payload or right behind it.
+        at = max(self._expected.image_bytes - self._received, 0)
+        if data.size < planned and self._leader is not None and at < data.size <= at + self._plan.trailer:
+            trailer = parse_trailer(data[at : at + 256].tobytes())
+            if trailer is not None and trailer.block == self._leader.block:
+                payload = self._parts[1 : 1 + len(self._pieces) + bool(at)]
+                end = () if at else ((_Part.TRAILER, self._plan.trailer),)
+                if at:
+                    self._pieces.append(data[:at])
+                    self._received += at
+                sent = (self._parts[0], *payload, *end)
+                is_new = sent != self._parts
+                is_learned = is_new and self._deviates()
+                frame = self._take_trailer(data[at:], host_time_ns)
+                if is_new:
+                    self._parts = sent if is_learned else self._parts
+                    self._disturbed = True
+                    self._resume_at(0)
+                return frame
         # A short transfer may be a trailer (the camera ended the frame early) or a leader (the rest of the
         # frame was lost) in place of payload.
         if data.size < planned and data.size <= max(self._plan.leader, self._plan.trailer):
@@ -236,12 +293,13 @@ class FrameStream:
                 self._lose_frame()
                 self._disturbed = True
                 self._resume_at(0)
-                return
+                return None
             if is_short and parse_leader(head) is not None:
                 self._take_leader(data, in_rhythm=False)
-                return
+                return None
         self._pieces.append(data)
         self._received += data.size
+        return None
 
     def _take_trailer(self, data: NDArray[np.uint8], host_time_ns: int) -> Frame | None:
         leader = self._leader
@@ -285,9 +343,12 @@ class FrameStream:
         # Number of frames since the last one delivered. Before the first one there is no block number to
         # compare with; damaged frames count nevertheless.
         step = 1 + self._lost_parts if self._last_block is None else leader.block - self._last_block
-        if step == 0:
-            self._lost_parts += 1  # the same block number again: discard the frame, count it as incomplete
+        if step <= 0 and self._is_stale(leader):
+            # sent again, or overtaken by another one, which was when it counted as lost
+            logger.warning("%s: block %d came again or too late", self._link.name, leader.block)
             return None
+        if step < 0:
+            step = next((step + n for n in _COUNTERS if 0 < step + n <= _LARGEST_LOSS), step)
         if not 0 < step <= _LARGEST_GAP:
             logger.warning(
                 "%s: block number went from %s to %d", self._link.name, self._last_block, leader.block
@@ -301,7 +362,8 @@ class FrameStream:
         else:
             self._by_camera += max(missing - incomplete, 0)
         self._lost_parts, self._disturbed, self._trouble_since_s = 0, False, None
-        self._last_block = leader.block
+        self._deviations, self._deviated = self._deviations * self._deviated, False
+        self._last_block, self._last_timestamp = leader.block, leader.timestamp
         self._last_sequence += step
         wanted = self._expected
         image = wanted.pixel_format.image(
@@ -310,6 +372,12 @@ class FrameStream:
         image.flags.writeable = False
         device_time_ns = leader.timestamp if wanted.has_clock else -1
         return Frame(image, self._last_sequence, device_time_ns, host_time_ns)
+
+    def _is_stale(self, leader: Leader) -> bool:
+        """Whether a frame whose block number does not rise is an old one, by its time if it has one."""
+        if self._expected.has_clock:
+            return leader.timestamp <= self._last_timestamp
+        return leader.block == self._last_block
 
     def _whole_payload(self) -> NDArray[np.uint8]:
         """The payload as one array: without a copy if its pieces are contiguous in one buffer."""

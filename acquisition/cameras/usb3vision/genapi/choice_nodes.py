@@ -37,9 +37,11 @@ class Boolean(Valued):
         on, off = self._on_off()
         super().set_number(on if value else off)
 
-    def set(self, value: bool) -> None:
-        """Switch it on or off."""
-        self.set_number(int(value))
+    def set(self, value: bool | str) -> None:
+        """Switch it on or off; as words "true" and "false", "on" and "off", or a number."""
+        if isinstance(value, str):
+            value = {"true": True, "on": True, "false": False, "off": False}.get(value.lower(), value)
+        self.set_number(bool(self.stated(value)))
 
     def minimum(self) -> Number:
         return 0

@@ -64,7 +64,10 @@ def parse_description(xml: str, name: str) -> dict[str, NodeDescription]:
             f"{name}: the camera's description is a {_local(root.tag)!r}, not a RegisterDescription"
         )
     nodes: dict[str, NodeDescription] = {}
-    _collect(root, nodes)
+    try:
+        _collect(root, nodes)
+    except RecursionError:
+        raise DeviceError(f"{name}: the camera's description is nested too deeply to be one") from None
     if not nodes:
         raise DeviceError(f"{name}: the camera's description has no features")
     return nodes

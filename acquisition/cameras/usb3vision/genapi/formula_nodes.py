@@ -84,6 +84,9 @@ class SwissKnife(_Calculated):
         return self._with_variables(Access.READ_ONLY)
 
     def number(self) -> Number:
+        return self.nodes.look.number(self.name, self._number)
+
+    def _number(self) -> Number:
         self.must_be_readable()
         return self.evaluate("Formula", self.variable_values())
 
@@ -105,6 +108,9 @@ class Converter(_Calculated):
         return self._with_variables(self._target().access())
 
     def number(self) -> Number:
+        return self.nodes.look.number(self.name, self._number)
+
+    def _number(self) -> Number:
         self.must_be_readable()
         return self._from(self._target().number(), self.variable_values())
 

@@ -1,5 +1,6 @@
 """Base class of all nodes of a description: access, references to other nodes, value."""
 
+from collections.abc import Callable
 from enum import Enum
 from typing import ClassVar, Protocol
 
@@ -63,17 +64,69 @@ def parse_number(text: str) -> Number:
         return float(text)
 
 
+class Look:
+    """One reading from outside, in which many nodes refer to the same ones: each is determined once.
+
+    Without this, a chain of formulas with two references each would be read 2^length times. `asking` are the
+    nodes whose access is being determined; what is found while a circle is open is not kept.
+    """
+
+    def __init__(self) -> None:
+        self.asking: set[str] = set()
+        self._accesses: dict[str, Access] = {}
+        self._numbers: dict[str, Number] = {}
+        self._calculating = 0
+        self._in_circle = False
+
+    def access(self, name: str, determine: Callable[[], Access]) -> Access:
+        """Access of the node with this name."""
+        if name in self._accesses:
+            return self._accesses[name]
+        if name in self.asking:
+            # some descriptions contain circular references, for which EMVA's reference gives the same result
+            self._in_circle = True
+            return Access.READ_WRITE
+        self.asking.add(name)
+        try:
+            mode = determine()
+            if not self._in_circle:
+                self._accesses[name] = mode
+            return mode
+        finally:
+            self.asking.discard(name)
+            self._end()
+
+    def number(self, name: str, calculate: Callable[[], Number]) -> Number:
+        """Value of the node with this name, which is calculated from others."""
+        if name not in self._numbers:
+            self._calculating += 1
+            try:
+                self._numbers[name] = calculate()
+                return self._numbers[name]
+            finally:
+                self._calculating -= 1
+                self._end()
+        return self._numbers[name]
+
+    def _end(self) -> None:
+        if not self.asking:
+            self._in_circle = False
+            if not self._calculating:
+                self._accesses.clear()
+                self._numbers.clear()
+
+
 class Nodes(Protocol):
     """Interface of `node_map.NodeMap` to its nodes, declared here because that module imports this one.
 
     `name` is the name of the camera in messages. `own_values` and `own_texts` contain, by the name of the
-    node, values that are not in a register. `asking` contains the nodes whose access is being determined.
+    node, values that are not in a register. `look` is the reading that is going on.
     """
 
     name: str
     own_values: dict[str, Number]
     own_texts: dict[str, str]
-    asking: set[str]
+    look: "Look"
 
     def node(self, name: str) -> "Node":
         """The node with this name; DeviceError if the camera has none."""
@@ -153,14 +206,7 @@ class Node:
 
     def access(self) -> Access:
         """Present access; the flags and registers on which it depends are read."""
-        if self.name in self.nodes.asking:
-            # some descriptions contain circular references, for which EMVA's reference gives the same result
-            return Access.READ_WRITE
-        self.nodes.asking.add(self.name)
-        try:
-            return self._access()
-        finally:
-            self.nodes.asking.discard(self.name)
+        return self.nodes.look.access(self.name, self._access)
 
     def _access(self) -> Access:
         mode = Access.READ_WRITE

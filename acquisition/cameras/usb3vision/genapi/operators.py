@@ -21,6 +21,13 @@ def truncated(value: Number) -> int:
     return int(value)
 
 
+def rounded(value: Number) -> int:
+    """The nearest integer, halves away from zero, as EMVA's reference writes a float into an integer."""
+    if isinstance(value, int) or not math.isfinite(value):
+        return truncated(value)
+    return truncated(math.copysign(math.floor(abs(value) + 0.5), value))
+
+
 def _quotient(left: Number, right: Number) -> Number:
     if right == 0:
         raise ZeroDivisionError

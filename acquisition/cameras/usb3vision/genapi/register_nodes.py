@@ -7,7 +7,7 @@ from typing import Literal
 from acquisition.cameras.usb3vision.genapi.description import NodeDescription, Property
 from acquisition.cameras.usb3vision.genapi.formula_nodes import SwissKnife
 from acquisition.cameras.usb3vision.genapi.node import Access, Node, parse_number
-from acquisition.cameras.usb3vision.genapi.operators import Number, truncated
+from acquisition.cameras.usb3vision.genapi.operators import Number, rounded, truncated
 from processing.errors import DeviceError
 
 # largest length of a register in bytes; a description with a larger one is wrong
@@ -129,7 +129,7 @@ class IntReg(Register):
 
     def set_number(self, value: Number) -> None:
         self.must_be_writable()
-        whole = truncated(value)
+        whole = rounded(value)
         if not self.minimum() <= whole <= self.maximum():
             low, high = self.minimum(), self.maximum()
             raise DeviceError(f"{self.nodes.name}: {self.name} = {value} is out of range; {low} to {high}")

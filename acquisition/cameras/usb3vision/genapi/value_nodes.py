@@ -1,5 +1,6 @@
 """Nodes that are features with a number or a text as value, usually contained in a register."""
 
+import math
 from typing import Final
 
 from acquisition.cameras.usb3vision.genapi.description import Property
@@ -74,6 +75,15 @@ class Valued(Node):
         for copy in self.description.all("pValueCopy"):
             self.nodes.node(copy.text).set_number(value)
 
+    def stated(self, value: Number | str) -> Number:
+        """A number as a person or a configuration states it: "0x140" too."""
+        if not isinstance(value, str):
+            return value
+        try:
+            return parse_number(value)
+        except ValueError:
+            raise DeviceError(f"{self.nodes.name}: {self.name} = {value!r} is no number") from None
+
     def _limit(self, tag: str) -> Number | None:
         own = self.value_of(tag)
         if own is not None:
@@ -124,11 +134,14 @@ class Integer(Valued):
         step = self._limit("Inc")
         return 1 if step is None else truncated(step)
 
-    def set(self, value: int) -> None:
+    def set(self, value: int | str) -> None:
         """Set the value; DeviceError, which states the range, if it is not allowed."""
         self.must_be_writable()
-        self.check_range(int(value))
-        self.set_number(int(value))
+        number = self.stated(value)
+        if not math.isfinite(number) or number != int(number):
+            raise DeviceError(f"{self.nodes.name}: {self.name} = {value} must be a whole number")
+        self.check_range(int(number))
+        self.set_number(int(number))
 
 
 class Float(Valued):
@@ -148,11 +161,12 @@ class Float(Valued):
     def increment(self) -> Number | None:
         return self.value_of("Inc")
 
-    def set(self, value: float) -> None:
+    def set(self, value: float | str) -> None:
         """Set the value; DeviceError, which states the range, if it is not allowed."""
         self.must_be_writable()
-        self.check_range(float(value))
-        self.set_number(float(value))
+        number = float(self.stated(value))
+        self.check_range(number)
+        self.set_number(number)
 
 
 class String(Node):

@@ -68,6 +68,15 @@ class Faults:
     refuse: Callable[[int, int], int] = field(default=lambda command, address: 0)
     reply_delay_s: Callable[[int], float] = field(default=lambda command: 0.0)
     unplug_after_stream_bytes: int | None = None
+    announced_extra: int = 0
+    """Bytes by which the payload that is announced is larger than what is sent."""
+    ends_payload_short: bool = True
+    """Whether a payload that is shorter than announced, of whole packets, ends its transfer."""
+    states_packet_sizes: bool = True
+    """Whether the sizes of leader and trailer are stated; some cameras say 0."""
+    reads_words_only: bool = False
+    """Whether reads of other than multiples of 4 bytes are refused."""
+    block_ids: Callable[[int], int] = field(default=lambda block: block)
 
 
 class VisionDevice:
@@ -239,7 +248,9 @@ class VisionDevice:
 
     def _update(self) -> None:
         self.poke(layout.PAYLOAD_SIZE, struct.pack("<I", self.frame_bytes))
-        self.poke(SIRM + 8, struct.pack("<QII", self.frame_bytes, 52, 32))
+        faults = self.faults
+        sizes = (52, 32) if faults.states_packet_sizes else (0, 0)
+        self.poke(SIRM + 8, struct.pack("<QII", self.frame_bytes + faults.announced_extra, *sizes))
 
     def _written(self, address: int) -> int:
         """Act on a register that has just been written; a status other than 0 refuses."""
@@ -288,6 +299,8 @@ class VisionDevice:
 
     def _read(self, address: int, count: int) -> tuple[int, bytes]:
         refused = self.faults.refuse(0x0800, address)
+        if self.faults.reads_words_only and count % 4:
+            refused = 0x8002
         found = self._find(address, count)
         if refused or found is None:
             return refused or 0x8003, b""
@@ -387,10 +400,11 @@ class VisionDevice:
             self.frames_lost_inside += due - self._frames_inside - self._next_frame
             self._next_frame = due - self._frames_inside
         taken_s = self._running_since + self._next_frame / self.frame_rate_hz
-        block = self._next_frame + self._first_block
+        number = self._next_frame + self._first_block
+        block = self.faults.block_ids(number)
         self._next_frame += 1
         height, width = self.shape
-        image = self.image_bytes(block)
+        image = self.image_bytes(number)
         sizes = struct.unpack("<6I", self.peek(SIRM + 0x18, 24))
         leader = struct.pack(
             "<IHHQHHQIIIIIHH", 0x4C563355, 0, 52, block, 0, 1, self.clock_ns(taken_s),
@@ -414,7 +428,8 @@ class VisionDevice:
     def _queue(self, kind: str, block: int, data: bytes, planned: int) -> None:
         for part in self.faults.units(kind, block, data):
             # A short or empty packet ends a transfer that the host has planned longer.
-            self._units.append((memoryview(part), len(part) % PACKET != 0 or len(part) < planned))
+            is_short = self.faults.ends_payload_short and len(part) < planned
+            self._units.append((memoryview(part), not part or len(part) % PACKET != 0 or is_short))
 
     def image_bytes(self, block: int) -> bytes:
         """The image of a block as it goes over the bus."""
