@@ -1,7 +1,7 @@
 """Interface of every camera driver."""
 
 from dataclasses import astuple, dataclass
-from typing import Literal, NamedTuple, Protocol
+from typing import Literal, NamedTuple, Protocol, runtime_checkable
 
 from pydantic import BaseModel, Field
 
@@ -9,6 +9,10 @@ from acquisition.frame import Frame
 from processing.errors import DeviceError
 
 PixelFormat = Literal["mono8", "mono10", "mono12", "mono16"]
+FeatureValue = bool | int | float | str
+"""Value of one of the camera's own features."""
+Stamped = Literal["start", "middle", "end"]
+"""The moment of the exposure that a camera's timestamps mark."""
 
 
 class FrameTimeout(DeviceError):
@@ -27,18 +31,36 @@ class CameraSettings(BaseModel, frozen=True, extra="forbid"):
     """
 
     exposure_us: float | None = Field(default=None, gt=0)
-    gain_db: float | None = Field(default=None, ge=0)
+    gain_db: float | None = None
     frame_rate_hz: float | None = Field(default=None, gt=0)
     pixel_format: PixelFormat | None = None
     width_px: int | None = Field(default=None, gt=0)
     height_px: int | None = Field(default=None, gt=0)
     offset_x_px: int | None = Field(default=None, ge=0)
     offset_y_px: int | None = Field(default=None, ge=0)
+    features: dict[str, FeatureValue] = Field(
+        default_factory=dict,
+        description="any feature by its own name, set after all others, in this order",
+    )
+
+
+def without_features(settings: CameraSettings, name: str) -> None:
+    """Raise DeviceError for features asked of a camera that has none by name."""
+    if settings.features:
+        raise DeviceError(
+            f"{name}: has no features that can be set by name; leave [camera.features] out "
+            f"({', '.join(settings.features)})"
+        )
 
 
 @dataclass(frozen=True, slots=True)
 class CameraInfo:
-    """Identity and sensor of the camera. `full_scale_dn` is the largest possible value of a pixel."""
+    """Identity and sensor of the camera.
+
+    `full_scale_dn` is the largest possible value of a pixel, `stamped` the moment of the exposure that its
+    timestamps mark. `shutter` is the camera's own word for it ("Rolling", "Global", "GlobalReset"), empty
+    where it does not say.
+    """
 
     driver: str
     vendor: str
@@ -48,6 +70,8 @@ class CameraInfo:
     height_px: int
     full_scale_dn: int
     has_clock: bool
+    stamped: Stamped = "start"
+    shutter: str = ""
 
 
 class PluggedCamera(NamedTuple):
@@ -84,6 +108,15 @@ class CameraStatus:
     def __add__(self, other: "CameraStatus") -> "CameraStatus":
         """Sum of the counts of two parts of a run, before and after a reconnection."""
         return CameraStatus(*(a + b for a, b in zip(astuple(self), astuple(other), strict=True)))
+
+
+@runtime_checkable
+class HasFeatures(Protocol):
+    """A camera whose own features can be read by name, for the record."""
+
+    def feature_values(self) -> dict[str, FeatureValue]:
+        """All features that can be read now; also while frames are delivered."""
+        ...
 
 
 class Camera(Protocol):

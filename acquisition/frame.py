@@ -19,8 +19,8 @@ class Frame(NamedTuple):
     sequence
         The camera's own frame number, counted from 0 at `start`; a gap is a lost frame.
     device_time_ns
-        The camera's clock at the start (or, where the camera says so, the end) of exposure, in
-        integer nanoseconds of that clock; -1 where the camera has no clock of its own.
+        The camera's clock in integer nanoseconds: from a driver at the moment of the exposure that
+        `CameraInfo.stamped` states, in a session at its middle; -1 where the camera has no clock of its own.
     host_time_ns
         The host's monotonic clock when the frame arrived, before any processing.
     """

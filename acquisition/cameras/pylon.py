@@ -4,7 +4,7 @@ import threading
 import time
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any, Final
 
 import numpy as np
@@ -15,10 +15,12 @@ from acquisition.camera import (
     CameraLost,
     CameraSettings,
     CameraStatus,
+    FeatureValue,
     FrameTimeout,
     PixelFormat,
     PluggedCamera,
 )
+from acquisition.cameras.automatic import AUTOMATIC, BENDING, RESULTING_RATES
 from acquisition.frame import Frame
 from processing.errors import DeviceError
 
@@ -101,16 +103,66 @@ class PylonCamera:
             camera = self._opened()
             if camera.IsGrabbing():
                 raise DeviceError(f"{self._name}: is running; stop it before settings are changed")
+            self._leave_images_alone()
             self._set_format(settings.pixel_format)
             self._set_region(settings)
-            self._set(_EXPOSURE, settings.exposure_us, "exposure_us")
+            self._set_times(settings)
             self._set(("Gain",), settings.gain_db, "gain_db")
-            if settings.frame_rate_hz is not None:
-                enable = camera.GetNodeMap().GetNode("AcquisitionFrameRateEnable")
-                if enable is not None:
-                    enable.Value = True
-            self._set(_RATE, settings.frame_rate_hz, "frame_rate_hz")
-            return self._readings()
+            for name, value in settings.features.items():
+                self._set_feature(name, value)
+            return self._readings(tuple(settings.features))
+
+    def _leave_images_alone(self) -> None:
+        """Switch off what the camera does by itself to its images, and triggers."""
+        for name in AUTOMATIC:
+            node = self._first((name,))
+            if node is not None and node.IsWritable() and "Off" in node.Symbolics:
+                node.SetValue("Off")
+        for name in BENDING:
+            node = self._first((name,))
+            if node is not None and node.IsWritable():
+                node.SetValue(False)
+        selector, mode = self._first(("TriggerSelector",)), self._first(("TriggerMode",))
+        if mode is None or selector is None or not selector.IsWritable():
+            return
+        before = selector.GetValue()
+        for kind in selector.Symbolics:
+            selector.SetValue(kind)
+            if mode.IsWritable():
+                mode.SetValue("Off")
+        selector.SetValue(before)
+
+    def _set_times(self, settings: CameraSettings) -> None:
+        """Set exposure and frame rate in the order in which they fit: each limits the other."""
+        exposure_us, now = settings.exposure_us, self._first(_EXPOSURE)
+        first = exposure_us is None or now is None or exposure_us <= now.Value
+        if first:
+            self._set(_EXPOSURE, exposure_us, "exposure_us")
+        if settings.frame_rate_hz is not None:
+            enable = self._first(("AcquisitionFrameRateEnable",))
+            if enable is not None:
+                enable.Value = True
+        self._set(_RATE, settings.frame_rate_hz, "frame_rate_hz")
+        if not first:
+            self._set(_EXPOSURE, exposure_us, "exposure_us")
+
+    def _set_feature(self, name: str, value: FeatureValue) -> None:
+        node = self._first((name,))
+        if node is None:
+            raise DeviceError(f"{self._name}: has no feature {name}; leave camera.features.{name} out")
+        node.FromString(str(value).lower() if isinstance(value, bool) else str(value))
+
+    def feature_values(self) -> dict[str, FeatureValue]:
+        """All features that can be read now, by name."""
+        with self._lock, self._translated():
+            nodes = self._opened().GetNodeMap()
+            found: dict[str, FeatureValue] = {}
+            for node in nodes.GetNodes():
+                if node.IsReadable() and hasattr(node, "ToString") and not hasattr(node, "Features"):
+                    # some features say that they can be read, and fail
+                    with suppress(self._pylon.GenericException):
+                        found[node.GetNode().GetName()] = str(node.ToString())
+            return found
 
     def start(self) -> None:
         """Start the acquisition of every frame, in order, into new buffers."""
@@ -208,7 +260,8 @@ class PylonCamera:
         nodes = self._opened().GetNodeMap()
         for name in names:
             node = nodes.GetNode(name)
-            if node is not None:
+            # newer versions return something that stands for a missing feature
+            if node is not None and node.IsValid():
                 return node
         return None
 
@@ -267,24 +320,27 @@ class PylonCamera:
             )
         node.Value = wanted
 
-    def _readings(self) -> CameraSettings:
+    def _readings(self, features: tuple[str, ...] = ()) -> CameraSettings:
         camera = self._camera
 
         def value(names: tuple[str, ...]) -> float | None:
             node = self._first(names)
-            return None if node is None or node.Value <= 0 else float(node.Value)
+            if node is None or not node.IsReadable():
+                return None
+            return float(node.Value) if node.Value > 0 else None
 
         gain = self._first(("Gain",))
         by_name = {theirs: ours for ours, theirs in _FORMATS.items()}
         return CameraSettings(
             exposure_us=value(_EXPOSURE),
-            gain_db=None if gain is None else max(float(gain.Value), 0.0),
-            frame_rate_hz=value(_RATE),
+            gain_db=None if gain is None else float(gain.Value),
+            frame_rate_hz=min(filter(None, (value(_RATE), value(RESULTING_RATES))), default=None),
             pixel_format=by_name[camera.PixelFormat.Value],
             width_px=int(camera.Width.Value),
             height_px=int(camera.Height.Value),
             offset_x_px=int(camera.OffsetX.Value),
             offset_y_px=int(camera.OffsetY.Value),
+            features={name: self._first((name,)).ToString() for name in features},
         )
 
     @contextmanager

@@ -3,7 +3,7 @@
 import time
 from collections.abc import Callable
 
-from acquisition.camera import CameraInfo, CameraSettings, CameraStatus, PixelFormat
+from acquisition.camera import CameraInfo, CameraSettings, CameraStatus, PixelFormat, without_features
 from acquisition.frame import Frame
 from acquisition.simulation.faults import FaultSettings
 from acquisition.simulation.inputs import RigInputs
@@ -64,6 +64,8 @@ class SimulatedCamera:
             height_px=sensor.height_px,
             full_scale_dn=2**self._readings.bit_depth - 1,
             has_clock=True,
+            stamped="middle",
+            shutter="Rolling" if sensor.row_time_s else "Global",
         )
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
@@ -71,6 +73,7 @@ class SimulatedCamera:
         self._must_be_open()
         if self._reader is not None and self._reader.running:
             raise DeviceError(f"{CAMERA_NAME}: cannot be configured while frames are running; stop it first")
+        without_features(settings, CAMERA_NAME)
         asked = settings.model_dump(exclude_none=True)
         sensor = self._settings.sensor
         if "width_px" in asked and "offset_x_px" not in asked:
@@ -84,7 +87,7 @@ class SimulatedCamera:
         new = CameraSettings(**{**self._applied.model_dump(), **asked})
         _check_range("width_px", (new.offset_x_px or 0) + (new.width_px or 0), sensor.width_px)
         _check_range("height_px", (new.offset_y_px or 0) + (new.height_px or 0), sensor.height_px)
-        if (new.gain_db or 0.0) > 48:
+        if not 0 <= (new.gain_db or 0.0) <= 48:
             raise DeviceError(
                 f"{CAMERA_NAME}: gain_db = {new.gain_db:g} is out of range; 0 to 48 dB are possible"
             )

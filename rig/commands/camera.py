@@ -60,7 +60,7 @@ def show(config: Config, set_: Set = None) -> None:
     with _opened(config, set_) as (camera, info, applied):
         typer.echo(f"{info.driver}: {info.vendor} {info.model} serial {info.serial or 'unknown'}")
         typer.echo(f"sensor {info.width_px} x {info.height_px} px, full scale {info.full_scale_dn} DN")
-        for name, value in applied.model_dump().items():
+        for name, value in applied.model_dump(exclude={"features"}).items():
             typer.echo(f"camera.{name} = {'unknown' if value is None else value}")
         features = getattr(camera, "features", None)
         for line in feature_lines(features.readings()) if features is not None else ():
@@ -85,7 +85,7 @@ def set_features(
             name, equals, value = assignment.partition("=")
             if not equals:
                 raise ConfigurationError(f"{assignment}: must read NAME=VALUE")
-            if name in CameraSettings.model_fields:
+            if name in CameraSettings.model_fields and name != "features":
                 asked = validate_configuration({"camera": {name: value}}, str(config)).camera
                 applied = camera.configure(CameraSettings(**{name: getattr(asked, name)}))
                 typer.echo(f"camera.{name} = {getattr(applied, name)}")

@@ -24,7 +24,7 @@ class FrameStream:
     With `policy` "wait" the camera waits while the queue is full, otherwise frames are dropped and
     counted, and a camera whose clock cannot be right is refused. `ended` is a text that says why the stream
     ended, `failure` the error that ended it. `permit` learns that frames arrive and are taken, on which the
-    light of a laser depends.
+    light of a laser depends. `time_shift_ns` is added to the camera's timestamps.
     """
 
     def __init__(
@@ -36,6 +36,7 @@ class FrameStream:
         timeout_s: float = 5.0,
         reconnect_s: float = 60.0,
         permit: LightPermit | None = None,
+        time_shift_ns: int = 0,
     ) -> None:
         self._camera = camera
         self.permit = permit or LightPermit()
@@ -46,6 +47,7 @@ class FrameStream:
         self._stop = threading.Event()
         self._queue: FrameQueue | None = None
         self._line = FrameLine()
+        self._shift_ns = time_shift_ns
         self._clock = ClockWatch()
         self._thread: threading.Thread | None = None
         self._events: list[tuple[EventKind, str]] = []
@@ -116,12 +118,19 @@ class FrameStream:
         while not self._stop.is_set():
             step_s = min(self._timeout_s, 0.5)
             try:
-                return self._camera.read(step_s)
+                return self._read(step_s)
             except FrameTimeout:
                 waited_s += step_s
                 if waited_s >= self._timeout_s:
                     raise
         return None
+
+    def _read(self, timeout_s: float) -> Frame | None:
+        """The next frame, with the time of the middle of its exposure."""
+        frame = self._camera.read(timeout_s)
+        if frame is None or not self._shift_ns or frame.device_time_ns < 0:
+            return frame
+        return frame._replace(device_time_ns=max(frame.device_time_ns + self._shift_ns, 0))
 
     def _acquire(self) -> None:
         """Read and hand over, reconnect after an unplugging."""
@@ -135,7 +144,7 @@ class FrameStream:
                 patience_s = self._timeout_s if self.policy == "wait" else line.patience_s(self._timeout_s)
                 patience_s = min(patience_s, self._timeout_s - silent_s)
                 try:
-                    frame = self._camera.read(patience_s)
+                    frame = self._read(patience_s)
                 except FrameTimeout as timeout:
                     if silent_s == 0.0 and patience_s < self._timeout_s:
                         self._events.append((EventKind.CAMERA_SILENT, str(timeout)))

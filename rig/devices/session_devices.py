@@ -7,7 +7,7 @@ from contextlib import ExitStack, contextmanager
 from types import TracebackType
 from typing import NamedTuple, Self
 
-from acquisition.camera import Camera, CameraInfo
+from acquisition.camera import Camera, CameraInfo, CameraSettings
 from acquisition.cameras.simulated import SimulatedCamera
 from acquisition.record.events import EventKind
 from acquisition.simulation.inputs import RigInputs
@@ -24,18 +24,24 @@ from rig.control import (
     simulated_controller,
 )
 from rig.devices.laser import LaserNow, laser_now, light
-from rig.instrument import camera_settings, make_camera, setting_differences
+from rig.instrument import camera_settings, make_camera, setting_differences, shift_to_middle_ns
 from rig.settings import Configuration
 
 _log = logging.getLogger(__name__)
 
 
 class OpenCamera(NamedTuple):
-    """A configured camera; `notes` lists the settings that differ from the requested ones."""
+    """A configured camera.
+
+    `notes` lists the settings that differ from the requested ones, `applied` are all of them as read back.
+    `time_shift_ns` is added to its timestamps.
+    """
 
     camera: Camera
     info: CameraInfo
     notes: tuple[str, ...]
+    applied: CameraSettings = CameraSettings()
+    time_shift_ns: int = 0
 
 
 class Devices:
@@ -107,7 +113,9 @@ class Devices:
         try:
             info = camera.open()
             asked = camera_settings(config)
-            yield OpenCamera(camera, info, tuple(setting_differences(asked, camera.configure(asked))))
+            applied = camera.configure(asked)
+            notes = tuple(setting_differences(asked, applied))
+            yield OpenCamera(camera, info, notes, applied, shift_to_middle_ns(config, info, applied))
         finally:
             camera.close()
 

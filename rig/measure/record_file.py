@@ -5,9 +5,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from acquisition.camera import CameraInfo
 from acquisition.frame import Frame
 from acquisition.record.writer import RecordWriter
+from rig.devices import OpenCamera
 from rig.instrument import Optics, configuration_attachments, session_metadata
 from rig.presentation import Verdict, table_tree
 from rig.settings import Configuration
@@ -20,7 +20,7 @@ class RecordFile:
     path: Path
     config: Configuration
     source: Path
-    camera: CameraInfo
+    camera: OpenCamera
     optics: Optics
 
     def open(self, epoch_offset_ns: int, first: Frame, preflight: Sequence[Verdict]) -> RecordWriter:
@@ -35,7 +35,8 @@ class RecordFile:
         writer = RecordWriter(
             self.path,
             epoch_offset_ns,
-            metadata=session_metadata(self.config, self.camera, first),
+            metadata=session_metadata(self.config, self.camera.info, first)
+            | {"camera_settings": self._camera_settings()},
             attachments=attachments,
             deflection_unit=self.optics.unit,
         )
@@ -45,6 +46,14 @@ class RecordFile:
             reference_px = self.optics.deflector(shape).reference_px
             writer.write_camera_calibration(first.time_ns, shape, distance_px, reference_px)
         return writer
+
+    def _camera_settings(self) -> dict[str, str]:
+        """Settings of the camera as read back, and what was added to its timestamps."""
+        applied = self.camera.applied.model_dump(exclude_none=True)
+        return {key: str(value) for key, value in applied.items()} | {
+            "stamped": self.config.camera.stamped or self.camera.info.stamped,
+            "time_shift_ns": str(self.camera.time_shift_ns),
+        }
 
     def set_aside(self, attempt: int) -> Path:
         """Rename the record of a rejected start; returns its new path."""

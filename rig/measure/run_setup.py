@@ -87,9 +87,10 @@ def _execute(plan: RunPlan, devices: Devices, camera: OpenCamera, watchers: list
             policy=frame_policy(config),
             timeout_s=config.camera.timeout_s,
             permit=devices.permit,
+            time_shift_ns=camera.time_shift_ns,
         ),
         optics=optics,
-        record=RecordFile(record, config, plan.source, camera.info, optics),
+        record=RecordFile(record, config, plan.source, camera, optics),
         # without a lever the amplitude in arcsec is unknown, and only the time limit applies
         end=EndLimits(
             final_amplitude * ARCSEC_RAD if optics.unit is DeflectionUnit.RAD else 0.0,

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import BaseModel, Field, create_model, field_validator
 
-from acquisition.camera import CameraSettings
+from acquisition.camera import CameraSettings, Stamped
 from acquisition.cameras.drivers import (
     DRIVERS,
     default_settings,
@@ -21,6 +21,11 @@ class CameraChoice(CameraSettings, frozen=True, extra="forbid"):
     serial: str | None = Field(default=None, description="needed only if several cameras are plugged in")
     timeout_s: float = Field(
         default=5.0, gt=0, description="the camera counts as stalled after this time without a frame"
+    )
+
+    stamped: Stamped | None = Field(
+        default=None,
+        description="moment of the exposure that the timestamps mark; None: as the driver knows it",
     )
 
     @field_validator("driver")

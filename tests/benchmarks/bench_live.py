@@ -23,7 +23,7 @@ from rig.control.service import ControlService
 from rig.control.settings import ControllerSettings, SerialFaults
 from rig.control.simulated import simulated_controller
 from rig.devices.frame_stream import FrameStream
-from rig.devices.session_devices import Devices
+from rig.devices.session_devices import Devices, OpenCamera
 from rig.instrument.optics import Optics
 from rig.measure.end_of_run import EndLimits
 from rig.measure.record_file import RecordFile
@@ -45,13 +45,13 @@ def frames_beside_a_stuck_line(seconds: float) -> dict[str, Any]:
     frames = drawn_frames(640, 480, 500.0, 600)
     with tempfile.TemporaryDirectory() as folder, service:
         camera = MemoryCamera(frames, 500.0, seconds)
-        info = camera.open()
+        opened = OpenCamera(camera, camera.open(), ())
         optics = Optics(_SENSOR, Lever(arm_m=1.0, pixel_pitch_m=4.8e-6), Axes())
         run = Run(
             RunParts(
                 stream=FrameStream(camera, CameraSettings()),
                 optics=optics,
-                record=RecordFile(Path(folder) / "run.mcap", Configuration(), Path(), info, optics),
+                record=RecordFile(Path(folder) / "run.mcap", Configuration(), Path(), opened, optics),
                 end=EndLimits(0.0, 1e9),
                 devices=devices,
             )
@@ -77,14 +77,14 @@ def soak(simulated_s: float, runs: int) -> dict[str, Any]:
     for _ in range(runs):
         with tempfile.TemporaryDirectory() as folder:
             camera = SimulatedCamera(settings)
-            info = camera.open()
+            opened = OpenCamera(camera, camera.open(), ())
             camera.configure(CameraSettings(frame_rate_hz=20.0))
             optics = Optics(_SENSOR, Lever(arm_m=0.12, pixel_pitch_m=4.8e-6), Axes())
             run = Run(
                 RunParts(
                     stream=FrameStream(camera, CameraSettings(), policy="wait"),
                     optics=optics,
-                    record=RecordFile(Path(folder) / "run.mcap", Configuration(), Path(), info, optics),
+                    record=RecordFile(Path(folder) / "run.mcap", Configuration(), Path(), opened, optics),
                     end=EndLimits(0.0, simulated_s / runs),
                 )
             )

@@ -22,6 +22,7 @@ from calibration.axes import Axes
 from calibration.light_lever import Lever
 from processing.spot import SensorModel
 from rig.devices.frame_stream import FrameStream
+from rig.devices.session_devices import OpenCamera
 from rig.instrument.kernels import prepare_kernels
 from rig.instrument.optics import Optics
 from rig.measure.end_of_run import EndLimits
@@ -122,12 +123,12 @@ def real_time(width: int, height: int, rate_hz: float, duration_s: float) -> dic
 
     with tempfile.TemporaryDirectory() as folder:
         camera = MemoryCamera(frames, rate_hz, duration_s)
-        info = camera.open()
+        opened = OpenCamera(camera, camera.open(), ())
         sensor = SensorModel(39.2, 7.0, 255)
         prepare_kernels(sensor, print)
         lever = Lever(arm_m=1.0, pixel_pitch_m=4.8e-6)
         optics = Optics(sensor, lever, Axes())
-        file = RecordFile(Path(folder) / "run.mcap", Configuration(lever=lever), Path(), info, optics)
+        file = RecordFile(Path(folder) / "run.mcap", Configuration(lever=lever), Path(), opened, optics)
         run = Run(
             RunParts(
                 stream=FrameStream(camera, CameraSettings()),

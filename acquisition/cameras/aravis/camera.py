@@ -8,7 +8,14 @@ from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any, Final
 
-from acquisition.camera import CameraInfo, CameraLost, CameraSettings, CameraStatus, FrameTimeout
+from acquisition.camera import (
+    CameraInfo,
+    CameraLost,
+    CameraSettings,
+    CameraStatus,
+    FeatureValue,
+    FrameTimeout,
+)
 from acquisition.cameras.aravis.buffers import BufferReader
 from acquisition.cameras.aravis.features import AravisFeatures
 from acquisition.cameras.aravis.library import (
@@ -255,6 +262,12 @@ class AravisCamera:
         """Counts since `start`, continued after a reconnection."""
         buffers = self._buffers
         return self._before if buffers is None else self._before + buffers.numbering.status
+
+    def feature_values(self) -> dict[str, FeatureValue]:
+        """All features that can be read now, by name."""
+        with self._lock, self._translated():
+            library = self._library
+            return {} if library is None else self._opened().values(library.error)
 
     def _opened(self) -> AravisFeatures:
         if self._features is None:

@@ -1,8 +1,10 @@
 """Camera features used by the rig, through libaravis's functions for them."""
 
+from contextlib import suppress
 from typing import Any
 
-from acquisition.camera import CameraSettings, PixelFormat
+from acquisition.camera import CameraSettings, FeatureValue, PixelFormat
+from acquisition.cameras.automatic import AUTOMATIC, BENDING
 from acquisition.cameras.pixel_formats import BY_NAME, FORMATS, Format
 from processing.errors import DeviceError
 
@@ -35,44 +37,94 @@ class AravisFeatures:
 
     def apply(self, settings: CameraSettings) -> CameraSettings:
         """Apply the settings that are not None; return all settings as read back."""
+        self._leave_images_alone()
         if settings.pixel_format is not None:
             self._set_format(settings.pixel_format)
         self._set_region(settings)
-        camera, off = self.camera, self._aravis.Auto.OFF
-        if settings.exposure_us is not None:
-            self._need(camera.is_exposure_time_available(), "exposure_us")
-            if camera.is_exposure_auto_available():
-                camera.set_exposure_time_auto(off)
-            self._check("exposure_us", settings.exposure_us, camera.get_exposure_time_bounds())
-            camera.set_exposure_time(settings.exposure_us)
+        camera = self.camera
+        self._set_times(settings)
         if settings.gain_db is not None:
             self._need(camera.is_gain_available(), "gain_db")
-            if camera.is_gain_auto_available():
-                camera.set_gain_auto(off)
             self._check("gain_db", settings.gain_db, camera.get_gain_bounds())
             camera.set_gain(settings.gain_db)
+        device = camera.get_device()
+        for name, value in settings.features.items():
+            text = str(value).lower() if isinstance(value, bool) else str(value)
+            device.set_features_from_string(f"{name}={text}")
+        return self.read_back(tuple(settings.features))
+
+    def _leave_images_alone(self) -> None:
+        """Switch off what the camera does by itself to its images."""
+        camera, off = self.camera, self._aravis.Auto.OFF
+        if camera.is_exposure_auto_available():
+            camera.set_exposure_time_auto(off)
+        if camera.is_gain_auto_available():
+            camera.set_gain_auto(off)
+        for name in AUTOMATIC:
+            if camera.is_feature_available(name) and "Off" in camera.dup_available_enumerations_as_strings(
+                name
+            ):
+                camera.set_string(name, "Off")
+        for name in BENDING:
+            if camera.is_feature_available(name):
+                camera.set_boolean(name, False)
+
+    def _set_times(self, settings: CameraSettings) -> None:
+        """Set exposure and frame rate in the order in which they fit: each limits the other."""
+        camera, exposure_us = self.camera, settings.exposure_us
+        if exposure_us is not None:
+            self._need(camera.is_exposure_time_available(), "exposure_us")
+        first = exposure_us is None or exposure_us <= camera.get_exposure_time()
+        if first:
+            self._set_exposure(exposure_us)
         if settings.frame_rate_hz is not None:
             self._need(camera.is_frame_rate_available(), "frame_rate_hz")
             self._check("frame_rate_hz", settings.frame_rate_hz, camera.get_frame_rate_bounds())
             camera.set_frame_rate(settings.frame_rate_hz)
-        return self.read_back()
+        if not first:
+            self._set_exposure(exposure_us)
 
-    def read_back(self) -> CameraSettings:
-        """The camera's present settings; None for those that it does not have."""
+    def _set_exposure(self, exposure_us: float | None) -> None:
+        if exposure_us is not None:
+            self._check("exposure_us", exposure_us, self.camera.get_exposure_time_bounds())
+            self.camera.set_exposure_time(exposure_us)
+
+    def read_back(self, features: tuple[str, ...] = ()) -> CameraSettings:
+        """The camera's present settings, and these `features`; None for those that it does not have."""
         camera = self.camera
         x, y, width_px, height_px = self.region()
         exposure_us = camera.get_exposure_time() if camera.is_exposure_time_available() else 0.0
         rate_hz = camera.get_frame_rate() if camera.is_frame_rate_available() else 0.0
         return CameraSettings(
             exposure_us=exposure_us if exposure_us > 0 else None,
-            gain_db=max(camera.get_gain(), 0.0) if camera.is_gain_available() else None,
+            gain_db=camera.get_gain() if camera.is_gain_available() else None,
             frame_rate_hz=rate_hz if rate_hz > 0 else None,
             pixel_format=self.pixel_format().pixel_format,
             width_px=width_px,
             height_px=height_px,
             offset_x_px=x,
             offset_y_px=y,
+            features={name: self._text(name) for name in features},
         )
+
+    def values(self, error: type[Exception]) -> dict[str, FeatureValue]:
+        """All features that can be read now; `error` is raised by libaravis for those that cannot."""
+        found: dict[str, FeatureValue] = {}
+        waiting = ["Root"]
+        genicam = self.camera.get_device().get_genicam()
+        while waiting:
+            name = waiting.pop()
+            node = genicam.get_node(name)
+            if isinstance(node, self._aravis.GcCategory):
+                waiting += node.get_features()
+                continue
+            with suppress(error, AttributeError):
+                if not isinstance(node, self._aravis.GcCommand) and node.is_available():
+                    found[name] = str(node.get_value_as_string())
+        return found
+
+    def _text(self, name: str) -> str:
+        return str(self.camera.get_device().get_feature(name).get_value_as_string())
 
     def run_freely(self) -> None:
         """Select continuous acquisition without a trigger."""

@@ -4,7 +4,14 @@ import sys
 import threading
 from dataclasses import replace
 
-from acquisition.camera import CameraInfo, CameraLost, CameraSettings, CameraStatus, FrameTimeout
+from acquisition.camera import (
+    CameraInfo,
+    CameraLost,
+    CameraSettings,
+    CameraStatus,
+    FeatureValue,
+    FrameTimeout,
+)
 from acquisition.cameras.reading import Reading
 from acquisition.cameras.v4l2.settings import V4l2Settings
 from acquisition.cameras.v4l2.source import Source
@@ -99,6 +106,11 @@ class V4l2Camera:
         """Counts since `start`; they go on over a reconnection."""
         run = self._run
         return self._before if run is None else self._before + run.status
+
+    def feature_values(self) -> dict[str, FeatureValue]:
+        """All controls of the device that can be read now; OpenCV does not list them."""
+        read = getattr(self._opened(), "feature_values", dict)
+        return dict(read())
 
     def _opened(self) -> Source:
         if self._source is None:

@@ -16,6 +16,8 @@ NEXT_CONTROL: Final = 0x8000_0000
 EXPOSURE_AUTO, EXPOSURE_ABSOLUTE, EXPOSURE_PRIORITY = 0x009A0901, 0x009A0902, 0x009A0903
 AUTO_GAIN, GAIN = 0x00980912, 0x00980913
 MANUAL_EXPOSURE: Final = 1
+AUTOMATIC: Final = {EXPOSURE_AUTO: MANUAL_EXPOSURE, EXPOSURE_PRIORITY: 0, AUTO_GAIN: 0, 0x0098090C: 0}
+"""Values that switch automatic exposure, gain and white balance off."""
 
 
 def _code(direction: int, number: int, size: int) -> int:

@@ -5,10 +5,11 @@ import errno
 import math
 import mmap
 import os
+import re
 import select
 import time
 
-from acquisition.camera import CameraInfo, CameraLost, CameraSettings
+from acquisition.camera import CameraInfo, CameraLost, CameraSettings, FeatureValue
 from acquisition.cameras.v4l2 import kernel
 from acquisition.cameras.v4l2.devices import find_device, refusal
 from acquisition.cameras.v4l2.layouts import LAYOUTS, choose, image_bytes, possible, to_image
@@ -67,17 +68,22 @@ class LinuxSource:
             height_px=self._bounds.height if self._bounds else now.height_px,
             full_scale_dn=2**bits - 1,
             has_clock=True,
+            # UVC cameras state when an exposure began, all others when its last pixel has arrived
+            stamped="start" if kernel.capabilities(self._device).driver == "uvcvideo" else "end",
         )
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
         """Apply the settings, in an order in which a later one does not change an earlier one."""
         try:
+            self._leave_images_alone()
             self._set_layout(settings)
             self._set_exposure(settings)
             self._set_gain(settings)
             if settings.frame_rate_hz is not None:
                 kernel.set_rate_hz(self._device, settings.frame_rate_hz)
-            return self._readings()
+            for name, value in settings.features.items():
+                self._set_feature(name, value)
+            return self._readings(tuple(settings.features))
         except OSError as error:
             raise self._failure(error) from None
 
@@ -148,6 +154,35 @@ class LinuxSource:
             part.close()
         self._maps = []
         kernel.request_buffers(self._device, 0)
+
+    def _leave_images_alone(self) -> None:
+        """Switch off what the camera does by itself to its images, whether or not a number is asked for."""
+        there = {control.number: control for control in kernel.controls(self._device)}
+        for number, value in kernel.AUTOMATIC.items():
+            if number in there and there[number].can_be_set:
+                kernel.set_control(self._device, number, value)
+
+    def _set_feature(self, name: str, value: FeatureValue) -> None:
+        there = {_key(control.name): control for control in kernel.controls(self._device)}
+        control = there.get(_key(name))
+        if control is None:
+            raise DeviceError(
+                f"{self._name}: has no control {name}; there are {', '.join(sorted(there)) or 'none'}"
+            )
+        if isinstance(value, str) or not control.lowest <= value <= control.highest:
+            raise DeviceError(
+                f"{self._name}: {name} = {value!r} is out of range; {control.lowest} to {control.highest} "
+                "are possible"
+            )
+        kernel.set_control(self._device, control.number, int(value))
+
+    def feature_values(self) -> dict[str, FeatureValue]:
+        """All controls that can be read now, by name."""
+        found: dict[str, FeatureValue] = {}
+        for control in kernel.controls(self._device):
+            with contextlib.suppress(OSError):
+                found[_key(control.name)] = kernel.get_control(self._device, control.number)
+        return found
 
     def _set_layout(self, settings: CameraSettings) -> None:
         offered = kernel.formats(self._device)
@@ -248,7 +283,7 @@ class LinuxSource:
         if taken != wanted:
             raise DeviceError(f"{self._name}: gain = {wanted} was requested, the camera set {taken}")
 
-    def _readings(self) -> CameraSettings:
+    def _readings(self, features: tuple[str, ...] = ()) -> CameraSettings:
         there = {control.number for control in kernel.controls(self._device)}
         region = kernel.get_selection(self._device, kernel.CROP) if self._bounds else None
         rate_hz = kernel.get_rate_hz(self._device)
@@ -264,9 +299,15 @@ class LinuxSource:
             height_px=self._layout.height_px,
             offset_x_px=region.left if region else 0,
             offset_y_px=region.top if region else 0,
+            features={name: self.feature_values().get(_key(name), "") for name in features},
         )
 
     def _failure(self, error: OSError) -> DeviceError:
         if error.errno in (errno.ENODEV, errno.ENXIO, errno.EIO, errno.EBADF):
             return CameraLost(f"{self._name}: is no longer connected ({error.strerror}); plug it in again")
         return DeviceError(refusal(self._name, error))
+
+
+def _key(name: str) -> str:
+    """A control's name as v4l2-ctl writes it: "White Balance, Automatic" is white_balance_automatic."""
+    return re.sub("[^a-z0-9]+", "_", name.lower()).strip("_")

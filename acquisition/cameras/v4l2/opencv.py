@@ -8,7 +8,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from acquisition.camera import CameraInfo, CameraLost, CameraSettings, PixelFormat
+from acquisition.camera import CameraInfo, CameraLost, CameraSettings, PixelFormat, without_features
 from acquisition.cameras.v4l2.settings import V4l2Settings
 from acquisition.cameras.v4l2.source import RawFrame
 from acquisition.frame import Image
@@ -81,6 +81,9 @@ class OpenCvSource:
             raise DeviceError(
                 f"{self._name}: its gain has steps of its own, not decibels; set camera.v4l2.gain instead"
             )
+        without_features(settings, self._name)
+        capture.set(cv2.CAP_PROP_AUTO_EXPOSURE, _MANUAL_EXPOSURE)
+        capture.set(cv2.CAP_PROP_AUTO_WB, 0)
         if settings.pixel_format not in (None, self._pixel_format):
             self._set_pixel_format(settings.pixel_format)
         for prop, value in (
@@ -91,7 +94,6 @@ class OpenCvSource:
             if value is not None:
                 capture.set(prop, value)
         if settings.exposure_us is not None:
-            capture.set(cv2.CAP_PROP_AUTO_EXPOSURE, _MANUAL_EXPOSURE)
             steps = settings.exposure_us / 100.0 if _ON_LINUX else np.log2(settings.exposure_us * 1e-6)
             if not capture.set(cv2.CAP_PROP_EXPOSURE, round(float(steps))):
                 raise DeviceError(f"{self._name}: has no exposure time; leave camera.exposure_us out")

@@ -119,7 +119,7 @@ def go_through_the_phases(folder: Path) -> None:
         RunParts(
             stream=FrameStream(camera, asked, policy="wait"),
             optics=optics,
-            record=RecordFile(folder / "phases.mcap", config, DEMO, opened.info, optics),
+            record=RecordFile(folder / "phases.mcap", config, DEMO, opened, optics),
             end=EndLimits(0.0, 0.5),
             phases=phases,
             start=start_limits(config, optics),
