@@ -153,7 +153,8 @@ def fit_exact(
                 "wait for a quieter hour"
             )
         kept = kept.first(int(lost[0]))
-    bounds = NoiseSearch(model, found.solution.values, loss, kind).bounds(found.likeliest)
+    search = NoiseSearch(model, found.solution.values, loss, kind)
+    bounds = search.bounds(found.likeliest)
     half_period_s = 0.5 * mean_period(kept)
     step, reference = found.likeliest.noise.step, model.reference
     ground = Ground(
@@ -166,7 +167,8 @@ def fit_exact(
         against_rest=found.likeliest.against_rest,
         left_out=len(points) - len(kept),
     )
-    return _result(found.model, found.solution, ground, loss)
+    averaged_over = search.averaged_covariance(found.likeliest, bounds)
+    return _result(found.model, found.solution, ground, loss, found.likeliest.covariance, averaged_over)
 
 
 def fit_exact_with(
@@ -203,8 +205,19 @@ def fit_exact_with(
     return _result(*best, like.ground, like.loss)
 
 
-def _result(model: ExactModel, solution: Solution, ground: Ground, loss: Loss) -> FitResult:
-    """Physical values, their uncertainties and what is to be said of them."""
+def _result(
+    model: ExactModel,
+    solution: Solution,
+    ground: Ground,
+    loss: Loss,
+    likeliest: NDArray[np.float64] | None = None,
+    averaged: NDArray[np.float64] | None = None,
+) -> FitResult:
+    """Physical values, their uncertainties and what is to be said of them.
+
+    `averaged` over the noise that the data allow and at the `likeliest` are covariances of the columns;
+    their ratio enlarges (or reduces) the uncertainties.
+    """
     points, pendulum = model.points, model.pendulum
     amplitude, time, _, _ = model.curve(solution.values)
     deviation = np.abs(points.amplitude - amplitude * model.reference) / points.amplitude
@@ -212,6 +225,11 @@ def _result(model: ExactModel, solution: Solution, ground: Ground, loss: Loss) -
     chi2_per_dof = solution.chi2 / solution.dof
     scatter = solution.covariance * (max(1.0, chi2_per_dof) if loss == "linear" else 1.0)
     covariance = propagate(to_physical, scatter)
+    if likeliest is not None and averaged is not None:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratio = _variances(to_physical, averaged) / _variances(to_physical, likeliest)
+        factor = np.sqrt(np.nan_to_num(ratio, nan=1.0, posinf=1.0))
+        covariance = covariance * np.outer(factor, factor)
     white = whiteness(solution.residuals / np.sqrt(max(1.0, chi2_per_dof)))
     if white.correlated:
         covariance, white = _widened(covariance, to_physical, solution, white)
@@ -250,6 +268,10 @@ def _result(model: ExactModel, solution: Solution, ground: Ground, loss: Loss) -
         reading_covariance=propagate(to_physical, _of_reading(model, solution)),
         whiteness=white,
     )
+
+
+def _variances(to_physical: NDArray[np.float64], covariance: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.asarray(np.einsum("ij,jk,ik->i", to_physical, covariance, to_physical))
 
 
 def _of_reading(model: ExactModel, solution: Solution) -> NDArray[np.float64]:

@@ -24,6 +24,10 @@ _TRIED = np.arange(-3.0, 3.01, 0.5)
 """Decimal logarithms of the first steps tried, in units of the median uncertainty of the amplitudes."""
 _LARGEST = 0.2
 """Largest step tried, as a fraction of the lowest amplitude."""
+_LOWEST, _SPACING = -2.0, 0.1
+"""Lowest step of an average over steps and their spacing, as logarithms like those tried."""
+_WELL_KNOWN = 0.15
+"""Relative uncertainty of the step below which it is taken as known."""
 _ONE_SIDED = 2.706
 """Rise of -2 ln L at a bound of 95 %: the square of the normal quantile 1.645."""
 _LEAST_SHARE = 1e-13
@@ -32,12 +36,14 @@ _LEAST_SHARE = 1e-13
 class LikeliestNoise(NamedTuple):
     """The likeliest noise at given columns.
 
-    `deviance` is its -2 ln L, `against_rest` by how much that of ground at rest is larger.
+    `deviance` is its -2 ln L, `against_rest` by how much that of ground at rest is larger, `covariance`
+    that of the columns with this noise.
     """
 
     noise: Noise
     deviance: float
     against_rest: float = 0.0
+    covariance: Array | None = None
 
 
 class NoiseBounds(NamedTuple):
@@ -95,6 +101,30 @@ class NoiseSearch:
         # where the likelihood does not fall towards zero, the bound says more than the curvature
         return NoiseBounds(min(float(found.noise.step * relative), highest), highest)
 
+    def averaged_covariance(self, found: LikeliestNoise, bounds: NoiseBounds) -> Array | None:
+        """Covariance of the columns averaged over the steps that the data allow; None for a well-known step.
+
+        Uncertainties grow with the step. Those of the likeliest one are too small where a run at rest
+        would be no surprise: one in three of weak drives is found to be none. The average is over the
+        likelihood times a density that falls as 1/sqrt(step), for drives may be of any order of magnitude.
+        """
+        if bounds.u_step < _WELL_KNOWN * found.noise.step:
+            return None
+        above = float(np.log10(max(bounds.highest_step / found.noise.scale / self._unit, 10 * 10**_LOWEST)))
+        tried = np.arange(_LOWEST, min(above + 0.5, self._highest), _SPACING)
+        parts = [self._at(x) for x in tried.tolist()]
+        steps = 10.0**tried
+        mass = np.sqrt(steps) * _SPACING * np.log(10)
+        mass[0] += 2 * np.sqrt(steps[0])
+        deviance = np.array([part.deviance for part in parts])
+        weight = mass * np.exp(-0.5 * (deviance - np.min(deviance)))
+        weight /= np.sum(weight)
+        out = np.zeros((len(self._columns), len(self._columns)))
+        for part, share in zip(parts, weight.tolist(), strict=True):
+            if part.covariance is not None:
+                out += share * part.covariance
+        return out
+
     def _deviance(self, log_step: float) -> float:
         return self._at(log_step).deviance
 
@@ -128,7 +158,8 @@ class NoiseSearch:
         deviance = chi2 / scale2 + dof * np.log(scale2) + found.log_det + log_information
         scale = float(np.sqrt(scale2))
         noise = replace(self._kind, step=ratio * scale, scale=scale)
-        return LikeliestNoise(noise, float(deviance))
+        covariance = scale2 * ((vectors / share) @ vectors.T) / np.outer(norm, norm)
+        return LikeliestNoise(noise, float(deviance), covariance=covariance)
 
 
 def _lowest(function: Callable[[float], float], low: float, high: float) -> float:
