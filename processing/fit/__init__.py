@@ -5,7 +5,7 @@ from processing.fit.asymptotic import fit_asymptotic
 from processing.fit.determination import Determination, Verdict, identifiability, strong_correlations
 from processing.fit.drag import DragVerdict, drag_verdict
 from processing.fit.exact import fit_exact
-from processing.fit.ground import Ground
+from processing.fit.ground import GROUND_SEEN, Ground, density_of_step
 from processing.fit.remeasure import agree, known_motion, measured_again
 from processing.fit.reported import (
     FittedContact,
@@ -28,6 +28,7 @@ from processing.fit.uncertainty import Budget, Propagated, budgets, monte_carlo
 from processing.fit_method import FitMethod
 
 __all__ = [
+    "GROUND_SEEN",
     "Budget",
     "Combined",
     "Comparison",
@@ -47,6 +48,7 @@ __all__ = [
     "budgets",
     "combine_runs",
     "compare_series",
+    "density_of_step",
     "drag_verdict",
     "draw_fitted",
     "fit_asymptotic",

@@ -5,6 +5,8 @@ relative errors of Eqs. 8 and 9 reveal; those of the exact fit are not biased. T
 comparison with the paper's results.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from processing.contact import PendulumOnBall, fit_decay, relative_curvature, stiffness_ratio
@@ -12,6 +14,7 @@ from processing.contact.laws import AMPLITUDE, PAPER
 from processing.errors import DataError
 from processing.fit.checks import OUTLIER, check_turning_points, data_warnings
 from processing.fit.driven_scatter import driven_covariance
+from processing.fit.exact_model import ExactModel
 from processing.fit.period_fit import by_turning_time, fit_period, period_by_log_rho, period_covariance
 from processing.fit.result import FitResult
 from processing.fit_method import FitMethod
@@ -51,7 +54,7 @@ def fit_asymptotic(
         Use 0.55 in Eq. 6 as printed, instead of the value for the fitted n.
     exact
         The exact fit of the same points. If it found that the ground drives the pendulum, its turning
-        points are fitted, and the uncertainties contain the drive (`driven_covariance`).
+        points are fitted, and the uncertainties contain the drive (`driven_covariance`). The bias is stated.
 
     Raises
     ------
@@ -139,4 +142,24 @@ def fit_asymptotic(
         outliers=tuple(int(i) for i in points.index[outlying]),
         warnings=data_warnings(points, pendulum, decay.chi2 / decay.dof, period.chi2 / period.dof),
         half_cycles=len(points),
+        bias=None if exact is None else _bias(exact, points, pendulum, printed_curvature),
     )
+
+
+def _bias(
+    exact: FitResult, points: TurningPoints, pendulum: PendulumOnBall | None, printed_curvature: bool
+) -> dict[str, float] | None:
+    """What both equations make of the exact fit's own free decay, less its parameters; None if they cannot.
+
+    The decay is taken at the half-cycles of `points`, with their uncertainties as weights.
+    """
+    model, columns = ExactModel.of(points, pendulum, exact)
+    amplitude, time_s, _, _ = model.curve(columns)
+    # a driven pendulum swings for longer than the free one would
+    reached = int(np.count_nonzero(np.isfinite(amplitude) & np.isfinite(time_s)))
+    free = replace(points, amplitude=amplitude * model.reference, time_s=time_s).first(reached)
+    try:
+        found = fit_asymptotic(free, pendulum, drag=exact.has_drag, printed_curvature=printed_curvature)
+    except DataError:
+        return None
+    return {name: found.estimate(name).value - exact.estimate(name).value for name in found.contact_names}

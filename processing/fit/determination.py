@@ -149,10 +149,10 @@ def profile_likelihood(
 
     Notes
     -----
-    The noise is that of the fit. The rise of chi2 is divided by max(1, chi2/dof); the limit is where
-    its square root equals Student's t. b and gamma are varied on a logarithmic scale if their estimates
-    are positive. The search ends at ten standard uncertainties (b and gamma: at a factor of a million),
-    or at zero for parameters that cannot be negative.
+    The noise is that of the fit. The rise of chi2 is divided by max(1, chi2/dof) and by what else widened the
+    fit's uncertainty; the limit is where its square root equals Student's t. b and gamma are varied on a
+    logarithmic scale if their estimates are positive. The search ends at ten standard uncertainties (b and
+    gamma: at a factor of a million), or at zero for parameters that cannot be negative.
     """
     if result.method is not FitMethod.EXACT:
         raise DataError("a profile likelihood belongs to an exact fit")
@@ -162,6 +162,8 @@ def profile_likelihood(
     if not np.isfinite(u):
         u = abs(value) or 1.0
     scale = max(1.0, 2 * result.cost / result.dof) if result.loss == "linear" else 1.0
+    factor = 1.0 if result.widened is None else float(result.widened[result.names.index(name)])
+    scale *= factor**2
     target = float(stdtrit(result.dof, 0.5 * (1 + coverage)))
     held = _Held(model, name, best)
     logarithmic = parameter.logarithmic and value > 0

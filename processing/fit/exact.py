@@ -216,7 +216,7 @@ def _result(
     """Physical values, their uncertainties and what is to be said of them.
 
     `averaged` over the noise that the data allow and at the `likeliest` are covariances of the columns;
-    their ratio enlarges (or reduces) the uncertainties.
+    their ratio enlarges the uncertainties.
     """
     points, pendulum = model.points, model.pendulum
     amplitude, time, _, _ = model.curve(solution.values)
@@ -225,14 +225,16 @@ def _result(
     chi2_per_dof = solution.chi2 / solution.dof
     scatter = solution.covariance * (max(1.0, chi2_per_dof) if loss == "linear" else 1.0)
     covariance = propagate(to_physical, scatter)
+    widened = np.ones(len(covariance))
     if likeliest is not None and averaged is not None:
-        with np.errstate(divide="ignore", invalid="ignore"):
-            ratio = _variances(to_physical, averaged) / _variances(to_physical, likeliest)
-        factor = np.sqrt(np.nan_to_num(ratio, nan=1.0, posinf=1.0))
-        covariance = covariance * np.outer(factor, factor)
+        # never smaller: a drive that was seen may still be larger than the likeliest one
+        widened *= np.maximum(1.0, _factor(to_physical, averaged, likeliest))
     white = whiteness(solution.residuals / np.sqrt(max(1.0, chi2_per_dof)))
-    if white.correlated:
-        covariance, white = _widened(covariance, to_physical, solution, white)
+    if white.correlated and np.all(np.isfinite(covariance)):
+        factor = _by_correlation(to_physical, solution, white)
+        white = replace(white, widened=float(factor.max()))
+        widened *= factor
+    covariance = covariance * np.outer(widened, widened)
 
     count = len(points)
     normalised = np.abs(solution.residuals)
@@ -266,12 +268,19 @@ def _result(
         half_cycles=count,
         ground=ground,
         reading_covariance=propagate(to_physical, _of_reading(model, solution)),
+        widened=widened,
         whiteness=white,
     )
 
 
-def _variances(to_physical: NDArray[np.float64], covariance: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.asarray(np.einsum("ij,jk,ik->i", to_physical, covariance, to_physical))
+def _factor(
+    to_physical: NDArray[np.float64], wider: NDArray[np.float64], covariance: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Ratio of the standard uncertainties by two covariances of the columns."""
+    above, below = (np.einsum("ij,jk,ik->i", to_physical, one, to_physical) for one in (wider, covariance))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = np.nan_to_num(above / below, nan=1.0, posinf=1.0)
+        return np.asarray(np.sqrt(np.maximum(ratio, 0.0)))
 
 
 def _of_reading(model: ExactModel, solution: Solution) -> NDArray[np.float64]:
@@ -287,16 +296,10 @@ def _mean_of_finite(values: NDArray[np.float64]) -> float:
     return float(np.mean(finite)) if len(finite) else float("nan")
 
 
-def _widened(
-    covariance: NDArray[np.float64], to_physical: NDArray[np.float64], solution: Solution, white: Whiteness
-) -> tuple[NDArray[np.float64], Whiteness]:
-    """The covariance with every standard uncertainty enlarged by what correlated residuals add."""
-    if not np.all(np.isfinite(covariance)):
-        return covariance, white
+def _by_correlation(
+    to_physical: NDArray[np.float64], solution: Solution, white: Whiteness
+) -> NDArray[np.float64]:
+    """By how many times correlated residuals enlarge every standard uncertainty."""
     residuals = solution.residuals / np.sqrt(solution.chi2 / solution.dof)
     wider = correlated_covariance(residuals, solution.jacobian, solution.covariance, white.lags)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        before = np.diag(to_physical @ solution.covariance @ to_physical.T)
-        share = np.diag(to_physical @ wider @ to_physical.T) / before
-    factor = np.sqrt(np.maximum(1.0, np.nan_to_num(share, nan=1.0)))
-    return covariance * np.outer(factor, factor), replace(white, widened=float(factor.max()))
+    return np.asarray(np.maximum(1.0, _factor(to_physical, wider, solution.covariance)))

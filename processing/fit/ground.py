@@ -7,7 +7,7 @@ import numpy as np
 
 from processing.estimate import Estimate
 
-SEEN = 6.63
+GROUND_SEEN = 6.63
 """Difference of -2 ln L from ground at rest above which a drive is stated and not bounded: chance 0.5 %."""
 
 
@@ -69,7 +69,7 @@ class Ground:
     @property
     def seen(self) -> bool:
         """Whether the run shows that the ground moved; otherwise it sets a bound."""
-        return self.against_rest > SEEN
+        return self.against_rest > GROUND_SEEN
 
 
 def density_of_step(step: float, half_period_s: float) -> float:

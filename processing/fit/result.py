@@ -1,5 +1,6 @@
 """Result of a fit: values, covariance, goodness of fit, outliers, warnings."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -55,6 +56,12 @@ class FitResult:
         How strongly the ground drove the pendulum; None for a fit that does not ask.
     reading_covariance
         What the covariance would be on ground at rest: by the measurement of the turning points alone.
+    widened
+        By how many times every standard uncertainty is larger than the likelihood at the likeliest noise
+        says: for noise that is not well known, and for correlated residuals. None: once.
+    bias
+        How far Eqs. 5 and 6 lie from the exact map where both describe one free decay, the exact fit's;
+        None for the exact fit, or if it is not known.
     whiteness
         Test whether the residuals are correlated.
     """
@@ -78,6 +85,8 @@ class FitResult:
     half_cycles: int = 0
     ground: Ground | None = None
     reading_covariance: NDArray[np.float64] | None = None
+    widened: NDArray[np.float64] | None = None
+    bias: Mapping[str, float] | None = None
     whiteness: Whiteness | None = None
 
     @property

@@ -9,6 +9,7 @@ from processing.instruments.circular import circular_error
 from processing.instruments.crossings import inferred_swings, joined_swings
 from processing.instruments.damping_fit import Damping, damping, over_places, ratio
 from processing.instruments.descriptions import DEGREE_RAD, INSTRUMENTS, Description, Limits
+from processing.instruments.driven import with_drive
 from processing.instruments.friction_law import FrictionLaw, fit_friction_law
 from processing.instruments.hardness import herbert_hardness
 from processing.instruments.plane import along_plane, swing_plane
@@ -37,5 +38,6 @@ __all__ = [
     "refined",
     "rolling_friction",
     "swing_plane",
+    "with_drive",
     "with_scale",
 ]

@@ -12,7 +12,12 @@ from processing.swing import TurningPoints
 Found = TypeVar("Found", bound=NamedTuple)
 
 
-def with_scale(reduce: Callable[[TurningPoints], Found], points: TurningPoints, u_relative: float) -> Found:
+def with_scale(
+    reduce: Callable[[TurningPoints], Found],
+    points: TurningPoints,
+    u_relative: float,
+    found: Found | None = None,
+) -> Found:
     """Evaluate turning points and include the scale's uncertainty in every estimate.
 
     An error of the scale is common to all amplitudes of a record and does not show in their scatter. The
@@ -26,6 +31,9 @@ def with_scale(reduce: Callable[[TurningPoints], Found], points: TurningPoints, 
         evaluations) are modified and the others kept.
     u_relative
         Relative standard uncertainty of the scale; 0 if none is stated.
+    found
+        The evaluation of the points as given, if its uncertainties are to be enlarged and not those that
+        `reduce` states.
 
     Raises
     ------
@@ -33,7 +41,8 @@ def with_scale(reduce: Callable[[TurningPoints], Found], points: TurningPoints, 
         Errors of `reduce` for the points as given. If it fails only for the enlarged amplitudes, it is
         repeated with amplitudes smaller by as much; if that fails too, the estimates are not modified.
     """
-    found = reduce(points)
+    plain = reduce(points)
+    found = plain if found is None else found
     if not u_relative > 0:
         return found
     for factor in (1 + u_relative, 1 - u_relative):
@@ -47,13 +56,12 @@ def with_scale(reduce: Callable[[TurningPoints], Found], points: TurningPoints, 
             )
         except DataError:
             continue
-        widened = [_widened(a, b) for a, b in zip(found, shifted, strict=True)]
+        widened = [_widened(*three) for three in zip(found, plain, shifted, strict=True)]
         return found._replace(**dict(zip(found._fields, widened, strict=True)))
     return found
 
 
-def _widened(value: object, shifted: object) -> object:
-    if isinstance(value, Estimate) and isinstance(shifted, Estimate):
-        change = shifted.value - value.value
-        return Estimate(value.value, math.hypot(value.standard_uncertainty, change))
+def _widened(value: object, plain: object, shifted: object) -> object:
+    if isinstance(value, Estimate) and isinstance(plain, Estimate) and isinstance(shifted, Estimate):
+        return Estimate(value.value, math.hypot(value.standard_uncertainty, shifted.value - plain.value))
     return value

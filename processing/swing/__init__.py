@@ -5,7 +5,7 @@ from processing.swing.detector import SwingDetector
 from processing.swing.known_motion import KnownMotion
 from processing.swing.modes import TwoModes, separate_modes
 from processing.swing.noise import estimate_noise
-from processing.swing.residual_spectrum import ResidualSpectrum, residual_spectrum
+from processing.swing.spectrum import ResidualSpectrum, residual_spectrum
 from processing.swing.swing import Swing, SwingFlag, TurningPoints, turning_points
 
 __all__ = [

@@ -1,13 +1,16 @@
 """From a record or a table to results: laws of the contact, other instruments, verdicts, results.json."""
 
+from rig.analysis.base_acceleration import base_motion
 from rig.analysis.contact_laws import points_in_true_time, settled_swings, surface_energies
 from rig.analysis.contact_results import (
     NOT_DETERMINED,
+    BaseMotion,
     Budget,
     Correlation,
     Determination,
     Drag,
     Fit,
+    Ground,
     MonteCarlo,
     SurfaceEnergies,
     SurfaceEnergy,
@@ -17,7 +20,7 @@ from rig.analysis.contact_verdicts import evaluate, fit_results
 from rig.analysis.curves import Curves, curves_of
 from rig.analysis.determined import bound_text, determined_text, series_verdicts
 from rig.analysis.encoding import JsonObject
-from rig.analysis.fit_remarks import remarks
+from rig.analysis.fit_remarks import drive_text, remarks
 from rig.analysis.fit_tables import parameter_table, quality_table
 from rig.analysis.instrument_results import DecrementTable, InstrumentResults, PeriodTable, SwingPlane
 from rig.analysis.record_fit import (
@@ -54,6 +57,7 @@ __all__ = [
     "RESULTS_NAME",
     "AnalysedRun",
     "AveragedCurves",
+    "BaseMotion",
     "Budget",
     "CombinedParameter",
     "Correlation",
@@ -62,6 +66,7 @@ __all__ = [
     "Determination",
     "Drag",
     "Fit",
+    "Ground",
     "InstrumentResults",
     "JsonObject",
     "MonteCarlo",
@@ -77,10 +82,12 @@ __all__ = [
     "analyse_record",
     "analyse_run",
     "analyse_table",
+    "base_motion",
     "bound_text",
     "combined_series",
     "curves_of",
     "determined_text",
+    "drive_text",
     "encoded",
     "evaluate",
     "fit_results",

@@ -91,8 +91,9 @@ class Fit:
 
     `law` names the law of `processing.contact.laws` that was fitted, empty in files of earlier
     versions. `ground` and `whiteness` are empty for the asymptotic fit and in files of earlier
-    versions. `arae_decay` and `arae_period` are the mean relative errors of Eqs. 8 and 9. `outliers`
-    are indices of half-cycles.
+    versions. `bias` of Eqs. 5 and 6 is how far they lie from the exact map where both describe the exact
+    fit's own free decay. `arae_decay` and `arae_period` are the mean relative errors of Eqs. 8 and 9.
+    `outliers` are indices of half-cycles.
     """
 
     law: str = ""
@@ -105,6 +106,7 @@ class Fit:
     correlation: Correlation = field(default_factory=Correlation)
     ground: Annotated[Ground | None, LeftOut] = None
     whiteness: Annotated[Whiteness | None, LeftOut] = None
+    bias: Annotated[Mapping[str, Number] | None, LeftOut] = None
     outliers: tuple[int, ...] = ()
     warnings: tuple[str, ...] = ()
 

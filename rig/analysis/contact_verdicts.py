@@ -31,7 +31,7 @@ from processing.fit import (
 from processing.fit import Ground as MovingGround
 from processing.fit import Propagated as Sampled
 from processing.swing import TurningPoints
-from rig.analysis.base_motion import base_motion
+from rig.analysis.base_acceleration import base_motion
 from rig.analysis.contact_results import (
     Budget,
     BudgetSource,
@@ -180,6 +180,7 @@ def fit_results(fit: FitResult, pendulum: PendulumSettings | None = None) -> Fit
         correlation=Correlation(tuple(fit.names), tuple(map(tuple, fit.correlation.tolist()))),
         ground=None if fit.ground is None else _ground(fit, fit.ground, pendulum),
         whiteness=None if fit.whiteness is None else Whiteness(**asdict(fit.whiteness)),
+        bias=fit.bias,
         outliers=fit.outliers,
         warnings=fit.warnings,
     )

@@ -1,7 +1,8 @@
 """What is said about a run's fits beyond their numbers, the same on the terminal and in reports."""
 
+from processing.estimate import Estimate
 from processing.fit import FitMethod
-from rig.analysis.contact_results import Drag, Ground
+from rig.analysis.contact_results import BaseMotion, Drag, Ground
 from rig.analysis.results import RunResults
 from rig.presentation import plain, quantity, with_uncertainty
 
@@ -24,25 +25,30 @@ def remarks(run: RunResults) -> list[str]:
 
 def ground_sentence(ground: Ground) -> str:
     """How strongly the ground drove the pendulum: a value, or a bound where the run shows none."""
-    density = _density(*ground.density_rad_per_s2_rthz, ground.upper_95, "rad/s²/√Hz", ground.seen)
-    base = ""
-    if ground.base is not None:
-        moved = ground.base
-        value, u = moved.acceleration_m_per_s2_rthz
-        base = ", " + _density(1e9 * value, 1e9 * u, 1e9 * moved.upper_95, "nm/s²/√Hz", ground.seen)
-        base += f" of acceleration for a mass centre {plain(1e3 * moved.mass_centre_height_m, 3)} mm high"
-        if ground.seen:
-            base += f", NLNM {moved.above_low_noise_model_db:+.0f} dB"
     left_out = (
         f"; the last {ground.left_out_half_cycles} half-cycles are its motion and were not fitted"
         if ground.left_out_half_cycles
         else ""
     )
-    return f"Ground at the pendulum's frequency: {density}{base}{left_out}.{_cost(ground)}"
+    drive = drive_text(ground.density_rad_per_s2_rthz, ground.upper_95, ground.base, seen=ground.seen)
+    return f"Ground at the pendulum's frequency: {drive}{left_out}.{_cost(ground)}"
 
 
-def _density(value: float, u: float, upper_95: float, unit: str, seen: bool) -> str:
-    return f"{with_uncertainty(value, u)} {unit}" if seen else f"below {plain(upper_95, 2)} {unit} (95 %)"
+def drive_text(
+    density: Estimate, upper_95: float, base: BaseMotion | None, *, seen: bool, unit: str = "rad"
+) -> str:
+    """A drive, and the motion of the ground where the mass centre's height says what that is."""
+    text = _density(density, upper_95, f"{unit}/s²/√Hz", seen)
+    if base is None:
+        return text
+    nano = Estimate(*(1e9 * number for number in base.acceleration_m_per_s2_rthz))
+    text += ", " + _density(nano, 1e9 * base.upper_95, "nm/s²/√Hz", seen)
+    text += f" of acceleration for a mass centre {plain(1e3 * base.mass_centre_height_m, 3)} mm high"
+    return text + (f", NLNM {base.above_low_noise_model_db:+.0f} dB" if seen else "")
+
+
+def _density(found: Estimate, upper_95: float, unit: str, seen: bool) -> str:
+    return f"{with_uncertainty(*found)} {unit}" if seen else f"below {plain(upper_95, 2)} {unit} (95 %)"
 
 
 def _cost(ground: Ground) -> str:

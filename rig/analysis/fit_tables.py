@@ -50,9 +50,20 @@ def parameter_table(
         rows,
         ("", *map(_heading, methods), "unit"),
         shown,
-        "Value ± standard uncertainty of the swings alone; the budget adds the apparatus. Eqs. 5 and 6 are "
-        "asymptotic and biased by some per cent; the exact map is not.",
+        "Value ± standard uncertainty of the swings alone; the budget adds the apparatus. "
+        + _of_bias(fits.get(FitMethod.ASYMPTOTIC)),
     )
+
+
+def _of_bias(asymptotic: Fit | None) -> str:
+    if asymptotic is None or not asymptotic.bias:
+        return "Eqs. 5 and 6 are asymptotic and biased by some per cent; the exact map is not."
+    relative = {
+        name: 100 * moved / (asymptotic.parameters[name].value - moved)
+        for name, moved in asymptotic.bias.items()
+    }
+    listed = ", ".join(f"{quantity(name).symbol} {percent:+.2g} %" for name, percent in relative.items())
+    return f"Eqs. 5 and 6 are asymptotic; their bias here: {listed}.".replace("-", "−")
 
 
 def quality_table(fits: Mapping[str, Fit]) -> Table:

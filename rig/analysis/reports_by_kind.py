@@ -1,6 +1,8 @@
 """What each kind of pendulum reports of its turning points: values for results.json and lines of text."""
 
+from collections.abc import Callable
 from dataclasses import replace
+from typing import NamedTuple, TypeVar
 
 from processing.contact import measured_losses
 from processing.estimate import Estimate
@@ -14,6 +16,7 @@ from processing.instruments import (
     fit_friction_law,
     herbert_hardness,
     rolling_friction,
+    with_drive,
     with_scale,
 )
 from processing.periods import mean_period
@@ -27,6 +30,8 @@ from rig.analysis.instrument_results import (
 )
 from rig.presentation import with_uncertainty
 from rig.settings import InstrumentSettings
+
+Found = TypeVar("Found", bound=NamedTuple)
 
 
 def report_of_kind(
@@ -46,7 +51,7 @@ def report_of_kind(
         return _rolling(description, settings, points, values, lines, u_scale), None
     if description.report == "decay":
         values = _decrements(points, values, lines)
-    found = with_scale(
+    found = _evaluated(
         lambda at: damping(at, description.start_amplitude_rad, description.end_amplitude_rad),
         points,
         u_scale,
@@ -60,6 +65,11 @@ def report_of_kind(
     return replace(values, damping=reported), found
 
 
+def _evaluated(reduce: Callable[[TurningPoints], Found], points: TurningPoints, u_scale: float) -> Found:
+    """With what the ground and the scale add to every uncertainty."""
+    return with_scale(reduce, points, u_scale, with_drive(reduce, points))
+
+
 def _hardness(
     settings: InstrumentSettings,
     points: TurningPoints,
@@ -67,7 +77,7 @@ def _hardness(
     lines: list[str],
     u_scale: float,
 ) -> InstrumentResults:
-    hardness = with_scale(lambda at: herbert_hardness(at, settings.scale_divisions), points, u_scale)
+    hardness = _evaluated(lambda at: herbert_hardness(at, settings.scale_divisions), points, u_scale)
     if hardness.ten_swings_s is not None:
         lines.append(f"time hardness (ten single swings) {with_uncertainty(*hardness.ten_swings_s)} s")
     else:
@@ -89,7 +99,7 @@ def _hardness(
 def _circular(
     points: TurningPoints, values: InstrumentResults, lines: list[str], u_scale: float
 ) -> InstrumentResults:
-    law = with_scale(circular_error, points, u_scale)
+    law = _evaluated(circular_error, points, u_scale)
     lines += [f"period at vanishing amplitude {with_uncertainty(*law.period0_s)} s", law.sentence]
     return replace(
         values,
@@ -114,7 +124,7 @@ def _rolling(
     radius = description.support_radius_m and Estimate(
         description.support_radius_m, settings.u_support_radius_m
     )
-    found = with_scale(lambda at: rolling_friction(at, lever or None, radius or None), points, u_scale)
+    found = _evaluated(lambda at: rolling_friction(at, lever or None, radius or None), points, u_scale)
     at = found.law.reference_rad / DEGREE_RAD
     lines.append(f"log decrement at {at:.4g} degrees {with_uncertainty(*found.decrement)}")
     problem = None
@@ -138,9 +148,21 @@ def _rolling(
     )
 
 
-def _decrements(points: TurningPoints, values: InstrumentResults, lines: list[str]) -> InstrumentResults:
+class _Friction(NamedTuple):
+    decrement: Estimate
+    moment: Estimate
+    exponent: Estimate
+    law: FrictionLaw
+
+
+def _friction(points: TurningPoints) -> _Friction:
     law = fit_friction_law(points)
-    decrement = law.decrement(law.reference_rad)
+    return _Friction(law.decrement(law.reference_rad), law.moment, law.exponent, law)
+
+
+def _decrements(points: TurningPoints, values: InstrumentResults, lines: list[str]) -> InstrumentResults:
+    decrement, moment, exponent, law = with_drive(_friction, points)
+    law = replace(law, moment=moment, exponent=exponent)
     lines.append(
         f"log decrement at {law.reference_rad / DEGREE_RAD:.4g} degrees {with_uncertainty(*decrement)}, "
         f"friction goes as amplitude^({with_uncertainty(*law.exponent)})"

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from acquisition.frame import Frame
 from acquisition.record.digest import known_sha256_of
 from acquisition.record.reader import RecordReader
-from processing.deflections import DeflectionUnit
-from processing.errors import RecordError, RigError
+from processing.deflections import Deflections, DeflectionUnit
+from processing.errors import DataError, RecordError, RigError
 from processing.fit import measured_again
-from processing.swing import TurningPoints
+from processing.swing import ResidualSpectrum, TurningPoints, residual_spectrum
 from rig.analysis import (
     JsonObject,
     RunResults,
@@ -56,7 +56,7 @@ class RunData:
     """One run: its results, the turning points that were fitted, its motion.
 
     `motion` counts time from the first turning point, as `stored` does. `provenance` is text by section
-    and key.
+    and key. `spectrum`, of what the samples hold besides the swing, is None for runs too short for one.
     """
 
     title: str
@@ -65,6 +65,7 @@ class RunData:
     motion: Motion
     picture: Picture | None
     provenance: Mapping[str, Mapping[str, str]]
+    spectrum: ResidualSpectrum | None = None
     notes: Sequence[str] = ()
 
     @property
@@ -116,6 +117,7 @@ def _read_run(folder: Path, results: RunResults, number: int) -> RunData:
         configuration = reader.attachments.get(CONFIGURATION_NAME)
         rate = _clock_rate(reader, notes)
         stored = results.turning_points or turning_points_again(reader, results)
+        spectrum = _spectrum(reader, deflections) if results.fits else None
         notes += [line for line in reader.doubts() if line not in results.warnings]
     if results.sha256 != known_sha256_of(path):
         notes.append("the record is not the one that the results were made from: its hash differs")
@@ -130,7 +132,7 @@ def _read_run(folder: Path, results: RunResults, number: int) -> RunData:
     )
     if results.calibration:
         provenance["calibration"] = _flat(results.calibration)
-    return RunData(f"Run {number}", results, stored, motion, picture, provenance, notes)
+    return RunData(f"Run {number}", results, stored, motion, picture, provenance, spectrum, notes)
 
 
 def turning_points_again(reader: RecordReader, results: RunResults) -> StoredTurningPoints:
@@ -144,6 +146,13 @@ def turning_points_again(reader: RecordReader, results: RunResults) -> StoredTur
         swings = measured_again(swings, reader.deflection_blocks(), motion)
     points = points_in_true_time(swings, clock_rate)
     return StoredTurningPoints.of(points, swings, reader.deflection_unit, clock_rate)
+
+
+def _spectrum(reader: RecordReader, deflections: Deflections) -> ResidualSpectrum | None:
+    try:
+        return residual_spectrum(deflections.times_ns, deflections.y, reader.swings())
+    except DataError:
+        return None
 
 
 def _clock_rate(reader: RecordReader, notes: list[str]) -> float:

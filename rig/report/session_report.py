@@ -21,7 +21,7 @@ from rig.analysis import (
     series_verdicts,
 )
 from rig.presentation import Table, quantity
-from rig.report import figures_contact, figures_laws, figures_motion, html
+from rig.report import figures_contact, figures_ground, figures_laws, figures_motion, html
 from rig.report.drawing import Drawing, png, styled, svg
 from rig.report.figures_instruments import instrument_figures
 from rig.report.run_data import ReportSource, RunData, read_source
@@ -189,7 +189,7 @@ def _run(run: RunData, files: Path, *, alone: bool) -> list[str]:
     body += take("instrument", "parameters")
     body.append(html.side_by_side(take("quality", "hertz")))
     body += take("conditions")
-    body += take("fig12-decay", "fig13-period", "fig14-smoother", "residuals")
+    body += take("fig12-decay", "fig13-period", "fig14-smoother", "residuals", "spectrum")
     body += take("table4-loops", "work", "losses")
     body.append(html.side_by_side(take("drag", "identifiability")))
     body += take("correlation", "budget", "monte-carlo")
@@ -227,6 +227,11 @@ def _drawings(run: RunData, curves: Curves | None) -> list[Drawing]:
             figures_laws.loss_figure(points, exact, pendulum),
             figures_contact.correlation_figure(fit.correlation),
         ]
+        if run.spectrum is not None:
+            unit = motion.unit
+            drawings.append(
+                figures_ground.spectrum_figure(run.spectrum, unit.shown, unit.shown_size, fit.ground)
+            )
     return drawings
 
 

@@ -13,10 +13,12 @@ from acquisition.frame import Frame
 from calibration import Stability, relate_clocks, stability
 from processing.deflections import Deflections, DeflectionUnit, Floats
 from processing.errors import DataError
+from processing.ground_at_rest import ground_at_rest
 from processing.spot import Spot, SpotFlag
+from rig.analysis import base_motion, drive_text
 from rig.devices import MOST_PPM, wrong_rate
 from rig.presentation import Verdict
-from rig.settings import Configuration, PreflightSettings
+from rig.settings import Configuration, PendulumSettings, PreflightSettings
 
 _SPOT_BYTES = 260
 NO_LEVER = "no lever: values in px have no limit in arcsec"
@@ -116,6 +118,25 @@ def noise_and_vibration(
         ),
     ]
     return [_against_arcsec(verdict, unit) for verdict in verdicts]
+
+
+def ground(look: Look, pendulum: PendulumSettings | None) -> Verdict:
+    """What the ground does at the pendulum's frequency: it limits results and forbids no measurement.
+
+    Needs eight periods at rest, in `preflight.duration_s`.
+    """
+    at = look.deflections
+    if not look.resting:
+        return _not_at_rest("ground", "")
+    try:
+        found = ground_at_rest(at.times_s, at.y)
+    except DataError as error:
+        reason = f"{error}; preflight.duration_s = 60 would measure it"
+        return Verdict("ground", True, reason, measured="not measured", made=False)
+    of_angle = pendulum if at.unit is DeflectionUnit.RAD else None
+    base = base_motion(found.density, found.upper_95, found.period_s, of_angle)
+    words = drive_text(found.density, found.upper_95, base, seen=found.density.value > 0, unit=at.unit)
+    return Verdict("ground", True, measured=f"{words}, in {at.times_s[-1]:.0f} s")
 
 
 def rest_position(look: Look, limits: PreflightSettings) -> Verdict:
@@ -243,6 +264,7 @@ def check_look(
         saturation(look.spots, limits),
         *stillness(look, limits),
         rest_position(look, limits),
+        ground(look, config.pendulum),
         frame_rate(look.frames, config.camera.frame_rate_hz, limits),
         clock(look.frames, limits, on_demand=config.on_demand),
         disk(

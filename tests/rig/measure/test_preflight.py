@@ -18,6 +18,7 @@ from rig.measure.preflight import Look, device_checks, frame_checks
 from rig.presentation import failures
 from rig.presentation.verdict import Verdict
 from rig.presentation.verdict_table import print_verdicts
+from rig.settings import PendulumSettings
 from rig.settings.phases import PreflightSettings
 
 LIMITS = PreflightSettings()
@@ -125,6 +126,27 @@ def test_what_was_not_checked_and_what_is_a_warning_is_not_called_go() -> None:
         "disk space": "NO",
     }
     assert "not checked: noise floor, vibration: the pendulum may be swinging" in text.getvalue()
+
+
+def test_the_ground_is_said_once_the_look_is_long_enough() -> None:
+    """A swing of 1 arcsec that nothing drives: a bound, with the acceleration that it means."""
+    short = look(3e-8, 0.0, DeflectionUnit.RAD)
+    said = frame_checks.ground(short, None)
+    assert said.ok
+    assert not said.made
+    assert "preflight.duration_s" in said.reason
+    times_ns = np.arange(1500, dtype=np.int64) * 40_000_000
+    swing = ARCSEC_RAD * np.sin(2 * math.pi * times_ns * 1e-9 / 4.0)
+    noise = np.random.default_rng(2).normal(0.0, 3e-8, 1500)
+    u = np.full(1500, 3e-8)
+    at = Deflections(times_ns, noise, swing + noise, u, u, DeflectionUnit.RAD)
+    pendulum = PendulumSettings(mass_kg=0.4, ball_radius_m=3e-3, mass_centre_height_m=2e-4)
+    said = frame_checks.ground(replace(short, deflections=at), pendulum)
+    assert said.made
+    assert said.measured.startswith("below ")
+    assert "mass centre 0.200 mm high" in said.measured
+    assert said.measured.endswith("in 60 s")
+    assert not frame_checks.ground(SWINGING, pendulum).made
 
 
 def test_rest_position_far_from_the_reference() -> None:

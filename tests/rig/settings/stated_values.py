@@ -13,7 +13,7 @@ from processing.estimate import Estimate
 from processing.instruments import DEGREE_RAD
 from processing.spot import Spot
 from processing.swing import Swing
-from rig.analysis.base_motion import base_motion
+from rig.analysis.base_acceleration import base_motion
 from rig.analysis.contact_verdicts import rig_quantities
 from rig.analysis.other_instruments import Air, reduce_run
 from rig.analysis.other_instruments_series import reduce_series

@@ -1,0 +1,108 @@
+"""Effect of a ground that moves on quantities evaluated from turning points, whatever law they decay by."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import NamedTuple, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from processing.errors import DataError
+from processing.estimate import Estimate
+from processing.periods import mean_period
+from processing.swing import TurningPoints
+
+Found = TypeVar("Found", bound=NamedTuple)
+
+_DRAWS = 100
+"""They know a standard uncertainty to 7 %."""
+_FEWEST = 12
+"""Turning points in a row from which the drive is estimated."""
+
+
+def with_drive(reduce: Callable[[TurningPoints], Found], points: TurningPoints) -> Found:
+    """Evaluate turning points; where the ground drives the pendulum, its scatter is in every uncertainty.
+
+    What the ground does to a swing stays in all later ones: passages and periods far apart scatter by more
+    than the reading of their turning points. The same decay is drawn again and again with the drive that its
+    own turning points show and with their reading errors, and evaluated.
+
+    Parameters
+    ----------
+    reduce
+        As for `with_scale`. The fields of type `Estimate` get the scatter of the draws as uncertainty, the
+        others are kept.
+
+    Raises
+    ------
+    DataError
+        Errors of `reduce` for the points as given.
+    """
+    found = reduce(points)
+    step = drive_step(points)
+    if step == 0:
+        return found
+    rng = np.random.default_rng(0)
+    drawn = []
+    for _ in range(_DRAWS):
+        try:
+            drawn.append(reduce(_drawn(points, step, rng)))
+        except DataError:
+            continue
+    if len(drawn) < 0.5 * _DRAWS:
+        return found
+    columns = zip(*drawn, strict=True)
+    return found._replace(
+        **{
+            name: Estimate(value.value, _scatter(column)) if isinstance(value, Estimate) else value
+            for name, value, column in zip(found._fields, found, columns, strict=True)
+        }
+    )
+
+
+def drive_step(points: TurningPoints) -> float:
+    """By how much (rms) the ground moves the amplitude in one half-swing; 0 where none is seen.
+
+    Third differences of ln(amplitude) hold nothing of a smooth decay: their variance is
+    ``6 step^2/a^2 + 20 u^2/a^2``.
+    """
+    runs = np.split(np.arange(len(points)), np.flatnonzero(np.diff(points.index) != 1) + 1)
+    excess = np.concatenate([_excess(points, run) for run in runs])
+    if len(excess) < _FEWEST:
+        return 0.0
+    mean = float(np.mean(excess))
+    # third differences share half-cycles: one in four stands for itself
+    u = float(np.std(excess)) * 2 / np.sqrt(len(excess))
+    return float(np.sqrt(mean)) if mean > u else 0.0
+
+
+def _excess(points: TurningPoints, run: NDArray[np.int64]) -> NDArray[np.float64]:
+    if len(run) < 4:
+        return np.empty(0)
+    amplitude, u = points.amplitude[run], points.u_amplitude[run]
+    third = np.diff(np.log(amplitude), 3)
+    inner = np.exp(np.convolve(np.log(amplitude), np.full(4, 0.25), "valid"))
+    reading = np.convolve(u**2, [1.0, 9.0, 9.0, 1.0], "valid")
+    return np.asarray(((third * inner) ** 2 - reading) / 6)
+
+
+def _drawn(points: TurningPoints, step: float, rng: np.random.Generator) -> TurningPoints:
+    """The same decay, driven and read anew.
+
+    A kick keeps its share of the amplitude, which is exact for linear damping, and shifts all later times.
+    """
+    amplitude = points.amplitude
+    gap = np.sqrt(np.diff(points.index, prepend=points.index[0]))
+    relative = step * gap / amplitude
+    moved = np.exp(np.cumsum(relative * rng.standard_normal(len(points))))
+    shift = np.cumsum(relative * rng.standard_normal(len(points))) * mean_period(points) / (2 * np.pi)
+    return replace(
+        points,
+        amplitude=amplitude * moved + points.u_amplitude * rng.standard_normal(len(points)),
+        time_s=points.time_s + shift + points.u_time_s * rng.standard_normal(len(points)),
+    )
+
+
+def _scatter(values: tuple[object, ...]) -> float:
+    numbers = [value.value for value in values if isinstance(value, Estimate)]
+    return float(np.std(numbers, ddof=1)) if len(numbers) > 1 else float("nan")
