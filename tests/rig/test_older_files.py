@@ -65,7 +65,9 @@ def check_same_fits(new: dict[str, Any], old: dict[str, Any]) -> None:
             before, after = fit[parameter], new[name][parameter]
             u = before["standard_uncertainty"]
             assert after["value"] == pytest.approx(before["value"], abs=0.01 * u), (name, parameter)
-            assert after["standard_uncertainty"] == pytest.approx(u, rel=0.01), (name, parameter)
+            # since then that of the exact fit also holds drives which one run cannot exclude
+            most = 1.6 if name == "exact" and parameter in PARAMETERS else 1.01
+            assert 0.99 * u < after["standard_uncertainty"] < most * u, (name, parameter)
         assert new[name]["chi2_per_dof"] == pytest.approx(fit["chi2_per_dof"], rel=0.01)
 
 
