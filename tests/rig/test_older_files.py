@@ -66,7 +66,7 @@ def check_same_fits(new: dict[str, Any], old: dict[str, Any]) -> None:
             u = before["standard_uncertainty"]
             assert after["value"] == pytest.approx(before["value"], abs=0.01 * u), (name, parameter)
             # since then that of the exact fit also holds drives which one run cannot exclude
-            most = 1.6 if name == "exact" and parameter in PARAMETERS else 1.01
+            most = 1.6 if name == "exact" else 1.01
             assert 0.99 * u < after["standard_uncertainty"] < most * u, (name, parameter)
         assert new[name]["chi2_per_dof"] == pytest.approx(fit["chi2_per_dof"], rel=0.01)
 
