@@ -15,7 +15,7 @@ from typing import Any
 
 PROJECT = Path(__file__).resolve().parents[2]
 KERNEL_FOLDER = PROJECT / "build" / "kernel"
-MODULES = ("virtio_pci", "9pnet_virtio", "9p", "vhci-hcd", "vivid")
+MODULES = ("virtio_pci", "9pnet_virtio", "9p", "vhci-hcd", "vivid", "usbtmc")
 MARK = "RESULT "
 
 INIT = """#!/bin/busybox sh

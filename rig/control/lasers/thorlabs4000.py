@@ -1,11 +1,21 @@
 """Thorlabs 4000 series diode drivers (LDC4000, ITC4000): SCPI, lines end with LF, current in A.
 
+They are USBTMC instruments (1313:804a is an ITC4001): ``port`` is "usbtmc", "usbtmc:SERIAL" or /dev/usbtmcN.
+A serial port is served as well.
+
 The commands are those of the series' programmer's reference manual. The set current and its limit are read
 back, and the instrument's error queue is read after every setting.
 """
 
+from collections.abc import Callable
+
 from rig.control.lasers.laser import LaserIdentity, LaserRefused, LaserState
 from rig.control.lasers.serial_laser import SerialLaser, rounded_down
+from rig.control.lasers.settings import LaserSettings
+from rig.control.serial_port import Line
+from rig.control.usbtmc import UsbTmcLine, find_usbtmc, is_usbtmc
+
+_USB_VENDOR = 0x1313
 
 _TRIPS = {
     "INTLock": "interlock",
@@ -19,6 +29,11 @@ class Thorlabs4000(SerialLaser):
     """Diode driver in the mode of constant current."""
 
     unit = "a"
+
+    def __init__(self, settings: LaserSettings, open_line: Callable[[], Line] | None = None) -> None:
+        if open_line is None and is_usbtmc(settings.port):
+            open_line = lambda: UsbTmcLine(find_usbtmc(settings.port, _USB_VENDOR), settings.timeout_s)  # noqa: E731
+        super().__init__(settings, open_line)
 
     def identify(self) -> LaserIdentity:
         """Vendor, model and serial number."""

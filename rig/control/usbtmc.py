@@ -1,0 +1,150 @@
+"""Lines to and from a USB Test & Measurement instrument, over the Linux kernel's own driver (/dev/usbtmc*).
+
+The kernel's driver is kept with the kernel and needs no package, so it was preferred to pyvisa-py and
+python-usbtmc, which bring a USB library of their own and take the instrument away from it. Linux only.
+"""
+
+import contextlib
+import os
+import struct
+from pathlib import Path
+
+from rig.control.serial_port import PortLost
+
+try:
+    import fcntl
+except ImportError:  # pragma: no cover
+    # a serial port of the same instrument works on every system
+    fcntl = None  # type: ignore[assignment]
+
+PREFIX = "usbtmc"
+"""A port of this name is the only such instrument; with ``:SERIAL`` behind it the one of that number."""
+_DEVICES = Path("/sys/class/usbmisc")
+_CLEAR = 0x5B02
+_SET_TIMEOUT = 0x40045B0A
+"""_IO(91, 2) and _IOW(91, 10, __u32) of linux/usb/tmc.h."""
+_LEAST_TIMEOUT_MS = 100
+_ANSWER_BYTES = 4096
+
+
+def is_usbtmc(port: str) -> bool:
+    """Whether a port names a USBTMC instrument."""
+    return port.partition(":")[0] == PREFIX or Path(port).name.startswith(PREFIX)
+
+
+def find_usbtmc(port: str, vendor: int, devices: Path = _DEVICES) -> str:
+    """The device node of an instrument; a path is returned as it is.
+
+    Raises PortLost if there is none of this USB vendor and serial number, or several.
+    """
+    if port.partition(":")[0] != PREFIX:
+        return port
+    wanted = port.partition(":")[2]
+    found = {}
+    for node in sorted(devices.glob("usbtmc*")):
+        # the class device belongs to an interface, whose parent is the USB device
+        with contextlib.suppress(OSError, ValueError):
+            usb = (node / "device").resolve().parent
+            if int((usb / "idVendor").read_text(), 16) == vendor:
+                found[(usb / "serial").read_text().strip()] = f"/dev/{node.name}"
+    matching = {serial: path for serial, path in found.items() if wanted in ("", serial)}
+    if len(matching) == 1:
+        return next(iter(matching.values()))
+    there = ", ".join(f"usbtmc:{serial}" for serial in found) or "none"
+    raise PortLost(
+        f"{port}: {len(matching)} USBTMC instruments of vendor {vendor:04x} fit, there is {there};"
+        " name one, switch it on, and see that the kernel has its module usbtmc"
+    )
+
+
+class UsbTmcLine:
+    """A `Line` over /dev/usbtmc*: one message out, one message in.
+
+    The kernel asks the instrument for an answer at each `read`; one is therefore made only after a query.
+    """
+
+    def __init__(self, path: str, timeout_s: float) -> None:
+        self._path = path
+        self._timeout_ms = 0
+        self._answer_due = False
+        self._fd = -1
+        if fcntl is None:
+            raise PortLost(f"{path}: USBTMC instruments are reached on Linux only")
+        try:
+            self._fd = os.open(path, os.O_RDWR | os.O_CLOEXEC)
+            # a second program would receive some of the answers
+            fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            self._set_timeout(timeout_s)
+        except PermissionError as error:
+            self.close()
+            raise PortLost(
+                f'{path}: no permission; add a udev rule: SUBSYSTEM=="usbmisc", KERNEL=="usbtmc*",'
+                ' ATTRS{idVendor}=="1313", MODE="0660", GROUP="plugdev"'
+            ) from error
+        except OSError as error:
+            self.close()
+            raise PortLost(f"{path}: cannot open the instrument: {error.strerror or error}") from error
+
+    @property
+    def name(self) -> str:
+        """The device node."""
+        return self._path
+
+    def write(self, data: bytes) -> None:
+        """Send one message."""
+        try:
+            os.write(self._fd, data)
+        except TimeoutError:
+            # whoever asks gets no answer, and asks again
+            self._clear()
+        except OSError as error:
+            raise self._lost("write", error) from error
+        self._answer_due = b"?" in data
+
+    def read(self, timeout_s: float) -> bytes:
+        """The answer to the last message; b"" after the timeout, or if none was asked for."""
+        if not self._answer_due:
+            return b""
+        try:
+            self._set_timeout(timeout_s)
+            answer = os.read(self._fd, _ANSWER_BYTES)
+        except TimeoutError:
+            self._clear()
+            return b""
+        except OSError as error:
+            raise self._lost("read", error) from error
+        self._answer_due = False
+        return answer
+
+    def discard_input(self) -> None:
+        """Discard an answer that was not read."""
+        if self._answer_due:
+            self._clear()
+
+    def close(self) -> None:
+        """Close the device; may be called more than once."""
+        if self._fd >= 0:
+            fd, self._fd = self._fd, -1
+            with contextlib.suppress(OSError):
+                os.close(fd)
+
+    def _clear(self) -> None:
+        self._answer_due = False
+        try:
+            fcntl.ioctl(self._fd, _CLEAR)
+        except TimeoutError:
+            pass
+        except OSError as error:
+            raise self._lost("clear", error) from error
+
+    def _set_timeout(self, timeout_s: float) -> None:
+        timeout_ms = max(round(1000 * timeout_s), _LEAST_TIMEOUT_MS)
+        if timeout_ms != self._timeout_ms:
+            fcntl.ioctl(self._fd, _SET_TIMEOUT, struct.pack("@I", timeout_ms))
+            self._timeout_ms = timeout_ms
+
+    def _lost(self, doing: str, error: OSError) -> PortLost:
+        return PortLost(
+            f"{self._path}: the instrument is no longer available ({doing}): {error.strerror or error};"
+            " check the cable"
+        )
