@@ -8,7 +8,7 @@ from typing import IO
 from mcap.opcode import Opcode
 
 from acquisition.record.chunk_places import ChunkPlace
-from acquisition.record.chunk_reader import ChunkDamage, open_chunk
+from acquisition.record.chunk_reader import LARGEST_CHUNK_BYTES, ChunkDamage, open_chunk
 from acquisition.record.records import CHUNK, HEAD, check_form, read_record
 
 _BLOCK_BYTES = 1024 * 1024
@@ -77,9 +77,12 @@ class RecordSearch:
     def _is_sound_chunk(self, place: int, end: int) -> bool:
         self._file.seek(place + HEAD.size)
         head = self._file.read(CHUNK.size)
-        if len(head) < CHUNK.size or CHUNK.unpack(head)[-1] > 4:
+        if len(head) < CHUNK.size:
             return False
-        self._left_bytes -= end - place + CHUNK.unpack(head)[2]
+        *_, unpacked_bytes, _, length_of_name = CHUNK.unpack(head)
+        if unpacked_bytes > LARGEST_CHUNK_BYTES or length_of_name > len("zstd"):
+            return False
+        self._left_bytes -= end - place + unpacked_bytes
         try:
             open_chunk(self._file, ChunkPlace(place, end - place, 0, 0, frozenset()))
         except ChunkDamage:

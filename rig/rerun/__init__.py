@@ -21,8 +21,8 @@ from rig.rerun.messages import (
     rows,
     size_bytes,
 )
-from rig.rerun.page_server import page_address, start_page_server
-from rig.rerun.ports import LOOPBACK, free_port
+from rig.rerun.page_server import name_stream, page_address, start_page_server
+from rig.rerun.ports import LOOPBACK, free_port, hidden_loopback
 from rig.rerun.process_group import own_group
 from rig.rerun.rerun_program import display_missing, open_window, start_program
 
@@ -47,6 +47,8 @@ __all__ = [
     "Swings",
     "display_missing",
     "free_port",
+    "hidden_loopback",
+    "name_stream",
     "open_window",
     "own_group",
     "page_address",

@@ -23,10 +23,10 @@ Floats = NDArray[np.float64]
 class Setup(NamedTuple):
     """First message to a worker.
 
-    The worker writes the file `rrd_path`; if that is None it serves a live stream on `port` of 127.0.0.1,
-    which buffers up to `memory_limit` (such as "500MB"). `period_s` (slow mode) and `amplitude` are expected
-    values, `unit` is that of all deflections. If the worker replaces another one, `viewer_url` is the address
-    of the viewer, which must connect to the new stream; otherwise it is empty.
+    The worker writes the file `rrd_path`; if that is None it serves a live stream on `port` of a loopback
+    address, which buffers up to `memory_limit` (such as "500MB"). `period_s` (slow mode) and `amplitude` are
+    expected values, `unit` is that of all deflections. If the worker replaces another one, `viewer_url` is
+    the address of the viewer, which must connect to the new stream; otherwise it is empty.
     """
 
     title: str

@@ -11,7 +11,7 @@ import rerun as rr
 from rig.rerun import layout
 from rig.rerun.drawing import Drawing
 from rig.rerun.messages import Message, Setup
-from rig.rerun.ports import LOOPBACK, free_port
+from rig.rerun.ports import free_port, hidden_loopback
 
 LIVE_GATHER_S, LIVE_GATHER_ROWS, LIVE_PICTURE_S = 0.2, 2000, 0.1
 FILE_GATHER_S, FILE_GATHER_ROWS, FILE_PICTURE_S = 10.0, 8000, 10.0
@@ -87,12 +87,11 @@ class Output:
 
     def _live_sink(self) -> rr.GrpcServerSink:
         setup = self._setup
-        self.port = free_port(setup.port)
+        host = hidden_loopback()
+        self.port = free_port(setup.port, host)
         if setup.port not in (0, self.port):
-            self._notes.append(
-                f"port {setup.port} is in use: the live view listens on {LOOPBACK}:{self.port}"
-            )
-        sink = rr.GrpcServerSink(LOOPBACK, self.port, server_memory_limit=setup.memory_limit)
+            self._notes.append(f"port {setup.port} is in use: the live view listens on {host}:{self.port}")
+        sink = rr.GrpcServerSink(host, self.port, server_memory_limit=setup.memory_limit)
         self.url = sink.uri
         return sink
 

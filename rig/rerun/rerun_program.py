@@ -65,10 +65,12 @@ def open_window(url: str, port: int) -> subprocess.Popen[bytes]:
     return start_program("--port", str(port), "--hide-welcome-screen", "--connect", url)
 
 
-def start_program(*arguments: str, environment: dict[str, str] | None = None) -> subprocess.Popen[bytes]:
-    """Start the program on 127.0.0.1, without output, and without receiving Ctrl-C from the terminal."""
+def start_program(
+    *arguments: str, environment: dict[str, str] | None = None, host: str = LOOPBACK
+) -> subprocess.Popen[bytes]:
+    """Start the program on a loopback address, without output and without Ctrl-C from the terminal."""
     return subprocess.Popen(
-        [program(), "--bind", LOOPBACK, *arguments],
+        [program(), "--bind", host, *arguments],
         env=environment if environment is not None else quiet_environment(),
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,

@@ -1,12 +1,21 @@
 """Shows Rerun files in a window, or as a web page on this machine."""
 
+import secrets
 import subprocess
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
 from processing.errors import ConfigurationError
-from rig.rerun import LOOPBACK, display_missing, free_port, page_address, start_page_server, start_program
+from rig.rerun import (
+    display_missing,
+    free_port,
+    hidden_loopback,
+    name_stream,
+    page_address,
+    start_page_server,
+    start_program,
+)
 
 
 def show_rrd(paths: Sequence[Path], mode: Literal["spawn", "web"]) -> None:
@@ -23,12 +32,13 @@ def show_rrd(paths: Sequence[Path], mode: Literal["spawn", "web"]) -> None:
             raise ConfigurationError(missing)
         _wait_for(start_program("--port", str(free_port(0)), "--hide-welcome-screen", *files))
         return
-    port, web_port = free_port(9876), free_port(9090)
-    server = start_program("--serve-grpc", "--port", str(port), *files)
-    page = start_page_server(web_port)
+    host, key = hidden_loopback(), secrets.token_urlsafe(16)
+    port, web_port = free_port(9876, host), free_port(9090)
+    server = start_program("--serve-grpc", "--port", str(port), *files, host=host)
+    page = start_page_server(web_port, key)
     try:
-        stream = f"rerun+http://{LOOPBACK}:{port}/proxy"
-        print(f"the view is at {page_address(web_port, stream)} (Ctrl-C ends it)", flush=True)
+        name_stream(page, f"rerun+http://{host}:{port}/proxy")
+        print(f"the view is at {page_address(web_port, key)} (Ctrl-C ends it)", flush=True)
         _wait_for(server)
     finally:
         page.kill()

@@ -1,5 +1,6 @@
 """Starts the program that shows a live stream: a window, or a web page."""
 
+import secrets
 import subprocess
 from collections.abc import Callable
 
@@ -8,6 +9,7 @@ from rig.rerun import (
     Mode,
     display_missing,
     free_port,
+    name_stream,
     open_window,
     page_address,
     start_page_server,
@@ -38,9 +40,10 @@ class ViewerProgram:
         if self._process is None:
             try:
                 if self._mode == "web":
-                    port = free_port(self._web_port)
-                    self._process = start_page_server(port)
-                    self._note(f"live view: {page_address(port, url)}")
+                    port, key = free_port(self._web_port), secrets.token_urlsafe(16)
+                    self._process = start_page_server(port, key)
+                    name_stream(self._process, url)
+                    self._note(f"live view: {page_address(port, key)}")
                 elif missing := display_missing():
                     self._note(missing)
                 else:
@@ -49,6 +52,7 @@ class ViewerProgram:
             except (OSError, subprocess.SubprocessError) as error:
                 self._note(f"the viewer's program could not be started: {error}")
         elif self._mode == "web":
+            name_stream(self._process, url)
             self._note("the live view was restarted: reload the page")
         return f"rerun+http://{LOOPBACK}:{self._window_port}/proxy" if self._window_port else ""
 
