@@ -256,7 +256,7 @@ class EightTimesAsFast(ScriptedCamera):
 
 
 def test_a_stream_ends_at_a_camera_that_counts_in_another_unit() -> None:
-    stream = scripted(EightTimesAsFast(frames=6000, silences=0))
+    stream = scripted(EightTimesAsFast(frames=9000, silences=0))
     assert wait_until(lambda: bool(stream.ended), 60.0)
     stream.close()
     assert "times as fast as the computer" in str(stream.failure)
