@@ -118,6 +118,10 @@ class HasFeatures(Protocol):
         """All features that can be read now; also while frames are delivered."""
         ...
 
+    def feature_value(self, name: str) -> FeatureValue | None:
+        """Value of one feature; None if the camera has none of this name or it cannot be read now."""
+        ...
+
 
 class Camera(Protocol):
     """A source of frames.

@@ -112,6 +112,16 @@ class PylonCamera:
                 self._set_feature(name, value)
             return self._readings(tuple(settings.features))
 
+    def feature_value(self, name: str) -> FeatureValue | None:
+        """Value of one feature; None if it cannot be read now."""
+        with self._lock, self._translated():
+            self._opened()
+            node = self._first((name,))
+            if node is None or not node.IsReadable():
+                return None
+            value: FeatureValue = node.Value
+            return value
+
     def _leave_images_alone(self) -> None:
         """Switch off what the camera does by itself to its images, and triggers."""
         for name in AUTOMATIC:

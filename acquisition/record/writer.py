@@ -226,6 +226,12 @@ class RecordWriter:
         data = kind.encode(*[getattr(value, name) for name in kind.names])
         self._add(self._numbers, topic, time_ns, data)
 
+    def attach(self, name: str, data: bytes) -> None:
+        """Add a file to the record, beside those that it began with."""
+        self._ready()
+        media_type = _MEDIA_TYPES.get(Path(name).suffix, "application/octet-stream")
+        self._guarded(lambda: self._file.add_attachment(name, media_type, data, time.time_ns()))
+
     def flush(self) -> None:
         """End the open chunks, force everything to the disk, and wait until that is done."""
         if not self._closed:

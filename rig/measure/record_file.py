@@ -9,6 +9,7 @@ from acquisition.frame import Frame
 from acquisition.record.writer import RecordWriter
 from rig.devices import OpenCamera
 from rig.instrument import Optics, configuration_attachments, session_metadata
+from rig.measure.camera_state import features_json
 from rig.presentation import Verdict, table_tree
 from rig.settings import Configuration
 
@@ -29,6 +30,8 @@ class RecordFile:
         `epoch_offset_ns` is UTC minus the time of the frames' clock.
         """
         attachments = configuration_attachments(self.config, self.source)
+        if features := features_json(self.camera.camera):
+            attachments["camera-features-start.json"] = features
         if preflight:
             attachments["preflight.json"] = json.dumps(table_tree(preflight), indent=1).encode()
         lever = self.optics.lever

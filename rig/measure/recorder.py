@@ -3,7 +3,7 @@
 import logging
 import queue
 import threading
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -21,6 +21,7 @@ from acquisition.record.writer import RecordWriter
 from processing.spot import Spot
 from rig.control import LightPermit, Stage
 from rig.instrument import Block
+from rig.measure.camera_state import TEMPERATURE_TOPIC, CameraTemperature
 
 _log = logging.getLogger(__name__)
 _IDLE_S = 0.2
@@ -49,6 +50,8 @@ class Entry:
     environment: Environment | None = None
     losses: RecordedLosses | None = None
     clock: ClockAnchor | None = None
+    temperature: CameraTemperature | None = None
+    attachments: Mapping[str, bytes] = field(default_factory=dict)
 
 
 class Recorder:
@@ -141,6 +144,10 @@ class Recorder:
             writer.write(LOSSES_TOPIC, entry.losses, entry.losses.time_ns)
         if entry.clock is not None:
             writer.write(CLOCK_TOPIC, entry.clock, entry.clock.time_ns)
+        if entry.temperature is not None:
+            writer.write(TEMPERATURE_TOPIC, entry.temperature, entry.temperature.time_ns)
+        for name, data in entry.attachments.items():
+            writer.attach(name, data)
         for event in entry.events:
             writer.write_event(event.time_ns, event.kind, event.text)
 

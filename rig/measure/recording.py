@@ -11,6 +11,7 @@ from acquisition.record.events import Event, EventKind
 from processing.errors import DeviceError
 from processing.swing import Swing
 from rig.instrument import Snapshot
+from rig.measure.camera_state import TemperatureWatch, features_json
 from rig.measure.clock_anchors import ClockAnchors
 from rig.measure.end_of_run import EndOfRun, StopRequest
 from rig.measure.frame_counts import FrameCounts
@@ -61,6 +62,7 @@ class Recording:
         steps = StepEvents(parts.optics.unit)
         # frames made on demand have a clock of their own, which no other one says anything about
         anchors = None if stream.policy == "wait" else ClockAnchors()
+        temperature = None if parts.camera is None else TemperatureWatch(parts.camera)
         status.begin_record()
         events = [*events, Event(first.time_ns, EventKind.START, "first frame")]
         self._recorder.put(Entry(events=events))
@@ -92,6 +94,7 @@ class Recording:
                     environment=status.environment(counts.last_ns),
                     losses=self._losses.due(counts.last_ns),
                     clock=clock,
+                    temperature=None if temperature is None else temperature.take(counts.last_ns),
                 )
             )
             # frames made on demand have no age
@@ -118,7 +121,18 @@ class Recording:
         empty = empty._replace(swings=swings, balances=[*empty.balances, *pipeline.finish_balance()])
         why = f"{NOT_ACCEPTED}: {rejected}" if rejected else self._stop.reason
         last = [*self._device_events(counts.last_ns), Event(counts.last_ns, EventKind.STOP, why)]
-        self._recorder.put(Entry(block=empty, events=last, losses=self._losses.last(counts.last_ns)))
+        features = {}
+        if parts.camera is not None and temperature is not None:
+            temperature.close()
+            features = {"camera-features-end.json": features_json(parts.camera)}
+        self._recorder.put(
+            Entry(
+                block=empty,
+                events=last,
+                losses=self._losses.last(counts.last_ns),
+                attachments={name: data for name, data in features.items() if data},
+            )
+        )
         self._publish("closing the record", counts, swings, math.nan)
         status.tell(counts.start_ns, [], empty, last)
         return rejected

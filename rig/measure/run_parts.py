@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
+from acquisition.camera import Camera
 from acquisition.frame import Frame
 from acquisition.record.events import Event
 from rig.devices import Devices, FrameStream
@@ -60,6 +61,8 @@ class RunParts:
         Called with the new path of the record of a rejected start, and the reason.
     devices
         Controller, laser and environment sensor, whose events and readings are recorded.
+    camera
+        The camera of `stream`, whose features and temperature are recorded.
     environment_period_s
         Time between two recorded readings of the environment.
     waits_in_darkness
@@ -76,6 +79,7 @@ class RunParts:
     start_rejected: Callable[[Path, str], None] = _not_noted
     watchers: Sequence[Watcher] = ()
     devices: Devices | None = None
+    camera: Camera | None = None
     environment_period_s: float = 1.0
     full_frame_interval_s: float = 10.0
     keep_windows: bool = True

@@ -101,6 +101,7 @@ def _execute(plan: RunPlan, devices: Devices, camera: OpenCamera, watchers: list
         start_rejected=plan.start_rejected,
         watchers=(display, *watchers),
         devices=devices,
+        camera=camera.camera,
         environment_period_s=config.environment_sensor.period_s,
         full_frame_interval_s=config.record.full_frame_interval_s,
         keep_windows=config.record.windows,

@@ -269,6 +269,12 @@ class AravisCamera:
             library = self._library
             return {} if library is None else self._opened().values(library.error)
 
+    def feature_value(self, name: str) -> FeatureValue | None:
+        """Value of one feature, as text; None if it cannot be read now."""
+        with self._lock, self._translated():
+            features = self._opened()
+            return features.text(name) if features.camera.is_feature_available(name) else None
+
     def _opened(self) -> AravisFeatures:
         if self._features is None:
             raise DeviceError(f"{self._name}: is not open; call open first")

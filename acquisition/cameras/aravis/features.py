@@ -104,7 +104,7 @@ class AravisFeatures:
             height_px=height_px,
             offset_x_px=x,
             offset_y_px=y,
-            features={name: self._text(name) for name in features},
+            features={name: self.text(name) for name in features},
         )
 
     def values(self, error: type[Exception]) -> dict[str, FeatureValue]:
@@ -123,7 +123,8 @@ class AravisFeatures:
                     found[name] = str(node.get_value_as_string())
         return found
 
-    def _text(self, name: str) -> str:
+    def text(self, name: str) -> str:
+        """A feature's value as text."""
         return str(self.camera.get_device().get_feature(name).get_value_as_string())
 
     def run_freely(self) -> None:

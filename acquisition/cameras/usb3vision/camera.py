@@ -251,6 +251,14 @@ class Usb3VisionCamera:
                 if one.value is not None and not one.problem and one.kind != "Command"
             }
 
+    def feature_value(self, name: str) -> FeatureValue | None:
+        """Value of one feature; None if it cannot be read now."""
+        with self._lock, self._noticing_loss():
+            features = self._opened().features
+            features.nodes.forget()
+            value: FeatureValue | None = features.get_if_readable(name)
+            return value
+
     def read_clocks(self, attempts: int = 5) -> ClockReading:
         """Simultaneous reading of the camera's and the host's clock: the fastest of a few attempts."""
         session = self._opened()

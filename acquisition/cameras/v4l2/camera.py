@@ -112,6 +112,10 @@ class V4l2Camera:
         read = getattr(self._opened(), "feature_values", dict)
         return dict(read())
 
+    def feature_value(self, name: str) -> FeatureValue | None:
+        """Value of one control; None if it cannot be read now."""
+        return self.feature_values().get(name)
+
     def _opened(self) -> Source:
         if self._source is None:
             raise DeviceError("video camera: is not open; call open first")

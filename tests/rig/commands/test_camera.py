@@ -178,11 +178,13 @@ def test_features_are_shown_with_unit_range_and_choices_and_can_be_set(usb_camer
     assert lines["AcquisitionStart"] == "command"
     assert "FeatureReading" not in done.output
     done = CliRunner().invoke(
-        app, ["camera", "set", DEMO, *USB, "Gain=3.5", "Width=320", "PixelFormat=Mono12"]
+        app, ["camera", "set", DEMO, *USB, "Gain=3.5", "Width=0x140", "PixelFormat=Mono12"]
     )
     assert done.output.splitlines()[-3:] == ["Gain = 3.5", "Width = 320", "PixelFormat = Mono12"], done.output
     done = CliRunner().invoke(app, ["camera", "set", DEMO, *USB, "Gain=99"])
-    assert "0 to 24" in str(done.exception)
+    assert "-12 to 24" in str(done.exception)
+    done = CliRunner().invoke(app, ["camera", "set", DEMO, *USB, "Width=wide"])
+    assert "Width = 'wide' is no number" in str(done.exception)
 
 
 def test_a_feature_that_can_not_be_read_says_why() -> None:

@@ -34,6 +34,8 @@ TRIGGER_MODE = BASE + 0x40
 EXPOSURE_AUTO, GAIN_AUTO = BASE + 0x44, BASE + 0x48
 ACQUISITION_MODE = BASE + 0x4C
 TRIGGER_SELECTOR = BASE + 0x50
+TEMPERATURE = BASE + 0x54  # float, degrees Celsius
+GAMMA_ENABLE = BASE + 0x58
 END = BASE + 0x1000
 
 
@@ -89,7 +91,8 @@ def description(formats: tuple[str, ...] = tuple(FORMATS), exposure_name: str = 
 <Category Name="Root"><pFeature>DeviceControl</pFeature>
  <pFeature>Format</pFeature><pFeature>Acquisition</pFeature></Category>
 <Category Name="DeviceControl"><pFeature>DeviceVendorName</pFeature><pFeature>DeviceModelName</pFeature>
- <pFeature>DeviceSerialNumber</pFeature></Category>
+ <pFeature>DeviceSerialNumber</pFeature><pFeature>DeviceTemperature</pFeature>
+ <pFeature>GammaEnable</pFeature></Category>
 <Category Name="Format"><pFeature>Width</pFeature><pFeature>Height</pFeature><pFeature>OffsetX</pFeature>
  <pFeature>OffsetY</pFeature><pFeature>PixelFormat</pFeature><pFeature>SensorWidth</pFeature>
  <pFeature>SensorHeight</pFeature><pFeature>PayloadSize</pFeature></Category>
@@ -121,7 +124,7 @@ def description(formats: tuple[str, ...] = tuple(FORMATS), exposure_name: str = 
 <Converter Name="ExposureConverter"><FormulaTo>ROUND(FROM * 10)</FormulaTo>
  <FormulaFrom>TO / 10.0</FormulaFrom><pValue>ExposureTicks</pValue><Slope>Increasing</Slope></Converter>
 {_register("ExposureTicks", EXPOSURE_TICKS, order="BigEndian")}
-<Float Name="Gain"><pValue>GainReg</pValue><Min>0</Min><Max>24</Max><Unit>dB</Unit></Float>
+<Float Name="Gain"><pValue>GainReg</pValue><Min>-12</Min><Max>24</Max><Unit>dB</Unit></Float>
 <FloatReg Name="GainReg"><Address>0x{GAIN:X}</Address><Length>4</Length><AccessMode>RW</AccessMode>
  <pPort>Device</pPort><Endianess>LittleEndian</Endianess></FloatReg>
 <Float Name="AcquisitionFrameRate"><pIsAvailable>AcquisitionFrameRateEnable</pIsAvailable>
@@ -149,6 +152,12 @@ def description(formats: tuple[str, ...] = tuple(FORMATS), exposure_name: str = 
 {_register("StartReg", START, access="WO")}
 <Command Name="AcquisitionStop"><pValue>StopReg</pValue><CommandValue>1</CommandValue></Command>
 {_register("StopReg", STOP, access="WO")}
+<Float Name="DeviceTemperature"><pValue>TemperatureReg</pValue><Unit>C</Unit></Float>
+<FloatReg Name="TemperatureReg"><Address>0x{TEMPERATURE:X}</Address><Length>4</Length>
+ <AccessMode>RO</AccessMode><pPort>Device</pPort><Cachable>NoCache</Cachable>
+ <Endianess>LittleEndian</Endianess></FloatReg>
+<Boolean Name="GammaEnable"><pValue>GammaEnableReg</pValue></Boolean>
+{_register("GammaEnableReg", GAMMA_ENABLE)}
 <Integer Name="TLParamsLocked"><pValue>LockedReg</pValue><Min>0</Min><Max>1</Max></Integer>
 {_register("LockedReg", LOCKED)}
 <Port Name="Device"/>

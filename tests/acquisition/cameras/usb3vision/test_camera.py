@@ -20,6 +20,7 @@ from acquisition.cameras.usb3vision.settings import Usb3VisionSettings
 from processing.errors import DeviceError
 from tests.acquisition.cameras.conformance import CameraConformance, Unplug
 from tests.acquisition.cameras.usb3vision import description
+from tests.acquisition.cameras.usb3vision import description as layout
 from tests.acquisition.cameras.usb3vision.backend import InProcessBackend, wait_until
 from tests.acquisition.cameras.usb3vision.device import EIRM, SIRM, VisionDevice
 
@@ -135,7 +136,7 @@ def test_every_format_gives_the_cameras_pixels(name: str) -> None:
     ("settings", "expected"),
     [
         ({"exposure_us": 5.0}, "ExposureTime = 5.0 is out of range; allowed is 20 to 1000000 us"),
-        ({"gain_db": 40.0}, "Gain = 40.0 is out of range; allowed is 0 to 24 dB"),
+        ({"gain_db": 40.0}, "Gain = 40.0 is out of range; allowed is -12 to 24 dB"),
         ({"width_px": 1448}, "Width = 1448 is out of range; allowed is 8 to 1440 in steps of 8"),
         ({"width_px": 641}, "allowed is 8 to 1440 in steps of 8"),
         ({"offset_y_px": 1000}, "Height 480 at OffsetY 1000 reaches 1480; the sensor has 1080"),
@@ -267,6 +268,37 @@ def test_clocks_are_related_to_within_the_commands_duration(device: VisionDevice
     latest = camera.read_clocks()
     age_ns = latest.device_time_ns - frame.device_time_ns
     assert 0 < age_ns < 2_000_000_000
+    camera.close()
+
+
+def test_what_another_program_left_on_is_switched_off_unless_asked(device: VisionDevice) -> None:
+    for address in (layout.EXPOSURE_AUTO, layout.GAIN_AUTO, layout.GAMMA_ENABLE):
+        device.poke(address, b"\1\0\0\0")
+    camera = camera_on(device)
+    camera.open()
+    camera.configure(CameraSettings())
+    names = ("ExposureAuto", "GainAuto", "GammaEnable")
+    assert [camera.feature_value(name) for name in names] == ["Off", "Off", False]
+    applied = camera.configure(CameraSettings(features={"GainAuto": "Continuous", "GammaEnable": True}))
+    assert applied.features == {"GainAuto": "Continuous", "GammaEnable": True}
+    assert camera.feature_value("ExposureAuto") == "Off"
+    camera.close()
+
+
+def test_exposure_and_rate_that_fit_together_are_set_in_either_direction(device: VisionDevice) -> None:
+    """Each limits the other: 500 Hz do not fit while an exposure takes 40 ms."""
+    camera = camera_on(device)
+    camera.open()
+    for exposure_us, rate_hz in ((40_000.0, 20.0), (1000.0, 500.0), (40_000.0, 20.0)):
+        applied = camera.configure(CameraSettings(exposure_us=exposure_us, frame_rate_hz=rate_hz))
+        assert (applied.exposure_us, applied.frame_rate_hz) == (exposure_us, rate_hz)
+    camera.close()
+
+
+def test_attenuation_is_reported_as_such(device: VisionDevice) -> None:
+    camera = camera_on(device)
+    camera.open()
+    assert camera.configure(CameraSettings(gain_db=-6.0)).gain_db == -6.0
     camera.close()
 
 

@@ -1,0 +1,56 @@
+"""The record says how the camera was set at the start and at the end, and how warm it was."""
+
+import json
+import struct
+from pathlib import Path
+
+from acquisition.camera import CameraSettings
+from acquisition.cameras.usb3vision.camera import Usb3VisionCamera
+from acquisition.record.reader import RecordReader
+from rig.devices.frame_stream import FrameStream
+from rig.devices.session_devices import OpenCamera
+from rig.instrument import optics_of
+from rig.measure.camera_state import TEMPERATURE_TOPIC
+from rig.measure.end_of_run import EndLimits
+from rig.measure.record_file import RecordFile
+from rig.measure.run import Run
+from rig.measure.run_parts import RunParts
+from rig.settings import Configuration
+from tests.acquisition.cameras.usb3vision import description as layout
+from tests.acquisition.cameras.usb3vision.backend import InProcessBackend
+from tests.acquisition.cameras.usb3vision.device import VisionDevice
+
+
+def test_features_and_temperature_are_in_the_record(tmp_path: Path) -> None:
+    device = VisionDevice(frames_inside=100_000)
+    device.poke(layout.TEMPERATURE, struct.pack("<f", 41.5))
+    camera = Usb3VisionCamera(backend=InProcessBackend(device))
+    info = camera.open()
+    asked = CameraSettings(exposure_us=200.0, width_px=64, height_px=64, frame_rate_hz=100.0, gain_db=-6.0)
+    opened = OpenCamera(camera, info, (), camera.configure(asked), 100_000)
+    config, optics = Configuration(), optics_of(Configuration(), 255)
+    record = tmp_path / "run.mcap"
+    run = Run(
+        RunParts(
+            stream=FrameStream(camera, asked, time_shift_ns=opened.time_shift_ns),
+            optics=optics,
+            record=RecordFile(record, config, Path(), opened, optics),
+            end=EndLimits(0.0, 1.0),
+            camera=camera,
+        )
+    )
+    outcome = run.execute()
+    camera.close()
+    assert outcome.failure is None
+    with RecordReader(record) as reader:
+        at = {
+            when: json.loads(reader.attachments[f"camera-features-{when}.json"]) for when in ("start", "end")
+        }
+        table = reader.table(TEMPERATURE_TOPIC)
+        applied = reader.metadata["camera_settings"]
+    assert at["start"]["Gain"] == at["end"]["Gain"] == -6.0
+    assert at["start"]["ExposureAuto"] == "Off"
+    assert len(at["end"]) > 15
+    assert table["temperature_c"].tolist() == [41.5]
+    assert (applied["gain_db"], applied["exposure_us"]) == ("-6.0", "200.0")
+    assert (applied["stamped"], applied["time_shift_ns"]) == ("start", "100000")
