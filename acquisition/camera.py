@@ -8,7 +8,7 @@ from pydantic import BaseModel, Field
 from acquisition.frame import Frame
 from processing.errors import DeviceError
 
-PixelFormat = Literal["mono8", "mono10", "mono12", "mono16"]
+PixelFormat = Literal["mono8", "mono10", "mono12", "mono14", "mono16"]
 FeatureValue = bool | int | float | str
 """Value of one of the camera's own features."""
 Stamped = Literal["start", "middle", "end"]

@@ -38,6 +38,15 @@ def unpack_10p(packed: Bytes, pixels: NDArray[np.uint16]) -> None:
 
 
 @kernel
+def unpack_10_packed(packed: Bytes, pixels: NDArray[np.uint16]) -> None:
+    """Two pixels of 10 bits in three bytes: high bits, low bits of both, high bits."""
+    for pixel in range(pixels.size):
+        pair, second = pixel // 2, pixel % 2
+        high, low = packed[3 * pair + 2 * second], packed[3 * pair + 1] >> (4 * second)
+        pixels[pixel] = (np.uint16(high) << np.uint16(2)) | np.uint16(low & 0x03)
+
+
+@kernel
 def unpack_12p(packed: Bytes, pixels: NDArray[np.uint16]) -> None:
     """Two pixels of 12 bits in three bytes, least significant bits first."""
     pairs = pixels.size // 2
@@ -116,10 +125,12 @@ class Format:
 FORMATS: Final = (
     Format("Mono8", 0x01080001, "mono8", 8, 255),
     Format("Mono10p", 0x010A0046, "mono10", 10, 1023, unpack_10p),
+    Format("Mono10Packed", 0x010C0004, "mono10", 12, 1023, unpack_10_packed),
     Format("Mono10", 0x01100003, "mono10", 16, 1023),
     Format("Mono12p", 0x010C0047, "mono12", 12, 4095, unpack_12p),
     Format("Mono12Packed", 0x010C0006, "mono12", 12, 4095, unpack_12_packed),
     Format("Mono12", 0x01100005, "mono12", 16, 4095),
+    Format("Mono14", 0x01100025, "mono14", 16, 16383),
     Format("Mono16", 0x01100007, "mono16", 16, 65535),
 )
 BY_CODE: Final = {item.code: item for item in FORMATS}

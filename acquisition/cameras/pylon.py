@@ -28,11 +28,15 @@ _FORMATS: Final[dict[PixelFormat, str]] = {
     "mono8": "Mono8",
     "mono10": "Mono10",
     "mono12": "Mono12",
+    "mono14": "Mono14",
     "mono16": "Mono16",
 }
 _EXPOSURE = ("ExposureTime", "ExposureTimeAbs")
 _RATE = ("AcquisitionFrameRate", "AcquisitionFrameRateAbs")
 _POLL_MS: Final = 100
+_NO_BLOCK: Final = 2**64 - 1
+_GIGE_BLOCKS: Final = 65535
+_MOST_MISSING: Final = 1000
 
 
 class PylonSettings(BaseModel, frozen=True, extra="forbid"):
@@ -45,8 +49,8 @@ class PylonSettings(BaseModel, frozen=True, extra="forbid"):
 class PylonCamera:
     """A camera supported by pylon (USB3 Vision, GigE, emulation); pylon acquires and queues the frames.
 
-    Frames for which pylon had no buffer are counted as dropped by the host, damaged ones as incomplete. A
-    camera whose timestamps are all zero (the emulation) has no clock.
+    Missing numbers of blocks are counted as dropped by the bus (pylon does not say which of them found no
+    buffer), damaged frames as incomplete. A camera whose timestamps are all 0 (the emulation) has no clock.
     """
 
     def __init__(self, settings: PylonSettings | None = None) -> None:
@@ -58,6 +62,7 @@ class PylonCamera:
         self._tick_ns = 0.0
         self._halted = threading.Event()
         self._started = self._was_lost = False
+        self._last_block = _NO_BLOCK
         self._next = self._delivered = self._skipped = self._incomplete = self._reconnects = 0
 
     def open(self) -> CameraInfo:
@@ -185,6 +190,7 @@ class PylonCamera:
                 self._delivered = self._skipped = self._incomplete = 0
             self._was_lost = False
             self._next = 0
+            self._last_block = _NO_BLOCK
             self._halted.clear()
             self._started = True
             camera.StartGrabbing(self._pylon.GrabStrategy_OneByOne)
@@ -221,7 +227,9 @@ class PylonCamera:
                     raise CameraLost(f"{self._name}: is no longer connected; plug it in again")
                 return None
             try:
-                skipped = int(result.GetNumberOfSkippedImages())
+                # pylon counts skipped images only where it skips; the numbers of blocks show every loss
+                skipped = missing_blocks(self._last_block, int(result.GetBlockID()))
+                self._last_block = int(result.GetBlockID())
                 self._skipped += skipped
                 number = self._next + skipped
                 self._next = number + 1
@@ -256,7 +264,7 @@ class PylonCamera:
         """Counts since `start`, continued after a reconnection."""
         return CameraStatus(
             delivered=self._delivered,
-            dropped_by_host=self._skipped,
+            dropped_by_bus=self._skipped,
             incomplete=self._incomplete,
             reconnects=self._reconnects,
         )
@@ -367,6 +375,19 @@ class PylonCamera:
                 self._was_lost = True
                 raise CameraLost(f"{self._name}: is no longer connected; plug it in again ({text})") from None
             raise DeviceError(f"{self._name}: {text}") from None
+
+
+def missing_blocks(last: int, block: int) -> int:
+    """Number of blocks between two numbers; GigE cameras count from 65535 to 1, USB cameras on.
+
+    0 for numbers that pylon does not know, and after a counter that began anew.
+    """
+    if _NO_BLOCK in (last, block):
+        return 0
+    if block > last:
+        return block - last - 1
+    past_end = block + _GIGE_BLOCKS - last
+    return past_end - 1 if 0 < past_end <= _MOST_MISSING else 0
 
 
 def _load_pylon() -> Any:

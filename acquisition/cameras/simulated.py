@@ -12,7 +12,13 @@ from acquisition.simulation.scene import Readings, Scene, block_frames
 from acquisition.simulation.settings import SimulationSettings
 from processing.errors import DeviceError
 
-_BITS: dict[PixelFormat, int] = {"mono8": 8, "mono10": 10, "mono12": 12, "mono16": 16}
+_BITS: dict[PixelFormat, int] = {
+    "mono8": 8,
+    "mono10": 10,
+    "mono12": 12,
+    "mono14": 14,
+    "mono16": 16,
+}
 _FORMATS: dict[int, PixelFormat] = {bits: name for name, bits in _BITS.items()}
 
 

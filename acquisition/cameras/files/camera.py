@@ -23,7 +23,13 @@ from acquisition.frame import Frame, Image
 from processing.errors import DeviceError
 
 _log = logging.getLogger(__name__)
-_FORMATS: dict[int, PixelFormat] = {8: "mono8", 10: "mono10", 12: "mono12", 16: "mono16"}
+_FORMATS: dict[int, PixelFormat] = {
+    8: "mono8",
+    10: "mono10",
+    12: "mono12",
+    14: "mono14",
+    16: "mono16",
+}
 
 
 class FilesCamera:

@@ -17,7 +17,8 @@ def test_the_numbers_are_those_of_the_naming_convention() -> None:
 
 
 @pytest.mark.parametrize(
-    "name", ["Mono8", "Mono10", "Mono12", "Mono16", "Mono10p", "Mono12p", "Mono12Packed"]
+    "name",
+    ["Mono8", "Mono10", "Mono12", "Mono14", "Mono16", "Mono10p", "Mono10Packed", "Mono12p", "Mono12Packed"],
 )
 @given(width=st.integers(1, 40), height=st.integers(1, 9), seed=st.integers(0, 2**32 - 1))
 @settings(deadline=None)  # the first call compiles the kernel
@@ -32,7 +33,7 @@ def test_packed_and_unpacked_is_the_same_image(name: str, width: int, height: in
 
 
 def test_extreme_pixels_do_not_touch_their_neighbours() -> None:
-    for name in ("Mono10p", "Mono12p", "Mono12Packed"):
+    for name in ("Mono10p", "Mono10Packed", "Mono12p", "Mono12Packed"):
         item = BY_NAME[name]
         for lit in range(8):
             pixels = np.zeros((1, 8), np.int64)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from acquisition.camera import Camera, CameraSettings, FrameTimeout, PixelFormat
-from acquisition.cameras.pylon import PylonCamera, PylonSettings
+from acquisition.cameras.pylon import PylonCamera, PylonSettings, missing_blocks
 from processing.errors import DeviceError
 from tests.acquisition.cameras.conformance import CameraConformance
 
@@ -133,4 +133,27 @@ def test_a_value_out_of_range_says_the_range() -> None:
     camera.open()
     with pytest.raises(DeviceError, match="are possible"):
         camera.configure(CameraSettings(exposure_us=1e12))
+    camera.close()
+
+
+def test_losses_are_seen_in_the_numbers_of_blocks() -> None:
+    assert missing_blocks(2**64 - 1, 5) == missing_blocks(5, 2**64 - 1) == 0
+    assert missing_blocks(5, 6) == 0
+    assert missing_blocks(5, 9) == 3
+    assert missing_blocks(65535, 1) == 0, "GigE counts from 65535 to 1"
+    assert missing_blocks(65534, 2) == 2
+    assert missing_blocks(500, 0) == 0, "a counter that began anew"
+
+
+def test_features_and_settings_are_those_of_the_camera() -> None:
+    camera = PylonCamera()
+    camera.open()
+    applied = camera.configure(CameraSettings(features={"TestImageSelector": "Testimage2"}))
+    assert applied.features == {"TestImageSelector": "Testimage2"}
+    values = camera.feature_values()
+    assert len(values) > 20
+    assert values["TestImageSelector"] == "Testimage2"
+    assert camera.feature_value("NoSuchFeature") is None
+    with pytest.raises(DeviceError, match="has no feature NoSuchFeature"):
+        camera.configure(CameraSettings(features={"NoSuchFeature": 1}))
     camera.close()

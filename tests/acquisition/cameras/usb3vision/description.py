@@ -10,6 +10,8 @@ FORMATS = {
     "Mono10": 0x01100003,
     "Mono12": 0x01100005,
     "Mono16": 0x01100007,
+    "Mono14": 0x01100025,
+    "Mono10Packed": 0x010C0004,
     "Mono10p": 0x010A0046,
     "Mono12p": 0x010C0047,
     "Mono12Packed": 0x010C0006,

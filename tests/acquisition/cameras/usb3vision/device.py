@@ -38,7 +38,9 @@ def pack(pixels: np.ndarray, pixel_format: int) -> bytes:
     if name.endswith("Packed"):
         values = np.append(values, 0) if values.size % 2 else values
         one, two = values[0::2].astype(np.uint16), values[1::2].astype(np.uint16)
-        triple = np.stack([one >> 4, (one & 15) | (two & 15) << 4, two >> 4], axis=1).astype(np.uint8)
+        low = DEPTHS[pixel_format] - 8
+        rest = (1 << low) - 1
+        triple = np.stack([one >> low, (one & rest) | (two & rest) << 4, two >> low], axis=1).astype(np.uint8)
         return triple.tobytes()[: -(-pixels.size * 12 // 8)]
     if name.endswith("p"):
         bits = DEPTHS[pixel_format]
@@ -440,7 +442,7 @@ class VisionDevice:
     def pixels(self, block: int) -> np.ndarray:
         """The image of a block as numbers: a sawtooth that begins elsewhere in every frame."""
         height, width = self.shape
-        period = {8: 251, 10: 1021, 12: 4093, 16: 65521}[DEPTHS[self.pixel_format]]
+        period = {8: 251, 10: 1021, 12: 4093, 14: 16381, 16: 65521}[DEPTHS[self.pixel_format]]
         key = (height * width, period)
         if key not in self._sawtooth:
             self._sawtooth = {key: np.arange(height * width + period) % period}

@@ -169,7 +169,7 @@ def test_a_colour_camera_is_refused_with_the_formats_that_work(device: VisionDev
     camera.open()
     camera.features.set("PixelFormat", "BayerRG8")
     with pytest.raises(
-        DeviceError, match=r"BayerRG8 is not supported; set one of: mono8, mono10, mono12, mono16"
+        DeviceError, match=r"BayerRG8 is not supported; set one of: mono8, mono10, mono12, mono14, mono16"
     ):
         camera.start()
     camera.close()
