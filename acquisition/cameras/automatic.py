@@ -16,8 +16,6 @@ AUTOMATIC: Final = (
 """Enumerations that are set to "Off", in this order."""
 BENDING: Final = ("GammaEnable", "GammaEnabled", "LUTEnable", "SharpnessEnable", "SharpeningEnable")
 """Switches that make DN no longer proportional to light; set to false."""
-TEMPERATURES: Final = ("DeviceTemperature", "DeviceTemperatureRaw", "TemperatureAbs")
-"""Temperature inside the camera, in degrees Celsius where it is a float."""
 RESULTING_RATES: Final = (
     "AcquisitionResultingFrameRate",
     "ResultingFrameRate",

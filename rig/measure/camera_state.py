@@ -6,10 +6,11 @@ import threading
 from typing import Final, NamedTuple
 
 from acquisition.camera import Camera, HasFeatures
-from acquisition.cameras.automatic import TEMPERATURES
 from processing.errors import DeviceError
 
 _log = logging.getLogger(__name__)
+_TEMPERATURES: Final = ("DeviceTemperature", "TemperatureAbs")
+"""Features with the temperature inside the camera in degrees Celsius, by what different makers call it."""
 TEMPERATURE_TOPIC: Final = "/camera_temperature"
 
 
@@ -55,7 +56,7 @@ class TemperatureWatch:
         self._ended.set()
 
     def _watch(self) -> None:
-        names = self._read(TEMPERATURES)
+        names = self._read(_TEMPERATURES)
         while names and not self._ended.wait(self._period_s):
             names = self._read(names)
 
