@@ -25,7 +25,7 @@ from processing.contact import ContactParameters, PendulumOnBall
 from processing.contact.laws import PAPER
 from processing.deflections import DeflectionUnit, slow_deflections
 from processing.errors import RigError
-from processing.fit import fit_exact
+from processing.fit import FitResult, combine_runs, fit_exact
 from processing.fit.exact_model import ExactModel
 from processing.fit.ground import Noise, density_of_step
 from processing.least_squares import covariance_of
@@ -172,7 +172,7 @@ def measure(case: Case, seeds: int) -> dict[str, Any]:
     parameters, pendulum = paper_pair(case.flat)
     names = PAPER.names()
     inside: list[list[tuple[bool, ...]]] = []
-    pulls, to_bound, q, fits_s = [], [], [], []
+    pulls, to_bound, q, fits_s, fits = [], [], [], [], []
     warned = failed = left_out = 0
     for seed in range(seeds):
         points = case.points(seed)
@@ -184,6 +184,7 @@ def measure(case: Case, seeds: int) -> dict[str, Any]:
             print(f"  seed {seed}: {error}")
             continue
         fits_s.append(process_time() - began_s)
+        fits.append(result)
         assert result.ground is not None
         assert result.whiteness is not None
         warned += result.whiteness.correlated
@@ -212,6 +213,15 @@ def measure(case: Case, seeds: int) -> dict[str, Any]:
         "rms_pull": dict(zip(names, rms(pulls), strict=True)),
         "median_pull": dict(zip(names, np.median(pulls, axis=0).tolist(), strict=True)),
         "rms_to_bound": dict(zip(names, rms(to_bound), strict=True)),
+        "series_agree": agreeing(fits),
+    }
+
+
+def agreeing(fits: list[FitResult]) -> dict[str, float]:
+    """Share of series of three runs whose scatter their own uncertainties explain; 95 % should."""
+    series = [combine_runs(fits[k : k + 3]).parameters for k in range(0, len(fits) - 2, 3)]
+    return {
+        name: float(np.mean([one[name].p_homogeneous > 0.05 for one in series])) for name in PAPER.names()
     }
 
 
@@ -257,6 +267,7 @@ def run(quick: bool = False, seeds: int = 200, only: tuple[str, ...] = ()) -> di
                     ("rms error/u", "rms_pull"),
                     ("median", "median_pull"),
                     ("rms/bound", "rms_to_bound"),
+                    ("series agree", "series_agree"),
                 )
             ),
             sep="\n",

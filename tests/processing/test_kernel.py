@@ -165,6 +165,7 @@ def run_as_nobody(folder: Path, *words: str) -> str:
         env={
             "PATH": os.environ["PATH"],
             "HOME": str(folder),
+            "NUMBA_OPT": "0",  # what is compiled is not asked to be fast
             "PYTHONPATH": os.pathsep.join([str(folder), str(ROOT)]),
         },
         capture_output=True,
