@@ -6,7 +6,7 @@ from processing.fit.determination import Determination, Verdict, identifiability
 from processing.fit.drag import DragVerdict, drag_verdict
 from processing.fit.exact import fit_exact
 from processing.fit.ground import GROUND_SEEN, Ground, density_of_step
-from processing.fit.remeasure import agree, known_motion, measured_again
+from processing.fit.remeasure import describes_as_well, known_motion, measured_again, shift_of, widened
 from processing.fit.reported import (
     FittedContact,
     draw_fitted,
@@ -43,12 +43,12 @@ __all__ = [
     "RigQuantities",
     "SeriesResult",
     "Verdict",
-    "agree",
     "average_curves",
     "budgets",
     "combine_runs",
     "compare_series",
     "density_of_step",
+    "describes_as_well",
     "drag_verdict",
     "draw_fitted",
     "fit_asymptotic",
@@ -59,7 +59,9 @@ __all__ = [
     "measured_again",
     "monte_carlo",
     "reported_quantities",
+    "shift_of",
     "strong_correlations",
     "super_smooth",
+    "widened",
     "work_per_cycle_j",
 ]

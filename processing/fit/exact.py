@@ -166,6 +166,7 @@ def fit_exact(
         noise=replace(found.likeliest.noise, step=step * reference),
         against_rest=found.likeliest.against_rest,
         left_out=len(points) - len(kept),
+        deviance=found.likeliest.deviance,
     )
     averaged_over = search.averaged_covariance(found.likeliest, bounds)
     return _result(found.model, found.solution, ground, loss, found.likeliest.covariance, averaged_over)

@@ -1,7 +1,7 @@
 """The ground as a source of scatter: the noise of a fit, and what a fit says of it."""
 
 from dataclasses import dataclass, replace
-from math import inf
+from math import inf, nan
 
 import numpy as np
 
@@ -55,6 +55,8 @@ class Ground:
         The likeliest noise, its step in the unit of the amplitudes.
     against_rest
         By how much -2 ln L of ground at rest exceeds that of this ground.
+    deviance
+        -2 ln L of the turning points with this noise, up to a constant of their number.
     left_out
         Half-cycles at the end that were not fitted, because the ground moves the pendulum in one half-swing
         by more than a tenth of its amplitude: amplitude and phase no longer describe the motion there.
@@ -65,6 +67,7 @@ class Ground:
     noise: Noise
     against_rest: float
     left_out: int = 0
+    deviance: float = nan
 
     @property
     def seen(self) -> bool:

@@ -26,6 +26,8 @@ _LARGEST = 0.2
 """Largest step tried, as a fraction of the lowest amplitude."""
 _LOWEST, _SPACING = -2.0, 0.1
 """Lowest step of an average over steps and their spacing, as logarithms like those tried."""
+_FALL = 0.7
+"""Exponent by which the density of steps falls."""
 _WELL_KNOWN = 0.15
 """Relative uncertainty of the step below which it is taken as known."""
 _ONE_SIDED = 2.706
@@ -106,7 +108,8 @@ class NoiseSearch:
 
         Uncertainties grow with the step. Those of the likeliest one are too small where a run at rest
         would be no surprise: one in three of weak drives is found to be none. The average is over the
-        likelihood times a density that falls as 1/sqrt(step), for drives may be of any order of magnitude.
+        likelihood times a density that falls as step^-0.7: drives may be of any order of magnitude, and with
+        this exponent intervals come nearest to their coverage at rest and at weak drives together.
         """
         if bounds.u_step < _WELL_KNOWN * found.noise.step:
             return None
@@ -114,8 +117,8 @@ class NoiseSearch:
         tried = np.arange(_LOWEST, min(above + 0.5, self._highest), _SPACING)
         parts = [self._at(x) for x in tried.tolist()]
         steps = 10.0**tried
-        mass = np.sqrt(steps) * _SPACING * np.log(10)
-        mass[0] += 2 * np.sqrt(steps[0])
+        mass = steps ** (1 - _FALL) * _SPACING * np.log(10)
+        mass[0] += steps[0] ** (1 - _FALL) / (1 - _FALL)
         deviance = np.array([part.deviance for part in parts])
         weight = mass * np.exp(-0.5 * (deviance - np.min(deviance)))
         weight /= np.sum(weight)

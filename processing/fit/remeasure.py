@@ -9,6 +9,7 @@ measurement with this waveform the errors of the turning points are independent.
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,13 +17,11 @@ from numpy.typing import NDArray
 from processing.contact import ContactParameters, PendulumOnBall, scaled_contact
 from processing.deflections import Deflections
 from processing.errors import DataError
+from processing.fit.result import FitResult
 from processing.swing import KnownMotion, Swing, SwingDetector, SwingFlag
 
 _MOST = 0.95
-"""Fraction of the half-cycles that must be found again ..."""
-
-_SHIFTED = 0.75
-"""... and largest rms of their shifts, in standard uncertainties, for the two measurements to agree."""
+"""Share of the half-cycles that must be found again."""
 
 
 def known_motion(
@@ -119,17 +118,60 @@ def _nearest(swings: Sequence[Swing], times_ns: NDArray[np.int64], time_ns: int)
     return swings[nearer]
 
 
-def agree(swings: Sequence[Swing], again: Sequence[Swing]) -> bool:
-    """Whether the second measurement agrees with the first within the uncertainties.
+class Shift(NamedTuple):
+    """How far a second measurement lies from the first: rms over half-cycles, in standard uncertainties.
 
-    Normally they differ by 0.1 to 0.5 of a standard uncertainty. They disagree if the fitted law does not
-    describe the motion, or if the fit does not determine parameters that affect the waveform (friction and
-    drag separately). The first measurement is the better one then.
+    `found` is the share of the half-cycles that was found again. Both rms are NaN where none was.
+    """
+
+    found: float
+    time: float
+    amplitude: float
+
+    @property
+    def complete(self) -> bool:
+        return self.found >= _MOST
+
+
+def shift_of(swings: Sequence[Swing], again: Sequence[Swing]) -> Shift:
+    """Shifts of the unflagged half-cycles.
+
+    Normally 0.1 to 0.5. With few or noisy samples in a half-cycle the first measurement, which knows the
+    waveform from the half-cycles before alone, is off by more; that says nothing against the second.
     """
     pairs = [(a, b) for a, b in zip(swings, again, strict=True) if a.flags == 0]
     both = [(a, b) for a, b in pairs if b.flags == 0]
-    if len(both) < _MOST * len(pairs) or not both:
-        return False
+    if not both:
+        return Shift(0.0, math.nan, math.nan)
     time = [(b.turn_time_ns - a.turn_time_ns) * 1e-9 / a.u_turn_time_s for a, b in both]
     amplitude = [(b.amplitude - a.amplitude) / a.u_amplitude for a, b in both]
-    return all(math.sqrt(float(np.mean(np.square(shift)))) < _SHIFTED for shift in (time, amplitude))
+    return Shift(
+        len(both) / len(pairs), *(math.sqrt(float(np.mean(np.square(found)))) for found in (time, amplitude))
+    )
+
+
+def describes_as_well(second: FitResult, first: FitResult) -> bool:
+    """Whether the law describes a second measurement as well as the first, by the likelihood of both.
+
+    A waveform that is not the motion's shifts turning points by what the law does not follow. Errors that the
+    first measurement shares among half-cycles make its likelihood look better by chance; four deviations of
+    chi2 are allowed for it.
+    """
+    if first.ground is None or second.ground is None:
+        return second.chi2_per_dof <= first.chi2_per_dof
+    allowed = 4.0 * math.sqrt(2.0 * first.dof)
+    return second.ground.deviance <= first.ground.deviance + allowed
+
+
+def widened(swings: Sequence[Swing], shift: Shift) -> list[Swing]:
+    """Half-cycles whose second measurement was refused; their uncertainties hold how much it differs."""
+    time, amplitude = (math.hypot(1.0, part) if part == part else 1.0 for part in shift[1:])
+    return [
+        replace(
+            swing,
+            u_turn_time_s=swing.u_turn_time_s * time,
+            u_half_period_s=swing.u_half_period_s * time,
+            u_amplitude=swing.u_amplitude * amplitude,
+        )
+        for swing in swings
+    ]

@@ -11,11 +11,13 @@ from processing.estimate import Estimate
 from processing.fit import (
     FitMethod,
     FitResult,
-    agree,
+    describes_as_well,
     fit_asymptotic,
     fit_exact,
     known_motion,
     measured_again,
+    shift_of,
+    widened,
 )
 from processing.least_squares import Loss
 from processing.swing import KnownMotion, Swing, TurningPoints, turning_points
@@ -39,10 +41,15 @@ def points_in_true_time(swings: Sequence[Swing], clock_rate: float) -> TurningPo
 
 
 class Settled(NamedTuple):
-    """Half-cycles, and the motion on which they were measured again; None: they are as detected."""
+    """Half-cycles, and the motion on which they were measured again; None: they are as detected.
+
+    `exact` is the fit to them, where one was made, and `doubt` says why they were not measured again.
+    """
 
     swings: Sequence[Swing]
     motion: KnownMotion | None
+    exact: FitResult | None = None
+    doubt: str = ""
 
 
 def settled_swings(
@@ -57,31 +64,57 @@ def settled_swings(
 
     `blocks` are consecutive deflections, in `unit`, in which the swings were detected.
 
-    They stay as they were detected where the laws cannot be fitted, which need deflections in rad, or
-    where the fit does not describe the deflections.
+    They stay as they were detected where the laws cannot be fitted, which need deflections in rad, and where
+    the laws describe the second measurement worse than the first; their uncertainties then hold by how much
+    the two differ. One repetition is enough: a second one shifts them by some hundredths of an uncertainty.
     """
-    as_detected = Settled(swings, None)
     if pendulum is None or unit is not DeflectionUnit.RAD:
-        return as_detected
+        return Settled(swings, None)
     points = points_in_true_time(swings, clock_rate)
     try:
-        exact = fit_exact(points, pendulum, drag=settings.drag, loss=_loss(settings))
-        motion = known_motion(exact.parameters, pendulum, float(points.amplitude[0]), clock_rate)
+        first = fit_exact(points, pendulum, drag=settings.drag, loss=_loss(settings))
+        motion = known_motion(first.parameters, pendulum, float(points.amplitude[0]), clock_rate)
     except DataError:
-        return as_detected
+        return Settled(swings, None)
     again = measured_again(swings, blocks, motion)
-    return Settled(again, motion) if agree(swings, again) else as_detected
+    shift = shift_of(swings, again)
+    reason = f"only {shift.found:.0%} of the half-cycles were found again"
+    if shift.complete:
+        try:
+            second = fit_exact(
+                points_in_true_time(again, clock_rate), pendulum, drag=settings.drag, loss=_loss(settings)
+            )
+            if describes_as_well(second, first):
+                return Settled(again, motion, second)
+            reason = "the laws would describe them worse"
+        except DataError as error:
+            reason = str(error)
+    doubt = (
+        f"the turning points stand as detected ({reason}): measured again on the fitted motion they would "
+        f"move by {shift.time:.2g} standard uncertainties in time and {shift.amplitude:.2g} in amplitude; "
+        "the uncertainties hold that"
+    )
+    return Settled(widened(swings, shift), None, None, doubt)
 
 
-def fit_decay(points: TurningPoints, pendulum: PendulumOnBall | None, settings: FitSettings) -> DecayFits:
-    """Asymptotic and exact fit of turning points; a decay that cannot be fitted is said, not raised."""
+def fit_decay(
+    points: TurningPoints,
+    pendulum: PendulumOnBall | None,
+    settings: FitSettings,
+    exact: FitResult | None = None,
+) -> DecayFits:
+    """Asymptotic and exact fit of turning points; a decay that cannot be fitted is said, not raised.
+
+    `exact` is the exact fit of these points where it has been made.
+    """
     if pendulum is None:
         return DecayFits(
             {}, None, "no [pendulum] in the configuration: state mass_kg and ball_radius_m to fit the contact"
         )
     loss, printed_curvature = _loss(settings), settings.printed_055
     try:
-        exact = fit_exact(points, pendulum, drag=settings.drag, loss=loss)
+        if exact is None:
+            exact = fit_exact(points, pendulum, drag=settings.drag, loss=loss)
         asymptotic = fit_asymptotic(
             points,
             pendulum,

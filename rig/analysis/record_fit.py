@@ -124,7 +124,7 @@ def _analyse_swings(
     settled = settled_swings(swings, deflections, unit, pendulum, config.fit, clock_rate)
     points = points_in_true_time(settled.swings, clock_rate)
     if unit is DeflectionUnit.RAD:
-        decay = fit_decay(points, pendulum, config.fit)
+        decay = fit_decay(points, pendulum, config.fit, settled.exact)
     else:
         decay = DecayFits(
             {}, None, "the record has no calibration (no [lever]): amplitudes are in px, the laws need rad"
@@ -135,7 +135,7 @@ def _analyse_swings(
         fits={name: fit_results(fit, config.pendulum) for name, fit in decay.fits.items()},
         surface_energy_j_per_m2=decay.surface_energy,
         problem=decay.problem,
-        warnings=tuple(dict.fromkeys(_fit_warnings(decay.fits))),
+        warnings=tuple(dict.fromkeys([*_fit_warnings(decay.fits), *filter(None, [settled.doubt])])),
         settings=config.fit.model_dump(),
         turning_points=StoredTurningPoints.of(points, settled.swings, unit, clock_rate),
     )

@@ -66,7 +66,7 @@ def analyse_table(
         deflections = slow_deflections(trajectory.times_ns, deflection, noise)
         settled = settled_swings(swings, [deflections], deflections.unit, pendulum, config.fit)
         points = turning_points(settled.swings)
-        laws = fit_decay(points, pendulum, config.fit)
+        laws = fit_decay(points, pendulum, config.fit, settled.exact)
     results = _results(path, trajectory, summary, laws)
     return AnalysedTable(trajectory, swings, summary, noise / scale, results)
 

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from processing.errors import DataError
-from processing.fit.remeasure import agree, known_motion, measured_again
-from processing.swing import KnownMotion, Swing
+from processing.fit.exact import fit_exact
+from processing.fit.remeasure import describes_as_well, known_motion, measured_again, shift_of, widened
+from processing.swing import KnownMotion, Swing, turning_points
 from tests.processing.fit.measured_again import again_with_fit, contact_truth, in_blocks, in_rad, noisy
 from tests.processing.swing.truth import (
     ARCSEC_RAD,
@@ -51,7 +52,7 @@ def test_early_half_cycles_stand_at_the_bound_and_apart(glass: Record) -> None:
         record = noisy(glass, seed)
         swings = detect(record)
         again = again_with_fit(record, swings, "glass")
-        assert agree(swings, again)
+        assert shift_of(swings, again).complete
         for name, found in (("detected", errors(record, swings)), ("again", errors(record, again))):
             early = (found.index > 0) & (found.index <= EARLY)
             # independent errors leave a unit normal deviate
@@ -88,7 +89,7 @@ def test_flagged_ones_stay_and_those_that_are_gone_are_flagged(glass: Record) ->
     assert np.isnan(again[21].half_period_s) == (again[20].index != again[21].index - 1)
 
 
-def test_laws_that_are_not_those_of_the_motion_do_not_agree(glass: Record) -> None:
+def test_a_waveform_that_is_not_that_of_the_motion_is_refused(glass: Record) -> None:
     parameters, pendulum = contact_truth("glass")
     record = noisy(glass, 5)
     swings = detect(record)
@@ -96,7 +97,13 @@ def test_laws_that_are_not_those_of_the_motion_do_not_agree(glass: Record) -> No
     constant = replace(parameters, c=parameters.b * (60 * ARCSEC_RAD) ** parameters.p, b=1e-9)
     motion = known_motion(constant, pendulum, swings[0].amplitude)
     again = measured_again(swings, in_blocks(record), motion)
-    assert not agree(swings, again)
+    first = fit_exact(turning_points(swings), pendulum)
+    second = fit_exact(turning_points(again), pendulum)
+    assert not describes_as_well(second, first)
+    shift = shift_of(swings, again)
+    wider = widened(swings, shift)
+    assert wider[5].u_turn_time_s == pytest.approx(np.hypot(1.0, shift.time) * swings[5].u_turn_time_s)
+    assert wider[5].turn_time_ns == swings[5].turn_time_ns
 
 
 def test_a_pendulum_that_would_not_swing_is_refused() -> None:

@@ -1,0 +1,166 @@
+"""Turning points from samples to parameters: errors in units of what is stated, for many ways to sample.
+
+Run as ``python -m tests.benchmarks.bench_remeasure [--quick] [--seeds N] [CASE...]`` from the repository. The
+motion is the tests' own integration, and the simulated rig's where there is a drag; a run goes through the
+swing detector and is measured again as in a session.
+"""
+
+import argparse
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.simulation.settings import SimulationSettings
+from acquisition.simulation.true_path import true_path, true_turning_points
+from processing.contact import ContactParameters, PendulumOnBall
+from processing.contact.laws import PAPER
+from processing.deflections import DeflectionUnit, slow_deflections
+from processing.fit import fit_exact
+from processing.swing import SwingDetector, turning_points
+from rig.analysis import settled_swings
+from rig.settings import FitSettings
+from tests.processing.fit.decays import ARCSEC, paper_pair
+from tests.processing.fit.driven import driven_path
+
+Floats = NDArray[np.float64]
+_MIDDLE_RAD = 60 * ARCSEC
+DRAG_S = 1e-3
+
+
+class Samples(NamedTuple):
+    time_s: Floats
+    angle_rad: Floats
+    parameters: ContactParameters
+    pendulum: PendulumOnBall
+
+
+class Case(NamedTuple):
+    """Samples without noise, what is done to them for a seed, and the noise of each in arcsec."""
+
+    name: str
+    clean: Callable[[], Samples]
+    noise_arcsec: float
+    sampled: Callable[[Samples, np.random.Generator], Samples] = lambda samples, _: samples
+    drag: bool = False
+
+
+@cache
+def swing(frames_per_s: float, period0_s: float | None = None, p: float | None = None) -> Samples:
+    """The paper's glass pair, another period or exponent with the same loss in the middle."""
+    parameters, pendulum = paper_pair("glass_k8")
+    if p is not None:
+        parameters = replace(parameters, b=parameters.b * _MIDDLE_RAD ** (parameters.p - p), p=p)
+    if period0_s is not None:
+        parameters = replace(parameters, period0_s=period0_s)
+    _, _, path = driven_path(parameters, pendulum, q=0.0, seed=1, frames_per_s=frames_per_s)
+    return Samples(np.arange(len(path)) / frames_per_s, path, parameters, pendulum)
+
+
+@cache
+def dragged() -> Samples:
+    parameters, pendulum = paper_pair("glass_k8", drag_s=DRAG_S)
+    contact = {name: getattr(parameters, name) for name in PAPER.names(drag=True)}
+    settings = SimulationSettings.model_validate(
+        {
+            "contact": {**contact, "contact_radius_m": pendulum.contact_radius_m},
+            "axes": {"leakage": 0.0, "rest_slow_arcsec": 0.0, "rest_drift_slow_arcsec_per_min": 0.0},
+        }
+    )
+    end_s = float(true_turning_points(settings).time_s[-1])
+    path = true_path(settings, end_s, 25.0)
+    return Samples(path.times_ns * 1e-9, path.y_rad, parameters, pendulum)
+
+
+def irregular(samples: Samples, rng: np.random.Generator) -> Samples:
+    """A third of the samples missing at random, and twenty gaps of 1 to 6 s."""
+    kept = rng.random(len(samples.time_s)) > 1 / 3
+    for begin_s in rng.uniform(20.0, samples.time_s[-1], 20):
+        kept &= (samples.time_s < begin_s) | (samples.time_s > begin_s + rng.uniform(1.0, 6.0))
+    return samples._replace(time_s=samples.time_s[kept], angle_rad=samples.angle_rad[kept])
+
+
+def in_mid_swing(samples: Samples, rng: np.random.Generator) -> Samples:
+    """From a random moment of the first period on, with 1 arcsec of a faster mode in it."""
+    kept = samples.time_s > rng.uniform(0.0, samples.parameters.period0_s)
+    time_s = samples.time_s[kept]
+    fast = ARCSEC * np.cos(2 * np.pi * time_s / 0.83 + rng.uniform(0.0, 2 * np.pi)) * np.exp(-time_s / 200)
+    return samples._replace(time_s=time_s, angle_rad=samples.angle_rad[kept] + fast)
+
+
+CASES = (
+    *(Case(f"25 Hz {noise:g}", lambda: swing(25.0), noise) for noise in (0.03, 0.1, 0.2, 0.5)),
+    Case("500 Hz 0.0005", lambda: swing(500.0), 0.0005),
+    Case("irregular 50 Hz", lambda: swing(50.0), 0.02, irregular),
+    Case("drag 25 Hz", dragged, 0.03, drag=True),
+    Case("mid-swing 50 Hz", lambda: swing(50.0), 0.02, in_mid_swing),
+    Case("T0 1.5 s", lambda: swing(50.0, period0_s=1.5), 0.03),
+    Case("T0 12 s", lambda: swing(25.0, period0_s=12.0), 0.03),
+    Case("p 0.8", lambda: swing(25.0, p=0.8), 0.03),
+    Case("p 1.3", lambda: swing(25.0, p=1.3), 0.03),
+)
+
+
+def measure(case: Case, seeds: int) -> dict[str, Any]:
+    clean = case.clean()
+    names = PAPER.names(drag=case.drag)
+    settings = FitSettings(drag=case.drag)
+    pulls, refused, failed = [], 0, 0
+    for seed in range(seeds):
+        rng = np.random.default_rng([seed, 15])
+        samples = case.sampled(clean, rng)
+        noise = case.noise_arcsec * ARCSEC
+        times_ns = np.rint(samples.time_s * 1e9).astype(np.int64)
+        seen = samples.angle_rad + noise * rng.standard_normal(len(times_ns))
+        u = np.full(len(seen), noise)
+        detector = SwingDetector()
+        swings = [*detector.update(times_ns, seen, u), *detector.finish()]
+        blocks = [slow_deflections(times_ns, seen, u)]
+        settled = settled_swings(swings, blocks, DeflectionUnit.RAD, samples.pendulum, settings)
+        refused += settled.motion is None
+        try:
+            fit = settled.exact or fit_exact(turning_points(settled.swings), samples.pendulum, drag=case.drag)
+        except Exception as error:
+            failed += 1
+            print(f"  seed {seed}: {error}")
+            continue
+        pulls.append(
+            [(fit.estimate(n).value - getattr(samples.parameters, n)) / fit.estimate(n)[1] for n in names]
+        )
+    rms = np.sqrt(np.mean(np.square(pulls), axis=0))
+    return {
+        "case": case.name,
+        "seeds": seeds,
+        "refused": refused,
+        "failed": failed,
+        "rms_pull": dict(zip(names, rms.tolist(), strict=True)),
+        "rms_of_all": float(np.sqrt(np.mean(np.square(pulls)))),
+    }
+
+
+def run(quick: bool = False, seeds: int = 40, only: tuple[str, ...] = ()) -> dict[str, Any]:
+    found = []
+    for case in CASES:
+        if only and not any(word in case.name for word in only):
+            continue
+        one = measure(case, 4 if quick else seeds)
+        found.append(one)
+        listed = " ".join(f"{name} {value:.2f}" for name, value in one["rms_pull"].items())
+        print(
+            f"{case.name:16} rms error/u {one['rms_of_all']:.2f} ({listed}), {one['refused']} refused, "
+            f"{one['failed']} failed of {one['seeds']}",
+            flush=True,
+        )
+    return {"cases": found}
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("cases", nargs="*", metavar="CASE", help="parts of names of cases; all without")
+    parser.add_argument("--quick", action="store_true")
+    parser.add_argument("--seeds", type=int, default=40)
+    words = parser.parse_args()
+    run(words.quick, words.seeds, tuple(words.cases))
