@@ -57,23 +57,31 @@ def keys(tree: Any, place: str = "") -> Iterator[str]:
             yield from keys(value, f"{place}[]")
 
 
-def check_same_fits(new: dict[str, Any], old: dict[str, Any]) -> None:
-    """Values agree within a hundredth of their uncertainty, which is far less than they mean."""
+def check_same_fits(new: dict[str, Any], old: dict[str, Any], moved: bool = False) -> None:
+    """Values agree within a hundredth of their uncertainty, which is far less than they mean.
+
+    `moved`: within two of them, where turning points are now measured again that used to be left as detected.
+    """
+    close = 2.0 if moved else 0.01
     assert new.keys() >= old.keys() >= {"asymptotic", "exact"}
     for name, fit in old.items():
         for parameter in (*PARAMETERS, "initial_amplitude_rad", "mean_period_s"):
             before, after = fit[parameter], new[name][parameter]
             u = before["standard_uncertainty"]
-            assert after["value"] == pytest.approx(before["value"], abs=0.01 * u), (name, parameter)
+            assert after["value"] == pytest.approx(before["value"], abs=close * u), (name, parameter)
             # since then that of the exact fit also holds drives which one run cannot exclude
-            most = 1.6 if name == "exact" else 1.01
-            assert 0.99 * u < after["standard_uncertainty"] < most * u, (name, parameter)
-        assert new[name]["chi2_per_dof"] == pytest.approx(fit["chi2_per_dof"], rel=0.01)
+            most = 1.6 if name == "exact" else 1.3 if moved else 1.01
+            assert (0.8 if moved else 0.99) * u < after["standard_uncertainty"] < most * u, (name, parameter)
+        assert new[name]["chi2_per_dof"] == pytest.approx(fit["chi2_per_dof"], rel=0.5 if moved else 0.01)
 
 
 def check_no_key_is_lost(new: Any, old: Any) -> None:
     """Other programs rely on them. The numbers of the drag verdict are there only where its fit converged."""
     assert not {key for key in set(keys(old)) - set(keys(new)) if ".drag." not in key}
+
+
+def was_moved(new: dict[str, Any], old: dict[str, Any]) -> bool:
+    return old.get("measured_again_on") is None and new["measured_again_on"] is not None
 
 
 def check_same_run(new: dict[str, Any], old: dict[str, Any]) -> None:
@@ -82,9 +90,9 @@ def check_same_run(new: dict[str, Any], old: dict[str, Any]) -> None:
     for end in ("initial", "final"):
         # schema 1 had px, too, under the name in arcsec
         before = old[f"{end}_amplitude_arcsec"]
-        assert new[f"{end}_amplitude"] == pytest.approx(before, rel=1e-6)
-        in_arcsec = new["amplitude_unit"] == "arcsec"
-        assert new[f"{end}_amplitude_arcsec"] == (pytest.approx(before, rel=1e-6) if in_arcsec else None)
+        close = pytest.approx(before, rel=1e-4 if was_moved(new, old) else 1e-6)
+        assert new[f"{end}_amplitude"] == close
+        assert new[f"{end}_amplitude_arcsec"] == (close if new["amplitude_unit"] == "arcsec" else None)
 
 
 def test_info() -> None:
@@ -116,7 +124,7 @@ def test_a_fit_gives_what_it_gave() -> None:
     (new,), (old,) = results("again/results.json")["runs"], results("series/results.json")["runs"]
     check_same_run(new, old)
     check_no_key_is_lost(new, old)
-    check_same_fits(new["fits"], old["fits"])
+    check_same_fits(new["fits"], old["fits"], was_moved(new, old))
     assert new["calibration"]["lever"]["sha256"] == old["calibration"]["lever"]["sha256"]
 
 
@@ -220,7 +228,7 @@ def test_an_interrupted_session_goes_on(folder: Path) -> None:
     assert [run["record"] for run in new] == ["run-1.mcap", "run-3.mcap"]
     assert "report-2.html" in rig("report series"), "a folder's results are the latest ones"
     check_same_run(new[0], old)
-    check_same_fits(new[0]["fits"], old["fits"])
+    check_same_fits(new[0]["fits"], old["fits"], was_moved(new[0], old))
 
 
 def test_a_calibration_file() -> None:
