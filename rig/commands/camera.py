@@ -27,6 +27,7 @@ def register(app: typer.Typer) -> None:
     camera.command("snap")(snap)
     camera.command("focus")(focus)
     camera.command("expose")(expose)
+    camera.command("dump")(dump)
     app.add_typer(camera, name="camera")
 
 
@@ -167,6 +168,31 @@ def expose(
         found = find_exposure(camera, info, applied, target)
         typer.echo(f"peak {found.peak:.1%} of full scale; for the configuration:")
         typer.echo(f"camera.exposure_us = {found.exposure_us:.6g}")
+
+
+def dump(
+    config: Config,
+    output: Annotated[Path, typer.Option("-o", "--output", help="ZIP file to write.")] = Path("camera.zip"),
+    set_: Set = None,
+) -> None:
+    """Write how a USB3 Vision camera behaves into one file, without serial numbers, to send as evidence."""
+    import zipfile
+
+    from processing.errors import ConfigurationError
+
+    if output.exists():
+        raise ConfigurationError(f"{output}: exists already and is not written over; name another with -o")
+    with _opened(config, set_) as (camera, info, _):
+        if not hasattr(camera, "dump"):
+            raise ConfigurationError(
+                f"camera.driver = {info.driver!r}: only usb3vision cameras can be dumped"
+            )
+        files: dict[str, bytes] = camera.dump()
+    with zipfile.ZipFile(output, "x", zipfile.ZIP_DEFLATED) as archive:
+        for name, data in files.items():
+            archive.writestr(name, data)
+            typer.echo(f"{name}: {len(data)} bytes")
+    typer.echo(str(output))
 
 
 @contextmanager
