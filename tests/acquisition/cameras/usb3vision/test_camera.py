@@ -16,6 +16,7 @@ from acquisition.cameras.drivers import make_camera
 from acquisition.cameras.pixel_formats import BY_CODE
 from acquisition.cameras.usb3vision import discovery
 from acquisition.cameras.usb3vision.camera import Usb3VisionCamera
+from acquisition.cameras.usb3vision.discovery import find_camera, find_cameras
 from acquisition.cameras.usb3vision.settings import Usb3VisionSettings
 from processing.errors import DeviceError
 from tests.acquisition.cameras.conformance import CameraConformance, Unplug
@@ -293,6 +294,22 @@ def test_exposure_and_rate_that_fit_together_are_set_in_either_direction(device:
         applied = camera.configure(CameraSettings(exposure_us=exposure_us, frame_rate_hz=rate_hz))
         assert (applied.exposure_us, applied.frame_rate_hz) == (exposure_us, rate_hz)
     camera.close()
+
+
+def test_a_camera_without_a_driver_on_windows_is_listed_and_named(
+    device: VisionDevice, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """libusb then says of everything but the descriptors that it is not implemented."""
+
+    def not_implemented(*_: object) -> str:
+        raise NotImplementedError("Operation not supported or unimplemented on this platform")
+
+    monkeypatch.setattr("usb.util.get_string", not_implemented)
+    (found,) = find_cameras(InProcessBackend(device))
+    assert not found.accessible
+    monkeypatch.setattr("sys.platform", "win32")
+    with pytest.raises(DeviceError, match="give it WinUSB"):
+        find_camera(None, InProcessBackend(device))
 
 
 def test_attenuation_is_reported_as_such(device: VisionDevice) -> None:

@@ -288,3 +288,44 @@ def test_a_wrong_description_is_named(body: str, expected: str) -> None:
         node_map(body).get("F")
     assert "camera" in str(error.value)
     assert "\n" not in str(error.value)
+
+
+def test_a_float_is_written_into_an_integer_as_the_nearest_one() -> None:
+    ram = Ram()
+    nodes = node_map(
+        '<Float Name="F"><pValue>R</pValue></Float>' + register("R", 8, "<Sign>Signed</Sign>"), ram
+    )
+    for value, whole in ((33.7, 34), (33.2, 33), (33.5, 34), (-2.5, -3), (-2.4, -2)):
+        nodes.set("F", value)
+        assert struct.unpack_from("<i", ram.data, 8) == (whole,)
+
+
+def test_a_long_chain_of_formulas_is_read_once() -> None:
+    """Each refers twice to the one before; without being kept, the first would be read 2^40 times."""
+    body = register("K0", 0, "<Cachable>NoCache</Cachable>") + "".join(
+        f'<IntSwissKnife Name="K{i}"><pVariable Name="A">K{i - 1}</pVariable>'
+        f'<pVariable Name="B">K{i - 1}</pVariable><Formula>A + B - A</Formula></IntSwissKnife>'
+        for i in range(1, 41)
+    )
+    ram = Ram()
+    ram.data[0] = 7
+    nodes = node_map(body + '<Integer Name="F"><pValue>K40</pValue></Integer>', ram)
+    assert nodes.get("F") == 7
+    assert len(ram.reads) <= 4
+    ram.data[0] = 9
+    assert nodes.get("F") == 9, "nothing is kept from one reading to the next"
+
+
+def test_what_is_nested_too_deeply_or_is_no_number_is_one_line() -> None:
+    with pytest.raises(DeviceError, match="nested too deeply"):
+        node_map('<Integer Name="F">' + "<Extension>" * 5000 + "</Extension>" * 5000 + "</Integer>")
+    nodes = node_map('<Integer Name="F"><Value>3</Value></Integer><Float Name="G"><Value>1</Value></Float>')
+    nodes.set("F", "0x140")
+    assert nodes.get("F") == 320
+    for name, value, reason in (
+        ("F", "wide", "is no number"),
+        ("F", 1.5, "whole"),
+        ("G", "1,5", "no number"),
+    ):
+        with pytest.raises(DeviceError, match=reason):
+            nodes.set(name, value)
