@@ -32,6 +32,12 @@ class StoredTurningPoints:
     left_out_amplitude: Floats = field(default_factory=lambda: np.empty(0))
     left_out_flags: Integers = field(default_factory=lambda: np.empty(0, dtype=np.int64))
 
+    def __post_init__(self) -> None:
+        fitted = (self.index, self.time_s, self.u_time_s, self.amplitude, self.u_amplitude)
+        left_out = (self.left_out_time_s, self.left_out_amplitude, self.left_out_flags)
+        if len(set(map(len, fitted))) > 1 or len(set(map(len, left_out))) > 1:
+            raise ValueError("columns of equal length")
+
     @classmethod
     def of(
         cls, points: TurningPoints, swings: Sequence[Swing], unit: DeflectionUnit, clock_rate: float
