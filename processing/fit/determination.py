@@ -152,7 +152,8 @@ def profile_likelihood(
     The noise is that of the fit. The rise of chi2 is divided by max(1, chi2/dof) and by what else widened the
     fit's uncertainty; the limit is where its square root equals Student's t. b and gamma are varied on a
     logarithmic scale if their estimates are positive. The search ends at ten standard uncertainties (b and
-    gamma: at a factor of a million), or at zero for parameters that cannot be negative.
+    gamma: at a factor of a million), or at zero for parameters that cannot be negative. Where the fit itself
+    lies below zero, the rise counts from the best fit at zero: a limit is never one of impossible values.
     """
     if result.method is not FitMethod.EXACT:
         raise DataError("a profile likelihood belongs to an exact fit")
@@ -167,6 +168,20 @@ def profile_likelihood(
     target = float(stdtrit(result.dof, 0.5 * (1 + coverage)))
     held = _Held(model, name, best)
     logarithmic = parameter.logarithmic and value > 0
+    lowest_cost, free_at_lowest = result.cost, best[held.free]
+    if parameter.lower == 0 and value < 0:
+        start = np.clip(
+            held.follow(value, free_at_lowest, 0.0), model.lower[held.free], model.upper[held.free]
+        )
+        at_zero = solve(
+            held.at(0.0),
+            start,
+            lower=model.lower[held.free],
+            upper=model.upper[held.free],
+            loss=result.loss,
+            cost_tolerance=1e-7,
+        )
+        value, lowest_cost, free_at_lowest = 0.0, at_zero.cost, at_zero.values
     trace: list[tuple[float, float]] = [(value, 0.0)]
 
     def at(z: float) -> float:
@@ -181,7 +196,7 @@ def profile_likelihood(
                 return float("nan")
             # 0 itself is included, but not the limit of a range of search
             farthest = min(farthest, room if parameter.lower == 0 else 0.999 * room)
-        free = best[held.free]
+        free = free_at_lowest
         low, low_root = 0.0, 0.0
         high, high_root, root = np.inf, np.inf, 0.0
         z = min(target * unit, farthest)
@@ -202,7 +217,7 @@ def profile_likelihood(
                 max_evaluations=40,
                 cost_tolerance=1e-7,
             )
-            root = float(np.sqrt(max(2 * (solution.cost - result.cost), 0.0) / scale))
+            root = float(np.sqrt(max(2 * (solution.cost - lowest_cost), 0.0) / scale))
             trace.append((at(sign * z), root**2))
             if abs(root - target) < 0.01 * target:
                 break

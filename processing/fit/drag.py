@@ -9,6 +9,7 @@ from processing.contact.laws import DRAG
 from processing.errors import DataError
 from processing.estimate import Estimate
 from processing.fit.exact import fit_exact, fit_exact_with
+from processing.fit.ground import Noise
 from processing.fit.result import FitResult
 from processing.fit_method import FitMethod
 from processing.least_squares import Loss
@@ -53,11 +54,11 @@ class DragVerdict:
     def text(self) -> str:
         numbers = (
             f"drag {self.drag_s.value:.3g} +- {self.drag_s.standard_uncertainty:.2g} s, "
-            f"F = {self.f_statistic:.3g} (p = {self.p_value:.2g}), AIC {self.aic_difference:+.3g}; "
-            f"with it b moves by {self.shift_b:+.2%} and c by {self.shift_c:+.2%}"
+            f"F = {self.f_statistic:.3g} (p = {self.p_value:.2g}), AIC {self.aic_difference:+.3g}"
         )
         if self.significant:
-            return f"a linear drag is in the data: {numbers}"
+            moved = f"with it b moves by {self.shift_b:+.2%} and c by {self.shift_c:+.2%}"
+            return f"a linear drag is in the data: {numbers}; {moved}"
         if self.drag_s.value < 0 and self.p_value < SIGNIFICANT:
             return f"the data ask for a negative drag: the model lacks something else: {numbers}"
         return f"no linear drag is seen: {numbers}"
@@ -77,7 +78,7 @@ def drag_verdict(
         raise DataError("the drag verdict compares with an exact fit without drag")
     with_drag = fit_exact(points, pendulum, drag=True, loss=loss)
     cost = without.cost
-    if with_drag.ground != without.ground:
+    if _noise(with_drag) != _noise(without):
         cost = fit_exact_with(points, pendulum, with_drag, drag=False).cost
     gain = 2 * (cost - with_drag.cost)
     f_statistic = max(gain, 0.0) / (2 * with_drag.cost / with_drag.dof)
@@ -97,3 +98,7 @@ def drag_verdict(
         shift_c=after.c / before.c - 1 if before.c else float("nan"),
         significant=p_value < SIGNIFICANT and aic_difference < 0 and drag_s.value > 0,
     )
+
+
+def _noise(fit: FitResult) -> Noise | None:
+    return None if fit.ground is None else fit.ground.noise

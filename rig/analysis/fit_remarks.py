@@ -70,7 +70,11 @@ def _drag_sentence(drag: Drag) -> str:
     head = "A linear drag is in the data" if drag.significant else drag.text.split(":")[0].capitalize()
     numbers = (
         f"{head}: {quantity('drag_s').text(*drag.drag_s)} s, F = {plain(drag.f_statistic, 3)} (chance "
-        f"{plain(drag.p_value, 2)}), AIC {drag.aic_difference:+.1f}; fitted with it, b moves by "
-        f"{100 * drag.relative_shift_b:+.2f} % and c by {100 * drag.relative_shift_c:+.2f} %."
+        f"{plain(drag.p_value, 2)}), AIC {drag.aic_difference:+.1f}"
     )
-    return numbers.replace("-", "−")
+    if drag.significant:
+        numbers += (
+            f"; fitted with it, b moves by {100 * drag.relative_shift_b:+.2f} % and c by "
+            f"{100 * drag.relative_shift_c:+.2f} %"
+        )
+    return f"{numbers}.".replace("-", "−")

@@ -130,8 +130,13 @@ def drag_table(results: RunResults) -> Table:
         ["linear drag", f"{quantity('drag_s').text(*drag.drag_s)} s"],
         ["F-test", f"F = {plain(drag.f_statistic, 3)}, chance without drag {plain(drag.p_value, 2)}"],
         ["AIC with − without", plain(drag.aic_difference, 3)],
-        ["b moves by", f"{100 * drag.relative_shift_b:+.2f} %".replace("-", "−")],
-        ["c moves by", f"{100 * drag.relative_shift_c:+.2f} %".replace("-", "−")],
+    ]
+    if drag.significant:
+        shown += [
+            ["b moves by", f"{100 * drag.relative_shift_b:+.2f} %".replace("-", "−")],
+            ["c moves by", f"{100 * drag.relative_shift_c:+.2f} %".replace("-", "−")],
+        ]
+    shown += [
         ["verdict", "a linear drag is in the data" if drag.significant else drag.text.split(":")[0]],
     ]
     return Table("drag", "Is there a linear drag?", ("quantity", "value"), rows, ("", ""), shown)

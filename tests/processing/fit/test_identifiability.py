@@ -1,5 +1,7 @@
 """Drag verdict, profile likelihood, and remarks on parameters that the data do not determine."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -152,3 +154,24 @@ def test_a_profile_belongs_to_an_exact_fit() -> None:
     points = decay(parameters, pendulum, noise_arcsec=0.05, seed=2, last_arcsec=60)
     with pytest.raises(DataError, match="exact fit"):
         profile_likelihood(points, pendulum, fit_asymptotic(points, pendulum), "c")
+
+
+def test_a_bound_lies_where_the_parameter_can_be() -> None:
+    """Where the best fit has a negative c, the profile used to end below zero: "c below -5.5e-09"."""
+    parameters, pendulum = paper_pair("glass_k8")
+    none = replace(parameters, c=1e-12)
+    for seed in range(40):
+        points = decay(none, pendulum, noise_arcsec=0.3, seed=seed, last_arcsec=8)
+        result = fit_exact(points, pendulum)
+        value, u = result.estimate("c")
+        if value < -1.5 * u:
+            break
+    else:
+        pytest.fail("no seed has a c this far below zero")
+    profile = profile_likelihood(points, pendulum, result, "c")
+    assert np.isnan(profile.lower)
+    assert profile.upper > 0
+    assert profile.trace[:, 0].min() >= 0
+    (item,) = [i for i in identifiability(points, pendulum, result) if i.name == "c"]
+    assert item.verdict == "upper bound"
+    assert item.upper > none.c
