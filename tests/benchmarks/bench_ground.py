@@ -28,12 +28,14 @@ from processing.errors import RigError
 from processing.fit import FitResult, combine_runs, fit_exact
 from processing.fit.exact_model import ExactModel
 from processing.fit.ground import Noise, density_of_step
+from processing.instruments import DEGREE_RAD, damping
 from processing.least_squares import covariance_of
 from processing.swing import SwingDetector, TurningPoints, turning_points
 from rig.analysis.contact_laws import settled_swings
 from rig.settings import FitSettings
 from tests.processing.fit.decays import ARCSEC, PAIRS, paper_pair, truth
 from tests.processing.fit.driven import driven_decay, driven_path
+from tests.processing.instruments.test_driven import PERIOD_S, damping_time, driven, ten_swings
 
 NOISE_ARCSEC = 0.005
 FRAMES_PER_S = 25.0
@@ -245,11 +247,37 @@ def seconds_of_long_runs() -> dict[str, float]:
     return out
 
 
+def other_pendulums(seeds: int) -> dict[str, dict[str, float]]:
+    """Damping time and time hardness of a pendulum of degrees whose every half-swing is kicked: coverage.
+
+    The kicks of 2e-5 rad are ten times the reading of a turning point.
+    """
+    truth = driven(0.0, 0)
+    exact_s = damping(truth, 6 * DEGREE_RAD, 3 * DEGREE_RAD).time_s.value
+    ten_s = 5 * PERIOD_S
+    found = {}
+    for name, reduce, true_s in (("damping time", damping_time, exact_s), ("ten swings", ten_swings, ten_s)):
+        pulls = []
+        for seed in range(seeds):
+            value, u = reduce(driven(2e-5, seed))
+            pulls.append((value - true_s) / u)
+        one = {
+            "one_u": float(np.mean(np.abs(pulls) < 1)),
+            "ninety_five": float(np.mean(np.abs(pulls) < 1.96)),
+            "rms_pull": float(np.sqrt(np.mean(np.square(pulls)))),
+        }
+        found[name] = one
+        print(f"{name}: " + ", ".join(f"{key} {value:.2f}" for key, value in one.items()), flush=True)
+    return found
+
+
 def run(quick: bool = False, seeds: int = 200, only: tuple[str, ...] = ()) -> dict[str, Any]:
     """All of it; numbers as plain values. The surface energy is proportional to c, and so is its interval."""
     result: dict[str, Any] = {"fit_cpu_s": seconds_of_long_runs(), "cases": []}
     for name, seconds in result["fit_cpu_s"].items():
         print(f"{name}: {seconds:.2f} s of CPU time")
+    if not only or "others" in only:
+        result["others"] = other_pendulums(10 if quick else seeds)
     for case in cases():
         if only and not any(word in case.name for word in only):
             continue
