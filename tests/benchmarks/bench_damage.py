@@ -15,6 +15,7 @@ from rich.console import Console
 from rich.table import Table
 
 from acquisition.record.check import check_record
+from acquisition.record.chunk_reader import messages_in
 from acquisition.record.reader import RecordReader
 from processing.errors import RecordError
 from tests.acquisition.record.bombs import BOMBS, make_bomb
@@ -60,6 +61,8 @@ def run(quick: bool = False) -> dict[str, Any]:
 def _lost(path: Path, whole: bytes, kind: str, flips: Any, lengths: Any) -> dict[str, Any]:
     """Most frames that one file lost beyond what its cut took, and how many flips `check` did not find."""
     most = missed = wrong = 0
+    path.write_bytes(whole)
+    chunks = _frames_by_chunk(path)
     expected: dict[int, tuple[set[int], set[int]]] = {}
     for place, length in zip(flips, lengths, strict=True):
         length = int(length)
@@ -67,6 +70,9 @@ def _lost(path: Path, whole: bytes, kind: str, flips: Any, lengths: Any) -> dict
             path.write_bytes(whole[:length])
             expected[length] = _frames(path)
         if place < 0:
+            # everything in chunks that end before the cut is there
+            complete = sum(count for end, count in chunks if end <= length)
+            most = max(most, complete - sum(map(len, expected[length])))
             continue
         changed = bytearray(whole[:length])
         changed[int(place)] ^= 1 << int(place) % 8
@@ -92,6 +98,17 @@ def _frames(path: Path) -> tuple[set[int], set[int]]:
             return set(reader.spots()["sequence"].tolist()), {window.sequence for window in reader.windows()}
     except RecordError:
         return set(), set()
+
+
+def _frames_by_chunk(path: Path) -> list[tuple[int, int]]:
+    """Of every chunk its end in the file, and how many spots and windows it holds."""
+    with RecordReader(path) as reader:
+        wanted = {n for n, c in reader.contents.channels.items() if c.topic in ("/spot", "/window")}
+        opened = reader.chunk_opener()
+        return [
+            (place.offset + place.length, sum(m.channel in wanted for m in messages_in(opened(place))))
+            for place in reader.contents.chunks
+        ]
 
 
 def _taken(folder: Path, command: str) -> tuple[float, float]:
