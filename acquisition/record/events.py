@@ -40,6 +40,8 @@ class EventKind(StrEnum):
     """The rest position has moved at once, and stays where it is."""
     LIGHT_STEP = "light step"
     """The same of the background: a lamp was switched."""
+    PUSH = "push"
+    """The swing was pushed within a half-cycle: a draught, a knock."""
     CLOCK_STEP = "clock step"
     """The computer's clock of the day was set: UTC of the record is that of its beginning."""
 
@@ -52,6 +54,7 @@ WARNING_KINDS: Final = frozenset(
         EventKind.RECORD,
         EventKind.REST_STEP,
         EventKind.LIGHT_STEP,
+        EventKind.PUSH,
         EventKind.CLOCK_STEP,
     }
 )

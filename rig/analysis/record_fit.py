@@ -92,7 +92,16 @@ def with_dropped_frames(
 ) -> AnalysedRun:
     """The run with the number of frames missing between its first and its last, and with its conditions."""
     results = replace(run.results, dropped_frames=dropped_frames)
-    conditions = run_conditions(reader, results.frames, run.lost_spots, dropped_frames, config.preflight)
+    exact = results.fits.get(FitMethod.EXACT)
+    conditions = run_conditions(
+        reader,
+        results.frames,
+        run.lost_spots,
+        dropped_frames,
+        config.preflight,
+        None if exact is None else exact.ground,
+        results.half_cycles,
+    )
     return replace(run, results=replace(results, conditions=conditions))
 
 

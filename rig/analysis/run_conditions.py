@@ -1,4 +1,4 @@
-"""The conditions of a run as its record shows them: light, losses, temperature, steps."""
+"""The conditions of a run as its record shows them: light, losses, temperature, steps, draughts, ground."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -8,20 +8,30 @@ import numpy as np
 from acquisition.record.events import Event, EventKind
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import ENVIRONMENT
+from rig.analysis.contact_results import Ground
 from rig.presentation import Verdict
 from rig.settings import PreflightSettings
 
 _MOST_KELVIN = 1.0
 """Of the air during a run: the paper's arm of 1 m of steel grows by 12 um, 2 arcsec, with each kelvin."""
+_MOST_LEFT_OUT = 0.2
+"""Of the half-cycles, which the ground moved too much to be fitted."""
 _STEPS = {
     EventKind.LASER_DARK: ("light", "the laser went dark", "see the events; interlock, controller, cable"),
     EventKind.REST_STEP: ("rest position", "it stepped", "find what touched the rig; measure again"),
+    EventKind.PUSH: ("draught", "the swing was pushed", "shield the rig from air; keep away from it"),
     EventKind.LIGHT_STEP: ("ambient light", "it stepped", "keep the room dark; shield the sensor"),
 }
 
 
 def run_conditions(
-    reader: RecordReader, frames: int, lost_spots: int, dropped_frames: int, limits: PreflightSettings
+    reader: RecordReader,
+    frames: int,
+    lost_spots: int,
+    dropped_frames: int,
+    limits: PreflightSettings,
+    ground: Ground | None = None,
+    half_cycles: int = 0,
 ) -> tuple[Verdict, ...]:
     """One verdict for each condition; a record of a version that knew less has fewer events to go by.
 
@@ -38,6 +48,7 @@ def run_conditions(
         ),
         *_steps(reader.events()),
         *_temperature(reader),
+        *_ground(ground, half_cycles),
     )
 
 
@@ -85,5 +96,24 @@ def _temperature(reader: RecordReader) -> list[Verdict]:
             "" if ok else "wait until the room is steady; shield the rig",
             measured=f"{np.min(read_c):.2f} to {np.max(read_c):.2f} °C",
             limit=f"within {_MOST_KELVIN:g} K",
+        )
+    ]
+
+
+def _ground(ground: Ground | None, half_cycles: int) -> list[Verdict]:
+    """Whether the ground, as the exact fit saw it, left most of the decay to be fitted."""
+    if ground is None or not half_cycles:
+        return []
+    part = ground.left_out_half_cycles / (half_cycles + ground.left_out_half_cycles)
+    ok = part <= _MOST_LEFT_OUT
+    widest = max((value for value in ground.widening.values() if np.isfinite(value)), default=1.0)
+    return [
+        Verdict(
+            "ground",
+            ok,
+            "" if ok else "it drove the pendulum more than friction braked it",
+            "" if ok else "measure at a quieter time or place; end at a larger amplitude",
+            measured=f"{100 * part:.2g} % of the half-cycles left out, uncertainties × {widest:.2g}",
+            limit=f"{100 * _MOST_LEFT_OUT:g} % left out",
         )
     ]

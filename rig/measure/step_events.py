@@ -1,4 +1,4 @@
-"""Events of a run whose rest position or background light has stepped."""
+"""Events of a run whose rest position or background light has stepped, or whose swing was pushed."""
 
 import math
 
@@ -6,12 +6,14 @@ import numpy as np
 
 from acquisition.record.events import Event, EventKind
 from processing.deflections import DeflectionUnit
+from processing.kick_watch import KickWatch
 from processing.spot import SpotFlag
 from processing.step_watch import StepWatch
 from rig.instrument import Block
 
 _LEAST_REST = {DeflectionUnit.RAD: 3.0, DeflectionUnit.PX: 1.0}
 """In arcsec, and in px without a lever: far above drift within some half-cycles."""
+_LEAST_PUSH = {DeflectionUnit.RAD: 1.0, DeflectionUnit.PX: 2.0}
 _LEAST_LIGHT_DN = 1.0
 
 
@@ -21,6 +23,7 @@ class StepEvents:
     def __init__(self, unit: DeflectionUnit) -> None:
         self._unit = unit
         self._rest = StepWatch(_LEAST_REST[unit])
+        self._push = KickWatch(_LEAST_PUSH[unit])
         self._light = StepWatch(_LEAST_LIGHT_DN)
         self._background_dn: list[float] = []
 
@@ -35,6 +38,11 @@ class StepEvents:
             if step is not None:
                 text = f"the rest position moved by {step.size:+.1f} {self._unit.shown}"
                 found.append(Event(step.time_ns, EventKind.REST_STEP, text))
+            amplitude = math.nan if swing.flags else swing.amplitude / self._unit.shown_size
+            kick = self._push.take(swing.index, swing.turn_time_ns, amplitude)
+            if kick is not None:
+                text = f"the swing was pushed by {kick.size:.1f} {self._unit.shown}: a draught, or a knock"
+                found.append(Event(kick.time_ns, EventKind.PUSH, text))
             light_dn = float(np.median(self._background_dn)) if self._background_dn else math.nan
             self._background_dn.clear()
             step = self._light.take(swing.turn_time_ns, light_dn)

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from acquisition.record.reader import RecordReader
+from rig.analysis.contact_results import Ground
 from rig.analysis.run_conditions import run_conditions
 from rig.settings import PreflightSettings
 from tests.rig.command_line import CONFIGS, SMALL, rig, set_words
@@ -45,3 +46,13 @@ def test_a_run_that_loses_spots_says_so_and_fails(tmp_path: Path) -> None:
     assert "LOST SPOTS: " in again.stdout
     report = (tmp_path / "out" / "report.html").read_text()
     assert "Conditions of the run" in report
+
+
+def test_a_ground_that_leaves_too_little_to_fit_is_a_condition(measured_series: Path) -> None:
+    with RecordReader(measured_series / "run-1.mcap") as reader:
+        for left_out, ok in ((10, True), (30, False)):
+            ground = Ground(left_out_half_cycles=left_out, widening={"b": 3.0, "c": 12.0})
+            found = run_conditions(reader, 1000, 0, 0, PreflightSettings(), ground, half_cycles=100)
+            (verdict,) = (verdict for verdict in found if verdict.name == "ground")
+            assert verdict.ok is ok
+            assert "uncertainties × 12" in verdict.measured

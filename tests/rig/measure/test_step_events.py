@@ -41,3 +41,21 @@ def test_a_step_is_an_event_at_its_half_cycle(
     assert event.kind == kind
     assert event.text == text
     assert abs(event.time_ns - 40 * HALF_PERIOD_NS) <= 2 * HALF_PERIOD_NS
+
+
+def test_a_draught_that_pushes_the_swing_is_an_event_whenever_it_comes() -> None:
+    period_s, decay, noise = 4.07, 0.004, np.random.default_rng(1).normal(0.0, 0.01, 80)
+    for phase in (0.0, 0.7, 1.5):
+        events, found = StepEvents(DeflectionUnit.RAD), []
+        for index in range(80):
+            late = index >= 40
+            # a push of 3 arcsec changes amplitude or phase, as it comes while the pendulum is fast or turns
+            amplitude = 100.0 * np.exp(-decay * index) + late * 3.0 * np.cos(phase) + noise[index]
+            delay_s = late * 3.0 * np.sin(phase) / 85.0 * period_s / (2 * np.pi)
+            time_ns = round((index * period_s / 2 + delay_s) * 1e9)
+            swing = Swing(index, time_ns, 1e-4, amplitude * ARCSEC_RAD, 1e-8, 2.0, 1e-4, 0.0, 1, 0)
+            found += events.take(half_cycle(index, 0.0, 0.0)._replace(swings=[swing], spots=[]))
+        (event,) = found
+        assert event.kind == EventKind.PUSH
+        assert float(event.text.split()[5]) == pytest.approx(3.0, abs=0.2)
+        assert abs(event.time_ns * 1e-9 - 40 * period_s / 2) < 2 * period_s

@@ -1,0 +1,80 @@
+"""Notices that a swing was pushed: its amplitude or its phase jumps between two half-cycles."""
+
+import math
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+_HALF = 8
+_SIGNIFICANCE = 8.0
+_MOST_MISSING = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Kick:
+    """A push at about `time_ns`; `size` is the amplitude that it would have given at rest."""
+
+    time_ns: int
+    size: float
+
+
+class KickWatch:
+    """Compares a straight line through eight turning points with one through the eight before.
+
+    The curvature of a decay bends both alike, so that it cancels. A push while the pendulum is fast changes
+    its amplitude, one at a turning point its phase; both count.
+
+    Parameters
+    ----------
+    least
+        Smaller pushes are not reported (unit of the amplitudes).
+    """
+
+    def __init__(self, least: float) -> None:
+        self._least = least
+        self._points: deque[tuple[int, int, float]] = deque(maxlen=2 * _HALF)
+
+    def take(self, index: int, time_ns: int, amplitude: float) -> Kick | None:
+        """Take the next turning point; NaN is left out. Returns a push once, eight points after it.
+
+        More than four that are missing in a row, by `index`, begin afresh.
+        """
+        if not math.isfinite(amplitude):
+            return None
+        if self._points and index - self._points[-1][0] > _MOST_MISSING + 1:
+            self._points.clear()
+        self._points.append((index, time_ns, amplitude))
+        if len(self._points) < 2 * _HALF:
+            return None
+        first_ns = self._points[0][1]
+        count = np.array([point[0] for point in self._points], dtype=np.float64)
+        seconds = np.array([(point[1] - first_ns) * 1e-9 for point in self._points])
+        sizes = np.array([point[2] for point in self._points])
+        middle = 0.5 * (count[_HALF - 1] + count[_HALF])
+        grown, u_grown = _jump(count, sizes, middle)
+        late_s, u_late_s = _jump(count, seconds, middle)
+        # half a period is the slope of the times
+        rate = math.pi * (count[-1] - count[0]) / seconds[-1] * float(np.mean(sizes))
+        size = math.hypot(grown, rate * late_s)
+        if size < max(self._least, _SIGNIFICANCE * math.hypot(u_grown, rate * u_late_s)):
+            return None
+        time_ns = self._points[_HALF][1]
+        for _ in range(_HALF):
+            self._points.popleft()
+        return Kick(time_ns, size)
+
+
+def _jump(at: NDArray[np.float64], values: NDArray[np.float64], middle: float) -> tuple[float, float]:
+    """Jump at `middle` between the lines through both halves, and its standard uncertainty."""
+    ends, squares, spread = [], 0.0, 0.0
+    for half in (slice(None, _HALF), slice(_HALF, None)):
+        x, y = at[half] - middle, values[half]
+        centred = x - x.mean()
+        slope = float(centred @ y) / float(centred @ centred)
+        end = float(y.mean()) - slope * float(x.mean())
+        ends.append(end)
+        squares += float(np.sum((y - end - slope * x) ** 2))
+        spread += 1.0 / _HALF + float(x.mean()) ** 2 / float(centred @ centred)
+    return ends[1] - ends[0], math.sqrt(squares / (2 * _HALF - 4) * spread)
