@@ -1,0 +1,47 @@
+"""A session whose output has gone while hang-ups are ignored is finished all the same."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.rig.command_line import CONFIGS, SMALL, set_words
+
+NOHUP = (
+    "import os, signal, sys; signal.signal(signal.SIGHUP, signal.SIG_IGN); "
+    "os.execv(sys.executable, [sys.executable, *sys.argv[1:]])"
+)
+
+
+@pytest.mark.slow
+def test_a_session_without_anybody_to_read_its_output_is_complete(tmp_path: Path) -> None:
+    out, into = os.pipe()
+    words = set_words({**SMALL, "session.max_duration_s": "40"})
+    process = subprocess.Popen(
+        [
+            sys.executable,
+            "-c",
+            NOHUP,
+            "-m",
+            "rig",
+            "run",
+            CONFIGS / "demo.toml",
+            "-o",
+            tmp_path / "out",
+            *words,
+        ],
+        stdin=subprocess.DEVNULL,
+        stdout=into,
+        stderr=into,
+    )
+    os.close(into)
+    # whoever read it goes away: every further line is an error
+    os.close(out)
+    process.wait(55)
+    (entry,) = json.loads((tmp_path / "out" / "session.json").read_text())["entries"]
+    assert entry["state"] == "complete"
+    assert (tmp_path / "out" / "results.json").exists()
+    assert (tmp_path / "out" / "report.html").exists()
