@@ -15,7 +15,6 @@ from acquisition.cameras.usb3vision.registers import plan_transfers
 from acquisition.cameras.usb3vision.settings import Usb3VisionSettings
 from acquisition.cameras.usb3vision.stream import Expected, FrameStream
 from acquisition.cameras.usb3vision.transfers import Arrived, Bytes
-from acquisition.frame_queue import FrameQueue
 from tests.acquisition.cameras.usb3vision.backend import InProcessBackend
 from tests.acquisition.cameras.usb3vision.device import VisionDevice, pack
 
@@ -100,16 +99,15 @@ def overhead(frames: int) -> dict[str, float]:
     """Our own code for each frame, from transfer to `Frame`, with the bus taken away."""
     plan = plan_transfers(WIDTH * HEIGHT, 52, 32, 1024, 1 << 20)
     memory = _Memory(frames, WIDTH * HEIGHT)
-    queue = FrameQueue(frames, "every")
     camera = find_camera(None, InProcessBackend(VisionDevice()))
     link = UsbLink(camera.device, camera.name)
     begin_s = time.perf_counter()
-    stream = FrameStream(memory, plan, Expected(BY_NAME["Mono8"], WIDTH, HEIGHT, True), queue, link)
+    stream = FrameStream(memory, plan, Expected(BY_NAME["Mono8"], WIDTH, HEIGHT, True), link)
     taken = 0
     while taken < frames:
-        taken += len(queue.take(64, 1.0))
+        taken += stream.reading.read(1.0) is not None
     spent_s = time.perf_counter() - begin_s
-    stream.stop(1.0)
+    stream.reading.stop(1.0)
     return {"us_per_frame": spent_s / frames * 1e6}
 
 

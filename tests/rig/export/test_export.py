@@ -107,10 +107,10 @@ def test_what_a_record_lacks_is_said_in_every_file(
     spots, *_ = export_session(path, "csv", tmp_path / "csv")
     said = capsys.readouterr().err
     assert "was cut short" in said
-    assert "bytes have changed" in said
+    assert "damaged, not used" in said
     head = [line for line in spots.read_text().splitlines() if line.startswith("# NOTE: ")]
     assert ["was cut short" in line for line in head] == [True, False]
-    assert "bytes have changed" in head[1]
+    assert "damaged, not used" in head[1]
     table, *_ = export_session(path, "parquet", tmp_path / "parquet")
     notes = json.loads(parquet.read_schema(table).metadata[b"notes"])
     assert [f"# NOTE: {note}" for note in notes] == head
