@@ -9,6 +9,9 @@ from rig.analysis.contact_results import NOT_DETERMINED, Determination, Fit, Sur
 from rig.analysis.determined import determined_text
 from rig.presentation import Cell, Table, plain, quantity
 
+_LARGEST_BIAS = 0.3
+"""Of a parameter, as a fraction of it."""
+
 
 def parameter_table(
     fits: Mapping[str, Fit], energy: SurfaceEnergies | None, verdicts: Mapping[str, Determination]
@@ -58,11 +61,13 @@ def parameter_table(
 def _of_bias(asymptotic: Fit | None) -> str:
     if asymptotic is None or not asymptotic.bias:
         return "Eqs. 5 and 6 are asymptotic and biased by some per cent; the exact map is not."
-    relative = {
-        name: 100 * moved / (asymptotic.parameters[name].value - moved)
+    exact = {name: asymptotic.parameters[name].value - moved for name, moved in asymptotic.bias.items()}
+    # of a parameter that the data hardly determine, a bias in per cent says nothing
+    listed = ", ".join(
+        f"{quantity(name).symbol} {100 * moved / exact[name]:+.2g} %"
         for name, moved in asymptotic.bias.items()
-    }
-    listed = ", ".join(f"{quantity(name).symbol} {percent:+.2g} %" for name, percent in relative.items())
+        if abs(moved) < _LARGEST_BIAS * abs(exact[name])
+    )
     return f"Eqs. 5 and 6 are asymptotic; their bias here: {listed}.".replace("-", "−")
 
 

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 from calibration import Axes, Shutter
 from rig.devices import STAYS_LIT, WIRE_IT, LaserNow
-from rig.presentation import Verdict
+from rig.presentation import Verdict, with_uncertainty
 from rig.settings import PreflightSettings
 
 _ALONG_ROWS = 0.1
@@ -74,9 +74,8 @@ def shutter(kind: str, known: Shutter | None, axes: Axes | None) -> Verdict:
         return Verdict("shutter", True, measured=words, limit=limit, made=bool(kind))
     across = abs(math.cos(0.0 if axes is None else axes.slow_angle_rad))
     if known is not None:
-        return Verdict(
-            "shutter", True, measured=f"rolling, {1e6 * known.row_time_s:.3g} us a row", limit=limit
-        )
+        row_us = with_uncertainty(1e6 * known.row_time_s, 1e6 * known.u_row_time_s)
+        return Verdict("shutter", True, measured=f"rolling, {row_us} us a row", limit=limit)
     if across < _ALONG_ROWS:
         return Verdict("shutter", True, measured="rolling, the slow axis lies along the rows", limit=limit)
     return Verdict(

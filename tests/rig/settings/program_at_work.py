@@ -205,7 +205,7 @@ def suffer_every_fault() -> None:
     )
     tiny = {
         "disturbances": {"air_arcsec": 0.1, "microphonics": [{"frequency_hz": 50.0, "amplitude_px": 0.1}]},
-        "sensor": {"width_px": 32, "height_px": 32},
+        "sensor": {"width_px": 32, "height_px": 32, "row_time_s": 1e-5},
         "optics": {"arm_m": 0.02, "sigma_x_px": 2, "sigma_y_px": 2},
     }
     camera = SimulatedCamera(SimulationSettings.model_validate(tiny), faults)

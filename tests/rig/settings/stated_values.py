@@ -25,6 +25,7 @@ from rig.instrument import (
     pendulum_on_ball,
     session_metadata,
 )
+from rig.measure.preflight import device_checks
 from rig.settings import Configuration, InstrumentSettings
 
 _SHAPE = (640, 160)
@@ -43,6 +44,12 @@ def optical_path(config: Configuration) -> Any:
     spots = [Spot(x, y, 0.01, 0.02, *[1.0] * 6, 0) for x, y in ((80.0, 320.0), (90.0, 20.0), (3.0, 600.0))]
     deflected = optics.deflector(_SHAPE)(np.zeros(3, np.int64), spots)
     return repr(optics.sensor), repr(deflected), _clock_rate(config)
+
+
+def shutter(config: Configuration) -> Any:
+    """Times of some spots, and what preflight says of a camera that rolls."""
+    verdict = device_checks.shutter("rolling", config.shutter, config.axes)
+    return optical_path(config), verdict.measured
 
 
 def apparatus(config: Configuration) -> Any:

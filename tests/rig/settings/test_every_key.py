@@ -35,6 +35,7 @@ OBSERVED: dict[str, Callable[[Configuration], Any]] = {
     "session.notes": stated.metadata,
     "session.contact_history": stated.metadata,
     "sensor": stated.optical_path,
+    "shutter": stated.shutter,
     "lever": stated.calibrated,
     "axes": stated.calibrated,
     "timebase": stated.calibrated,
@@ -58,6 +59,7 @@ STATED: dict[str, Any] = {
         "reference_y_px": 300.0,
     },
     "sensor": {"gain_e_per_dn": 39.0, "read_noise_e": 7.0, "full_scale_dn": 255.0},
+    "shutter": {"row_time_s": 1e-5, "u_row_time_s": 1e-7, "first_row": "top"},
     "timebase": {},
     "environment": {"temperature_c": 20.0, "humidity_percent": 40.0, "pressure_pa": 1e5},
     "pendulum": {"mass_kg": 0.4, "ball_radius_m": 6e-3, "ball_material": "mine", "flat_material": "glass_k8"},
@@ -89,6 +91,8 @@ OTHER: dict[str, Any] = {
     "pendulum.contact_radius_m": 1e-4,
     "pendulum.mass_centre_height_m": 1e-4,
     "instrument.kind": "persoz",
+    "shutter.first_row": "bottom",
+    "shutter.u_row_time_s": 3e-7,
     "instrument.reference_runs": (2,),
 }
 """Changed values that do not follow from the present one."""

@@ -64,7 +64,8 @@ def test_a_law_of_ones_own_is_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
         truth = np.array([_C, _PERIOD_S, _FIRST, 0.25])
         pulls.append((result.values - truth) / result.standard_uncertainty)
     assert np.all(np.abs(np.mean(pulls, axis=0)) < 4 / np.sqrt(20))
-    assert np.all((np.std(pulls, axis=0) > 0.6) & (np.std(pulls, axis=0) < 1.5))
+    # at rest uncertainties also hold the drives that a run cannot exclude
+    assert np.all((np.std(pulls, axis=0) > 0.45) & (np.std(pulls, axis=0) < 1.4))
 
 
 def test_the_loop_of_its_moments_encloses_the_work_of_a_cycle() -> None:
