@@ -157,8 +157,8 @@ def describes_as_well(second: FitResult, first: FitResult) -> bool:
     first measurement shares among half-cycles make its likelihood look better by chance; four deviations of
     chi2 are allowed for it.
     """
-    if first.ground is None or second.ground is None:
-        return second.chi2_per_dof <= first.chi2_per_dof
+    assert first.ground is not None
+    assert second.ground is not None
     allowed = 4.0 * math.sqrt(2.0 * first.dof)
     return second.ground.deviance <= first.ground.deviance + allowed
 

@@ -53,20 +53,19 @@ def parameter_table(
         rows,
         ("", *map(_heading, methods), "unit"),
         shown,
-        "Value ± standard uncertainty of the swings alone; the budget adds the apparatus. "
-        + _of_bias(fits.get(FitMethod.ASYMPTOTIC)),
+        "Value ± standard uncertainty of the swings alone; the budget adds the apparatus. " + _of_bias(fits),
     )
 
 
-def _of_bias(asymptotic: Fit | None) -> str:
-    if asymptotic is None or not asymptotic.bias:
+def _of_bias(fits: Mapping[str, Fit]) -> str:
+    asymptotic, exact = fits.get(FitMethod.ASYMPTOTIC), fits.get(FitMethod.EXACT)
+    if asymptotic is None or exact is None or not asymptotic.bias:
         return "Eqs. 5 and 6 are asymptotic and biased by some per cent; the exact map is not."
-    exact = {name: asymptotic.parameters[name].value - moved for name, moved in asymptotic.bias.items()}
     # of a parameter that the data hardly determine, a bias in per cent says nothing
     listed = ", ".join(
-        f"{quantity(name).symbol} {100 * moved / exact[name]:+.2g} %"
+        f"{quantity(name).symbol} {100 * moved / exact.parameters[name].value:+.2g} %"
         for name, moved in asymptotic.bias.items()
-        if abs(moved) < _LARGEST_BIAS * abs(exact[name])
+        if abs(moved) < _LARGEST_BIAS * abs(exact.parameters[name].value)
     )
     return f"Eqs. 5 and 6 are asymptotic; their bias here: {listed}.".replace("-", "−")
 

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from acquisition.simulation.settings import SimulationSettings
 from acquisition.simulation.true_path import true_path, true_turning_points
-from processing.contact import ContactParameters, PendulumOnBall
+from processing.contact import PendulumOnBall
 from processing.contact.laws import PAPER
 from processing.deflections import DeflectionUnit, slow_deflections
 from processing.errors import RigError
@@ -33,7 +33,7 @@ from processing.least_squares import covariance_of
 from processing.swing import SwingDetector, TurningPoints, turning_points
 from rig.analysis.contact_laws import settled_swings
 from rig.settings import FitSettings
-from tests.processing.fit.decays import ARCSEC, PAIRS, paper_pair, truth
+from tests.processing.fit.decays import ARCSEC, PAIRS, paper_pair, truth, with_noise
 from tests.processing.fit.driven import driven_decay, driven_path
 from tests.processing.instruments.test_driven import PERIOD_S, damping_time, driven, ten_swings
 
@@ -92,7 +92,8 @@ def simulated(flat: str, ground: dict[str, Any], run: int) -> SimulationSettings
 def simulated_case(name: str, flat: str, ground: Callable[[int], dict[str, Any]]) -> Case:
     def points(seed: int) -> TurningPoints:
         time_s, angle_rad = true_turning_points(simulated(flat, ground(seed), seed), run=seed)
-        return noisy(time_s, np.abs(angle_rad), paper_pair(flat)[0], seed)
+        rng = np.random.default_rng([seed, 77])
+        return with_noise(time_s, np.abs(angle_rad), paper_pair(flat)[0].period0_s, NOISE_ARCSEC, rng)
 
     return Case(f"{flat} {name}", flat, points)
 
@@ -114,19 +115,6 @@ def recorded(seed: int) -> dict[str, Any]:
     """The recorded ground from a random second on: 90 minutes of record, and runs of at most 40."""
     offset_s = float(np.random.default_rng([seed, 5]).integers(0, 2500))
     return {"model": "file", "file": GROUND_FILE, "file_offset_s": offset_s}
-
-
-def noisy(time_s: Floats, amplitude: Floats, parameters: ContactParameters, seed: int) -> TurningPoints:
-    u = np.full(len(time_s), NOISE_ARCSEC * ARCSEC)
-    u_time = u / (amplitude * 2 * np.pi / parameters.period0_s)
-    rng = np.random.default_rng([seed, 77])
-    return TurningPoints(
-        np.arange(len(time_s), dtype=np.int64),
-        time_s + u_time * rng.standard_normal(len(time_s)),
-        u_time,
-        amplitude + u * rng.standard_normal(len(time_s)),
-        u,
-    )
 
 
 def detected(path: Floats, pendulum: PendulumOnBall, seed: int) -> TurningPoints:

@@ -32,7 +32,10 @@ class Thorlabs4000(SerialLaser):
 
     def __init__(self, settings: LaserSettings, open_line: Callable[[], Line] | None = None) -> None:
         if open_line is None and is_usbtmc(settings.port):
-            open_line = lambda: UsbTmcLine(find_usbtmc(settings.port, _USB_VENDOR), settings.timeout_s)  # noqa: E731
+
+            def open_line() -> Line:
+                return UsbTmcLine(find_usbtmc(settings.port, _USB_VENDOR), settings.timeout_s)
+
         super().__init__(settings, open_line)
 
     def identify(self) -> LaserIdentity:

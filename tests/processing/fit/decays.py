@@ -1,5 +1,7 @@
 """Simulated decays of the paper's three pairs with noise, gaps and outliers."""
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -44,15 +46,26 @@ def decay(
     # rounding must not decide over a first amplitude that equals the last
     count = int(np.nonzero(amplitude >= last_arcsec * ARCSEC)[0][-1]) + 1
     amplitude, time = amplitude[:count], time[:count]
+    measured = with_noise(time, amplitude, parameters.period0_s, noise_arcsec, np.random.default_rng(seed))
+    return replace(measured, time_s=time, amplitude=amplitude) if noise_free else measured
+
+
+def with_noise(
+    time_s: NDArray[np.float64],
+    amplitude: NDArray[np.float64],
+    period0_s: float,
+    noise_arcsec: float,
+    rng: np.random.Generator,
+) -> TurningPoints:
+    """Turning points as a tracked spot gives them: times scatter as amplitudes do, over the speed A w0."""
+    count = len(time_s)
     u = np.full(count, noise_arcsec * ARCSEC)
-    u_time = u / (amplitude * 2 * np.pi / parameters.period0_s)
-    rng = np.random.default_rng(seed)
-    scatter = 0.0 if noise_free else 1.0
+    u_time = u / (amplitude * 2 * np.pi / period0_s)
     return TurningPoints(
         np.arange(count, dtype=np.int64),
-        time + scatter * u_time * rng.standard_normal(count),
+        time_s + u_time * rng.standard_normal(count),
         u_time,
-        amplitude + scatter * u * rng.standard_normal(count),
+        amplitude + u * rng.standard_normal(count),
         u,
     )
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from processing.contact.parameters import ContactParameters, PendulumOnBall
 from processing.swing import TurningPoints
-from tests.processing.fit.decays import ARCSEC
+from tests.processing.fit.decays import ARCSEC, with_noise
 
 Floats = NDArray[np.float64]
 
@@ -147,14 +147,5 @@ def driven_decay(
     time, turn, _ = driven_path(
         parameters, pendulum, q=q, seed=seed, first_arcsec=first_arcsec, last_arcsec=last_arcsec
     )
-    amplitude = np.abs(turn)
-    u = np.full(len(time), noise_arcsec * ARCSEC)
-    u_time = u / (amplitude * 2 * np.pi / parameters.period0_s)
     rng = np.random.default_rng([seed, 77])
-    return TurningPoints(
-        np.arange(len(time), dtype=np.int64),
-        time + u_time * rng.standard_normal(len(time)),
-        u_time,
-        amplitude + u * rng.standard_normal(len(time)),
-        u,
-    )
+    return with_noise(time, np.abs(turn), parameters.period0_s, noise_arcsec, rng)
