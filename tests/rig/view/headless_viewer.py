@@ -6,7 +6,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import cv2
@@ -20,8 +20,8 @@ from rig.rerun.process_group import own_group
 from rig.rerun.rerun_program import program, quiet_environment
 
 ICD_FOLDERS = ("/usr/share/vulkan/icd.d", "/usr/local/share/vulkan/icd.d", "/etc/vulkan/icd.d")
-TOASTS_GONE_S = 9.0
-"""The viewer's start-up messages cover a corner for so long."""
+CLEAR_WITHIN_S = 60.0
+"""The viewer's start-up messages cover a corner for some 9 s, and for longer on a busy machine."""
 
 
 def software_vulkan() -> Path | None:
@@ -41,10 +41,9 @@ def require_software_vulkan() -> None:
 class HeadlessViewer:
     """A running viewer without a window."""
 
-    def __init__(self, process: subprocess.Popen[bytes], client: ViewerClient, started_s: float) -> None:
+    def __init__(self, process: subprocess.Popen[bytes], client: ViewerClient) -> None:
         self.process = process
         self.client = client
-        self._started_s = started_s
 
     def wait_loaded(self, limit_s: float = 40.0) -> ViewerState:
         """The viewer's state once a recording and its layout have arrived."""
@@ -57,9 +56,16 @@ class HeadlessViewer:
                 raise TimeoutError(f"the viewer shows nothing: {state}")
             time.sleep(0.2)
 
-    def rest(self) -> None:
-        """Wait until the start-up messages have gone."""
-        time.sleep(max(0.0, self._started_s + TOASTS_GONE_S - time.monotonic()))
+    def picture_once(
+        self, path: Path, good: Callable[[NDArray[np.uint8]], bool], view: str | None = None
+    ) -> NDArray[np.uint8]:
+        """Photograph again and again until the picture is good; the last one where it never is."""
+        deadline = time.monotonic() + CLEAR_WITHIN_S
+        while True:
+            path.unlink(missing_ok=True)
+            shown = self.picture(path, view)
+            if good(shown) or time.monotonic() > deadline:
+                return shown
 
     def picture(self, path: Path, view: str | None = None) -> NDArray[np.uint8]:
         """Photograph the window, or one view by its name, as (ny, nx, 3) RGB."""
@@ -67,10 +73,12 @@ class HeadlessViewer:
         if view is not None:
             view_id = next(known.view_id for known in self.client.get_state().views if known.name == view)
         self.client.save_screenshot(str(path), view_id)
-        deadline = time.monotonic() + 10.0
-        while not path.exists() and time.monotonic() < deadline:
+        deadline = time.monotonic() + CLEAR_WITHIN_S
+        picture = None
+        while picture is None and time.monotonic() < deadline:
             time.sleep(0.1)
-        picture = cv2.imread(str(path), cv2.IMREAD_COLOR)
+            # A file that is only half written is not a picture yet.
+            picture = cv2.imread(str(path), cv2.IMREAD_COLOR) if path.exists() else None
         assert picture is not None, f"no picture at {path}"
         return np.ascontiguousarray(picture[..., ::-1]).astype(np.uint8)
 
@@ -97,8 +105,7 @@ def headless_viewer(*arguments: str, size: str = "1500x950") -> Iterator[Headles
             **own_group(),
         )
         try:
-            started_s = time.monotonic()
-            yield HeadlessViewer(process, connected(port, started_s + 40.0), started_s)
+            yield HeadlessViewer(process, connected(port, time.monotonic() + 40.0))
         finally:
             process.kill()
             process.wait()
