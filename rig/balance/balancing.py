@@ -60,7 +60,10 @@ def balance_rig(
         return advice_text(stated, balance, session.responses, session.room)
 
     moves = looks = 0
-    with Devices(config) as devices, LooksView(config, rrd, advise) as view:
+    with (
+        Devices(config, history_path(config, path).parent) as devices,
+        LooksView(config, rrd, advise) as view,
+    ):
         while True:
             if operator is not None:
                 config = config.model_copy(update={"simulation": operator.simulation})
@@ -78,7 +81,7 @@ def balance_rig(
                 print_advice(advice, session.faults)
                 ended, turn = advice is None, advice if isinstance(advice, Turn) else None
             if operator is None:
-                if not _ask(session):
+                if not _ask(session, devices):
                     return 0 if ended else 1
             elif why and not session.spot_is_gone and operator.swing_less():
                 continue
@@ -87,6 +90,7 @@ def balance_rig(
             else:
                 operator.follow(turn)
                 session.turned(turn.weight, turn.parts)
+                devices.audit("weight turned", weight=turn.weight, turns=turn.parts)
                 moves += 1
 
 
@@ -107,7 +111,7 @@ def _shower(config: Configuration) -> Callable[[Balance], None]:
     )
 
 
-def _ask(session: LearnedTurns) -> bool:
+def _ask(session: LearnedTurns, devices: Devices) -> bool:
     """Ask the operator what was turned; False to end."""
     question = (
         "turned (weight turns, e.g. x 1.5, or x 1.5 -0.75 in sequence; Enter: measure again;"
@@ -133,4 +137,5 @@ def _ask(session: LearnedTurns) -> bool:
             say(f"enter a weight ({', '.join(WEIGHTS)}) and a number of turns, positive clockwise")
             continue
         session.turned(weight, parts)
+        devices.audit("weight turned", weight=weight, turns=parts)
         return True

@@ -4,6 +4,7 @@ import logging
 import math
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from pathlib import Path
 from types import TracebackType
 from typing import NamedTuple, Self
 
@@ -23,6 +24,7 @@ from rig.control import (
     make_laser,
     simulated_controller,
 )
+from rig.devices import audit
 from rig.devices.laser import LaserNow, laser_now, light
 from rig.instrument import camera_settings, make_camera, setting_differences, shift_to_middle_ns
 from rig.settings import Configuration
@@ -49,11 +51,12 @@ class Devices:
 
     The configured devices are opened in the order controller, sensor, laser, camera, and closed in reverse
     order, also after an error; closing turns the laser off. Laser and controller stay on between the runs
-    of a series.
+    of a series. What people do with them is added to the audit log in `folder`, if that is given.
     """
 
-    def __init__(self, config: Configuration) -> None:
+    def __init__(self, config: Configuration, folder: Path | None = None) -> None:
         self._config = config
+        self._folder = folder
         self._closing = ExitStack()
         self._inputs: RigInputs | None = None
         self.control: ControlService | None = None
@@ -152,8 +155,21 @@ class Devices:
             raise DeviceError(
                 f"the laser stays off: {self.permit.unacknowledged}, which was not acknowledged"
             )
+        if self._config.laser.kind != "none":
+            # before it is lit, because a disk may hang
+            self.audit("laser switched on", laser=self._config.laser.kind)
         self.permit.begin()
         return light(self._config.laser, self.control, self.laser)
+
+    def acknowledge(self) -> None:
+        """Allow light again after an interlock has opened; to be called when a person has said so."""
+        self.audit("interlock acknowledged", opened=self.permit.unacknowledged)
+        self.permit.acknowledge()
+
+    def audit(self, what: str, **details: object) -> None:
+        """Add what a person did, or had done, to the audit log."""
+        if self._folder is not None:
+            audit.append(self._folder, what, operator=self._config.session.operator, **details)
 
     def darken(self) -> None:
         """Switch the laser off before all waiting commands; never blocks."""

@@ -200,6 +200,8 @@ class PhasesBeforeRecord:
         self._wait.note(EventKind.PREFLIGHT, f"no-go: {against}" if against else "go")
         if against and not self._force:
             raise DataError(f"preflight says no-go ({against}); --force passes over it")
+        if against:
+            self._devices.audit("preflight forced", against=against)
 
     def _release(self) -> None:
         """Release the pendulum or ask the operator to, and wait until it moves."""

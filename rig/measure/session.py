@@ -48,7 +48,7 @@ def measure_session(
     check_materials(config)
     folder = session_folder(config, source, output)
     with ExitStack() as closing:
-        with Devices(config) as devices:
+        with Devices(config, folder) as devices:
             file = SessionFile.made(folder, source, config.session.runs, config.model_dump(mode="json"))
             closing.callback(file.close)
             made = _make_runs(config, source, file, devices, force=force, json_lines=json_lines)
@@ -75,7 +75,7 @@ def resume_session(folder: Path, *, force: bool = False, json_lines: bool = Fals
         if missing <= 0 and _has_results(folder):
             say("no run is missing")
             return 0
-        with Devices(config) as devices:
+        with Devices(config, folder) as devices:
             made = _make_runs(
                 config, Path(file.state.source), file, devices, force=force, json_lines=json_lines
             )
@@ -205,7 +205,7 @@ def acknowledge_interlock(devices: Devices) -> None:
     if sys.stdin.isatty() and sys.stderr.isatty():
         answer = input(f"{opened}. Look that nobody is in the beam's way. Light the laser again? [y/N] ")
         if answer.strip().lower() in {"y", "yes"}:
-            devices.permit.acknowledge()
+            devices.acknowledge()
             return
     raise DeviceError(f"{opened} and nobody has allowed light again; rig run --resume makes the missing runs")
 

@@ -87,6 +87,8 @@ def test_balance_follows_its_own_advice_from_frames_on(tmp_path: Path) -> None:
     assert "the weights are right" in done.stdout or "balanced" in done.stdout
     looks = len((tmp_path / "history.jsonl").read_text().splitlines())
     assert looks >= 2
+    turned = [json.loads(line) for line in (tmp_path / "audit.jsonl").read_text().splitlines()]
+    assert [line["what"] for line in turned] == ["weight turned"] * done.stdout.count("turn weight")
     # one view of all looks, each behind the other, with the advice of each
     advice_s, advice = column(tmp_path / "looks.rrd", "/advice", "TextDocument:text")
     assert "turn weight" in str(advice[0])

@@ -1,6 +1,7 @@
 """The laser is lit only while frames are processed, and a run that loses its light says so."""
 
 import _thread
+import getpass
 import json
 import threading
 from collections.abc import Callable
@@ -89,6 +90,8 @@ def test_a_run_whose_laser_goes_dark_ends_with_an_error_and_a_whole_record(
     assert "the laser is dark: the controller is lost" in entry["reason"]
     assert [text for kind, text in events_of(tmp_path / "out") if kind == "laser dark"]
     assert (tmp_path / "out" / "results.json").exists()
+    (lit,) = map(json.loads, (tmp_path / "out" / "audit.jsonl").read_text().splitlines())
+    assert (lit["what"], lit["laser"], lit["user"]) == ("laser switched on", "controller", getpass.getuser())
 
 
 def test_a_run_may_wait_for_its_light(

@@ -1,0 +1,50 @@
+"""The audit log: what was acknowledged, by whom; it follows no link and stops nothing."""
+
+import json
+import sys
+from io import StringIO
+from pathlib import Path
+
+import pytest
+
+from processing.errors import DeviceError
+from rig.devices import Devices
+from rig.measure.session import acknowledge_interlock
+from rig.settings import Configuration
+
+
+class Terminal(StringIO):
+    """Somebody at a keyboard."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+def test_an_interlock_is_acknowledged_by_a_person_and_that_is_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    devices = Devices(Configuration.model_validate({"session": {"operator": "Ada"}}), tmp_path)
+    devices.permit.begin()
+    devices.permit.interlock_opened("the controller")
+    monkeypatch.setattr(sys, "stderr", Terminal())
+    monkeypatch.setattr(sys, "stdin", Terminal("no\nyes\n"))
+    with pytest.raises(DeviceError, match="nobody has allowed light again"):
+        acknowledge_interlock(devices)
+    assert not (tmp_path / "audit.jsonl").exists()
+    acknowledge_interlock(devices)
+    assert not devices.permit.unacknowledged
+    line = json.loads((tmp_path / "audit.jsonl").read_text())
+    assert (line["what"], line["operator"]) == ("interlock acknowledged", "Ada")
+    assert line["opened"] == "the interlock of the controller opened"
+    assert line["utc"].endswith("+00:00")
+
+
+def test_a_log_that_leads_elsewhere_is_not_followed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.write_text("a file of somebody else")
+    (tmp_path / "audit.jsonl").symlink_to(elsewhere)
+    Devices(Configuration(), tmp_path).audit("weight turned")
+    assert elsewhere.read_text() == "a file of somebody else"
+    assert "audit.jsonl: the audit log cannot be written" in capsys.readouterr().err
