@@ -21,6 +21,8 @@ _STANDS_OUT = 3.5
 _ASKEW = 0.1
 """Skew that shifts the fitted friction and period of a simulated rig with little noise by about their
 standard uncertainty; a skew of 0.03 shifts them by a tenth of it."""
+_STEEPEST = 0.3
+"""Skew of a sensor tilted by 17 degrees, which nobody overlooks: the largest doubt of a skew taken as 0."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,15 +50,19 @@ class LadderFit:
     or the shift in m. `scale` is in px per unit of t; `direction_rad` is the direction of positive t, from
     the sensor's upward vertical towards +x. `skew` is the value fitted for the test of linearity, and
     `nonlinear_probability` the probability of one at least as large if the true value is 0; the other
-    results include it only if `nonlinear`. `hysteresis` is the difference between settings approached
+    results include it only if `nonlinear`; otherwise its doubt is part of `u_scale`. `hysteresis` is the
+    difference between settings approached
     from below and from above, in the reference's unit; NaN if all were approached from one side.
     `leave_one_out` (n,) is the change of the scale without each step, over its standard uncertainty.
-    `residual_px` (n, 2) are the residuals in x and y. `notes` are remarks for the user.
+    `residual_px` (n, 2) are the residuals in x and y. `scale_dof` are the degrees of freedom of `u_scale`:
+    infinite where the stated uncertainties were believed, those of the steps along the motion where their
+    scatter enlarged it. `notes` are remarks for the user.
     """
 
     kind: Literal["tilt", "shift"]
     scale: float
     u_scale: float
+    scale_dof: float
     origin_px: tuple[float, float]
     u_origin_px: tuple[float, float]
     direction_rad: float
@@ -100,9 +106,10 @@ def fit_ladder(
     Weighted least squares with errors in both variables: the true setting of each step is a parameter of its
     own, with the stated setting and its uncertainty as a measurement of it (orthogonal distance regression;
     W. A. Fuller, Measurement Error Models, 1987). The uncertainties are enlarged by the Birge ratio if the
-    scatter is improbably large (`birge_ratio`).
+    scatter is improbably large (`birge_ratio`), along and across the motion each by its own: an error of the
+    references moves the spot along only.
     """
-    from scipy.special import chdtrc
+    from scipy.special import chdtrc, fdtrc
 
     _check(steps, kind)
     way = _ways(steps.reference)
@@ -111,10 +118,19 @@ def fit_ladder(
     bent = _solve(steps, kind, way if both_ways else None, bent=True)
     gain = max(straight.chi2 - bent.chi2, 0.0)
     # residuals that scatter more than stated even with the skew are noise: the test allows for them
-    probability = float(chdtrc(1, gain / bent.birge**2))
+    gain /= bent.birge**2
+    # Student's t for a scatter that was estimated from these steps
+    probability = (
+        float(chdtrc(1, gain)) if math.isinf(bent.along_dof) else float(fdtrc(1, bent.along_dof, gain))
+    )
     nonlinear = probability < _IMPROBABLE
     used = bent if nonlinear else straight
     scale, u_scale = used.scale()
+    if not nonlinear:
+        # a ladder that is longer on one side takes a part of the skew for scale
+        by_skew = (bent.scale()[0] - scale) / bent.values[4] if bent.values[4] else 0.0
+        doubt = min(bent.u(4), _STEEPEST) if kind == "tilt" else bent.u(4)
+        u_scale = math.hypot(u_scale, by_skew * doubt)
     if not scale > 5.0 * u_scale:
         raise DataError(
             f"lever: the spot does not follow the {kind}s (scale {scale:.4g} +- {u_scale:.2g} px per unit); "
@@ -122,10 +138,12 @@ def fit_ladder(
         )
     loo = _leave_one_out(steps, kind, way if both_ways else None, nonlinear, scale, u_scale)
     notes = []
-    if used.birge > 1.0:
-        notes.append(
-            f"the steps scatter {used.birge:.2g} times as much as stated; uncertainties were enlarged"
-        )
+    for side, birge in (("along", used.birge), ("across", used.birge_across)):
+        if birge > 1.0:
+            notes.append(
+                f"the steps scatter {birge:.2g} times as much as stated {side} the motion; uncertainties "
+                "were enlarged"
+            )
     if nonlinear:
         notes.append(f"not linear: skew {bent.values[4]:.3g} +- {bent.u(4):.2g} is part of the lever")
     elif kind == "tilt" and bent.u(4) > _ASKEW:
@@ -155,7 +173,8 @@ def fit_ladder(
     return LadderFit(
         kind=kind,
         scale=scale,
-        u_scale=math.hypot(u_scale, u_reference_relative * scale),
+        u_scale=(u_both := math.hypot(u_scale, u_reference_relative * scale)),
+        scale_dof=used.along_dof * (u_both / u_scale) ** 4,
         origin_px=(float(used.values[0]), float(used.values[1])),
         u_origin_px=(used.u(0), used.u(1)),
         direction_rad=math.atan2(kx, -ky),
@@ -182,8 +201,10 @@ def lever_from_tilts(fit: LadderFit, pixel_pitch_m: float) -> Lever:
     return Lever(
         arm_m=fit.scale * pixel_pitch_m,
         u_arm_m=fit.u_scale * pixel_pitch_m,
+        arm_dof=_stated(fit.scale_dof),
         pixel_pitch_m=pixel_pitch_m,
         skew=fit.skew if fit.nonlinear else 0.0,
+        u_skew=min(fit.u_skew, _STEEPEST),
         reference_x_px=fit.origin_px[0],
         reference_y_px=fit.origin_px[1],
     )
@@ -196,7 +217,12 @@ def lever_from_shifts(fit: LadderFit, arm_m: float, u_arm_m: float) -> Lever:
         u_arm_m=u_arm_m,
         pixel_pitch_m=1.0 / fit.scale,
         u_pixel_pitch_m=fit.u_scale / fit.scale**2,
+        pixel_pitch_dof=_stated(fit.scale_dof),
     )
+
+
+def _stated(dof: float) -> float | None:
+    return dof if math.isfinite(dof) else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,7 +231,8 @@ class _Solution:
 
     `values` are origin (x, y), scale (x, y), then skew and hysteresis if they are fitted, `fixed` in number,
     followed by the deviation of each step's true setting from the stated one in units of `u_reference`.
-    `covariance` (fixed, fixed) is that of the first ones, enlarged by `birge`.
+    `covariance` (fixed, fixed) is that of the first ones, enlarged along the motion by `birge`, across it by
+    `birge_across`. `along_dof` are the degrees of freedom of `birge`, infinite where it is 1.
     """
 
     values: Floats
@@ -214,6 +241,8 @@ class _Solution:
     chi2: float
     dof: int
     birge: float
+    birge_across: float
+    along_dof: float
     residual_px: Floats
 
     def u(self, index: int) -> float:
@@ -327,15 +356,33 @@ def _solve(steps: LadderSteps, kind: str, way: Floats | None, *, bent: bool) -> 
     slopes = jacobian(found.x)
     full = np.linalg.inv(slopes.T @ slopes)[:fixed, :fixed] * np.outer(unit, unit)
     total = float(2.0 * found.cost)
-    dof = 2 * count - fixed
-    birge = birge_ratio(total, dof)
     values = found.x.copy()
     values[:fixed] *= unit
     _, _, along = parts(found.x)
     residual_px = np.column_stack(
         [steps.x_px - values[0] - values[2] * along, steps.y_px - values[1] - values[3] * along]
     )
-    return _Solution(values, full * birge**2, fixed, total, dof, birge, residual_px)
+    # rows: unit vectors along and across the motion
+    turn = np.array([values[2:4], [-values[3], values[2]]]) / np.hypot(values[2], values[3])
+    u_px = np.sqrt(turn**2 @ np.array([steps.u_x_px, steps.u_y_px]) ** 2)
+    chi2_along, chi2_across = (((turn @ residual_px.T) / u_px) ** 2).sum(axis=1)
+    chi2_along += float(found.x[fixed:] @ found.x[fixed:])
+    dof_along, dof_across = count - fixed + 2, count - 2
+    birge, birge_across = birge_ratio(chi2_along, dof_along), birge_ratio(chi2_across, dof_across)
+    enlarged = np.eye(fixed) * birge
+    for at in (0, 2):
+        enlarged[at : at + 2, at : at + 2] = turn.T @ np.diag([birge, birge_across]) @ turn
+    return _Solution(
+        values,
+        enlarged @ full @ enlarged,
+        fixed,
+        total,
+        2 * count - fixed,
+        birge,
+        birge_across,
+        dof_along if birge > 1.0 else math.inf,
+        residual_px,
+    )
 
 
 def _leave_one_out(

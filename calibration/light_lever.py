@@ -19,19 +19,25 @@ class Lever(BaseModel, frozen=True, extra="forbid"):
     A tilt phi of the mirror turns the beam by 2 phi: the spot moves by ``arm (t + skew t^2)`` with
     ``t = tan(2 phi)``. The skew is 0 if the sensor is perpendicular to the beam, otherwise about the tangent
     of the sensor's tilt. The arm of a calibrated lever is the effective one: it includes all effects that
-    are a constant factor. Standard uncertainties `u_` have the unit of their value; 0 means not stated.
+    are a constant factor. Standard uncertainties `u_` have the unit of their value; 0 means not stated. Those
+    of a calibrated arm or pitch have degrees of freedom if they follow from the scatter of the steps.
     """
 
     arm_m: float = Field(gt=0, description="mirror to sensor, along the beam")
     u_arm_m: float = Field(default=0.0, ge=0)
+    arm_dof: float | None = Field(
+        default=None, gt=2, description="degrees of freedom of u_arm_m; None: it is known"
+    )
     pixel_pitch_m: float = Field(gt=0, lt=1e-3, description="distance of neighbouring pixels")
     u_pixel_pitch_m: float = Field(default=0.0, ge=0)
+    pixel_pitch_dof: float | None = Field(default=None, gt=2)
     skew: float = Field(
         default=0.0,
         gt=-10,
         lt=10,
         description="of the slow axis, from a sensor not perpendicular to the beam",
     )
+    u_skew: float = Field(default=0.0, ge=0)
     reference_x_px: float | None = Field(
         default=None, description="spot at zero tilt; None: the sensor's middle"
     )

@@ -1,6 +1,7 @@
 """Input quantities of the results beside the swings (GUM type B): mass, ball, materials, lever arm, clock."""
 
 from dataclasses import dataclass
+from math import inf, sqrt
 from typing import Literal
 
 import numpy as np
@@ -16,18 +17,30 @@ Distribution = Literal["normal", "rectangular"]
 class Quantity:
     """An input quantity that the fit takes as known: value, standard uncertainty and distribution.
 
-    A rectangular distribution of half-width h has the standard uncertainty h/sqrt(3).
+    A rectangular distribution of half-width h has the standard uncertainty h/sqrt(3). `dof` are the degrees
+    of freedom of an uncertainty that was itself estimated from some readings (Student's t then).
     """
 
     value: float
     u: float = 0.0
     distribution: Distribution = "normal"
+    dof: float = inf
 
     def __post_init__(self) -> None:
         if not self.u >= 0:
             raise ConfigurationError(
                 f"standard uncertainty {self.u} of the value {self.value}: it must not be negative"
             )
+
+    def draw(self, rng: np.random.Generator, draws: int) -> NDArray[np.float64]:
+        """Random values (draws,) of its distribution."""
+        if self.distribution == "rectangular":
+            deviation = rng.uniform(-sqrt(3), sqrt(3), draws)
+        elif self.dof < inf:
+            deviation = rng.standard_t(self.dof, draws)
+        else:
+            deviation = rng.standard_normal(draws)
+        return self.value + self.u * deviation
 
 
 @dataclass(frozen=True)
@@ -38,7 +51,9 @@ class RigQuantities:
     their relative uncertainties, as does `clock`, true seconds per second of the camera's clock.
     `slow_angle_rad` and `non_orthogonality_rad` are the directions of the pendulum's axes on the sensor.
     `fast_ratio` is the ratio of the fast to the slow mode's amplitude; if the directions are wrong, the fast
-    mode contributes to the slow deflection. `balls` is the number of balls that carry the weight, 1 or 2.
+    mode contributes to the slow deflection. `skew` is that of the lever: a wrong one changes the scale where
+    the pendulum rests, at the tilt `rest_rad` from the lever's reference. `balls` is the number of balls that
+    carry the weight, 1 or 2.
     """
 
     mass_kg: Quantity
@@ -52,6 +67,8 @@ class RigQuantities:
     slow_angle_rad: Quantity = Quantity(0.0)
     non_orthogonality_rad: Quantity = Quantity(0.0)
     fast_ratio: float = 0.0
+    skew: Quantity = Quantity(0.0)
+    rest_rad: float = 0.0
     balls: int = 1
 
     def __post_init__(self) -> None:
@@ -82,7 +99,18 @@ class RigQuantities:
         # appended last, so that the Monte Carlo draws of the other inputs are the same as in older versions
         found["slow_angle_rad"] = self.slow_angle_rad
         found["non_orthogonality_rad"] = self.non_orthogonality_rad
+        found["skew"] = self.skew
         return found
+
+    def skewed_scale(self, skew: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Ratio of true tilts about the rest position to the measured ones, for true skews (n,).
+
+        The spot moves by ``t + skew t^2`` for a tilt with the tangent t of its double; its derivative at rest
+        is ``1 + 2 skew t``. The second harmonic that a skew adds to a swing moves the fitted centre and
+        neither its amplitude nor its turning points.
+        """
+        tangent = np.tan(2.0 * self.rest_rad)
+        return np.asarray((1 + 2 * self.skew.value * tangent) / (1 + 2 * skew * tangent), dtype=np.float64)
 
     def seen_slow_tilt(
         self, slow_angle_rad: NDArray[np.float64], non_orthogonality_rad: NDArray[np.float64]

@@ -100,6 +100,7 @@ def reported_quantities(
     a = (0.75 * force * radius * (flat + ball)) ** (1 / 3)
     scale = (inputs["pitch_m"] / rig.pitch_m.value) / (inputs["arm_m"] / rig.arm_m.value)
     scale = scale / rig.seen_slow_tilt(inputs["slow_angle_rad"], inputs["non_orthogonality_rad"])
+    scale = scale * rig.skewed_scale(inputs["skew"])
     second = inputs["clock"] / rig.clock.value
 
     nominal_rho = nominal.ball_radius_m / nominal.contact_radius_m

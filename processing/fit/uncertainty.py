@@ -40,8 +40,8 @@ class BudgetLine:
 class Budget:
     """GUM budget of one quantity, largest contribution first.
 
-    `dof` are the effective degrees of freedom (Welch-Satterthwaite; infinite for type B), `coverage_factor`
-    is Student's t for 95 %, `expanded` is its product with `standard_uncertainty`.
+    `dof` are the effective degrees of freedom (Welch-Satterthwaite; infinite for what is stated),
+    `coverage_factor` is Student's t for 95 %, `expanded` is its product with `standard_uncertainty`.
     """
 
     quantity: str
@@ -146,7 +146,9 @@ def _budget(
         if slope != 0:
             parts.append((source, "B", u, slope, abs(slope) * u))
     combined = sqrt(sum(part[4] ** 2 for part in parts))
-    dof = found.dof * (combined / type_a) ** 4 if 0 < type_a < inf else inf
+    per_dof = type_a**4 / found.dof if 0 < type_a < inf else 0.0
+    per_dof += sum(part**4 / inputs[source].dof for source, kind, _, _, part in parts if kind == "B")
+    dof = combined**4 / per_dof if per_dof > 0 and isfinite(combined) else inf
     lines = tuple(
         BudgetLine(
             source, kind, u, slope, part, (part / combined) ** 2 if isfinite(combined) else float(part == inf)
@@ -190,13 +192,7 @@ def monte_carlo(
         A fitted parameter that the data do not determine at all.
     """
     values = draw_fitted(found, rng, draws)
-    inputs = {}
-    for name, quantity in rig.inputs().items():
-        if quantity.distribution == "rectangular":
-            deviation = rng.uniform(-sqrt(3), sqrt(3), draws)
-        else:
-            deviation = rng.standard_normal(draws)
-        inputs[name] = quantity.value + quantity.u * deviation
+    inputs = {name: quantity.draw(rng, draws) for name, quantity in rig.inputs().items()}
     reported = reported_quantities(found, values, inputs, rig)
     if against is None:
         against = budgets(found, rig)

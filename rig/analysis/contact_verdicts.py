@@ -55,10 +55,13 @@ TABLE4_AMPLITUDE_ARCSEC = 3.1
 """Amplitude at which the paper's Table 4 draws its loops."""
 
 
-def rig_quantities(config: Configuration, fast_ratio: float = 0.0) -> RigQuantities | None:
+def rig_quantities(
+    config: Configuration, fast_ratio: float = 0.0, rest_rad: float = 0.0
+) -> RigQuantities | None:
     """The apparatus with its standard uncertainties; None where the contact radius is not after Hertz.
 
-    `fast_ratio` is the fast mode's amplitude over the slow one's (see `RigQuantities`).
+    `fast_ratio` is the fast mode's amplitude over the slow one's, `rest_rad` the mean tilt at rest from the
+    lever's reference (see `RigQuantities`).
     """
     pendulum, lever = config.pendulum, config.lever
     if pendulum is None or lever is None or pendulum.contact_radius_m is not None:
@@ -70,13 +73,15 @@ def rig_quantities(config: Configuration, fast_ratio: float = 0.0) -> RigQuantit
         ball_radius_m=Quantity(pendulum.ball_radius_m, pendulum.u_ball_radius_m),
         ball=material(config, pendulum.ball_material),
         flat=material(config, pendulum.flat_material),
-        arm_m=Quantity(lever.arm_m, lever.u_arm_m),
-        pitch_m=Quantity(lever.pixel_pitch_m, lever.u_pixel_pitch_m),
+        arm_m=Quantity(lever.arm_m, lever.u_arm_m, dof=lever.arm_dof or math.inf),
+        pitch_m=Quantity(lever.pixel_pitch_m, lever.u_pixel_pitch_m, dof=lever.pixel_pitch_dof or math.inf),
         gravity_m_per_s2=Quantity(pendulum.gravity_m_per_s2, pendulum.u_gravity_m_per_s2),
         clock=Quantity(timebase.camera_rate, timebase.u_camera_rate),
         slow_angle_rad=Quantity(axes.slow_angle_rad, axes.u_slow_angle_rad),
         non_orthogonality_rad=Quantity(axes.non_orthogonality_rad, axes.u_non_orthogonality_rad),
         fast_ratio=fast_ratio,
+        skew=Quantity(lever.skew, lever.u_skew),
+        rest_rad=rest_rad,
         balls=balls(config),
     )
 
@@ -273,10 +278,7 @@ def _work(
         rng = np.random.default_rng(seed)
         found = fitted_contact(exact)
         values = draw_fitted(found, rng, DRAWS)
-        inputs = {
-            name: quantity.value + quantity.u * rng.standard_normal(DRAWS)
-            for name, quantity in rig.inputs().items()
-        }
+        inputs = {name: quantity.draw(rng, DRAWS) for name, quantity in rig.inputs().items()}
         reported = reported_quantities(found, values, inputs, rig)
         without_drag = {name: sample for name, sample in reported.items() if name != "drag_s"}
         moment = inputs["mass_kg"] * inputs["gravity_m_per_s2"] * inputs["ball_radius_m"]

@@ -148,7 +148,8 @@ def _analyse_swings(
         settings=config.fit.model_dump(),
         turning_points=StoredTurningPoints.of(points, settled.swings, unit, clock_rate),
     )
-    rig = rig_quantities(config, deflections.fast_ratio())
+    rest_rad = float(np.median([swing.centre for swing in settled.swings if not swing.flags] or [0.0]))
+    rig = rig_quantities(config, deflections.fast_ratio(), rest_rad)
     if decay.fits and pendulum is not None:
         seed = int(results.sha256[:12], 16)
         results = evaluate(results, points, pendulum, decay.fits[FitMethod.EXACT], rig, seed)

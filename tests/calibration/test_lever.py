@@ -100,6 +100,35 @@ def test_a_wrong_step_is_named() -> None:
     assert int(np.argmax(np.abs(fit.residual_px[:, 1]))) == 7
 
 
+def test_a_wrong_reference_enlarges_the_scale_s_uncertainty_alone() -> None:
+    """What the reference is off moves the spot along the ladder: across it nothing is enlarged."""
+    z, claimed = [], []
+    for seed in range(40):
+        steps = ladder(np.linspace(-120, 120, 9).tolist(), seed=seed)
+        off = 0.3 * ARCSEC_RAD * np.random.default_rng([seed, 1]).standard_normal(9)
+        fit = fit_ladder(replace(steps, reference=steps.reference + off), "tilt")
+        assert fit.u_direction_rad < 2.0 * NOISE_PX / np.hypot.reduce(steps.y_px - steps.y_px.mean())
+        z.append((fit.scale * PITCH_M - 1.0) / (fit.u_scale * PITCH_M))
+        claimed.append(fit.scale_dof)
+    assert set(claimed) <= {6.0, 7.0}, "a skew is taken for real once in a hundred"
+    # Student's t of seven degrees of freedom has a variance of 7/5; an rms of 40 lies within 3/sqrt(80)
+    assert np.sqrt(np.mean(np.square(z))) == pytest.approx(np.sqrt(7 / 5), rel=3 / np.sqrt(80))
+
+
+def test_degrees_of_freedom_and_doubt_of_the_skew_are_part_of_the_lever() -> None:
+    quiet = fit_ladder(ladder(np.linspace(-120, 120, 9).tolist()), "tilt")
+    assert lever_from_tilts(quiet, PITCH_M).arm_dof is None
+    assert lever_from_tilts(quiet, PITCH_M).u_skew == quiet.u_skew
+    noisy = ladder(np.linspace(-120, 120, 9).tolist())
+    noisy = replace(noisy, y_px=noisy.y_px + 0.05 * np.random.default_rng(2).standard_normal(9))
+    assert lever_from_tilts(fit_ladder(noisy, "tilt"), PITCH_M).arm_dof == pytest.approx(7.0)
+    # tilts to one side mostly: a sensor askew by the doubt of its tilt would look like another scale
+    lopsided = ladder(np.linspace(-10, 300, 9).tolist(), skew=0.05)
+    fit = fit_ladder(replace(lopsided, u_reference=np.full(9, 0.02 * ARCSEC_RAD)), "tilt")
+    assert not fit.nonlinear
+    assert abs(fit.scale * PITCH_M - 1.0) < 2.0 * fit.u_scale * PITCH_M
+
+
 def test_shifts_give_the_pitch() -> None:
     shift = np.linspace(-3e-4, 3e-4, 7)
     ones = np.ones(7)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calibration.light_lever import Lever
 from processing.contact.hertz import MATERIALS
 from processing.contact.moments import cycle_work, surface_energy
 from processing.errors import ConfigurationError, DataError
@@ -88,6 +89,34 @@ def test_another_input_gives_what_fitting_again_gives(
         energy.table2_j_per_m2, rel=2e-4
     )
     assert float(reported["surface_energy_eq2_j_per_m2"][0]) == pytest.approx(energy.eq2_j_per_m2, rel=2e-4)
+
+
+def test_an_uncertainty_from_a_few_readings_has_their_degrees_of_freedom(found: FittedContact) -> None:
+    few = budgets(found, rig(arm_m=Quantity(1.0, 0.05, dof=6.0)))["c"]
+    assert few.lines[0].source == "arm_m"
+    assert few.dof == pytest.approx(6.0, rel=0.1)
+    assert few.coverage_factor == pytest.approx(2.4, rel=0.02)
+    assert np.std(Quantity(1.0, 0.05, dof=6.0).draw(np.random.default_rng(1), 20_000)) == pytest.approx(
+        0.05 * np.sqrt(6 / 4), rel=0.05
+    )
+
+
+def test_a_skew_matters_where_the_pendulum_rests_beside_the_reference(found: FittedContact) -> None:
+    """Against the lever itself: a swing about 500 arcsec, read without the skew that is there."""
+    rest, skew, swing = 500 * ARCSEC, 0.2, 20 * ARCSEC
+    true = Lever(arm_m=1.0, pixel_pitch_m=3.45e-6, skew=skew)
+    plain = true.square()
+    ends = plain.tilt_rad(true.displacement_px([rest + swing, rest - swing]))
+    quantities = replace(rig(skew=Quantity(0.0, skew)), rest_rad=rest)
+    assert float(quantities.skewed_scale(np.array([skew]))[0]) == pytest.approx(
+        2 * swing / float(ends[0] - ends[1]), rel=1e-5
+    )
+    parts = {line.source: line.contribution for line in budgets(found, quantities)["c"].lines}
+    assert parts["skew"] == pytest.approx(found.values[2] * 2 * skew * np.tan(2 * rest), rel=0.15), (
+        "and a little through R/a"
+    )
+    centred = budgets(found, rig(skew=Quantity(0.0, skew)))["c"]
+    assert "skew" not in {line.source for line in centred.lines}
 
 
 def test_the_budget_adds_up_and_puts_the_largest_first(found: FittedContact) -> None:

@@ -53,7 +53,9 @@ STATED: dict[str, Any] = {
     "axes": {"slow_angle_rad": 0.1, "non_orthogonality_rad": 0.05},
     "lever": {
         "arm_m": 1.0,
+        "arm_dof": 12.0,
         "pixel_pitch_m": 4.8e-6,
+        "pixel_pitch_dof": 12.0,
         "skew": 0.1,
         "reference_x_px": 70.0,
         "reference_y_px": 300.0,
