@@ -107,9 +107,10 @@ def photon_transfer(
     hot = _hot_pixels(dark_map)
     cold = np.ones(dark_map.size, dtype=bool)
     cold[hot] = False
-    dark_level = float(dark_map.reshape(-1)[cold].mean())
-    dark_variance, u_dark_variance = _temporal_variance(dark_stack.reshape(len(darks), -1)[:, cold])
+    in_the_dark = dark_stack.reshape(len(darks), -1)[:, cold]
+    dark_variance, u_dark_variance = _temporal_variance(in_the_dark)
     resolved = dark_variance - _QUANTISATION_DN2 > _RESOLVED_DN**2
+    dark_level = _unrounded_mean(in_the_dark) if resolved else float(in_the_dark.mean())
     u_dark_variance = float(np.hypot(u_dark_variance, _rounding(dark_variance)))
     points: list[TransferPoint] = []
     rejected: list[str] = []
@@ -201,6 +202,27 @@ def _hot_pixels(dark_map: NDArray[np.float64]) -> NDArray[np.int64]:
     middle = float(np.median(flat))
     sigma = max(robust_scatter(flat, middle), float(np.percentile(flat, 84) - middle), 0.2)
     return np.nonzero(flat > middle + 8.0 * sigma)[0]
+
+
+def _unrounded_mean(values: NDArray[np.float64]) -> float:
+    """Mean of normally distributed values of which only the nearest integers are known, none below 0.
+
+    The integers' own mean is off by up to 0.1 DN for a noise of 0.24 DN and by 0.05 DN for 0.3 DN. Mean and
+    scatter with the largest likelihood of the counts are not.
+    """
+    from scipy.optimize import minimize
+    from scipy.special import ndtr
+
+    codes, counts = np.unique(values, return_counts=True)
+    below = np.where(codes > 0, codes - 0.5, -np.inf)
+
+    def misfit(p: NDArray[np.float64]) -> float:
+        sigma = np.exp(p[1])
+        part = ndtr((codes + 0.5 - p[0]) / sigma) - ndtr((below - p[0]) / sigma)
+        return -float(counts @ np.log(np.maximum(part, 1e-300))) / values.size
+
+    start = [values.mean(), np.log(values.std())]
+    return float(minimize(misfit, start, method="Nelder-Mead", options={"xatol": 1e-5, "fatol": 1e-12}).x[0])
 
 
 def _temporal_variance(stack: NDArray[np.float64]) -> tuple[float, float]:
