@@ -19,6 +19,9 @@ Sign = Literal["+", "-"]
 """Side on which a mode's swing begins: the positive or the negative direction of its axis."""
 _WINDOW_PERIODS = 6.0
 _FEWEST_PERIODS = 2.0
+_LARGEST_CHI2_PER_DOF = 100.0
+"""Of the windows' directions: they scatter ten times as much as the spots' noise leaves. Enlarging the
+uncertainties would hide that there are no two fixed directions."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,8 +75,9 @@ def fit_axes(
     Raises
     ------
     DataError
-        Fewer than 100 spots, no swing, less than two slow periods, no visible fast mode, or an angle
-        between the modes that differs from a right angle by more than 0.5 rad.
+        Fewer than 100 spots, no swing, less than two slow periods, no visible fast mode, an angle between
+        the modes that differs from a right angle by more than 0.5 rad, or directions that are not the same
+        all the time.
 
     Notes
     -----
@@ -122,7 +126,7 @@ def fit_axes(
         mirrored = bool(cross < 0)
     else:
         fast = _to_the_right(usable[0].fast, slow, mirrored)
-    fast_angle, u_fast, _, _, fast_chi2 = _combined(
+    fast_angle, u_fast, fast_rotation, u_fast_rotation, fast_chi2 = _combined(
         usable, fast, [w.fast for w in usable], [w.u_fast_rad for w in usable]
     )
     non_orthogonality = _wrapped(fast_angle + (math.pi if mirrored else 0.0) - slow_angle - 0.5 * math.pi)
@@ -141,6 +145,11 @@ def fit_axes(
             f"axes: the angle between the modes is {math.degrees(0.5 * math.pi + non_orthogonality):.0f} "
             "degrees; these are not the two modes of a pendulum"
         )
+    for mode, chi2, angles, rate, u_rate in (
+        ("slow", slow_chi2, [w.slow for w in windows], rotation, u_rotation),
+        ("fast", fast_chi2, [w.fast for w in usable], fast_rotation, u_fast_rotation),
+    ):
+        _refuse_what_does_not_stay(mode, chi2, angles, rate, u_rate)
     return AxesFit(
         axes=Axes(
             slow_angle_rad=slow_angle,
@@ -206,6 +215,30 @@ def _combined(
         rate = float(weight @ (t * (turned - mean))) / spread
         u_rate = 1.0 / math.sqrt(spread)
     return _wrapped(base + mean), u_mean, rate, u_rate, total
+
+
+def _refuse_what_does_not_stay(
+    mode: str, chi2: float, vectors: list[Floats], rate: float, u_rate: float
+) -> None:
+    """Raise DataError if a mode's directions in the windows differ much more than the spots' noise says."""
+    dof = len(vectors) - 1
+    if dof == 0 or chi2 / dof < _LARGEST_CHI2_PER_DOF:
+        return
+    first = math.atan2(vectors[0][0], -vectors[0][1])
+    turned = [_modulo_pi(math.atan2(v[0], -v[1]) - first) for v in vectors]
+    head = (
+        f"axes: the {mode} direction is not the same in the {len(vectors)} parts of the record: it differs "
+        f"by {1e3 * float(np.ptp(turned)):.3g} mrad, {math.sqrt(chi2 / dof):.3g} times what the noise leaves"
+    )
+    if (rate / u_rate) ** 2 > 0.9 * chi2:
+        raise DataError(
+            f"{head}; it turns evenly, by {1e3 * rate:.3g} mrad/s: balance the pendulum until the plane of "
+            "its swing stays, or record for a shorter time"
+        )
+    raise DataError(
+        f"{head}: it was touched or shaken, or a clip or a second spot disturbs the positions; record an "
+        "undisturbed swing"
+    )
 
 
 def _with_side(vector: Floats, side: Sign) -> Floats:

@@ -22,6 +22,8 @@ _ROUNDING_S = 1e-9 / 12**0.5
 """Standard uncertainty of timestamps that are rounded to 1 ns."""
 _JUMP_WINDOW = 25
 """Number of frames on each side whose medians are compared."""
+_SLOWEST = 8
+"""Number of the slowest variations of the arrivals whose scatter is compared with that of all."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,7 +114,8 @@ def relate_clocks(
     -----
     Huber's M-estimate (P. J. Huber, Robust Statistics, 1981) with its asymptotic (sandwich) covariance,
     because some frames arrive much later than the others. If a clock jumps, the segments share one rate and
-    have one offset each.
+    have one offset each. Arrivals that vary slowly (a loaded host delays many frames in a row) leave the rate
+    more uncertain than white noise of the same size: see `_slow_excess`.
     """
     if not (len(device_ns) == len(host_ns) == len(sequence)):
         raise DataError(
@@ -202,9 +205,25 @@ def _huber(
     inside = np.mean(np.abs(residual) < _HUBER)
     dof = len(values) - design.shape[1]
     # timestamps are integer ns: the uncertainty is not smaller than their rounding allows
-    scale = max(sigma**2 * float(psi @ psi) / dof / inside**2, _ROUNDING_S**2)
+    scale = max(sigma**2 * float(psi @ psi) / dof / inside**2, _ROUNDING_S**2) * _slow_excess(psi)
     covariance = scale * np.linalg.inv(design.T @ design)
     return solution.astype(np.float64), covariance.astype(np.float64), sigma
+
+
+def _slow_excess(residual: NDArray[np.float64]) -> float:
+    """Variance of slow averages of a line's residuals (n,), over what it would be if they were white; >= 1.
+
+    As the Allan deviation shows it: the rate depends on the slowest variations alone. These are the
+    residuals' discrete cosine transform (its variance is the spectrum) from the third coefficient on, since
+    the line has taken the first two. The eight slowest, sixteen, ... are averaged, and the largest average
+    counts: of white noise it is too large by a quarter of the variance.
+    """
+    from scipy.fft import dct
+
+    power = dct(residual, norm="ortho")[2:] ** 2
+    counts = [_SLOWEST << k for k in range(64) if _SLOWEST << k < len(power)]
+    whole = float(power.mean())
+    return max([1.0, *(float(power[:count].mean()) / whole for count in counts)]) if whole > 0 else 1.0
 
 
 def _frame_period(since_s: NDArray[np.float64], sequence: NDArray[np.int64]) -> tuple[float, float]:

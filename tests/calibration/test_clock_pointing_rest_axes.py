@@ -1,7 +1,10 @@
 """Clock relation, pointing stability, check at rest and axes, from synthetic samples."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from calibration.at_rest import require_rest
 from calibration.axes_fit import fit_axes
@@ -43,6 +46,23 @@ def test_times_far_from_zero_keep_their_nanoseconds() -> None:
     assert found.rate == near.rate
     again = found.host_ns(device + 2**61)
     assert np.abs(again - (host + 2**60)).max() < 2e5
+
+
+@pytest.mark.parametrize("memory_s", [0.0, 0.5])
+def test_the_rate_s_uncertainty_is_its_scatter_also_where_many_frames_in_a_row_are_late(
+    memory_s: float,
+) -> None:
+    z = []
+    for seed in range(40):
+        device, host = stamps(seed)
+        late = 2e-5 * np.random.default_rng([seed, 1]).standard_normal(N)
+        if memory_s:
+            kept = np.exp(-0.01 / memory_s)
+            late = lfilter([np.sqrt(1 - kept**2)], [1, -kept], late)
+        found = relate_clocks(device, host + np.rint(1e9 * late).astype(np.int64), np.arange(N))
+        z.append((found.drift_ppm - 40) / found.u_drift_ppm)
+    # an rms of 40 deviations lies within 3/sqrt(80) of 1; white arrivals are claimed a tenth too uncertain
+    assert 0.9 - 3 / np.sqrt(80) < np.sqrt(np.mean(np.square(z))) < 1 + 3 / np.sqrt(80)
 
 
 @pytest.mark.parametrize("which", ["camera", "host"])
@@ -99,6 +119,29 @@ def test_handedness_and_sign_are_said_to_be_assumed() -> None:
     assert told.handedness_known
     assert told.axes.mirrored == rig.settings.axes.mirrored
     assert told.notes == ()
+
+
+@pytest.mark.parametrize(
+    ("turning", "words"),
+    [
+        (
+            lambda t: 2e-3 * t,
+            r"the slow direction is not the same in the 4 parts .* turns evenly, by 2 mrad/s",
+        ),
+        (lambda t: 0.05 * (t > 40.0), r"the slow direction .* differs by 50 mrad, .* touched or shaken"),
+    ],
+)
+def test_axes_that_do_not_stay_are_refused_with_the_cause(
+    turning: Callable[[np.ndarray], np.ndarray], words: str
+) -> None:
+    rng = np.random.default_rng(8)
+    t = np.arange(5000) * 0.02
+    slow, fast = 100 * np.cos(2 * np.pi * t / 4.07), 10 * np.cos(2 * np.pi * t / 0.8)
+    angle = turning(t)
+    x, y = 0.02 * rng.standard_normal((2, 5000))
+    with pytest.raises(DataError, match=words) as caught:
+        fit_axes(t, x + slow * np.sin(angle) + fast, y - slow * np.cos(angle))
+    assert "\n" not in str(caught.value)
 
 
 def test_axes_without_a_swing_or_a_fast_mode_are_refused() -> None:
