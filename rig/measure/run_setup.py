@@ -1,7 +1,7 @@
 """Sets up camera, phases, record, view and display for one run of a session, and executes it."""
 
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -28,7 +28,8 @@ _RESERVE_BYTES = 50 * 1024 * 1024
 class RunPlan:
     """A run to be made.
 
-    `start_rejected` is called with the new path of the record of each rejected start, and the reason.
+    `start_rejected` is called with the new path of the record of each rejected start, and the reason;
+    `watchers` see the run beside its display and view.
     """
 
     config: Configuration
@@ -38,6 +39,7 @@ class RunPlan:
     force: bool = False
     json_lines: bool = False
     start_rejected: Callable[[Path, str], None] = lambda _path, _reason: None
+    watchers: Sequence[Watcher] = ()
 
 
 def measure_run(plan: RunPlan, devices: Devices) -> RunOutcome:
@@ -99,7 +101,7 @@ def _execute(plan: RunPlan, devices: Devices, camera: OpenCamera, watchers: list
         phases=phases,
         start=start_limits(config, optics) if with_start else None,
         start_rejected=plan.start_rejected,
-        watchers=(display, *watchers),
+        watchers=(display, *plan.watchers, *watchers),
         devices=devices,
         camera=camera.camera,
         environment_period_s=config.environment_sensor.period_s,

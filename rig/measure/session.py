@@ -23,6 +23,7 @@ from rig.analysis import (
 from rig.devices import Devices
 from rig.instrument import check_materials, complete
 from rig.interruption import Terminated, reason_of
+from rig.measure.notices import Notices, announced
 from rig.measure.recording import NOT_ACCEPTED
 from rig.measure.run_setup import RunPlan, measure_run
 from rig.measure.session_file import STATE_NAME, RunEntry, RunState, SessionFile
@@ -47,12 +48,13 @@ def measure_session(
     config = complete(config)
     check_materials(config)
     folder = session_folder(config, source, output)
-    with ExitStack() as closing:
+    with announced(config.session, folder) as told, ExitStack() as closing:
         with Devices(config, folder) as devices:
             file = SessionFile.made(folder, source, config.session.runs, config.model_dump(mode="json"))
             closing.callback(file.close)
-            made = _make_runs(config, source, file, devices, force=force, json_lines=json_lines)
-        return _report(config, folder, made, json_lines=json_lines)
+            made = _make_runs(config, source, file, devices, told.notices, force=force, json_lines=json_lines)
+        told.status = _report(config, folder, made, json_lines=json_lines)
+        return told.status
 
 
 def resume_session(folder: Path, *, force: bool = False, json_lines: bool = False) -> int:
@@ -75,11 +77,14 @@ def resume_session(folder: Path, *, force: bool = False, json_lines: bool = Fals
         if missing <= 0 and _has_results(folder):
             say("no run is missing")
             return 0
-        with Devices(config, folder) as devices:
-            made = _make_runs(
-                config, Path(file.state.source), file, devices, force=force, json_lines=json_lines
-            )
-        return _report(config, folder, made, json_lines=json_lines)
+        with announced(config.session, folder) as told:
+            with Devices(config, folder) as devices:
+                source = Path(file.state.source)
+                made = _make_runs(
+                    config, source, file, devices, told.notices, force=force, json_lines=json_lines
+                )
+            told.status = _report(config, folder, made, json_lines=json_lines)
+            return told.status
     finally:
         file.close()
 
@@ -143,6 +148,7 @@ def _make_runs(
     source: Path,
     file: SessionFile,
     devices: Devices,
+    notices: Notices,
     *,
     force: bool,
     json_lines: bool,
@@ -161,7 +167,14 @@ def _make_runs(
             say(f"run {number}: {NOT_ACCEPTED}: {reason}")
 
         plan = RunPlan(
-            _numbered(config, number), source, record, f"run {number}", force, json_lines, start_rejected
+            _numbered(config, number),
+            source,
+            record,
+            f"run {number}",
+            force,
+            json_lines,
+            start_rejected,
+            [notices],
         )
         try:
             acknowledge_interlock(devices)

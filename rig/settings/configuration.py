@@ -50,6 +50,12 @@ class SessionSettings(Section, frozen=True):
     final_amplitude_arcsec: float = Field(default=2.0, gt=0, description="a run ends below this amplitude")
     max_duration_s: float = Field(default=7200.0, gt=0, description="a run ends after this time in any case")
     output: Path = Field(default=Path("runs"), description="each session makes a folder in it")
+    notify_command: tuple[str, ...] = Field(
+        default=(), description="called on alarm, end and failure, with kind, text and folder behind it"
+    )
+    notify_webhook_file: Path | None = Field(
+        default=None, description="holds the address to which the same is posted; none is kept in records"
+    )
 
 
 class EnvironmentConditions(Section, frozen=True):

@@ -3,6 +3,7 @@
 import _thread
 import getpass
 import json
+import sys
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -82,8 +83,11 @@ def test_a_run_whose_laser_goes_dark_ends_with_an_error_and_a_whole_record(
     tmp_path: Path, apparatus: Apparatus, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(SimulatedBoard, "unplugged", lambda _: apparatus.recording.is_set())
-    done = rig("run", CONFIGS / "live.toml", "-o", tmp_path / "out", *set_words(LIVE))
+    tell = f"import sys; open({str(tmp_path / 'told')!r}, 'a').write(sys.argv[1] + ' ')"
+    told = {"session.notify_command": json.dumps([sys.executable, "-c", tell])}
+    done = rig("run", CONFIGS / "live.toml", "-o", tmp_path / "out", *set_words({**LIVE, **told}))
     assert done.returncode == 1
+    assert (tmp_path / "told").read_text().split() == ["alarm", "failure"]
     assert "THE LASER IS DARK: THE CONTROLLER IS LOST" in done.stderr
     entry = entry_of(tmp_path / "out")
     assert entry["state"] == "failed"

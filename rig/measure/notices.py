@@ -1,0 +1,148 @@
+"""Tells people who are not there of an alarm, the end or the failure of a session: a command, a webhook."""
+
+import datetime
+import json
+import subprocess
+import threading
+import time
+import urllib.parse
+import urllib.request
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from acquisition.frame import Frame
+from acquisition.record.events import Event
+from processing.errors import ConfigurationError
+from rig.instrument import Block, Snapshot
+from rig.interruption import reason_of
+from rig.presentation import say
+from rig.settings import SessionSettings
+
+_CALL_S = 20.0
+_LAST_WAIT_S = 10.0
+_MOST_ALARMS = 20
+"""Of one session; a contact that bounces must not call somebody a thousand times."""
+
+
+class Notices:
+    """Calls `session.notify_command` and posts to the address in `session.notify_webhook_file`.
+
+    The command gets the kind, the text and the folder as its last arguments, the webhook the same as JSON.
+    Each call has a thread of its own, so that one that hangs delays nothing. As a watcher of runs it tells
+    of events at error level. The address is never printed, because it may hold a secret. Raises
+    ConfigurationError if there is none in the file.
+    """
+
+    def __init__(self, settings: SessionSettings, folder: Path) -> None:
+        self._command = settings.notify_command
+        self._address = _address(settings.notify_webhook_file)
+        self._folder = folder
+        self.calls: list[threading.Thread] = []
+        self._alarms = 0
+
+    def tell(self, kind: Literal["alarm", "end", "failure"], text: str) -> None:
+        """Tell it; returns at once."""
+        words = {"kind": kind, "text": text, "folder": str(self._folder.absolute())}
+        for wanted, call in ((self._command, self._run), (self._address, self._post)):
+            if wanted:
+                thread = threading.Thread(target=call, args=(words,), name=f"notice of {kind}", daemon=True)
+                thread.start()
+                self.calls.append(thread)
+
+    def wait(self) -> None:
+        """Until all is told, or for some seconds: the program is about to end."""
+        end_s = time.monotonic() + _LAST_WAIT_S
+        for thread in self.calls:
+            thread.join(max(0.0, end_s - time.monotonic()))
+
+    def block(self, start_ns: int, frames: Sequence[Frame], block: Block) -> None:
+        """Nothing is told of frames."""
+
+    def event(self, start_ns: int, event: Event) -> None:
+        """An error during a run is an alarm."""
+        if event.level == "error" and self._alarms < _MOST_ALARMS:
+            self._alarms += 1
+            self.tell("alarm", f"{event.kind}: {event.text}")
+
+    def snapshot(self, snapshot: Snapshot) -> None:
+        """Nothing is told of the state."""
+
+    def _run(self, words: dict[str, str]) -> None:
+        try:
+            done = subprocess.run(
+                [*self._command, *words.values()],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                timeout=_CALL_S,
+                check=False,
+            )
+        except subprocess.TimeoutExpired:
+            say(f"session.notify_command: {self._command[0]} was ended after {_CALL_S:g} s", error=True)
+        except (OSError, ValueError) as error:
+            say(f"session.notify_command: {error}", error=True)
+        else:
+            if done.returncode:
+                say(f"session.notify_command: {self._command[0]} ended with {done.returncode}", error=True)
+
+    def _post(self, words: dict[str, str]) -> None:
+        now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
+        data = json.dumps({**words, "utc": now}).encode()
+        try:
+            request = urllib.request.Request(self._address, data, {"Content-Type": "application/json"})
+            with urllib.request.urlopen(request, timeout=_CALL_S):
+                pass
+        # whatever it is, it ends no session; its text might hold the address
+        except Exception as error:
+            status = getattr(error, "code", "")
+            host = urllib.parse.urlsplit(self._address).hostname
+            say(f"the webhook at {host} was not told: {type(error).__name__} {status}".rstrip(), error=True)
+
+
+def _address(file: Path | None) -> str:
+    if file is None:
+        return ""
+    try:
+        address = file.expanduser().read_text(encoding="utf-8").strip()
+        parts = urllib.parse.urlsplit(address)
+        sound = parts.scheme in {"http", "https"} and bool(parts.hostname) and not address.split()[1:]
+    except (OSError, ValueError) as error:
+        why = getattr(error, "strerror", None) or type(error).__name__
+        raise ConfigurationError(
+            f"session.notify_webhook_file = {str(file)!r}: cannot be read: {why}"
+        ) from None
+    if not sound:
+        raise ConfigurationError(
+            f"session.notify_webhook_file = {str(file)!r}: must hold an address, https://..., nothing else"
+        )
+    return address
+
+
+@dataclass
+class Told:
+    """How a session ended, set in the block of `announced`, and what tells of it."""
+
+    notices: Notices
+    status: int = 1
+
+
+@contextmanager
+def announced(settings: SessionSettings, folder: Path) -> Iterator[Told]:
+    """Tell the end or the failure of what is done in the block, as its exit status or its error says."""
+    told = Told(Notices(settings, folder))
+    try:
+        yield told
+    except BaseException as error:
+        why = reason_of(error) if isinstance(error, KeyboardInterrupt) else str(error)
+        told.notices.tell("failure", why or type(error).__name__)
+        raise
+    else:
+        if told.status:
+            told.notices.tell("failure", "not every run was measured and fitted under its conditions")
+        else:
+            told.notices.tell("end", "every run was measured and fitted")
+    finally:
+        told.notices.wait()
