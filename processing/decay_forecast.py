@@ -5,7 +5,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 Floats = NDArray[np.float64]
 
@@ -65,6 +64,8 @@ def forecast(times_s: Floats, amplitudes: Floats, u_amplitudes: Floats, final: f
     def residuals(parameters: Floats) -> Floats:
         prior = [(parameters[2] - _EXPONENT) / _U_EXPONENT, (parameters[3] - _LN_DRY_PART) / _U_LN_DRY_PART]
         return np.concatenate([(at(a, parameters) - t) / u_t, prior])
+
+    from scipy.optimize import least_squares
 
     start = np.array([t[0], math.log(-slope * grid[0]), _EXPONENT, _LN_DRY_PART])
     fit = least_squares(residuals, start, x_scale=[1.0, 0.01, 0.05, 0.5], max_nfev=60)

@@ -18,7 +18,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import resample_poly
 
 from acquisition.simulation.ground_file import GroundRecord, read_ground_file
 from acquisition.simulation.ground_settings import GroundTruth, PersonTruth
@@ -110,6 +109,9 @@ def _knots_of_file(truth: GroundTruth) -> GroundRecord:
     fewer = max(1, math.floor(record.rate_hz / wanted_hz + 1e-6))
     values = record.accelerations_m_per_s2
     if more > 1 or fewer > 1:
+        # the slowest import of all, needed here alone
+        from scipy.signal import resample_poly
+
         values = resample_poly(values, more, fewer, axis=0, padtype="line")
     # knots beyond the last sample would be extrapolated
     count = 1 + (len(record.accelerations_m_per_s2) - 1) * more // fewer

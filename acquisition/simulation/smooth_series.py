@@ -18,8 +18,6 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
-from scipy.interpolate import BSpline, PPoly
-from scipy.ndimage import spline_filter1d
 
 from acquisition.simulation import randomness
 from processing.kernel import kernel
@@ -58,6 +56,8 @@ def no_pieces() -> Pieces:
 
 def _basis() -> NDArray[np.float64]:
     """What each of six neighbouring coefficients adds to the polynomial between the middle two of them."""
+    from scipy.interpolate import BSpline, PPoly
+
     spline = BSpline.basis_element(np.arange(-3.0, 4.0), extrapolate=False)
     falling_powers = PPoly.from_spline(spline.tck).c[:, DEGREE:-DEGREE]
     return np.ascontiguousarray(falling_powers.T[::-1, ::-1], dtype=np.float64)
@@ -197,6 +197,8 @@ class BandNoise:
 
 def coefficients_through(values: NDArray[np.float64]) -> NDArray[np.float64]:
     """B-spline coefficients of the quintic spline through values at even knots, mirrored at both ends."""
+    from scipy.ndimage import spline_filter1d
+
     return np.asarray(spline_filter1d(values, order=DEGREE, mode="mirror", output=np.float64))
 
 

@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import lsq_linear
 
 from processing.balance.faults import BalanceLimits
 from processing.balance.room import Room
@@ -239,6 +238,8 @@ class WeightResponses:
 
     def _unreachable(self, wanted: Floats) -> str:
         """Why the weights that were turned cannot bring the rest position home; empty while it is open."""
+        from scipy.optimize import lsq_linear
+
         names = self._tilting
         if len(names) < 2 or not all(self._weights[name].is_known() for name in names):
             return ""

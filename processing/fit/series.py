@@ -7,7 +7,6 @@ from math import sqrt
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 from scipy.special import chdtrc, stdtr, stdtrit
 
 from processing.errors import DataError
@@ -108,6 +107,8 @@ def combine(name: str, runs: Sequence[Estimate]) -> Combined:
     alone = scatter(0.0)
     variance = 0.0
     if alone > dof:
+        from scipy.optimize import brentq
+
         high = float(np.var(x, ddof=1)) + float(np.max(u) ** 2)
         while scatter(high) > dof:
             high *= 2

@@ -25,7 +25,6 @@ from rig.analysis import (
     remarks,
 )
 from rig.presentation import Table
-from rig.report import instrument_table, turning_points_again
 from rig.rerun import Curve, Floats
 
 
@@ -40,6 +39,9 @@ class RunAnalysis(NamedTuple):
 
 def run_analysis(record: Path) -> RunAnalysis:
     """The results next to the record if they were made from this file, else a new fit."""
+    # drawing reports takes a second to import, which must not delay a live view
+    from rig.report import turning_points_again
+
     _, known = recorded_results(record, sha256_of(record))
     results = analyse_record(record).results if known is None else known
     with RecordReader(record) as reader:
@@ -99,6 +101,8 @@ def overlaid_curves(runs: Mapping[str, RunAnalysis]) -> list[Curve]:
 
 def report_text(runs: Mapping[str, RunAnalysis]) -> str:
     """Results of the fits in Markdown, one run after another."""
+    from rig.report import instrument_table
+
     parts: list[str] = []
     for run in runs.values():
         results = run.results

@@ -5,9 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import welch
 
 from processing.errors import DataError
 from processing.swing import residual_spectrum
+from processing.swing.spectrum import segment_powers
 from tests.processing.swing.test_driven import PER_ACCELERATION, driven
 from tests.processing.swing.truth import ARCSEC_RAD, damped_sinusoid, detect
 
@@ -23,6 +25,13 @@ def test_white_noise_has_its_level_with_gaps_too() -> None:
             2 * 0.02**2 / 100.0, rel=4 * found.relative_u / count**0.5
         )
         assert found.density.std() / found.density.mean() == pytest.approx(found.relative_u, rel=0.15)
+
+
+@pytest.mark.parametrize("length", [64, 75])
+def test_powers_of_segments_are_those_of_welch(length: int) -> None:
+    samples = 3.0 + np.random.default_rng(9).normal(size=500).cumsum()
+    expected = welch(samples, 1.0, nperseg=length)[1]
+    assert segment_powers(samples, length).mean(axis=0) == pytest.approx(expected, rel=1e-9)
 
 
 def test_base_acceleration_is_that_of_the_ground() -> None:
