@@ -1,7 +1,11 @@
 """Fixtures of all tests: the folder of real data, if it exists."""
 
+import gc
 import os
 import signal
+import sys
+import warnings
+from collections.abc import Generator
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -73,6 +77,19 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             item.add_marker(pytest.mark.timeout(limit_s))
     slow_files = {item.path for item in items if item.get_closest_marker("slow")}
     items.sort(key=lambda item: (not measures_real_time(item.path), item.path not in slow_files))
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, bool | None, bool | None]:
+    """What a test left open when it failed is closed here, and is no warning of whichever test comes next."""
+    failed = item.session.testsfailed
+    done = yield
+    if item.session.testsfailed > failed:
+        sys.last_exc = sys.last_value = sys.last_traceback = None
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ResourceWarning)
+            gc.collect()
+    return done
 
 
 @pytest.fixture(scope="session")

@@ -76,7 +76,7 @@ def drag_verdict(
         without = fit_exact(points, pendulum, loss=loss)
     elif without.has_drag or without.method is not FitMethod.EXACT:
         raise DataError("the drag verdict compares with an exact fit without drag")
-    with_drag = fit_exact(points, pendulum, drag=True, loss=loss)
+    with_drag = fit_exact(points, pendulum, drag=True, loss=loss, near=without)
     cost = without.cost
     if _noise(with_drag) != _noise(without):
         cost = fit_exact_with(points, pendulum, with_drag, drag=False).cost

@@ -1,6 +1,7 @@
 """Joint fit of the exact half-swing map to all amplitudes and times, on ground that may move."""
 
 from dataclasses import replace
+from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
@@ -70,13 +71,12 @@ def _kept(noise: Noise) -> Noise:
     return AT_REST if noise.at_rest else noise.in_stated_uncertainties
 
 
-def _best(model: ExactModel, loss: Loss, kind: Noise) -> _Settled:
+def _best(model: ExactModel, loss: Loss, kind: Noise, near: FitResult | None) -> _Settled:
     """Likeliest minimum over the start values; the first one is accepted if it fits the data."""
-    starts = model.starts()
-    if not starts:
-        raise DataError("no start from which the half-swing map reaches the last half-cycle")
     best: _Settled | None = None
-    for start in starts:
+    tried = 0
+    for start in chain(model.start_near(near), model.starts()):
+        tried += 1
         found = _settle(model, start, loss, kind)
         if found is None:
             continue
@@ -84,9 +84,11 @@ def _best(model: ExactModel, loss: Loss, kind: Noise) -> _Settled:
             best = found
         if best.likeliest.noise.scale**2 < _GOOD_CHI2:
             break
+    if not tried:
+        raise DataError("no start from which the half-swing map reaches the last half-cycle")
     if best is None:
         raise DataError(
-            f"the exact fit did not converge from {len(starts)} starts: the amplitudes are no decay that the "
+            f"the exact fit did not converge from {tried} starts: the amplitudes are no decay that the "
             "law describes; see which half-cycles are disturbed, or start higher"
         )
     return best
@@ -100,6 +102,7 @@ def fit_exact(
     drag: bool = False,
     loss: Loss = "linear",
     averaged: bool = True,
+    near: FitResult | None = None,
 ) -> FitResult:
     """Fit the exact half-swing map to amplitudes and times of the turning points, jointly.
 
@@ -120,6 +123,8 @@ def fit_exact(
     averaged
         The turning points were measured on the samples of their half-cycles, as the swing detector
         does. False: amplitude and time are those of the instant at which the pendulum turns.
+    near
+        An exact fit of nearly the same points, from which the search starts before it starts anew.
 
     Raises
     ------
@@ -141,7 +146,7 @@ def fit_exact(
     kept = points
     while True:
         model = ExactModel(kept, pendulum, law=law, drag=drag)
-        found = _best(model, loss, kind)
+        found = _best(model, loss, kind, near)
         weakest = _WEAKEST * found.likeliest.noise.step * model.reference
         lost = np.nonzero(kept.amplitude < weakest)[0]
         if not len(lost):
@@ -188,9 +193,7 @@ def fit_exact_with(
     model = ExactModel(points.first(like.half_cycles), pendulum, law=like.law, drag=drag)
     noise = model.noise_of(like)
     best: tuple[ExactModel, Solution] | None = None
-    starts = model.starts()
-    for start in starts:
-        columns = start
+    for columns in chain(model.start_near(like), model.starts()):
         for _ in range(3):
             here = model.on_ground(columns, noise)
             solution = solve(here, columns, lower=model.lower, upper=model.upper, loss=like.loss)
@@ -202,7 +205,7 @@ def fit_exact_with(
         if best is not None and 2 * best[1].cost / best[1].dof < _GOOD_CHI2:
             break
     if best is None:
-        raise DataError(f"the exact fit did not converge from {len(starts)} starts")
+        raise DataError("the exact fit did not converge with the noise of the earlier one")
     return _result(*best, like.ground, like.loss)
 
 

@@ -1,5 +1,6 @@
 """A law's half-swing map as a least-squares model of amplitudes and times, at rest or on moving ground."""
 
+from collections.abc import Iterator
 from copy import copy
 from dataclasses import replace
 from itertools import islice
@@ -9,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from processing.contact import OneHalfSwing, PendulumOnBall, tabulated_half_swing
-from processing.contact.laws import PAPER, Law
+from processing.contact.laws import DRAG, PAPER, Law
 from processing.fit.ground import AT_REST, Noise
 from processing.fit.ground_filter import GAINS, drive_filter
 from processing.fit.result import FitResult
@@ -166,18 +167,33 @@ class ExactModel:
         table = self._tabulated[1]
         return table if len(table.amplitude) > 1 else None
 
-    def starts(self) -> list[Array]:
+    def starts(self) -> Iterator[Array]:
         """Start values for which the map reaches the last half-cycle, the most promising first.
 
         Where none does, the first of each kind: a driven pendulum may swing for longer than any free one.
         """
-        usable, others = [], []
+        usable, others = 0, []
         for attempts in self.columns.starts(self.points):
-            inside = [np.clip(attempt, self.lower + 1e-9, self.upper - 1e-9) for attempt in attempts]
+            inside = [self._inside(attempt) for attempt in attempts]
             reaching = (columns for columns in inside if np.all(np.isfinite(self(columns)[0])))
-            usable += list(islice(reaching, 1))
+            for columns in islice(reaching, 1):
+                usable += 1
+                yield columns
             others += inside[:1]
-        return usable or others
+        if not usable:
+            yield from others
+
+    def start_near(self, fit: "FitResult | None") -> Iterator[Array]:
+        """The parameters of an earlier fit as a start, where the map then reaches the last half-cycle."""
+        if fit is None:
+            return
+        values = {DRAG.key: 0.0} | {name: fit.estimate(name).value for name in fit.names}
+        columns = self._inside(self.columns.from_physical(values))
+        if np.all(np.isfinite(self(columns)[0])):
+            yield columns
+
+    def _inside(self, columns: Array) -> Array:
+        return np.clip(columns, self.lower + 1e-9, self.upper - 1e-9)
 
     def by_log_rho(self, columns: Array) -> Array:
         """Derivative of the fitted columns by ln(R/a), by linearised least squares."""

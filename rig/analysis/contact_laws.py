@@ -82,7 +82,11 @@ def settled_swings(
     if shift.complete:
         try:
             second = fit_exact(
-                points_in_true_time(again, clock_rate), pendulum, drag=settings.drag, loss=_loss(settings)
+                points_in_true_time(again, clock_rate),
+                pendulum,
+                drag=settings.drag,
+                loss=_loss(settings),
+                near=first,
             )
             if describes_as_well(second, first):
                 return Settled(again, motion, second)

@@ -30,7 +30,7 @@ def pulls(result: FitResult, parameters: ContactParameters) -> np.ndarray:
 def one_decay(points: TurningPoints, pendulum: PendulumOnBall) -> Solution:
     """Least squares to one free decay, every turning point with an error of its own."""
     model = ExactModel(points, pendulum)
-    return solve(model, model.starts()[0], lower=model.lower, upper=model.upper)
+    return solve(model, next(model.starts()), lower=model.lower, upper=model.upper)
 
 
 @pytest.mark.parametrize("seed", range(4))

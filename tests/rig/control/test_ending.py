@@ -25,6 +25,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.realtime]
 # For a machine that is busy with other tests.
 BEGUN_WITHIN_S = 300.0
 ENDED_WITHIN_S = 120.0
+LOOKED_AT_EVERY_S = 0.1
 POWER_W = 0.0005
 # An own session whose terminal is standard input, as a login shell has it.
 IN_A_TERMINAL = (
@@ -91,7 +92,7 @@ def spots_in(record: Path) -> int:
 
 def wait_for(board: FirmwareBoard, condition: Callable[[], bool], log: Path) -> None:
     try:
-        board.wait_for(condition, BEGUN_WITHIN_S)
+        board.wait_for(condition, BEGUN_WITHIN_S, LOOKED_AT_EVERY_S)
     except AssertionError as error:
         raise AssertionError(f"{error}; {log.read_text()[-2000:]}") from None
 
@@ -189,7 +190,7 @@ def test_terminal_that_is_closed(board: FirmwareBoard, tmp_path: Path) -> None:
         return being_recorded(board, folder / "run-1.mcap")
 
     try:
-        board.wait_for(recorded, BEGUN_WITHIN_S)
+        board.wait_for(recorded, BEGUN_WITHIN_S, LOOKED_AT_EVERY_S)
         assert b"half-cycles" in shown
         os.close(master)
         assert process.wait(ENDED_WITHIN_S) == 130

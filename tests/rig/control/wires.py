@@ -85,15 +85,15 @@ class FirmwareBoard:
         """How often an output went to this value."""
         return sum(row[1] == name and row[2][0] == first_value for row in self.events())
 
-    def wait_for(self, condition: Callable[[], bool], timeout_s: float) -> float:
-        """Seconds until the condition held; AssertionError when it did not."""
+    def wait_for(self, condition: Callable[[], bool], timeout_s: float, every_s: float = 0.005) -> float:
+        """Seconds until the condition, looked at so often, held; AssertionError when it did not."""
         start_s = time.monotonic()
         while time.monotonic() - start_s < timeout_s:
             if condition():
                 return time.monotonic() - start_s
             if self._process.poll() is not None:
                 raise AssertionError(f"the interpreter ended: {Path(self._errors.name).read_text()}")
-            time.sleep(0.005)
+            time.sleep(every_s)
         raise AssertionError(f"not within {timeout_s} s; outputs {self.outputs()}")
 
     def close(self) -> None:

@@ -31,9 +31,9 @@ LIMITS = {"b": 0.005, "p": 0.005, "c": 0.03, "n": 0.005, "period0_s": 0.005, "ga
 
 @pytest.fixture(scope="module")
 def short_session(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two minutes of the small demonstration, two runs, with a view, as a user starts it."""
+    """Seventy seconds of the small demonstration, two runs, with a view, as a user starts it."""
     folder = tmp_path_factory.mktemp("session") / "out"
-    words = set_words({**SMALL, "view.file": "true", "session.max_duration_s": "120"})
+    words = set_words({**SMALL, "view.file": "true", "session.max_duration_s": "70"})
     done = rig_process("run", CONFIGS / "demo.toml", "-o", folder, "--runs", "2", *words)
     assert done.returncode == 0, done.stderr
     return folder
@@ -51,8 +51,8 @@ def test_a_session_leaves_records_a_view_and_results(short_session: Path) -> Non
     assert [run["record"] for run in tree["runs"]] == ["run-1.mcap", "run-2.mcap"]
     for run in tree["runs"]:
         assert run["dropped_frames"] == 0
-        assert run["frames"] == pytest.approx(6000, abs=35)
-        assert run["half_cycles"] >= 55
+        assert run["frames"] == pytest.approx(3500, abs=35)
+        assert run["half_cycles"] >= 30
         assert run["initial_amplitude_arcsec"] == pytest.approx(124, rel=0.02)
         assert (run["amplitude_unit"], run["initial_amplitude"]) == (
             "arcsec",
@@ -213,7 +213,7 @@ def test_ctrl_c_closes_the_record_and_fits_what_there_is(tmp_path: Path) -> None
     )
     record = tmp_path / "out" / "run-1.mcap"
     deadline = time.monotonic() + 120
-    while time.monotonic() < deadline and not (record.exists() and record.stat().st_size > 1_500_000):
+    while time.monotonic() < deadline and not (record.exists() and record.stat().st_size > 700_000):
         time.sleep(0.1)
     process.send_signal(signal.SIGINT)
     output, errors = process.communicate(timeout=120)
@@ -227,8 +227,8 @@ def test_ctrl_c_closes_the_record_and_fits_what_there_is(tmp_path: Path) -> None
 @pytest.mark.slow
 @pytest.mark.parametrize("pair", list(TRUTH))
 def test_the_demonstration_finds_the_truth(pair: str, tmp_path: Path) -> None:
-    # one pair with every frame as it is for a user; the others, which take longer, with a fifth of the pixels
-    less = {} if pair == "glass" else SMALL
+    # a tenth of the pixels: every pixel of the demonstration is seen where README is executed
+    less = {**SMALL, "camera.frame_rate_hz": "25"}
     done = rig(
         "run", CONFIGS / f"{pair}.toml", "-o", tmp_path / "out", "--runs", "1", *set_words(less), figures=True
     )

@@ -34,7 +34,7 @@ OPTIONS = (
     "--window-size=1200,760",
 )
 
-LONGEST_SILENCE_S = 60.0
+LONGEST_SILENCE_S = 150.0
 
 # The browser takes orders on descriptor 3 and answers on 4.
 REDIRECTED = 'exec "$0" "$@" 3<&0 4>&1 0</dev/null 1>&2'

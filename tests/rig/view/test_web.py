@@ -36,7 +36,7 @@ def test_the_page_draws_the_run(tmp_path: Path) -> None:
         address = viewer.counts.notes[0].removeprefix("live view: ")
         time.sleep(1.0)
         browser.open(address)
-        picture = wait_for_picture(browser, drawn, 60.0, tmp_path / "page.png")
+        picture = wait_for_picture(browser, drawn, 120.0, tmp_path / "page.png")
         for colour in WANTED:
             assert pixels_of(picture, colour) > 60, f"nothing drawn in {colour}"
         hosts = {urllib.parse.urlsplit(url).hostname for url in browser.requested}
@@ -51,20 +51,19 @@ def test_a_rerun_file_is_shown_as_a_page(tmp_path: Path) -> None:
     command = "import sys; from pathlib import Path; from rig.view.rrd_display import show_rrd; "
     command += "show_rrd([Path(sys.argv[1])], 'web')"
     with headless_browser() as browser:
-        shown = subprocess.Popen(
+        with subprocess.Popen(
             [sys.executable, "-c", command, str(rrd)],
             stdout=subprocess.PIPE,
             text=True,
             start_new_session=True,
-        )
-        try:
-            assert shown.stdout is not None
-            browser.open(shown.stdout.readline().split()[4])
-            picture = wait_for_picture(browser, drawn, 60.0, tmp_path / "page.png")
-        finally:
-            shown.send_signal(signal.SIGINT)
-            shown.wait(20.0)
-        shown.stdout.close()
+        ) as shown:
+            try:
+                assert shown.stdout is not None
+                browser.open(shown.stdout.readline().split()[4])
+                picture = wait_for_picture(browser, drawn, 120.0, tmp_path / "page.png")
+            finally:
+                shown.send_signal(signal.SIGINT)
+                shown.wait(60.0)
     assert drawn(picture)
 
 

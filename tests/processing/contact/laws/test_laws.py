@@ -37,7 +37,7 @@ def test_columns_stand_for_the_physical_values_and_back(name: str, calibrated: b
     parameters, pendulum = paper_pair("steel")
     points = decay(parameters, pendulum, noise_arcsec=0.005, seed=5, last_arcsec=40)
     model = ExactModel(points, pendulum if calibrated else None, law=law)
-    start = model.starts()[0]
+    start = next(model.starts())
     values, by_columns = model.columns.physical(start)
     back = model.columns.from_physical(dict(zip(model.names, values.tolist(), strict=True)))
     np.testing.assert_allclose(back, start, rtol=1e-9)
