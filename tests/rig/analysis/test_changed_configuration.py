@@ -20,7 +20,7 @@ MASS, OTHER = b"0.406", b"0.606"
 
 @pytest.fixture(scope="module")
 def record(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return make_record(tmp_path_factory.mktemp("sound") / "run-1.mcap", 40.0)
+    return make_record(tmp_path_factory.mktemp("sound") / "run-1.mcap", 100.0)
 
 
 def test_the_second_copy_is_taken(record: Path, tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ from tests.rig.replay.replay_record import make_record
 @pytest.fixture(scope="module")
 def cut(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("cut")
-    data = make_record(folder / "whole.mcap", 40.0).read_bytes()
+    data = make_record(folder / "whole.mcap", 20.0).read_bytes()
     path = folder / "run-1.mcap"
     path.write_bytes(data[: round(0.8 * len(data))])
     return path

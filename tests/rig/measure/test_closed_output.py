@@ -19,7 +19,7 @@ NOHUP = (
 @pytest.mark.slow
 def test_a_session_without_anybody_to_read_its_output_is_complete(tmp_path: Path) -> None:
     out, into = os.pipe()
-    words = set_words({**SMALL, "session.max_duration_s": "40"})
+    words = set_words({**SMALL, "session.max_duration_s": "12"})
     process = subprocess.Popen(
         [
             sys.executable,

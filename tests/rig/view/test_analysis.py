@@ -27,7 +27,7 @@ PANELS = {"decay", "residuals", "period", "period_residuals", "loops"}
 
 @pytest.fixture(scope="module")
 def balance(tmp_path_factory: pytest.TempPathFactory) -> Balance:
-    path = make_record(tmp_path_factory.mktemp("balance") / "run.mcap", 30.0)
+    path = make_record(tmp_path_factory.mktemp("balance") / "run.mcap", 15.0)
     with RecordReader(path) as reader:
         return reader.balances()[-1]
 
@@ -60,7 +60,7 @@ def test_the_report_says_what_results_json_says(measured_series: Path) -> None:
 
 def test_a_record_without_results_is_fitted(tmp_path: Path) -> None:
     rrd = tmp_path / "fitted.rrd"
-    write_rrd([make_record(tmp_path / "alone.mcap", 60.0)], rrd, layout="analysing")
+    write_rrd([make_record(tmp_path / "alone.mcap", 100.0)], rrd, layout="analysing")
     drawn = entities(rrd)
     for panel in PANELS:
         assert f"/analysis/{panel}/axes/grid" in drawn, panel
@@ -101,7 +101,7 @@ def test_advice_names_what_is_out_of_limits(balance: Balance) -> None:
 
 def test_advice_reaches_the_view_of_a_run_and_of_its_record(tmp_path: Path, balance: Balance) -> None:
     shown, live = tmp_path / "shown.rrd", tmp_path / "live.rrd"
-    write_rrd([make_record(tmp_path / "run.mcap", 30.0)], shown, layout="balancing")
+    write_rrd([make_record(tmp_path / "run.mcap", 15.0)], shown, layout="balancing")
     assert "balanced" in str(column(shown, "/advice", "TextDocument:text"))
     config = complete(load_configuration(CONFIG))
     view = start_view(config, live, "none", "balancing", "live", 255)
@@ -114,7 +114,7 @@ def test_advice_reaches_the_view_of_a_run_and_of_its_record(tmp_path: Path, bala
 
 
 def test_the_balance_of_a_record_without_a_calibration_is_in_px(tmp_path: Path) -> None:
-    path, rrd = make_record(tmp_path / "px.mcap", 30.0, calibrated=False), tmp_path / "px.rrd"
+    path, rrd = make_record(tmp_path / "px.mcap", 22.0, calibrated=False), tmp_path / "px.rrd"
     with RecordReader(path) as reader:
         names = reader.table("/balance").dtype.names or ()
         balances = reader.balances()

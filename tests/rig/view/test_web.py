@@ -50,20 +50,22 @@ def test_a_rerun_file_is_shown_as_a_page(tmp_path: Path) -> None:
         view_scene.play(viewer)
     command = "import sys; from pathlib import Path; from rig.view.rrd_display import show_rrd; "
     command += "show_rrd([Path(sys.argv[1])], 'web')"
-    with headless_browser() as browser:
-        with subprocess.Popen(
+    with (
+        headless_browser() as browser,
+        subprocess.Popen(
             [sys.executable, "-c", command, str(rrd)],
             stdout=subprocess.PIPE,
             text=True,
             start_new_session=True,
-        ) as shown:
-            try:
-                assert shown.stdout is not None
-                browser.open(shown.stdout.readline().split()[4])
-                picture = wait_for_picture(browser, drawn, 120.0, tmp_path / "page.png")
-            finally:
-                shown.send_signal(signal.SIGINT)
-                shown.wait(60.0)
+        ) as shown,
+    ):
+        try:
+            assert shown.stdout is not None
+            browser.open(shown.stdout.readline().split()[4])
+            picture = wait_for_picture(browser, drawn, 120.0, tmp_path / "page.png")
+        finally:
+            shown.send_signal(signal.SIGINT)
+            shown.wait(60.0)
     assert drawn(picture)
 
 
