@@ -6,6 +6,7 @@ from mass, thread and axis, then from the states before and after earlier turns.
 
 import math
 from collections.abc import Mapping, Sequence
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -33,7 +34,11 @@ _NEEDED = 0.2
 """Least expected gain of a turn, in squared limits."""
 _CAUTION = 0.25
 """Weight of a turn's variance beside its mean: what goes wrong is learned from, so that 1 would be timid."""
-_STRETCH = 3.0
+_SURE = 2.0
+"""Standard uncertainties of a line that are believed in, before balance is called out of reach."""
+_KNOWN_LINE_RAD = 0.3
+"""Largest uncertainty of the line of a weight that counts as known."""
+_STRETCH = 4.0
 """How far the weights together may push the rest position to and fro, relative to the way it has to go."""
 
 
@@ -163,8 +168,12 @@ class WeightResponses:
         left = wanted + move
         keep = self._uncorrected(name)
         cost = np.einsum("ni,ij,nj->n", left, keep, left) + _CAUTION * u_move**2 @ np.diag(keep)
-        cost += _TAKE_UP_COST * (then != 0)
-        allowed = self._allowed(state, move, u_move, room) | (first == 0)
+        cost += _TAKE_UP_COST * (then != 0) * bool(weight.pairs)
+        allowed = self._allowed(state, move, u_move, room)
+        if not weight.pairs:
+            # as in `_test`; a longer one is not lost
+            allowed &= (then != 0) | (np.abs(first) > weight.largest_play)
+        allowed |= first == 0
         k = int(np.argmin(np.where(allowed, cost, np.inf)))
         gain = float(cost[first == 0].min() - cost[k])
         suffices = bool(np.all(np.abs(left[k]) + 2.0 * u_move[k] <= 0.9)) and first[k] != 0
@@ -210,12 +219,15 @@ class WeightResponses:
         )
         most += weight.largest_play * min(1, weight.pairs)
         turns = np.round(np.linspace(-most, most, 40), 2)
-        move, u_move = weight.predict([turns])
+        # a first turn may be lost in the play of the screw, and shows nothing then
+        then = np.zeros_like(turns) if weight.pairs else -np.sign(turns) * _TAKE_UP
+        move, u_move = weight.predict([turns - then, then])
         allowed = self._allowed(state, move, u_move, room) & (turns != 0)
         if not allowed.any():
             return round(math.copysign(0.02, -float(wanted @ mean) or 1.0), 2), 0.0
         cost = np.sum((wanted + move) ** 2, axis=-1) - np.sum(u_move**2, axis=-1)
-        return float(turns[np.argmin(np.where(allowed, cost, np.inf))]), 0.0
+        k = int(np.argmin(np.where(allowed, cost, np.inf)))
+        return round(float(turns[k] - then[k]), 2), float(then[k])
 
     def _turn(
         self, name: str, parts: tuple[float, float], state: Floats, room: Room | None, why: str
@@ -238,27 +250,33 @@ class WeightResponses:
 
     def _unreachable(self, wanted: Floats) -> str:
         """Why the weights that were turned cannot bring the rest position home; empty while it is open."""
-        from scipy.optimize import lsq_linear
-
         names = self._tilting
-        if len(names) < 2 or not all(self._weights[name].is_known() for name in names):
+        lines = np.array([self._weights[name].line() for name in names])
+        if len(names) < 2 or not np.all(lines[:, 1] < _KNOWN_LINE_RAD):
             return ""
-        effects = [self._weights[name].effect()[0][:2] for name in names]
-        ways = np.column_stack([effect / max(float(np.linalg.norm(effect)), 1e-12) for effect in effects])
-        most = _STRETCH * max(float(np.linalg.norm(wanted[:2])), 1.0)
-        found = lsq_linear(ways, -wanted[:2], bounds=(-most, most))
-        left = wanted[:2] + ways @ found.x
-        if np.all(np.abs(left) <= 1.0):
+        # the lines as they are found, and turned against one another as far as their doubt allows
+        doubt = _SURE * lines[:, 1] ** 2 / float(np.linalg.norm(lines[:, 1]))
+        ways = product((-1.0, 0.0, 1.0), repeat=len(names))
+        left = [self._left(wanted, lines[:, 0] + way * doubt) for way in ways]
+        if not min(np.max(np.abs(rest)) for rest in left) > 1.0:
             return ""
-        across = float(np.linalg.norm(left)) * self._scale[0]
+        across = float(np.linalg.norm(self._left(wanted, lines[:, 0]))) * self._scale[0]
         angles = ", ".join(
-            f"{name} {math.degrees(math.atan2(way[1], way[0])):.0f} deg"
-            for name, way in zip(names, ways.T, strict=True)
+            f"{name} {math.degrees(angle):.0f} deg" for name, angle in zip(names, lines[:, 0], strict=True)
         )
         return (
             f"the weights move the rest position along one line ({angles} from X towards Y): "
             f"{across:.0f} arcsec across it stay; move one of them to another side of the pendulum"
         )
+
+    def _left(self, wanted: Floats, angles_rad: Floats) -> Floats:
+        """What stays of a rest position, in limits, when weights push it along these lines, within reason."""
+        from scipy.optimize import lsq_linear
+
+        most = _STRETCH * max(float(np.linalg.norm(wanted[:2])), 1.0)
+        ways = np.array([np.cos(angles_rad), np.sin(angles_rad)])
+        pushes = lsq_linear(ways, -wanted[:2], bounds=(-most, most)).x
+        return np.asarray(wanted[:2] + ways @ pushes)
 
 
 class _Option(NamedTuple):

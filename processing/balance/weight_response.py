@@ -34,6 +34,7 @@ class WeightResponse:
     def __init__(self, effect: Floats, u_effect: Floats) -> None:
         self.nominal, self.u_nominal = effect, u_effect
         self.pairs = 0
+        self._seen = np.zeros((2, 2))
         play = np.repeat(np.linspace(0.0, _MOST_PLAY, _PLAYS), _SLACKS)
         # turns until a turn in the positive direction begins to move the weight
         self._slack = play * np.tile(np.linspace(0.0, 1.0, _SLACKS), _PLAYS)
@@ -89,6 +90,8 @@ class WeightResponse:
         self._mean = found
         self._variance = np.maximum(variance * (1.0 - gain * turns), 1e-12)
         self.pairs += 1
+        if seen[:2].all():
+            self._seen += np.outer(step[:2], step[:2]) / float(np.max(other[:2]))
 
     def effect(self) -> tuple[Floats, Floats]:
         """Mean and standard uncertainty of the effect of one turn, without play."""
@@ -116,7 +119,13 @@ class WeightResponse:
         most = sum(abs(part) for part in parts) * (np.abs(self.nominal) + 6.0 * self.u_nominal)
         return not bool(np.any(np.abs(step) > most + 6.0 * u_step + 0.5))
 
-    def is_known(self) -> bool:
-        """Whether a turn has shown where this weight moves the state."""
-        mean, u = self.effect()
-        return self.pairs > 0 and math.sqrt(float(u @ u)) < 0.7 * math.sqrt(float(mean @ mean))
+    def line(self) -> tuple[float, float]:
+        """Angle in rad, from X towards Y, of the line along which it moves the rest position, with its u.
+
+        The play of the screw, which leaves the size of an effect open, does not change its line. Infinite
+        uncertainty: it was not seen to move.
+        """
+        values, ways = np.linalg.eigh(self._seen)
+        way = ways[:, 1] * (math.copysign(1.0, float(ways[:, 1] @ self.effect()[0][:2])))
+        moved = float(values[1])
+        return math.atan2(way[1], way[0]), 1.0 / math.sqrt(moved) if moved > 0 else math.inf

@@ -34,6 +34,11 @@ def run(*, quick: bool) -> dict[str, Any]:
             for k, start in starts_alike.items()
             if out_of_reach(start)
         ]
+        # these are nearly along one line, and within reach all the same
+        narrow = sum(
+            follow(random_start(k, apart_deg=15.0), k, Path(folder) / f"n{k}.jsonl").said_unreachable
+            for k in range(parallel)
+        )
     looks = np.array([end.looks for end in ended])
     turns = sum(end.turns for end in ended)
     found: dict[str, Any] = {
@@ -46,7 +51,11 @@ def run(*, quick: bool) -> dict[str, Any]:
         "turns that put the spot off the sensor": sum(end.off_the_sensor for end in ended),
         "wrongly called out of reach": sum(end.said_unreachable for end in ended),
         "parallel weights, out of reach": len(lame),
-        "called so within four sound looks": sum(end.said_unreachable and end.looks <= 4 for end in lame),
+        "called so within four looks": sum(end.said_unreachable and end.looks <= 4 for end in lame),
+        "called so within four sound looks": sum(
+            end.said_unreachable and end.looks - end.rejected <= 4 for end in lame
+        ),
+        "15 degrees apart, called so": narrow,
         "processor time s": round(process_time() - began_s, 1),
     }
     for name, value in found.items():

@@ -57,11 +57,12 @@ class Ended(NamedTuple):
         return self.balanced and within
 
 
-def random_start(seed: int, *, parallel: bool = False) -> Start:
+def random_start(seed: int, *, parallel: bool = False, apart_deg: float = 0.0) -> Start:
     """Rest position anywhere within 60 arcsec in X and Y, period within 0.5 %, on 640x640 pixels.
 
     Two weights at 0, 45 or 90 degrees to the camera (seed modulo 3), off by up to 7 degrees; strengths of 0.3
-    to 3 times what their drawings say, 0.4 turns of play. `parallel`: x and y work along the same line.
+    to 3 times what their drawings say, 0.4 turns of play. `parallel`: x and y work along the same line;
+    `apart_deg`: along lines so far apart, exactly.
     """
     random = np.random.default_rng((seed, 5))
     rest = random.uniform(-60.0, 60.0, 2)
@@ -81,10 +82,13 @@ def random_start(seed: int, *, parallel: bool = False) -> Start:
     }
     if parallel:
         ways["y"] = ways["x"]
+    elif apart_deg:
+        other = turned + math.radians(apart_deg)
+        ways["y"] = np.array([math.cos(other), math.sin(other), 0.0])
     weights = {}
     for name, way in ways.items():
         nominal = getattr(config.balance, f"weight_{name}")
-        askew = way + random.uniform(-0.12, 0.12, 3) * (not parallel)
+        askew = way + random.uniform(-0.12, 0.12, 3) * (not parallel and not apart_deg)
         gain = math.exp(random.uniform(math.log(0.3), math.log(3.0)))
         direction = askew / np.linalg.norm(askew)
         weights[name] = TrimWeight(

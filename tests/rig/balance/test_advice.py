@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from processing.balance import BalanceLimits, WeightResponses, mass_centre_height_m
+from processing.balance import BalanceLimits, Unreachable, WeightResponses, mass_centre_height_m
 from rig.balance.learned_turns import LearnedTurns
 from rig.instrument.balance import nominal_effects
 from tests.rig.balance.cases import CONFIG, follow_advice, seen, state_of, trimmed_pendulum
@@ -45,6 +45,21 @@ def test_the_effect_of_a_turn_is_learned_to_the_error_of_the_hand() -> None:
     assert effect[0] * 3.0 == pytest.approx(after[0] - before[0], rel=0.02)
     assert u_effect[0] < 0.05 * abs(effect[0])
     assert responses.pairs == {"x": 2, "y": 0, "height": 0}
+
+
+@pytest.mark.parametrize(
+    ("apart_deg", "moved_arcsec", "unreachable"), [(0.0, 40.0, True), (12.0, 40.0, False), (0.0, 0.3, False)]
+)
+def test_weights_are_out_of_reach_only_if_their_lines_are_known_to_be_one(
+    apart_deg: float, moved_arcsec: float, unreachable: bool
+) -> None:
+    responses = WeightResponses(nominal_effects(CONFIG), LIMITS)
+    for name, angle_deg in (("x", 30.0), ("y", 30.0 + apart_deg)):
+        angle = math.radians(angle_deg)
+        moved = moved_arcsec * np.array([math.cos(angle), math.sin(angle), 0.0])
+        responses.learn(name, 0.5, np.zeros(3), moved, U)
+    across = 50.0 * np.array([-math.sin(math.radians(30.0)), math.cos(math.radians(30.0)), 0.0])
+    assert isinstance(responses.advise(across), Unreachable) == unreachable
 
 
 def test_a_number_that_is_not_known_teaches_nothing() -> None:
