@@ -17,6 +17,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Footer, Header, Metadata, Schema, Statistics
 
 from acquisition.record.chunk_places import ChunkPlace, ChunkPlaces
+from acquisition.record.chunk_times import proved_times
 from acquisition.record.descriptions import Descriptions
 from acquisition.record.record_search import RecordSearch
 from acquisition.record.records import (
@@ -126,6 +127,7 @@ def walk(file: IO[bytes], contents: Contents) -> None:
     between two chunks are read in one piece for speed: a record of one day has 200,000 chunks.
     """
     chunk: tuple[int, int, int, int] | None = None
+    index_end = 0
     channels: tuple[int, ...] = ()
     known: dict[tuple[int, ...], frozenset[int]] = {}
     search = RecordSearch(file)
@@ -151,11 +153,12 @@ def walk(file: IO[bytes], contents: Contents) -> None:
                         raise ValueError("its lengths contradict each other")
                     counts[channel] += of_entries // INDEX_ENTRY_BYTES
                     channels += (channel,)
+                    index_end = end
                 elif opcode == _CHUNK_OPCODE:
                     start_ns, end_ns, *_ = CHUNK.unpack_from(data, at + head_size)
                     if chunk is not None:
-                        contents.walked_chunks.append(ChunkPlace(*chunk, _set_of(channels, known)))
-                    channels = ()
+                        _list_chunk(file, contents, ChunkPlace(*chunk, _set_of(channels, known)), index_end)
+                    channels, index_end = (), end
                     chunk = (place, head_size + length, start_ns, end_ns)
                 else:
                     _list_record(file, contents, opcode, place)
@@ -174,9 +177,16 @@ def walk(file: IO[bytes], contents: Contents) -> None:
         if opcode in (Opcode.DATA_END, Opcode.FOOTER):
             break
     if chunk is not None:
-        contents.walked_chunks.append(ChunkPlace(*chunk, _set_of(channels, known)))
+        _list_chunk(file, contents, ChunkPlace(*chunk, _set_of(channels, known)), index_end)
     contents.readable_bytes = place
     contents.data_end = contents.data_end or place
+
+
+def _list_chunk(file: IO[bytes], contents: Contents, place: ChunkPlace, index_end: int) -> None:
+    proved = proved_times(file, place, index_end)
+    if proved != place:
+        contents.damage.append(f"the times in the head of the chunk at byte {place.offset} have changed")
+    contents.walked_chunks.append(proved)
 
 
 def _set_of(channels: tuple[int, ...], known: dict[tuple[int, ...], frozenset[int]]) -> frozenset[int]:

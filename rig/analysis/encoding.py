@@ -10,22 +10,41 @@ from typing import Annotated, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, GetCoreSchemaHandler, GetJsonSchemaHandler, JsonValue
+from pydantic import AfterValidator, Field, GetCoreSchemaHandler, GetJsonSchemaHandler, JsonValue
 from pydantic.json_schema import JsonSchemaValue
-from pydantic_core import CoreSchema, core_schema
+from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
+from processing.contact import PendulumOnBall
 from processing.estimate import Estimate
 
 JsonObject: TypeAlias = Mapping[str, JsonValue]
 """A JSON object of no fixed keys."""
+LARGEST_NUMBER = 1e100
+"""No quantity is larger, and the square of a larger one may be none: it is not determined."""
 
 
 def _null_to_nan(value: object) -> object:
+    if isinstance(value, int | float) and abs(value) > LARGEST_NUMBER:
+        raise PydanticCustomError("too_large", f"a number up to {LARGEST_NUMBER:.0e}")
     return math.nan if value is None else value
 
 
 def _nan_to_null(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
+    return float(value) if abs(value) <= LARGEST_NUMBER else None
+
+
+def _possible_pendulum(pendulum: PendulumOnBall) -> PendulumOnBall:
+    """Refuse what no pendulum can be, before moments and torques are computed from it."""
+    radius_m = pendulum.ball_radius_m
+    for name, largest in (
+        ("mass_kg", 1e4),
+        ("ball_radius_m", 1.0),
+        ("contact_radius_m", radius_m),
+        ("gravity_m_per_s2", 100.0),
+    ):
+        if not 0 < getattr(pendulum, name) <= largest:
+            raise PydanticCustomError("no_pendulum", f"a pendulum: its {name} lies outside 0 to {largest:g}")
+    return pendulum
 
 
 class _NullForNan:
@@ -153,6 +172,7 @@ Number = Annotated[float, _NullForNan()]
 Value = Annotated[Estimate, _NamedObject()]
 """A value with its standard uncertainty, an object with these two keys."""
 AsObject = _NamedObject()
+Pendulum = Annotated[PendulumOnBall, AfterValidator(_possible_pendulum)]
 Floats = Annotated[NDArray[np.float64], _Array(float)]
 Integers = Annotated[NDArray[np.int64], _Array(int)]
 Section = _Section()

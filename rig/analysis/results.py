@@ -10,7 +10,6 @@ from math import isfinite, nan
 from typing import Annotated
 
 from acquisition.frame_losses import FrameLosses
-from processing.contact import PendulumOnBall
 from processing.swing import KnownMotion
 from rig.analysis.contact_results import (
     Budget,
@@ -30,6 +29,7 @@ from rig.analysis.encoding import (
     JsonObject,
     LeftOut,
     Number,
+    Pendulum,
     Section,
     Value,
 )
@@ -76,7 +76,7 @@ class RunResults:
     warnings: tuple[str, ...] = ()
     settings: JsonObject = field(default_factory=dict)
     calibration: JsonObject = field(default_factory=dict)
-    pendulum: PendulumOnBall | None = None
+    pendulum: Pendulum | None = None
     hertz: Annotated[Hertz | None, Section] = None
     drag: Annotated[Drag | None, Section] = None
     identifiability: tuple[Determination, ...] = ()

@@ -69,7 +69,7 @@ class EnvironmentConditions(Section, frozen=True):
 class PendulumSettings(Section, frozen=True):
     """The pendulum, its ball and the plate it stands on. `u_...` are standard uncertainties."""
 
-    mass_kg: float = Field(gt=0)
+    mass_kg: float = Field(gt=0, lt=1e4)
     u_mass_kg: float = Field(default=0.0, ge=0)
     ball_radius_m: float = Field(gt=0, lt=1)
     u_ball_radius_m: float = Field(default=0.0, ge=0)
@@ -85,7 +85,7 @@ class PendulumSettings(Section, frozen=True):
         description="of the pendulum over the point of contact (below it: negative); if stated, the results "
         "say which acceleration of the ground drives it",
     )
-    gravity_m_per_s2: float = Field(default=STANDARD_GRAVITY_M_PER_S2, gt=0)
+    gravity_m_per_s2: float = Field(default=STANDARD_GRAVITY_M_PER_S2, gt=0, lt=100)
     u_gravity_m_per_s2: float = Field(default=0.0, ge=0)
 
 

@@ -118,6 +118,28 @@ def test_one_bit_of_a_cut_file_loses_at_most_its_chunk(tmp_path: Path, whole: by
         assert attachments == {"configuration.toml", "any.bin"}
 
 
+def test_the_times_of_a_cut_file_are_proved_before_chunks_are_left_out_by_them(
+    tmp_path: Path, whole: bytes
+) -> None:
+    path = tmp_path / "run.mcap"
+    cut = whole[:-37]
+    path.write_bytes(cut)
+    expected = record_info(path)
+    with RecordReader(path) as reader:
+        assert reader.contents.damage == []
+        chunks = list(reader.contents.chunks)
+    for bit, place in enumerate(chunks):
+        for first_or_last in (0, 8):
+            byte, of_byte = divmod(14 + 7 * bit, 8)
+            path.write_bytes(flipped(cut, place.offset + 9 + first_or_last + byte % 8, of_byte))
+            info = record_info(path)
+            assert (info.start_ns, info.end_ns) == (expected.start_ns, expected.end_ns)
+            assert f"chunk at byte {place.offset} have changed" in " ".join(info.problems)
+            with RecordReader(path) as reader:
+                later = [block["sequence"] for block in reader.spot_blocks(30 * 10_000_000)]
+                assert np.concatenate(later).tolist() == list(range(30, FRAMES))
+
+
 def test_an_attachment_is_read_from_its_second_copy(tmp_path: Path, whole: bytes) -> None:
     path = tmp_path / "run.mcap"
     first = whole.index(b"[session]")

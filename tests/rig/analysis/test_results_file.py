@@ -88,6 +88,16 @@ def test_the_first_version_is_read(measured_series: Path, tmp_path: Path) -> Non
             r"fits\.exact\.\S*\.standard_uncertainty is missing",
         ),
         (("runs", 1, "fits", "exact", "b", "value"), [1], r"b\.value is \[1\], not a valid number"),
+        (
+            ("runs", 1, "fits", "exact", "b", "value"),
+            1e308,
+            r"b\.value is 1e\+308, not a number up to 1e\+100",
+        ),
+        (
+            ("runs", 0, "pendulum", "mass_kg"),
+            1e99,
+            r"pendulum is .*, not a pendulum: its mass_kg lies outside",
+        ),
         (("runs", 0), 7, r"runs\[0\] is 7, not"),
         (("runs",), [], "names no runs"),
         (("schema",), 99, "schema 99 was written by a later version"),
