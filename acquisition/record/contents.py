@@ -17,7 +17,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Footer, Header, Metadata, Schema, Statistics
 
 from acquisition.record.chunk_places import ChunkPlace, ChunkPlaces
-from acquisition.record.chunk_times import proved_times
+from acquisition.record.chunk_times import ChunkTimes
 from acquisition.record.descriptions import Descriptions
 from acquisition.record.record_search import RecordSearch
 from acquisition.record.records import (
@@ -130,7 +130,7 @@ def walk(file: IO[bytes], contents: Contents) -> None:
     index_end = 0
     channels: tuple[int, ...] = ()
     known: dict[tuple[int, ...], frozenset[int]] = {}
-    search = RecordSearch(file)
+    search, times = RecordSearch(file), ChunkTimes(file)
     place, before, size, counts = len(MAGIC), 0, contents.size, contents.counts
     head, head_size = HEAD.unpack_from, HEAD.size
     data, base, readable = b"", 0, 0
@@ -157,7 +157,7 @@ def walk(file: IO[bytes], contents: Contents) -> None:
                 elif opcode == _CHUNK_OPCODE:
                     start_ns, end_ns, *_ = CHUNK.unpack_from(data, at + head_size)
                     if chunk is not None:
-                        _list_chunk(file, contents, ChunkPlace(*chunk, _set_of(channels, known)), index_end)
+                        _list_chunk(contents, times, ChunkPlace(*chunk, _set_of(channels, known)), index_end)
                     channels, index_end = (), end
                     chunk = (place, head_size + length, start_ns, end_ns)
                 else:
@@ -177,13 +177,13 @@ def walk(file: IO[bytes], contents: Contents) -> None:
         if opcode in (Opcode.DATA_END, Opcode.FOOTER):
             break
     if chunk is not None:
-        _list_chunk(file, contents, ChunkPlace(*chunk, _set_of(channels, known)), index_end)
+        _list_chunk(contents, times, ChunkPlace(*chunk, _set_of(channels, known)), index_end)
     contents.readable_bytes = place
     contents.data_end = contents.data_end or place
 
 
-def _list_chunk(file: IO[bytes], contents: Contents, place: ChunkPlace, index_end: int) -> None:
-    proved = proved_times(file, place, index_end)
+def _list_chunk(contents: Contents, times: ChunkTimes, place: ChunkPlace, index_end: int) -> None:
+    proved = times.proved(place, index_end)
     if proved != place:
         contents.damage.append(f"the times in the head of the chunk at byte {place.offset} have changed")
     contents.walked_chunks.append(proved)

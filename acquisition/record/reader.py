@@ -1,41 +1,31 @@
 """Reads a record, complete or truncated, chunk by chunk; memory does not grow with the file."""
 
 import datetime
-import logging
 import math
-from collections.abc import Callable, Collection, Iterator, Sized
+from collections.abc import Callable, Collection, Iterator
 from functools import partial
 from itertools import chain
 from pathlib import Path
-from types import TracebackType
-from typing import IO, Any, NamedTuple, Self, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from google.protobuf.message import DecodeError
-from mcap.opcode import Opcode
 from numpy.typing import NDArray
-from pydantic import TypeAdapter, ValidationError
 
 from acquisition.frame import Frame
 from acquisition.frame_losses import FrameLosses
 from acquisition.record.balances import balances_of
-from acquisition.record.chunk_places import ChunkPlace
 from acquisition.record.chunk_reader import (
-    ChunkDamage,
     OpenedChunk,
     PackedMessages,
     RawMessage,
-    UnpackLimit,
     messages_in,
-    open_chunk,
     packed_messages,
 )
-from acquisition.record.contents import Contents, read_contents
-from acquisition.record.descriptions import own_texts
 from acquisition.record.events import Event
 from acquisition.record.foxglove import decode_log
 from acquisition.record.pixels import decode_image, decode_window
-from acquisition.record.records import MAGIC, intact_attachment, read_record
+from acquisition.record.proved_file import ProvedFile
 from acquisition.record.schemas import MessageType, message_type_of, parse_message_type
 from acquisition.record.spots_and_swings import deflections_of, spot_table, swings_of
 from acquisition.record.topics import (
@@ -45,8 +35,6 @@ from acquisition.record.topics import (
     IMAGE_TOPIC,
     LOG_TOPIC,
     LOSSES_TOPIC,
-    METADATA_COPY,
-    SCHEMA_VERSION,
     SPOT,
     SWING,
     WINDOW,
@@ -60,12 +48,9 @@ from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import RecordError
 from processing.swing import Swing
 
-_log = logging.getLogger(__name__)
 _Value = TypeVar("_Value")
-_Found = TypeVar("_Found", bound=Sized)
 _Decoded = TypeVar("_Decoded")
 _ROWS_AT_ONCE = 4096
-_SECTIONS = TypeAdapter(dict[str, dict[str, str]])
 
 
 class Message(NamedTuple):
@@ -77,113 +62,12 @@ class Message(NamedTuple):
     data: bytes
 
 
-class Damage(NamedTuple):
-    """A damaged part of a record: topics and times (UTC) of the chunk, and a description."""
-
-    start_ns: int
-    end_ns: int
-    topics: tuple[str, ...]
-    what: str
-
-
-class RecordReader:
-    """Reads one record; a context manager.
-
-    A chunk whose checksum is wrong is left out, listed in `damages` and logged; everything else is read. A
-    file without an ending, as after a crash or a power failure, is `truncated`; its complete chunks are read.
-
-    Parameters
-    ----------
-    path
-        The record.
-    validate_crcs
-        Whether the checksums of chunks are verified.
-
-    Raises
-    ------
-    RecordError
-        No such file, not an MCAP file, not a record of this program, or a record of a newer version.
-    """
+class RecordReader(ProvedFile):
+    """Reads the messages of one record as values; a context manager (see `ProvedFile`)."""
 
     def __init__(self, path: Path, *, validate_crcs: bool = True) -> None:
-        self.path = path
-        self.damages: list[Damage] = []
-        self._validate_crcs = validate_crcs
-        self._damaged: set[int] = set()
+        super().__init__(path, validate_crcs=validate_crcs)
         self._types: dict[str, MessageType] = {}
-        self.file = open_mcap(path)
-        try:
-            self.contents: Contents = read_contents(self.file)
-            self._prove_metadata()
-            self._check_ours()
-        except OSError as error:
-            self.file.close()
-            raise RecordError(f"{path}: cannot be read: {error.strerror or error}") from None
-        except BaseException:
-            self.file.close()
-            raise
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """Close the file."""
-        self.file.close()
-
-    @property
-    def truncated(self) -> bool:
-        """Whether the file was cut short, so that it has no ending."""
-        return not self.contents.whole
-
-    @property
-    def cut_notice(self) -> str:
-        """One line for the user about a truncated file, with the remedy; empty if the file is complete."""
-        if not self.truncated:
-            return ""
-        return (
-            f"{self.path}: was cut short (it has no ending); its complete part is used, "
-            f"rig recover {self.path} makes a complete file of it"
-        )
-
-    def doubts(self) -> list[str]:
-        """What has to be said with everything that was read so far: cut short, damaged, changed; one line
-        each.
-        """
-        lines = [self.cut_notice] if self.truncated else []
-        lines += [f"damaged, not used: {damage.what}" for damage in self.damages]
-        return lines + [f"the record's structure: {text}" for text in self.contents.damage]
-
-    @property
-    def metadata(self) -> dict[str, dict[str, str]]:
-        """Metadata: texts by key, by name (session, camera, environment, versions, record)."""
-        return self.contents.metadata
-
-    @property
-    def attachments(self) -> dict[str, bytes]:
-        """Attached files by name; one of which no copy is intact is left out, every damaged copy listed in
-        `damages`.
-        """
-        found = {name: self._attached(name) for name in self.contents.attachment_places}
-        return {name: data for name, data in found.items() if name != METADATA_COPY and data is not None}
-
-    def _attached(self, name: str) -> bytes | None:
-        """The first intact copy of an attachment."""
-        for place in self.contents.attachment_places.get(name, ()):
-            try:
-                return intact_attachment(read_record(self.file, place)[1])
-            except ValueError as error:
-                self._remember(place, Damage(0, 0, (), f"attachment {name}: {error}"))
-        return None
-
-    @property
-    def epoch_offset_ns(self) -> int:
-        """Offset in ns that is added to the frames' clock to obtain UTC."""
-        return int(self.metadata["record"]["epoch_offset_ns"])
 
     @property
     def full_scale_dn(self) -> int:
@@ -214,7 +98,7 @@ class RecordReader:
         different topics only within a chunk.
         """
         names = {number: channel.topic for number, channel in self.contents.channels.items()}
-        for raw in chain.from_iterable(self._by_chunk(_messages, frozenset(topics))):
+        for raw in chain.from_iterable(self.by_chunk(_messages, frozenset(topics))):
             yield Message(names.get(raw.channel, ""), raw.sequence, raw.log_time_ns, raw.data)
 
     def table(self, topic: str) -> NDArray[Any]:
@@ -348,7 +232,7 @@ class RecordReader:
     def _since(self, topic: str, start_ns: int | None) -> Iterator[RawMessage]:
         """Messages of one topic from a time on the frames' clock on."""
         from_ns = None if start_ns is None else start_ns + self.epoch_offset_ns
-        for messages in self._by_chunk(_messages, frozenset([topic]), start_ns):
+        for messages in self.by_chunk(_messages, frozenset([topic]), start_ns):
             for message in messages:
                 if from_ns is None or message.log_time_ns >= from_ns:
                     yield message
@@ -359,7 +243,7 @@ class RecordReader:
         """The numbers of a topic, some thousand rows at a time: a chunk may hold only a few dozen."""
         held: list[NDArray[np.void]] = []
         count = 0
-        for part in self._by_chunk(packed_messages, frozenset([kind.topic]), start_ns):
+        for part in self.by_chunk(packed_messages, frozenset([kind.topic]), start_ns):
             alike = isinstance(part, np.ndarray) and (not held or part.dtype == held[0].dtype)
             if held and (not alike or count >= _ROWS_AT_ONCE):
                 yield self._table_of(kind, np.concatenate(held), fields)
@@ -380,54 +264,6 @@ class RecordReader:
         except ValueError as error:
             raise RecordError(f"{self.path}: {error}; it was not written by rig run") from None
 
-    def _by_chunk(
-        self,
-        take: Callable[[OpenedChunk, frozenset[int] | None], _Found],
-        topics: frozenset[str],
-        start_ns: int | None = None,
-    ) -> Iterator[_Found]:
-        """What `take` returns for each chunk's bytes and the topics' channels (None: all), if not empty.
-
-        Chunks that end before `start_ns` (on the frames' clock) are not read.
-        """
-        from_ns = None if start_ns is None else start_ns + self.epoch_offset_ns
-        wanted = None
-        if topics:
-            channels = self.contents.channels.items()
-            wanted = frozenset(number for number, channel in channels if channel.topic in topics)
-        opened = self.chunk_opener()
-        for place in self.contents.chunks:
-            if from_ns is not None and place.end_ns < from_ns:
-                continue
-            listed = self.contents.indexed and place.channels
-            if wanted is not None and listed and not wanted & place.channels:
-                continue
-            try:
-                found = take(opened(place), wanted)
-            except ChunkDamage as damage:
-                self.note_damage(place, str(damage))
-                continue
-            if len(found):
-                yield found
-
-    def chunk_opener(self) -> Callable[[ChunkPlace], OpenedChunk]:
-        """What opens the chunks in one pass through them.
-
-        It raises ChunkDamage, and RecordError where they unpack to more than a measurement can.
-        """
-        limit = UnpackLimit(self.contents.size)
-
-        def opened(place: ChunkPlace) -> OpenedChunk:
-            chunk = open_chunk(self.file, place, validate_crc=self._validate_crcs)
-            if not limit.allows(max(len(chunk.data), place.length)):
-                raise RecordError(
-                    f"{self.path}: its chunks unpack to more than can have been measured; "
-                    "it was not written by rig run"
-                )
-            return chunk
-
-        return opened
-
     def _type(self, topic: str) -> MessageType | None:
         """Message type of a topic as described in the file; None if the record has no such topic."""
         if topic not in self._types:
@@ -441,93 +277,6 @@ class RecordReader:
                     except ValueError as error:
                         raise RecordError(f"{self.path}: topic {topic}: {error}") from None
         return self._types.get(topic)
-
-    def note_damage(self, place: ChunkPlace, what: str) -> None:
-        """Add a damaged chunk to `damages`, once."""
-        channels = self.contents.channels
-        topics = tuple(sorted(channels[number].topic for number in place.channels if number in channels))
-        self._remember(place.offset, Damage(place.start_ns, place.end_ns, topics, what))
-
-    def _remember(self, offset: int, damage: Damage) -> None:
-        if offset not in self._damaged:
-            self._damaged.add(offset)
-            self.damages.append(damage)
-            _log.warning("%s: damaged at byte %d, not used: %s", self.path, offset, damage.what)
-
-    def _prove_metadata(self) -> None:
-        """Take the metadata from their copy, which has a checksum."""
-        contents = self.contents
-        copy = self._attached(METADATA_COPY)
-        if copy is None:
-            contents.unproved += [f"metadata {name}" for name in contents.metadata]
-            return
-        try:
-            proved = _SECTIONS.validate_json(copy)
-        except ValidationError:
-            raise RecordError(f"{self.path}: {METADATA_COPY} in it was not written by this program") from None
-        changed = [name for name, texts in proved.items() if contents.metadata.get(name) != texts]
-        if changed:
-            contents.damage.append(f"metadata {', '.join(changed)}: bytes have changed; a copy is taken")
-        contents.metadata = proved
-
-    def _check_ours(self) -> None:
-        """Check the metadata "record", of which the channel of spots contains a copy.
-
-        The copy is taken if both exist: it is repeated in the summary, which has a checksum.
-        """
-        metadata = self.metadata.get("record", {})
-        spots = (c for c in self.contents.channels.values() if c.topic == SPOT.topic)
-        beside = next(map(own_texts, spots), {})
-        if metadata and beside and metadata != beside:
-            self.contents.damage.append("metadata record differs from its copy: bytes have changed")
-        head = {**metadata, **beside}
-        if not head:
-            topics = ", ".join(sorted(channel.topic for channel in self.contents.channels.values()))
-            if not topics and self.truncated:
-                raise RecordError(f"{self.path}: was cut short before anything was recorded")
-            raise RecordError(
-                f"{self.path}: is an MCAP file of another program (topics: {topics or 'none'}); "
-                "only records of rig run can be read"
-            )
-        try:
-            version = int(head["schema_version"])
-            int(head["epoch_offset_ns"])
-        except (KeyError, ValueError):
-            raise RecordError(f"{self.path}: its own description is damaged: {head}") from None
-        if version > SCHEMA_VERSION:
-            raise RecordError(
-                f"{self.path}: has schema version {version}, this program reads up to {SCHEMA_VERSION}; "
-                "update optical-pendulum-rig"
-            )
-        self.metadata["record"] = head
-
-
-def open_mcap(path: Path) -> IO[bytes]:
-    """Open an MCAP file. Raises RecordError if it is missing, cannot be read, or is another kind of file."""
-    try:
-        if not path.is_dir() and path.exists() and not path.is_file():
-            raise RecordError(f"{path}: is not a file but a pipe or device; copy the record into a file")
-        file = path.open("rb")
-        head = file.read(len(MAGIC) + 1)
-    except FileNotFoundError:
-        raise RecordError(f"{path}: no such record") from None
-    except OSError as error:
-        raise RecordError(f"{path}: cannot be read: {error.strerror or error}") from None
-    except ValueError as error:
-        raise RecordError(f"{str(path)!r}: is not the name of a file ({error})") from None
-    if not _is_magic(head):
-        file.close()
-        what = "is empty" if not head else "is not an MCAP file"
-        raise RecordError(f"{path}: {what}; a record is made by rig run")
-    return file
-
-
-def _is_magic(head: bytes) -> bool:
-    """Whether a file begins as MCAP files do, up to one changed byte, with the first record behind it."""
-    alike = sum(byte == expected for byte, expected in zip(head, MAGIC, strict=False))
-    return head[: len(MAGIC)] == MAGIC or (
-        alike >= len(MAGIC) - 1 and head[len(MAGIC) :] == bytes([Opcode.HEADER])
-    )
 
 
 def _messages(chunk: OpenedChunk, channels: frozenset[int] | None) -> list[RawMessage]:

@@ -11,7 +11,8 @@ from acquisition.record.container import McapFile, create_record
 from acquisition.record.descriptions import own_texts
 from acquisition.record.digest import sha256_of
 from acquisition.record.proof import unproved_parts
-from acquisition.record.reader import Damage, RecordReader
+from acquisition.record.proved_file import Damage
+from acquisition.record.reader import RecordReader
 from processing.errors import RecordError
 
 _RESERVE_BYTES = 1024 * 1024

@@ -1,0 +1,206 @@
+"""The verified parts of a record: metadata, attachments, chunks; what is damaged is left out and listed."""
+
+import logging
+from collections.abc import Callable, Iterator, Sized
+from pathlib import Path
+from types import TracebackType
+from typing import NamedTuple, Self, TypeVar
+
+from pydantic import TypeAdapter, ValidationError
+
+from acquisition.record.chunk_places import ChunkPlace
+from acquisition.record.chunk_reader import ChunkDamage, OpenedChunk, UnpackLimit, open_chunk
+from acquisition.record.contents import Contents, read_contents
+from acquisition.record.opening import check_ours, open_mcap
+from acquisition.record.records import intact_attachment, read_record
+from acquisition.record.topics import METADATA_COPY
+from processing.errors import RecordError
+
+_log = logging.getLogger(__name__)
+_Found = TypeVar("_Found", bound=Sized)
+_SECTIONS = TypeAdapter(dict[str, dict[str, str]])
+
+
+class Damage(NamedTuple):
+    """A damaged part of a record: topics and times (UTC) of the chunk, and a description."""
+
+    start_ns: int
+    end_ns: int
+    topics: tuple[str, ...]
+    what: str
+
+
+class ProvedFile:
+    """A record whose structure, metadata, attachments and chunks are verified as they are read; a context
+    manager.
+
+    A chunk whose checksum is wrong is left out, listed in `damages` and logged; everything else is read. A
+    file without an ending, as after a crash or a power failure, is `truncated`; its complete chunks are read.
+
+    Parameters
+    ----------
+    path
+        The record.
+    validate_crcs
+        Whether the checksums of chunks are verified.
+
+    Raises
+    ------
+    RecordError
+        No such file, not an MCAP file, not a record of this program, or a record of a newer version.
+    """
+
+    def __init__(self, path: Path, *, validate_crcs: bool = True) -> None:
+        self.path = path
+        self.damages: list[Damage] = []
+        self._validate_crcs = validate_crcs
+        self._damaged: set[int] = set()
+        self.file = open_mcap(path)
+        try:
+            self.contents: Contents = read_contents(self.file)
+            self._prove_metadata()
+            check_ours(path, self.contents)
+        except OSError as error:
+            self.file.close()
+            raise RecordError(f"{path}: cannot be read: {error.strerror or error}") from None
+        except BaseException:
+            self.file.close()
+            raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the file."""
+        self.file.close()
+
+    @property
+    def truncated(self) -> bool:
+        """Whether the file was cut short, so that it has no ending."""
+        return not self.contents.whole
+
+    @property
+    def cut_notice(self) -> str:
+        """One line for the user about a truncated file, with the remedy; empty if the file is complete."""
+        if not self.truncated:
+            return ""
+        return (
+            f"{self.path}: was cut short (it has no ending); its complete part is used, "
+            f"rig recover {self.path} makes a complete file of it"
+        )
+
+    def doubts(self) -> list[str]:
+        """What has to be said with everything that was read so far: cut short, damaged, changed; one line
+        each.
+        """
+        lines = [self.cut_notice] if self.truncated else []
+        lines += [f"damaged, not used: {damage.what}" for damage in self.damages]
+        return lines + [f"the record's structure: {text}" for text in self.contents.damage]
+
+    @property
+    def metadata(self) -> dict[str, dict[str, str]]:
+        """Metadata: texts by key, by name (session, camera, environment, versions, record)."""
+        return self.contents.metadata
+
+    @property
+    def attachments(self) -> dict[str, bytes]:
+        """Attached files by name; one of which no copy is intact is left out, every damaged copy listed in
+        `damages`.
+        """
+        found = {name: self._attached(name) for name in self.contents.attachment_places}
+        return {name: data for name, data in found.items() if name != METADATA_COPY and data is not None}
+
+    def _attached(self, name: str) -> bytes | None:
+        """The first intact copy of an attachment."""
+        for place in self.contents.attachment_places.get(name, ()):
+            try:
+                return intact_attachment(read_record(self.file, place)[1])
+            except ValueError as error:
+                self._remember(place, Damage(0, 0, (), f"attachment {name}: {error}"))
+        return None
+
+    @property
+    def epoch_offset_ns(self) -> int:
+        """Offset in ns that is added to the frames' clock to obtain UTC."""
+        return int(self.metadata["record"]["epoch_offset_ns"])
+
+    def by_chunk(
+        self,
+        take: Callable[[OpenedChunk, frozenset[int] | None], _Found],
+        topics: frozenset[str],
+        start_ns: int | None = None,
+    ) -> Iterator[_Found]:
+        """What `take` returns for each chunk's bytes and the topics' channels (None: all), if not empty.
+
+        Chunks that end before `start_ns` (on the frames' clock) are not read.
+        """
+        from_ns = None if start_ns is None else start_ns + self.epoch_offset_ns
+        wanted = None
+        if topics:
+            channels = self.contents.channels.items()
+            wanted = frozenset(number for number, channel in channels if channel.topic in topics)
+        opened = self.chunk_opener()
+        for place in self.contents.chunks:
+            if from_ns is not None and place.end_ns < from_ns:
+                continue
+            listed = self.contents.indexed and place.channels
+            if wanted is not None and listed and not wanted & place.channels:
+                continue
+            try:
+                found = take(opened(place), wanted)
+            except ChunkDamage as damage:
+                self.note_damage(place, str(damage))
+                continue
+            if len(found):
+                yield found
+
+    def chunk_opener(self) -> Callable[[ChunkPlace], OpenedChunk]:
+        """What opens the chunks in one pass through them.
+
+        It raises ChunkDamage, and RecordError where they unpack to more than a measurement can.
+        """
+        limit = UnpackLimit(self.contents.size)
+
+        def opened(place: ChunkPlace) -> OpenedChunk:
+            chunk = open_chunk(self.file, place, validate_crc=self._validate_crcs)
+            if not limit.allows(max(len(chunk.data), place.length)):
+                raise RecordError(
+                    f"{self.path}: its chunks unpack to more than can have been measured; "
+                    "it was not written by rig run"
+                )
+            return chunk
+
+        return opened
+
+    def note_damage(self, place: ChunkPlace, what: str) -> None:
+        """Add a damaged chunk to `damages`, once."""
+        channels = self.contents.channels
+        topics = tuple(sorted(channels[number].topic for number in place.channels if number in channels))
+        self._remember(place.offset, Damage(place.start_ns, place.end_ns, topics, what))
+
+    def _remember(self, offset: int, damage: Damage) -> None:
+        if offset not in self._damaged:
+            self._damaged.add(offset)
+            self.damages.append(damage)
+            _log.warning("%s: damaged at byte %d, not used: %s", self.path, offset, damage.what)
+
+    def _prove_metadata(self) -> None:
+        """Take the metadata from their copy, which has a checksum."""
+        contents = self.contents
+        copy = self._attached(METADATA_COPY)
+        if copy is None:
+            contents.unproved += [f"metadata {name}" for name in contents.metadata]
+            return
+        try:
+            proved = _SECTIONS.validate_json(copy)
+        except ValidationError:
+            raise RecordError(f"{self.path}: {METADATA_COPY} in it was not written by this program") from None
+        changed = [name for name, texts in proved.items() if contents.metadata.get(name) != texts]
+        if changed:
+            contents.damage.append(f"metadata {', '.join(changed)}: bytes have changed; a copy is taken")
+        contents.metadata = proved
