@@ -24,6 +24,8 @@ class EventKind(StrEnum):
     CAMERA_BACK = "camera back"
     RECORD = "record"
     """The record can no longer be written."""
+    SLOW_DISK = "slow disk"
+    """A write took seconds; frames waited in memory, and those that could not are counted as lost."""
     PREFLIGHT = "preflight"
     MAGNET = "magnet"
     STARTER = "starter"
@@ -52,6 +54,7 @@ WARNING_KINDS: Final = frozenset(
         EventKind.SPOT_LOST,
         EventKind.CAMERA_LOST,
         EventKind.RECORD,
+        EventKind.SLOW_DISK,
         EventKind.REST_STEP,
         EventKind.LIGHT_STEP,
         EventKind.PUSH,

@@ -13,7 +13,7 @@ class Snapshot:
     `frame_age_s` is the time between the arrival of the oldest frame of the last block and the start of
     its processing; it grows if processing is too slow. `losses` are the dropped frames by cause, as
     counted by the camera. `instruction` is a request to the operator, `controller` the controller's state,
-    `alarm` what is wrong with the light, empty if nothing is.
+    `alarm` what is wrong with light or disk, empty if nothing is.
     """
 
     phase: str = "waiting for the first frame"
@@ -28,6 +28,7 @@ class Snapshot:
     frame_age_s: float = math.nan
     losses: FrameLosses = field(default_factory=FrameLosses)
     record_bytes: int = 0
+    disk_free_bytes: float = math.nan
     reason: str = ""
     temperature_c: float = math.nan
     humidity_percent: float = math.nan

@@ -1,8 +1,12 @@
 """Writes the record in a thread of its own."""
 
+import contextlib
 import logging
+import math
 import queue
+import shutil
 import threading
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -26,6 +30,12 @@ from rig.measure.camera_state import TEMPERATURE_TOPIC, CameraTemperature
 _log = logging.getLogger(__name__)
 _IDLE_S = 0.2
 """Interval of the check whether to flush, while no entries arrive."""
+MOST_WAITING_BYTES = 256 * 1024 * 1024
+"""What waits for a slow disk: half a minute of 800 frames/s with windows of 100 x 100 pixels."""
+_FRAME_BYTES = 1024
+_FREE_SPACE_INTERVAL_S = 1.0
+SLOW_S = 2.0
+"""A write that takes longer is an event; usual disks pause for less."""
 
 
 class Window(NamedTuple):
@@ -53,27 +63,84 @@ class Entry:
     temperature: CameraTemperature | None = None
     attachments: Mapping[str, bytes] = field(default_factory=dict)
 
+    @property
+    def memory_bytes(self) -> int:
+        """About what the entry takes while it waits; never 0."""
+        windows = sum(window.image.nbytes for window in self.windows if window is not None)
+        images = sum(frame.image.nbytes for frame in self.images)
+        return _FRAME_BYTES * (1 + len(self.sequences)) + windows + images
+
+
+class _EntryQueue(queue.Queue[Entry | None]):
+    """A queue whose size and limit are bytes of memory."""
+
+    def _init(self, maxsize: int) -> None:
+        super()._init(maxsize)
+        self._bytes = 0
+
+    def _qsize(self) -> int:
+        return self._bytes
+
+    def _put(self, item: Entry | None) -> None:
+        super()._put(item)
+        self._bytes += _memory_bytes(item)
+
+    def _get(self) -> Entry | None:
+        item = super()._get()
+        self._bytes -= _memory_bytes(item)
+        return item
+
+
+def _memory_bytes(item: Entry | None) -> int:
+    return 1 if item is None else item.memory_bytes
+
 
 class Recorder:
     """Writes entries in order, flushes regularly, keeps the first error.
 
-    `put` waits if the disk is slow, so that no measured data are lost. After an error (a full disk, a
-    removed drive) further entries are discarded; the session has to check `error`. `permit` learns that the
-    writing goes on, on which the light of a laser depends.
+    Entries wait in memory while the disk is slow or hangs; once they take `most_waiting_bytes`, `put` waits,
+    too, so that what is lost then is lost, and counted, before it was processed. After an error (a full disk,
+    a removed drive) further entries are discarded; the session has to check `error`. `permit` learns that
+    the writing goes on, on which the light of a laser depends.
     """
 
-    def __init__(self, writer: RecordWriter, capacity: int = 16, permit: LightPermit | None = None) -> None:
+    def __init__(
+        self,
+        writer: RecordWriter,
+        most_waiting_bytes: int = MOST_WAITING_BYTES,
+        permit: LightPermit | None = None,
+    ) -> None:
         self._writer = writer
         self._permit = permit or LightPermit()
-        self._entries: queue.Queue[Entry | None] = queue.Queue(capacity)
+        self._entries = _EntryQueue(most_waiting_bytes)
+        self._writing_since_s = math.inf
+        self._pauses_s: queue.SimpleQueue[float] = queue.SimpleQueue()
+        self._looked_s = -math.inf
+        self.disk_free_bytes = math.nan
         self._thread = threading.Thread(target=self._work, name="recorder", daemon=True)
         self.error: Exception | None = None
         self._thread.start()
 
     @property
-    def waiting(self) -> int:
-        """Entries not yet written."""
+    def waiting_bytes(self) -> int:
+        """Memory that entries take that are not yet written."""
         return self._entries.qsize()
+
+    @property
+    def alarm(self) -> str:
+        """That the disk hangs; empty while it does not."""
+        paused_s = time.monotonic() - self._writing_since_s
+        if paused_s < SLOW_S:
+            return ""
+        waiting = f"{self.waiting_bytes / 1e6:.0f} of {self._entries.maxsize / 1e6:.0f} MB"
+        return f"the disk has not answered for {paused_s:.0f} s; {waiting} of memory wait for it"
+
+    def take_pauses(self) -> list[float]:
+        """Of every write since the last call that was slower than `SLOW_S`, how long it took in s."""
+        found = []
+        while not self._pauses_s.empty():
+            found.append(self._pauses_s.get())
+        return found
 
     @property
     def bytes_written(self) -> int:
@@ -107,14 +174,29 @@ class Recorder:
                     self._writer.close()
                     return
                 if self.error is None:
-                    self._write(entry)
-                    self._writer.flush_if_due()
+                    self._write_timed(entry)
             except Exception as error:
                 if self.error is None:
                     self.error = error
                     _log.error("the record cannot be written: %s", error)
                 if entry is None:
                     return
+
+    def _write_timed(self, entry: Entry) -> None:
+        began_s = self._writing_since_s = time.monotonic()
+        try:
+            self._write(entry)
+            self._writer.flush_if_due()
+            # asked here, because a disk that hangs does not answer this either
+            if began_s - self._looked_s > _FREE_SPACE_INTERVAL_S:
+                self._looked_s = began_s
+                with contextlib.suppress(OSError):
+                    self.disk_free_bytes = shutil.disk_usage(self._writer.path.parent).free
+        finally:
+            self._writing_since_s = math.inf
+            took_s = time.monotonic() - began_s
+            if took_s > SLOW_S:
+                self._pauses_s.put(took_s)
 
     def _write(self, entry: Entry) -> None:
         writer = self._writer

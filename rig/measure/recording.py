@@ -147,8 +147,11 @@ class Recording:
         self._stop.failed(DeviceError(f"{alarm}; the run is ended, laser.when_dark = 'wait' would go on"))
 
     def _device_events(self, time_ns: int) -> list[Event]:
-        """Events of camera, controller, laser and sensors since the last call."""
+        """Events of camera, disk, controller, laser and sensors since the last call."""
         happened = self._stream.take_events() + self._status.take_events()
+        for paused_s in self._recorder.take_pauses():
+            text = f"did not answer for {paused_s:.1f} s; frames waited in memory meanwhile"
+            happened.append((EventKind.SLOW_DISK, text))
         return [Event(time_ns, kind, text) for kind, text in happened]
 
     def _publish(self, phase: str, counts: FrameCounts, swings: list[Swing], age_s: float) -> None:
@@ -163,6 +166,8 @@ class Recording:
                 frame_age_s=age_s,
                 losses=self._losses.now,
                 record_bytes=self._recorder.bytes_written,
+                disk_free_bytes=self._recorder.disk_free_bytes,
+                alarm=self._recorder.alarm,
                 reason=self._stop.reason,
             ),
             swings,

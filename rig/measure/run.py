@@ -13,7 +13,7 @@ from processing.errors import DataError, DeviceError
 from rig.instrument import Snapshot
 from rig.interruption import reason_of
 from rig.measure.end_of_run import StopRequest
-from rig.measure.recorder import Recorder
+from rig.measure.recorder import MOST_WAITING_BYTES, Recorder
 from rig.measure.recording import Recording
 from rig.measure.run_losses import LossLog
 from rig.measure.run_parts import RunOutcome, RunParts
@@ -154,7 +154,10 @@ class Run:
         self._losses = LossLog(self._stream, from_start=parts.phases is None)
         preflight = () if parts.phases is None else parts.phases.verdicts
         recorder = Recorder(
-            parts.record.open(epoch_offset_ns, frames[0], preflight), permit=self._stream.permit
+            parts.record.open(epoch_offset_ns, frames[0], preflight),
+            # frames made on demand wait for the disk, and no memory has to hold them
+            MOST_WAITING_BYTES // 16 if self._stream.policy == "wait" else MOST_WAITING_BYTES,
+            permit=self._stream.permit,
         )
         rejected = ""
         try:

@@ -69,7 +69,7 @@ def _execute(plan: RunPlan, devices: Devices, camera: OpenCamera, watchers: list
     config, record = plan.config, plan.record
     optics = optics_of(config, camera.info.full_scale_dn)
     final_amplitude = config.session.final_amplitude_arcsec
-    display = RunDisplay(plan.title, final_amplitude, optics.unit, record.parent, json_lines=plan.json_lines)
+    display = RunDisplay(plan.title, final_amplitude, optics.unit, json_lines=plan.json_lines)
     with_start = config.start.way != "at once"
     phases: PhasesBeforeRecord | None = None
     if with_start or preflight_wanted(config):

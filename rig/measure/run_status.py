@@ -123,5 +123,5 @@ class RunStatus:
             humidity_percent=humidity_percent,
             pressure_pa=pressure_pa,
             controller=self._devices.describe(),
-            alarm=self.light.alarm,
+            alarm=self.light.alarm or snapshot.alarm,
         )

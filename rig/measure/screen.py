@@ -2,13 +2,11 @@
 
 import math
 import os
-import shutil
 import sys
 import time
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import asdict
-from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
@@ -45,7 +43,6 @@ class RunDisplay:
         title: str,
         final_amplitude_arcsec: float,
         unit: DeflectionUnit,
-        folder: Path,
         *,
         json_lines: bool = False,
         console: Console | None = None,
@@ -54,7 +51,6 @@ class RunDisplay:
         # the final amplitude is configured in arcsec, hence unknown for a run in px
         self._final = final_amplitude_arcsec if unit is DeflectionUnit.RAD else math.nan
         self._unit = unit
-        self._folder = folder
         self._json = json_lines
         self._initial = math.nan
         self._console = console or Console(stderr=True)
@@ -172,7 +168,7 @@ class RunDisplay:
             ("camera", f"{self._rates.frames_hz:.1f} frames/s, {snapshot.frames} in all, {_age(snapshot)}"),
             ("losses", f"{losses}, {snapshot.queue_frames} waiting"),
             ("record", f"{self._rates.bytes_per_s / 1e6:.2f} MB/s, {snapshot.record_bytes / 1e6:.1f} MB"),
-            ("disk", f"{shutil.disk_usage(self._folder).free / 1e9:.1f} GB free"),
+            ("disk", _number(snapshot.disk_free_bytes / 1e9, ".1f", "GB free")),
             ("environment", _air(snapshot)),
         ]
         if snapshot.controller:
@@ -222,7 +218,6 @@ class RunDisplay:
             "record_bytes_per_s": self._rates.bytes_per_s,
             "remaining_s": self._forecast.remaining_s,
             "u_remaining_s": self._forecast.u_remaining_s,
-            "disk_free_bytes": shutil.disk_usage(self._folder).free,
         }
         if balance is not None:
             found["transverse_ratio"] = balance.transverse_ratio

@@ -3,7 +3,6 @@
 import io
 import json
 import math
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -28,63 +27,62 @@ SEEN = Snapshot(
 
 
 def display(
-    folder: Path,
     output: io.StringIO,
     *,
     json_lines: bool = False,
     unit: DeflectionUnit = DeflectionUnit.RAD,
 ) -> RunDisplay:
     console = Console(file=output, width=118, height=40)
-    return RunDisplay("run 1", 2.0, unit, folder, json_lines=json_lines, console=console)
+    return RunDisplay("run 1", 2.0, unit, json_lines=json_lines, console=console)
 
 
-def screen(folder: Path, snapshot: Snapshot, unit: DeflectionUnit = DeflectionUnit.RAD) -> str:
+def screen(snapshot: Snapshot, unit: DeflectionUnit = DeflectionUnit.RAD) -> str:
     output = io.StringIO()
-    Console(file=output, width=118, height=40).print(display(folder, output, unit=unit).screen(snapshot))
+    Console(file=output, width=118, height=40).print(display(output, unit=unit).screen(snapshot))
     return output.getvalue()
 
 
-def test_without_a_lever_the_screen_says_px_and_knows_no_end(tmp_path: Path) -> None:
+def test_without_a_lever_the_screen_says_px_and_knows_no_end() -> None:
     """The final amplitude is configured in arcsec: amplitudes in px never reach it."""
     measuring = Snapshot(phase="measuring", amplitude=124.0)
-    calibrated = screen(tmp_path, measuring)
+    calibrated = screen(measuring)
     assert "124.000 arcsec" in calibrated
     assert "to 2 arcsec" in calibrated
-    shown = screen(tmp_path, measuring, DeflectionUnit.PX)
+    shown = screen(measuring, DeflectionUnit.PX)
     assert "124.000 px" in shown
     assert "unknown: no lever" in shown
     assert "arcsec" not in shown
     assert "to 2" not in shown
 
 
-def test_the_screen_shows_the_balance_in_its_own_unit(tmp_path: Path) -> None:
+def test_the_screen_shows_the_balance_in_its_own_unit() -> None:
     fields: dict[str, Any] = dict.fromkeys(Balance.__dataclass_fields__, 1e-3)
     for unit, size in ((DeflectionUnit.PX, 1.0), (DeflectionUnit.RAD, ARCSEC_RAD)):
         places = {"transverse": 2.5 * size, "rest_x": 0.5 * size, "rest_y": -1.5 * size}
         balance = Balance(**{**fields, **places, "time_ns": 0, "unit": unit})
         output = io.StringIO()
-        shown = display(tmp_path, output, unit=unit)
+        shown = display(output, unit=unit)
         shown.block(0, [], Block([], no_deflections(unit), [], [balance]))
         Console(file=output, width=118, height=40).print(shown.screen(SEEN))
         assert f"2.500 {unit.shown} (0.10 %)" in output.getvalue()
         assert f"X +0.500, Y -1.500 {unit.shown}" in output.getvalue()
 
 
-def test_the_screen_shows_the_age_of_frames_and_the_losses(tmp_path: Path) -> None:
-    shown = screen(tmp_path, SEEN)
+def test_the_screen_shows_the_age_of_frames_and_the_losses() -> None:
+    shown = screen(SEEN)
     assert "age 12 ms" in shown
     assert "4 frames dropped" in shown
     assert "3 by the bus, 1 by this computer" in shown
 
 
-def test_frames_without_an_age_and_a_run_without_losses_say_so_in_few_words(tmp_path: Path) -> None:
-    shown = screen(tmp_path, Snapshot(phase="measuring"))
+def test_frames_without_an_age_and_a_run_without_losses_say_so_in_few_words() -> None:
+    shown = screen(Snapshot(phase="measuring"))
     assert "age -" in shown
     assert "none" not in shown
 
 
-def test_json_lines_name_each_loss(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    display(tmp_path, io.StringIO(), json_lines=True).show(SEEN)
+def test_json_lines_name_each_loss(capsys: pytest.CaptureFixture[str]) -> None:
+    display(io.StringIO(), json_lines=True).show(SEEN)
     state = json.loads(capsys.readouterr().out.splitlines()[0])
     assert state["frame_age_s"] == 0.0123
     assert state["amplitude_unit"] == "arcsec"

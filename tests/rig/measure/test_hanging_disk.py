@@ -1,0 +1,118 @@
+"""A disk that does not answer for a while: frames wait in memory, those beyond it are counted, it is said."""
+
+import re
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from acquisition.frame import Frame
+from acquisition.frame_queue import FrameQueue
+from acquisition.record.reader import RecordReader
+from acquisition.record.writer import RecordWriter
+from processing.deflections import Deflections, DeflectionUnit
+from processing.spot import Spot
+from rig.instrument import Block
+from rig.measure import recorder as module
+from rig.measure.recorder import Entry, Recorder, Window
+from tests.acquisition.record.hanging_disk import Mounted, NoFuse, mounted, wait_for
+from tests.rig.command_line import CONFIGS, SMALL, rig, set_words
+
+FRAMES = 400
+PIXELS = np.random.default_rng(1).poisson(30, (96, 96)).astype(np.uint8)
+
+
+@pytest.fixture
+def disk(tmp_path: Path) -> Iterator[Mounted]:
+    try:
+        with mounted(tmp_path) as found:
+            yield found
+    except NoFuse as missing:
+        pytest.skip(str(missing))
+
+
+def entry_of(frame: Frame) -> Entry:
+    numbers, times = [frame.sequence], np.array([frame.time_ns])
+    one = np.ones(1)
+    spot = Spot(*[1.0] * 10, flags=0)
+    block = Block([spot], Deflections(times, one, one, one, one, DeflectionUnit.RAD), [], [])
+    window = Window(frame.image, 0, 0)
+    return Entry(numbers, times.tolist(), times.tolist(), block, [window])
+
+
+def frame(number: int) -> Frame:
+    return Frame(PIXELS, number, number * 10_000_000, 0)
+
+
+def test_frames_wait_in_memory_and_beyond_it_are_counted(
+    disk: Mounted, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "SLOW_S", 0.01)
+    path = disk.folder / "run.mcap"
+    reach = entry_of(frame(0)).memory_bytes * FRAMES
+    recorder = Recorder(RecordWriter(path, 0, flush_interval_s=0.01), reach)
+    recorder.put(entry_of(frame(0)))
+    wait_for(lambda: recorder.waiting_bytes == 0)
+    disk.hang()
+    recorder.put(entry_of(frame(1)))
+    disk.wait_for_hanging()
+    for number in range(2, FRAMES):
+        recorder.put(entry_of(frame(number)))
+    assert recorder.waiting_bytes > reach // 2
+    wait_for(lambda: recorder.alarm)
+    assert re.search(
+        r"the disk has not answered for \d+ s; [1-4] of 5 MB of memory wait for it", recorder.alarm
+    )
+    # what comes now finds no room in front of the processing either
+    frames = FrameQueue(8, "every")
+    thread = threading.Thread(target=lambda: put_all(frames, recorder))
+    thread.start()
+    later = range(FRAMES, 2 * FRAMES)
+    taken = [number for number in later if frames.put(frame(number))]
+    assert frames.dropped == FRAMES - len(taken) > 0
+    disk.go_on()
+    frames.close()
+    thread.join()
+    recorder.close()
+    assert recorder.error is None
+    assert recorder.alarm == ""
+    assert max(recorder.take_pauses()) > 0.01
+    with RecordReader(path) as reader:
+        assert reader.spots()["sequence"].tolist() == [*range(FRAMES), *taken]
+        assert [window.sequence for window in reader.windows()] == [*range(FRAMES), *taken]
+
+
+def put_all(frames: FrameQueue, recorder: Recorder) -> None:
+    while not frames.drained:
+        for each in frames.take(1, 1.0):
+            recorder.put(entry_of(each))
+
+
+def test_a_session_says_that_its_disk_hung(disk: Mounted, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "SLOW_S", 0.05)
+    folder = disk.folder / "out"
+    record = folder / "run-1.mcap"
+
+    def hang() -> None:
+        wait_for(lambda: record.exists() and record.stat().st_size > 100_000)
+        disk.hang()
+        disk.wait_for_hanging()
+        time.sleep(0.1)
+        disk.go_on()
+
+    hanging = threading.Thread(target=hang)
+    hanging.start()
+    values = {**SMALL, "session.max_duration_s": "20"}
+    rig("run", CONFIGS / "demo.toml", "-o", folder, *set_words(values))
+    hanging.join()
+    with RecordReader(record) as reader:
+        assert not reader.truncated
+        sequences = reader.spots()["sequence"].tolist()
+        assert sequences == list(range(len(sequences)))
+        assert len(sequences) >= 20 * 50
+        said = [event.text for event in reader.events() if event.kind == "slow disk"]
+    assert said
+    assert said[0].startswith("did not answer for ")
