@@ -33,11 +33,15 @@ def run(
         Path | None,
         typer.Option(metavar="DIR", help="Continue the interrupted session in DIR, without CONFIG."),
     ] = None,
+    plan: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Measure the series of a plan (TOML file), without CONFIG."),
+    ] = None,
     force: Annotated[bool, typer.Option("--force", help="Measure even if a preflight check fails.")] = False,
     json_lines: JsonLines = False,
 ) -> None:
     """Measure a session: record, fit, report."""
-    from rig.measure import measure_session, resume_session
+    from rig.measure import measure_plan, measure_session, resume_session
     from rig.settings import load_configuration
 
     if resume is not None:
@@ -46,6 +50,12 @@ def run(
                 "--resume takes its configuration from DIR: leave out CONFIG, --output and --set"
             )
         raise typer.Exit(resume_session(resume, force=force, json_lines=json_lines))
+    if plan is not None:
+        if config is not None or set_ or runs is not None or view:
+            raise typer.BadParameter(
+                "--plan names its configurations: leave out CONFIG, --set, --runs and --view"
+            )
+        raise typer.Exit(measure_plan(plan, output, force=force, json_lines=json_lines))
     if config is None:
         raise typer.BadParameter("Missing argument 'CONFIG'.")
 

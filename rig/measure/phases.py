@@ -30,6 +30,10 @@ _RESTING_NOISES = 6.0
 """Limit of half the range at rest in standard deviations of one frame; noise alone stays below it."""
 
 
+class NoGo(DataError):
+    """Preflight says no-go: later it may say otherwise."""
+
+
 class PhasesBeforeRecord:
     """The phases before the record of a run; `run` is called for every attempt at a start.
 
@@ -199,7 +203,7 @@ class PhasesBeforeRecord:
         against = failures(self.verdicts)
         self._wait.note(EventKind.PREFLIGHT, f"no-go: {against}" if against else "go")
         if against and not self._force:
-            raise DataError(f"preflight says no-go ({against}); --force passes over it")
+            raise NoGo(f"preflight says no-go ({against}); --force passes over it")
         if against:
             self._devices.audit("preflight forced", against=against)
 

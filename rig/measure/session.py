@@ -2,21 +2,17 @@
 
 import datetime
 import sys
-from contextlib import ExitStack, suppress
+from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 from typing import NamedTuple
 
-from acquisition.record.events import EventKind
-from acquisition.record.reader import RecordReader
-from acquisition.record.recover import recover
-from processing.errors import ConfigurationError, DeviceError, RecordError, RigError
+from processing.errors import ConfigurationError, DeviceError, RigError
 from rig.analysis import (
     AnalysedRun,
     analyse_record,
     free_path,
     print_results,
-    read_results,
-    results_path,
     session_results,
     write_results,
 )
@@ -24,11 +20,19 @@ from rig.devices import Devices
 from rig.instrument import check_materials, complete
 from rig.interruption import Terminated, reason_of
 from rig.measure.notices import Notices, announced
+from rig.measure.phases import NoGo
 from rig.measure.recording import NOT_ACCEPTED
 from rig.measure.run_setup import RunPlan, measure_run
-from rig.measure.session_file import STATE_NAME, RunEntry, RunState, SessionFile
+from rig.measure.session_file import RunState, SessionFile
 from rig.presentation import failures, print_json_line, say
-from rig.settings import Configuration, validate_configuration
+from rig.settings import Configuration
+
+Patience = Callable[[str], bool]
+
+
+def no_patience(_why: str) -> bool:
+    """Try nothing again."""
+    return False
 
 
 def measure_session(
@@ -48,94 +52,37 @@ def measure_session(
     config = complete(config)
     check_materials(config)
     folder = session_folder(config, source, output)
-    with announced(config.session, folder) as told, ExitStack() as closing:
+    with announced(config.session, folder) as told:
+        told.status = make_session(config, source, folder, told.notices, force=force, json_lines=json_lines)
+    return told.status
+
+
+def make_session(
+    config: Configuration,
+    source: Path,
+    folder: Path,
+    notices: Notices,
+    *,
+    force: bool,
+    json_lines: bool,
+    patience: Patience = no_patience,
+) -> int:
+    """As `measure_session`, with a complete configuration and in a folder that was made for it.
+
+    `patience` is asked, with the reason, after a preflight that said no-go: if it returns True the run is
+    tried again. The laser is dark meanwhile.
+    """
+    with ExitStack() as closing:
         with Devices(config, folder) as devices:
             file = SessionFile.made(folder, source, config.session.runs, config.model_dump(mode="json"))
             closing.callback(file.close)
-            made = _make_runs(config, source, file, devices, told.notices, force=force, json_lines=json_lines)
-        told.status = _report(config, folder, made, json_lines=json_lines)
-        return told.status
+            made = make_runs(
+                config, source, file, devices, notices, patience, force=force, json_lines=json_lines
+            )
+        return report(config, folder, made, json_lines=json_lines)
 
 
-def resume_session(folder: Path, *, force: bool = False, json_lines: bool = False) -> int:
-    """Continue an interrupted session: complete runs are kept, the missing ones are made.
-
-    A truncated record is left unchanged and a repaired copy is made next to it. New runs get new
-    numbers. Returns the exit status like `measure_session`.
-    """
-    file = SessionFile.opened(folder)
-    try:
-        config = validate_configuration(file.state.configuration, str(folder / STATE_NAME))
-        for entry in file.state.entries:
-            if entry.state == "recording":
-                _close_interrupted(file, entry)
-        for record in (folder / entry.record for entry in file.state.complete):
-            if record.exists():
-                _notice_cut(record)
-        missing = file.state.runs_wanted - len(file.state.complete)
-        say(f"{folder}: {len(file.state.complete)} of {file.state.runs_wanted} runs are complete")
-        if missing <= 0 and _has_results(folder):
-            say("no run is missing")
-            return 0
-        with announced(config.session, folder) as told:
-            with Devices(config, folder) as devices:
-                source = Path(file.state.source)
-                made = _make_runs(
-                    config, source, file, devices, told.notices, force=force, json_lines=json_lines
-                )
-            told.status = _report(config, folder, made, json_lines=json_lines)
-            return told.status
-    finally:
-        file.close()
-
-
-def _has_results(folder: Path) -> bool:
-    """Whether there are whole results; a report that is missing beside them is made."""
-    from rig.report import make_report
-
-    path = results_path(folder)
-    try:
-        read_results(path)
-    except RecordError as error:
-        say(str(error))
-        return False
-    if not path.with_name(path.name.replace("results", "report", 1)).with_suffix(".html").exists():
-        say(f"report {make_report(path)}")
-    return True
-
-
-def _notice_cut(record: Path) -> None:
-    """Report a record that was complete at the end of its run but is truncated now, e.g. by a failed copy."""
-    with RecordReader(record) as reader:
-        if reader.truncated:
-            say(reader.cut_notice)
-
-
-def _close_interrupted(file: SessionFile, entry: RunEntry) -> None:
-    """Note a record that came to its end as complete; make a repaired copy of one that was cut short."""
-    record = file.folder / entry.record
-    if record.exists():
-        with suppress(RecordError), RecordReader(record) as reader:
-            stops = [event.text for event in reader.events() if event.kind == EventKind.STOP]
-            if stops and not reader.truncated:
-                state: RunState = "rejected" if stops[-1].startswith(NOT_ACCEPTED) else "complete"
-                file.note(entry.number, entry.record, state, stops[-1])
-                say(f"{entry.record} is whole: {stops[-1]}")
-                return
-    whole = record.with_name(f"{record.stem}-recovered{record.suffix}")
-    name, reason = "", "the session was interrupted"
-    if record.exists():
-        try:
-            if not whole.exists():
-                recover(record, whole)
-            name = whole.name
-            say(f"{entry.record} was cut short and stays as it is; {whole.name} is a whole copy")
-        except RecordError as error:
-            reason = f"{reason}; {error}"
-    file.note(entry.number, entry.record, "interrupted", reason, name)
-
-
-class _Made(NamedTuple):
+class Made(NamedTuple):
     """The records made, and how the session ended."""
 
     records: list[Path]
@@ -143,16 +90,17 @@ class _Made(NamedTuple):
     stopped: bool
 
 
-def _make_runs(
+def make_runs(
     config: Configuration,
     source: Path,
     file: SessionFile,
     devices: Devices,
     notices: Notices,
+    patience: Patience = no_patience,
     *,
     force: bool,
     json_lines: bool,
-) -> _Made:
+) -> Made:
     """Make the missing runs. Raises `Terminated` after everything is closed and session.json is written."""
     folder = file.folder
     records = [folder / entry.record for entry in file.state.complete]
@@ -192,6 +140,11 @@ def _make_runs(
                 f"{outcome.hangs}: the laser is dark, {record} stays as it is; "
                 f"remove the cause (a disk that hangs?), then rig run --resume {folder}"
             )
+        if isinstance(outcome.failure, NoGo) and outcome.interrupt is None:
+            devices.darken()
+            file.forget(record.name)
+            if patience(str(outcome.failure)):
+                continue
         reason = outcome.snapshot.reason
         interrupt = outcome.interrupt
         stopped = interrupt is not None and reason == reason_of(interrupt)
@@ -207,7 +160,7 @@ def _make_runs(
         if isinstance(interrupt, Terminated):
             say(f"{reason}; rig run --resume {folder} goes on, rig fit fits what there is")
             raise interrupt
-    return _Made(records, failed, stopped)
+    return Made(records, failed, stopped)
 
 
 def acknowledge_interlock(devices: Devices) -> None:
@@ -223,7 +176,7 @@ def acknowledge_interlock(devices: Devices) -> None:
     raise DeviceError(f"{opened} and nobody has allowed light again; rig run --resume makes the missing runs")
 
 
-def _report(config: Configuration, folder: Path, made: _Made, *, json_lines: bool) -> int:
+def report(config: Configuration, folder: Path, made: Made, *, json_lines: bool) -> int:
     """Fit the complete and the new records and write the results; the laser is already off."""
     # importing matplotlib takes a second, which must not delay the first frame
     from rig.report import make_report

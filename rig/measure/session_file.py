@@ -115,6 +115,11 @@ class SessionFile:
             )
         )
 
+    def forget(self, record: str) -> None:
+        """Take out the entry of a run that did not begin."""
+        kept = tuple(entry for entry in self.state.entries if entry.record != record)
+        self.save(self.state.model_copy(update={"entries": kept}))
+
     def save(self, state: SessionState) -> None:
         """Replace the file atomically, so that a power failure leaves either the old or the new file."""
         path = self.folder / STATE_NAME

@@ -12,6 +12,7 @@ from rig.settings.configuration import (
     validate_configuration,
 )
 from rig.settings.instrument import InstrumentSettings
+from rig.settings.night_plan import PlannedSeries, load_plan
 from rig.settings.phases import PreflightSettings
 
 __all__ = [
@@ -20,10 +21,12 @@ __all__ = [
     "FitSettings",
     "InstrumentSettings",
     "PendulumSettings",
+    "PlannedSeries",
     "PreflightSettings",
     "SessionSettings",
     "TimebaseSettings",
     "apply_overrides",
     "load_configuration",
+    "load_plan",
     "validate_configuration",
 ]

@@ -62,7 +62,7 @@ def test_configurations_that_are_shown_are_valid() -> None:
     for document in DOCUMENTS:
         text = document.read_text(encoding="utf-8")
         blocks = re.findall(r"^ {4}\[[a-z_.0-9]+\]\n(?:(?: {4}.*)?\n)+", text, re.MULTILINE)
-        for block in [*blocks, *re.findall(r"^```toml\n(.*?)^```", text, re.MULTILINE | re.DOTALL)]:
+        for block in [*blocks, *re.findall(r"^```toml\n(\[\w.*?)^```", text, re.MULTILINE | re.DOTALL)]:
             validate_configuration(tomllib.loads(textwrap.dedent(block)), document.name)
             found += 1
     assert found >= 4

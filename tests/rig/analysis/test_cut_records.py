@@ -8,7 +8,7 @@ import pytest
 
 from acquisition.record.recover import recover
 from rig.commands.physics import fit_records
-from rig.measure.session import resume_session
+from rig.measure import resume_session
 from rig.replay.record_replay import replay_record
 from rig.view.recorded import write_rrd
 from tests.rig.command_line import figures_are_not_drawn

@@ -1,0 +1,74 @@
+"""The plan of a night: series to be measured one after the other, each with its conditions."""
+
+import tomllib
+from pathlib import Path
+from typing import Self
+
+from pydantic import BaseModel, Field, ValidationError, model_validator
+
+from processing.errors import ConfigurationError
+
+
+class PlannedSeries(BaseModel, frozen=True, extra="forbid"):
+    """One series: a configuration, changes to it, and when its runs may begin."""
+
+    name: str = Field(pattern=r"^\w[\w.-]*$", description="of its folder")
+    config: Path
+    runs: int | None = Field(default=None, ge=1, le=1000)
+    set: tuple[str, ...] = Field(default=(), description="KEY=VALUE, as with --set")
+    temperature_c: tuple[float, float] | None = Field(
+        default=None, description="a run begins only while the air is between"
+    )
+    quiet_arcsec: float | None = Field(
+        default=None, gt=0, description="a run begins only while the resting spot vibrates less"
+    )
+    wait_max_s: float = Field(default=7200.0, ge=0, description="in all; then the series is left out")
+    try_every_s: float = Field(default=300.0, gt=0)
+    repeat_bad: int = Field(default=0, ge=0, description="most runs repeated because of their conditions")
+    pause_s: float = Field(default=0.0, ge=0, description="after the series")
+
+    def overrides(self) -> list[str]:
+        """Changes of the configuration that follow from the plan."""
+        changes = list(self.set)
+        if self.runs is not None:
+            changes.append(f"session.runs={self.runs}")
+        if self.temperature_c is not None:
+            low, high = self.temperature_c
+            changes += [f"preflight.min_temperature_c={low}", f"preflight.max_temperature_c={high}"]
+        if self.quiet_arcsec is not None:
+            changes.append(f"preflight.max_vibration_arcsec={self.quiet_arcsec}")
+        if self.temperature_c is not None or self.quiet_arcsec is not None:
+            changes.append('preflight.when="always"')
+        return changes
+
+
+class NightPlan(BaseModel, frozen=True, extra="forbid"):
+    """The whole file."""
+
+    series: tuple[PlannedSeries, ...] = Field(min_length=1)
+
+    @model_validator(mode="after")
+    def _names_differ(self) -> Self:
+        names = [series.name for series in self.series]
+        if twice := next((name for name in names if names.count(name) > 1), None):
+            raise ValueError(f"two series are called {twice!r}; each needs a folder of its own")
+        return self
+
+
+def load_plan(path: Path) -> NightPlan:
+    """Read a plan; configurations are relative to its folder. Raises ConfigurationError with one line."""
+    try:
+        plan = NightPlan.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
+    except FileNotFoundError:
+        raise ConfigurationError(f"{path}: no such plan") from None
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise ConfigurationError(f"{path}: cannot be read: {error}") from None
+    except ValidationError as error:
+        fault = error.errors()[0]
+        place = ".".join(str(part) for part in fault["loc"])
+        raise ConfigurationError(f"{path}: {place}: {fault['msg'].removeprefix('Value error, ')}") from None
+    return NightPlan(
+        series=tuple(
+            series.model_copy(update={"config": path.parent / series.config}) for series in plan.series
+        )
+    )

@@ -1,0 +1,147 @@
+"""A night without anybody: the plan that the manual shows, measured with a clock of its own."""
+
+import contextlib
+import json
+import os
+import pty
+import re
+import tty
+from collections.abc import Iterator
+from pathlib import Path
+from threading import Event, Thread
+from typing import Any
+
+import pytest
+
+from processing.errors import ConfigurationError
+from rig.measure.night import measure_plan
+from rig.settings import load_plan
+from tests.rig.command_line import CONFIGS, SMALL, figures_are_not_drawn, rig
+from tests.rig.measure.test_preparation import BY_HAND
+
+ROOT = CONFIGS.parent
+
+
+class Night:
+    """The room at night: time passes only while the program waits; after half an hour the air has cooled."""
+
+    def __init__(self) -> None:
+        self.now_s = 0.0
+        self.waits_s: list[float] = []
+        master, slave = pty.openpty()
+        tty.setraw(slave)
+        self.port, self._master, self._slave = os.ttyname(slave), master, slave
+        self._over = Event()
+        self._writing = Thread(target=self._write)
+        self._writing.start()
+
+    def sleep(self, wait_s: float) -> None:
+        self.waits_s.append(wait_s)
+        self.now_s += wait_s
+
+    def _write(self) -> None:
+        os.set_blocking(self._master, False)
+        while not self._over.wait(0.005):
+            temperature_c = 23.0 if self.now_s < 1800.0 else 20.0
+            # which fails while no session reads
+            with contextlib.suppress(BlockingIOError):
+                os.write(self._master, f"{temperature_c:.1f}, 40.0, 1000.0\n".encode())
+
+    def close(self) -> None:
+        self._over.set()
+        self._writing.join()
+        os.close(self._master)
+        os.close(self._slave)
+
+
+@pytest.fixture
+def night() -> Iterator[Night]:
+    made = Night()
+    yield made
+    made.close()
+
+
+def shown_plan() -> str:
+    (block,) = re.findall(
+        r"^```toml\n(\[\[series\]\].*?)^```", (ROOT / "docs" / "session.md").read_text(), re.M | re.S
+    )
+    return str(block)
+
+
+def written(path: Path, values: dict[str, str]) -> None:
+    lines = [f'extends = "{CONFIGS / "demo.toml"}"', *(f"{key} = {value}" for key, value in values.items())]
+    path.write_text("\n".join(lines) + "\n")
+
+
+def entries(folder: Path) -> list[dict[str, Any]]:
+    found: list[dict[str, Any]] = json.loads((folder / "session.json").read_text())["entries"]
+    return found
+
+
+@pytest.mark.slow
+def test_the_plan_that_is_shown_waits_repeats_and_leaves_out(
+    tmp_path: Path, night: Night, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "night.toml").write_text(shown_plan().replace("runs = 5", "runs = 1"))
+    sensor = {"environment_sensor.kind": '"serial"', "environment_sensor.port": f'"{night.port}"'}
+    steel = {**SMALL, **sensor, "session.max_duration_s": "8", "faults.laser_fades_at_s": "4"}
+    written(tmp_path / "steel.toml", steel)
+    # a pendulum that always trembles by more than the plan allows
+    trembling = "[{ frequency_hz = 11.0, amplitude_px = 0.5 }]"
+    written(tmp_path / "silicon.toml", {**BY_HAND, "simulation.disturbances.microphonics": trembling})
+    with figures_are_not_drawn():
+        status = measure_plan(
+            tmp_path / "night.toml", tmp_path / "out", now_s=lambda: night.now_s, sleep=night.sleep
+        )
+    assert status == 1
+    said = capsys.readouterr().err
+    # three times for the temperature, a pause, twice for quiet
+    assert night.waits_s == [600.0, 600.0, 600.0, 1800.0, 1800.0, 1800.0]
+    first, second = entries(tmp_path / "out" / "steel-at-20")
+    assert (first["record"], first["state"]) == ("run-1.mcap", "rejected")
+    assert first["reason"].startswith("lost spots")
+    assert (second["record"], second["state"]) == ("run-2.mcap", "complete")
+    assert "1 of its runs are repeated" in said
+    (third,) = entries(tmp_path / "out" / "silicon-quiet")
+    assert third["state"] == "failed"
+    assert "vibration" in third["reason"]
+    assert "series silicon-quiet is left out: not ready within 3600 s" in said
+
+
+def test_a_failure_ends_the_plan(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    stalled = {"frames_stalled_at_s": "1", "frames_stalled_duration_s": "60"}
+    written(tmp_path / "a.toml", SMALL | {f"faults.{key}": value for key, value in stalled.items()})
+    series = '[[series]]\nname = "{}"\nconfig = "a.toml"\n'
+    (tmp_path / "plan.toml").write_text(series.format("one") + series.format("two"))
+    with figures_are_not_drawn():
+        assert measure_plan(tmp_path / "plan.toml", tmp_path / "out") == 1
+    assert not (tmp_path / "out" / "two").exists()
+    assert "no frame within 5 s; the plan ends here" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("temperature_c = [19, 20]", "temperature_c needs a thermometer"),
+        ("quiet_arcsec = 0.1", "quiet_arcsec needs a pendulum at rest"),
+        ("pause = 5", "series.0.pause"),
+        ('name = "../away"', "series.0.name"),
+        ("set = ['session.rnus=3']", "did you mean runs?"),
+    ],
+)
+def test_a_plan_that_cannot_be_is_refused_before_anything_begins(
+    tmp_path: Path, line: str, message: str
+) -> None:
+    named = "" if "name" in line else 'name = "one"\n'
+    (tmp_path / "plan.toml").write_text(f'[[series]]\n{named}config = "{CONFIGS / "demo.toml"}"\n{line}\n')
+    done = rig("run", "--plan", tmp_path / "plan.toml", "-o", tmp_path / "out")
+    assert done.returncode == 2
+    assert message in done.stderr
+    assert done.stderr.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_series_have_folders_of_their_own(tmp_path: Path) -> None:
+    (tmp_path / "plan.toml").write_text(2 * '[[series]]\nname = "one"\nconfig = "a.toml"\n')
+    with pytest.raises(ConfigurationError, match="two series are called 'one'"):
+        load_plan(tmp_path / "plan.toml")
