@@ -1,6 +1,6 @@
 """Mean period and mean logarithmic decrement of a decay, for any kind of pendulum."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,6 +9,34 @@ from processing.errors import DataError
 from processing.swing import TurningPoints
 
 _FEWEST = 4
+_FEWEST_OF_PART = 3
+_NOT_CONSTANT = 4.0
+"""chi2/dof of a constant value above which the value is reported as one that changes."""
+_PART = 3
+"""The change is that from the first to the last third of the half-cycles."""
+
+
+@dataclass(frozen=True, slots=True)
+class DecayMean:
+    """Mean over a decay of a value that may change with the amplitude.
+
+    `u` is multiplied by sqrt(max(1, chi2_per_dof)). Where `changes`, no constant value describes the decay,
+    and `u` also holds the spread of a value that goes evenly from `first` to `last`, its means over the first
+    and the last third, with `u_first` and `u_last`; these are NaN for fewer than nine half-cycles.
+    """
+
+    value: float
+    u: float
+    chi2_per_dof: float
+    first: float = np.nan
+    u_first: float = np.nan
+    last: float = np.nan
+    u_last: float = np.nan
+
+    @property
+    def changes(self) -> bool:
+        """Whether one value does not describe the decay."""
+        return self.chi2_per_dof > _NOT_CONSTANT
 
 
 @dataclass(frozen=True, slots=True)
@@ -16,19 +44,14 @@ class DecaySummary:
     """Means over a decay with standard uncertainties.
 
     `period_s` is twice the slope of turning time against half-cycle, `decrement` the logarithmic decrement of
-    a full period, from the slope of ln(amplitude). Both uncertainties are multiplied by
-    sqrt(max(1, chi2/dof)), which enlarges them if period or decrement change with the amplitude.
+    a full period, from the slope of ln(amplitude).
     """
 
     half_cycles: int
     initial_amplitude: float
     final_amplitude: float
-    period_s: float
-    u_period_s: float
-    period_chi2_per_dof: float
-    decrement: float
-    u_decrement: float
-    decrement_chi2_per_dof: float
+    period_s: DecayMean
+    decrement: DecayMean
 
 
 def summarise_decay(points: TurningPoints) -> DecaySummary:
@@ -40,27 +63,41 @@ def summarise_decay(points: TurningPoints) -> DecaySummary:
         raise DataError(
             f"{len(points)} usable half-cycles, at least {_FEWEST} are needed for a period and a decrement"
         )
-    half_s, u_half_s, period_chi2 = _slope(points.index, points.time_s, points.u_time_s)
-    slope, u_slope, decrement_chi2 = _slope(
-        points.index, np.log(points.amplitude), points.u_amplitude / points.amplitude
-    )
     return DecaySummary(
         half_cycles=len(points),
         initial_amplitude=float(points.amplitude[0]),
         final_amplitude=float(points.amplitude[-1]),
-        period_s=2.0 * half_s,
-        u_period_s=2.0 * u_half_s,
-        period_chi2_per_dof=period_chi2,
-        decrement=-2.0 * slope,
-        u_decrement=2.0 * u_slope,
-        decrement_chi2_per_dof=decrement_chi2,
+        period_s=_mean(points.index, points.time_s, points.u_time_s, 2.0),
+        decrement=_mean(points.index, np.log(points.amplitude), points.u_amplitude / points.amplitude, -2.0),
+    )
+
+
+def _mean(
+    index: NDArray[np.int64], values: NDArray[np.float64], u_values: NDArray[np.float64], factor: float
+) -> DecayMean:
+    """The slope of values against the half-cycle, times `factor`."""
+    found = _slope(index, values, u_values, factor)
+    count = len(index) // _PART
+    if count < _FEWEST_OF_PART:
+        return found
+    first = _slope(index[:count], values[:count], u_values[:count], factor)
+    last = _slope(index[-count:], values[-count:], u_values[-count:], factor)
+    # from the middle of the first third to that of the last are two thirds of the decay
+    spread = 1.5 * abs(last.value - first.value) / np.sqrt(12.0) if found.changes else 0.0
+    return replace(
+        found,
+        u=float(np.hypot(found.u, spread)),
+        first=first.value,
+        u_first=first.u,
+        last=last.value,
+        u_last=last.u,
     )
 
 
 def _slope(
-    index: NDArray[np.int64], values: NDArray[np.float64], u_values: NDArray[np.float64]
-) -> tuple[float, float, float]:
-    """Slope of a weighted straight line, its standard uncertainty, and chi2 per degree of freedom."""
+    index: NDArray[np.int64], values: NDArray[np.float64], u_values: NDArray[np.float64], factor: float
+) -> DecayMean:
+    """Slope of a weighted straight line."""
     x = index.astype(np.float64)
     weight = 1.0 / u_values**2
     mean_x = np.average(x, weights=weight)
@@ -69,4 +106,5 @@ def _slope(
     slope = float(np.sum(weight * (x - mean_x) * (values - mean_y))) / spread
     residual = (values - mean_y - slope * (x - mean_x)) / u_values
     chi2_per_dof = float(residual @ residual) / (len(x) - 2)
-    return slope, float(np.sqrt(max(1.0, chi2_per_dof) / spread)), chi2_per_dof
+    u_slope = float(np.sqrt(max(1.0, chi2_per_dof) / spread))
+    return DecayMean(factor * slope, abs(factor) * u_slope, chi2_per_dof)

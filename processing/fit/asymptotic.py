@@ -140,7 +140,14 @@ def fit_asymptotic(
         loss=loss,
         cost=decay.cost + period.cost,
         outliers=tuple(int(i) for i in points.index[outlying]),
-        warnings=data_warnings(points, pendulum, decay.chi2 / decay.dof, period.chi2 / period.dof),
+        warnings=data_warnings(
+            points,
+            pendulum,
+            {
+                "the amplitudes (Eq. 5)": decay.chi2 / decay.dof,
+                "the periods (Eq. 6)": period.chi2 / period.dof,
+            },
+        ),
         half_cycles=len(points),
         bias=None if exact is None else _bias(exact, points, pendulum, printed_curvature),
     )

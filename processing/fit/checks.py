@@ -1,5 +1,7 @@
 """Checks of the turning points before a fit."""
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from processing.contact import PendulumOnBall
@@ -72,9 +74,15 @@ def jumps(points: TurningPoints, drive_step: float = 0.0) -> list[int]:
 
 
 def data_warnings(
-    points: TurningPoints, pendulum: PendulumOnBall | None, *chi2_per_dof: float, drive_step: float = 0.0
+    points: TurningPoints,
+    pendulum: PendulumOnBall | None,
+    chi2_per_dof: Mapping[str, float],
+    drive_step: float = 0.0,
 ) -> tuple[str, ...]:
-    """Warnings about the data that do not depend on the fitted parameters."""
+    """Warnings about the data that do not depend on the fitted parameters.
+
+    `chi2_per_dof` is that of every part of the fit, by the name of its data.
+    """
     warnings = []
     if pendulum is None:
         warnings.append(
@@ -85,10 +93,10 @@ def data_warnings(
     if kicked:
         listed = ", ".join(str(i) for i in kicked[:5]) + (", ..." if len(kicked) > 5 else "")
         warnings.append(f"the amplitude jumps up at half-cycle {listed}: a kick or a vibration")
-    worst = max(chi2_per_dof)
+    part, worst = max(chi2_per_dof.items(), key=lambda item: item[1])
     if worst > 2:
         warnings.append(
-            f"chi2/dof = {worst:.3g}: the data scatter more than their uncertainties say or the model does "
-            "not describe them; uncertainties are scaled up by its root"
+            f"chi2/dof of {part} = {worst:.3g}: the data scatter more than their uncertainties say or the "
+            "model does not describe them; uncertainties are scaled up by its root"
         )
     return tuple(warnings)

@@ -263,7 +263,7 @@ def _result(
         cost=solution.cost,
         outliers=tuple(int(i) for i in points.index[outlying]),
         warnings=(
-            *data_warnings(points, pendulum, chi2_per_dof, drive_step=ground.noise.step),
+            *data_warnings(points, pendulum, {"amplitudes and times": chi2_per_dof}, ground.noise.step),
             *of_ground(ground, points),
             *of_correlation(white),
             *of_limits(model.columns.at_limit(solution.values)),

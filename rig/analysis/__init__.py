@@ -50,7 +50,8 @@ from rig.analysis.results_file import (
 )
 from rig.analysis.screen import print_results
 from rig.analysis.stored_turning_points import StoredTurningPoints
-from rig.analysis.table_fit import analyse_table, fit_trajectory
+from rig.analysis.table_fit import Columns, analyse_table
+from rig.analysis.table_screen import fit_envelope_table, fit_trajectory
 
 __all__ = [
     "NOT_DETERMINED",
@@ -59,6 +60,7 @@ __all__ = [
     "AveragedCurves",
     "BaseMotion",
     "Budget",
+    "Columns",
     "CombinedParameter",
     "Correlation",
     "Curves",
@@ -90,6 +92,7 @@ __all__ = [
     "drive_text",
     "encoded",
     "evaluate",
+    "fit_envelope_table",
     "fit_results",
     "fit_trajectory",
     "free_path",

@@ -6,7 +6,7 @@ from dataclasses import asdict, astuple, replace
 
 import numpy as np
 
-from calibration import Axes
+from calibration import Axes, Lever
 from processing.angle import ARCSEC_RAD
 from processing.contact import HertzContact, PendulumOnBall, cycle_work, hertz_contact
 from processing.errors import DataError
@@ -64,8 +64,10 @@ def rig_quantities(
     lever's reference (see `RigQuantities`).
     """
     pendulum, lever = config.pendulum, config.lever
-    if pendulum is None or lever is None or pendulum.contact_radius_m is not None:
+    if pendulum is None or pendulum.contact_radius_m is not None:
         return None
+    # a table's angles are taken as they are
+    lever = lever or Lever(arm_m=1.0, pixel_pitch_m=1e-6)
     timebase = config.timebase or TimebaseSettings()
     axes = config.axes or Axes()
     return RigQuantities(

@@ -1,9 +1,11 @@
-"""Trajectories from other instruments: a text table of time and one or two positions."""
+"""Tables of other instruments: a text table of time and one or two positions, or an envelope."""
 
 import gzip
 import math
+import re
 import zlib
 from dataclasses import dataclass
+from decimal import Decimal
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +16,11 @@ from processing.errors import ConfigurationError, DataError
 
 _LARGEST_TABLE_BYTES = 1024 * 1024 * 1024
 _LONGEST_S = 1e9
+TIME_UNITS_NS = {"ns": 1, "us": 10**3, "ms": 10**6, "s": 10**9, "min": 60 * 10**9, "h": 3600 * 10**9}
+_EXACT = 2**53
+"""Largest whole number of ns that a floating-point number holds."""
+_DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+(?:[eE][+-]?\d+)?")
+_WHOLE = re.compile(r"[+-]?\d+")
 _ANGLES_RAD = {
     "rad": 1.0,
     "mrad": 1e-3,
@@ -41,8 +48,13 @@ class Trajectory:
     skipped_rows: int
 
 
-def read_trajectory(path: Path, time: str | None, positions: list[str], unit: str) -> Trajectory:
+def read_trajectory(
+    path: Path, time: str | None, positions: list[str], unit: str, time_unit: str = "s"
+) -> Trajectory:
     """Read a table: tab, comma, semicolon or space separated, .gz too, header lines allowed.
+
+    A comma is a decimal comma where tabs or semicolons separate the columns, or spaces do and every word is a
+    number with one comma or a whole number.
 
     Parameters
     ----------
@@ -51,14 +63,20 @@ def read_trajectory(path: Path, time: str | None, positions: list[str], unit: st
         column is the time, the second the position.
     unit
         An angle (rad, mrad, urad, nrad, arcsec, arcmin, deg) or any other word.
+    time_unit
+        ns, us, ms, s, min or h. Times may be absolute: they are read to the ns however large they are.
 
     Raises
     ------
     DataError
         No such file, no numbers, times that do not increase.
     ConfigurationError
-        A column that the table does not have.
+        A column or a unit of time that there is not.
     """
+    if time_unit not in TIME_UNITS_NS:
+        raise ConfigurationError(
+            f"--time-unit {time_unit!r} is no unit of time; take one of {', '.join(TIME_UNITS_NS)}"
+        )
     header, rows, skipped = _table(path)
     width = len(rows[0])
     t_column = _column(path, header, width, time, default=0)
@@ -67,24 +85,12 @@ def read_trajectory(path: Path, time: str | None, positions: list[str], unit: st
     ]
     if len(p_columns) > 2:
         raise ConfigurationError(f"--position was given {len(p_columns)} times; one or two columns are used")
-    table = np.array(rows, dtype=np.float64)
-    times_s = table[:, t_column]
-    good = np.isfinite(times_s)
-    table, times_s = table[good], times_s[good]
-    if len(times_s) < 2:
-        raise DataError(f"{path}: {len(times_s)} rows have a time; name the time column with --time")
-    if np.abs(times_s).max() > _LONGEST_S:
-        raise DataError(f"{path}: a time of {np.abs(times_s).max():g} s; times are in seconds")
-    backwards = np.nonzero(np.diff(times_s) <= 0)[0]
-    if len(backwards):
-        row = int(backwards[0])
-        raise DataError(
-            f"{path}: time does not increase after {times_s[row]:g} s (row {row + 1}): "
-            f"{times_s[row + 1]:g} s follows; sort the rows or name the time column with --time"
-        )
+    table = np.array([[_value(row[column]) for column in p_columns] for row in rows], dtype=np.float64)
+    times_ns, good = _times_ns(path, [row[t_column] for row in rows], time_unit)
+    table = table[good]
     return Trajectory(
-        times_ns=np.round((times_s - times_s[0]) * 1e9).astype(np.int64),
-        positions=tuple(table[:, column] for column in p_columns),
+        times_ns=times_ns,
+        positions=tuple(table.T),
         names=tuple(header[column] if header else f"column {column + 1}" for column in p_columns),
         unit=unit or "unit",
         scale_rad=_ANGLES_RAD.get(unit),
@@ -92,7 +98,41 @@ def read_trajectory(path: Path, time: str | None, positions: list[str], unit: st
     )
 
 
-def _table(path: Path) -> tuple[list[str], list[list[float]], int]:
+def _times_ns(path: Path, cells: list[str], unit: str) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """Times from the first one in ns, and which of the rows have one."""
+    times = np.array([_value(cell) for cell in cells])
+    good = np.isfinite(times)
+    times = times[good]
+    if len(times) < 2:
+        raise DataError(f"{path}: {len(times)} rows have a time; name the time column with --time")
+    size_ns = TIME_UNITS_NS[unit]
+    with np.errstate(over="ignore", invalid="ignore"):
+        backwards = np.nonzero(~(np.diff(times) >= 0))[0]
+        span_s = (times[-1] - times[0]) * (size_ns * 1e-9)
+        exact = not np.abs(times).max() * size_ns < _EXACT
+    if not len(backwards) and not span_s <= _LONGEST_S:
+        raise DataError(
+            f"{path}: the times span {span_s:.3g} s, which no decay lasts; state their unit "
+            "(--time-unit ns), or name the time column with --time"
+        )
+    if not len(backwards):
+        if exact:
+            whole = [Decimal(cell) * size_ns for cell, kept in zip(cells, good, strict=True) if kept]
+            times_ns = np.array([round(value - whole[0]) for value in whole], dtype=np.int64)
+        else:
+            times_ns = np.round((times - times[0]) * size_ns).astype(np.int64)
+        backwards = np.nonzero(np.diff(times_ns) <= 0)[0]
+    if len(backwards):
+        row = int(backwards[0])
+        raise DataError(
+            f"{path}: time does not increase after {times[row]:.16g} {unit} (row {row + 1}): "
+            f"{times[row + 1]:.16g} {unit} follows; sort the rows or name the time column with --time"
+        )
+    return times_ns, good
+
+
+def _table(path: Path) -> tuple[list[str], list[list[str]], int]:
+    """Header, cells of every row with numbers (a decimal point in each), number of rows left out."""
     try:
         with gzip.open(path) if path.suffix == ".gz" else path.open("rb") as file:
             raw = file.read(_LARGEST_TABLE_BYTES + 1)
@@ -106,20 +146,19 @@ def _table(path: Path) -> tuple[list[str], list[list[float]], int]:
         raise DataError(f"{path}: is longer than {_LARGEST_TABLE_BYTES >> 20} MiB; take fewer rows")
     text = raw.decode("utf-8-sig", errors="replace")
     header: list[str] = []
-    rows: list[list[float]] = []
+    rows: list[list[str]] = []
     skipped = 0
     for line in text.splitlines():
         cells = _cells(line)
-        values = [_number(cell) for cell in cells]
         if not cells or line.lstrip().startswith("#"):
             continue
-        if not rows and sum(value is not None for value in values) < 2:
+        if not rows and sum(not math.isnan(_value(cell)) for cell in cells) < 2:
             header = cells
             continue
-        if rows and len(values) != len(rows[0]):
+        if rows and len(cells) != len(rows[0]):
             skipped += 1
             continue
-        rows.append([math.nan if value is None else value for value in values])
+        rows.append(cells)
     if len(rows) < 2:
         raise DataError(
             f"{path}: holds {len(rows)} rows of numbers; a table of time and position is expected "
@@ -131,17 +170,31 @@ def _table(path: Path) -> tuple[list[str], list[list[float]], int]:
 
 
 def _cells(line: str) -> list[str]:
-    for separator in ("\t", ";", ","):
+    for separator in ("\t", ";"):
         if separator in line:
-            return [cell.strip().strip('"') for cell in line.split(separator)]
-    return line.split()
+            return [_with_point(cell.strip().strip('"')) for cell in line.split(separator)]
+    words = line.split()
+    commas = [bool(_DECIMAL_COMMA.fullmatch(word)) for word in words]
+    if (
+        len(words) > 1
+        and any(commas)
+        and all(comma or _WHOLE.fullmatch(word) for comma, word in zip(commas, words, strict=True))
+    ):
+        return [_with_point(word) for word in words]
+    return [cell.strip().strip('"') for cell in line.split(",")] if "," in line else words
 
 
-def _number(cell: str) -> float | None:
+def _with_point(cell: str) -> str:
+    """A number with a decimal comma with a point instead; anything else as it is."""
+    return cell.replace(",", ".") if _DECIMAL_COMMA.fullmatch(cell) else cell
+
+
+def _value(cell: str) -> float:
+    """A number; NaN for anything else."""
     try:
         return float(cell)
     except ValueError:
-        return None
+        return math.nan
 
 
 def _column(path: Path, header: list[str], width: int, name: str | None, default: int) -> int:

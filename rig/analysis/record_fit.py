@@ -72,7 +72,7 @@ def analyse_run(
     `blocks` are the deflections of consecutive frames, in `unit`.
     """
     deflections = PassingDeflections(blocks, unit)
-    run = _analyse_swings(reader.path, swings, config, deflections, recorded_air(reader, config))
+    run = analyse_swings(reader.path, swings, config, deflections, recorded_air(reader, config))
     began, ended = reader.utc(deflections.first_ns), reader.utc(deflections.last_ns)
     calibration, doubts = judge_calibration(config, reader.attachments, began, ended)
     warnings = [*run.results.warnings, *doubts, *reader.doubts()]
@@ -107,7 +107,7 @@ def with_dropped_frames(
 
 def recorded_air(reader: RecordReader, config: Configuration) -> Air:
     """Means over a record of what its sensor read; what it did not read, as the user stated it."""
-    stated = config.environment
+    stated = stated_air(config)
     table = reader.table(ENVIRONMENT.topic)
     means = []
     for name, value in (
@@ -115,16 +115,22 @@ def recorded_air(reader: RecordReader, config: Configuration) -> Air:
         ("humidity_percent", stated.humidity_percent),
     ):
         read = table[name][np.isfinite(table[name])] if len(table) else np.empty(0)
-        means.append(float(np.mean(read)) if len(read) else math.nan if value is None else value)
+        means.append(float(np.mean(read)) if len(read) else value)
     return Air(*means)
 
 
-def _analyse_swings(
+def stated_air(config: Configuration) -> Air:
+    """What the user stated of the air; NaN for what was not."""
+    stated = (config.environment.temperature_c, config.environment.humidity_percent)
+    return Air(*(math.nan if value is None else value for value in stated))
+
+
+def analyse_swings(
     path: Path, swings: Sequence[Swing], config: Configuration, deflections: PassingDeflections, air: Air
 ) -> AnalysedRun:
-    """Reduce the half-cycles of one run as its kind of pendulum asks.
+    """Reduce the half-cycles of one run, or of one decay of a table, as its kind of pendulum asks.
 
-    `path` is the record that they come from, `deflections` and `air` what it holds beside them.
+    `path` is the file that they come from, `deflections` and `air` what it holds beside them.
     """
     unit = deflections.unit
     if config.instrument.description().report != "contact" and unit is DeflectionUnit.RAD:

@@ -12,6 +12,7 @@ from typing import Annotated
 from acquisition.frame_losses import FrameLosses
 from processing.swing import KnownMotion
 from rig.analysis.contact_results import (
+    NOT_DETERMINED,
     Budget,
     Determination,
     Drag,
@@ -160,17 +161,44 @@ class SessionResults:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class TableResults:
-    """results.json of a table of positions of any instrument; amplitudes in its own `unit`."""
+class TableDecay(RunResults):
+    """One decay of a table: what a run of the rig reports, and mean period and logarithmic decrement.
+
+    `initial_amplitude` and `final_amplitude` are in the table's own unit, `amplitude_unit`; `began_s` and
+    `ended_s` are the first and the last turning point since the table's first row.
+    """
+
+    began_s: Number = nan
+    ended_s: Number = nan
+    period_s: Value = NOT_DETERMINED
+    log_decrement: Value = NOT_DETERMINED
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TableResults(TableDecay):
+    """results.json of a table of positions of any instrument.
+
+    `decays` are all that were found, the values beside them those of the longest one.
+    """
 
     schema: int = SCHEMA
     trajectory: str
     unit: str
-    half_cycles: int
-    initial_amplitude: Number
-    final_amplitude: Number
-    period_s: Value
-    log_decrement: Value
-    fits: Mapping[str, Annotated[Fit, Beside("parameters")]] = field(default_factory=dict)
-    surface_energy_j_per_m2: Annotated[Annotated[SurfaceEnergies, Beside("others")] | None, Section] = None
-    problem: str = ""
+    decays: tuple[TableDecay, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EnvelopeResults:
+    """results.json of an envelope: see `processing.envelope.EnvelopeDecay`."""
+
+    schema: int = SCHEMA
+    envelope: str
+    unit: str
+    samples: int
+    time_constant_s: Value
+    first_half_s: Number = nan
+    last_half_s: Number = nan
+    chi2_per_dof: Number = nan
+    noise_floor: Number = nan
+    quality_factor: Annotated[Value | None, Section] = None
+    warnings: tuple[str, ...] = ()

@@ -12,7 +12,7 @@ from pydantic_core import ErrorDetails
 from acquisition.record import whole_file
 from processing.errors import RecordError
 from rig.analysis.encoding import JsonObject, with_entries_beside
-from rig.analysis.results import SCHEMA, RunResults, SessionResults, TableResults
+from rig.analysis.results import SCHEMA, EnvelopeResults, RunResults, SessionResults, TableResults
 from rig.presentation import plain_values
 
 RESULTS_NAME = "results.json"
@@ -31,7 +31,7 @@ def encoded(values: object) -> JsonObject:
     return tree
 
 
-def write_results(path: Path, results: SessionResults | TableResults) -> None:
+def write_results(path: Path, results: SessionResults | TableResults | EnvelopeResults) -> None:
     """Write results.json; never over an existing one. Raises RecordError."""
     try:
         whole_file.write_new(path, (_text(encoded(results)) + "\n").encode())
@@ -144,6 +144,8 @@ def results_schema() -> str:
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": RESULTS_NAME,
         "description": f"Version {SCHEMA}: of records, or of a table of positions of any instrument.",
-        **with_entries_beside(TypeAdapter[Any](SessionResults | TableResults).json_schema()),
+        **with_entries_beside(
+            TypeAdapter[Any](SessionResults | TableResults | EnvelopeResults).json_schema()
+        ),
     }
     return _text(plain_values(tree)) + "\n"

@@ -7,7 +7,7 @@ from rich.console import Console
 
 from rig.analysis.fit_remarks import remarks
 from rig.analysis.fit_tables import parameter_table, quality_table
-from rig.analysis.results import SessionResults
+from rig.analysis.results import RunResults, SessionResults
 from rig.presentation import print_tables
 
 
@@ -19,23 +19,31 @@ def print_results(results: SessionResults, paths: Sequence[tuple[str, Path]]) ->
             f"run {number}: {run.half_cycles_text(run.amplitude_unit or '')}, {run.frames} frames, "
             f"{run.dropped_frames} dropped"
         )
-        console.print(head, highlight=False, markup=False)
-        if run.problem:
-            console.print(f"  no fit: {run.problem}", highlight=False, markup=False)
-        if run.fits:
-            parameters = parameter_table(run.fits, run.surface_energy_j_per_m2, run.verdicts())
-            print_tables([parameters, quality_table(run.fits)])
-        for line in (*(run.instrument.text if run.instrument else ()), *remarks(run)):
-            console.print(f"  {line}", highlight=False, markup=False, soft_wrap=True)
-        for condition in run.conditions:
-            if not condition.ok:
-                line = f"  {condition.name.upper()}: {condition.measured} (limit {condition.limit}); "
-                line += f"{condition.reason}; {condition.remedy}"
-                console.print(line, highlight=False, markup=False, soft_wrap=True)
-        for warning in run.warnings:
-            console.print(f"  note: {warning}", highlight=False, markup=False, soft_wrap=True)
+        print_run(run, head)
     if results.series is not None and results.series.instrument is not None:
         for line in results.series.instrument.text:
             console.print(line, highlight=False, markup=False)
     for name, path in paths:
         console.print(f"{name:<12} {path}", highlight=False, markup=False, soft_wrap=True)
+
+
+def print_run(run: RunResults, head: str, lines: Sequence[str] = ()) -> None:
+    """One run: its head, `lines` of its own, tables of the fits, remarks, conditions and warnings."""
+    console = Console()
+    console.print(head, highlight=False, markup=False, soft_wrap=True)
+    for line in lines:
+        console.print(f"  {line}", highlight=False, markup=False, soft_wrap=True)
+    if run.problem:
+        console.print(f"  no fit: {run.problem}", highlight=False, markup=False, soft_wrap=True)
+    if run.fits:
+        parameters = parameter_table(run.fits, run.surface_energy_j_per_m2, run.verdicts())
+        print_tables([parameters, quality_table(run.fits)])
+    for line in (*(run.instrument.text if run.instrument else ()), *remarks(run)):
+        console.print(f"  {line}", highlight=False, markup=False, soft_wrap=True)
+    for condition in run.conditions:
+        if not condition.ok:
+            line = f"  {condition.name.upper()}: {condition.measured} (limit {condition.limit}); "
+            line += f"{condition.reason}; {condition.remedy}"
+            console.print(line, highlight=False, markup=False, soft_wrap=True)
+    for warning in run.warnings:
+        console.print(f"  note: {warning}", highlight=False, markup=False, soft_wrap=True)

@@ -1,94 +1,128 @@
-"""`rig fit` on a table: swings, decay and period of any instrument, the contact's laws where they apply."""
+"""`rig fit` on a table: every decay in it, reported as a run of the rig is; or an envelope."""
 
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from acquisition.record.digest import known_sha256_of
 from processing.decay_summary import DecaySummary, summarise_decay
-from processing.deflections import slow_deflections
-from processing.errors import DataError
+from processing.deflections import DeflectionUnit, slow_deflections
+from processing.envelope import EnvelopeDecay, fit_envelope
+from processing.errors import ConfigurationError, DataError
 from processing.estimate import Estimate
+from processing.separate_decays import separate_decays
 from processing.swing import Swing, SwingDetector, estimate_noise, turning_points
-from rig.analysis.contact_laws import DecayFits, fit_decay, settled_swings
-from rig.analysis.contact_verdicts import fit_results
-from rig.analysis.fit_tables import parameter_table, quality_table
+from rig.analysis.passing_deflections import PassingDeflections
 from rig.analysis.position_table import Trajectory, read_trajectory
-from rig.analysis.results import TableResults
-from rig.analysis.results_file import RESULTS_NAME, write_results
-from rig.instrument import pendulum_on_ball
-from rig.presentation import print_tables, with_uncertainty
-from rig.settings import Configuration, load_configuration
+from rig.analysis.record_fit import analyse_swings, stated_air
+from rig.analysis.results import EnvelopeResults, RunResults, TableDecay, TableResults
+from rig.settings import Configuration
 
 _USABLE = 4
+_EDGE = 0.75
+"""Samples of a decay: from so many half periods before its first turning point to as many after its last."""
+
+
+@dataclass(frozen=True)
+class FoundDecay:
+    """One decay of a table: its half-cycles with their means, and its results."""
+
+    swings: Sequence[Swing]
+    summary: DecaySummary
+    results: TableDecay
 
 
 @dataclass(frozen=True)
 class AnalysedTable:
-    """A table, the half-cycles and the noise of a sample found in it, and what follows."""
+    """A table, the noise of a sample in its unit, the decays found in it, and what follows."""
 
     trajectory: Trajectory
-    swings: Sequence[Swing]
-    summary: DecaySummary
     noise: float
+    decays: Sequence[FoundDecay]
+    passed_over: Sequence[Sequence[Swing]]
     results: TableResults
 
 
-def analyse_table(
-    path: Path, config: Configuration | None, time: str | None, positions: Sequence[str], unit: str
-) -> AnalysedTable:
-    """Detect the swings of a trajectory; fit the laws where unit and pendulum allow.
+@dataclass(frozen=True)
+class Columns:
+    """Which columns of a table hold what, in which units; see `read_trajectory`."""
 
-    Two positions are first turned onto the direction of the larger motion. Raises DataError where no decay
-    can be had, with the reason.
+    time: str | None = None
+    positions: tuple[str, ...] = ()
+    unit: str = ""
+    time_unit: str = "s"
+
+    def read(self, path: Path) -> Trajectory:
+        """The table."""
+        return read_trajectory(path, self.time, list(self.positions), self.unit, self.time_unit)
+
+
+def analyse_table(path: Path, config: Configuration | None, columns: Columns) -> AnalysedTable:
+    """Detect the swings of a trajectory, separate its decays, and report each as a run of the rig.
+
+    Two positions are first turned onto the direction of the larger motion. The contact's laws are fitted
+    where unit and pendulum allow. Raises DataError where no decay can be had, with the reason.
     """
-    trajectory = read_trajectory(path, time, list(positions), unit)
+    trajectory = columns.read(path)
     scale = trajectory.scale_rad or 1.0
     deflection = along_motion(trajectory.positions) * scale
     noise = estimate_noise(trajectory.times_ns, deflection)
     detector = SwingDetector()
     swings = detector.update(trajectory.times_ns, deflection, np.full(len(deflection), noise))
     swings += detector.finish()
-    points = turning_points(swings)
-    if len(points) < _USABLE:
-        flagged = len(swings) - len(points)
+    parts = separate_decays(swings)
+    usable = [part for part in parts if len(turning_points(part)) >= _USABLE]
+    if not usable:
+        most = max((len(turning_points(part)) for part in parts), default=0)
         raise DataError(
-            f"{path}: {len(points)} usable half-cycles ({flagged} more are flagged), at least {_USABLE} are "
-            "needed: the samples hold no free decay, or too little of one"
+            f"{path}: {most} usable half-cycles ({len(swings) - most} more are flagged or of other decays), "
+            f"at least {_USABLE} are needed: the samples hold no free decay, or too little of one"
         )
-    summary = summarise_decay(points)
-    laws = DecayFits({}, None, _why_no_laws(trajectory, config))
-    if config is not None and not laws.problem:
-        pendulum = pendulum_on_ball(config)
-        deflections = slow_deflections(trajectory.times_ns, deflection, noise)
-        settled = settled_swings(swings, [deflections], deflections.unit, pendulum, config.fit)
-        points = turning_points(settled.swings)
-        laws = fit_decay(points, pendulum, config.fit, settled.exact)
-    results = _results(path, trajectory, summary, laws)
-    return AnalysedTable(trajectory, swings, summary, noise / scale, results)
+    decays = [_analyse(path, part, trajectory, deflection, noise, config) for part in usable]
+    longest = max(decays, key=lambda decay: decay.summary.half_cycles)
+    results = TableResults(
+        **_values(longest.results),
+        trajectory=path.as_posix(),
+        unit=trajectory.unit,
+        decays=tuple(decay.results for decay in decays),
+    )
+    passed_over = [part for part in parts if part not in usable]
+    return AnalysedTable(trajectory, noise / scale, decays, passed_over, results)
 
 
-def fit_trajectory(
-    path: Path,
-    output: Path | None,
-    config_path: Path | None,
-    time: str | None,
-    positions: list[str],
-    unit: str,
-    overrides: Sequence[str],
-) -> int:
-    """Analyse a table, print decay, period and fits, write results.json. Returns the exit status."""
-    config = load_configuration(config_path, overrides) if config_path else None
-    table = analyse_table(path, config, time, positions, unit)
-    _print(path, table)
-    if output is not None:
-        output.mkdir(parents=True, exist_ok=True)
-        write_results(output / RESULTS_NAME, table.results)
-        print(f"results      {output / RESULTS_NAME}")
-    return 0
+def analyse_envelope(
+    path: Path, columns: Columns, *, decibel: bool, frequency_hz: float | None
+) -> tuple[EnvelopeDecay, EnvelopeResults]:
+    """Fit the exponential of an envelope of amplitudes, or of powers in dB; see `fit_envelope`."""
+    trajectory = columns.read(path)
+    if len(trajectory.positions) > 1:
+        raise ConfigurationError("--position was given twice; an envelope is one column")
+    try:
+        times_s = np.asarray(1e-9 * trajectory.times_ns, dtype=np.float64)
+        found = fit_envelope(times_s, trajectory.positions[0], decibel=decibel)
+    except DataError as error:
+        raise DataError(f"{path}: {error}") from None
+    doubt = (
+        "the envelope is not one exponential (chi2/dof "
+        f"{found.chi2_per_dof:.3g}): its time constant is {found.first_s:.3g} s over the first half of the "
+        f"fall and {found.last_s:.3g} s over the last"
+    )
+    return found, EnvelopeResults(
+        envelope=path.as_posix(),
+        unit="dB" if decibel else trajectory.unit,
+        samples=found.samples,
+        time_constant_s=Estimate(found.tau_s, found.u_tau_s),
+        first_half_s=found.first_s,
+        last_half_s=found.last_s,
+        chi2_per_dof=found.chi2_per_dof,
+        noise_floor=found.floor,
+        quality_factor=None if frequency_hz is None else Estimate(*found.quality_factor(frequency_hz)),
+        warnings=(doubt,) if found.changes else (),
+    )
 
 
 def along_motion(positions: tuple[NDArray[np.float64], ...]) -> NDArray[np.float64]:
@@ -99,13 +133,84 @@ def along_motion(positions: tuple[NDArray[np.float64], ...]) -> NDArray[np.float
     if len(positions) == 1:
         return positions[0]
     both = np.column_stack(positions)
-    centred = both - np.nanmean(both, axis=0)
-    good = np.isfinite(centred).all(axis=1)
+    good = np.isfinite(both).all(axis=1)
     if not good.any():
         raise DataError("no row of the table has both positions; name other columns with --position")
+    centred = both - both[good].mean(axis=0)
     _, _, axes = np.linalg.svd(centred[good], full_matrices=False)
     along: NDArray[np.float64] = centred @ axes[0]
     return along
+
+
+def _analyse(
+    path: Path,
+    swings: Sequence[Swing],
+    trajectory: Trajectory,
+    deflection: NDArray[np.float64],
+    noise: float,
+    config: Configuration | None,
+) -> FoundDecay:
+    """One decay, by the same path as a record's."""
+    points = turning_points(swings)
+    summary = summarise_decay(points)
+    edge_ns = _EDGE * 0.5e9 * summary.period_s.value
+    inside = (trajectory.times_ns > swings[0].turn_time_ns - edge_ns) & (
+        trajectory.times_ns < swings[-1].turn_time_ns + edge_ns
+    )
+    problem = _why_no_laws(trajectory, config)
+    run = RunResults(record=path.name, sha256=known_sha256_of(path), problem=problem)
+    if config is not None and not problem:
+        samples = slow_deflections(trajectory.times_ns[inside], deflection[inside], noise)
+        passing = PassingDeflections([samples], DeflectionUnit.RAD)
+        run = analyse_swings(path, swings, config, passing, stated_air(config)).results
+    unflagged = [swing.turn_time_ns for swing in swings if not swing.flags]
+    scale = trajectory.scale_rad or 1.0
+    values = _values(run) | {
+        "frames": int(np.count_nonzero(inside)),
+        "half_cycles": run.half_cycles or summary.half_cycles,
+        "amplitude_unit": trajectory.unit,
+        "initial_amplitude": summary.initial_amplitude / scale,
+        "final_amplitude": summary.final_amplitude / scale,
+        "warnings": (*run.warnings, *_changes(summary)),
+    }
+    if config is not None and config.lever is None and run.budget:
+        values["notes"] = (
+            *run.notes,
+            "the budget takes the table's angles as exact; [lever] with u_arm_m states their scale's doubt",
+        )
+    results = TableDecay(
+        **values,
+        began_s=1e-9 * unflagged[0],
+        ended_s=1e-9 * unflagged[-1],
+        period_s=Estimate(summary.period_s.value, summary.period_s.u),
+        log_decrement=Estimate(summary.decrement.value, summary.decrement.u),
+    )
+    return FoundDecay(swings, summary, results)
+
+
+def _changes(summary: DecaySummary) -> list[str]:
+    """What a mean does not describe."""
+    said = []
+    for name, mean, unit in (
+        ("period", summary.period_s, " s"),
+        ("logarithmic decrement", summary.decrement, ""),
+    ):
+        if mean.changes:
+            ends = (
+                f": {mean.first:.5g}{unit} over the first third of the half-cycles, {mean.last:.5g}{unit} "
+                "over the last"
+                if np.isfinite(mean.first)
+                else ""
+            )
+            said.append(
+                f"the {name} is not constant (chi2/dof of a constant one {mean.chi2_per_dof:.3g}){ends}; the "
+                "uncertainty of its mean holds that"
+            )
+    return said
+
+
+def _values(results: RunResults) -> dict[str, Any]:
+    return {field.name: getattr(results, field.name) for field in fields(results)}
 
 
 def _why_no_laws(trajectory: Trajectory, config: Configuration | None) -> str:
@@ -114,48 +219,3 @@ def _why_no_laws(trajectory: Trajectory, config: Configuration | None) -> str:
     if config is None:
         return "no pendulum is known; --config FILE with [pendulum] gives mass and ball"
     return ""
-
-
-def _print(path: Path, table: AnalysedTable) -> None:
-    trajectory, summary, results = table.trajectory, table.summary, table.results
-    scale = trajectory.scale_rad or 1.0
-    unit = trajectory.unit
-    print(f"{path}: {len(trajectory.times_ns)} samples, {', '.join(trajectory.names)} in {unit}")
-    if trajectory.skipped_rows:
-        print(f"  {trajectory.skipped_rows} rows without the right number of columns were left out")
-    print(f"  noise of a sample {table.noise:.3g} {unit}, from the scatter about a smooth curve")
-    flagged = len(table.swings) - summary.half_cycles
-    print(
-        f"  {summary.half_cycles} half-cycles ({flagged} more flagged and left out), amplitude "
-        f"{summary.initial_amplitude / scale:.4g} to {summary.final_amplitude / scale:.4g} {unit}"
-    )
-    period = with_uncertainty(summary.period_s, summary.u_period_s)
-    decrement = with_uncertainty(summary.decrement, summary.u_decrement)
-    print(f"  period {period} s (chi2/dof of a constant one {summary.period_chi2_per_dof:.3g})")
-    print(f"  log decrement {decrement} (chi2/dof of a constant one {summary.decrement_chi2_per_dof:.3g})")
-    if math.pi < summary.decrement:
-        print("  the decay is faster than a swing: no quality factor")
-    else:
-        q = math.pi / summary.decrement
-        print(f"  quality factor {with_uncertainty(q, q * summary.u_decrement / summary.decrement)}")
-    if results.fits:
-        parameters = parameter_table(results.fits, results.surface_energy_j_per_m2, {})
-        print_tables([parameters, quality_table(results.fits)])
-    if results.problem:
-        print(f"  contact: {results.problem}")
-
-
-def _results(path: Path, trajectory: Trajectory, summary: DecaySummary, laws: DecayFits) -> TableResults:
-    scale = trajectory.scale_rad or 1.0
-    return TableResults(
-        trajectory=path.as_posix(),
-        unit=trajectory.unit,
-        half_cycles=summary.half_cycles,
-        initial_amplitude=summary.initial_amplitude / scale,
-        final_amplitude=summary.final_amplitude / scale,
-        period_s=Estimate(summary.period_s, summary.u_period_s),
-        log_decrement=Estimate(summary.decrement, summary.u_decrement),
-        fits={name: fit_results(fit) for name, fit in laws.fits.items()},
-        surface_energy_j_per_m2=laws.surface_energy,
-        problem=laws.problem,
-    )

@@ -23,9 +23,10 @@ def fit(
         Path | None, typer.Option("-o", "--output", help="Folder for results.json; must not hold one yet.")
     ] = None,
     config: Annotated[Path | None, typer.Option(help="CSV: configuration with [pendulum] and [fit].")] = None,
-    time: Annotated[
-        str | None, typer.Option(help="CSV: name or number of the column with the time in s.")
-    ] = None,
+    time: Annotated[str | None, typer.Option(help="CSV: name or number of the column with the time.")] = None,
+    time_unit: Annotated[
+        str, typer.Option(help="CSV: unit of the time: ns (also absolute), us, ms, s, min, h.")
+    ] = "s",
     position: Annotated[
         list[str] | None,
         typer.Option(help="CSV: name or number of the column with the position; twice for two axes."),
@@ -34,15 +35,23 @@ def fit(
         str,
         typer.Option(help="CSV: unit of the position: rad, mrad, urad, arcsec, arcmin, deg, or any word."),
     ] = "",
+    envelope: Annotated[
+        str | None,
+        typer.Option(help="CSV: the column is an envelope: amplitude, or power in dB."),
+    ] = None,
+    frequency: Annotated[
+        float | None, typer.Option(min=0.0, help="CSV: frequency in Hz of what an envelope is of.")
+    ] = None,
     set_: Set = None,
 ) -> None:
     """Fit the contact laws to records, or to a CSV table."""
     if len(files) == 1 and files[0].suffix.lower() != ".mcap":
-        from rig.analysis import fit_trajectory
+        from rig.analysis import Columns, fit_envelope_table, fit_trajectory
 
-        raise typer.Exit(
-            fit_trajectory(files[0], output, config, time, position or [], unit, overrides=set_ or [])
-        )
+        columns = Columns(time, tuple(position or ()), unit, time_unit)
+        if envelope is not None:
+            raise typer.Exit(fit_envelope_table(files[0], output, columns, envelope, frequency))
+        raise typer.Exit(fit_trajectory(files[0], output, config, columns, overrides=set_ or []))
     raise typer.Exit(fit_records(files, output, overrides=set_ or []))
 
 

@@ -4,7 +4,14 @@ import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from rig.analysis import SessionResults, TableResults, analyse_record, analyse_table, session_results
+from rig.analysis import (
+    Columns,
+    SessionResults,
+    TableResults,
+    analyse_record,
+    analyse_table,
+    session_results,
+)
 from rig.scripting.record import Record
 from rig.scripting.session import Session
 from rig.settings import load_configuration
@@ -59,13 +66,14 @@ def fit_table(
     configuration: str | Path | None = None,
     time: str | None = None,
     positions: Sequence[str] = (),
+    time_unit: str = "s",
 ) -> TableResults:
     """Determine decay and period from a table of positions of any instrument, and fit the contact laws.
 
     Parameters
     ----------
     path
-        Text file with a table, such as CSV; times in s.
+        Text file with a table, such as CSV.
     unit
         Unit of the positions: rad, mrad, urad, arcsec, arcmin or deg. With any other unit the contact laws
         are not fitted.
@@ -73,11 +81,13 @@ def fit_table(
         TOML file with [pendulum] and [fit], which the contact laws require; None: they are not fitted.
     time, positions
         Columns by name or by number from 1; by default the first column is the time, the second the position.
+    time_unit
+        ns, us, ms, s, min or h; times may be absolute.
 
     Returns
     -------
     TableResults
-        Numbers of samples and half-cycles, decay, period and fits.
+        Half-cycles, decay, period and fits of the longest decay, and in `decays` of every one.
 
     Raises
     ------
@@ -85,4 +95,4 @@ def fit_table(
         The table has no numbers or lacks a column, or the samples are not a free decay.
     """
     config = load_configuration(Path(configuration)) if configuration is not None else None
-    return analyse_table(Path(path), config, time, positions, unit).results
+    return analyse_table(Path(path), config, Columns(time, tuple(positions), unit, time_unit)).results

@@ -141,6 +141,10 @@ def test_a_table_gives_what_it_gave() -> None:
         assert new[key]["value"] == pytest.approx(old[key]["value"], rel=1e-6)
     check_no_key_is_lost(new, old)
     check_same_fits(new["fits"], old["fits"])
+    assert new["drag"]["text"], "a table is judged as a record is"
+    assert {item["name"] for item in new["identifiability"]} == set(PARAMETERS)
+    assert new["budget"]["surface_energy_table2_j_per_m2"]["sources"]
+    assert len(new["decays"]) == 1
 
 
 def test_another_instrument_gives_what_it_gave() -> None:

@@ -1,0 +1,110 @@
+"""`rig fit` on a table, on the terminal."""
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+from processing.decay_summary import DecayMean
+from processing.errors import ConfigurationError
+from processing.swing import turning_points
+from rig.analysis.results import EnvelopeResults, TableResults
+from rig.analysis.results_file import RESULTS_NAME, write_results
+from rig.analysis.screen import print_run
+from rig.analysis.table_fit import AnalysedTable, Columns, FoundDecay, analyse_envelope, analyse_table
+from rig.presentation import with_uncertainty
+from rig.settings import load_configuration
+
+ENVELOPES = ("amplitude", "power")
+
+
+def fit_trajectory(
+    path: Path,
+    output: Path | None,
+    config_path: Path | None,
+    columns: Columns,
+    overrides: Sequence[str],
+) -> int:
+    """Analyse a table, print what is known of every decay, write results.json. Returns the exit status."""
+    config = load_configuration(config_path, overrides) if config_path else None
+    table = analyse_table(path, config, columns)
+    _print(path, table)
+    _write(output, table.results)
+    return 0
+
+
+def fit_envelope_table(
+    path: Path, output: Path | None, columns: Columns, kind: str, frequency_hz: float | None
+) -> int:
+    """Analyse an envelope, print its time constant, write results.json. Returns the exit status."""
+    if kind not in ENVELOPES:
+        raise ConfigurationError(f"--envelope {kind!r}: take one of {', '.join(ENVELOPES)} (in dB)")
+    found, results = analyse_envelope(path, columns, decibel=kind == "power", frequency_hz=frequency_hz)
+    unit = f" {results.unit}"
+    print(f"{path}: an envelope of {found.samples} values, noise of one {found.noise:.3g}{unit}")
+    print(f"  {found.initial:.4g}{unit} at the start, noise floor {found.floor:.3g}{unit}")
+    of_power = with_uncertainty(0.5 * found.tau_s, 0.5 * found.u_tau_s)
+    print(f"  time constant of the amplitude {with_uncertainty(found.tau_s, found.u_tau_s)} s")
+    print(f"  time constant of the power {of_power} s")
+    if results.quality_factor is not None:
+        print(f"  quality factor {with_uncertainty(*results.quality_factor)}")
+    for warning in results.warnings:
+        print(f"  note: {warning}")
+    _write(output, results)
+    return 0
+
+
+def _write(output: Path | None, results: TableResults | EnvelopeResults) -> None:
+    if output is not None:
+        output.mkdir(parents=True, exist_ok=True)
+        write_results(output / RESULTS_NAME, results)
+        print(f"results      {output / RESULTS_NAME}")
+
+
+def _print(path: Path, table: AnalysedTable) -> None:
+    trajectory = table.trajectory
+    print(
+        f"{path}: {len(trajectory.times_ns)} samples, {', '.join(trajectory.names)} in {trajectory.unit}, "
+        f"{len(table.decays)} {'decay' if len(table.decays) == 1 else 'decays'}"
+    )
+    if trajectory.skipped_rows:
+        print(f"  {trajectory.skipped_rows} rows without the right number of columns were left out")
+    print(f"  noise of a sample {table.noise:.3g} {trajectory.unit}, from the scatter about a smooth curve")
+    for part in table.passed_over:
+        print(
+            f"  from {1e-9 * part[0].turn_time_ns:.4g} s on: {len(turning_points(part))} usable half-cycles "
+            f"of {len(part)}, too few for a decay"
+        )
+    for number, decay in enumerate(table.decays, start=1):
+        _print_decay(number, decay)
+
+
+def _print_decay(number: int, decay: FoundDecay) -> None:
+    results, summary = decay.results, decay.summary
+    flagged = len(decay.swings) - summary.half_cycles
+    lines = [
+        f"period {_mean_text(summary.period_s, ' s')}",
+        f"log decrement {_mean_text(summary.decrement, '')}",
+    ]
+    if summary.decrement.value > math.pi:
+        lines.append("the decay is faster than a swing: no quality factor")
+    elif not summary.decrement.changes:
+        q = math.pi / summary.decrement.value
+        u_q = q * summary.decrement.u / summary.decrement.value
+        lines.append(f"quality factor {with_uncertainty(q, u_q)}")
+    head = (
+        f"decay {number}, {results.began_s:.4g} to {results.ended_s:.4g} s: {summary.half_cycles} "
+        f"half-cycles ({flagged} more flagged and left out), amplitude {results.initial_amplitude:.4g} to "
+        f"{results.final_amplitude:.4g} {results.amplitude_unit}"
+    )
+    print_run(results, head, lines)
+
+
+def _mean_text(mean: DecayMean, unit: str) -> str:
+    """A mean with its uncertainty, or the range over which it changes."""
+    if not mean.changes:
+        constant = f"chi2/dof of a constant one {mean.chi2_per_dof:.3g}"
+        return f"{with_uncertainty(mean.value, mean.u)}{unit} ({constant})"
+    if math.isnan(mean.first):
+        return f"about {mean.value:.3g}{unit}, not constant"
+    first, last = with_uncertainty(mean.first, mean.u_first), with_uncertainty(mean.last, mean.u_last)
+    return f"{first}{unit} at the start, {last}{unit} at the end"

@@ -1,0 +1,154 @@
+"""Tables of other instruments are reported as records are: decays apart, means that change, formats."""
+
+import re
+import textwrap
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from processing.envelope import fit_envelope
+from processing.errors import DataError
+from rig.analysis.position_table import read_trajectory
+from rig.analysis.table_fit import Columns, analyse_envelope, analyse_table
+from tests.rig.command_line import rig
+
+PAGE = Path(__file__).resolve().parents[3] / "docs" / "tables.md"
+
+
+def write(path: Path, *columns: np.ndarray, separator: str = " ") -> Path:
+    rows = (separator.join(f"{value:.9g}" for value in row) for row in zip(*columns, strict=True))
+    path.write_text("\n".join(rows))
+    return path
+
+
+def ring_downs(starts_s: list[float], amplitudes: list[float], decrement: float) -> tuple[np.ndarray, ...]:
+    """Swings of a period of 2 s, pushed in the middle of a rest or of a swing."""
+    t = np.arange(0.0, starts_s[-1] + 40.0, 0.02)
+    y = 0.01 * np.random.default_rng(1).standard_normal(len(t))
+    for start, amplitude in zip(starts_s, amplitudes, strict=True):
+        since = np.maximum(t - start, 0.0)
+        y += amplitude * np.exp(-0.5 * decrement * since) * np.sin(np.pi * since)
+    return t, y
+
+
+def test_decays_after_one_another_are_found_and_each_is_analysed(tmp_path: Path) -> None:
+    t, y = ring_downs([1.0, 41.0, 79.5], [10.0, 8.0, 12.0], 0.2)
+    found = analyse_table(write(tmp_path / "three.txt", t, y), None, Columns(unit="mm"))
+    assert len(found.results.decays) == 3
+    for decay, start in zip(found.results.decays, (1.0, 41.0, 79.5), strict=True):
+        assert start < decay.began_s < start + 8.0
+        assert abs(decay.log_decrement.value - 0.2) < 4 * decay.log_decrement.standard_uncertainty
+        assert abs(decay.period_s.value - 2.0) < 4 * decay.period_s.standard_uncertainty
+    assert found.results.half_cycles == max(decay.half_cycles for decay in found.results.decays)
+
+
+def test_a_real_ring_down_that_is_excited_twice(tmp_path: Path, shared_data: Path) -> None:
+    """The real file, then itself again: two decays, each with the decrement of the one."""
+    table = np.genfromtxt(shared_data / "ringdown" / "seismometer-11mm.txt", skip_header=2)[:1050]
+    times_s = np.concatenate([table[:, 0], table[:, 0] + 105.0])
+    path = write(tmp_path / "twice.txt", times_s, np.tile(table[:, 1], 2))
+    found = analyse_table(path, None, Columns(unit="V")).results
+    assert len(found.decays) == 2
+    for decay in found.decays:
+        assert decay.log_decrement.value == pytest.approx(0.5, abs=0.08)
+        # neither period nor decrement is the same all along, and each uncertainty says so
+        assert 5 * decay.period_s.standard_uncertainty > 17.2 - 14.7
+        assert any("decrement is not constant" in warning for warning in decay.warnings)
+
+
+def test_a_real_pendulum_whose_period_depends_on_the_amplitude(shared_data: Path) -> None:
+    path = shared_data / "ringdown" / "camera-tracked-pendulum.txt"
+    (decay,) = analyse_table(path, None, Columns(positions=("2", "3"), unit="rad")).decays
+    period = decay.summary.period_s
+    assert period.changes
+    # of a circular pendulum T rises by A^2/16; means of the first and last third
+    assert period.first / period.last == pytest.approx((1 + 0.58**2 / 16) / (1 + 0.26**2 / 16), abs=3e-3)
+    assert decay.results.period_s.standard_uncertainty > 0.3 * (period.first - period.last)
+    printed = rig("fit", path, "--position", "2", "--position", "3", "--unit", "rad").stdout
+    assert re.search(r"period 1\.66\d+ ± \S+ s at the start, 1\.63\d+ ± \S+ s at the end", printed)
+    assert "chi2/dof of a constant one 1.5" in printed
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "t;x\n0,00;1,5\n0,02;-2,5\n0,04;3\n",
+        "0,00 1,5\n0,02 -2,5\n0,04 3\n",
+        "0.00,1.5\n0.02,-2.5\n0.04,3\n",
+        "0.00, 1.5\n0.02, -2.5\n0.04, 3\n",
+    ],
+)
+def test_decimal_commas(tmp_path: Path, text: str) -> None:
+    (tmp_path / "t.csv").write_text(text)
+    found = read_trajectory(tmp_path / "t.csv", None, [], "mm")
+    assert found.times_ns.tolist() == [0, 20_000_000, 40_000_000]
+    assert found.positions[0].tolist() == [1.5, -2.5, 3.0]
+
+
+def test_absolute_times_keep_every_nanosecond(tmp_path: Path) -> None:
+    start = 1_763_800_000_123_456_789
+    (tmp_path / "t.csv").write_text("".join(f"{start + 1001 * i},{i % 2}\n" for i in range(9)))
+    found = read_trajectory(tmp_path / "t.csv", None, [], "V", "ns")
+    assert found.times_ns.tolist() == [1001 * i for i in range(9)]
+
+
+@pytest.mark.parametrize(
+    ("times", "unit", "words"),
+    [
+        (["1e300", "1e308", "inf"], "s", "which no decay lasts; state their unit"),
+        (["1763800000123456789", "1763800010123456789"], "s", r"span 1e\+10 s"),
+        (["5", "5", "5"], "s", "time does not increase"),
+        (["1e308", "1e308"], "s", "time does not increase"),
+        (["-1e308", "1e308"], "s", "which no decay lasts"),
+    ],
+)
+def test_columns_that_are_no_times(tmp_path: Path, times: list[str], unit: str, words: str) -> None:
+    (tmp_path / "t.csv").write_text("".join(f"{time} {i}\n" for i, time in enumerate(times)))
+    with pytest.raises(DataError, match=words) as error:
+        read_trajectory(tmp_path / "t.csv", None, [], "V", unit)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("decibel", [False, True])
+def test_the_time_constant_of_an_envelope(decibel: bool) -> None:
+    t = np.linspace(0.0, 30.0, 400)
+    power = 4.0 * np.exp(-2 * t / 5.0) + 1e-4
+    z = []
+    for seed in range(20):
+        noise = np.random.default_rng(seed).standard_normal(400)
+        values = 10 * np.log10(power) + 0.2 * noise if decibel else np.sqrt(power) + 0.002 * noise
+        found = fit_envelope(t, values, decibel=decibel)
+        z.append((found.tau_s - 5.0) / found.u_tau_s)
+        assert not found.changes
+    assert np.sqrt(np.mean(np.square(z))) == pytest.approx(1.0, abs=3 / np.sqrt(40))
+
+
+def test_an_envelope_that_is_no_exponential_says_so(tmp_path: Path) -> None:
+    t = np.linspace(0.0, 10.0, 300)
+    values = np.exp(-t / 5.0) * (1 + t / 10.0) + 1e-3 * np.random.default_rng(2).standard_normal(300)
+    found, results = analyse_envelope(
+        write(tmp_path / "e.txt", t, values), Columns(), decibel=False, frequency_hz=None
+    )
+    assert found.u_tau_s > 0.2 * abs(found.last_s - found.first_s) > 0
+    assert "not one exponential" in results.warnings[0]
+
+
+def test_the_page_on_tables_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every example makes its file and fits it, and the program prints what the page says."""
+    monkeypatch.chdir(tmp_path)
+    text = PAGE.read_text(encoding="utf-8")
+    fitted = 0
+    for block in re.findall(r"^```(\w*)\n(.*?)^```", text, re.MULTILINE | re.DOTALL):
+        if block[0] == "python":
+            exec(textwrap.dedent(block[1]), {})
+            continue
+        printed = ""
+        for line in block[1].splitlines():
+            if line.startswith("$ rig "):
+                done = rig(*line.split()[2:])
+                assert done.returncode == 0, done.stderr
+                printed, fitted = " ".join(done.stdout.split()), fitted + 1
+            elif line.strip() not in ("", "..."):
+                assert " ".join(line.split()) in printed, printed
+    assert fitted >= 5
