@@ -78,24 +78,21 @@ def simulate_pair(pair: PrintedPair, b_exponent: int, seed: int) -> PairSeries:
     motion = true_path(settings, end_s + 0.6 * truth.period0_s)
     noise_rad = NOISE_ARCSEC * ARCSEC_RAD
     u = np.full(len(motion.times_ns), noise_rad)
-    runs = []
+    runs, exact = [], []
     shown: Motion | None = None
     for number in range(RUNS):
         seen = noisy(motion, noise_rad, noise_rad, seed + number)
         detector = SwingDetector()
         swings = detector.update(seen.times_ns, seen.y_rad, u) + detector.finish()
         deflections = slow_deflections(seen.times_ns, seen.y_rad, u)
-        runs.append(
-            turning_points(
-                settled_swings(swings, [deflections], deflections.unit, pendulum, FitSettings()).swings
-            )
-        )
+        settled = settled_swings(swings, [deflections], deflections.unit, pendulum, FitSettings())
+        runs.append(turning_points(settled.swings))
+        exact.append(settled.exact or fit_exact(runs[-1], pendulum))
         if shown is None:
             first_ns = next(swing.turn_time_ns for swing in swings if swing.flags == 0)
             time_s = np.asarray((seen.times_ns - first_ns) * 1e-9, dtype=np.float64)
             shown = Motion(time_s, seen.x_rad / ARCSEC_RAD, seen.y_rad / ARCSEC_RAD, DeflectionUnit.RAD)
     assert shown is not None
-    exact = [fit_exact(points, pendulum) for points in runs]
     fits: dict[str, list[FitResult]] = {
         FitMethod.ASYMPTOTIC: [
             fit_asymptotic(points, pendulum, exact=fit) for points, fit in zip(runs, exact, strict=True)

@@ -112,8 +112,8 @@ def measure(
     assert quantities is not None
     slow, clock_rate = slow_deflections(stamps_ns, y_rad, u_y_rad), config.timebase.camera_rate
     settled = settled_swings(swings, [slow], slow.unit, pendulum, config.fit, clock_rate)
-    points = points_in_true_time(settled.swings, clock_rate)
-    table = budgets(fitted_contact(fit_exact(points, pendulum)), quantities)
+    exact = settled.exact or fit_exact(points_in_true_time(settled.swings, clock_rate), pendulum)
+    table = budgets(fitted_contact(exact), quantities)
     truth = {name: float(getattr(contact, name)) for name in ("b", "p", "c", "n", "period0_s", "gamma_pa")}
     truth["surface_energy_table2_j_per_m2"] = _surface_energy(contact)
     return {
