@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -26,6 +26,7 @@ def register(app: typer.Typer) -> None:
     camera.command("set")(set_features)
     camera.command("snap")(snap)
     camera.command("focus")(focus)
+    camera.command("align")(align)
     camera.command("expose")(expose)
     camera.command("dump")(dump)
     app.add_typer(camera, name="camera")
@@ -152,6 +153,62 @@ def focus(
             age_ms = (time.monotonic_ns() - frames[-1].host_time_ns) * 1e-6
             line = f"{_figures_line(seen)}  best {best:.4f}  age {age_ms:.0f} ms"
             typer.echo(f"\r{line:<100}" if sys.stdout.isatty() else line, nl=not sys.stdout.isatty())
+
+
+def align(
+    config: Config,
+    output: Annotated[Path, typer.Option("-o", "--output", help="Folder for pictures (key s).")] = Path("."),
+    seconds: Annotated[float, typer.Option(help="Stop after this many seconds; 0: at q.", min=0)] = 0.0,
+    rrd: Annotated[
+        Path | None,
+        typer.Option(help="Also write the live picture into this Rerun file.", show_default=False),
+    ] = None,
+    view: Annotated[bool, typer.Option("--view", help="Also show it in Rerun.")] = False,
+    mode: Annotated[
+        Literal["spawn", "web"],
+        typer.Option(help="With --view: in a window, or as a web page on this machine."),
+    ] = "spawn",
+    set_: Set = None,
+) -> None:
+    """Show the live picture with crosshair, saturation, histogram and beam, for aligning.
+
+    e and E make the exposure shorter and longer, g and G the gain smaller and larger, z zooms in on the
+    spot, s saves the picture, q ends. What was set holds until the camera loses its power; the lines for
+    the configuration are printed at the end.
+    """
+    from contextlib import ExitStack
+
+    from processing.errors import ConfigurationError
+    from rig.align import align_camera
+    from rig.instrument import optics_of
+    from rig.settings import load_configuration
+    from rig.view import start_view
+
+    loaded = load_configuration(config, set_ or [])
+    if not output.is_dir():
+        raise ConfigurationError(f"{output}: no such folder")
+    lever = loaded.lever
+    reference_px = None
+    if lever is not None and lever.reference_x_px is not None and lever.reference_y_px is not None:
+        reference_px = (lever.reference_x_px, lever.reference_y_px)
+    with ExitStack() as stack:
+        camera, info, applied = stack.enter_context(_opened(config, set_))
+        viewer = None
+        if rrd is not None or view:
+            shown = mode if view else "none"
+            viewer = start_view(loaded, rrd, shown, "balancing", "aligning", info.full_scale_dn)
+            stack.callback(viewer.close)
+        for path in align_camera(
+            camera,
+            info,
+            applied,
+            optics_of(loaded, info.full_scale_dn).tracker(),
+            folder=output,
+            reference_px=reference_px,
+            seconds=seconds,
+            viewer=viewer,
+        ):
+            typer.echo(str(path))
 
 
 def expose(

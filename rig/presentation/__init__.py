@@ -2,6 +2,7 @@
 
 from rig.presentation import palette
 from rig.presentation.balance import balance_drawn, balance_numbers, balance_panels, balance_table
+from rig.presentation.keys import Keys
 from rig.presentation.numbers import NOT_KNOWN, plain, power, with_uncertainty
 from rig.presentation.printing import plain_values, print_json_line, say
 from rig.presentation.quantities import SOURCES, Quantity, law_parameters, quantity
@@ -14,6 +15,7 @@ __all__ = [
     "NOT_KNOWN",
     "SOURCES",
     "Cell",
+    "Keys",
     "Quantity",
     "Table",
     "Verdict",

@@ -8,7 +8,7 @@ from typing import Final, Protocol
 from acquisition.record.events import Event
 from processing.spot import SpotFlag
 from rig.instrument import Snapshot
-from rig.replay.keys import Keys
+from rig.presentation import Keys
 from rig.replay.replay import Replay, Step
 from rig.view import Viewer
 

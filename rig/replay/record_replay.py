@@ -21,9 +21,8 @@ from rig.analysis import (
     write_results,
 )
 from rig.instrument import recorded_configuration
-from rig.presentation import say
+from rig.presentation import Keys, say
 from rig.replay.comparison import parameter_changes
-from rig.replay.keys import Keys
 from rig.replay.player import HELP, Player
 from rig.replay.replay import Replay, Replayed
 from rig.replay.screen import ReplayLine, print_changes, print_comparison

@@ -19,8 +19,8 @@ from rig.analysis.instrument_results import FrictionLawResults
 from rig.analysis.record_fit import analyse_record
 from rig.instrument.provenance import recorded_configuration
 from rig.instrument.snapshot import Snapshot
+from rig.presentation.keys import KeyParser, Keys
 from rig.replay.comparison import parameter_changes
-from rig.replay.keys import KeyParser, Keys
 from rig.replay.player import Player
 from rig.replay.record_replay import replay_record, speed_of
 from rig.replay.replay import Replay

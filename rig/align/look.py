@@ -1,0 +1,61 @@
+"""One look at the camera while it is aligned: a frame, the spot in it, and their figures."""
+
+from typing import NamedTuple
+
+from acquisition.camera import CameraSettings
+from acquisition.frame import Image
+from processing.spot import Spot, SpotFlag
+from rig.devices import PictureFigures
+
+
+class Look(NamedTuple):
+    """A frame (ny, nx) in DN as the eye shall see it, and what is known of it.
+
+    Attributes
+    ----------
+    spot
+        Fitted spot; its fields are NaN if none was found.
+    middle_px
+        Where the spot should rest, (x, y) in the frame: the light lever's reference, else the middle.
+    applied
+        Settings that the camera has read back.
+    """
+
+    image: Image
+    full_scale_dn: int
+    figures: PictureFigures
+    spot: Spot
+    middle_px: tuple[float, float]
+    applied: CameraSettings
+
+    @property
+    def found(self) -> bool:
+        """Is there a spot at all?"""
+        return not self.spot.flags & SpotFlag.LOST
+
+    def lines(self) -> list[str]:
+        """The figures in words, one line for each kind."""
+        seen, spot = self.figures, self.spot
+        saturated = f"{seen.saturated_px} px SATURATED" if seen.saturated_px else "none saturated"
+        light = f"peak {seen.peak:6.1%}  background {seen.background:.1%}  {saturated}"
+        light += f"  sharpness {seen.sharpness_per_px:.4f} /px"
+        height_px, width_px = self.image.shape
+        region = f"region {width_px} x {height_px} px"
+        if self.applied.offset_x_px is not None and self.applied.offset_y_px is not None:
+            region += f" from ({self.applied.offset_x_px}, {self.applied.offset_y_px}) of the sensor"
+        exposure, gain = self.applied.exposure_us, self.applied.gain_db
+        region += f"  exposure {'unknown' if exposure is None else f'{exposure:.6g} us'}"
+        region += f"  gain {'unknown' if gain is None else f'{gain:.3g} dB'}"
+        if not self.found:
+            return [light, "no spot", "", region]
+        off_x_px, off_y_px = spot.x_px - self.middle_px[0], spot.y_px - self.middle_px[1]
+        edge_px = min(spot.x_px, spot.y_px, width_px - 1 - spot.x_px, height_px - 1 - spot.y_px)
+        place = f"spot {spot.x_px:.2f}, {spot.y_px:.2f} px  "
+        place += (
+            f"from the crosshair {off_x_px:+.1f}, {off_y_px:+.1f} px  to the nearest edge {edge_px:.0f} px"
+        )
+        ratio = max(spot.sigma_x_px, spot.sigma_y_px) / min(spot.sigma_x_px, spot.sigma_y_px)
+        shape = f"sigma {spot.sigma_x_px:.2f} x {spot.sigma_y_px:.2f} px  ellipticity {ratio:.2f}"
+        shape += f"  chi2/dof {spot.chi2_per_dof:.2f}"
+        doubts = [flag.name.lower().replace("_", " ") for flag in SpotFlag if spot.flags & flag and flag.name]
+        return [light, place, shape + (f"  {', '.join(doubts)}" if doubts else "  a clean spot"), region]
