@@ -8,7 +8,6 @@ from math import exp, log, nan, pi, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from processing.errors import DataError
 from processing.swing import estimate_noise
@@ -108,6 +107,9 @@ def _fit(
         lowest = p[2] if len(p) > 2 else floor
         power = np.logaddexp(2 * (p[0] - p[1] * t), 2 * lowest)
         return np.asarray(((_DB * power if decibel else np.exp(0.5 * power)) - y) / noise)
+
+    # imported here, since every command imports this module and few read an envelope
+    from scipy.optimize import least_squares
 
     found = least_squares(residual, start, x_scale=[1.0, start[1], 1.0][: len(start)], max_nfev=300)
     slopes: Floats = np.asarray(found.jac)
