@@ -9,10 +9,12 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 
 _FEWEST = 6
-_MOST = 160
+_MOST = 240
 _NODES = 400
 _EXPONENT, _U_EXPONENT = 0.87, 0.06
 _LN_DRY_PART, _U_LN_DRY_PART = math.log(0.25), 0.6
+_WALKS = np.geomspace(1e-3, 10.0, 9)
+"""Variance of a half-cycle's step of the walk over that of the noise, as they are tried."""
 
 
 class Forecast(NamedTuple):
@@ -27,13 +29,15 @@ def forecast(times_s: Floats, amplitudes: Floats, u_amplitudes: Floats, final: f
 
     The loss per time is modelled as ``k (A^p + d final^p)``, the two friction terms of Eq. 5. As long as the
     decay does not determine p and the fraction d of dry friction, priors from the paper's three contact
-    pairs are used (p = 0.87 ± 0.06, d = 0.25 within a factor of 1.8). Their width is contained in the
-    uncertainty of the forecast.
+    pairs are used (p = 0.87 ± 0.06, d = 0.25 within a factor of 1.8). The ground lets the amplitude walk, by
+    equal steps each half-cycle, which delays or hastens all that follows; how large the steps are is left to
+    the data, and averaged over. All this is contained in the uncertainty of the forecast, and so is the
+    noise of the amplitude that will be found to lie below `final`.
 
     Parameters
     ----------
     times_s, amplitudes, u_amplitudes
-        Turning points in order, arrays of equal length; more than 160 are thinned evenly.
+        Turning points in order, arrays of equal length; more than 240 are thinned evenly.
     """
     good = np.isfinite(amplitudes) & (amplitudes > 0) & (u_amplitudes > 0)
     times_s, amplitudes, u_amplitudes = times_s[good], amplitudes[good], u_amplitudes[good]
@@ -42,53 +46,132 @@ def forecast(times_s: Floats, amplitudes: Floats, u_amplitudes: Floats, final: f
     if amplitudes[-1] <= final:
         return Forecast(0.0, 0.0)
     chosen = np.unique(np.linspace(0, len(times_s) - 1, _MOST).round().astype(int))
-    t, a, u = times_s[chosen] - times_s[-1], amplitudes[chosen], u_amplitudes[chosen]
-    slope = np.polyfit(t, np.log(a), 1)[0]
-    if not slope < 0:
+    decay = _Decay(times_s[chosen] - times_s[-1], amplitudes[chosen], u_amplitudes[chosen], final)
+    if not decay.slope < 0:
         return Forecast(math.nan, math.nan)
-    grid = np.geomspace(max(a.max(), a[0]) * 1.05, final, _NODES)
-    # convert the uncertainty of each amplitude into one of time
-    u_t = u / (-slope * a)
+    return decay.remaining(float(np.median(np.diff(times_s))))
 
-    def times_on_grid(parameters: Floats) -> Floats:
-        ln_k, p, ln_d = parameters[1:]
-        loss = np.exp(ln_k) * ((grid / grid[0]) ** p + np.exp(ln_d) * (final / grid[0]) ** p)
-        pace = 1.0 / loss
-        steps = 0.5 * (pace[1:] + pace[:-1]) * (grid[:-1] - grid[1:])
+
+class _Decay:
+    """Amplitudes (n,) at times (n,) that end with 0, and the model of their loss.
+
+    Parameters of the model: the time of the grid's first amplitude, ln k, p and ln d.
+    """
+
+    def __init__(self, times_s: Floats, amplitudes: Floats, u_amplitudes: Floats, final: float) -> None:
+        self._t, self._a, self._u, self._final = times_s, amplitudes, u_amplitudes, final
+        self.slope = float(np.polyfit(times_s, np.log(amplitudes), 1)[0])
+        self._grid = np.geomspace(amplitudes.max() * 1.05, final, _NODES)
+
+    def _paces(self, parameters: Floats) -> Floats:
+        """Time per loss of amplitude, on the grid."""
+        _, ln_k, p, ln_d = parameters
+        scaled = self._grid / self._grid[0]
+        return np.asarray(np.exp(-ln_k) / (scaled**p + np.exp(ln_d) * scaled[-1] ** p))
+
+    def _along(self, values: Floats) -> Floats:
+        """Integral over the amplitude from the grid's first node downwards."""
+        steps = 0.5 * (values[1:] + values[:-1]) * (self._grid[:-1] - self._grid[1:])
         return np.concatenate([[0.0], np.cumsum(steps)])
 
-    def at(values: Floats, parameters: Floats) -> Floats:
-        found: Floats = np.interp(-values, -grid, times_on_grid(parameters)) + parameters[0]
+    def _at(self, amplitudes: Floats, on_grid: Floats) -> Floats:
+        return np.asarray(np.interp(-amplitudes, -self._grid, on_grid))
+
+    def _times(self, parameters: Floats) -> Floats:
+        """Predicted times of the amplitudes and, last, of the final one."""
+        wanted = np.append(self._a, self._final)
+        found: Floats = self._at(wanted, self._along(self._paces(parameters))) + parameters[0]
         return found
 
-    def residuals(parameters: Floats) -> Floats:
-        prior = [(parameters[2] - _EXPONENT) / _U_EXPONENT, (parameters[3] - _LN_DRY_PART) / _U_LN_DRY_PART]
-        return np.concatenate([(at(a, parameters) - t) / u_t, prior])
+    def _prior(self, parameters: Floats) -> Floats:
+        return np.array(
+            [(parameters[2] - _EXPONENT) / _U_EXPONENT, (parameters[3] - _LN_DRY_PART) / _U_LN_DRY_PART]
+        )
 
-    from scipy.optimize import least_squares
+    def _fitted(self) -> Floats:
+        """Parameters, as if the noise were all."""
+        # not at import: a session begins without it
+        from scipy.optimize import least_squares
 
-    start = np.array([t[0], math.log(-slope * grid[0]), _EXPONENT, _LN_DRY_PART])
-    fit = least_squares(residuals, start, x_scale=[1.0, 0.01, 0.05, 0.5], max_nfev=60)
-    degrees = max(len(t) - 4, 1)
-    jacobian = np.array(fit.jac, dtype=np.float64)
-    chi2 = float(np.sum(fit.fun[:-2] ** 2)) / degrees
-    if chi2 > 1.0:
-        # the amplitudes scatter more than their uncertainties: reduce their weight accordingly
-        jacobian[:-2] /= np.sqrt(chi2)
-    try:
-        covariance = np.linalg.inv(jacobian.T @ jacobian)
-    except np.linalg.LinAlgError:
-        return Forecast(math.nan, math.nan)
-    ends = np.array([final, a[-1]])
+        u_t = self._u / (-self.slope * self._a)
 
-    def remaining(parameters: Floats) -> float:
-        there, here = at(ends, parameters)
-        return float(there - here)
+        def residuals(parameters: Floats) -> Floats:
+            return np.concatenate([(self._times(parameters)[:-1] - self._t) / u_t, self._prior(parameters)])
 
-    value = remaining(fit.x)
-    gradient = np.empty(4)
-    for k, step in enumerate((1e-3, 1e-5, 1e-5, 1e-4)):
-        moved = fit.x.copy()
-        moved[k] += step
-        gradient[k] = (remaining(moved) - value) / step
-    return Forecast(value, float(np.sqrt(gradient @ covariance @ gradient)))
+        start = np.array([self._t[0], math.log(-self.slope * self._grid[0]), _EXPONENT, _LN_DRY_PART])
+        return np.asarray(least_squares(residuals, start, x_scale=[1.0, 0.01, 0.05, 0.5], max_nfev=60).x)
+
+    def remaining(self, half_period_s: float) -> Forecast:
+        """The forecast, averaged over the sizes of the walk by how well each explains the amplitudes."""
+        parameters = self._fitted()
+        times = self._times(parameters)
+        columns = []
+        for k, step in enumerate((1e-3, 1e-5, 1e-5, 1e-4)):
+            moved = parameters.copy()
+            moved[k] += step
+            columns.append((self._times(moved) - times) / step)
+        slopes = np.column_stack(columns)
+        paces = self._paces(parameters)
+        # a step of the walk stays in the amplitude, so that in time it grows with the pace
+        walked = self._along(paces**3) / half_period_s
+        walked_here = self._at(self._a, walked)
+        linear = _Linear(
+            left=self._t - times[:-1],
+            slopes=slopes[:-1],
+            final_slope=slopes[-1],
+            prior=self._prior(parameters),
+            noise=(self._u * self._at(self._a, paces)) ** 2,
+            walk=float(np.median(self._u)) ** 2 * (walked_here - walked_here[0]),
+            walk_left=float(np.median(self._u)) ** 2 * float(walked[-1] - walked_here[-1]),
+            final_noise=(float(np.median(self._u)) * float(paces[-1])) ** 2,
+        )
+        found = np.array([linear.solved(ratio) for ratio in _WALKS])
+        found = found[np.all(np.isfinite(found), axis=1)]
+        if not len(found):
+            return Forecast(math.nan, math.nan)
+        weight = np.exp(found[:, 2] - found[:, 2].max())
+        weight /= weight.sum()
+        mean = float(weight @ found[:, 0])
+        variance = float(weight @ (found[:, 1] + (found[:, 0] - mean) ** 2))
+        return Forecast(float(times[-1]) + mean, math.sqrt(variance))
+
+
+class _Linear(NamedTuple):
+    """The model near its fit: residual times, their slopes by the parameters, variances of noise and walk."""
+
+    left: Floats
+    slopes: Floats
+    final_slope: Floats
+    prior: Floats
+    noise: Floats
+    walk: Floats
+    walk_left: float
+    final_noise: float
+
+    def solved(self, ratio: float) -> tuple[float, float, float]:
+        """Correction of the final time, its variance and the log likelihood, for a size of the walk."""
+        from scipy.linalg import cholesky, solve_triangular
+
+        count = len(self.left)
+        earlier = np.minimum.outer(np.arange(count), np.arange(count))
+        root = cholesky(np.diag(self.noise) + ratio * self.walk[earlier], lower=True)
+        white = solve_triangular(
+            root, np.column_stack([self.left, self.slopes, ratio * self.walk]), lower=True
+        )
+        e, a, last = white[:, 0], white[:, 1:5], white[:, 5]
+        misfit = e - a @ np.linalg.lstsq(a, e, rcond=None)[0]
+        # amplitudes that scatter more than their uncertainties say
+        scale = max(1.0, float(misfit @ misfit) / max(count - 4, 1))
+        known = np.zeros((2, 4))
+        known[0, 2], known[1, 3] = 1.0 / _U_EXPONENT, 1.0 / _U_LN_DRY_PART
+        normal = a.T @ a / scale + known.T @ known
+        wanted = a.T @ e / scale - known.T @ self.prior
+        shift = np.linalg.solve(normal, wanted)
+        # the walk so far goes on from where it is
+        slope = self.final_slope - last @ a
+        value = float(self.final_slope @ shift + last @ (e - a @ shift))
+        variance = float(slope @ np.linalg.solve(normal, slope))
+        ahead = ratio * (self.walk[-1] + self.walk_left) - float(last @ last) + self.final_noise
+        cost = float(e @ e) / scale + float(self.prior @ self.prior) - float(wanted @ shift)
+        cost += count * math.log(scale) + 2.0 * float(np.log(np.diag(root)).sum())
+        return value, variance + scale * ahead, -0.5 * (cost + float(np.linalg.slogdet(normal)[1]))
