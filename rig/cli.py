@@ -11,7 +11,7 @@ from typing import Annotated
 import typer
 
 from processing.errors import ConfigurationError, RigError
-from rig.commands import calibration, camera, instruments, measure, physics, records, reporting
+from rig.commands import archive, calibration, camera, instruments, measure, physics, records, reporting
 from rig.commands import session as session_commands
 from rig.interruption import reason_of, terminated_by_signals
 from rig.terminal_encoding import spell_out_what_is_missing
@@ -32,6 +32,7 @@ instruments.register(app)
 calibration.register(app)
 reporting.register(app)
 camera.register(app)
+archive.register(app)
 
 
 @app.callback()

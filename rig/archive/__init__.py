@@ -1,0 +1,6 @@
+"""The commands `rig archive`: a catalogue of the runs of many sessions."""
+
+from rig.archive.adding import add_sessions
+from rig.archive.listing import Format, list_runs
+
+__all__ = ["Format", "add_sessions", "list_runs"]

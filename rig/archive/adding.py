@@ -1,0 +1,64 @@
+"""`rig archive add`: sessions found below folders, each into a file of its own in the archive."""
+
+import hashlib
+import os
+import platform
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from processing.errors import RecordError
+from rig.archive.store import Archive, duckdb_module
+from rig.presentation import say
+
+
+def add_sessions(archive: Path, sources: Sequence[Path]) -> str:
+    """Add every session below the folders; returns a line that counts them.
+
+    A session is known by the SHA-256 of its records: added again it changes nothing, with new results or
+    records it becomes a new version. Flaws of records are said on stderr and listed as their `state`.
+
+    Raises RecordError for a folder without sessions, ConfigurationError without DuckDB.
+    """
+    duckdb_module()
+    # reading results takes seconds to import, which `list` must not wait for
+    from rig.archive.session_rows import now_utc, session_rows
+
+    store, computer = Archive(archive), platform.node()
+    known = store.versions()
+    added = runs = before = 0
+    for source in sources:
+        folders = list(session_folders(source, archive))
+        if not folders:
+            raise RecordError(f"{source}: holds no session (no record, no results.json) in any folder")
+        for folder in folders:
+            found = session_rows(folder)
+            for flaw in found.flaws:
+                say(flaw)
+            if not found.rows:
+                continue
+            states = sorted(f"{row['sha256']} {row['state']}" for row in found.rows)
+            place = (computer, str(folder), found.results_sha256, *states)
+            name = f"{found.session[:16]}-{hashlib.sha256(chr(0).join(place).encode()).hexdigest()[:16]}"
+            more = {"folder": str(folder), "computer": computer, "added_utc": now_utc(), "version": name}
+            if name in known or not store.add(name, [row | more for row in found.rows]):
+                before += 1
+                continue
+            known.add(name)
+            added, runs = added + 1, runs + len(found.rows)
+            if added % 256 == 0:
+                store.merge_many()
+    store.merge()
+    return f"{added} sessions added ({runs} runs), {before} known already"
+
+
+def session_folders(source: Path, archive: Path) -> Iterator[Path]:
+    """Folders with records or results in and below one, in order; never those of the archive itself."""
+    own = archive.resolve()
+    for name, folders, files in os.walk(source.resolve()):
+        folder = Path(name)
+        folders[:] = sorted(inner for inner in folders if folder / inner != own)
+        if any(
+            file.endswith(".mcap") or (file.startswith("results") and file.endswith(".json"))
+            for file in files
+        ):
+            yield folder

@@ -1,0 +1,101 @@
+"""The columns of the catalogue, one row a run. What stands here stands in docs/archive.md."""
+
+from collections.abc import Mapping
+from typing import Final, Literal, NamedTuple
+
+Kind = Literal["text", "number", "count", "yes or no", "time", "texts"]
+
+PARAMETERS: Final = ("b", "p", "c", "n", "period0_s", "gamma_pa", "drag_s")
+"""Of the contact's laws, as far as results hold them."""
+
+OF_INSTRUMENTS: Final = (
+    "scale_hardness",
+    "time_hardness_s",
+    "time_hardness_first_swing_s",
+    "log_decrement",
+    "rolling_friction_coefficient",
+)
+"""Of other kinds of pendulum: names of `InstrumentResults` that hold a value with its uncertainty."""
+
+
+class Column(NamedTuple):
+    """What a column holds; its name ends in its unit."""
+
+    kind: Kind
+    meaning: str
+
+
+def _estimated(name: str, meaning: str) -> dict[str, Column]:
+    return {name: Column("number", meaning), f"u_{name}": Column("number", f"standard uncertainty of {name}")}
+
+
+COLUMNS: Final[Mapping[str, Column]] = {
+    "sha256": Column("text", "of the record, by which a run is known; its first characters name the run"),
+    "session": Column("text", "SHA-256 of those of all the session's records; its first characters name it"),
+    "run": Column("text", "name of the record without its ending"),
+    "folder": Column("text", "the session's folder when it was added"),
+    "computer": Column("text", "the computer on which it was added"),
+    "record": Column("text", "path of the record, in the folder where it lies there"),
+    "record_bytes": Column("count", "size of the record"),
+    "state": Column("text", "of the record: whole, cut, damaged, unreadable, missing"),
+    "flaw": Column("text", "in a line what is wrong with the record"),
+    "results": Column("text", "name of the results file"),
+    "results_sha256": Column("text", "its hash"),
+    "added_utc": Column("time", "when this version was added"),
+    "version": Column("text", "name of the file in the archive that holds the row"),
+    "began_utc": Column("time", "first message of the record"),
+    "duration_s": Column("number", "from the first message to the last"),
+    "sample": Column("text", "as configured"),
+    "operator": Column("text", "as configured"),
+    "contact_history": Column("text", "as configured"),
+    "host": Column("text", "the computer that measured"),
+    "temperature_c": Column("number", "mean of what the sensor read, else as stated"),
+    "humidity_percent": Column("number", "mean of what the sensor read, else as stated"),
+    "camera": Column("text", "model"),
+    "camera_serial": Column("text", "serial number"),
+    "code_version": Column("text", "of the program that measured"),
+    "code_commit": Column("text", "of the program that measured"),
+    "configuration_sha256": Column("text", "of the configuration that the results were made with"),
+    "frames": Column("count", "with a spot or without"),
+    "dropped_frames": Column("count", "that never arrived"),
+    "half_cycles": Column("count", "found"),
+    "amplitude_unit": Column("text", "of the next two: arcsec, or px without a lever"),
+    "initial_amplitude": Column("number", "of the first half-cycle"),
+    "final_amplitude": Column("number", "of the last"),
+    "conditions_met": Column("yes or no", "light, losses, temperature and what else was judged"),
+    "problem": Column("text", "why a fit is missing"),
+    "law": Column("text", "that was fitted"),
+    **{key: item for name in PARAMETERS for key, item in _estimated(name, "of the exact fit").items()},
+    **{f"verdict_{name}": Column("text", f"whether the data determine {name}") for name in PARAMETERS[:-1]},
+    **{
+        f"u_total_{name}": Column("number", f"of {name} with all sources of the budget")
+        for name in PARAMETERS[:-1]
+    },
+    "chi2_per_dof": Column("number", "of the exact fit"),
+    "degrees_of_freedom": Column("count", "of the exact fit"),
+    **_estimated("mean_period_s", "over the fitted half-cycles"),
+    **_estimated("surface_energy_table2_j_per_m2", "as in the paper's Table 2"),
+    **_estimated("surface_energy_eq2_j_per_m2", "by its Eq. 2"),
+    **_estimated("contact_radius_m", "after Hertz"),
+    "mass_kg": Column("number", "of the pendulum"),
+    "ball_radius_m": Column("number", "of the ball"),
+    "instrument": Column("text", "kind of pendulum, where it is none of the contact's laws"),
+    **{key: item for name in OF_INSTRUMENTS for key, item in _estimated(name, "as reported").items()},
+}
+
+SHORT_NAMES: Final[Mapping[str, str]] = {"temperature": "temperature_c", "humidity": "humidity_percent"}
+"""Further names in conditions."""
+
+SHOWN: Final = (
+    "run",
+    "sample",
+    "began_utc",
+    "humidity_percent",
+    "temperature_c",
+    "b",
+    "p",
+    "c",
+    "n",
+    "state",
+)
+"""What `list` shows unless told."""

@@ -1,0 +1,128 @@
+"""`rig archive list`: runs that meet a condition, as a table or for other programs."""
+
+import datetime
+import json
+import re
+from collections.abc import Sequence
+from math import nan
+from pathlib import Path
+from typing import Any, Literal
+
+from acquisition.record import whole_file
+from processing.errors import ConfigurationError, RecordError
+from rig.archive.columns import SHOWN
+from rig.archive.store import Archive, duckdb_module
+from rig.presentation import Cell, Table, plain, plain_values, print_tables, with_uncertainty
+
+Format = Literal["table", "csv", "json", "parquet"]
+_SHORTENED = 8
+"""Characters of a hash that name a run on the screen."""
+
+
+def list_runs(
+    archive: Path, condition: str, columns: Sequence[str], kind: Format, output: Path | None
+) -> None:
+    """Print the runs that meet a condition of SQL (empty: all), or write them to a new file.
+
+    `columns` are expressions of SQL; without any those of `SHOWN`, with the run's name before them.
+
+    Raises ConfigurationError for a condition that is no plain one.
+    """
+    if kind == "parquet" and output is None:
+        raise ConfigurationError("--format parquet needs a file: -o FILE")
+    wanted = ", ".join(columns) if columns else f"left(sha256, {_SHORTENED}) as id, {', '.join(SHOWN)}"
+    if not columns and kind == "table":
+        wanted += ", u_b, u_p, u_c, u_n"
+    connection = Archive(archive).connection()
+    found = selected(connection, wanted, condition)
+    names = list(found.columns)
+    if kind == "parquet":
+        assert output is not None
+        _write(output, _parquet(found))
+        return
+    rows = found.fetchall()
+    if kind == "json":
+        text = json.dumps(
+            [plain_values(dict(zip(names, map(_json_value, row), strict=True))) for row in rows], indent=1
+        )
+    else:
+        table = _table(names, rows)
+        if kind == "table" and output is None:
+            print_tables([table])
+            return
+        text = table.csv().rstrip("\n")
+    if output is None:
+        print(text)
+    else:
+        _write(output, f"{text}\n".encode())
+
+
+def selected(connection: Any, wanted: str, condition: str) -> Any:
+    """The result of a query of the runs, which reads and does nothing else."""
+    duckdb = duckdb_module()
+    no_condition = re.match(r"\s*(order\s+by|limit|group\s+by|$)", condition, re.IGNORECASE)
+    query = f"select {wanted} from runs {'' if no_condition else 'where '}{condition}"
+    try:
+        statements = duckdb.extract_statements(query)
+        if len(statements) != 1:
+            raise ConfigurationError(f"condition {condition!r}: is more than one; leave out the semicolon")
+        return connection.sql(query)
+    except duckdb.Error as error:
+        said = str(error).splitlines()[0]
+        raise ConfigurationError(
+            f"condition {condition!r}: {said}; docs/archive.md names the columns"
+        ) from None
+
+
+def _table(names: Sequence[str], rows: Sequence[Sequence[Any]]) -> Table:
+    """Values with their uncertainties in one cell for the screen, each in its own for the file."""
+    beside = {name: names.index(f"u_{name}") for name in names if f"u_{name}" in names}
+    hidden = set(beside.values())
+    shown_places = [place for place in range(len(names)) if place not in hidden]
+    shown = [[_shown(names[place], row, place, beside) for place in shown_places] for row in rows]
+    head = [names[place] for place in shown_places]
+    cells = [[_cell(value) for value in row] for row in rows]
+    return Table("runs", "", names, cells, head, shown, f"{len(rows)} run{'s' if len(rows) != 1 else ''}")
+
+
+def _shown(name: str, row: Sequence[Any], place: int, beside: dict[str, int]) -> str:
+    value = row[place]
+    if value is None:
+        return "–"
+    if name in beside:
+        u = row[beside[name]]
+        return with_uncertainty(value, nan if u is None else u)
+    if isinstance(value, datetime.datetime):
+        return f"{value:%Y-%m-%d %H:%M}"
+    return plain(value, 5) if isinstance(value, float) else str(value)
+
+
+def _cell(value: Any) -> Cell:
+    if value is None:
+        return nan
+    return value if isinstance(value, int | float) else _json_value(value)
+
+
+def _json_value(value: Any) -> Any:
+    if isinstance(value, datetime.datetime | datetime.date):
+        return value.isoformat()
+    return value
+
+
+def _parquet(found: Any) -> bytes:
+    import io
+
+    from pyarrow import parquet
+
+    data = io.BytesIO()
+    parquet.write_table(found.to_arrow_table(), data, compression="zstd")
+    return data.getvalue()
+
+
+def _write(path: Path, data: bytes) -> None:
+    try:
+        whole_file.write_new(path, data)
+    except FileExistsError:
+        raise RecordError(f"{path}: exists already and is not overwritten; choose another name") from None
+    except OSError as error:
+        raise RecordError(f"{path}: cannot be written: {error.strerror or error}") from None

@@ -1,0 +1,170 @@
+"""A session's folder as rows of the catalogue: its records, and what its newest results say of each."""
+
+import datetime
+import hashlib
+from collections.abc import Iterator
+from math import isfinite, nan
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from acquisition.record.digest import sha256_of
+from acquisition.record.proof import data_crc_matches
+from acquisition.record.reader import RecordReader
+from acquisition.record.topics import ENVIRONMENT
+from acquisition.record.utc import utc
+from processing.errors import RecordError
+from processing.estimate import Estimate
+from processing.fit import FitMethod
+from rig.analysis import RunResults, read_results, results_path
+from rig.archive.columns import OF_INSTRUMENTS, PARAMETERS
+
+Row = dict[str, Any]
+
+
+class SessionRows(NamedTuple):
+    """Rows of one session, one a record, and what is to be said of it, in lines."""
+
+    session: str
+    results_sha256: str
+    rows: list[Row]
+    flaws: list[str]
+
+
+def session_rows(folder: Path) -> SessionRows:
+    """The rows of a folder with records, results, or both."""
+    flaws: list[str] = []
+    source = results_path(folder)
+    by_record: dict[Path, RunResults] = {}
+    results_sha256 = ""
+    if source.is_file():
+        results_sha256 = sha256_of(source)
+        try:
+            by_record = {folder / run.record: run for run in read_results(source).runs}
+        except RecordError as error:
+            flaws.append(str(error))
+    rows = []
+    for path in sorted({*folder.glob("*.mcap"), *by_record}):
+        row, said = _row(folder, path, by_record.get(path))
+        row |= {"results": source.name if path in by_record else None, "results_sha256": results_sha256}
+        rows.append(row)
+        if row["flaw"]:
+            flaws.append(f"{path}: {row['state']}: {row['flaw']}")
+        flaws += [f"{path}: {text}" for text in said]
+    session = hashlib.sha256("".join(sorted({row["sha256"] for row in rows})).encode()).hexdigest()
+    for row in rows:
+        row["session"] = session
+    return SessionRows(session, results_sha256, rows, flaws)
+
+
+def _row(folder: Path, path: Path, run: RunResults | None) -> tuple[Row, list[str]]:
+    inside = path.is_relative_to(folder)
+    row: Row = {"run": path.stem, "record": str(path.relative_to(folder) if inside else path), "flaw": ""}
+    said = []
+    if run is not None and not path.exists():
+        row |= {"sha256": run.sha256, "record_bytes": run.record_bytes, "state": "missing"}
+        row["flaw"] = "results name a record that is not there"
+    else:
+        row |= _of_record(path)
+        if run is not None and run.sha256 and run.sha256 != row["sha256"]:
+            said.append(
+                "the results are of another record (other hash) and are left out; rig fit makes new ones"
+            )
+            run = None
+    return (row if run is None else row | dict(_of_results(run))), said
+
+
+def _of_record(path: Path) -> Row:
+    """What a record says of itself, and the state it is in."""
+    row: Row = {"sha256": sha256_of(path), "record_bytes": path.stat().st_size}
+    try:
+        with RecordReader(path) as reader:
+            contents, texts = reader.contents, reader.metadata
+            row |= {"state": "whole"}
+            if reader.truncated:
+                row |= {"state": "cut", "flaw": "it has no ending; rig recover makes a complete file of it"}
+            elif contents.damage or not data_crc_matches(reader.file, contents):
+                row |= {"state": "damaged", "flaw": "; ".join(contents.damage) or "its bytes have changed"}
+            if contents.start_ns:
+                row["began_utc"] = utc(contents.start_ns).replace(tzinfo=None)
+                row["duration_s"] = (contents.end_ns - contents.start_ns) * 1e-9
+            row |= _of_metadata(texts)
+            row |= _air(reader, texts.get("environment", {}))
+    except RecordError as error:
+        row |= {"state": "unreadable", "flaw": str(error).removeprefix(f"{path}: ")}
+    return row
+
+
+def _of_metadata(texts: dict[str, dict[str, str]]) -> Row:
+    session, camera, versions = (texts.get(name, {}) for name in ("session", "camera", "versions"))
+    return {
+        **{name: session.get(name) for name in ("sample", "operator", "contact_history", "host")},
+        "camera": camera.get("model"),
+        "camera_serial": camera.get("serial"),
+        "code_version": versions.get("optical-pendulum-rig"),
+        "code_commit": versions.get("commit"),
+    }
+
+
+def _air(reader: RecordReader, stated: dict[str, str]) -> Row:
+    """Means of what the sensor read, else what the user stated."""
+    table = reader.table(ENVIRONMENT.topic)
+    found: Row = {}
+    for name in ("temperature_c", "humidity_percent"):
+        read = table[name][np.isfinite(table[name])] if len(table) else np.empty(0)
+        try:
+            found[name] = float(np.mean(read)) if len(read) else float(stated.get(name) or nan)
+        except ValueError:
+            found[name] = nan
+        found[name] = _number(found[name])
+    return found
+
+
+def _of_results(run: RunResults) -> Iterator[tuple[str, Any]]:
+    for name in ("frames", "dropped_frames", "half_cycles", "amplitude_unit", "problem"):
+        yield name, getattr(run, name)
+    for name in ("initial_amplitude", "final_amplitude"):
+        yield name, _number(getattr(run, name))
+    yield "configuration_sha256", run.inputs_sha256.get("configuration.json")
+    yield "conditions_met", all(item.ok for item in run.conditions) if run.conditions else None
+    if run.pendulum is not None:
+        yield "mass_kg", run.pendulum.mass_kg
+        yield "ball_radius_m", run.pendulum.ball_radius_m
+    fit = run.fits.get(FitMethod.EXACT)
+    if fit is not None:
+        yield "law", fit.law
+        yield "chi2_per_dof", _number(fit.chi2_per_dof)
+        yield "degrees_of_freedom", fit.degrees_of_freedom
+        for name in PARAMETERS:
+            yield from _estimate(name, fit.estimate(name))
+        yield from _estimate("mean_period_s", fit.mean_period_s)
+    for name, item in run.verdicts().items():
+        yield f"verdict_{name}", str(item.verdict)
+    for name, budget in run.budget.items():
+        yield f"u_total_{name}", _number(budget.standard_uncertainty)
+    if run.surface_energy_j_per_m2 is not None:
+        yield from _estimate("surface_energy_table2_j_per_m2", run.surface_energy_j_per_m2.table2)
+        yield from _estimate("surface_energy_eq2_j_per_m2", run.surface_energy_j_per_m2.eq2)
+    if run.hertz is not None:
+        yield from _estimate("contact_radius_m", run.hertz.radius_m)
+    if run.instrument is not None:
+        yield "instrument", run.instrument.kind
+        for name in OF_INSTRUMENTS:
+            value = getattr(run.instrument, name)
+            if value is not None:
+                yield from _estimate(name, value)
+
+
+def _estimate(name: str, item: Estimate) -> Iterator[tuple[str, float | None]]:
+    yield name, _number(item.value)
+    yield f"u_{name}", _number(item.standard_uncertainty)
+
+
+def _number(value: float) -> float | None:
+    return float(value) if isfinite(value) else None
+
+
+def now_utc() -> datetime.datetime:
+    """The time as the catalogue keeps it: UTC, without a zone."""
+    return datetime.datetime.now(datetime.UTC).replace(tzinfo=None)

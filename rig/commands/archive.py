@@ -1,0 +1,46 @@
+"""`rig archive`: a catalogue of the runs of many sessions."""
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+Archive = Annotated[
+    Path, typer.Option("--archive", envvar="RIG_ARCHIVE", help="Folder of the archive; or RIG_ARCHIVE.")
+]
+_PLACE = Path("archive")
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands of this module."""
+    archive = typer.Typer(help="A catalogue of the runs of many sessions.", no_args_is_help=True)
+    archive.command("add")(add)
+    archive.command("list")(list_)
+    app.add_typer(archive, name="archive")
+
+
+def add(
+    folders: Annotated[
+        list[Path], typer.Argument(help="Folders; the sessions in and below them.", show_default=False)
+    ],
+    archive: Archive = _PLACE,
+) -> None:
+    """Add sessions; those that are known already are left as they are."""
+    from rig.archive import add_sessions
+
+    print(add_sessions(archive, folders))
+
+
+def list_(
+    condition: Annotated[str, typer.Argument(help="Condition in SQL: \"sample = 'K8' order by c\".")] = "",
+    columns: Annotated[
+        str, typer.Option(help="Columns to show, separated by commas; docs/archive.md names all.")
+    ] = "",
+    format_: Annotated[Literal["table", "csv", "json", "parquet"], typer.Option("--format")] = "table",
+    output: Annotated[Path | None, typer.Option("-o", "--output", help="File to write.")] = None,
+    archive: Archive = _PLACE,
+) -> None:
+    """List the runs that meet a condition."""
+    from rig.archive import list_runs
+
+    list_runs(archive, condition, [columns] if columns.strip() else [], format_, output)

@@ -1,0 +1,182 @@
+"""`rig archive`: sessions added once whatever happens, and found again by conditions."""
+
+import json
+import re
+import shlex
+import shutil
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+from pyarrow import parquet
+
+from processing.errors import ConfigurationError, RecordError
+from rig.archive import add_sessions, list_runs
+from rig.archive.columns import COLUMNS
+from rig.archive.store import Archive
+from tests.rig.command_line import rig
+
+ROOT = Path(__file__).resolve().parents[3]
+OLDER = ROOT / "tests" / "rig" / "data" / "older"
+
+
+@pytest.fixture
+def sessions(tmp_path: Path) -> Path:
+    """Two sessions below a folder: one of two runs, the second of them cut short, and one in px."""
+    shutil.copytree(OLDER / "series", tmp_path / "runs" / "series")
+    shutil.copytree(OLDER / "uncalibrated", tmp_path / "runs" / "deeper" / "uncalibrated")
+    return tmp_path / "runs"
+
+
+def rows(archive: Path, condition: str = "", columns: str = "*") -> list[dict[str, object]]:
+    """Rows of a list as a program gets them."""
+    done = rig("archive", "list", condition, "--columns", columns, "--format", "json", "--archive", archive)
+    assert done.returncode == 0, done.stderr
+    found: list[dict[str, object]] = json.loads(done.stdout)
+    return found
+
+
+def test_what_is_added_is_found_with_the_values_of_its_results(sessions: Path, tmp_path: Path) -> None:
+    archive = tmp_path / "archive"
+    done = rig("archive", "add", sessions, "--archive", archive)
+    assert done.stdout == "2 sessions added (3 runs), 0 known already\n"
+    assert "run-2.mcap: cut: " in done.stderr
+    stated = json.loads((sessions / "series" / "results.json").read_text())["runs"][0]
+    (row,) = rows(archive, "sample like '%K8%' and humidity < 41 and b > 0 order by c")
+    assert row.keys() >= COLUMNS.keys()
+    assert (row["sha256"], row["state"], row["frames"]) == (stated["sha256"], "whole", stated["frames"])
+    assert row["b"] == stated["fits"]["exact"]["b"]["value"]
+    assert row["u_b"] == stated["fits"]["exact"]["b"]["standard_uncertainty"]
+    assert str(row["began_utc"]).startswith("2026-11-22T00:58:53")
+    (cut,) = rows(archive, "state <> 'whole'", "run, c, temperature_c")
+    assert cut == {"run": "run-2", "c": None, "temperature_c": 21.5}
+    shown = rig("archive", "list", "order by began_utc", "--archive", archive).stdout
+    assert "3 runs" in shown
+    assert " ± " in shown
+    assert shown.index("run-1") < shown.index("run-2")
+    written = tmp_path / "runs.parquet"
+    list_runs(archive, "amplitude_unit = 'px'", ["run, final_amplitude"], "parquet", written)
+    assert parquet.read_table(written).column_names == ["run", "final_amplitude"]
+    with pytest.raises(RecordError, match="exists already"):
+        list_runs(archive, "", [], "csv", written)
+    written.unlink()
+    list_runs(archive, "", ["run, sample, b"], "csv", written)
+    assert written.read_text().splitlines()[0] == "run,sample,b"
+
+
+def test_only_what_is_new_is_added_and_a_run_is_listed_once(sessions: Path, tmp_path: Path) -> None:
+    archive = tmp_path / "archive"
+    add_sessions(archive, [sessions])
+    assert add_sessions(archive, [sessions]) == "0 sessions added (0 runs), 2 known already"
+    shutil.copytree(sessions / "series", tmp_path / "copy")
+    add_sessions(archive, [tmp_path / "copy"])
+    assert len(rows(archive)) == 3
+    # new results are a new version, and the one that is listed
+    series = sessions / "series"
+    changed = json.loads((series / "results.json").read_text())
+    changed["runs"][0]["fits"]["exact"]["c"]["value"] = 0.5
+    (series / "results-2.json").write_text(json.dumps(changed))
+    assert add_sessions(archive, [series]) == "1 sessions added (2 runs), 0 known already"
+    assert rows(archive, "b > 0", "c, results") == [{"c": 0.5, "results": "results-2.json"}]
+    # a record that goes on has another hash: its earlier version is not listed beside it
+    with (series / "run-2.mcap").open("ab") as file:
+        file.write(b"\0")
+    add_sessions(archive, [series])
+    shutil.rmtree(tmp_path / "copy")
+    assert len(rows(archive, f"folder = '{series}'")) == 2
+
+
+def test_damaged_missing_and_unreadable_records_are_listed_as_such(sessions: Path, tmp_path: Path) -> None:
+    series, archive = sessions / "series", tmp_path / "archive"
+    data = bytearray((series / "run-1.mcap").read_bytes())
+    data[len(data) // 2] ^= 1
+    (series / "run-1.mcap").write_bytes(data)
+    (series / "run-2.mcap").write_bytes(b"no record")
+    (sessions / "deeper" / "uncalibrated" / "run-1.mcap").unlink()
+    done = rig("archive", "add", sessions, "--archive", archive)
+    assert "run-1.mcap: the results are of another record" in done.stderr
+    found = {(row["run"], row["state"], row["b"], bool(row["flaw"])) for row in rows(archive)}
+    assert found == {
+        ("run-1", "damaged", None, True),
+        ("run-2", "unreadable", None, True),
+        ("run-1", "missing", None, True),
+    }
+    (series / "results.json").write_text("{")
+    assert "results.json: cannot be read" in rig("archive", "add", series, "--archive", archive).stderr
+
+
+def test_a_merged_catalogue_says_the_same_and_is_made_anew(sessions: Path, tmp_path: Path) -> None:
+    archive = tmp_path / "archive"
+    add_sessions(archive, [sessions])
+    before = rows(archive, "order by sha256")
+    for _ in range(2):
+        Archive(archive).merge(at_once=1)
+        assert rows(archive, "order by sha256") == before
+        (merged,) = (archive / "merged").iterdir()
+        merged.write_bytes(merged.read_bytes()[:-100])
+        assert "delete" in rig("archive", "list", "--archive", archive).stderr
+        merged.unlink()
+    Archive(archive).merge(at_once=1)
+    # a session whose file is taken away is not listed, though it was merged
+    (archive / "sessions" / f"{before[0]['version']}.parquet").unlink()
+    assert {row["version"] for row in rows(archive)} == {row["version"] for row in before[1:]} - {
+        before[0]["version"]
+    }
+
+
+def test_two_that_add_at_once_lose_nothing(sessions: Path, tmp_path: Path) -> None:
+    """Nothing but files is shared, so that threads stand for processes."""
+    for number in range(6):
+        shutil.copytree(sessions / "deeper", tmp_path / "many" / str(number))
+        with (tmp_path / "many" / str(number) / "uncalibrated" / "run-1.mcap").open("ab") as file:
+            file.write(bytes([number]))
+    archive = tmp_path / "archive"
+
+    def add(_: int) -> None:
+        add_sessions(archive, [tmp_path / "many"])
+        Archive(archive).merge(at_once=1)
+
+    with ThreadPoolExecutor(2) as two:
+        list(two.map(add, range(2)))
+    assert len(rows(archive)) == 6
+    assert len(list((archive / "sessions").iterdir())) == 6
+    assert len(list((archive / "merged").iterdir())) in (1, 2)
+
+
+def test_the_documented_commands_run_and_the_documented_columns_exist(sessions: Path) -> None:
+    text = (ROOT / "docs" / "archive.md").read_text(encoding="utf-8")
+    lines = re.findall(r"^ {4}(rig archive .*)$", text, re.MULTILINE)
+    assert len(lines) >= 5
+    for line in lines:
+        done = rig(*shlex.split(line.split("  #")[0])[1:], cwd=sessions.parent)
+        assert done.returncode == 0, f"{line}: {done.stderr}"
+    documented = dict(re.findall(r"^\| `(\w+)` \| (.*) \|$", text, re.MULTILINE))
+    assert documented == {name: column.meaning for name, column in COLUMNS.items()}
+
+
+def test_a_condition_reads_runs_and_nothing_else(sessions: Path, tmp_path: Path) -> None:
+    archive = tmp_path / "archive"
+    with pytest.raises(RecordError, match="holds no sessions"):
+        list_runs(archive, "", [], "table", None)
+    add_sessions(archive, [sessions])
+    for condition, said in {
+        "b > 0; drop view runs": "more than one",
+        "hardness > 3": "docs/archive.md names the columns",
+        f"exists(from read_text('{sessions}/series/session.json'))": "disabled",
+    }.items():
+        with pytest.raises(ConfigurationError, match=said):
+            list_runs(archive, condition, [], "table", None)
+    with pytest.raises(RecordError, match="holds no session"):
+        add_sessions(archive, [archive])
+
+
+def test_without_duckdb_one_line_says_what_to_install(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "duckdb", None)
+    done = rig("archive", "add", tmp_path, "--archive", tmp_path / "archive")
+    assert done.returncode == 2
+    assert done.stderr == (
+        "rig: rig archive needs DuckDB and pyarrow: pip install 'optical-pendulum-rig[archive]'\n"
+    )
