@@ -91,6 +91,7 @@ class PylonCamera:
             emulated = device.GetDeviceClass() == "BaslerCamEmu"
             self._tick_ns = 0.0 if emulated else self._find_tick_ns()
             bits = int(camera.PixelFormat.Value.removeprefix("Mono"))
+            shutter = self._first(("SensorShutterMode", "ShutterMode"))
             return CameraInfo(
                 driver="pylon",
                 vendor=device.GetVendorName(),
@@ -100,6 +101,7 @@ class PylonCamera:
                 height_px=int(self._first(("SensorHeight", "HeightMax")).Value),
                 full_scale_dn=2**bits - 1,
                 has_clock=self._tick_ns > 0,
+                shutter=str(shutter.Value) if shutter is not None and shutter.IsReadable() else "",
             )
 
     def configure(self, settings: CameraSettings) -> CameraSettings:

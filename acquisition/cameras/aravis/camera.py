@@ -115,6 +115,7 @@ class AravisCamera:
         else:
             self._has_clock = True
         width_px, height_px = features.sensor_size()
+        says_shutter = camera.is_feature_available("SensorShutterMode")
         info = CameraInfo(
             driver="aravis",
             vendor=found.vendor,
@@ -124,6 +125,7 @@ class AravisCamera:
             height_px=height_px,
             full_scale_dn=pixel_format.full_scale_dn,
             has_clock=self._has_clock,
+            shutter=features.text("SensorShutterMode") if says_shutter else "",
         )
         return info, features
 

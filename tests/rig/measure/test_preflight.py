@@ -9,6 +9,7 @@ import pytest
 from rich.console import Console
 
 from acquisition.frame import Frame
+from calibration import Axes, Shutter
 from calibration.pointing import stability
 from processing.angle import ARCSEC_RAD
 from processing.deflections import Deflections, DeflectionUnit
@@ -207,6 +208,21 @@ def test_frame_rate_and_losses() -> None:
 def test_disk_holds_the_longest_run_or_not() -> None:
     assert frame_checks.disk(10**10, 5000.0, 500.0, 3600.0).ok
     assert_no(frame_checks.disk(10**9, 5000.0, 500.0, 3600.0))
+
+
+def test_a_rolling_shutter_is_advised_where_it_matters() -> None:
+    across, along = Axes(slow_angle_rad=0.02), Axes(slow_angle_rad=math.pi / 2 - 0.05)
+    for axes in (None, across):
+        advised = device_checks.shutter("Rolling", None, axes)
+        assert advised.ok
+        assert "row time unknown" in advised.measured
+        assert "turn the camera" in advised.remedy
+    assert not device_checks.shutter("Rolling", None, along).remedy
+    known = device_checks.shutter("Rolling", Shutter(row_time_s=1.5e-5, u_row_time_s=2e-7), across)
+    assert not known.remedy
+    assert "15.00 ± 0.20 us a row" in known.measured
+    assert not device_checks.shutter("GlobalReset", None, across).remedy
+    assert not device_checks.shutter("", None, across).made
 
 
 def test_air_and_controller() -> None:
