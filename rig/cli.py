@@ -6,6 +6,7 @@ Heavy imports are made inside the commands, so that ``rig --help`` responds imme
 import logging
 import os
 import sys
+from importlib import metadata
 from typing import Annotated
 
 import typer
@@ -20,7 +21,6 @@ app = typer.Typer(
     name="rig",
     help="Optical pendulum rig: measure, replay, view and analyse the free decay of a pendulum on one ball.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
@@ -35,9 +35,18 @@ camera.register(app)
 archive.register(app)
 
 
+def _version(asked: bool) -> None:
+    if asked:
+        print(f"optical-pendulum-rig {metadata.version('optical-pendulum-rig')}")
+        raise typer.Exit
+
+
 @app.callback()
 def _options(
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks and debug messages.")] = False,
+    version: Annotated[
+        bool, typer.Option("--version", help="Show the version and exit.", is_eager=True, callback=_version)
+    ] = False,
 ) -> None:
     logging.basicConfig(
         level=logging.DEBUG if debug else logging.WARNING,
@@ -89,7 +98,11 @@ def main() -> None:
 
 
 def _say(error: Exception) -> int:
-    """Print one line on stderr for an error; returns the exit status."""
+    """Print a line on stderr for an error, or for each fault of a file; returns the exit status."""
+    if type(error).__name__ == "NoArgsIsHelpError":
+        # click's private way to ask for the help of a command that was given nothing
+        print(str(error), file=sys.stderr)
+        return 2
     if isinstance(error, RigError):
         text, status = str(error), 2 if isinstance(error, ConfigurationError) else 1
     elif hasattr(error, "format_message"):
@@ -97,5 +110,6 @@ def _say(error: Exception) -> int:
         text, status = error.format_message(), 2
     else:
         text, status = f"{type(error).__name__}: {error} (--debug shows where)", 1
-    print(f"rig: {' '.join(text.split())}", file=sys.stderr)
+    for line in text.splitlines() if isinstance(error, ConfigurationError) else [text]:
+        print(f"rig: {' '.join(line.split())}", file=sys.stderr)
     return status

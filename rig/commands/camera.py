@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -80,7 +80,7 @@ def set_features(
     """
     from acquisition.camera import CameraSettings
     from processing.errors import ConfigurationError
-    from rig.settings import validate_configuration
+    from rig.settings import apply_overrides, validate_configuration
 
     with _opened(config, set_) as (camera, _, _):
         for assignment in assignments:
@@ -88,7 +88,9 @@ def set_features(
             if not equals:
                 raise ConfigurationError(f"{assignment}: must read NAME=VALUE")
             if name in CameraSettings.model_fields and name != "features":
-                asked = validate_configuration({"camera": {name: value}}, str(config)).camera
+                tree: dict[str, Any] = {}
+                apply_overrides(tree, [f"camera.{assignment}"])
+                asked = validate_configuration(tree, str(config)).camera
                 applied = camera.configure(CameraSettings(**{name: getattr(asked, name)}))
                 typer.echo(f"camera.{name} = {getattr(applied, name)}")
             elif hasattr(camera, "features"):

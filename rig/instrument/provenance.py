@@ -162,4 +162,4 @@ def recorded_configuration(reader: RecordReader, overrides: Sequence[str] = ()) 
         return config
     tree = config.model_dump(mode="json", exclude_none=True)
     apply_overrides(tree, overrides)
-    return validate_configuration(tree, str(reader.path))
+    return validate_configuration(tree, str(reader.path), overrides)

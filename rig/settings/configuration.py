@@ -1,20 +1,15 @@
-"""Reads a TOML configuration into frozen models; every error is reported in one line.
+"""Reads a TOML configuration into frozen models; every error is reported in a line of its own.
 
 A file may begin with ``extends = "other.toml"`` (relative to itself) and then states only what
 differs. On the command line ``--set a.b.c=value`` replaces any key by its dotted path.
 """
 
-import difflib
 import tomllib
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import is_dataclass
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any, Literal, Self, cast, get_args, get_origin
+from typing import Any, Literal, Self
 
 from pydantic import BaseModel, Field, ValidationError, model_validator
-from pydantic.dataclasses import dataclass, is_pydantic_dataclass
-from pydantic.fields import FieldInfo
-from pydantic_core import ErrorDetails
 
 from acquisition.cameras.drivers import find_driver
 from acquisition.simulation.faults import FaultSettings
@@ -30,6 +25,7 @@ from rig.settings.calibration import CalibrationSettings, TimebaseSettings
 from rig.settings.camera import CameraSection
 from rig.settings.instrument import InstrumentSettings
 from rig.settings.phases import PhaseSettings, PreflightSettings, StartSettings
+from rig.settings.wording import dotted, in_words, is_unknown_key, not_numbers
 
 
 class Section(BaseModel, frozen=True, extra="forbid"):
@@ -63,13 +59,13 @@ class EnvironmentConditions(Section, frozen=True):
 
     temperature_c: float | None = Field(default=None, gt=-100, lt=200)
     humidity_percent: float | None = Field(default=None, ge=0, le=100)
-    pressure_pa: float | None = Field(default=None, gt=1e3, lt=2e5)
+    pressure_pa: float | None = Field(default=None, gt=1e4, lt=2e5)
 
 
 class PendulumSettings(Section, frozen=True):
     """The pendulum, its ball and the plate it stands on. `u_...` are standard uncertainties."""
 
-    mass_kg: float = Field(gt=0, lt=1e4)
+    mass_kg: float = Field(gt=0, lt=100)
     u_mass_kg: float = Field(default=0.0, ge=0)
     ball_radius_m: float = Field(gt=0, lt=1)
     u_ball_radius_m: float = Field(default=0.0, ge=0)
@@ -85,7 +81,7 @@ class PendulumSettings(Section, frozen=True):
         description="of the pendulum over the point of contact (below it: negative); if stated, the results "
         "say which acceleration of the ground drives it",
     )
-    gravity_m_per_s2: float = Field(default=STANDARD_GRAVITY_M_PER_S2, gt=0, lt=100)
+    gravity_m_per_s2: float = Field(default=STANDARD_GRAVITY_M_PER_S2, gt=0, lt=30)
     u_gravity_m_per_s2: float = Field(default=0.0, ge=0)
 
 
@@ -177,12 +173,13 @@ class Configuration(Section, frozen=True):
 def load_configuration(path: Path, overrides: Iterable[str] = ()) -> Configuration:
     """Read a configuration file and apply ``KEY=VALUE`` overrides.
 
-    Raises ConfigurationError, in one line, for a missing file, invalid TOML, an unknown key (naming
-    the nearest known one), or a value of the wrong type or out of range.
+    Raises ConfigurationError for a missing file, invalid TOML, an unknown key (naming the nearest known
+    one), or a value of the wrong type or out of range: a line for each, which names the file or --set.
     """
     tree = read_toml_tree(path)
+    overrides = tuple(overrides)
     apply_overrides(tree, overrides)
-    return validate_configuration(tree, str(path))
+    return validate_configuration(tree, str(path), overrides)
 
 
 def read_toml_tree(path: Path, seen: tuple[Path, ...] = ()) -> dict[str, Any]:
@@ -190,7 +187,7 @@ def read_toml_tree(path: Path, seen: tuple[Path, ...] = ()) -> dict[str, Any]:
     try:
         if path.resolve() in seen:
             raise ConfigurationError(f"{path}: extends itself; remove one of the 'extends' lines")
-        tree = tomllib.loads(path.read_text(encoding="utf-8"))
+        tree = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except FileNotFoundError:
         raise ConfigurationError(f"{path}: no such configuration file") from None
     except IsADirectoryError:
@@ -209,14 +206,27 @@ def read_toml_tree(path: Path, seen: tuple[Path, ...] = ()) -> dict[str, Any]:
     return _merged(read_toml_tree(path.parent / base, (*seen, path.resolve())), tree)
 
 
-def validate_configuration(tree: Mapping[str, Any], source: str) -> Configuration:
-    """Validate nested dictionaries; a ConfigurationError names the first fault and counts the others."""
+def validate_configuration(
+    tree: Mapping[str, Any], source: str, overrides: Iterable[str] = ()
+) -> Configuration:
+    """Validate nested dictionaries; a ConfigurationError has a line for each fault, unknown keys first.
+
+    A fault of a key that one of `overrides` states is told of --set, any other of `source`.
+    """
+    told = list(not_numbers(Configuration, tree))
     try:
-        return Configuration.model_validate(tree)
+        config = Configuration.model_validate(tree)
     except ValidationError as error:
-        faults = error.errors()
-        more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
-        raise ConfigurationError(f"{source}: {_one_line(faults[0])}{more}") from None
+        faults = sorted(error.errors(), key=lambda fault: not is_unknown_key(fault))
+        places = {place for place, _ in told}
+        told = [
+            (fault["loc"], in_words(Configuration, fault)) for fault in faults if fault["loc"] not in places
+        ] + told
+    if not told:
+        return config
+    stated = {override.partition("=")[0].strip() for override in overrides}
+    lines = [f"{'--set ' if dotted(place) in stated else source + ': '}{line}" for place, line in told]
+    raise ConfigurationError("\n".join(lines))
 
 
 def _merged(below: dict[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
@@ -248,51 +258,3 @@ def _apply_override(tree: dict[str, Any], override: str) -> None:
         if not isinstance(place, dict):
             raise ConfigurationError(f"--set {override}: {part} is a value, not a table")
     place[parts[-1]] = value
-
-
-def _one_line(fault: ErrorDetails) -> str:
-    path = ".".join(str(part) for part in fault["loc"])
-    if fault["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
-        known = _known_keys(fault["loc"][:-1])
-        near = difflib.get_close_matches(str(fault["loc"][-1]), known, n=1, cutoff=0.5)
-        hint = f"did you mean {near[0]}?" if near else f"known here: {', '.join(sorted(known))}"
-        return f"{path}: unknown key; {hint}"
-    if fault["type"] == "missing":
-        return f"{path}: is missing; state a value"
-    message = fault["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
-    if not path:
-        return message
-    expected = message if fault["type"].startswith("value_error") else f"should be {message}"
-    return f"{path} = {fault['input']!r}: {expected}"
-
-
-def section_fields(section: type) -> dict[str, FieldInfo]:
-    """Fields of a section, which is a pydantic model or a plain dataclass of `processing`."""
-    if issubclass(section, BaseModel):
-        return section.model_fields
-    if not is_pydantic_dataclass(section):
-        section = dataclass(section, frozen=True)
-    return cast(dict[str, FieldInfo], vars(section)["__pydantic_fields__"])
-
-
-def section_of(field: FieldInfo) -> type | None:
-    """The section class of a field that holds a section or a table of sections; None for a plain value."""
-    found = (c for c in _parts(field.annotation) if isinstance(c, type) and get_origin(c) is None)
-    return next((c for c in found if issubclass(c, BaseModel) or is_dataclass(c)), None)
-
-
-def _parts(annotation: Any) -> Iterator[Any]:
-    yield annotation
-    for inner in get_args(annotation):
-        yield from _parts(inner)
-
-
-def _known_keys(place: tuple[int | str, ...]) -> list[str]:
-    section: type = Configuration
-    for part in place:
-        field = section_fields(section).get(str(part))
-        inner = None if field is None else section_of(field)
-        if inner is None:
-            break
-        section = inner
-    return list(section_fields(section))

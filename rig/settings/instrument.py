@@ -14,7 +14,10 @@ class InstrumentSettings(BaseModel, frozen=True, extra="forbid"):
 
     kind: str = "single_ball"
     mass_kg: float | None = Field(
-        default=None, gt=0, description="as weighed; compared with the limits of the standard, if it has any"
+        default=None,
+        gt=0,
+        lt=100,
+        description="as weighed; compared with the limits of the standard, if it has any",
     )
     support_radius_m: float | None = Field(default=None, gt=0, lt=1, description="ball, roller or axis")
     u_support_radius_m: float = Field(default=0.0, ge=0)

@@ -10,7 +10,7 @@ from typing import Any, get_origin
 import pytest
 
 from rig.settings import Configuration, validate_configuration
-from rig.settings.configuration import section_fields, section_of
+from rig.settings.wording import section_fields, section_of
 from tests.rig.command_line import rig
 from tests.rig.replay.replay_record import RATE_HZ, make_record
 
@@ -41,6 +41,17 @@ def test_commands_that_are_named_exist() -> None:
     for document in DOCUMENTS:
         named = set(re.findall(r"`rig (\w+)", document.read_text(encoding="utf-8")))
         assert named <= known, f"{document.name}: {named - known}"
+
+
+def test_version_help_and_completion(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert re.fullmatch(r"optical-pendulum-rig \d+\.\d+\.\d+\S*\n", rig("--version").stdout)
+    alone = rig("camera")
+    assert (alone.returncode, alone.stdout) == (2, "")
+    assert "Commands:\n  show " in alone.stderr
+    monkeypatch.setenv("_RIG_COMPLETE", "complete_bash")
+    monkeypatch.setenv("COMP_WORDS", "rig cal")
+    monkeypatch.setenv("COMP_CWORD", "1")
+    assert rig().stdout.split() == ["calibrate"]
 
 
 def test_pictures_and_pages_that_are_linked_exist() -> None:

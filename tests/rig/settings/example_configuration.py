@@ -11,7 +11,8 @@ from typing import Any
 
 from pydantic.fields import FieldInfo
 
-from rig.settings.configuration import Configuration, section_fields, section_of
+from rig.settings.configuration import Configuration
+from rig.settings.wording import section_fields, section_of
 
 TARGET = Path(__file__).resolve().parents[3] / "configs" / "rig-example.toml"
 HEAD = """\

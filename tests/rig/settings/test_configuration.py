@@ -69,12 +69,33 @@ def test_overrides_take_any_dotted_path() -> None:
         ("session.final_amplitude_arcsec=500", "must be below session.initial_amplitude_arcsec = 124"),
         ("session.runs", r"--set session\.runs: must read KEY=VALUE"),
         ("session.runs.more=1", r"session\.runs"),
+        ("session.runs=true", r"--set session\.runs = true: should be a number"),
+        ('camera.exposure_us="80"', r'--set camera\.exposure_us = "80": should be a number, without quotes'),
+        ("session.runs=1,5", r"--set session\.runs = '1,5': should be a number, with a point: 1\.5"),
+        ("environment.pressure_pa=1013", "should be greater than 10000"),
     ],
 )
 def test_a_wrong_setting_is_one_line_that_names_it(override: str, message: str) -> None:
     with pytest.raises(ConfigurationError, match=message) as caught:
         load_configuration(CONFIGS / "demo.toml", [override])
-    assert "\n" not in str(caught.value)
+    assert all(line.startswith(("--set ", str(CONFIGS))) for line in str(caught.value).split("\n"))
+
+
+def test_every_fault_has_a_line_and_unknown_keys_come_first() -> None:
+    slips = ["pendulum.mas_kg=3", "pendulum.ball_radius_m=true", "session.runs=0"]
+    with pytest.raises(ConfigurationError) as caught:
+        load_configuration(CONFIGS / "demo.toml", slips)
+    assert str(caught.value).split("\n") == [
+        "--set pendulum.mas_kg: unknown key; did you mean mass_kg?",
+        "--set session.runs = 0: should be greater than or equal to 1",
+        f"{CONFIGS / 'demo.toml'}: pendulum.mass_kg: is missing; state a value",
+        "--set pendulum.ball_radius_m = true: should be a number, without quotes",
+    ]
+
+
+def test_a_file_may_begin_with_a_byte_order_mark(tmp_path: Path) -> None:
+    path = write(tmp_path / "bom.toml", '\ufeff[camera]\ndriver = "simulated"\n')
+    assert load_configuration(path).simulated
 
 
 @pytest.mark.parametrize(

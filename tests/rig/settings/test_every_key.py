@@ -22,7 +22,8 @@ from calibration.axes import Axes
 from calibration.light_lever import Lever
 from rig.instrument import complete
 from rig.settings import Configuration
-from rig.settings.configuration import RecordSettings, section_fields, section_of
+from rig.settings.configuration import RecordSettings
+from rig.settings.wording import section_fields, section_of
 from tests.rig.settings import program_at_work as program
 from tests.rig.settings import stated_values as stated
 from tests.rig.settings.example_configuration import _is_table_of

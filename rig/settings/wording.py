@@ -1,0 +1,109 @@
+"""What is wrong with a configuration, in words; and the sections and keys that its models have."""
+
+import difflib
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import is_dataclass
+from typing import Any, cast, get_args, get_origin
+
+from pydantic import BaseModel
+from pydantic.dataclasses import dataclass, is_pydantic_dataclass
+from pydantic.fields import FieldInfo
+from pydantic_core import ErrorDetails
+
+_Place = tuple[int | str, ...]
+
+
+def in_words(root: type, fault: ErrorDetails) -> str:
+    """One line for a fault that pydantic found in the tables of `root`."""
+    path = dotted(fault["loc"])
+    if is_unknown_key(fault):
+        known = _known_keys(root, fault["loc"][:-1])
+        near = difflib.get_close_matches(str(fault["loc"][-1]), known, n=1, cutoff=0.5)
+        hint = f"did you mean {near[0]}?" if near else f"known here: {', '.join(sorted(known))}"
+        return f"{path}: unknown key; {hint}"
+    if fault["type"] == "missing":
+        return f"{path}: is missing; state a value"
+    message = fault["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
+    if not path:
+        return message
+    if isinstance(fault["input"], str) and re.fullmatch(r"[+-]?\d+,\d+", fault["input"]):
+        message = f"a number, with a point: {fault['input'].replace(',', '.')}"
+    expected = message if fault["type"].startswith("value_error") else f"should be {message}"
+    return f"{path} = {fault['input']!r}: {expected}"
+
+
+def is_unknown_key(fault: ErrorDetails) -> bool:
+    """Whether a key is stated that its section does not have."""
+    return fault["type"] in ("extra_forbidden", "unexpected_keyword_argument")
+
+
+def dotted(place: _Place) -> str:
+    """The path of a key as `--set` takes it."""
+    return ".".join(str(part) for part in place)
+
+
+def not_numbers(root: type, tree: Mapping[str, Any], place: _Place = ()) -> Iterator[tuple[_Place, str]]:
+    """Places, with a line for each, where a number is wanted and `true` or a quoted number is stated.
+
+    Pydantic would take 1.0 for `true`, and the number in the quotes.
+    """
+    for key, value in tree.items():
+        field = section_fields(root).get(key)
+        if field is None:
+            continue
+        inner, here = section_of(field), (*place, key)
+        if inner is not None and isinstance(value, dict):
+            tables = value if get_origin(field.annotation) is dict else {None: value}
+            for name, table in tables.items():
+                if isinstance(table, dict):
+                    yield from not_numbers(inner, table, here if name is None else (*here, name))
+        elif isinstance(value, bool | str) and _is_number(field, value):
+            shown = str(value).lower() if isinstance(value, bool) else f'"{value}"'
+            yield here, f"{dotted(here)} = {shown}: should be a number, without quotes"
+
+
+def _is_number(field: FieldInfo, stated: bool | str) -> bool:
+    """Whether only a number can be meant; a string that is no number is left to pydantic."""
+    kinds = set(_parts(field.annotation))
+    if not kinds & {int, float} or kinds & {bool, str}:
+        return False
+    if isinstance(stated, bool):
+        return True
+    try:
+        float(stated)
+    except ValueError:
+        return False
+    return True
+
+
+def section_fields(section: type) -> dict[str, FieldInfo]:
+    """Fields of a section, which is a pydantic model or a plain dataclass of `processing`."""
+    if issubclass(section, BaseModel):
+        return section.model_fields
+    if not is_pydantic_dataclass(section):
+        section = dataclass(section, frozen=True)
+    return cast(dict[str, FieldInfo], vars(section)["__pydantic_fields__"])
+
+
+def section_of(field: FieldInfo) -> type | None:
+    """The section class of a field that holds a section or a table of sections; None for a plain value."""
+    found = (c for c in _parts(field.annotation) if isinstance(c, type) and get_origin(c) is None)
+    return next((c for c in found if issubclass(c, BaseModel) or is_dataclass(c)), None)
+
+
+def _parts(annotation: Any) -> Iterator[Any]:
+    yield annotation
+    for inner in get_args(annotation):
+        yield from _parts(inner)
+
+
+def _known_keys(root: type, place: _Place) -> list[str]:
+    section = root
+    for part in place:
+        field = section_fields(section).get(str(part))
+        inner = None if field is None else section_of(field)
+        if inner is None:
+            break
+        section = inner
+    return list(section_fields(section))
