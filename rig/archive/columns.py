@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Final, Literal, NamedTuple
 
-Kind = Literal["text", "number", "count", "yes or no", "time", "texts"]
+Kind = Literal["text", "number", "count", "yes or no", "time"]
 
 PARAMETERS: Final = ("b", "p", "c", "n", "period0_s", "gamma_pa", "drag_s")
 """Of the contact's laws, as far as results hold them."""
@@ -82,6 +82,12 @@ COLUMNS: Final[Mapping[str, Column]] = {
     "instrument": Column("text", "kind of pendulum, where it is none of the contact's laws"),
     **{key: item for name in OF_INSTRUMENTS for key, item in _estimated(name, "as reported").items()},
 }
+
+SAID_OF_RUNS: Final[Mapping[str, str]] = {
+    "tags": "list of what rig archive tag said of the run: 'good' in tags",
+    "notes": "list of what rig archive note said of it",
+}
+"""Columns that are in no file of a session."""
 
 SHORT_NAMES: Final[Mapping[str, str]] = {"temperature": "temperature_c", "humidity": "humidity_percent"}
 """Further names in conditions."""

@@ -12,7 +12,7 @@ from acquisition.record import whole_file
 from processing.errors import ConfigurationError, RecordError
 from rig.archive.columns import SHOWN
 from rig.archive.store import Archive, duckdb_module
-from rig.presentation import Cell, Table, plain, plain_values, print_tables, with_uncertainty
+from rig.presentation import NOT_KNOWN, Cell, Table, plain, plain_values, print_tables, with_uncertainty
 
 Format = Literal["table", "csv", "json", "parquet"]
 _SHORTENED = 8
@@ -88,18 +88,22 @@ def _table(names: Sequence[str], rows: Sequence[Sequence[Any]]) -> Table:
 def _shown(name: str, row: Sequence[Any], place: int, beside: dict[str, int]) -> str:
     value = row[place]
     if value is None:
-        return "–"
+        return NOT_KNOWN
     if name in beside:
         u = row[beside[name]]
         return with_uncertainty(value, nan if u is None else u)
     if isinstance(value, datetime.datetime):
         return f"{value:%Y-%m-%d %H:%M}"
+    if isinstance(value, list):
+        return "; ".join(map(str, value)) or NOT_KNOWN
     return plain(value, 5) if isinstance(value, float) else str(value)
 
 
 def _cell(value: Any) -> Cell:
     if value is None:
         return nan
+    if isinstance(value, list):
+        return "; ".join(map(str, value))
     return value if isinstance(value, int | float) else _json_value(value)
 
 

@@ -16,6 +16,7 @@ from typing import Any
 from acquisition.record import whole_file
 from processing.errors import ConfigurationError, RecordError
 from rig.archive.columns import COLUMNS, SHORT_NAMES
+from rig.archive.remarks import read_remarks
 
 _MANY = 256
 """Files of sessions beside the merged one from which on they are merged."""
@@ -112,6 +113,7 @@ class Archive:
             files += [str(self._sessions / f"{name}.parquet") for name in sorted(there - merged)]
             connection.execute("set variable files = ?", [files])
             connection.execute("set variable gone = ?", [gone])
+            connection.execute(_REMARKS, list(read_remarks(self.folder)))
             connection.execute(_VIEWS)
         except duckdb.Error as error:
             raise RecordError(_unreadable(self.folder, error)) from None
@@ -136,6 +138,11 @@ class Archive:
 
 
 _ALIASES = ", ".join(f"{name} as {short}" for short, name in SHORT_NAMES.items())
+_REMARKS = """
+create table remarks as
+  select
+    unnest($1::varchar[]) as run_sha256, unnest($2::varchar[][]) as tags, unnest($3::varchar[][]) as notes
+"""
 _VIEWS = f"""
 create view versions as
   select * from read_parquet(getvariable('files'), union_by_name = true)
@@ -146,7 +153,9 @@ create view latest as
     select arg_max(version, (added_utc, version)) from versions group by computer, folder
   );
 create view runs as
-  select *, {_ALIASES} from latest
+  select
+    latest.*, coalesce(tags, []::varchar[]) as tags, coalesce(notes, []::varchar[]) as notes, {_ALIASES}
+  from latest left join remarks on run_sha256 = sha256
   qualify row_number() over (partition by sha256 order by added_utc desc, version desc) = 1;
 """
 
@@ -176,7 +185,6 @@ def _table(rows: Iterable[Mapping[str, Any]]) -> Any:
         "count": pa.int64(),
         "yes or no": pa.bool_(),
         "time": pa.timestamp("us"),
-        "texts": pa.list_(pa.string()),
     }
     schema = pa.schema([(name, kinds[column.kind]) for name, column in COLUMNS.items()])
     return pa.Table.from_pylist([dict(row) for row in rows], schema=schema)

@@ -9,6 +9,11 @@ Archive = Annotated[
     Path, typer.Option("--archive", envvar="RIG_ARCHIVE", help="Folder of the archive; or RIG_ARCHIVE.")
 ]
 _PLACE = Path("archive")
+Names = Annotated[
+    list[str] | None,
+    typer.Argument(help="First characters of a run's or a session's hash.", show_default=False),
+]
+Where = Annotated[str, typer.Option(help="The runs that meet a condition, as of rig archive list.")]
 
 
 def register(app: typer.Typer) -> None:
@@ -16,6 +21,9 @@ def register(app: typer.Typer) -> None:
     archive = typer.Typer(help="A catalogue of the runs of many sessions.", no_args_is_help=True)
     archive.command("add")(add)
     archive.command("list")(list_)
+    archive.command("show")(show)
+    archive.command("tag")(tag)
+    archive.command("note")(note)
     app.add_typer(archive, name="archive")
 
 
@@ -44,3 +52,41 @@ def list_(
     from rig.archive import list_runs
 
     list_runs(archive, condition, [columns] if columns.strip() else [], format_, output)
+
+
+def show(
+    names: Annotated[
+        list[str], typer.Argument(help="First characters of a run's or a session's hash.", show_default=False)
+    ],
+    archive: Archive = _PLACE,
+) -> None:
+    """Show all that is known of runs."""
+    from rig.archive import show_runs
+
+    show_runs(archive, names)
+
+
+def tag(
+    text: Annotated[str, typer.Argument(help="The tag.", show_default=False)],
+    names: Names = None,
+    where: Where = "",
+    remove: Annotated[bool, typer.Option("--remove", help="Take the tag away.")] = False,
+    archive: Archive = _PLACE,
+) -> None:
+    """Tag runs."""
+    from rig.archive import remark
+
+    said = {"remove" if remove else "add": text}
+    print(remark(archive, names or [], where, **said))
+
+
+def note(
+    text: Annotated[str, typer.Argument(help="The note.", show_default=False)],
+    names: Names = None,
+    where: Where = "",
+    archive: Archive = _PLACE,
+) -> None:
+    """Write a note on runs."""
+    from rig.archive import remark
+
+    print(remark(archive, names or [], where, note=text))

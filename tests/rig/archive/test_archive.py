@@ -12,8 +12,8 @@ import pytest
 from pyarrow import parquet
 
 from processing.errors import ConfigurationError, RecordError
-from rig.archive import add_sessions, list_runs
-from rig.archive.columns import COLUMNS
+from rig.archive import add_sessions, list_runs, remark
+from rig.archive.columns import COLUMNS, SAID_OF_RUNS
 from rig.archive.store import Archive
 from tests.rig.command_line import rig
 
@@ -152,7 +152,34 @@ def test_the_documented_commands_run_and_the_documented_columns_exist(sessions: 
         done = rig(*shlex.split(line.split("  #")[0])[1:], cwd=sessions.parent)
         assert done.returncode == 0, f"{line}: {done.stderr}"
     documented = dict(re.findall(r"^\| `(\w+)` \| (.*) \|$", text, re.MULTILINE))
-    assert documented == {name: column.meaning for name, column in COLUMNS.items()}
+    assert documented == {name: column.meaning for name, column in COLUMNS.items()} | SAID_OF_RUNS
+
+
+def test_tags_and_notes_belong_to_the_record(sessions: Path, tmp_path: Path) -> None:
+    archive = tmp_path / "archive"
+    add_sessions(archive, [sessions])
+    (first,) = rows(archive, "b > 0", "sha256, session")
+    sha256, session = str(first["sha256"]), str(first["session"])
+    assert remark(archive, [session[:8]], add="good") == "2 runs"
+    assert remark(archive, [], "b > 0", note="cleaned") == "1 run"
+    remark(archive, [sha256[:6]], remove="good")
+    remark(archive, [sha256], add="humid")
+    found = {str(row["run"]): row for row in rows(archive, "len(tags) > 0", "run, tags, notes")}
+    assert (found["run-1"]["tags"], found["run-2"]["tags"]) == (["humid"], ["good"])
+    assert str(found["run-1"]["notes"]).endswith(": cleaned']")
+    shown = rig("archive", "show", sha256[:8], "--archive", archive).stdout
+    assert "humid" in shown
+    assert "u_b" not in shown
+    # the catalogue made anew, with a session that has grown: what was said is still said of the record
+    shutil.rmtree(archive / "sessions")
+    shutil.copy(sessions / "deeper" / "uncalibrated" / "run-1.mcap", sessions / "series" / "run-3.mcap")
+    add_sessions(archive, [sessions / "series"])
+    assert rows(archive, "'humid' in tags", "sha256") == [{"sha256": sha256}]
+    for name, said in {"0000": "no run of the archive begins so", "nothing": "names no run"}.items():
+        with pytest.raises(ConfigurationError, match=said):
+            remark(archive, [name], add="good")
+    with pytest.raises(ConfigurationError, match="no run is meant"):
+        remark(archive, [], "b < 0", add="good")
 
 
 def test_a_condition_reads_runs_and_nothing_else(sessions: Path, tmp_path: Path) -> None:

@@ -1,0 +1,90 @@
+"""Runs as a user names them: by the first characters of a hash, or by a condition."""
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from processing.errors import ConfigurationError
+from rig.archive.listing import selected
+from rig.archive.remarks import write_remark
+from rig.archive.store import Archive
+from rig.presentation import NOT_KNOWN, Table, plain, print_tables, with_uncertainty
+
+_SHORTEST = 4
+
+
+def remark(
+    archive: Path,
+    names: Sequence[str],
+    where: str = "",
+    *,
+    add: str = "",
+    remove: str = "",
+    note: str = "",
+) -> str:
+    """Add or remove a tag, or write a note, of the runs that are named or meet a condition; says how many.
+
+    A name is the beginning of a run's SHA-256, or of its session's for all of its runs.
+    """
+    connection = Archive(archive).connection()
+    runs = [run for name in names for run in named(connection, name)]
+    if where.strip():
+        runs += [run for (run,) in selected(connection, "sha256", where).fetchall()]
+    runs = list(dict.fromkeys(runs))
+    write_remark(archive, runs, add=add, remove=remove, note=note)
+    return f"{len(runs)} run{'s' if len(runs) != 1 else ''}"
+
+
+def named(connection: Any, name: str) -> list[str]:
+    """The SHA-256 of the run, or of the session's runs, that a name begins.
+
+    Raises ConfigurationError where none or several are meant.
+    """
+    if not re.fullmatch(rf"[0-9a-f]{{{_SHORTEST},64}}", name):
+        raise ConfigurationError(
+            f"{name}: names no run; take {_SHORTEST} or more characters of list's first column"
+        )
+    found = connection.execute(
+        "select sha256, session from runs "
+        "where starts_with(sha256, $1) or starts_with(session, $1) order by run",
+        [name],
+    ).fetchall()
+    runs = [run for run, _ in found]
+    if not runs:
+        raise ConfigurationError(f"{name}: no run of the archive begins so; rig archive list names all")
+    if len(runs) > 1 and not (len({session for _, session in found}) == 1 and found[0][1].startswith(name)):
+        raise ConfigurationError(f"{name}: {len(runs)} runs begin so; give more characters")
+    return runs
+
+
+def show_runs(archive: Path, names: Sequence[str]) -> None:
+    """Print all that the archive knows of runs, and which versions of them it has."""
+    connection = Archive(archive).connection()
+    for run in [run for name in names for run in named(connection, name)]:
+        found = connection.execute("select * from runs where sha256 = ?", [run])
+        columns = [item[0] for item in found.description]
+        row = dict(zip(columns, found.fetchone(), strict=True))
+        rows = [(name, value) for name, value in row.items() if value not in (None, "", [])]
+        texts = [
+            (name, _text(value, row.get(f"u_{name}"))) for name, value in rows if not name.startswith("u_")
+        ]
+        older = connection.execute(
+            "select added_utc, results from versions where sha256 = ? order by added_utc", [run]
+        ).fetchall()
+        versions = "; ".join(f"{added:%Y-%m-%d %H:%M} {results or 'not fitted'}" for added, results in older)
+        print_tables(
+            [
+                Table(
+                    run[:8], f"{row['folder']}/{row['record']}", (), (), ("", ""), texts, f"added: {versions}"
+                )
+            ]
+        )
+
+
+def _text(value: Any, u: float | None) -> str:
+    if isinstance(value, float):
+        return plain(value, 6) if u is None else with_uncertainty(value, u)
+    if isinstance(value, list):
+        return "; ".join(value)
+    return str(value) or NOT_KNOWN
