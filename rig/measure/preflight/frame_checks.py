@@ -183,14 +183,16 @@ def clock(frames: Sequence[Frame], limits: PreflightSettings, *, on_demand: bool
         )
     except DataError as error:
         return Verdict("clock", False, str(error), "restart the camera", measured="not measured", limit=limit)
-    wrong = "" if on_demand else wrong_rate(relation)
-    if wrong:
+    rate = f"{relation.drift_ppm:+.0f} ± {relation.u_drift_ppm:.0f} ppm"
+    if on_demand:
+        rate = "no rate: made on demand"
+    elif wrong := wrong_rate(relation):
         return Verdict(
             "clock",
             False,
             wrong,
             "the driver misreads its unit, or the computer's clock was set: see rig doctor",
-            measured=f"{relation.drift_ppm:+.0f} ± {relation.u_drift_ppm:.0f} ppm",
+            measured=rate,
             limit=limit,
         )
     jitter_us = relation.frame_jitter_s * 1e6
@@ -200,7 +202,7 @@ def clock(frames: Sequence[Frame], limits: PreflightSettings, *, on_demand: bool
         ok,
         "" if ok else "frames come unevenly; turning times suffer",
         "" if ok else "a fixed frame_rate_hz, the camera's own clock, no free-running trigger",
-        measured=f"jitter {jitter_us:.1f} us, {relation.drift_ppm:+.0f} ± {relation.u_drift_ppm:.0f} ppm",
+        measured=f"jitter {jitter_us:.1f} us, {rate}",
         limit=limit,
     )
 
