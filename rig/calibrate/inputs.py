@@ -135,7 +135,7 @@ def frames_of(path: Path) -> tuple[list[Image], int]:
 
 def _read(path: Path, model: type[_Model]) -> _Model:
     try:
-        tree: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
+        tree: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8-sig"))
         return model.model_validate(tree)
     except OSError as error:
         raise ConfigurationError(f"{path}: cannot be read: {error.strerror or error}") from None
@@ -144,4 +144,9 @@ def _read(path: Path, model: type[_Model]) -> _Model:
     except ValidationError as error:
         fault = error.errors()[0]
         place = ".".join(str(part) for part in fault["loc"])
-        raise ConfigurationError(f"{path}: {place}{': ' if place else ''}{fault['msg']}") from None
+        said = (
+            "is missing; docs/calibration.md shows such a file"
+            if fault["type"] == "missing"
+            else fault["msg"]
+        )
+        raise ConfigurationError(f"{path}: {place}{': ' if place else ''}{said}") from None
