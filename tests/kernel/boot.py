@@ -10,12 +10,14 @@ import os
 import shutil
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 PROJECT = Path(__file__).resolve().parents[2]
 KERNEL_FOLDER = PROJECT / "build" / "kernel"
 MODULES = ("virtio_pci", "9pnet_virtio", "9p", "vhci-hcd", "vivid", "usbtmc")
+DRIVE_MODULES = ("virtio_pci", "9pnet_virtio", "9p", "virtio_blk", "loop", "ext4", "crc32c_generic", "exfat")
 MARK = "RESULT "
 
 INIT = """#!/bin/busybox sh
@@ -85,7 +87,7 @@ def check_tools() -> None:
             raise Missing(f"{program} is not installed (Debian: apt install {package})")
 
 
-def module_files(modules: Path) -> list[Path]:
+def module_files(modules: Path, wanted: Sequence[str]) -> list[Path]:
     """The modules that are needed, each after those that it needs itself."""
     needs: dict[str, list[str]] = {}
     for line in (modules / "modules.dep").read_text().splitlines():
@@ -93,7 +95,7 @@ def module_files(modules: Path) -> list[Path]:
         needs[file] = others.split()
     by_name = {Path(file).name.split(".ko")[0]: file for file in needs}
     order: list[str] = []
-    for name in MODULES:
+    for name in wanted:
         if name in by_name:
             for file in (*reversed(needs[by_name[name]]), by_name[name]):
                 if file not in order:
@@ -101,7 +103,7 @@ def module_files(modules: Path) -> list[Path]:
     return [modules / file for file in order]
 
 
-def make_initramfs(folder: Path, modules: Path, command: str) -> Path:
+def make_initramfs(folder: Path, modules: Path, wanted: Sequence[str], command: str) -> Path:
     """Busybox, the modules and the command to be run."""
     tree = folder / "initramfs"
     shutil.rmtree(tree, ignore_errors=True)
@@ -110,7 +112,7 @@ def make_initramfs(folder: Path, modules: Path, command: str) -> Path:
     busybox = shutil.which("busybox")
     assert busybox is not None
     shutil.copy(busybox, tree / "bin" / "busybox")
-    files = module_files(modules)
+    files = module_files(modules, wanted)
     for file in files:
         shutil.copy(file, tree / "modules" / file.name)
     (tree / "modules" / "order").write_text("".join(f"{file.name}\n" for file in files))
@@ -131,6 +133,53 @@ def make_initramfs(folder: Path, modules: Path, command: str) -> Path:
     return archive
 
 
+def python_command(program: str) -> str:
+    """What a shell in the guest runs for a module of this project and its arguments."""
+    return (
+        f"cd {PROJECT} && HOME=/tmp OMP_NUM_THREADS=1 NUMBA_CACHE_DIR=/tmp/numba PYTHONDONTWRITEBYTECODE=1 "
+        f"PATH=/usr/bin:/bin {sys.executable} -m {program} 2>&1"
+    )
+
+
+def start_guest(
+    command: str, folder: Path, wanted: Sequence[str] = MODULES, *more: str
+) -> subprocess.Popen[bytes]:
+    """QEMU with a command of the shell; what it prints goes to `guest.log` in `folder`.
+
+    `wanted` are modules of the kernel, `more` further arguments of QEMU. Raises `Missing`.
+    """
+    check_tools()
+    image, modules = find_kernel()
+    initramfs = make_initramfs(folder, modules, wanted, command)
+    arguments = [
+        *("qemu-system-x86_64", "-accel", "tcg,thread=multi", "-cpu", "max", "-smp", "2", "-m", "1500"),
+        *("-nographic", "-no-reboot", "-nodefaults", "-serial", "stdio"),
+        *("-kernel", str(image), "-initrd", str(initramfs)),
+        *("-append", "console=ttyS0 quiet panic=-1 mitigations=off"),
+        *("-virtfs", "local,path=/,mount_tag=host,security_model=none,readonly=on,multidevs=remap"),
+        *more,
+    ]
+    with (folder / "guest.log").open("wb") as output:
+        return subprocess.Popen(arguments, stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT)
+
+
+def result_of(guest: subprocess.Popen[bytes], folder: Path, timeout_s: float) -> dict[str, Any]:
+    """What the guest prints as its result. Raises RuntimeError with its last words if it prints none."""
+    try:
+        guest.wait(timeout_s)
+    except subprocess.TimeoutExpired:
+        pass
+    finally:
+        guest.kill()
+        guest.wait()
+    text = (folder / "guest.log").read_text(errors="replace")
+    for line in text.splitlines():
+        if line.startswith(MARK):
+            result: dict[str, Any] = json.loads(line[len(MARK) :])
+            return result
+    raise RuntimeError(f"the guest gave no result within {timeout_s:.0f} s:\n{text[-4000:]}")
+
+
 def run_in_guest(program: str, folder: Path, timeout_s: float) -> dict[str, Any]:
     """Run a module of this project in the guest; what it prints as its result comes back.
 
@@ -141,36 +190,4 @@ def run_in_guest(program: str, folder: Path, timeout_s: float) -> dict[str, Any]
     RuntimeError
         The guest ended without a result; the message has its last words.
     """
-    check_tools()
-    image, modules = find_kernel()
-    python = sys.executable
-    command = (
-        f"cd {PROJECT} && HOME=/tmp OMP_NUM_THREADS=1 NUMBA_CACHE_DIR=/tmp/numba PYTHONDONTWRITEBYTECODE=1 "
-        f"PATH=/usr/bin:/bin {python} -m {program} 2>&1"
-    )
-    initramfs = make_initramfs(folder, modules, command)
-    log = folder / "guest.log"
-    arguments = [
-        *("qemu-system-x86_64", "-accel", "tcg,thread=multi", "-cpu", "max", "-smp", "2", "-m", "1500"),
-        *("-nographic", "-no-reboot", "-nodefaults", "-serial", "stdio"),
-        *("-kernel", str(image), "-initrd", str(initramfs)),
-        *("-append", "console=ttyS0 quiet panic=-1 mitigations=off"),
-        *("-virtfs", "local,path=/,mount_tag=host,security_model=none,readonly=on,multidevs=remap"),
-    ]
-    with log.open("wb") as output:
-        process = subprocess.Popen(
-            arguments, stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT
-        )
-        try:
-            process.wait(timeout_s)
-        except subprocess.TimeoutExpired:
-            pass
-        finally:
-            process.kill()
-            process.wait()
-    text = log.read_text(errors="replace")
-    for line in text.splitlines():
-        if line.startswith(MARK):
-            result: dict[str, Any] = json.loads(line[len(MARK) :])
-            return result
-    raise RuntimeError(f"the guest gave no result within {timeout_s:.0f} s:\n{text[-4000:]}")
+    return result_of(start_guest(python_command(program), folder), folder, timeout_s)
