@@ -6,7 +6,6 @@ import subprocess
 import threading
 import time
 import urllib.parse
-import urllib.request
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -89,6 +88,9 @@ class Notices:
                 say(f"session.notify_command: {self._command[0]} ended with {done.returncode}", error=True)
 
     def _post(self, words: dict[str, str]) -> None:
+        # not at import: a session without a webhook begins without it
+        import urllib.request
+
         now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
         data = json.dumps({**words, "utc": now}).encode()
         try:
