@@ -30,6 +30,9 @@ _LOOK_GROWTH = 1.5
 _RESTING = 4.0
 """Chi-square per sample below which the pendulum is at rest."""
 _FIRST_SIZE = 4096
+_NEAR = 0.1
+"""Distance from a whole multiple of the slow mode's frequency within which a weak line is one of its
+waveform: damping and the noise below it shift it by more than its uncertainty says."""
 _OVERTONE = 1e-3
 """Largest deviation of the waveform from a sine because of friction, as a fraction of the amplitude."""
 
@@ -235,6 +238,6 @@ def _without_overtone(modes: TwoModes) -> TwoModes:
     ratio = slow.period_s / fast.period_s
     u_ratio = ratio * math.hypot(slow.u_period_s / slow.period_s, fast.u_period_s / fast.period_s)
     size = math.hypot(fast.x_amplitude, fast.y_amplitude)
-    if size > _OVERTONE * slow.amplitude or abs(ratio - round(ratio)) > 3.0 * u_ratio:
+    if size > _OVERTONE * slow.amplitude or abs(ratio - round(ratio)) > max(3.0 * u_ratio, _NEAR):
         return modes
     return replace(modes, fast=None, fast_limit=max(modes.fast_limit, size))

@@ -20,6 +20,7 @@ from processing.swing.mode_fit import (
     EVERY,
     FAST_COSINE,
     FAST_RATE,
+    FAST_SINE,
     REST,
     SLOW_COSINE,
     SLOW_RATE,
@@ -166,6 +167,12 @@ def separate_modes(
         # axis and hardly the one across it.
         samples = samples.rescaled(max(misfit_x, lowest), max(misfit_y, lowest))
         fit = fit_terms(fit.p, fit.active, samples, float(fit.p[SLOW_RATE]))
+        if FAST_RATE in fit.active and not fast_mode_seen(fit, alike, len(t)):
+            # a misfit of one coordinate had passed for a mode of both
+            slow = slow_fit(samples, 2.0 * math.pi / float(fit.p[SLOW_RATE]), alike)
+            if slow is None:
+                return None
+            fit, limit = slow, float(np.hypot(fit.p[X + FAST_COSINE], fit.p[X + FAST_SINE]))
     return _result(middle_ns, fit, limit)
 
 

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from processing.balance.estimate import _without_overtone
 from processing.errors import DataError
 from processing.swing.modes import TwoModes, separate_modes
 
@@ -91,6 +92,19 @@ def test_no_fast_mode_is_no_fast_mode() -> None:
     assert modes is not None
     assert modes.fast is None
     assert 0.0 < modes.fast_limit < 5 * NOISE * math.sqrt(2 / len(x))
+
+
+def test_a_line_beside_a_harmonic_of_the_waveform_is_no_fast_mode() -> None:
+    """T_V/T_U of 2.956 +- 0.012 was reported from what the noise had made of the third harmonic."""
+    rng = np.random.default_rng(6)
+    t = np.arange(2400) * 0.01
+    u = np.full(2400, NOISE)
+    times_ns = np.round(1e9 * t).astype(np.int64)
+    y = 20.0 * np.cos(RATE * t) + 0.005 * np.cos(2.956 * RATE * t) + NOISE * rng.standard_normal(2400)
+    modes = separate_modes(times_ns, NOISE * rng.standard_normal(2400), y, u, u)
+    assert modes is not None
+    assert modes.fast is not None
+    assert _without_overtone(modes).fast is None
 
 
 def test_lost_spots_and_uneven_steps() -> None:
