@@ -53,7 +53,8 @@ class RigQuantities:
     `fast_ratio` is the ratio of the fast to the slow mode's amplitude; if the directions are wrong, the fast
     mode contributes to the slow deflection. `skew` is that of the lever: a wrong one changes the scale where
     the pendulum rests, at the tilt `rest_rad` from the lever's reference. `balls` is the number of balls that
-    carry the weight, 1 or 2.
+    carry the weight, 1 or 2. `contact_radius_m` is a stated radius of the contact in the place of Hertz's:
+    the materials are then not used, and the load does not change it.
     """
 
     mass_kg: Quantity
@@ -69,6 +70,7 @@ class RigQuantities:
     fast_ratio: float = 0.0
     skew: Quantity = Quantity(0.0)
     rest_rad: float = 0.0
+    contact_radius_m: Quantity | None = None
     balls: int = 1
 
     def __post_init__(self) -> None:
@@ -88,14 +90,13 @@ class RigQuantities:
             "arm_m": self.arm_m,
             "pitch_m": self.pitch_m,
             "clock": self.clock,
-            "flat_youngs_modulus_pa": Quantity(self.flat.youngs_modulus_pa, self.flat.u_youngs_modulus_pa),
-            "flat_poisson_ratio": Quantity(self.flat.poisson_ratio, self.flat.u_poisson_ratio),
         }
-        if self.ball != self.flat:
-            found["ball_youngs_modulus_pa"] = Quantity(
-                self.ball.youngs_modulus_pa, self.ball.u_youngs_modulus_pa
-            )
-            found["ball_poisson_ratio"] = Quantity(self.ball.poisson_ratio, self.ball.u_poisson_ratio)
+        if self.contact_radius_m is not None:
+            found["contact_radius_m"] = self.contact_radius_m
+        else:
+            found |= _elastic("flat", self.flat)
+            if self.ball != self.flat:
+                found |= _elastic("ball", self.ball)
         # appended last, so that the Monte Carlo draws of the other inputs are the same as in older versions
         found["slow_angle_rad"] = self.slow_angle_rad
         found["non_orthogonality_rad"] = self.non_orthogonality_rad
@@ -134,5 +135,15 @@ class RigQuantities:
         """The pendulum for the fits, from the values; with two balls, half of the mass."""
         mass = self.mass_kg.value / self.balls
         force = mass * self.gravity_m_per_s2.value
-        radius = contact_radius(force, self.ball_radius_m.value, self.ball, self.flat)
+        if self.contact_radius_m is not None:
+            radius = self.contact_radius_m.value
+        else:
+            radius = contact_radius(force, self.ball_radius_m.value, self.ball, self.flat)
         return PendulumOnBall(mass, self.ball_radius_m.value, radius, self.gravity_m_per_s2.value)
+
+
+def _elastic(body: str, material: Material) -> dict[str, Quantity]:
+    return {
+        f"{body}_youngs_modulus_pa": Quantity(material.youngs_modulus_pa, material.u_youngs_modulus_pa),
+        f"{body}_poisson_ratio": Quantity(material.poisson_ratio, material.u_poisson_ratio),
+    }

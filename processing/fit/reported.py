@@ -93,11 +93,14 @@ def reported_quantities(
     mass = inputs["mass_kg"] / rig.balls
     radius, gravity = inputs["ball_radius_m"], inputs["gravity_m_per_s2"]
     force = mass * gravity
-    flat = (1 - inputs["flat_poisson_ratio"] ** 2) / inputs["flat_youngs_modulus_pa"]
-    ball = flat
-    if rig.ball != rig.flat:
-        ball = (1 - inputs["ball_poisson_ratio"] ** 2) / inputs["ball_youngs_modulus_pa"]
-    a = (0.75 * force * radius * (flat + ball)) ** (1 / 3)
+    if rig.contact_radius_m is not None:
+        a = inputs["contact_radius_m"]
+    else:
+        flat = (1 - inputs["flat_poisson_ratio"] ** 2) / inputs["flat_youngs_modulus_pa"]
+        ball = flat
+        if rig.ball != rig.flat:
+            ball = (1 - inputs["ball_poisson_ratio"] ** 2) / inputs["ball_youngs_modulus_pa"]
+        a = (0.75 * force * radius * (flat + ball)) ** (1 / 3)
     scale = (inputs["pitch_m"] / rig.pitch_m.value) / (inputs["arm_m"] / rig.arm_m.value)
     scale = scale / rig.seen_slow_tilt(inputs["slow_angle_rad"], inputs["non_orthogonality_rad"])
     scale = scale * rig.skewed_scale(inputs["skew"])

@@ -8,7 +8,7 @@ import numpy as np
 
 from calibration import Axes, Lever
 from processing.angle import ARCSEC_RAD
-from processing.contact import HertzContact, PendulumOnBall, cycle_work, hertz_contact
+from processing.contact import HertzContact, Material, PendulumOnBall, cycle_work, hertz_contact
 from processing.errors import DataError
 from processing.estimate import Estimate
 from processing.fit import Budget as GumBudget
@@ -51,6 +51,7 @@ from rig.instrument import balls, material
 from rig.settings import Configuration, PendulumSettings, TimebaseSettings
 
 DRAWS = 10_000
+_UNUSED = Material(1e11, 0.3)
 TABLE4_AMPLITUDE_ARCSEC = 3.1
 """Amplitude at which the paper's Table 4 draws its loops."""
 
@@ -58,14 +59,20 @@ TABLE4_AMPLITUDE_ARCSEC = 3.1
 def rig_quantities(
     config: Configuration, fast_ratio: float = 0.0, rest_rad: float = 0.0
 ) -> RigQuantities | None:
-    """The apparatus with its standard uncertainties; None where the contact radius is not after Hertz.
+    """The apparatus with its standard uncertainties; None without [pendulum].
 
     `fast_ratio` is the fast mode's amplitude over the slow one's, `rest_rad` the mean tilt at rest from the
     lever's reference (see `RigQuantities`).
     """
     pendulum, lever = config.pendulum, config.lever
-    if pendulum is None or pendulum.contact_radius_m is not None:
+    if pendulum is None:
         return None
+    # what a stated radius does not need may be unknown
+    hertz = pendulum.contact_radius_m is None
+    bodies = [
+        material(config, name) if hertz else _UNUSED
+        for name in (pendulum.ball_material, pendulum.flat_material)
+    ]
     # a table's angles are taken as they are
     lever = lever or Lever(arm_m=1.0, pixel_pitch_m=1e-6)
     timebase = config.timebase or TimebaseSettings()
@@ -73,8 +80,11 @@ def rig_quantities(
     return RigQuantities(
         mass_kg=Quantity(pendulum.mass_kg, pendulum.u_mass_kg),
         ball_radius_m=Quantity(pendulum.ball_radius_m, pendulum.u_ball_radius_m),
-        ball=material(config, pendulum.ball_material),
-        flat=material(config, pendulum.flat_material),
+        ball=bodies[0],
+        flat=bodies[1],
+        contact_radius_m=None
+        if pendulum.contact_radius_m is None
+        else Quantity(pendulum.contact_radius_m, pendulum.u_contact_radius_m),
         arm_m=Quantity(lever.arm_m, lever.u_arm_m, dof=lever.arm_dof or math.inf),
         pitch_m=Quantity(lever.pixel_pitch_m, lever.u_pixel_pitch_m, dof=lever.pixel_pitch_dof or math.inf),
         gravity_m_per_s2=Quantity(pendulum.gravity_m_per_s2, pendulum.u_gravity_m_per_s2),
@@ -89,7 +99,18 @@ def rig_quantities(
 
 
 def contact_of(rig: RigQuantities) -> HertzContact:
-    """Hertz contact with the uncertainties of load, radius and elastic constants."""
+    """Contact with the uncertainties of load, radius and elastic constants, or of a stated radius."""
+    stated = rig.contact_radius_m
+    if stated is not None:
+        ball = rig.ball_radius_m
+        return HertzContact(
+            stated.value,
+            stated.value**2 / ball.value,
+            stated.value / ball.value,
+            stated.u,
+            stated.value**2 / ball.value * math.hypot(2 * stated.u / stated.value, ball.u / ball.value),
+            stated.value / ball.value * math.hypot(stated.u / stated.value, ball.u / ball.value),
+        )
     mass, gravity, radius = rig.mass_kg, rig.gravity_m_per_s2, rig.ball_radius_m
     force = mass.value * gravity.value / rig.balls
     return hertz_contact(
@@ -115,8 +136,7 @@ def evaluate(
     Parameters
     ----------
     rig
-        None where the contact radius is stated instead of calculated after Hertz: there is no budget and
-        no Monte Carlo then.
+        None without [pendulum]: there is no budget and no Monte Carlo then.
     seed
         Of the Monte Carlo draws, so that the same record gives the same intervals.
 
@@ -141,9 +161,7 @@ def evaluate(
         notes.append(f"no identifiability verdict: {error}")
     tables: Mapping[str, GumBudget] = {}
     propagated: Mapping[str, Sampled] = {}
-    if rig is None:
-        notes.append("no uncertainty budget: the contact radius is stated, not calculated after Hertz")
-    else:
+    if rig is not None:
         tables = budgets(fitted_contact(exact), rig)
         if all(quantity.u == 0 for quantity in rig.inputs().values()):
             notes.append(

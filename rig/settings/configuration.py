@@ -74,6 +74,7 @@ class PendulumSettings(Section, frozen=True):
     contact_radius_m: float | None = Field(
         default=None, gt=0, lt=1e-2, description="of the contact; if left out, Hertz's radius"
     )
+    u_contact_radius_m: float = Field(default=0.0, ge=0)
     mass_centre_height_m: float | None = Field(
         default=None,
         gt=-1,

@@ -101,6 +101,18 @@ def test_an_uncertainty_from_a_few_readings_has_their_degrees_of_freedom(found: 
     )
 
 
+def test_a_stated_contact_radius_has_its_budget(found: FittedContact) -> None:
+    """The energy goes as m g c R/(2 a^2): twice the radius's uncertainty, and a little through R/a."""
+    radius = rig().pendulum().contact_radius_m
+    table = budgets(found, replace(rig(), contact_radius_m=Quantity(radius, 0.03 * radius)))
+    energy = table["surface_energy_table2_j_per_m2"]
+    assert energy.value == pytest.approx(budgets(found, rig())["surface_energy_table2_j_per_m2"].value)
+    assert energy.lines[0].source == "contact_radius_m"
+    assert energy.lines[0].contribution == pytest.approx(0.06 * energy.value, rel=0.1)
+    assert not any("modulus" in line.source for line in energy.lines)
+    assert table["contact_radius_m"].standard_uncertainty == pytest.approx(0.03 * radius)
+
+
 def test_a_skew_matters_where_the_pendulum_rests_beside_the_reference(found: FittedContact) -> None:
     """Against the lever itself: a swing about 500 arcsec, read without the skew that is there."""
     rest, skew, swing = 500 * ARCSEC, 0.2, 20 * ARCSEC

@@ -58,6 +58,13 @@ def apparatus(config: Configuration) -> Any:
     return repr((pendulum_on_ball(config), rig_quantities(config), moved))
 
 
+def stated_contact(config: Configuration) -> Any:
+    """The same for a stated contact radius."""
+    assert config.pendulum is not None
+    pendulum = config.pendulum.model_copy(update={"contact_radius_m": 1e-4})
+    return apparatus(config.model_copy(update={"pendulum": pendulum}))
+
+
 def calibrated(config: Configuration) -> Any:
     """Both."""
     return optical_path(config), apparatus(config)

@@ -41,6 +41,7 @@ OBSERVED: dict[str, Callable[[Configuration], Any]] = {
     "axes": stated.calibrated,
     "timebase": stated.calibrated,
     "pendulum": stated.apparatus,
+    "pendulum.u_contact_radius_m": stated.stated_contact,
     "materials": stated.apparatus,
     "balance": stated.balance,
     "instrument": stated.instrument,
