@@ -2,6 +2,7 @@
 
 import re
 import shlex
+import shutil
 import textwrap
 import tomllib
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import Any, get_origin
 import pytest
 
 from rig.calibrate.inputs import read_transfer
-from rig.settings import Configuration, validate_configuration
+from rig.settings import Configuration, load_configuration, validate_configuration
 from rig.settings.wording import section_fields, section_of
 from tests.rig.command_line import rig
 from tests.rig.replay.replay_record import RATE_HZ, make_record
@@ -76,7 +77,9 @@ def test_configurations_that_are_shown_are_valid() -> None:
         blocks = re.findall(r"^ {4}\[[a-z_.0-9]+\]\n(?:(?: {4}.*)?\n)+", text, re.MULTILINE)
         for block in [*blocks, *re.findall(r"^```toml\n(\[\w.*?)^```", text, re.MULTILINE | re.DOTALL)]:
             if document.name != "calibration.md":
-                validate_configuration(tomllib.loads(textwrap.dedent(block)), document.name)
+                tree = tomllib.loads(textwrap.dedent(block))
+                assert (ROOT / "configs" / tree.pop("extends", "demo.toml")).exists()
+                validate_configuration(tree, document.name)
                 found += 1
     assert found >= 4
 
@@ -141,6 +144,22 @@ def test_the_snippet_about_records_runs(tmp_path: Path, monkeypatch: pytest.Monk
     assert len(names["spots"]) == 20 * RATE_HZ - 1
     assert len(names["swings"]) >= 5
     assert names["window"].image.shape == (84, 84)
+
+
+@pytest.mark.slow
+def test_the_commands_of_the_tutorial(tmp_path: Path, measured_series: Path) -> None:
+    """A series measured for all tests stands for those that `rig run` would measure for minutes."""
+    lines = [line for line in indented(ROOT / "docs" / "tutorial.md") if line.startswith("rig ")]
+    assert [line.split()[1] for line in lines] == ["run", "info", "view", "replay", "run", "compare"]
+    for line in lines:
+        words = shlex.split(line)[1:]
+        if words[0] == "run":
+            load_configuration(ROOT / words[1], words[words.index("--set") + 1 :])
+            shutil.copytree(measured_series, tmp_path / words[words.index("-o") + 1])
+        else:
+            done = rig(*words, cwd=tmp_path)
+            assert done.returncode == 0, f"{line}: {done.stderr[-500:]}"
+    assert (tmp_path / "runs" / "first.rrd").stat().st_size > 0
 
 
 @pytest.mark.slow
