@@ -38,7 +38,7 @@ def list_runs(
     names = list(found.columns)
     if kind == "parquet":
         assert output is not None
-        _write(output, _parquet(found))
+        write_output(output, _parquet(found))
         return
     rows = found.fetchall()
     if kind == "json":
@@ -54,7 +54,7 @@ def list_runs(
     if output is None:
         print(text)
     else:
-        _write(output, f"{text}\n".encode())
+        write_output(output, f"{text}\n".encode())
 
 
 def selected(connection: Any, wanted: str, condition: str) -> Any:
@@ -123,7 +123,8 @@ def _parquet(found: Any) -> bytes:
     return data.getvalue()
 
 
-def _write(path: Path, data: bytes) -> None:
+def write_output(path: Path, data: bytes) -> None:
+    """Write a file that must not exist. Raises RecordError."""
     try:
         whole_file.write_new(path, data)
     except FileExistsError:

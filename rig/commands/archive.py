@@ -21,6 +21,7 @@ def register(app: typer.Typer) -> None:
     archive = typer.Typer(help="A catalogue of the runs of many sessions.", no_args_is_help=True)
     archive.command("add")(add)
     archive.command("list")(list_)
+    archive.command("plot")(plot)
     archive.command("show")(show)
     archive.command("tag")(tag)
     archive.command("note")(note)
@@ -52,6 +53,20 @@ def list_(
     from rig.archive import list_runs
 
     list_runs(archive, condition, [columns] if columns.strip() else [], format_, output)
+
+
+def plot(
+    x: Annotated[str, typer.Argument(help="Column: humidity, began_utc, ...", show_default=False)],
+    y: Annotated[str, typer.Argument(help="Column: c, period0_s, ...", show_default=False)],
+    output: Annotated[Path, typer.Option("-o", "--output", help="SVG or PNG to write.", show_default=False)],
+    by: Annotated[str, typer.Option(help="Column whose values have a colour each.")] = "",
+    where: Where = "",
+    archive: Archive = _PLACE,
+) -> None:
+    """Draw one column against another, with standard uncertainties."""
+    from rig.archive import plot_runs
+
+    print(plot_runs(archive, x, y, by, where, output))
 
 
 def show(

@@ -2,7 +2,7 @@
 
 from rig.report import figures_contact, figures_laws, figures_motion, html
 from rig.report.comparison import compare
-from rig.report.drawing import Drawing, styled
+from rig.report.drawing import Drawing, canvas, png, styled, svg
 from rig.report.made_from import check_report
 from rig.report.run_data import Motion, RunData, turning_points_again
 from rig.report.session_report import draw_run, make_report, save_figures, save_tables
@@ -13,6 +13,7 @@ __all__ = [
     "Drawing",
     "Motion",
     "RunData",
+    "canvas",
     "check_report",
     "compare",
     "draw_run",
@@ -22,9 +23,11 @@ __all__ = [
     "html",
     "instrument_table",
     "make_report",
+    "png",
     "save_figures",
     "save_tables",
     "series_table",
     "styled",
+    "svg",
     "turning_points_again",
 ]

@@ -12,7 +12,7 @@ import pytest
 from pyarrow import parquet
 
 from processing.errors import ConfigurationError, RecordError
-from rig.archive import add_sessions, list_runs, remark
+from rig.archive import add_sessions, list_runs, plot_runs, remark
 from rig.archive.columns import COLUMNS, SAID_OF_RUNS
 from rig.archive.store import Archive
 from tests.rig.command_line import rig
@@ -180,6 +180,22 @@ def test_tags_and_notes_belong_to_the_record(sessions: Path, tmp_path: Path) -> 
             remark(archive, [name], add="good")
     with pytest.raises(ConfigurationError, match="no run is meant"):
         remark(archive, [], "b < 0", add="good")
+
+
+def test_a_plot_has_a_bar_for_each_run_that_has_both_columns(sessions: Path, tmp_path: Path) -> None:
+    archive, picture = tmp_path / "archive", tmp_path / "c.svg"
+    add_sessions(archive, [sessions])
+    assert plot_runs(archive, "began_utc", "c", "sample", "", picture) == f"{picture}: 1 of 3 runs"
+    with pytest.raises(RecordError, match="exists already"):
+        plot_runs(archive, "began_utc", "c", "", "", picture)
+    for x, y, file, said in (
+        ("began_utc", "colour", "a.svg", "colour: is no column"),
+        ("c", "sample", "a.svg", "holds no numbers"),
+        ("c", "b", "a.pdf", "neither .svg nor .png"),
+        ("scale_hardness", "b", "a.svg", "none of 3 runs has both"),
+    ):
+        with pytest.raises(ConfigurationError, match=said):
+            plot_runs(archive, x, y, "", "", tmp_path / file)
 
 
 def test_a_condition_reads_runs_and_nothing_else(sessions: Path, tmp_path: Path) -> None:
