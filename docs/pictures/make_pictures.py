@@ -9,6 +9,7 @@ scene of the tests is drawn. Needs Mesa's software Vulkan (Debian: mesa-vulkan-d
 import math
 import sys
 import tempfile
+import time
 from pathlib import Path
 from typing import get_args
 
@@ -17,6 +18,8 @@ import cv2
 BAR_PX = 36
 MOMENT_S = {"balancing": 60.0, "measuring": 240.0}
 """When each layout is photographed; the end where that comes before, or where nothing is said."""
+NOTES_GONE_S = 12.0
+"""The viewer's notes at its start have gone by then."""
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parents[1]))
 
@@ -57,7 +60,7 @@ def photograph(rrd: Path, picture: Path, moment_s: float) -> None:
         end_s = (timeline.end or 0) * 1e-9
         at_s = min(moment_s, end_s - min(2.0, 0.02 * end_s))
         shown.client.set_time(TIMELINE, duration=at_s, play_state="paused")
-        shown.rest()
+        time.sleep(NOTES_GONE_S)
         window = shown.picture(picture)
     # Without the viewer's own bar, whose warnings are about this way of drawing.
     cv2.imwrite(str(picture), window[BAR_PX:, :, ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 9])

@@ -9,6 +9,7 @@ from rig.rerun import layout
 from rig.rerun.analysis_panels import draw_fits
 from rig.rerun.decimation import Decimator
 from rig.rerun.gathering import Gathering
+from rig.rerun.lanes import Lanes
 from rig.rerun.lissajous import Lissajous
 from rig.rerun.marks import spot_cross
 from rig.rerun.messages import (
@@ -63,6 +64,7 @@ class Drawing:
         self._stream = stream
         self._setup = setup
         self._gathered = Gathering(stream, gather_s, gather_rows)
+        self._lanes = Lanes(stream)
         self._lissajous = Lissajous(
             stream,
             self._gathered,
@@ -180,6 +182,7 @@ class Drawing:
         self._set_time(message.time_s)
         log = rr.TextLog(message.text, level=LEVELS.get(message.level, rr.TextLogLevel.INFO))
         self._stream.log(layout.entity(message.run, layout.EVENTS), log)
+        self._lanes.draw(message.run, message.text)
 
     def _draw_text(self, run: str, path: str, time_s: float, text: str) -> None:
         self._set_time(time_s if np.isfinite(time_s) else self._latest_s)

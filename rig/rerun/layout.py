@@ -42,6 +42,7 @@ IMAGE: Final = "camera/image"
 SPOT: Final = "camera/spot"
 BALANCE_ROOT: Final = "balance"
 LOSSES_ROOT: Final = "losses"
+LANES_ROOT: Final = "lanes"
 STATE: Final = "state"
 ADVICE: Final = "advice"
 BALANCE_TABLE: Final = "balance_table"
@@ -93,7 +94,9 @@ class _Views:
 
     def measuring(self) -> rrb.Container:
         return rrb.Horizontal(
-            rrb.Vertical(self.trajectory(), self.losses(), self.events(), row_shares=[10, 3, 3]),
+            rrb.Vertical(
+                self.trajectory(), self.losses(), self.lanes(), self.events(), row_shares=[8, 3, 5, 3]
+            ),
             rrb.Vertical(
                 self.deflection(Y, "Y(t), slow mode"),
                 self.deflection(X, "X(t), fast mode"),
@@ -198,6 +201,9 @@ class _Views:
         return rrb.TimeSeriesView(
             name="Losses", contents=self._below(LOSSES_ROOT), plot_legend=rrb.Corner2D.RightTop
         )
+
+    def lanes(self) -> rrb.View:
+        return rrb.StateTimelineView(name="Conditions", contents=self._below(LANES_ROOT))
 
     def camera(self) -> rrb.View:
         return rrb.Spatial2DView(name="Camera", contents=self._below(CAMERA)[:1])
