@@ -21,6 +21,7 @@ HEAD = """\
 # else from another file. On the command line: --set session.runs=3
 # A key that is misspelt, out of range or of the wrong type is an error, never ignored.
 """
+EXAMPLE_NAME = "my_steel"
 # Keys that are set instead of commented out, so that the file works as a starting point.
 ACTIVE: dict[str, Any] = {
     "session.operator": "your name",
@@ -36,14 +37,19 @@ ACTIVE: dict[str, Any] = {
     "lever.arm_m": 1.0,
     "lever.u_arm_m": 0.001,
     "lever.pixel_pitch_m": 4.8e-6,
+    "lever.u_pixel_pitch_m": 1e-9,
     "pendulum.mass_kg": 0.406,
     "pendulum.u_mass_kg": 0.0001,
     "pendulum.ball_radius_m": 6.05e-3,
     "pendulum.u_ball_radius_m": 1e-6,
-    "pendulum.ball_material": "steel",
+    "pendulum.ball_material": EXAMPLE_NAME,
     "pendulum.flat_material": "glass_k8",
+    "pendulum.u_gravity_m_per_s2": 1e-4,
+    f"materials.{EXAMPLE_NAME}.youngs_modulus_pa": 2.11e11,
+    f"materials.{EXAMPLE_NAME}.poisson_ratio": 0.28,
+    f"materials.{EXAMPLE_NAME}.u_youngs_modulus_pa": 3e9,
+    f"materials.{EXAMPLE_NAME}.u_poisson_ratio": 0.01,
 }
-EXAMPLE_NAME = "my_steel"
 
 
 def text() -> str:
