@@ -1,5 +1,6 @@
 """Data shared by the fitting kernels: parameter indices, working arrays, windows and the result of a fit."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -88,6 +89,22 @@ def workspace_of(array: Floats) -> Workspace:
     Python passes one array because every argument of a compiled function adds to the time of the call.
     """
     return Workspace(array[0], array[1 : 1 + PARAMETERS], array[1 + PARAMETERS : 1 + 2 * PARAMETERS])
+
+
+@kernel
+def misfit_limit(pixels: float) -> float:
+    """Chi-square per degree of freedom above which so many pixels show that a Gaussian is not all.
+
+    Chi-square of n pixels has the standard deviation sqrt(2 n). A further 5 % is allowed for a beam that is
+    not exactly Gaussian.
+    """
+    return 1.05 + 6.0 * math.sqrt(2.0 / max(pixels, 1.0))
+
+
+@kernel
+def poor_fit_limit(pixels: float) -> float:
+    """Chi-square per degree of freedom above which a model does not fit so many pixels (flag POOR_FIT)."""
+    return 1.3 + 6.0 * math.sqrt(2.0 / max(pixels, 1.0))
 
 
 @kernel

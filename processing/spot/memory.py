@@ -24,7 +24,11 @@ TILTED, TWO = LAST + PARAMETERS + 2, LAST + PARAMETERS + 3
 """1.0 if the last spot was fitted as tilted, and with a second spot, respectively."""
 TILT_HINTS = LAST + PARAMETERS + 4
 """Number of consecutive frames in which the upright fit found a significant tilt."""
-_SIZE = LAST + PARAMETERS + 5
+ALONE = LAST + PARAMETERS + 5
+"""1.0 if a search does not look for a second spot."""
+POOR_FRAMES = LAST + PARAMETERS + 6
+"""Number of consecutive frames with the flag POOR_FIT."""
+_SIZE = LAST + PARAMETERS + 7
 
 
 def empty_memory() -> Floats:

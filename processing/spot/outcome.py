@@ -23,10 +23,12 @@ from processing.spot.fit_values import (
     X,
     Y,
     as_kind,
+    misfit_limit,
+    poor_fit_limit,
 )
 from processing.spot.general_fit import score_general, window_of
 from processing.spot.linear_algebra import cholesky, inverse_diagonal
-from processing.spot.memory import forget, remember
+from processing.spot.memory import ALONE, POOR_FRAMES, forget, remember
 from processing.spot.second_spot import try_second
 from processing.spot.sensor_model import PixelNoise, background_variance
 from processing.spot.spot import Image, SpotFlag
@@ -75,13 +77,14 @@ def finish(
     fitted: Fitted,
     followed: bool,
 ) -> Result:
-    """Fit a second spot if the residuals indicate one, store the spot in `memory`, return its fields."""
+    """Store the spot in `memory` and return its fields.
+
+    After a search a second spot is fitted if the residuals indicate one. Frames that follow keep what the
+    search has chosen: a choice in every frame would follow the noise, and the position with it.
+    """
     p = work.parameters
-    # Chi-square of n pixels has the standard deviation sqrt(2 n). A further 5 % is allowed for a beam that is
-    # not exactly Gaussian.
-    if not fitted.two and fitted.chi2 > (fitted.pixels - UPRIGHT) * 1.05 + 6.0 * math.sqrt(
-        2.0 * fitted.pixels
-    ):
+    limit = misfit_limit(fitted.pixels) * max(fitted.pixels - UPRIGHT, 1)
+    if not (followed or fitted.two or memory[ALONE] > 0.0) and fitted.chi2 > limit:
         fitted = try_second(image, work, noise, fitted)
         # the fit of two spots has overwritten the information matrix, which the uncertainties are taken from
         _information(image, work, noise, fitted)
@@ -92,7 +95,9 @@ def finish(
         # the second spot has become negligible: fit a single spot from the next frame on
         fitted = as_kind(fitted, fitted.size, fitted.tilted, False)
     remember(memory, place, p, fitted, followed)
-    return _report(place, work, noise, fitted)
+    result = _report(place, work, noise, fitted)
+    memory[POOR_FRAMES] = memory[POOR_FRAMES] + 1.0 if result[10] & _POOR_FIT else 0.0
+    return result
 
 
 @kernel
@@ -139,7 +144,7 @@ def _report(place: Place, work: Workspace, noise: PixelNoise, fitted: Fitted) ->
         flags |= _EDGE
     if p[AMPLITUDE] < 5.0 * math.sqrt(background_variance(p[BACKGROUND], noise)):
         flags |= _LOW_SNR
-    if chi2_per_dof > 1.3 + 6.0 * math.sqrt(2.0 / max(fitted.pixels, 1)):
+    if chi2_per_dof > poor_fit_limit(fitted.pixels):
         flags |= _POOR_FIT
     if fitted.outliers > 0:
         flags |= _OUTLIERS
@@ -147,13 +152,25 @@ def _report(place: Place, work: Workspace, noise: PixelNoise, fitted: Fitted) ->
         flags |= _MULTIPLE
     sigma_1, sigma_2, rotation = p[SIGMA_X], p[SIGMA_Y], 0.0
     if fitted.tilted:
-        # eigenvalues of [[sigma_x^2, c], [c, sigma_y^2]]: mean +- sqrt(half^2 + c^2)
-        mean = 0.5 * (p[SIGMA_X] * p[SIGMA_X] + p[SIGMA_Y] * p[SIGMA_Y])
-        half = 0.5 * (p[SIGMA_X] * p[SIGMA_X] - p[SIGMA_Y] * p[SIGMA_Y])
-        root = math.hypot(half, p[COVARIANCE])
-        # sigma_1 belongs to the axis nearer to x, so that the axes do not change places between frames
-        sign = 1.0 if half >= 0.0 else -1.0
-        sigma_1 = math.sqrt(max(mean + sign * root, 1e-12))
-        sigma_2 = math.sqrt(max(mean - sign * root, 1e-12))
-        rotation = 0.5 * math.atan2(sign * p[COVARIANCE], sign * half)
+        sigma_1, sigma_2, rotation = principal_axes(
+            p[SIGMA_X] * p[SIGMA_X], p[SIGMA_Y] * p[SIGMA_Y], p[COVARIANCE]
+        )
     return x, y, u_x, u_y, sigma_1, sigma_2, rotation, p[AMPLITUDE], p[BACKGROUND], chi2_per_dof, flags
+
+
+@kernel
+def principal_axes(xx: float, yy: float, xy: float) -> tuple[float, float, float]:
+    """Standard deviations along the axes of a covariance matrix, and the first one's angle from x towards y.
+
+    The first belongs to the axis nearer to x, so that the axes do not change places between frames.
+    """
+    # eigenvalues of [[xx, xy], [xy, yy]]: mean +- sqrt(half^2 + xy^2)
+    mean = 0.5 * (xx + yy)
+    half = 0.5 * (xx - yy)
+    root = math.hypot(half, xy)
+    sign = 1.0 if half >= 0.0 else -1.0
+    return (
+        math.sqrt(max(mean + sign * root, 1e-12)),
+        math.sqrt(max(mean - sign * root, 1e-12)),
+        0.5 * math.atan2(sign * xy, sign * half),
+    )

@@ -17,6 +17,7 @@ from processing.spot.fit_values import (
     Workspace,
     X,
     Y,
+    misfit_limit,
 )
 from processing.spot.general_fit import fit_general, inverse_covariance, window_of
 from processing.spot.sensor_model import PixelNoise, background_variance
@@ -74,7 +75,8 @@ def find_second(image: Image, p: Floats, noise: PixelNoise) -> bool:
 def try_second(image: Image, work: Workspace, noise: PixelNoise, one: Fitted) -> Fitted:
     """Fit two spots jointly and return that fit if it is clearly better; otherwise return `one` unchanged.
 
-    It is clearly better if the excess of chi-square per degree of freedom over 1 falls by at least half.
+    It is clearly better if the excess of chi-square per degree of freedom over 1 falls by at least half, and
+    if two spots fit well: a beam of any other form would get two places that depend on the noise.
     The second spot must be the fainter one, and the two must lie more than 1.2 sigma apart; otherwise
     both would describe the same light. `work.information` and `work.factor` are overwritten in any case.
     """
@@ -92,8 +94,10 @@ def try_second(image: Image, work: Workspace, noise: PixelNoise, one: Fitted) ->
     apart = math.hypot(
         (trial[SECOND_X] - trial[X]) / trial[SIGMA_X], (trial[SECOND_Y] - trial[Y]) / trial[SIGMA_Y]
     )
+    scatter = two.chi2 / (two.pixels - _TWO)
     if (
-        two.chi2 / (two.pixels - _TWO) - 1.0 < 0.5 * excess
+        scatter - 1.0 < 0.5 * excess
+        and scatter < misfit_limit(two.pixels)
         and 0.0 < trial[SECOND_AMPLITUDE] <= trial[AMPLITUDE]
         and apart > 1.2
     ):

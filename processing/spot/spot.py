@@ -11,7 +11,7 @@ Image = NDArray[np.uint8] | NDArray[np.uint16]
 
 
 class SpotFlag(IntFlag):
-    """Problems found with a spot, one bit each; 0 if there are none."""
+    """Problems found with a spot, or a model other than one Gaussian, one bit each; 0 if there are none."""
 
     SATURATED = 1
     """Pixels that the model expects at full scale were left out."""
@@ -22,11 +22,13 @@ class SpotFlag(IntFlag):
     LOW_SNR = 8
     """The amplitude is less than about five times the noise of one pixel."""
     POOR_FIT = 16
-    """The residuals are larger than the noise: the beam profile is not a Gaussian."""
+    """The residuals are larger than the noise: the beam is not what the model says."""
     OUTLIERS = 32
     """Single pixels (hot pixels, cosmic rays) were left out because of their residuals."""
     MULTIPLE = 64
     """A second spot overlaps the first; the brighter one is reported."""
+    LEARNED = 128
+    """Fitted with the beam's own profile, learned from frames before, and a background that is a plane."""
 
 
 class Spot(NamedTuple):
@@ -35,7 +37,8 @@ class Spot(NamedTuple):
     `u_x_px` and `u_y_px` are standard uncertainties: square roots of the diagonal of the inverse Fisher
     information, times sqrt(max(1, chi2_per_dof)). `sigma_x_px` is the standard deviation of the light
     along the principal axis at the angle `rotation_rad` from x towards y, `sigma_y_px` that along the
-    other principal axis. If the spot is lost, every field but `flags` is NaN.
+    other principal axis; with the flag LEARNED they are those of the Gaussian that fits the beam best.
+    If the spot is lost, every field but `flags` is NaN.
     """
 
     x_px: float

@@ -7,10 +7,26 @@ import numpy as np
 
 from processing.errors import DataError
 from processing.spot.clean_fit import LARGEST_TABLE
-from processing.spot.fit_values import AMPLITUDE, PARAMETERS, SIGMA_X, SIGMA_Y, WORKSPACE_SHAPE, X, Y
+from processing.spot.fit_values import (
+    AMPLITUDE,
+    BACKGROUND,
+    COVARIANCE,
+    PARAMETERS,
+    REACH,
+    SIGMA_X,
+    SIGMA_Y,
+    WORKSPACE_SHAPE,
+    Floats,
+    Place,
+    X,
+    Y,
+)
 from processing.spot.following import SEARCH, follow
-from processing.spot.memory import FOLLOWS, LAST, STEP_X, STEP_Y, empty_memory
+from processing.spot.memory import ALONE, FOLLOWS, LAST, POOR_FRAMES, STEP_X, STEP_Y, TWO, empty_memory
+from processing.spot.model_choice import ModelChoice, SpotModel
 from processing.spot.outcome import Result
+from processing.spot.profile import Shape
+from processing.spot.profile_follower import ProfileFollower
 from processing.spot.scan import BAND_ROWS, BAND_STEP, SAMPLES
 from processing.spot.searching import search
 from processing.spot.sensor_model import SensorModel
@@ -96,12 +112,21 @@ class SpotTracker:
         if row_step < 1:
             raise DataError(f"row_step = {row_step} must be at least 1")
         self._row_step = row_step
-        self._noise = np.array(sensor.pixel_noise, dtype=np.float64)
+        self._pixel_noise = sensor.pixel_noise
+        self._noise = np.array(self._pixel_noise, dtype=np.float64)
         self._memory = empty_memory()
         self._work = np.zeros(WORKSPACE_SHAPE)
         self._tables = np.zeros((TABLE_ROWS, LARGEST_TABLE), dtype=np.float32)
         self._sample = np.zeros(SAMPLES, dtype=np.int64)
         self._frame = self._near = _SearchMemory(np.zeros((5, 5), dtype=np.uint8))
+        self._choice = ModelChoice(self._pixel_noise, self._one_gaussian)
+        self._settled = False
+        self._follower: ProfileFollower | None = None
+
+    @property
+    def model(self) -> SpotModel | None:
+        """What is fitted to every frame; None as long as it is not chosen."""
+        return self._choice.model
 
     def reset(self) -> None:
         """Forget the last frame, so that the next one is searched as a whole."""
@@ -136,17 +161,81 @@ class SpotTracker:
             image = _plain(image)
         x0, y0 = origin_px
         ny, nx = sensor_shape if sensor_shape is not None else image.shape
+        if self._follower is not None:
+            return self._with_profile(self._follower, image, Place(x0, y0, nx, ny))
         if self._memory[FOLLOWS]:
             found = follow(image, x0, y0, nx, ny, self._memory, self._work, self._tables, self._noise)
-            if found[10] != SEARCH:
+            if not found[10] and self._settled:
                 return _SPOT(Spot, found)
+            if found[10] != SEARCH:
+                spot = _SPOT(Spot, found)
+                self._judge(spot, image, Place(x0, y0, nx, ny))
+                return spot
+            if self._memory[TWO] and not self._settled:
+                self._memory[ALONE] = 1.0  # two Gaussians have not lasted
+        return _SPOT(Spot, self._find(image, x0, y0, nx, ny))
+
+    def _find(self, image: Image, x0: int, y0: int, nx: int, ny: int) -> Result:
+        """Spot of a frame in which it is not at the expected place."""
+        if self._memory[FOLLOWS]:
             found = self._follow_jump(image, x0, y0, nx, ny)
             if found[10] != SEARCH:
-                return _SPOT(Spot, found)
+                return found
         if not self._frame.fits(image):
             self._frame = _SearchMemory(image)
-        found = self._search(image, x0, y0, nx, ny, self._frame, self._row_step, False)
-        return _SPOT(Spot, found)
+        return self._search(image, x0, y0, nx, ny, self._frame, self._row_step, False)
+
+    def _with_profile(self, follower: ProfileFollower, image: Image, place: Place) -> Spot:
+        """Spot of one frame with the learned profile; a Gaussian finds it where it was not expected."""
+        found = follower.follow(image, place, self._memory) if self._memory[FOLLOWS] else None
+        if found is None:
+            spot = _SPOT(Spot, self._find(image, *place))
+            found = follower.follow(image, place, self._memory, fresh=True) if self._memory[FOLLOWS] else None
+            return spot if found is None else found
+        self._judge(found, image, place)
+        return found
+
+    def _judge(self, spot: Spot, image: Image, place: Place) -> None:
+        """Choose the model from the first spots; choose anew if the beam has changed."""
+        choice, memory = self._choice, self._memory
+        if self._settled:
+            if choice.changed(spot.chi2_per_dof, memory[POOR_FRAMES]):
+                choice.begin()
+                self._settled, self._follower = False, None
+                memory[ALONE] = 0.0
+                self.reset()
+            return
+
+        def window() -> tuple[Image, tuple[int, int]]:
+            x0, y0, x1, y1 = self.record_window(spot, (place.sensor_ny, place.sensor_nx))
+            left, top = max(x0 - place.origin_x, 0), max(y0 - place.origin_y, 0)
+            cut: Image = image[top : y1 - place.origin_y, left : x1 - place.origin_x].copy()
+            return cut, (left + place.origin_x, top + place.origin_y)
+
+        fitted = (2.0 * REACH) ** 2 * spot.sigma_x_px * spot.sigma_y_px
+        choice.see(spot.chi2_per_dof, spot.flags, fitted, window)
+        if choice.model is not None:
+            self._settled = True
+            memory[ALONE] = 0.0 if choice.model is SpotModel.TWO else 1.0
+            memory[POOR_FRAMES] = 0.0
+            if choice.profile is not None:
+                self._follower = ProfileFollower(choice.profile, self._pixel_noise)
+                memory[TWO] = 0.0
+
+    def _one_gaussian(self, image: Image, origin_px: tuple[int, int]) -> tuple[Floats, Shape] | None:
+        """Fit of a single Gaussian to a window."""
+        memory = empty_memory()
+        memory[ALONE] = 1.0
+        arrays = _SearchMemory(image)
+        found = search(
+            image, *origin_px, 2**30, 2**30, memory, self._work, self._tables, self._noise, 1,
+            arrays.bands, self._sample, arrays.mask, arrays.stack, False,
+        )  # fmt: skip
+        if found[10] & SpotFlag.LOST:
+            return None
+        last = memory[LAST : LAST + PARAMETERS]
+        shape = Shape(last[SIGMA_X] ** 2, last[SIGMA_Y] ** 2, last[COVARIANCE])
+        return last[[X, Y, AMPLITUDE, BACKGROUND]], shape
 
     def _follow_jump(self, image: Image, x0: int, y0: int, nx: int, ny: int) -> Result:
         """Spot of a frame in which it is not at the expected place, but may be near its last one.

@@ -5,9 +5,10 @@ from collections.abc import Callable
 import numpy as np
 
 from acquisition.record.writer import compile_window
+from processing import spot as spots
+from processing import swing as swings
 from processing.kernel import at_compilation
 from processing.spot import SensorModel, SpotTracker
-from processing.swing import compile_kernels
 
 _SIDE_PX, _SIGMA_PX = 64, 4.0
 
@@ -28,7 +29,8 @@ def prepare_kernels(sensor: SensorModel, say: Callable[[str], None]) -> None:
 
     with at_compilation(announce):
         _track(sensor)
-        compile_kernels()
+        spots.compile_kernels(sensor.pixel_noise)
+        swings.compile_kernels()
 
 
 def _track(sensor: SensorModel) -> None:

@@ -1,0 +1,323 @@
+"""A beam's own profile, learned from frames of it."""
+
+import math
+from collections import deque
+from collections.abc import Generator, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from processing.spot.fit_values import GATE, Floats
+from processing.spot.outcome import principal_axes
+from processing.spot.profile_fit import (
+    CENTRE_X,
+    CENTRE_Y,
+    FITTED,
+    LEVEL,
+    LIGHT,
+    MARGIN_PX,
+    SLOPE_X,
+    SLOPE_Y,
+    Singles,
+    fit_profile,
+    spline_weights,
+)
+from processing.spot.sensor_model import LEAST_VARIANCE_DN2, PixelNoise
+from processing.spot.spot import Image
+
+REACH = 4.5
+"""Half-width of the fitted window in standard deviations of the Gaussian that fits the beam best."""
+_PER_SIGMA = 8.0
+"""Knots of the learned profile in a standard deviation: what is finer is noise, unless the spot is small."""
+_ROUNDS = 3
+MOST_APART_PX = 2.0
+"""Largest distance of the profile's centre from the Gaussian's: beyond it, they have met different spots."""
+
+
+class Shape(NamedTuple):
+    """Covariance matrix [[xx, xy], [xy, yy]] of the Gaussian that fits the beam best, px^2."""
+
+    xx: float
+    yy: float
+    xy: float
+
+
+class Sample(NamedTuple):
+    """Pixels around the spot in one frame; `origin_px` is the first one's place (x, y) on the sensor.
+
+    The spot as a single Gaussian has it: centre on the sensor in px, amplitude and background in DN.
+    """
+
+    pixels: Image
+    origin_px: tuple[int, int]
+    x_px: float
+    y_px: float
+    amplitude_dn: float
+    background_dn: float
+
+
+@dataclass(frozen=True, slots=True)
+class BeamProfile:
+    """A beam's light on a grid of one pixel, as coefficients of a cubic spline.
+
+    The light is about 1 where the Gaussian that fits the beam best has its peak; `centre` is that place
+    (x, y) in the grid. `half_px` are the half-widths (x, y) of the window that is fitted. `misfit` is the
+    mean chi2/dof of the samples that it was learned from.
+    """
+
+    spline: Singles
+    centre: Floats
+    half_px: tuple[int, int]
+    shape: Shape
+    misfit: float
+
+
+class Fit(NamedTuple):
+    """A profile's fit to one frame: `p` as in `profile_fit`, but the centre on the sensor."""
+
+    p: Floats
+    chi2_per_dof: float
+    kept: float
+    saturated: float
+    outliers: float
+    u_x_px: float
+    u_y_px: float
+
+
+def half_widths(shape: Shape) -> tuple[int, int]:
+    """Half-widths (x, y) in px of the window in which a beam is fitted."""
+    return math.ceil(REACH * math.sqrt(shape.xx)), math.ceil(REACH * math.sqrt(shape.yy))
+
+
+def fit_at(
+    profile: BeamProfile,
+    pixels: Image,
+    origin_px: tuple[int, int],
+    start: Floats,
+    noise_values: Floats,
+) -> Fit | None:
+    """Fit of a profile near the place in `start` (parameters, centre on the sensor); None if there is none.
+
+    `origin_px` are the sensor coordinates of the first pixel. The window follows the spot, at most twice.
+    """
+    p = start.copy()
+    ny, nx = pixels.shape
+    for _ in range(3):
+        if not (math.isfinite(p[CENTRE_X]) and math.isfinite(p[CENTRE_Y])):
+            return None
+        column, row = round(p[CENTRE_X]) - origin_px[0], round(p[CENTRE_Y]) - origin_px[1]
+        x0, x1 = max(0, column - profile.half_px[0]), min(nx, column + profile.half_px[0] + 1)
+        y0, y1 = max(0, row - profile.half_px[1]), min(ny, row + profile.half_px[1] + 1)
+        if x1 - x0 < 5 or y1 - y0 < 5:
+            return None
+        window = np.ascontiguousarray(pixels[y0:y1, x0:x1], dtype=np.float32)
+        left, top = x0 + origin_px[0], y0 + origin_px[1]
+        p[CENTRE_X] -= left
+        p[CENTRE_Y] -= top
+        done, chi2, kept, saturated, outliers, u_x, u_y = fit_profile(
+            window, profile.spline, profile.centre, p, noise_values
+        )
+        p[CENTRE_X] += left
+        p[CENTRE_Y] += top
+        away = max(abs(p[CENTRE_X] - column - origin_px[0]), abs(p[CENTRE_Y] - row - origin_px[1]))
+        if done and away <= 1.0:
+            return Fit(p, chi2 / max(kept - FITTED, 1.0), kept, saturated, outliers, u_x, u_y)
+        if not away > 1.0:
+            return None
+    return None
+
+
+def learn(
+    samples: Sequence[Sample], shape: Shape, noise: PixelNoise
+) -> Generator[None, None, BeamProfile | None]:
+    """The profile of the beam in some samples, or None if it cannot be fitted to them.
+
+    It begins as the Gaussian that fits best. The profile is fitted to all samples; what is left in them,
+    averaged on their sub-pixel shifts, is added to it; and so on. Where the model reaches full scale nothing
+    is left to learn from, and the Gaussian remains. The work is divided into about equal pieces, one for each
+    `yield`, so that frames can be tracked meanwhile.
+    """
+    noise_values = np.array(noise)
+    half_px = math.ceil(REACH * math.sqrt(shape.xx)), math.ceil(REACH * math.sqrt(shape.yy))
+    size_x, size_y = (2 * (half + MARGIN_PX) + 1 for half in half_px)
+    centre = np.array([half_px[0] + MARGIN_PX, half_px[1] + MARGIN_PX], dtype=np.float64)
+    to_spline_x = _to_spline(size_x, math.sqrt(shape.xx))
+    to_spline_y = _to_spline(size_y, math.sqrt(shape.yy))
+    spline = to_spline_y @ _gaussian(size_x, size_y, centre, shape) @ to_spline_x.T
+    yield
+    starts = [np.array([s.amplitude_dn, s.x_px, s.y_px, s.background_dn, 0.0, 0.0]) for s in samples]
+    misfit = apart_x = apart_y = 0.0
+    for count in range(_ROUNDS + 1):
+        profile = BeamProfile(spline.astype(np.float32), centre, half_px, shape, math.nan)
+        left = _MeanResidual(profile, noise)
+        misfit = apart_x = apart_y = 0.0
+        for k, sample in enumerate(samples):
+            fit = fit_at(profile, sample.pixels, sample.origin_px, starts[k], noise_values)
+            if fit is None:
+                return None
+            starts[k] = fit.p
+            misfit += fit.chi2_per_dof / len(samples)
+            apart_x += (fit.p[CENTRE_X] - sample.x_px) / len(samples)
+            apart_y += (fit.p[CENTRE_Y] - sample.y_px) / len(samples)
+            if count < _ROUNDS:
+                left.add(sample, fit)
+            yield
+        if count < _ROUNDS:
+            spline = spline + to_spline_y @ left.mean @ to_spline_x.T
+    if max(abs(apart_x), abs(apart_y)) > MOST_APART_PX:
+        return None
+    # the centre is where the Gaussian has it, so that the position does not jump at the change
+    return BeamProfile(profile.spline, centre - (apart_x, apart_y), half_px, shape, misfit)
+
+
+def dark_variance(level_dn: float, noise: PixelNoise) -> float:
+    """Variance in DN^2 of a pixel that receives only the background.
+
+    The kernels have it compiled; compiling it for Python too would take longer than it is worth.
+    """
+    return max(noise.at_zero_dn2 + level_dn * noise.dn_per_e, LEAST_VARIANCE_DN2)
+
+
+def compile_kernels(noise: PixelNoise) -> None:
+    """Learn a small synthetic beam once, so that no frames are lost while the kernels are compiled."""
+    shape = Shape(4.0, 4.0, 0.0)
+    light = np.rint(0.5 * noise.full_scale_dn * _gaussian(33, 33, np.array([16.0, 16.0]), shape))
+    sample = Sample(light.astype(np.uint16), (0, 0), 16.0, 16.0, 0.5 * noise.full_scale_dn, 0.0)
+    deque(learn([sample], shape, noise), maxlen=0)
+    principal_axes(*shape)
+
+
+class _MeanResidual:
+    """What the fits leave, over the amplitude, averaged in the profile's grid; 0 where nothing is known."""
+
+    def __init__(self, profile: BeamProfile, noise: PixelNoise) -> None:
+        self._profile = profile
+        self._noise = noise
+        self._total = np.zeros(profile.spline.shape)
+        self._count = np.zeros(profile.spline.shape)
+
+    def add(self, sample: Sample, fit: Fit) -> None:
+        """One sample, interpolated to the grid points between its pixels."""
+        start_x = self._profile.centre[0] - (fit.p[CENTRE_X] - sample.origin_px[0])
+        start_y = self._profile.centre[1] - (fit.p[CENTRE_Y] - sample.origin_px[1])
+        residual = _residual(self._profile, sample, fit, self._noise, start_x, start_y)
+        at_nodes = _of_four(
+            residual, _cubic(math.ceil(start_x) - start_x), _cubic(math.ceil(start_y) - start_y)
+        )
+        # interpolation begins at the second pixel
+        first_x, first_y = math.ceil(start_x) + 1, math.ceil(start_y) + 1
+        y0, x0 = max(first_y, 0), max(first_x, 0)
+        y1 = min(first_y + len(at_nodes), len(self._total))
+        x1 = min(first_x + len(at_nodes.T), len(self._total.T))
+        part = at_nodes[y0 - first_y : y1 - first_y, x0 - first_x : x1 - first_x]
+        known = np.isfinite(part)
+        self._total[y0:y1, x0:x1] += np.where(known, part, 0.0)
+        self._count[y0:y1, x0:x1] += known
+
+    @property
+    def mean(self) -> NDArray[np.float64]:
+        """The average."""
+        return np.asarray(self._total / np.maximum(self._count, 1.0))
+
+
+def _residual(
+    profile: BeamProfile, sample: Sample, fit: Fit, noise: PixelNoise, start_x: float, start_y: float
+) -> NDArray[np.float64]:
+    """A sample minus the fit, over the amplitude; NaN for pixels that the fit leaves out, and outside."""
+    ny, nx = sample.pixels.shape
+    light = np.full((ny, nx), np.nan)
+    drawn = _spline_between(profile.spline, start_x % 1.0, start_y % 1.0)
+    # element k of `drawn` is the value at the grid place k + 1 + phase, pixel i at start + i
+    shift_x, shift_y = math.floor(start_x) - 1, math.floor(start_y) - 1
+    x0, x1 = max(0, -shift_x), min(nx, drawn.shape[1] - shift_x)
+    y0, y1 = max(0, -shift_y), min(ny, drawn.shape[0] - shift_y)
+    light[y0:y1, x0:x1] = fit.p[LIGHT] * drawn[y0 + shift_y : y1 + shift_y, x0 + shift_x : x1 + shift_x]
+    column, row = np.arange(nx) + sample.origin_px[0], np.arange(ny) + sample.origin_px[1]
+    # the background is that in the middle of the fitted window
+    middle_x, middle_y = _window_middle(profile, sample, fit)
+    plane = fit.p[LEVEL] + fit.p[SLOPE_X] * (column - middle_x) + fit.p[SLOPE_Y] * (row - middle_y)[:, None]
+    residual: NDArray[np.float64] = sample.pixels - plane - light
+    lit = np.maximum(light, 0.0)
+    variance = dark_variance(float(fit.p[LEVEL]), noise) + lit * (noise.dn_per_e + lit * noise.prnu2)
+    residual[plane + light + 3.0 * np.sqrt(variance) >= noise.full_scale_dn] = np.nan
+    residual[residual**2 > GATE * max(fit.chi2_per_dof, 1.0) * variance] = np.nan
+    return np.asarray(residual / fit.p[LIGHT])
+
+
+def _window_middle(profile: BeamProfile, sample: Sample, fit: Fit) -> tuple[float, float]:
+    """Middle of the window that was fitted, on the sensor."""
+    middles = []
+    for axis, index in enumerate((CENTRE_X, CENTRE_Y)):
+        first, size = sample.origin_px[axis], sample.pixels.shape[1 - axis]
+        at, half = round(fit.p[index]), profile.half_px[axis]
+        middles.append(0.5 * (max(first, at - half) + min(first + size - 1, at + half)))
+    return middles[0], middles[1]
+
+
+def _spline_between(spline: Singles, phase_x: float, phase_y: float) -> NDArray[np.float64]:
+    """Values of a spline at `phase` beyond its grid points, from the second to the last but two."""
+    weights = np.empty((2, 4), dtype=np.float32)
+    slopes = np.empty(4, dtype=np.float32)
+    spline_weights(phase_x, weights[0], slopes)
+    spline_weights(phase_y, weights[1], slopes)
+    return _of_four(spline, weights[0], weights[1])
+
+
+def _cubic(t: float) -> list[float]:
+    """Weights of four neighbours in the polynomial of third degree through them."""
+    return [
+        -t * (t - 1.0) * (t - 2.0) / 6.0,
+        (t + 1.0) * (t - 1.0) * (t - 2.0) / 2.0,
+        -t * (t + 1.0) * (t - 2.0) / 2.0,
+        t * (t + 1.0) * (t - 1.0) / 6.0,
+    ]
+
+
+def _of_four(
+    image: Singles | NDArray[np.float64],
+    along_x: Sequence[float] | Singles,
+    along_y: Sequence[float] | Singles,
+) -> NDArray[np.float64]:
+    """Sums of four neighbours along x and y with these weights; the first is that of the first four."""
+    ny, nx = image.shape
+    rows = np.zeros((ny - 3, nx))
+    for k in range(4):
+        rows += along_y[k] * image[k : ny - 3 + k]
+    sums: NDArray[np.float64] = np.zeros((ny - 3, nx - 3))
+    for k in range(4):
+        sums += along_x[k] * rows[:, k : nx - 3 + k]
+    return sums
+
+
+def _gaussian(size_x: int, size_y: int, centre: Floats, shape: Shape) -> NDArray[np.float64]:
+    """A Gaussian of peak 1 on the grid."""
+    u = np.arange(size_x) - centre[0]
+    v = (np.arange(size_y) - centre[1])[:, None]
+    determinant = shape.xx * shape.yy - shape.xy**2
+    square = (shape.yy * u**2 - 2.0 * shape.xy * u * v + shape.xx * v**2) / determinant
+    light: NDArray[np.float64] = np.exp(-0.5 * square)
+    return light
+
+
+def _to_spline(size: int, sigma_px: float) -> NDArray[np.float64]:
+    """Matrix (size, size) from values at grid points to spline coefficients.
+
+    With knots further apart than a pixel it is the spline of least squares, expressed on the grid.
+    """
+    grid = np.arange(size, dtype=np.float64)
+    unit = np.zeros((size, size))
+    np.fill_diagonal(unit, 4.0 / 6.0)
+    np.fill_diagonal(unit[1:], 1.0 / 6.0)
+    np.fill_diagonal(unit[:, 1:], 1.0 / 6.0)
+    spacing = sigma_px / _PER_SIGMA
+    if spacing <= 1.0:
+        return np.asarray(np.linalg.inv(unit))
+    knots = np.arange(math.ceil((size - 1) / spacing) + 3) - 1.0
+    distance = np.abs(grid[:, None] / spacing - knots)
+    near = (4.0 + distance**2 * (3.0 * distance - 6.0)) / 6.0
+    far = np.maximum(2.0 - distance, 0.0) ** 3 / 6.0
+    coarse = np.where(distance < 1.0, near, far)
+    smooth = coarse @ np.linalg.solve(coarse.T @ coarse, coarse.T)
+    return np.asarray(np.linalg.solve(unit, smooth))

@@ -1,0 +1,103 @@
+"""Following of a beam by its learned profile, from frame to frame."""
+
+import math
+
+import numpy as np
+
+from processing.spot.fit_values import (
+    AMPLITUDE,
+    BACKGROUND,
+    COVARIANCE,
+    SIGMA_X,
+    SIGMA_Y,
+    Floats,
+    Place,
+    X,
+    Y,
+    poor_fit_limit,
+)
+from processing.spot.memory import FOLLOWS, LAST, POOR_FRAMES, STEP_X, STEP_Y, TILTED, TWO
+from processing.spot.outcome import principal_axes
+from processing.spot.profile import BeamProfile, Fit, dark_variance, fit_at
+from processing.spot.profile_fit import CENTRE_X, CENTRE_Y, FITTED, LEVEL, LIGHT, SLOPE_X, SLOPE_Y
+from processing.spot.sensor_model import PixelNoise
+from processing.spot.spot import Image, Spot, SpotFlag
+
+_ALIKE = 2.0
+"""The amplitude changes by less than this factor from frame to frame, or the fit has met something else."""
+
+
+class ProfileFollower:
+    """Fits a profile where the tracker's memory expects the spot."""
+
+    def __init__(self, profile: BeamProfile, noise: PixelNoise) -> None:
+        self._profile = profile
+        self._noise = noise
+        self._noise_values = np.array(noise)
+        self._slopes = (0.0, 0.0)
+        shape = profile.shape
+        self._sigma_x, self._sigma_y = math.sqrt(shape.xx), math.sqrt(shape.yy)
+        self._axes = principal_axes(shape.xx, shape.yy, shape.xy)
+
+    def follow(self, image: Image, place: Place, memory: Floats, *, fresh: bool = False) -> Spot | None:
+        """Spot of one frame, stored in `memory` too; None if it is not at the expected place.
+
+        `fresh`: a Gaussian has just found the spot in this very frame.
+        """
+        start = np.empty(FITTED)
+        start[LIGHT], start[LEVEL] = memory[LAST + AMPLITUDE], memory[LAST + BACKGROUND]
+        start[CENTRE_X], start[CENTRE_Y] = memory[LAST + X], memory[LAST + Y]
+        start[SLOPE_X], start[SLOPE_Y] = (0.0, 0.0) if fresh else self._slopes
+        if not fresh:
+            start[CENTRE_X] += memory[STEP_X]
+            start[CENTRE_Y] += memory[STEP_Y]
+        origin_px = place.origin_x, place.origin_y
+        fit = fit_at(self._profile, image, origin_px, start, self._noise_values)
+        if fit is None or not 1.0 / _ALIKE < fit.p[LIGHT] / memory[LAST + AMPLITUDE] < _ALIKE:
+            return None
+        spot = self._report(fit, place)
+        self._slopes = fit.p[SLOPE_X], fit.p[SLOPE_Y]
+        if not fresh:
+            memory[STEP_X], memory[STEP_Y] = spot.x_px - memory[LAST + X], spot.y_px - memory[LAST + Y]
+        memory[FOLLOWS] = 1.0
+        memory[LAST + X], memory[LAST + Y] = spot.x_px, spot.y_px
+        memory[LAST + AMPLITUDE], memory[LAST + BACKGROUND] = fit.p[LIGHT], fit.p[LEVEL]
+        memory[LAST + SIGMA_X], memory[LAST + SIGMA_Y] = self._sigma_x, self._sigma_y
+        memory[LAST + COVARIANCE] = self._profile.shape.xy
+        memory[TILTED] = 1.0 if self._axes[2] else 0.0
+        memory[TWO] = 0.0
+        memory[POOR_FRAMES] = memory[POOR_FRAMES] + 1.0 if spot.flags & SpotFlag.POOR_FIT else 0.0
+        return spot
+
+    def _report(self, fit: Fit, place: Place) -> Spot:
+        """Fields of the spot; uncertainties and flags by the same rules as those of a Gaussian."""
+        x, y = float(fit.p[CENTRE_X]), float(fit.p[CENTRE_Y])
+        flags = SpotFlag.LEARNED.value
+        if fit.saturated > 0:
+            flags |= SpotFlag.SATURATED.value
+        reach_x, reach_y = 3.0 * self._sigma_x, 3.0 * self._sigma_y
+        if (
+            min(x - reach_x, y - reach_y) < -0.5
+            or x + reach_x > place.sensor_nx - 0.5
+            or y + reach_y > place.sensor_ny - 0.5
+        ):
+            flags |= SpotFlag.EDGE.value
+        floor = dark_variance(float(fit.p[LEVEL]), self._noise)
+        if fit.p[LIGHT] < 5.0 * math.sqrt(floor):
+            flags |= SpotFlag.LOW_SNR.value
+        if fit.chi2_per_dof > poor_fit_limit(fit.kept):
+            flags |= SpotFlag.POOR_FIT.value
+        if fit.outliers > 0:
+            flags |= SpotFlag.OUTLIERS.value
+        inflate = math.sqrt(max(1.0, fit.chi2_per_dof))
+        return Spot(
+            x,
+            y,
+            inflate * fit.u_x_px,
+            inflate * fit.u_y_px,
+            *self._axes,
+            float(fit.p[LIGHT]),
+            float(fit.p[LEVEL]),
+            fit.chi2_per_dof,
+            flags,
+        )

@@ -1,0 +1,73 @@
+"""Real beams, moved by known amounts with fresh noise: what the tracker finds, and what it claims.
+
+Run as ``python -m tests.benchmarks spot_beams`` from the repository. Needs the folder of real data.
+"""
+
+import math
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from processing.spot import SpotFlag, SpotTracker
+from tests.processing.spot.moved_beams import COMPACT, RealBeam
+
+_REACH_PX = 30.0
+
+
+def beam(path: Path, frames: int) -> dict[str, Any]:
+    """One row: a beam that swings while its model is chosen, then appears at any place within the reach."""
+    rng = np.random.default_rng(5)
+    real = RealBeam(path)
+    tracker = SpotTracker(real.sensor)
+    chosen_after = 0
+    while tracker.model is None:
+        phase = 0.06 * chosen_after
+        tracker.track(real.frame(_REACH_PX * math.sin(phase), 3.0 * math.cos(0.7 * phase), rng))
+        chosen_after += 1
+    truth = rng.uniform(-_REACH_PX, _REACH_PX, (frames, 2))
+    spots = [tracker.track(real.frame(x, y, rng)) for x, y in truth]
+    found = np.array([(spot.x_px, spot.y_px) for spot in spots])
+    claimed = np.array([(spot.u_x_px, spot.u_y_px) for spot in spots]).mean(axis=0)
+    errors = found - truth
+    scatter = errors.std(axis=0, ddof=1)
+    bound = real.bound_px()
+    return {
+        "name": path.name,
+        "model": str(tracker.model),
+        "chosen_after": chosen_after,
+        "frames": frames,
+        "poor": sum(bool(spot.flags & SpotFlag.POOR_FIT) for spot in spots),
+        "lost": sum(bool(spot.flags & SpotFlag.LOST) for spot in spots),
+        "chi2_per_dof": float(np.mean([spot.chi2_per_dof for spot in spots])),
+        "scatter_px": scatter.tolist(),
+        "scatter_over_u": (scatter / claimed).tolist(),
+        "scatter_over_bound": (scatter / bound).tolist(),
+        "moved_as": [1.0 + float(np.polyfit(truth[:, k], errors[:, k], 1)[0]) for k in (0, 1)],
+        "u_ratio": 1.0 / math.sqrt(2.0 * frames),
+    }
+
+
+def run(quick: bool = False) -> dict[str, Any]:
+    """All images of one compact beam."""
+    default = Path(__file__).resolve().parents[2].parent / "shared" / "data"
+    folder = Path(os.environ.get("RIG_SHARED_DATA", default)) / "beams"
+    rows = [beam(folder / name, 30 if quick else 300) for name in COMPACT]
+    table = Table(title=f"real beams moved within ± {_REACH_PX:g} px, fresh noise")
+    for column in (
+        "image", "model", "frames", "chi2/dof", "scatter mpx", "/u", "/bound", "moved as", "poor", "lost",
+    ):  # fmt: skip
+        table.add_column(column, justify="right")
+    for r in rows:
+        table.add_row(
+            r["name"], r["model"], f"{r['frames']}", f"{r['chi2_per_dof']:.2f}",
+            " ".join(f"{1e3 * s:.2f}" for s in r["scatter_px"]),
+            " ".join(f"{s:.2f}" for s in r["scatter_over_u"]),
+            " ".join(f"{s:.2f}" for s in r["scatter_over_bound"]),
+            " ".join(f"{s:.5f}" for s in r["moved_as"]), f"{r['poor']}", f"{r['lost']}",
+        )  # fmt: skip
+    Console(width=150).print(table)
+    return {"beams": rows}
