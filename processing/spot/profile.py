@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from processing.spot.fit_values import GATE, Floats
+from processing.spot.fit_values import GATE, Floats, misfit_limit, poor_fit_limit
 from processing.spot.outcome import principal_axes
 from processing.spot.profile_fit import (
     CENTRE_X,
@@ -187,6 +187,8 @@ def compile_kernels(noise: PixelNoise) -> None:
     sample = Sample(light.astype(np.uint16), (0, 0), 16.0, 16.0, 0.5 * noise.full_scale_dn, 0.0)
     deque(learn([sample], shape, noise), maxlen=0)
     principal_axes(*shape)
+    poor_fit_limit(1.0)
+    misfit_limit(1.0)
 
 
 class _MeanResidual:
