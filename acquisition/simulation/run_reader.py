@@ -51,6 +51,8 @@ class RunReader:
         self._plan: Plan = scene.plan(block)
         self._ahead = 1 if settings.real_time else max(1, _AHEAD_BYTES // scene.image_bytes)
         self._drawn: dict[int, Image] = {}
+        # the first drawing compiles: before the run's clock starts, and where no reader waits for a frame
+        self._draw(0, 0)
         self._stopped = threading.Event()
         self._next = 0
         self._numbered_from = 0
@@ -176,15 +178,18 @@ class RunReader:
             self._drawn.clear()
         return frame - self._plan.first
 
+    def _draw(self, frame: int, row: int) -> None:
+        """Draw the image of a row of the plan, and on demand the next ones with it."""
+        plan = self._plan
+        rows = slice(row, row + self._ahead)
+        images = self._scene.draw_frames(
+            frame, plan.x_px[rows], plan.y_px[rows], plan.power[rows], plan.slope[rows]
+        )
+        self._drawn = dict(enumerate(images, start=row))
+
     def _image(self, frame: int, row: int) -> Image:
-        """Image of a row of the plan; on demand the next ones are drawn in the same call."""
         if row not in self._drawn:
-            plan = self._plan
-            rows = slice(row, row + self._ahead)
-            images = self._scene.draw_frames(
-                frame, plan.x_px[rows], plan.y_px[rows], plan.power[rows], plan.slope[rows]
-            )
-            self._drawn = dict(enumerate(images, start=row))
+            self._draw(frame, row)
         return self._drawn.pop(row)
 
     def _deliver(self, frame: int, row: int) -> Frame:
