@@ -12,7 +12,7 @@ from tests.kernel.boot import Missing, run_in_guest
 
 pytestmark = pytest.mark.kernel
 
-TIME_LIMIT_S = 420.0
+TIME_LIMIT_S = 700.0
 
 
 @pytest.fixture(scope="module")
