@@ -40,7 +40,7 @@ def is_unknown_key(fault: ErrorDetails) -> bool:
 
 def dotted(place: _Place) -> str:
     """The path of a key as `--set` takes it."""
-    return ".".join(str(part) for part in place)
+    return ".".join(part if isinstance(part, str) and part.isprintable() else repr(part) for part in place)
 
 
 def not_numbers(root: type, tree: Mapping[str, Any], place: _Place = ()) -> Iterator[tuple[_Place, str]]:

@@ -57,15 +57,17 @@ def changed(data: bytes, wanted: list[tuple[str, float, bytes]]) -> bytes:
     return data
 
 
-def one_line(use: Callable[[], Any]) -> Any:
-    """What a reader returns; None where it gave one clear line."""
+def one_line(use: Callable[[], Any], each_begins: str = "") -> Any:
+    """What a reader returns; None where it gave one clear line, or one for each fault, which begins so."""
     said = "?"
     try:
         return use()
     except RigError as error:
         said = str(error)
     assert said
-    assert "\n" not in said
+    lines = said.split("\n")
+    assert len(lines) == 1 or each_begins
+    assert all(line.startswith(each_begins) for line in lines)
     return None
 
 
@@ -148,7 +150,7 @@ def test_a_file(
     data = source if isinstance(source, bytes) else source.read_bytes()
     path = folder / name
     path.write_bytes(changed(data, wanted))
-    one_line(lambda: use(path))
+    one_line(lambda: use(path), str(path) if kind == "configuration" else "")
     shutil.rmtree(folder)
 
 
