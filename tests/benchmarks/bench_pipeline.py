@@ -11,7 +11,7 @@ import tempfile
 import threading
 import time
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -38,8 +38,11 @@ ROOT = Path(__file__).resolve().parents[2]
 class MemoryCamera:
     """Frames that were drawn beforehand, handed out at a fixed rate by the host's clock."""
 
-    def __init__(self, frames: list[np.ndarray[Any, Any]], rate_hz: float, duration_s: float) -> None:
+    def __init__(
+        self, frames: list[np.ndarray[Any, Any]], full_scale_dn: int, rate_hz: float, duration_s: float
+    ) -> None:
         self._frames = frames
+        self._full_scale_dn = full_scale_dn
         self._period_ns = round(1e9 / rate_hz)
         self._count = round(duration_s * rate_hz)
         self._next = 0
@@ -48,7 +51,7 @@ class MemoryCamera:
 
     def open(self) -> CameraInfo:
         ny, nx = self._frames[0].shape
-        return CameraInfo("memory", "", "", "", nx, ny, 255, True)
+        return CameraInfo("memory", "", "", "", nx, ny, self._full_scale_dn, True)
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
         return settings
@@ -83,10 +86,12 @@ class MemoryCamera:
         return CameraStatus(delivered=self._next)
 
 
-def drawn_frames(width: int, height: int, rate_hz: float, count: int) -> list[np.ndarray[Any, Any]]:
+def drawn_frames(
+    width: int, height: int, bits: Literal[8, 12], rate_hz: float, count: int
+) -> list[np.ndarray[Any, Any]]:
     """Half a swing across the sensor, drawn by the simulated rig."""
     settings = SimulationSettings(
-        sensor=SensorTruth(width_px=width, height_px=height),
+        sensor=SensorTruth(width_px=width, height_px=height, bit_depth=bits),
         optics=OpticsTruth(arm_m=1.0 * height / 640),
     )
     settings = settings.model_copy(
@@ -106,13 +111,16 @@ def drawn_frames(width: int, height: int, rate_hz: float, count: int) -> list[np
     return frames
 
 
-def real_time(width: int, height: int, rate_hz: float, duration_s: float) -> dict[str, Any]:
+def real_time(
+    width: int, height: int, bits: Literal[8, 12], rate_hz: float, duration_s: float
+) -> dict[str, Any]:
     """One run in real time: frames lost, latency from frame to record, share of one core.
 
     The latency runs from the moment the camera hands a frame over to the end of the recorder's write
     call for it; the kernels are ready before the first frame, as they are in ``rig run``.
     """
-    frames = drawn_frames(width, height, rate_hz, round(min(2.0 * rate_hz, 600)))
+    frames = drawn_frames(width, height, bits, rate_hz, round(min(2.0 * rate_hz, 600)))
+    full_scale_dn = 2**bits - 1
     latencies_ms: list[float] = []
     original = Recorder._write
 
@@ -122,9 +130,9 @@ def real_time(width: int, height: int, rate_hz: float, duration_s: float) -> dic
         latencies_ms.extend((now_ns - host_ns) * 1e-6 for host_ns in entry.host_times_ns)
 
     with tempfile.TemporaryDirectory() as folder:
-        camera = MemoryCamera(frames, rate_hz, duration_s)
+        camera = MemoryCamera(frames, full_scale_dn, rate_hz, duration_s)
         opened = OpenCamera(camera, camera.open(), ())
-        sensor = SensorModel(39.2, 7.0, 255)
+        sensor = SensorModel(10_000.0 / full_scale_dn, 7.0, full_scale_dn)
         prepare_kernels(sensor, print)
         lever = Lever(arm_m=1.0, pixel_pitch_m=4.8e-6)
         optics = Optics(sensor, lever, Axes())
@@ -216,11 +224,13 @@ def run(quick: bool = False) -> dict[str, Any]:
     """All numbers of this topic."""
     seconds = 5.0 if quick else 60.0
     results: dict[str, Any] = {}
-    for label, width, height, rate_hz in (
-        ("500 frames/s of 640x480", 640, 480, 500.0),
-        ("2000 frames/s of 256x256", 256, 256, 2000.0),
-    ):
-        results[label] = real_time(width, height, rate_hz, seconds)
+    cases: tuple[tuple[str, int, int, Literal[8, 12], float], ...] = (
+        ("500 frames/s of 640x480", 640, 480, 8, 500.0),
+        ("2000 frames/s of 256x256", 256, 256, 8, 2000.0),
+        ("100 frames/s of 1280x1024, 12 bit", 1280, 1024, 12, 100.0),
+    )
+    for label, width, height, bits, rate_hz in cases:
+        results[label] = real_time(width, height, bits, rate_hz, seconds)
         numbers = ", ".join(f"{key} {value:.3g}" for key, value in results[label].items())
         print(f"{label}, {seconds:g} s: {numbers}")
     results["help_s"] = help_time_s()
