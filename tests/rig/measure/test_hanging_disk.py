@@ -91,28 +91,41 @@ def put_all(frames: FrameQueue, recorder: Recorder) -> None:
             recorder.put(entry_of(each))
 
 
+@pytest.mark.slow
+@pytest.mark.realtime
 def test_a_session_says_that_its_disk_hung(disk: Mounted, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "SLOW_S", 0.05)
     folder = disk.folder / "out"
     record = folder / "run-1.mcap"
 
+    original = Recorder._write
+    recording = threading.Event()
+
+    def begun(self: Recorder, entry: Entry) -> None:
+        # early in the run, however fast it is: most of its frames are written after this
+        if not recording.is_set():
+            disk.hang()
+            recording.set()
+        original(self, entry)
+
     def hang() -> None:
-        wait_for(lambda: record.exists() and record.stat().st_size > 100_000)
-        disk.hang()
+        wait_for(recording.is_set)
         disk.wait_for_hanging()
-        time.sleep(0.1)
+        time.sleep(0.5)
         disk.go_on()
 
+    monkeypatch.setattr(Recorder, "_write", begun)
     hanging = threading.Thread(target=hang)
     hanging.start()
-    values = {**SMALL, "session.max_duration_s": "20"}
+    # a run faster than real time is over before it writes to the disk for the second time
+    values = {**SMALL, "session.max_duration_s": "6", "simulation.real_time": "true"}
     rig("run", CONFIGS / "demo.toml", "-o", folder, *set_words(values))
     hanging.join()
     with RecordReader(record) as reader:
         assert not reader.truncated
         sequences = reader.spots()["sequence"].tolist()
         assert sequences == list(range(len(sequences)))
-        assert len(sequences) >= 20 * 50
+        assert len(sequences) >= 6 * 50
         said = [event.text for event in reader.events() if event.kind == "slow disk"]
     assert said
     assert said[0].startswith("did not answer for ")
