@@ -8,6 +8,7 @@ calls; and without a cache a kernel is compiled in every process.
 
 import hashlib
 import pickle
+import secrets
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -114,12 +115,31 @@ class Kernel(CPUDispatcher):  # type: ignore[misc]
             super().add_overload(cres)
 
 
+class _CacheFile(IndexDataCacheFile):  # type: ignore[misc]
+    """numba's files for one function, the machine code in files whose names are never used again.
+
+    numba writes its index first and counts the other files from 1. Old code would pass for new while that
+    is written or if it cannot be; code for other types, if two processes write at once.
+    """
+
+    def _data_name(self, number: int) -> str:
+        return f"{Path(super()._data_name(number)).stem}.{secrets.token_hex(8)}.nbc"
+
+    def _save_index(self, overloads: dict[Any, str]) -> None:
+        super()._save_index(overloads)
+        pattern = self._data_name_pattern.replace("{number:d}", "*")
+        for path in Path(self._cache_path).glob(pattern):
+            if path.name not in overloads.values():
+                with suppress(OSError):
+                    path.unlink()
+
+
 class _Cache(FunctionCache):  # type: ignore[misc]
     """numba's cache of a function, valid for the code of all that the function calls."""
 
     def __init__(self, function: FunctionType, code: str) -> None:
         super().__init__(function)
-        self._cache_file = IndexDataCacheFile(
+        self._cache_file = _CacheFile(
             cache_path=self._cache_path, filename_base=self._impl.filename_base, source_stamp=code
         )
 

@@ -14,7 +14,7 @@ from types import ModuleType
 
 import pytest
 
-from processing.kernel import at_compilation
+from processing.kernel import at_compilation, cache_of
 from tests.rig.long_record import make_long_record
 
 ROOT = Path(__file__).parents[2]
@@ -120,6 +120,44 @@ def test_a_spoilt_cache_is_made_anew(folder: Path) -> None:
         path.write_bytes(b"")
     assert compilations(imported_anew()) == (21.0, [True])
     assert compilations(imported_anew()) == (21.0, [])
+
+
+LITTLE_SPACE = """
+import resource, outer_kernel
+resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
+print(outer_kernel.outer(1.0, 1))
+"""
+
+
+def test_code_that_was_not_kept_is_not_taken_for_what_was_kept_before(folder: Path) -> None:
+    """A disk may have room for the cache's index and not for the machine code."""
+    assert compilations(imported_anew()) == (21.0, [True])
+    source = folder / "outer_kernel.py"
+    source.write_text(source.read_text().replace("FACTOR * inner", "FACTOR + inner"))
+    done = subprocess.run(
+        [sys.executable, "-B", "-c", LITTLE_SPACE], cwd=folder, capture_output=True, text=True, check=True
+    )
+    assert done.stdout == "13.0\n"
+    assert compilations(imported_anew()) == (13.0, [True])
+    assert compilations(imported_anew()) == (13.0, [])
+    # what can no longer be loaded is deleted
+    assert len(list(folder.rglob("outer_kernel.outer*.nbc"))) == 1
+
+
+def test_two_processes_that_keep_code_at_once_keep_it_apart(folder: Path) -> None:
+    """Both have found the cache empty before one of them has kept code for other types than the other."""
+    one, other, reader = (cache_of(imported_anew().outer.py_func, {})._cache_file for _ in range(3))
+    found = other._load_index()
+    one.save("types", "code")
+    other._load_index = lambda: found
+    other._save_data = full_disk
+    with pytest.raises(OSError, match="full"):
+        other.save("other types", "other code")
+    assert reader.load("other types") is None
+
+
+def full_disk(name: str, data: object) -> None:
+    raise OSError("full")
 
 
 @pytest.fixture
