@@ -22,15 +22,15 @@ MARK = "RESULT "
 
 INIT = """#!/bin/busybox sh
 export PATH=/bin
-busybox mkdir -p /proc /sys /dev /root
+busybox mkdir -p /proc /sys /dev /host
 busybox mount -t proc proc /proc
 busybox mount -t sysfs sys /sys
 busybox mount -t devtmpfs dev /dev
 while read module; do busybox insmod "/modules/$module"; done < /modules/order
-busybox mount -t 9p -o trans=virtio,version=9p2000.L,msize=524288,cache=loose,ro host /root
-for place in proc sys dev; do busybox mount --bind /$place /root/$place; done
-busybox mount -t tmpfs tmp /root/tmp
-busybox chroot /root /bin/sh -c "$(busybox cat /command)"
+busybox mount -t 9p -o trans=virtio,version=9p2000.L,msize=524288,cache=loose,ro host /host
+for place in proc sys dev; do busybox mount --bind /$place /host/$place; done
+busybox mount -t tmpfs tmp /host/tmp
+busybox chroot /host /bin/sh -c "$(busybox cat /command)"
 busybox poweroff -f
 """
 
