@@ -1,7 +1,7 @@
 """Interface of every camera driver."""
 
 from dataclasses import astuple, dataclass
-from typing import Literal, NamedTuple, Protocol, runtime_checkable
+from typing import Final, Literal, NamedTuple, Protocol, runtime_checkable
 
 from pydantic import BaseModel, Field
 
@@ -13,6 +13,8 @@ FeatureValue = bool | int | float | str
 """Value of one of the camera's own features."""
 Stamped = Literal["start", "middle", "end"]
 """The moment of the exposure that a camera's timestamps mark."""
+Edge = Literal["rising", "falling"]
+"""The change of a trigger's voltage that starts an exposure."""
 
 
 class FrameTimeout(DeviceError):
@@ -38,14 +40,34 @@ class CameraSettings(BaseModel, frozen=True, extra="forbid"):
     height_px: int | None = Field(default=None, gt=0)
     offset_x_px: int | None = Field(default=None, ge=0)
     offset_y_px: int | None = Field(default=None, ge=0)
+    trigger: str | None = Field(
+        default=None,
+        description="line that starts each exposure, as the camera calls it (Line1); None: it runs freely",
+    )
+    trigger_edge: Edge | None = Field(default=None, description="of the trigger; None: rising")
+    exposure_output: str | None = Field(
+        default=None, description="line that is active during each exposure, as the camera calls it"
+    )
+    ptp: bool | None = Field(
+        default=None, description="clock follows that of the network (IEEE 1588), by which frames are stamped"
+    )
     features: dict[str, FeatureValue] = Field(
         default_factory=dict,
         description="any feature by its own name, set after all others, in this order",
     )
 
 
+def without_wires(settings: CameraSettings, name: str) -> None:
+    """Raise DeviceError for a trigger, exposure output or network clock asked of a driver that has none."""
+    for key in ("trigger", "trigger_edge", "exposure_output", "ptp"):
+        value = getattr(settings, key)
+        if value not in (None, False):
+            raise DeviceError(f"{name}: this driver knows no {key}; leave camera.{key} = {value!r} out")
+
+
 def without_features(settings: CameraSettings, name: str) -> None:
-    """Raise DeviceError for features asked of a camera that has none by name."""
+    """Raise DeviceError for features and wires asked of a camera that has none."""
+    without_wires(settings, name)
     if settings.features:
         raise DeviceError(
             f"{name}: has no features that can be set by name; leave [camera.features] out "
@@ -108,6 +130,10 @@ class CameraStatus:
     def __add__(self, other: "CameraStatus") -> "CameraStatus":
         """Sum of the counts of two parts of a run, before and after a reconnection."""
         return CameraStatus(*(a + b for a, b in zip(astuple(self), astuple(other), strict=True)))
+
+
+CLOCK_STATES: Final = ("PtpStatus", "GevIEEE1588Status")
+"""Features with the state of the clock by the Precision Time Protocol: "Slave" follows the network's."""
 
 
 @runtime_checkable

@@ -5,6 +5,8 @@ Names are those of the Standard Feature Naming Convention (SFNC) and of older ca
 
 from typing import Final
 
+from acquisition.cameras.named_features import NamedFeatures, is_on
+
 AUTOMATIC: Final = (
     "ExposureAuto",
     "GainAuto",
@@ -23,3 +25,15 @@ RESULTING_RATES: Final = (
     "AcquisitionResultingFrameRateAbs",
 )
 """Frames per second that exposure, size and bus leave, by what different makers call it."""
+
+
+def leave_images_alone(features: NamedFeatures) -> None:
+    """Switch off what the camera does by itself to its images; the exposure is as long as it is set."""
+    for name in AUTOMATIC:
+        if "Off" in features.choices(name) and features.writable(name):
+            features.write(name, "Off")
+    for name in BENDING:
+        if features.writable(name) and is_on(features.read(name)):
+            features.write(name, False)
+    if "Timed" in features.choices("ExposureMode") and features.writable("ExposureMode"):
+        features.write("ExposureMode", "Timed")

@@ -71,9 +71,9 @@ DRIVERS: dict[str, Driver] = {
     ),
     # Basler cameras through the vendor's pypylon, an optional package
     "pylon": Driver(
-        camera="acquisition.cameras.pylon:PylonCamera",
-        settings=("acquisition.cameras.pylon:PylonSettings",),
-        find="acquisition.cameras.pylon:list_cameras",
+        camera="acquisition.cameras.pylon.camera:PylonCamera",
+        settings=("acquisition.cameras.pylon.settings:PylonSettings",),
+        find="acquisition.cameras.pylon.library:list_cameras",
     ),
     # GigE Vision and USB3 Vision cameras through libaravis and PyGObject, which are optional
     "aravis": Driver(

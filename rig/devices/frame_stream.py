@@ -13,6 +13,7 @@ from acquisition.record.events import EventKind
 from processing.errors import DeviceError, RigError
 from rig.control import LightPermit, Stage
 from rig.devices.clock_watch import ClockWatch
+from rig.devices.network_clock import wait_for_network_clock
 
 _log = logging.getLogger(__name__)
 _QUEUE_BYTES = 256 * 1024 * 1024
@@ -188,6 +189,8 @@ class FrameStream:
                 self._camera.close()
                 self._camera.open()
                 self._camera.configure(self._settings)
+                if self._settings.ptp:
+                    wait_for_network_clock(self._camera, ended=self._stop)
                 self._camera.start()
             except DeviceError:
                 self._stop.wait(0.25)

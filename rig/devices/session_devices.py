@@ -26,6 +26,7 @@ from rig.control import (
 )
 from rig.devices import audit
 from rig.devices.laser import LaserNow, laser_now, light
+from rig.devices.network_clock import wait_for_network_clock
 from rig.instrument import camera_settings, make_camera, setting_differences, shift_to_middle_ns
 from rig.settings import Configuration
 
@@ -117,6 +118,8 @@ class Devices:
             info = camera.open()
             asked = camera_settings(config)
             applied = camera.configure(asked)
+            if asked.ptp:
+                wait_for_network_clock(camera)
             notes = tuple(setting_differences(asked, applied))
             yield OpenCamera(camera, info, notes, applied, shift_to_middle_ns(config, info, applied))
         finally:

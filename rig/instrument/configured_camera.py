@@ -1,5 +1,7 @@
 """Makes the configured camera and compares its settings with the requested ones."""
 
+import math
+
 from acquisition.camera import Camera, CameraInfo, CameraSettings
 from acquisition.cameras import drivers
 from acquisition.frame_queue import Policy
@@ -38,6 +40,13 @@ def setting_differences(asked: CameraSettings, applied: CameraSettings) -> list[
         )
         if got != wanted and not near:
             lines.append(f"camera.{name} = {wanted} was requested, the camera reports {got}")
+    if applied.exposure_us is not None and asked.frame_rate_hz is not None:
+        possible_hz = 1e6 / applied.exposure_us
+        if min(asked.frame_rate_hz, applied.frame_rate_hz or math.inf) > 1.001 * possible_hz:
+            lines.append(
+                f"camera.frame_rate_hz = {asked.frame_rate_hz:g} was requested, "
+                f"an exposure of {applied.exposure_us:g} us leaves at most {possible_hz:g} Hz"
+            )
     return lines
 
 

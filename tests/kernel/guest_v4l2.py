@@ -247,6 +247,25 @@ def refused() -> dict[str, Any]:
     return said
 
 
+def automatic() -> dict[str, Any]:
+    """An automatic gain that another program left on is switched off by any configuration, unless asked."""
+    control("Gain, Automatic", 1)
+    camera = make()
+    camera.open()
+    said: dict[str, Any] = {"left": camera.feature_value("gain_automatic")}
+    camera.configure(CameraSettings())
+    said["configured"] = camera.feature_value("gain_automatic")
+    camera.configure(CameraSettings(features={"gain_automatic": True}))
+    said["asked"] = camera.feature_value("gain_automatic")
+    camera.configure(CameraSettings())
+    try:
+        camera.configure(CameraSettings(trigger="Line1"))
+    except DeviceError as error:
+        said["trigger"] = str(error)
+    camera.close()
+    return said
+
+
 def unplugged(reading: str) -> dict[str, Any]:
     """vivid's button 'Disconnect' while frames run."""
     camera = make(reading)
@@ -292,6 +311,7 @@ def main() -> None:
         "stale_kernel": lambda: stale("kernel"),
         "stale_opencv": lambda: stale("opencv"),
         "refused": refused,
+        "automatic": automatic,
         "unplugged": lambda: unplugged("kernel"),
     }
     for name in sys.argv[1:] or list(scenarios):

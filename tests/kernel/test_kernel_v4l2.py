@@ -117,6 +117,12 @@ def test_gain_is_set_although_automatic_gain_was_on(results: dict[str, Any]) -> 
     assert scenario(results, "refused")["gain set"] == "50"
 
 
+def test_what_another_program_left_on_is_switched_off_unless_asked(results: dict[str, Any]) -> None:
+    seen = scenario(results, "automatic")
+    assert (seen["left"], seen["configured"], seen["asked"]) == (1, 0, 1)
+    assert "leave camera.trigger = 'Line1' out" in seen["trigger"]
+
+
 def test_unplugging_is_noticed_at_once(results: dict[str, Any]) -> None:
     seen = scenario(results, "unplugged")
     assert "plug it in again" in seen["message"]

@@ -9,6 +9,7 @@ from dataclasses import replace
 from typing import Any, Final
 
 from acquisition.camera import (
+    CLOCK_STATES,
     CameraInfo,
     CameraLost,
     CameraSettings,
@@ -16,6 +17,7 @@ from acquisition.camera import (
     FeatureValue,
     FrameTimeout,
 )
+from acquisition.cameras import wiring
 from acquisition.cameras.aravis.buffers import BufferReader
 from acquisition.cameras.aravis.features import AravisFeatures
 from acquisition.cameras.aravis.library import (
@@ -158,7 +160,7 @@ class AravisCamera:
             assert library is not None
             pixel_format = features.pixel_format()
             _, _, width_px, height_px = features.region()
-            features.run_freely()
+            features.run_on()
             stream = camera.create_stream(None, None)
             payload = camera.get_payload()
             for _ in range(min(self._settings.buffers, max(_MOST_BYTES // payload, 2))):
@@ -275,7 +277,9 @@ class AravisCamera:
         """Value of one feature, as text; None if it cannot be read now."""
         with self._lock, self._translated():
             features = self._opened()
-            return features.text(name) if features.camera.is_feature_available(name) else None
+            if name in CLOCK_STATES:
+                wiring.latch_clock_state(features)
+            return features.read(name)
 
     def _opened(self) -> AravisFeatures:
         if self._features is None:

@@ -4,7 +4,8 @@ from contextlib import suppress
 from typing import Any
 
 from acquisition.camera import CameraSettings, FeatureValue, PixelFormat
-from acquisition.cameras.automatic import AUTOMATIC, BENDING
+from acquisition.cameras import wiring
+from acquisition.cameras.automatic import RESULTING_RATES, leave_images_alone
 from acquisition.cameras.pixel_formats import BY_NAME, FORMATS, Format
 from processing.errors import DeviceError
 
@@ -18,7 +19,9 @@ class AravisFeatures:
     def __init__(self, camera: Any, aravis: Any, name: str) -> None:
         self.camera = camera
         self._aravis = aravis
-        self._name = name
+        self.name = name
+        self._waits = False
+        self._wiring = CameraSettings()
 
     def give_up(self) -> list[Any]:
         """Return libaravis's camera in a list, no longer held here: dropping the last reference may block."""
@@ -37,37 +40,63 @@ class AravisFeatures:
 
     def apply(self, settings: CameraSettings) -> CameraSettings:
         """Apply the settings that are not None; return all settings as read back."""
-        self._leave_images_alone()
+        leave_images_alone(self)
+        settings = wiring.with_kept(settings, self._wiring)
+        wiring.wire(self, settings)
+        self._wiring = settings
+        self._waits = settings.trigger is not None or any("Trigger" in name for name in settings.features)
         if settings.pixel_format is not None:
             self._set_format(settings.pixel_format)
         self._set_region(settings)
         camera = self.camera
-        self._set_times(settings)
+        if settings.trigger is None:
+            self._set_times(settings)
+        else:
+            self._set_exposure(settings.exposure_us)
+            if self.writable("AcquisitionFrameRateEnable"):
+                self.write("AcquisitionFrameRateEnable", False)
         if settings.gain_db is not None:
             self._need(camera.is_gain_available(), "gain_db")
             self._check("gain_db", settings.gain_db, camera.get_gain_bounds())
             camera.set_gain(settings.gain_db)
-        device = camera.get_device()
         for name, value in settings.features.items():
-            text = str(value).lower() if isinstance(value, bool) else str(value)
-            device.set_features_from_string(f"{name}={text}")
-        return self.read_back(tuple(settings.features))
+            self.write(name, value)
+        applied = self.read_back(tuple(settings.features))
+        if settings.trigger is not None:
+            rate_hz = wiring.triggered_rate(settings, self._possible_rate())
+            applied = applied.model_copy(update={"frame_rate_hz": rate_hz})
+        return applied.model_copy(update=wiring.wired(self, settings))
 
-    def _leave_images_alone(self) -> None:
-        """Switch off what the camera does by itself to its images."""
-        camera, off = self.camera, self._aravis.Auto.OFF
-        if camera.is_exposure_auto_available():
-            camera.set_exposure_time_auto(off)
-        if camera.is_gain_auto_available():
-            camera.set_gain_auto(off)
-        for name in AUTOMATIC:
-            if camera.is_feature_available(name) and "Off" in camera.dup_available_enumerations_as_strings(
-                name
-            ):
-                camera.set_string(name, "Off")
-        for name in BENDING:
-            if camera.is_feature_available(name):
-                camera.set_boolean(name, False)
+    # ---- as named_features.NamedFeatures
+
+    def writable(self, feature: str) -> bool:
+        """Whether the camera has the feature and it can be set now."""
+        if not self.camera.is_feature_available(feature):
+            return False
+        node = self.camera.get_device().get_feature(feature)
+        read_only = node.get_actual_access_mode() == self._aravis.GcAccessMode.RO
+        return not (read_only or node.is_locked())
+
+    def choices(self, feature: str) -> tuple[str, ...]:
+        """Values that an enumeration takes now; none for other features."""
+        node = self.camera.get_device().get_feature(feature)
+        if not isinstance(node, self._aravis.GcEnumeration) or not node.is_available():
+            return ()
+        return tuple(self.camera.dup_available_enumerations_as_strings(feature))
+
+    def read(self, feature: str) -> FeatureValue | None:
+        """Value of a feature as text; None if it cannot be read now."""
+        return self.text(feature) if self.camera.is_feature_available(feature) else None
+
+    def write(self, feature: str, value: FeatureValue) -> None:
+        """Set a feature, or run a command."""
+        if isinstance(self.camera.get_device().get_feature(feature), self._aravis.GcCommand):
+            self.camera.execute_command(feature)
+            return
+        text = str(value).lower() if isinstance(value, bool) else str(value)
+        self.camera.get_device().set_features_from_string(f"{feature}={text}")
+
+    # ---- inside
 
     def _set_times(self, settings: CameraSettings) -> None:
         """Set exposure and frame rate in the order in which they fit: each limits the other."""
@@ -95,10 +124,11 @@ class AravisFeatures:
         x, y, width_px, height_px = self.region()
         exposure_us = camera.get_exposure_time() if camera.is_exposure_time_available() else 0.0
         rate_hz = camera.get_frame_rate() if camera.is_frame_rate_available() else 0.0
+        possible_hz = self._possible_rate()
         return CameraSettings(
             exposure_us=exposure_us if exposure_us > 0 else None,
             gain_db=camera.get_gain() if camera.is_gain_available() else None,
-            frame_rate_hz=rate_hz if rate_hz > 0 else None,
+            frame_rate_hz=min(filter(None, (rate_hz, possible_hz)), default=None),
             pixel_format=self.pixel_format().pixel_format,
             width_px=width_px,
             height_px=height_px,
@@ -107,8 +137,16 @@ class AravisFeatures:
             features={name: self.text(name) for name in features},
         )
 
+    def _possible_rate(self) -> float | None:
+        """Frames per second that exposure, size and bus leave, if the camera says it."""
+        for name in RESULTING_RATES:
+            if self.camera.is_feature_available(name):
+                return float(self.text(name))
+        return None
+
     def values(self, error: type[Exception]) -> dict[str, FeatureValue]:
         """All features that can be read now; `error` is raised by libaravis for those that cannot."""
+        wiring.latch_clock_state(self)
         found: dict[str, FeatureValue] = {}
         waiting = ["Root"]
         genicam = self.camera.get_device().get_genicam()
@@ -127,9 +165,10 @@ class AravisFeatures:
         """A feature's value as text."""
         return str(self.camera.get_device().get_feature(name).get_value_as_string())
 
-    def run_freely(self) -> None:
-        """Select continuous acquisition without a trigger."""
-        self.camera.clear_triggers()
+    def run_on(self) -> None:
+        """Select continuous acquisition, without a trigger unless one was asked for."""
+        if not self._waits:
+            self.camera.clear_triggers()
         self.camera.set_acquisition_mode(self._aravis.AcquisitionMode.CONTINUOUS)
 
     def pixel_format(self) -> Format:
@@ -137,7 +176,7 @@ class AravisFeatures:
         name = self.camera.get_pixel_format_as_string()
         if name not in BY_NAME:
             raise DeviceError(
-                f"{self._name}: pixel format {name} can't be used; there are {', '.join(self._depths())}"
+                f"{self.name}: pixel format {name} can't be used; there are {', '.join(self._depths())}"
             )
         return BY_NAME[name]
 
@@ -155,14 +194,14 @@ class AravisFeatures:
             if one.name in there:
                 usable.setdefault(one.pixel_format, one.name)
         if not usable:
-            raise DeviceError(f"{self._name}: has no grey pixel format, only {', '.join(sorted(there))}")
+            raise DeviceError(f"{self.name}: has no grey pixel format, only {', '.join(sorted(there))}")
         return usable
 
     def _set_format(self, wanted: PixelFormat) -> None:
         depths = self._depths()
         if wanted not in depths:
             raise DeviceError(
-                f"{self._name}: pixel format {wanted} is not supported; there are {', '.join(depths)}"
+                f"{self.name}: pixel format {wanted} is not supported; there are {', '.join(depths)}"
             )
         self.camera.set_pixel_format_from_string(depths[wanted])
 
@@ -177,17 +216,17 @@ class AravisFeatures:
             ("width_px", "height_px"), (x + width_px, y + height_px), self.sensor_size(), strict=True
         ):
             if end > size:
-                raise DeviceError(f"{self._name}: {key} with its offset reaches {end}; the sensor has {size}")
+                raise DeviceError(f"{self.name}: {key} with its offset reaches {end}; the sensor has {size}")
         self.camera.set_region(x, y, width_px, height_px)
 
     def _need(self, available: bool, key: str) -> None:
         if not available:
-            raise DeviceError(f"{self._name}: does not let it be set; leave camera.{key} out")
+            raise DeviceError(f"{self.name}: does not let it be set; leave camera.{key} out")
 
     def _check(self, key: str, wanted: float, bounds: tuple[float, float]) -> None:
         # libaravis clips values out of range without an error
         low, high = bounds
         if not low <= wanted <= high:
             raise DeviceError(
-                f"{self._name}: {key} = {wanted:g} is out of range; {low:g} to {high:g} are possible"
+                f"{self.name}: {key} = {wanted:g} is out of range; {low:g} to {high:g} are possible"
             )

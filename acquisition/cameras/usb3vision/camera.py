@@ -124,7 +124,7 @@ class Usb3VisionCamera:
             features = session.features
             pixel_format = features.pixel_format()
             pixel_format.prepare()
-            features.run_freely()
+            features.run_on()
             expected = Expected(
                 pixel_format,
                 int(features.get("Width")),

@@ -96,7 +96,7 @@ def _descriptors(device: Any) -> dict[str, Any]:
 def _transfers(session: OpenCamera) -> list[dict[str, Any]]:
     """Sizes, times and beginnings of the first transfers, each read into a buffer that holds it whole."""
     registers, link = session.registers, session.link
-    session.features.run_freely()
+    session.features.run_on()
     registers.enable(False)
     link.reset_stream()
     plan = registers.set_up(_LARGEST, 1 << 20)

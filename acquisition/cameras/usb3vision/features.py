@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from acquisition.camera import CameraLost, CameraSettings, FeatureValue, PixelFormat
-from acquisition.cameras.automatic import AUTOMATIC, BENDING, RESULTING_RATES
+from acquisition.cameras import wiring
+from acquisition.cameras.automatic import RESULTING_RATES, leave_images_alone
 from acquisition.cameras.pixel_formats import BY_NAME, FORMATS, Format
 from acquisition.cameras.usb3vision.genapi.choice_nodes import Enumeration
 from acquisition.cameras.usb3vision.genapi.node import Access
@@ -49,6 +50,8 @@ class Features:
 
     def __init__(self, nodes: NodeMap) -> None:
         self.nodes = nodes
+        self._waits = False
+        self._wiring = CameraSettings()
 
     def find(self, name: str) -> str | None:
         """The name of the feature in this camera, also if it is not accessible now; None if it has none."""
@@ -116,11 +119,30 @@ class Features:
         """Run a command."""
         self.nodes.set(name, True)
 
-    def _switch_off(self, name: str) -> None:
-        """Set an automatic control or a trigger to "Off", if the camera has it and it can be set."""
-        node = self.nodes.node(name) if name in self.nodes else None
-        if isinstance(node, Enumeration) and node.access().writable and "Off" in node.choices():
-            node.set("Off")
+    # ---- as named_features.NamedFeatures
+
+    @property
+    def name(self) -> str:
+        """Name of the camera in messages."""
+        return self.nodes.name
+
+    def writable(self, feature: str) -> bool:
+        """Whether the camera has the feature and it can be set now."""
+        return feature in self.nodes and self.nodes.node(feature).access().writable
+
+    def choices(self, feature: str) -> tuple[str, ...]:
+        """Values that an enumeration takes now; none for other features."""
+        node = self.nodes.node(feature) if feature in self.nodes else None
+        return node.choices() if isinstance(node, Enumeration) else ()
+
+    def read(self, feature: str) -> FeatureValue | None:
+        """Value of a feature; None if it cannot be read now."""
+        value = self.get_if_readable(feature)
+        return None if value is None else _plain(value)
+
+    def write(self, feature: str, value: FeatureValue) -> None:
+        """Set a feature, or run a command."""
+        self.nodes.set(feature, value)
 
     # ---- for the rig
 
@@ -129,25 +151,28 @@ class Features:
         back.
         """
         self.nodes.forget()
-        self._leave_images_alone()
+        leave_images_alone(self)
+        settings = wiring.with_kept(settings, self._wiring)
+        wiring.wire(self, settings)
+        self._wiring = settings
+        self._waits = settings.trigger is not None or any("Trigger" in name for name in settings.features)
         if settings.pixel_format is not None:
             self._set_pixel_format(settings.pixel_format)
         self._set_region(settings)
-        self._set_times(settings.exposure_us, settings.frame_rate_hz)
+        if settings.trigger is None:
+            self._set_times(settings.exposure_us, settings.frame_rate_hz)
+        else:
+            self._set_exposure(settings.exposure_us)
+            self._limit_no_rate()
         if settings.gain_db is not None:
             self._set_number("Gain", settings.gain_db)
         for name, value in settings.features.items():
             self.set(name, value)
-        return self.read_back(tuple(settings.features))
-
-    def _leave_images_alone(self) -> None:
-        """Switch off what the camera does by itself to its images."""
-        for name in AUTOMATIC:
-            self._switch_off(name)
-        for name in BENDING:
-            node = self.nodes.node(name) if name in self.nodes else None
-            if node is not None and node.access().writable and self.get_if_readable(name):
-                self.nodes.set(name, False)
+        applied = self.read_back(tuple(settings.features))
+        if settings.trigger is not None:
+            rate_hz = wiring.triggered_rate(settings, self._possible_rate())
+            applied = applied.model_copy(update={"frame_rate_hz": rate_hz})
+        return applied.model_copy(update=wiring.wired(self, settings))
 
     def _set_times(self, exposure_us: float | None, frame_rate_hz: float | None) -> None:
         """Set exposure and frame rate in the order in which they fit: each limits the other."""
@@ -170,11 +195,18 @@ class Features:
     def _set_rate(self, frame_rate_hz: float | None) -> None:
         if frame_rate_hz is None:
             return
-        self._switch_off("AcquisitionFrameRateAuto")
+        if "Off" in self.choices("AcquisitionFrameRateAuto") and self.writable("AcquisitionFrameRateAuto"):
+            self.write("AcquisitionFrameRateAuto", "Off")
         enable = self.find("AcquisitionFrameRateEnable")
         if enable is not None and self.nodes.node(enable).access().writable:
             self.nodes.set(enable, True)
         self._set_number("AcquisitionFrameRate", frame_rate_hz)
+
+    def _limit_no_rate(self) -> None:
+        """Let a trigger alone decide when frames are taken."""
+        enable = self.find("AcquisitionFrameRateEnable")
+        if enable is not None and self.writable(enable):
+            self.write(enable, False)
 
     def read_back(self, features: tuple[str, ...] = ()) -> CameraSettings:
         """The camera's present settings; None for a feature that it does not have or that is not in use.
@@ -201,11 +233,18 @@ class Features:
         rate_hz = None if enabled is False else self.get_if_readable("AcquisitionFrameRate")
         if not rate_hz:
             return None
+        possible_hz = self._possible_rate()
+        return float(rate_hz if possible_hz is None else min(rate_hz, possible_hz))
+
+    def _possible_rate(self) -> float | None:
+        """Frames per second that exposure, size and bus leave, if the camera says it."""
         for name in RESULTING_RATES:
             possible_hz = self.get_if_readable(name)
             if possible_hz:
-                return float(min(rate_hz, possible_hz))
-        return float(rate_hz)
+                return float(possible_hz)
+        found = self.find("AcquisitionFrameRate")
+        most_hz = None if found is None else self.nodes.node(found).maximum()
+        return float(most_hz) if most_hz else None
 
     def _positive(self, name: str) -> float | None:
         value = self.get_if_readable(name)
@@ -222,20 +261,12 @@ class Features:
         if abs(got - wanted) > 1e-6 * abs(wanted):
             logger.info("%s: %s was set to %g, the camera reports %g", self.nodes.name, found, wanted, got)
 
-    def run_freely(self) -> None:
-        """Select continuous acquisition without trigger."""
-        mode = self.nodes.node("AcquisitionMode") if "AcquisitionMode" in self.nodes else None
-        if isinstance(mode, Enumeration) and mode.access().writable and "Continuous" in mode.choices():
-            mode.set("Continuous")
-        selector = self.nodes.node("TriggerSelector") if "TriggerSelector" in self.nodes else None
-        if isinstance(selector, Enumeration) and selector.access().writable:
-            before = selector.get()
-            for choice in selector.choices():
-                selector.set(choice)
-                self._switch_off("TriggerMode")
-            selector.set(before)
-        else:
-            self._switch_off("TriggerMode")
+    def run_on(self) -> None:
+        """Select continuous acquisition, without a trigger unless one was asked for."""
+        if "Continuous" in self.choices("AcquisitionMode") and self.writable("AcquisitionMode"):
+            self.write("AcquisitionMode", "Continuous")
+        if not self._waits:
+            wiring.run_freely(self)
 
     def pixel_format(self) -> Format:
         """The present pixel format; DeviceError if the rig does not support it."""

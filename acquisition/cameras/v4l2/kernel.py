@@ -16,8 +16,11 @@ NEXT_CONTROL: Final = 0x8000_0000
 EXPOSURE_AUTO, EXPOSURE_ABSOLUTE, EXPOSURE_PRIORITY = 0x009A0901, 0x009A0902, 0x009A0903
 AUTO_GAIN, GAIN = 0x00980912, 0x00980913
 MANUAL_EXPOSURE: Final = 1
-AUTOMATIC: Final = {EXPOSURE_AUTO: MANUAL_EXPOSURE, EXPOSURE_PRIORITY: 0, AUTO_GAIN: 0, 0x0098090C: 0}
-"""Values that switch automatic exposure, gain and white balance off."""
+AUTO_WHITE_BALANCE, AUTO_HUE, AUTO_BRIGHTNESS, BACKLIGHT = 0x0098090C, 0x00980919, 0x00980920, 0x0098091C
+AUTOMATIC: Final = {EXPOSURE_AUTO: MANUAL_EXPOSURE} | dict.fromkeys(
+    (EXPOSURE_PRIORITY, AUTO_GAIN, AUTO_WHITE_BALANCE, AUTO_HUE, AUTO_BRIGHTNESS, BACKLIGHT), 0
+)
+"""Values that switch off what a camera does by itself to exposure, gain, white balance and brightness."""
 
 
 def _code(direction: int, number: int, size: int) -> int:

@@ -9,7 +9,7 @@ import re
 import select
 import time
 
-from acquisition.camera import CameraInfo, CameraLost, CameraSettings, FeatureValue
+from acquisition.camera import CameraInfo, CameraLost, CameraSettings, FeatureValue, without_wires
 from acquisition.cameras.v4l2 import kernel
 from acquisition.cameras.v4l2.devices import find_device, refusal
 from acquisition.cameras.v4l2.layouts import LAYOUTS, choose, image_bytes, possible, to_image
@@ -74,6 +74,7 @@ class LinuxSource:
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
         """Apply the settings, in an order in which a later one does not change an earlier one."""
+        without_wires(settings, self._name)
         try:
             self._leave_images_alone()
             self._set_layout(settings)

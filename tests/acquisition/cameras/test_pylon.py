@@ -10,8 +10,11 @@ import numpy as np
 import pytest
 
 from acquisition.camera import Camera, CameraSettings, FrameTimeout, PixelFormat
-from acquisition.cameras.pylon import PylonCamera, PylonSettings, missing_blocks
+from acquisition.cameras.pylon.blocks import missing_blocks
+from acquisition.cameras.pylon.camera import PylonCamera
+from acquisition.cameras.pylon.settings import PylonSettings
 from processing.errors import DeviceError
+from rig.instrument import setting_differences
 from tests.acquisition.cameras.conformance import CameraConformance
 
 with warnings.catch_warnings():
@@ -156,4 +159,54 @@ def test_features_and_settings_are_those_of_the_camera() -> None:
     assert camera.feature_value("NoSuchFeature") is None
     with pytest.raises(DeviceError, match="has no feature NoSuchFeature"):
         camera.configure(CameraSettings(features={"NoSuchFeature": 1}))
+    camera.close()
+
+
+def test_what_another_program_left_on_is_switched_off_unless_asked() -> None:
+    camera = PylonCamera()
+    camera.open()
+    left_on = {"GainAuto": "Continuous", "ExposureAuto": "Continuous", "ExposureMode": "TriggerWidth"}
+    for name, value in left_on.items():
+        camera._camera.GetNodeMap().GetNode(name).Value = value
+    camera._camera.TriggerMode.Value = "On"
+    camera.configure(CameraSettings())
+    names = (*left_on, "TriggerMode")
+    assert [camera.feature_value(name) for name in names] == ["Off", "Off", "Timed", "Off"]
+    camera.configure(CameraSettings(features={"GainAuto": "Once"}))
+    assert camera.feature_value("GainAuto") == "Once"
+    camera.close()
+
+
+def test_trigger_and_exposure_output() -> None:
+    camera = PylonCamera()
+    camera.open()
+    asked = CameraSettings(trigger="Line1", trigger_edge="falling", exposure_output="Line2")
+    applied = camera.configure(asked)
+    assert (applied.trigger, applied.trigger_edge) == ("Line1", "falling")
+    assert applied.exposure_output == "Line2"
+    assert camera.feature_value("LineMode") == "Output"
+    camera.start()
+    with pytest.raises(FrameTimeout):
+        camera.read(0.1)
+    camera.stop()
+    assert camera.configure(CameraSettings(exposure_us=200.0)).trigger == "Line1", "kept"
+    camera.open()
+    assert camera.configure(CameraSettings(frame_rate_hz=10.0)).trigger is None
+    camera.start()
+    assert camera.read(5.0) is not None
+    camera.stop()
+    with pytest.raises(DeviceError, match="LineSelector cannot be Line9; it can be Line1, Line2, Line3"):
+        camera.configure(CameraSettings(exposure_output="Line9"))
+    with pytest.raises(DeviceError, match=r"has no PtpEnable; leave camera\.ptp out"):
+        camera.configure(CameraSettings(ptp=True))
+    camera.close()
+
+
+def test_a_rate_that_the_exposure_does_not_allow_is_said_with_the_one_that_is_possible() -> None:
+    """The emulation takes any exposure and says that its rate results."""
+    camera = PylonCamera()
+    camera.open()
+    asked = CameraSettings(exposure_us=50_000.0, frame_rate_hz=100.0)
+    (line,) = setting_differences(asked, camera.configure(asked))
+    assert line == "camera.frame_rate_hz = 100 was requested, an exposure of 50000 us leaves at most 20 Hz"
     camera.close()

@@ -4,6 +4,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
@@ -18,6 +19,7 @@ from acquisition.cameras.aravis.settings import AravisSettings
 from acquisition.frame import Frame
 from processing.errors import DeviceError
 from rig.devices.frame_stream import FrameStream
+from rig.devices.network_clock import wait_for_network_clock
 from tests.acquisition.cameras.aravis.fake_camera import SERIAL, FakeCamera
 from tests.acquisition.cameras.conformance import CameraConformance, Unplug
 
@@ -55,7 +57,7 @@ class Triggered(AravisCamera):
     def configure(self, settings: CameraSettings) -> CameraSettings:
         applied = super().configure(settings)
         features = self._opened()
-        features.run_freely = lambda: features.camera.set_trigger("Software")  # type: ignore[method-assign]
+        features.run_on = lambda: features.camera.set_trigger("Software")  # type: ignore[method-assign]
         return applied
 
 
@@ -270,6 +272,91 @@ def test_two_cameras_and_no_serial_number_are_listed(fake: FakeCamera) -> None:
     finally:
         aravis.disable_interface("Fake")
         aravis.update_device_list()
+
+
+MORE_FEATURES = """
+<Category Name="Wires"><pFeature>LineSelector</pFeature><pFeature>LineMode</pFeature>
+ <pFeature>LineSource</pFeature><pFeature>PtpEnable</pFeature><pFeature>PtpDataSetLatch</pFeature>
+ <pFeature>PtpStatus</pFeature><pFeature>GammaEnable</pFeature>
+ <pFeature>ExposureAuto</pFeature>
+ <pFeature>ResultingFrameRate</pFeature></Category>
+<Enumeration Name="LineSelector"><EnumEntry Name="Line1"><Value>1</Value></EnumEntry>
+ <EnumEntry Name="Line2"><Value>2</Value></EnumEntry><Value>1</Value></Enumeration>
+<Enumeration Name="LineMode"><EnumEntry Name="Input"><Value>0</Value></EnumEntry>
+ <EnumEntry Name="Output"><Value>1</Value></EnumEntry><Value>0</Value></Enumeration>
+<Enumeration Name="LineSource"><EnumEntry Name="Off"><Value>0</Value></EnumEntry>
+ <EnumEntry Name="ExposureActive"><Value>1</Value></EnumEntry><Value>0</Value></Enumeration>
+<Boolean Name="PtpEnable"><pValue>PtpOn</pValue></Boolean><Integer Name="PtpOn"><Value>0</Value></Integer>
+<Command Name="PtpDataSetLatch"><pValue>Latched</pValue><CommandValue>1</CommandValue></Command>
+<Integer Name="Latched"><Value>0</Value></Integer>
+<Enumeration Name="PtpStatus"><EnumEntry Name="Disabled"><Value>0</Value></EnumEntry>
+ <EnumEntry Name="Slave"><Value>1</Value></EnumEntry><pValue>PtpState</pValue></Enumeration>
+<IntSwissKnife Name="PtpState"><pVariable Name="ON">PtpOn</pVariable>
+ <pVariable Name="LATCHED">Latched</pVariable><Formula>ON * LATCHED</Formula></IntSwissKnife>
+<Boolean Name="GammaEnable"><pValue>GammaOn</pValue></Boolean>
+<Integer Name="GammaOn"><Value>1</Value></Integer>
+<Enumeration Name="ExposureAuto"><EnumEntry Name="Off"><Value>0</Value></EnumEntry>
+ <EnumEntry Name="Continuous"><Value>1</Value></EnumEntry><Value>0</Value></Enumeration>
+<Float Name="ResultingFrameRate"><Value>40.0</Value></Float>
+"""
+
+
+@pytest.fixture
+def richer(tmp_path: Path) -> Iterator[AravisCamera]:
+    """libaravis's other fake, in this process, with lines, a network clock and gamma besides."""
+    aravis = load_library().aravis
+    aravis.enable_interface("Fake")
+    plain = aravis.Camera.new("Fake_1").get_device().get_genicam_xml()[0]
+    root, end = '<Category Name="Root" NameSpace="Standard">', "</RegisterDescription>"
+    more = {root: f"{root}<pFeature>Wires</pFeature>", end: MORE_FEATURES + end}
+    assert all(place in plain for place in more)
+    (tmp_path / "plain.xml").write_text(plain)
+    for place, text in more.items():
+        plain = plain.replace(place, text)
+    (tmp_path / "richer.xml").write_text(plain)
+    aravis.set_fake_camera_genicam_filename(str(tmp_path / "richer.xml"))
+    camera = AravisCamera(AravisSettings(serial="Fake_1"))
+    camera.open()
+    yield camera
+    camera.close()
+    aravis.set_fake_camera_genicam_filename(str(tmp_path / "plain.xml"))
+    aravis.disable_interface("Fake")
+    aravis.update_device_list()
+
+
+def test_what_another_program_left_on_is_switched_off_unless_asked(richer: AravisCamera) -> None:
+    left_on = {"GainAuto": "Continuous", "ExposureAuto": "Continuous", "GammaEnable": "true"}
+    features = richer._opened()
+    for name, value in left_on.items():
+        features.write(name, value)
+    features.camera.set_trigger("Line0")
+
+    def said() -> list[str]:
+        return [str(richer.feature_value(name)) for name in (*left_on, "TriggerMode")]
+
+    assert said() == [*left_on.values(), "On"]
+    richer.configure(CameraSettings())
+    assert said() == ["Off", "Off", "false", "Off"]
+    richer.configure(CameraSettings(features=left_on))
+    assert said() == [*left_on.values(), "Off"]
+
+
+def test_trigger_exposure_output_and_network_clock(richer: AravisCamera) -> None:
+    asked = CameraSettings(trigger="Line0", exposure_output="Line2", ptp=True, frame_rate_hz=100.0)
+    applied = richer.configure(asked)
+    assert (applied.trigger, applied.trigger_edge, applied.exposure_output) == ("Line0", "rising", "Line2")
+    assert applied.ptp is True
+    assert applied.frame_rate_hz == 40.0, "that which the camera says results"
+    assert richer.feature_value("LineSource") == "ExposureActive"
+    assert richer.feature_value("PtpStatus") == "Slave", "read after it was latched"
+    assert richer.feature_values()["PtpStatus"] == "Slave"
+    wait_for_network_clock(richer)
+    assert richer.configure(CameraSettings(ptp=False)).ptp is False
+    with pytest.raises(DeviceError, match="not the network's, its state is Disabled; is a clock running"):
+        wait_for_network_clock(richer, timeout_s=0.1)
+    assert richer.feature_value("TriggerMode") == "On", "kept"
+    with pytest.raises(DeviceError, match="TriggerSource cannot be Line9; it can be Line0, Software"):
+        richer.configure(CameraSettings(trigger="Line9"))
 
 
 @pytest.mark.parametrize(

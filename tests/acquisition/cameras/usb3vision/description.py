@@ -38,6 +38,12 @@ ACQUISITION_MODE = BASE + 0x4C
 TRIGGER_SELECTOR = BASE + 0x50
 TEMPERATURE = BASE + 0x54  # float, degrees Celsius
 GAMMA_ENABLE = BASE + 0x58
+TRIGGER_SOURCE = BASE + 0x5C
+TRIGGER_ACTIVATION = BASE + 0x60
+LINE_SELECTOR = BASE + 0x64
+LINE_MODE = BASE + 0x68  # one byte a line
+LINE_SOURCE = BASE + 0x6C  # one byte a line
+THROUGHPUT = BASE + 0x70  # bytes/s that the bus has left, 0: no limit
 END = BASE + 0x1000
 
 
@@ -63,6 +69,17 @@ def _enumeration(name: str, register: int, entries: dict[str, int], more: str = 
     return f'<Enumeration Name="{name}">{more}{listed}<pValue>{name}Reg</pValue></Enumeration>' + _register(
         f"{name}Reg", register
     )
+
+
+def _of_line(name: str, register: int, entries: dict[str, int]) -> str:
+    """A property of each line, in a byte of its own."""
+    listed = "".join(
+        f'<EnumEntry Name="{entry}"><Value>{value}</Value></EnumEntry>' for entry, value in entries.items()
+    )
+    return f"""<Enumeration Name="{name}">{listed}<pValue>{name}Bit</pValue></Enumeration>
+<MaskedIntReg Name="{name}Bit"><Address>0x{register:X}</Address>
+ <pIndex Offset="1">LineSelectorReg</pIndex><Length>1</Length><AccessMode>RW</AccessMode>
+ <pPort>Device</pPort><Bit>0</Bit><Endianess>LittleEndian</Endianess></MaskedIntReg>"""
 
 
 def _size(name: str, offset: str, register: int, sensor: str, inc: int) -> str:
@@ -101,8 +118,10 @@ def description(formats: tuple[str, ...] = tuple(FORMATS), exposure_name: str = 
 <Category Name="Acquisition"><pFeature>{exposure_name}</pFeature><pFeature>Gain</pFeature>
  <pFeature>AcquisitionFrameRate</pFeature><pFeature>AcquisitionFrameRateEnable</pFeature>
  <pFeature>AcquisitionMode</pFeature><pFeature>AcquisitionStart</pFeature><pFeature>AcquisitionStop</pFeature>
- <pFeature>TriggerSelector</pFeature><pFeature>TriggerMode</pFeature><pFeature>ExposureAuto</pFeature>
- <pFeature>GainAuto</pFeature></Category>
+ <pFeature>TriggerSelector</pFeature><pFeature>TriggerMode</pFeature><pFeature>TriggerSource</pFeature>
+ <pFeature>TriggerActivation</pFeature><pFeature>ExposureAuto</pFeature><pFeature>GainAuto</pFeature>
+ <pFeature>LineSelector</pFeature><pFeature>LineMode</pFeature><pFeature>LineSource</pFeature>
+ <pFeature>AcquisitionResultingFrameRate</pFeature></Category>
 <Group Comment="sizes">
 {_size("Width", "OffsetX", WIDTH, str(SENSOR_WIDTH), 8)}
 {_size("Height", "OffsetY", HEIGHT, str(SENSOR_HEIGHT), 2)}
@@ -150,6 +169,21 @@ def description(formats: tuple[str, ...] = tuple(FORMATS), exposure_name: str = 
 <MaskedIntReg Name="TriggerModeBit"><Address>0x{TRIGGER_MODE:X}</Address>
  <pIndex Offset="1">TriggerSelectorReg</pIndex><Length>1</Length><AccessMode>RW</AccessMode>
  <pPort>Device</pPort><Bit>0</Bit><Endianess>LittleEndian</Endianess></MaskedIntReg>
+{_enumeration("TriggerSource", TRIGGER_SOURCE, {"Software": 0, "Line1": 1, "Line3": 3})}
+{_enumeration("TriggerActivation", TRIGGER_ACTIVATION, {"RisingEdge": 0, "FallingEdge": 1})}
+<Enumeration Name="LineSelector"><EnumEntry Name="Line1"><Value>0</Value></EnumEntry>
+ <EnumEntry Name="Line2"><Value>1</Value></EnumEntry><pValue>LineSelectorReg</pValue>
+ <pSelected>LineMode</pSelected><pSelected>LineSource</pSelected></Enumeration>
+{_register("LineSelectorReg", LINE_SELECTOR)}
+{_of_line("LineMode", LINE_MODE, {"Input": 0, "Output": 1})}
+{_of_line("LineSource", LINE_SOURCE, {"Off": 0, "ExposureActive": 1})}
+<SwissKnife Name="AcquisitionResultingFrameRate"><pVariable Name="T">{exposure_name}</pVariable>
+ <pVariable Name="BYTES">PayloadSize</pVariable><pVariable Name="BUS">ThroughputReg</pVariable>
+ <pVariable Name="ON">AcquisitionFrameRateEnable</pVariable>
+ <pVariable Name="RATE">FrameRateReg</pVariable><Expression Name="POSSIBLE">(BUS = 0) ? (1E6 / T) :
+ ((BUS / BYTES &lt; 1E6 / T) ? (BUS / BYTES) : (1E6 / T))</Expression>
+ <Formula>((ON = 1) &amp;&amp; (RATE &lt; POSSIBLE)) ? RATE : POSSIBLE</Formula><Unit>Hz</Unit></SwissKnife>
+{_register("ThroughputReg", THROUGHPUT, access="RO")}
 <Command Name="AcquisitionStart"><pValue>StartReg</pValue><CommandValue>1</CommandValue></Command>
 {_register("StartReg", START, access="WO")}
 <Command Name="AcquisitionStop"><pValue>StopReg</pValue><CommandValue>1</CommandValue></Command>

@@ -138,6 +138,7 @@ class VisionDevice:
         self._streamed = 0
         self._running_since: float | None = None
         self._next_frame = 0
+        self._edges = 0
         self.frames_lost_inside = 0
         self._sawtooth: dict[tuple[int, int], np.ndarray] = {}
         text = (xml if xml is not None else layout.description()).encode()
@@ -262,7 +263,7 @@ class VisionDevice:
             if not self.number(SIRM + 4) & 1:
                 return 0x8007
             self.poke(layout.LOCKED, struct.pack("<I", 1))
-            self._running_since, self._next_frame = self._clock(), 0
+            self._running_since, self._next_frame, self._edges = self._clock(), 0, 0
         elif address in (layout.STOP, SIRM + 4):
             if address == layout.STOP or not self.number(SIRM + 4) & 1:
                 self._running_since = None
@@ -385,6 +386,13 @@ class VisionDevice:
             self.unplug()
             raise UnpluggedError
 
+    def edge(self, line: int) -> None:
+        """A rising edge on one of its lines: a frame, if the camera waits for one there."""
+        with self.changed:
+            if self.number(layout.TRIGGER_SOURCE) == line and not self.number(layout.TRIGGER_ACTIVATION):
+                self._edges += 1
+            self.changed.notify_all()
+
     def _wait_s(self) -> float:
         if self._running_since is None:
             return 0.2
@@ -396,6 +404,8 @@ class VisionDevice:
         if self._running_since is None:
             return False
         due = int((self._clock() - self._running_since) * self.frame_rate_hz)
+        if self.peek(layout.TRIGGER_MODE, 1) != b"\0":
+            due = self._edges
         if due <= self._next_frame:
             return False
         if due - self._next_frame > self._frames_inside:

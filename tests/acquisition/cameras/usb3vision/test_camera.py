@@ -19,6 +19,7 @@ from acquisition.cameras.usb3vision.camera import Usb3VisionCamera
 from acquisition.cameras.usb3vision.discovery import find_camera, find_cameras
 from acquisition.cameras.usb3vision.settings import Usb3VisionSettings
 from processing.errors import DeviceError
+from rig.instrument import setting_differences
 from tests.acquisition.cameras.conformance import CameraConformance, Unplug
 from tests.acquisition.cameras.usb3vision import description
 from tests.acquisition.cameras.usb3vision import description as layout
@@ -283,6 +284,64 @@ def test_what_another_program_left_on_is_switched_off_unless_asked(device: Visio
     applied = camera.configure(CameraSettings(features={"GainAuto": "Continuous", "GammaEnable": True}))
     assert applied.features == {"GainAuto": "Continuous", "GammaEnable": True}
     assert camera.feature_value("ExposureAuto") == "Off"
+    camera.close()
+
+
+def test_each_edge_on_the_trigger_line_gives_one_frame(device: VisionDevice) -> None:
+    camera = camera_on(device)
+    camera.open()
+    applied = camera.configure(CameraSettings(trigger="Line3", frame_rate_hz=5000.0, exposure_us=500.0))
+    assert (applied.trigger, applied.trigger_edge) == ("Line3", "rising")
+    assert applied.frame_rate_hz == 2000.0, "what the exposure allows, whoever triggers"
+    camera.start()
+    with pytest.raises(FrameTimeout, match="is its trigger on"):
+        camera.read(0.05)
+    for line in (1, 3, 1, 3):
+        device.edge(line)
+    frames = [camera.read(2.0) for _ in range(2)]
+    assert [frame.sequence for frame in frames if frame] == [0, 1]
+    with pytest.raises(FrameTimeout):
+        camera.read(0.05)
+    camera.stop()
+    camera.configure(CameraSettings(trigger="Line3", trigger_edge="falling"))
+    assert device.number(layout.TRIGGER_ACTIVATION) == 1
+    assert camera.configure(CameraSettings(exposure_us=100.0)).trigger == "Line3", "kept"
+    camera.close()
+    camera.open()
+    assert camera.configure(CameraSettings()).trigger is None
+    camera.start()
+    assert camera.read(2.0) is not None, "without the setting it runs freely again"
+    camera.close()
+
+
+def test_the_exposure_is_shown_on_the_line_that_is_named(device: VisionDevice) -> None:
+    camera = camera_on(device)
+    camera.open()
+    assert camera.configure(CameraSettings(exposure_output="Line2")).exposure_output == "Line2"
+    assert device.peek(layout.LINE_MODE, 2) == device.peek(layout.LINE_SOURCE, 2) == b"\0\1"
+    with pytest.raises(DeviceError, match="LineSelector cannot be Line7; it can be Line1, Line2"):
+        camera.configure(CameraSettings(exposure_output="Line7"))
+    with pytest.raises(DeviceError, match="TriggerSource cannot be Line2; it can be Software, Line1, Line3"):
+        camera.configure(CameraSettings(trigger="Line2"))
+    with pytest.raises(DeviceError, match=r"has no PtpEnable; leave camera\.ptp out"):
+        camera.configure(CameraSettings(ptp=True))
+    camera.close()
+
+
+@pytest.mark.parametrize(
+    ("exposure_us", "bytes_per_s", "possible_hz"), [(40_000.0, 0, 25.0), (1000.0, 30_720_000, 100.0)]
+)
+def test_a_rate_that_exposure_or_bus_do_not_allow_is_said_with_the_one_that_is_possible(
+    device: VisionDevice, exposure_us: float, bytes_per_s: int, possible_hz: float
+) -> None:
+    device.poke(layout.THROUGHPUT, bytes_per_s.to_bytes(4, "little"))
+    camera = camera_on(device)
+    camera.open()
+    asked = CameraSettings(exposure_us=exposure_us, frame_rate_hz=500.0)
+    applied = camera.configure(asked)
+    assert setting_differences(asked, applied) == [
+        f"camera.frame_rate_hz = 500.0 was requested, the camera reports {possible_hz}"
+    ]
     camera.close()
 
 

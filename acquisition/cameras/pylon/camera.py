@@ -1,0 +1,224 @@
+"""Cameras that pylon supports, as a `Camera`."""
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any, Final
+
+import numpy as np
+
+from acquisition.camera import (
+    CLOCK_STATES,
+    CameraInfo,
+    CameraLost,
+    CameraSettings,
+    CameraStatus,
+    FeatureValue,
+    FrameTimeout,
+)
+from acquisition.cameras import wiring
+from acquisition.cameras.pylon.blocks import NO_BLOCK, missing_blocks
+from acquisition.cameras.pylon.features import PylonFeatures
+from acquisition.cameras.pylon.library import load_pylon
+from acquisition.cameras.pylon.settings import PylonSettings
+from acquisition.frame import Frame
+from processing.errors import DeviceError
+
+_POLL_MS: Final = 100
+
+
+class PylonCamera:
+    """A camera supported by pylon (USB3 Vision, GigE, emulation); pylon acquires and queues the frames.
+
+    Missing numbers of blocks are counted as dropped by the bus (pylon does not say which of them found no
+    buffer), damaged frames as incomplete. A camera whose timestamps are all 0 (the emulation) has no clock.
+    """
+
+    def __init__(self, settings: PylonSettings | None = None) -> None:
+        self._settings = settings or PylonSettings()
+        self._lock = threading.RLock()
+        self._camera: Any = None
+        self._pylon: Any = None
+        self._name = "pylon camera"
+        self._features: PylonFeatures | None = None
+        self._emulated = False
+        self._tick_ns = 0.0
+        self._halted = threading.Event()
+        self._started = self._was_lost = False
+        self._last_block = NO_BLOCK
+        self._next = self._delivered = self._skipped = self._incomplete = self._reconnects = 0
+
+    def open(self) -> CameraInfo:
+        """Find the camera and open it."""
+        self.close()
+        pylon = self._pylon = load_pylon()
+        factory = pylon.TlFactory.GetInstance()
+        there = list(factory.EnumerateDevices())
+        wanted = self._settings.serial
+        chosen = [device for device in there if wanted in (None, device.GetSerialNumber())]
+        listed = "; ".join(f"{device.GetModelName()} serial {device.GetSerialNumber()}" for device in there)
+        if not chosen:
+            what = "no camera is plugged in" if not there else f"no camera has the serial number {wanted!r}"
+            raise DeviceError(f"pylon: {what}; there are: {listed or 'none'}")
+        if len(chosen) > 1:
+            raise DeviceError(f"pylon: several cameras: {listed}; set camera.serial to one of them")
+        device = chosen[0]
+        self._name = f"pylon camera {device.GetModelName()} (serial {device.GetSerialNumber()})"
+        with self._lock, self._translated():
+            camera = pylon.InstantCamera(factory.CreateDevice(device))
+            camera.Open()
+            self._camera = camera
+            camera.MaxNumBuffer.Value = self._settings.buffers
+            features = self._features = PylonFeatures(camera, self._name)
+            bits = features.choose_usable_format()
+            self._emulated = device.GetDeviceClass() == "BaslerCamEmu"
+            shutter = features.read("SensorShutterMode") or features.read("ShutterMode")
+            return CameraInfo(
+                driver="pylon",
+                vendor=device.GetVendorName(),
+                model=device.GetModelName(),
+                serial=device.GetSerialNumber(),
+                width_px=int(features.node("SensorWidth", "WidthMax").Value),
+                height_px=int(features.node("SensorHeight", "HeightMax").Value),
+                full_scale_dn=2**bits - 1,
+                has_clock=not self._emulated,
+                shutter=str(shutter or ""),
+            )
+
+    def configure(self, settings: CameraSettings) -> CameraSettings:
+        """Apply settings; the values returned are read back from the camera."""
+        with self._lock, self._translated():
+            camera = self._opened()
+            if camera.IsGrabbing():
+                raise DeviceError(f"{self._name}: is running; stop it before settings are changed")
+            return self._opened_features().apply(settings)
+
+    def feature_value(self, name: str) -> FeatureValue | None:
+        """Value of one feature; None if it cannot be read now."""
+        with self._lock, self._translated():
+            features = self._opened_features()
+            if name in CLOCK_STATES:
+                wiring.latch_clock_state(features)
+            return features.read(name)
+
+    def feature_values(self) -> dict[str, FeatureValue]:
+        """All features that can be read now, by name."""
+        with self._lock, self._translated():
+            return self._opened_features().values(self._pylon.GenericException)
+
+    def start(self) -> None:
+        """Start the acquisition of every frame, in order, into new buffers."""
+        with self._lock, self._translated():
+            camera = self._opened()
+            if camera.IsGrabbing():
+                raise DeviceError(f"{self._name}: is running already; stop it first")
+            self._reconnects = self._reconnects + 1 if self._was_lost else 0
+            if not self._was_lost:
+                self._delivered = self._skipped = self._incomplete = 0
+            self._was_lost = False
+            self._next = 0
+            self._last_block = NO_BLOCK
+            self._halted.clear()
+            self._started = True
+            self._tick_ns = 0.0 if self._emulated else self._opened_features().tick_ns()
+            camera.StartGrabbing(self._pylon.GrabStrategy_OneByOne)
+
+    def read(self, timeout_s: float) -> Frame | None:
+        """Next frame; see `acquisition.camera.Camera.read`."""
+        if not self._started:
+            raise DeviceError(f"{self._name}: is not started; call start before read")
+        deadline_s = time.monotonic() + timeout_s
+        while not self._halted.is_set():
+            left_s = deadline_s - time.monotonic()
+            if left_s <= 0:
+                raise FrameTimeout(f"{self._name}: no frame within {timeout_s:g} s; is its trigger on?")
+            camera = self._camera
+            if camera is None:
+                return None
+            frame = self._retrieve(camera, min(_POLL_MS, int(left_s * 1000) + 1))
+            if frame is not None:
+                return frame
+        return None
+
+    def _retrieve(self, camera: Any, patience_ms: int) -> Frame | None:
+        with self._translated():
+            try:
+                result = camera.RetrieveResult(patience_ms, self._pylon.TimeoutHandling_Return)
+            except Exception:
+                if self._halted.is_set():
+                    return None
+                raise
+            host_time_ns = time.monotonic_ns()
+            if result is None or not result.IsValid():
+                if not self._halted.is_set() and camera.IsCameraDeviceRemoved():
+                    self._was_lost = True
+                    raise CameraLost(f"{self._name}: is no longer connected; plug it in again")
+                return None
+            try:
+                # pylon counts skipped images only where it skips; the numbers of blocks show every loss
+                skipped = missing_blocks(self._last_block, int(result.GetBlockID()))
+                self._last_block = int(result.GetBlockID())
+                self._skipped += skipped
+                number = self._next + skipped
+                self._next = number + 1
+                if not result.GrabSucceeded():
+                    self._incomplete += 1
+                    return None
+                image = np.array(result.GetArray(), copy=True)
+                image.flags.writeable = False
+                device_time_ns = round(result.GetTimeStamp() * self._tick_ns) if self._tick_ns else -1
+            finally:
+                result.Release()
+            self._delivered += 1
+            return Frame(image, number, device_time_ns, host_time_ns)
+
+    def stop(self) -> None:
+        """Stop delivering."""
+        self._halted.set()
+        camera = self._camera
+        if camera is not None and camera.IsGrabbing():
+            camera.StopGrabbing()
+
+    def close(self) -> None:
+        """Stop and release the camera."""
+        self.stop()
+        with self._lock:
+            camera, self._camera, self._features = self._camera, None, None
+            if camera is not None:
+                camera.Close()
+
+    @property
+    def status(self) -> CameraStatus:
+        """Counts since `start`, continued after a reconnection."""
+        return CameraStatus(
+            delivered=self._delivered,
+            dropped_by_bus=self._skipped,
+            incomplete=self._incomplete,
+            reconnects=self._reconnects,
+        )
+
+    def _opened(self) -> Any:
+        if self._camera is None:
+            raise DeviceError(f"{self._name}: is not open; call open first")
+        return self._camera
+
+    def _opened_features(self) -> PylonFeatures:
+        if self._features is None:
+            raise DeviceError(f"{self._name}: is not open; call open first")
+        return self._features
+
+    @contextmanager
+    def _translated(self) -> Iterator[None]:
+        """Convert pylon's errors into DeviceError, those of an unplugged camera into CameraLost."""
+        try:
+            yield
+        except DeviceError:
+            raise
+        except Exception as error:
+            text = " ".join(str(error).split())
+            gone: Callable[[], bool] = getattr(self._camera, "IsCameraDeviceRemoved", lambda: False)
+            if gone():
+                self._was_lost = True
+                raise CameraLost(f"{self._name}: is no longer connected; plug it in again ({text})") from None
+            raise DeviceError(f"{self._name}: {text}") from None

@@ -1,0 +1,103 @@
+"""What a GenICam camera is wired to: a trigger, whatever shows its exposures, the clock of the network.
+
+Names are those of the Standard Feature Naming Convention (SFNC) and of older cameras.
+"""
+
+from typing import Final
+
+from acquisition.camera import CameraSettings, Edge
+from acquisition.cameras.named_features import NamedFeatures, choose, is_on
+from processing.errors import DeviceError
+
+_WIRING: Final = ("trigger", "trigger_edge", "exposure_output", "ptp")
+_FRAME_TRIGGERS: Final = ("FrameStart", "ExposureStart", "AcquisitionStart")
+_EDGES: Final[dict[Edge, str]] = {"rising": "RisingEdge", "falling": "FallingEdge"}
+_EXPOSURE: Final = "ExposureActive"
+_PTP: Final = ("PtpEnable", "GevIEEE1588")
+_PTP_LATCHES: Final = ("PtpDataSetLatch", "GevIEEE1588DataSetLatch")
+
+
+def with_kept(settings: CameraSettings, before: CameraSettings) -> CameraSettings:
+    """The settings with the wiring of those `before` where they leave it out."""
+    kept = {name: getattr(before, name) for name in _WIRING if getattr(settings, name) is None}
+    return settings.model_copy(update=kept)
+
+
+def wire(features: NamedFeatures, settings: CameraSettings) -> None:
+    """Set trigger, exposure output and network clock; without a trigger the camera runs freely."""
+    if settings.trigger is None:
+        run_freely(features)
+    else:
+        _wait_for(features, settings.trigger, settings.trigger_edge or "rising")
+    if settings.exposure_output is not None:
+        _show_exposure(features, settings.exposure_output)
+    if settings.ptp is not None:
+        switch = _first(features, _PTP)
+        if switch:
+            features.write(switch, settings.ptp)
+        elif settings.ptp:
+            raise DeviceError(f"{features.name}: has no {_PTP[0]}; leave camera.ptp out")
+
+
+def wired(features: NamedFeatures, settings: CameraSettings) -> dict[str, str | bool]:
+    """What the camera says of its wiring, by the settings' names, as far as `settings` ask for it."""
+    found: dict[str, str | bool] = {}
+    if settings.trigger is not None and features.read("TriggerMode") == "On":
+        found["trigger"] = str(features.read("TriggerSource"))
+        for edge, name in _EDGES.items():
+            if features.read("TriggerActivation") == name:
+                found["trigger_edge"] = edge
+    if settings.exposure_output is not None and features.read("LineSource") == _EXPOSURE:
+        found["exposure_output"] = str(features.read("LineSelector"))
+    if settings.ptp is not None:
+        found["ptp"] = any(is_on(features.read(name)) for name in _PTP)
+    return found
+
+
+def triggered_rate(settings: CameraSettings, possible_hz: float | None) -> float | None:
+    """The rate at which a triggered camera is expected to be triggered, or which is possible if lower."""
+    return min(filter(None, (settings.frame_rate_hz, possible_hz)), default=None)
+
+
+def run_freely(features: NamedFeatures) -> None:
+    """Switch all triggers off."""
+    selectors = features.choices("TriggerSelector") if features.writable("TriggerSelector") else ()
+    before = features.read("TriggerSelector") if selectors else None
+    for selector in selectors or ("",):
+        if selector:
+            features.write("TriggerSelector", selector)
+        if features.writable("TriggerMode") and features.read("TriggerMode") != "Off":
+            features.write("TriggerMode", "Off")
+    if before is not None:
+        features.write("TriggerSelector", before)
+
+
+def latch_clock_state(features: NamedFeatures) -> None:
+    """Have the camera renew its `CLOCK_STATES`, which some do on command only."""
+    latch = _first(features, _PTP_LATCHES)
+    if latch:
+        features.write(latch, True)
+
+
+def _wait_for(features: NamedFeatures, source: str, edge: Edge) -> None:
+    """Start each exposure with an edge on a line, or whatever else the camera can be triggered by."""
+    run_freely(features)
+    offered = features.choices("TriggerSelector")
+    selector = next((name for name in _FRAME_TRIGGERS if name in offered), None)
+    if selector is not None and features.writable("TriggerSelector"):
+        features.write("TriggerSelector", selector)
+    choose(features, "TriggerSource", source, "trigger")
+    if _EDGES[edge] in features.choices("TriggerActivation") and features.writable("TriggerActivation"):
+        features.write("TriggerActivation", _EDGES[edge])
+    choose(features, "TriggerMode", "On", "trigger")
+
+
+def _show_exposure(features: NamedFeatures, line: str) -> None:
+    choose(features, "LineSelector", line, "exposure_output")
+    if "Output" in features.choices("LineMode") and features.writable("LineMode"):
+        features.write("LineMode", "Output")
+    choose(features, "LineSource", _EXPOSURE, "exposure_output")
+
+
+def _first(features: NamedFeatures, names: tuple[str, ...]) -> str:
+    return next((name for name in names if features.writable(name)), "")
