@@ -38,6 +38,8 @@ class EventKind(StrEnum):
     """It went dark during the run, with the reason."""
     LASER_LIT = "laser lit"
     """It is lit again after `LASER_DARK`."""
+    BEAM = "beam"
+    """The model of the beam was chosen, or is chosen anew."""
     REST_STEP = "rest step"
     """The rest position has moved at once, and stays where it is."""
     LIGHT_STEP = "light step"

@@ -11,7 +11,7 @@ from enum import StrEnum
 import numpy as np
 
 from processing.spot.fit_values import Floats, misfit_limit
-from processing.spot.profile import BeamProfile, Sample, Shape, learn
+from processing.spot.profile import ROUNDS, BeamProfile, Sample, Shape, learn
 from processing.spot.sensor_model import PixelNoise
 from processing.spot.spot import Image, SpotFlag
 
@@ -21,6 +21,8 @@ _SAMPLED_PX = 1_000_000
 """A large spot needs fewer samples: its profile is smoothed over more pixels."""
 _PIECE_PX = 50_000
 """Pixels of samples that are worked on in the time of one frame."""
+LONGEST_CHOICE_FRAMES = (_EVERY + ROUNDS + 2) * _MOST_SAMPLES + 2
+"""The most spots that a choice takes: samples are taken, a Gaussian fitted to each, the profile learned."""
 _CHANGED_FRAMES = 256
 _CHANGED = 2.0
 """The beam has changed if it fits badly in so many frames in a row, worse by this factor than when chosen."""

@@ -31,7 +31,7 @@ REACH = 4.5
 """Half-width of the fitted window in standard deviations of the Gaussian that fits the beam best."""
 _PER_SIGMA = 8.0
 """Knots of the learned profile in a standard deviation: what is finer is noise, unless the spot is small."""
-_ROUNDS = 3
+ROUNDS = 3
 MOST_APART_PX = 2.0
 """Largest distance of the profile's centre from the Gaussian's: beyond it, they have met different spots."""
 
@@ -149,7 +149,7 @@ def learn(
     yield
     starts = [np.array([s.amplitude_dn, s.x_px, s.y_px, s.background_dn, 0.0, 0.0]) for s in samples]
     misfit = apart_x = apart_y = 0.0
-    for count in range(_ROUNDS + 1):
+    for count in range(ROUNDS + 1):
         profile = BeamProfile(spline.astype(np.float32), centre, half_px, shape, math.nan)
         left = _MeanResidual(profile, noise)
         misfit = apart_x = apart_y = 0.0
@@ -161,10 +161,10 @@ def learn(
             misfit += fit.chi2_per_dof / len(samples)
             apart_x += (fit.p[CENTRE_X] - sample.x_px) / len(samples)
             apart_y += (fit.p[CENTRE_Y] - sample.y_px) / len(samples)
-            if count < _ROUNDS:
+            if count < ROUNDS:
                 left.add(sample, fit)
             yield
-        if count < _ROUNDS:
+        if count < ROUNDS:
             spline = spline + to_spline_y @ left.mean @ to_spline_x.T
     if max(abs(apart_x), abs(apart_y)) > MOST_APART_PX:
         return None

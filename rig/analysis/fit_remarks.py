@@ -11,9 +11,10 @@ _MUCH = 1.5
 
 
 def remarks(run: RunResults) -> list[str]:
-    """Sentences on the ground, drag, correlated and undetermined parameters, then the run's notes."""
+    """Sentences on beam, ground, drag, correlated and undetermined parameters, then the run's notes."""
     exact = run.fits.get(FitMethod.EXACT)
-    lines = [ground_sentence(exact.ground)] if exact is not None and exact.ground is not None else []
+    lines = [] if run.beam is None else [run.beam.sentence]
+    lines += [ground_sentence(exact.ground)] if exact is not None and exact.ground is not None else []
     lines += [_drag_sentence(run.drag)] if run.drag is not None else []
     if run.strong_correlations:
         pairs = run.strong_correlations

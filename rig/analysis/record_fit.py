@@ -12,7 +12,9 @@ from acquisition.record.reader import RecordReader
 from acquisition.record.topics import DEFLECTION_FIELDS, ENVIRONMENT
 from processing.deflections import Deflections, DeflectionUnit, joined
 from processing.fit import FitMethod, FitResult, RigQuantities
+from processing.spot import BeamUse
 from processing.swing import Swing, TurningPoints
+from rig.analysis.beam import Beam
 from rig.analysis.contact_laws import DecayFits, fit_decay, points_in_true_time, settled_swings
 from rig.analysis.contact_series import combined_series
 from rig.analysis.contact_verdicts import evaluate, fit_results, rig_quantities
@@ -48,15 +50,17 @@ def analyse_record(path: Path, overrides: Sequence[str] = ()) -> AnalysedRun:
     """Fit one closed record; `overrides` change its configuration (fit settings, pendulum) for this fit."""
     with RecordReader(path) as reader:
         config = recorded_configuration(reader, overrides)
-        following = 0
+        following, beam = 0, BeamUse()
 
         def blocks() -> Iterator[Deflections]:
             nonlocal following
-            for spots in reader.spot_blocks(fields=("sequence", *DEFLECTION_FIELDS[reader.deflection_unit])):
+            fields = ("sequence", "flags", *DEFLECTION_FIELDS[reader.deflection_unit])
+            for spots in reader.spot_blocks(fields=fields):
                 following = int(spots["sequence"][-1]) + 1
+                beam.take(spots["sequence"], spots["flags"])
                 yield reader.deflections(spots)
 
-        run = analyse_run(reader, config, reader.swings(), blocks(), reader.deflection_unit)
+        run = analyse_run(reader, config, reader.swings(), blocks(), reader.deflection_unit, beam)
         return with_dropped_frames(run, following - run.results.frames, reader, config)
 
 
@@ -66,10 +70,12 @@ def analyse_run(
     swings: Sequence[Swing],
     blocks: Iterable[Deflections],
     unit: DeflectionUnit,
+    beam: BeamUse,
 ) -> AnalysedRun:
     """Fit half-cycles and deflections that came from a record: those in it, or what a replay made of it.
 
-    `blocks` are the deflections of consecutive frames, in `unit`.
+    `blocks` are the deflections of consecutive frames, in `unit`; `beam` is what their spots say once they
+    have passed.
     """
     deflections = PassingDeflections(blocks, unit)
     run = analyse_swings(reader.path, swings, config, deflections, recorded_air(reader, config))
@@ -80,6 +86,7 @@ def analyse_run(
         run.results,
         frames=deflections.frames,
         losses=reader.losses(),
+        beam=Beam.of(beam, noise_is_known=config.sensor is not None),
         warnings=tuple(warnings),
         calibration=calibration,
         inputs_sha256=inputs_sha256(reader),
@@ -101,6 +108,7 @@ def with_dropped_frames(
         config.preflight,
         None if exact is None else exact.ground,
         results.half_cycles,
+        results.beam,
     )
     return replace(run, results=replace(results, conditions=conditions))
 

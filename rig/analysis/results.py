@@ -11,6 +11,7 @@ from typing import Annotated
 
 from acquisition.frame_losses import FrameLosses
 from processing.swing import KnownMotion
+from rig.analysis.beam import Beam
 from rig.analysis.contact_results import (
     NOT_DETERMINED,
     Budget,
@@ -49,7 +50,8 @@ class RunResults:
 
     `record` is relative to the folder of the file where it can be; `sha256` is its hash, `inputs_sha256` are
     those of the configuration and the calibrations in it. `losses` says who lost the frames that
-    are missing; None where an older record does not. `measured_again_on` is the motion on which the fitted
+    are missing; None where an older record does not. `beam` says which model was fitted to the spots, and
+    counts their flags. `measured_again_on` is the motion on which the fitted
     turning points were measured again (see `processing.fit.remeasure`); None: they are as detected.
     `initial_amplitude` and `final_amplitude` are in `amplitude_unit`: arcsec, or px of a record without a
     lever; those in arcsec are not determined then. `conditions` judges light, losses and what else the record
@@ -64,6 +66,7 @@ class RunResults:
     frames: int = 0
     dropped_frames: int = 0
     losses: Annotated[FrameLosses, AsObject] | None = None
+    beam: Annotated[Beam | None, LeftOut] = None
     half_cycles: int = 0
     measured_again_on: KnownMotion | None = None
     amplitude_unit: str | None = None

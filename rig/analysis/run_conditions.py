@@ -1,4 +1,4 @@
-"""The conditions of a run as its record shows them: light, losses, temperature, steps, draughts, ground."""
+"""The conditions of a run as its record shows them: light, losses, beam, air, steps, draughts, ground."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -8,6 +8,7 @@ import numpy as np
 from acquisition.record.events import Event, EventKind
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import ENVIRONMENT
+from rig.analysis.beam import Beam
 from rig.analysis.contact_results import Ground
 from rig.presentation import Verdict
 from rig.settings import PreflightSettings
@@ -32,6 +33,7 @@ def run_conditions(
     limits: PreflightSettings,
     ground: Ground | None = None,
     half_cycles: int = 0,
+    beam: Beam | None = None,
 ) -> tuple[Verdict, ...]:
     """One verdict for each condition; a record of a version that knew less has fewer events to go by.
 
@@ -46,6 +48,7 @@ def run_conditions(
             limits.max_lost_fraction,
             "see who lost them: camera, bus or computer",
         ),
+        *([] if beam is None else [beam.verdict(limits.max_poor_fit_fraction)]),
         *_steps(reader.events()),
         *_temperature(reader),
         *_ground(ground, half_cycles),

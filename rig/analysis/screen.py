@@ -41,7 +41,7 @@ def print_run(run: RunResults, head: str, lines: Sequence[str] = ()) -> None:
     for line in (*(run.instrument.text if run.instrument else ()), *remarks(run)):
         console.print(f"  {line}", highlight=False, markup=False, soft_wrap=True)
     for condition in run.conditions:
-        if not condition.ok:
+        if not condition.ok or condition.remedy:
             line = f"  {condition.name.upper()}: {condition.measured} (limit {condition.limit}); "
             line += f"{condition.reason}; {condition.remedy}"
             console.print(line, highlight=False, markup=False, soft_wrap=True)

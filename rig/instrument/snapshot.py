@@ -13,7 +13,7 @@ class Snapshot:
     `frame_age_s` is the time between the arrival of the oldest frame of the last block and the start of
     its processing; it grows if processing is too slow. `losses` are the dropped frames by cause, as
     counted by the camera. `instruction` is a request to the operator, `controller` the controller's state,
-    `alarm` what is wrong with light or disk, empty if nothing is.
+    `beam` what is fitted to the spot, `alarm` what is wrong with light or disk, empty if nothing is.
     """
 
     phase: str = "waiting for the first frame"
@@ -36,3 +36,4 @@ class Snapshot:
     controller: str = ""
     instruction: str = ""
     alarm: str = ""
+    beam: str = ""

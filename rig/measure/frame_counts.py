@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from acquisition.frame import Frame
 from acquisition.record.events import Event, EventKind
-from processing.spot import SpotFlag
+from processing.spot import BeamUse, SpotFlag, SpotModel
 from rig.instrument import Block, Pipeline
 from rig.measure.recorder import Entry, cut_window
 
@@ -20,6 +20,8 @@ class FrameCounts:
         self.frames = 0
         self.missing = 0
         self.lost_spots = 0
+        self.beam = BeamUse()
+        self._model: SpotModel | None = None
         self._first_number = first.sequence
         self._interval_ns = full_frame_interval_ns
         self._keep_windows = keep_windows
@@ -32,6 +34,11 @@ class FrameCounts:
     def elapsed_s(self) -> float:
         """Time from the first frame to the last one counted."""
         return (self.last_ns - self.start_ns) * 1e-9
+
+    @property
+    def beam_text(self) -> str:
+        """The model of the beam, and whether it is chosen yet."""
+        return self.beam.text if self._model is not None else f"{self.beam.text}, being judged"
 
     def numbered(self, frames: Sequence[Frame]) -> list[Frame]:
         """The frames with numbers counted from the first frame of the run."""
@@ -76,6 +83,7 @@ class FrameCounts:
                 else pipeline.tracker.record_window(spot, frame.image.shape)
             )
             windows.append(cut_window(frame, spot, bounds))
+        events += self._beam_events(frames, block, pipeline)
         self.frames += len(frames)
         self.last_ns = frames[-1].time_ns
         return Entry(
@@ -87,3 +95,12 @@ class FrameCounts:
             images=images,
             events=events,
         )
+
+    def _beam_events(self, frames: Sequence[Frame], block: Block, pipeline: Pipeline) -> list[Event]:
+        """An event when the tracker has chosen its model of the beam, or has begun to choose anew."""
+        self.beam.take([frame.sequence for frame in frames], [spot.flags for spot in block.spots])
+        before, self._model = self._model, pipeline.tracker.model
+        if self._model is before:
+            return []
+        text = self.beam.text if self._model is not None else "it has changed; its model is chosen anew"
+        return [Event(frames[-1].time_ns, EventKind.BEAM, text)]

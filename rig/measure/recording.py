@@ -162,6 +162,7 @@ class Recording:
                 frames=counts.frames,
                 dropped_frames=counts.missing,
                 lost_spots=counts.lost_spots,
+                beam=counts.beam_text,
                 queue_frames=len(self._stream),
                 frame_age_s=age_s,
                 losses=self._losses.now,

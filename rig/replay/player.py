@@ -213,6 +213,7 @@ class Player:
             frames=self._frames,
             dropped_frames=self._missing,
             lost_spots=self._lost,
+            beam=replay.beam.text,
             half_cycles=self._half_cycles,
             amplitude=self._amplitude,
             period_s=self._period_s,

@@ -87,7 +87,9 @@ def replay_record(
             player.play()
         result = replay.finish()
         partial = replay.partial or replay.sought or player.ended_by_user
-        run = analyse_run(reader, config, result.swings, result.deflections, config.deflection_unit)
+        run = analyse_run(
+            reader, config, result.swings, result.deflections, config.deflection_unit, result.beam
+        )
         run = with_dropped_frames(run, result.dropped_frames, reader, config)
         if partial:
             part = f"replayed from {replay.begun_s:.2f} s to {replay.position_s:.2f} s of the record"

@@ -12,7 +12,7 @@ from acquisition.record.reader import RecordReader
 from acquisition.record.topics import WINDOW, RecordedWindow
 from processing.deflections import Deflections
 from processing.errors import RecordError
-from processing.spot import Spot, SpotFlag
+from processing.spot import BeamUse, Spot, SpotFlag
 from processing.swing import Swing
 from rig.instrument import Block, frame_shape, optics_of, recorded_configuration
 from rig.replay.comparison import Comparison, ReplayComparison
@@ -35,13 +35,14 @@ class Step(NamedTuple):
 class Replayed(NamedTuple):
     """Results of a replay; `dropped_frames` are missing in the record between the first and the last.
 
-    `deflections` are in the pieces in which they were processed.
+    `beam` is what the spots say of the beam. `deflections` are in the pieces in which they were processed.
     """
 
     swings: list[Swing]
     deflections: list[Deflections]
     dropped_frames: int
     comparison: Comparison
+    beam: BeamUse
 
 
 class Replay:
@@ -147,6 +148,11 @@ class Replay:
         """Number of the next frame; 0 at the end."""
         return 0 if math.isinf(self.next_s) else int(self._table["sequence"][self._row])
 
+    @property
+    def beam(self) -> BeamUse:
+        """What the spots so far say of the beam."""
+        return self._beam
+
     def restart(self, time_s: float) -> None:
         """Start again at a time; the results so far are discarded."""
         self.sought = True
@@ -188,7 +194,7 @@ class Replay:
             from_start=self._begun_ns == self.start_ns,
             to_end=whole_end,
         )
-        return Replayed(self._swings, self._deflections, dropped, comparison)
+        return Replayed(self._swings, self._deflections, dropped, comparison, self._beam)
 
     def _begin(self, time_ns: int) -> None:
         shape = self._shape
@@ -203,6 +209,7 @@ class Replay:
         self._begun_ns = self._position_ns = max(time_ns, self.start_ns)
         self._swings: list[Swing] = []
         self._deflections: list[Deflections] = []
+        self._beam = BeamUse()
         self._first_sequence, self._last_sequence = -1, -1
         self._comparison = ReplayComparison(self.start_ns)
 
@@ -217,6 +224,7 @@ class Replay:
     def _keep(self, rows: NDArray[Any], block: Block) -> None:
         self._swings += block.swings
         self._deflections.append(block.deflections)
+        self._beam.take(rows["sequence"], [spot.flags for spot in block.spots])
         if self._first_sequence < 0:
             self._first_sequence = int(rows["sequence"][0])
         self._last_sequence = int(rows["sequence"][-1])

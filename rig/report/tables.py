@@ -8,7 +8,7 @@ from pydantic import JsonValue
 from processing.estimate import Estimate
 from processing.fit import FitMethod
 from rig.analysis import Curves, RunResults, encoded, parameter_table, quality_table
-from rig.presentation import Cell, Table, plain, quantity, with_uncertainty
+from rig.presentation import Cell, Table, Verdict, plain, quantity, with_uncertainty
 from rig.report.run_data import RunData
 from rig.report.tables_uncertainty import budget_table, identifiability_table, monte_carlo_table
 
@@ -39,11 +39,16 @@ _CONDITIONS = ("condition", "verdict", "measured", "limit", "reason")
 def conditions_table(results: RunResults) -> Table:
     """The conditions of the run against their limits."""
     shown = [
-        [item.name, "ok" if item.ok else "NOT OK", item.measured, item.limit, item.reason]
-        for item in results.conditions
+        [item.name, _judged(item), item.measured, item.limit, item.reason] for item in results.conditions
     ]
     rows: list[list[Cell]] = [[*row] for row in shown]
     return Table("conditions", "Conditions of the run", _CONDITIONS, rows, _CONDITIONS, shown)
+
+
+def _judged(item: Verdict) -> str:
+    if not item.ok:
+        return "NOT OK"
+    return "warning" if item.remedy else "ok"
 
 
 def instrument_table(results: RunResults) -> Table:

@@ -18,6 +18,9 @@ class PreflightSettings(BaseModel, frozen=True, extra="forbid"):
         default=0.01, ge=0, le=1, description="frames with a saturated spot"
     )
     max_lost_fraction: float = Field(default=0.01, ge=0, le=1, description="frames without a valid spot")
+    max_poor_fit_fraction: float = Field(
+        default=0.01, ge=0, le=1, description="spots that the beam's model does not fit: above, a warning"
+    )
     min_peak_fraction: float = Field(default=0.15, ge=0, lt=1, description="peak of the spot over full scale")
     max_peak_fraction: float = Field(default=0.95, gt=0, le=1, description="peak of the spot over full scale")
     max_noise_arcsec: float = Field(default=0.1, gt=0, description="noise of one frame, at rest")

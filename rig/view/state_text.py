@@ -14,6 +14,8 @@ def state_text(snapshot: Snapshot, unit: DeflectionUnit) -> str:
         f"amplitude {snapshot.amplitude:.2f} {unit.shown}, period {snapshot.period_s:.4f} s",
         f"{snapshot.frames} frames, {dropped} dropped, {lost} spots lost",
     ]
+    if snapshot.beam:
+        lines.append(f"beam: {snapshot.beam}")
     if not math.isnan(snapshot.frame_age_s):
         lines.append(f"frames are {snapshot.frame_age_s * 1e3:.0f} ms old")
     if snapshot.losses.total:
