@@ -26,10 +26,11 @@ def of_correlation(white: Whiteness) -> tuple[str, ...]:
     """That the residuals are no noise."""
     if not white.correlated:
         return ()
+    wider = f"widened by up to {white.widened:.2g}" if white.widened >= 1.05 else "hardly wider"
     text = (
         "the residuals of neighbouring half-cycles are correlated (chance "
-        f"{min(white.p_amplitude, white.p_time):.1g}): the model does not describe all of the motion; "
-        f"uncertainties are widened by up to {white.widened:.2g} for it"
+        f"{min(white.p_amplitude, white.p_time):.1g}): the model does not describe all of the motion, or the "
+        f"point of rest wanders (pointing of the beam, air); uncertainties are {wider} for it"
     )
     return (text,)
 

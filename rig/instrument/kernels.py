@@ -1,6 +1,9 @@
 """Compiles the numba kernels before a camera delivers frames, which would be lost meanwhile."""
 
-from collections.abc import Callable
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 
 import numpy as np
 
@@ -16,21 +19,45 @@ _SIDE_PX, _SIGMA_PX = 64, 4.0
 def prepare_kernels(sensor: SensorModel, say: Callable[[str], None]) -> None:
     """Track a synthetic spot and detect synthetic swings once, which compiles the kernels.
 
-    This takes half a minute after an installation, and less than a second afterwards (from the cache).
-    `say` is called with one line if something is compiled.
+    This takes half a minute after an installation, when a second process compiles those of the swings, and
+    less than a second afterwards (from the cache). `say` is called with one line if something is compiled.
     """
+    with ExitStack() as until_both_have_ended:
 
-    def announce(kept: bool) -> None:
-        text = "compiling the numerical kernels (half a minute, "
-        if kept:
-            say(f"{text}only once after an installation)")
-        else:
-            say(f"{text}at every start: no cache can be written; NUMBA_CACHE_DIR can name a folder for it)")
+        def announce(kept: bool) -> None:
+            text = "compiling the numerical kernels (half a minute, "
+            if kept:
+                say(f"{text}only once after an installation)")
+                until_both_have_ended.enter_context(_compiling_swings())
+            else:
+                say(
+                    f"{text}at every start: no cache can be written; NUMBA_CACHE_DIR can name a folder for it)"
+                )
 
-    with at_compilation(announce):
-        _track(sensor)
-        spots.compile_kernels(sensor.pixel_noise)
-        swings.compile_kernels()
+        with at_compilation(announce):
+            compile_tracker(sensor)
+            until_both_have_ended.close()
+            swings.compile_kernels()
+
+
+def compile_tracker(sensor: SensorModel) -> None:
+    """Compile, or load from the cache, what follows a spot on this sensor and records it."""
+    _track(sensor)
+    spots.compile_kernels(sensor.pixel_noise)
+
+
+@contextmanager
+def _compiling_swings() -> Iterator[None]:
+    """A process that fills the cache; what it could not compile is compiled by the one that waits for it."""
+    program = "from processing.swing import compile_kernels; compile_kernels()"
+    quiet = subprocess.DEVNULL
+    process = subprocess.Popen([sys.executable, "-c", program], stdin=quiet, stdout=quiet, stderr=quiet)
+    try:
+        yield
+        process.wait()
+    finally:
+        process.kill()
+        process.wait()
 
 
 def _track(sensor: SensorModel) -> None:
