@@ -14,6 +14,7 @@ from processing.kernel import at_compilation
 from processing.spot import SensorModel, SpotTracker
 
 _SIDE_PX, _SIGMA_PX = 64, 4.0
+_COMPILING = "compiling the numerical kernels (half a minute"
 
 
 def prepare_kernels(sensor: SensorModel, say: Callable[[str], None]) -> None:
@@ -25,14 +26,11 @@ def prepare_kernels(sensor: SensorModel, say: Callable[[str], None]) -> None:
     with ExitStack() as until_both_have_ended:
 
         def announce(kept: bool) -> None:
-            text = "compiling the numerical kernels (half a minute, "
             if kept:
-                say(f"{text}only once after an installation)")
+                say(f"{_COMPILING}, only once after an installation)")
                 until_both_have_ended.enter_context(_compiling_swings())
             else:
-                say(
-                    f"{text}at every start: no cache can be written; NUMBA_CACHE_DIR can name a folder for it)"
-                )
+                say(f"{_COMPILING}, at every start: no cache can be written; NUMBA_CACHE_DIR can name one)")
 
         with at_compilation(announce):
             compile_tracker(sensor)
