@@ -1,5 +1,6 @@
 """Laser spot on a sensor: finder, maximum-likelihood fit, tracker."""
 
+from processing.spot.beam_shape import BeamShape, beam_shape
 from processing.spot.beam_use import BeamUse
 from processing.spot.model_choice import LONGEST_CHOICE_FRAMES, SpotModel
 from processing.spot.profile import compile_kernels
@@ -10,11 +11,13 @@ from processing.spot.tracker import SpotTracker
 __all__ = [
     "LONGEST_CHOICE_FRAMES",
     "SPOT_DTYPE",
+    "BeamShape",
     "BeamUse",
     "SensorModel",
     "Spot",
     "SpotFlag",
     "SpotModel",
     "SpotTracker",
+    "beam_shape",
     "compile_kernels",
 ]

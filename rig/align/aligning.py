@@ -15,7 +15,9 @@ from rig.align.aligning_screen import HELP, AligningScreen
 from rig.align.annotated_picture import annotated_picture
 from rig.align.look import Look
 from rig.devices import picture, watch_latest
+from rig.instrument import beam_quality
 from rig.presentation import Keys
+from rig.settings import PreflightSettings
 from rig.view import Viewer
 
 _EXPOSURE_STEP = 1.25
@@ -67,7 +69,7 @@ def align_camera(
     """
     begun_s = time.monotonic()
     end_s = begun_s + seconds if seconds else float("inf")
-    zoom, note = 0, ""
+    zoom, note, limits = 0, "", PreflightSettings()
     saved: list[Path] = []
     terminal = Keys() if keys is None else keys
     console = Console() if console is None else console
@@ -80,7 +82,9 @@ def align_camera(
                 middle_px = reference_px or (0.5 * (columns - 1), 0.5 * (rows - 1))
                 figures = picture.figures(frame.image, info.full_scale_dn)
                 spot = tracker.track(frame.image)
-                look = Look(frame.image, info.full_scale_dn, figures, spot, middle_px, applied)
+                full_scale_dn = info.full_scale_dn
+                beam = beam_quality([frame.image], [spot], tracker.model, full_scale_dn, limits)
+                look = Look(frame.image, full_scale_dn, figures, spot, middle_px, applied, beam)
                 if viewer is not None:
                     viewer.image(time.monotonic() - begun_s, frame.image, (spot.x_px, spot.y_px))
                 for key in terminal.pressed(0.0):

@@ -14,7 +14,7 @@ from rig.align.annotated_picture import annotated_picture
 from rig.align.look import Look
 
 HELP = "e E exposure   g G gain   z zoom   s save a picture   q end"
-_BELOW_ROWS = 9
+_BELOW_ROWS = 10
 _BARS = " ▁▂▃▄▅▆▇█"
 
 
@@ -41,12 +41,14 @@ class AligningScreen:
         """Draw a look."""
         if self._live is None:
             self._console.print(
-                "  ".join(filter(None, [*look.lines(), note])), soft_wrap=True, highlight=False
+                "  ".join(filter(None, [*look.lines(), look.beam_line, note])),
+                soft_wrap=True,
+                highlight=False,
             )
             return
         size = self._console.size
         picture = annotated_picture(look, size.width, 2 * max(size.height - _BELOW_ROWS, 4), zoom)
-        shown = [f"zoom {zoom:g}  {histogram_line(look)}", *look.lines(), note, self._help]
+        shown = [f"zoom {zoom:g}  {histogram_line(look)}", *look.lines(), look.beam_line, note, self._help]
         text = Text("\n".join(shown), no_wrap=True, overflow="ellipsis")
         self._live.update(Group(half_blocks(picture), text), refresh=True)
 

@@ -6,6 +6,7 @@ from acquisition.camera import CameraSettings
 from acquisition.frame import Image
 from processing.spot import Spot, SpotFlag
 from rig.devices import PictureFigures
+from rig.presentation import Verdict
 
 
 class Look(NamedTuple):
@@ -19,6 +20,8 @@ class Look(NamedTuple):
         Where the spot should rest, (x, y) in the frame: the light lever's reference, else the middle.
     applied
         Settings that the camera has read back.
+    beam
+        The verdict on the beam; None where it was not judged.
     """
 
     image: Image
@@ -27,11 +30,17 @@ class Look(NamedTuple):
     spot: Spot
     middle_px: tuple[float, float]
     applied: CameraSettings
+    beam: Verdict | None = None
 
     @property
     def found(self) -> bool:
         """Is there a spot at all?"""
         return not self.spot.flags & SpotFlag.LOST
+
+    @property
+    def beam_line(self) -> str:
+        """The verdict on the beam in words; empty where it was not judged."""
+        return "" if self.beam is None else self.beam.line
 
     def lines(self) -> list[str]:
         """The figures in words, one line for each kind."""

@@ -106,11 +106,13 @@ def snap(
     average: Average = 1,
     set_: Set = None,
 ) -> None:
-    """Save a frame as PNG at its full bit depth, and print its histogram."""
+    """Save a frame as PNG at its full bit depth, and print its histogram and how good the beam is."""
     import cv2
 
     from processing.errors import ConfigurationError
     from rig.devices import picture as camera_picture
+    from rig.instrument import beam_quality, optics_of
+    from rig.settings import load_configuration
 
     if output.exists():
         raise ConfigurationError(f"{output}: exists already and is not written over; name another with -o")
@@ -128,6 +130,11 @@ def snap(
         for line in camera_picture.histogram_bars(image, info.full_scale_dn):
             typer.echo(line)
         typer.echo(_figures_line(camera_picture.figures(image, info.full_scale_dn)))
+        loaded = load_configuration(config, set_ or [])
+        tracker = optics_of(loaded, info.full_scale_dn).tracker()
+        spot = tracker.track(image)
+        limits = loaded.preflight
+        typer.echo(beam_quality([image], [spot], tracker.model, info.full_scale_dn, limits).line)
         typer.echo(str(output))
 
 

@@ -96,7 +96,7 @@ class RecentFrames:
         deflections = self.since(from_ns)
         spots = [spot for block, _ in self._blocks for spot in block]
         frames = [frame for frame in self._frames if frame.time_ns >= from_ns]
-        return Look(frames, spots[len(spots) - len(deflections) :], deflections, resting)
+        return Look(frames, spots[len(spots) - len(deflections) :], deflections, resting, self._tracker.model)
 
     def window_bytes(self) -> float:
         """Mean number of bytes that a record needs per frame."""

@@ -30,6 +30,15 @@ class Verdict:
     limit: str = ""
     made: bool = True
 
+    @property
+    def line(self) -> str:
+        """The verdict in one line: `beam quality: go, one Gaussian, ...`, with reason and remedy."""
+        judged = (
+            "NO-GO" if not self.ok else "caution" if self.remedy else "go" if self.made else "not checked"
+        )
+        why = "; ".join(text for text in (self.reason, self.remedy) if text)
+        return f"{self.name}: {judged}, {self.measured}" + (f": {why}" if why else "")
+
 
 def failures(verdicts: Sequence[Verdict]) -> str:
     """The failed checks in one line; empty if all passed."""

@@ -14,9 +14,10 @@ from calibration import Stability, relate_clocks, stability
 from processing.deflections import Deflections, DeflectionUnit, Floats
 from processing.errors import DataError
 from processing.ground_at_rest import ground_at_rest
-from processing.spot import Spot, SpotFlag
+from processing.spot import Spot, SpotFlag, SpotModel
 from rig.analysis import base_motion, drive_text
 from rig.devices import MOST_PPM, wrong_rate
+from rig.instrument import beam_quality
 from rig.presentation import Verdict
 from rig.settings import Configuration, PendulumSettings, PreflightSettings
 
@@ -28,13 +29,15 @@ NO_LEVER = "no lever: values in px have no limit in arcsec"
 class Look:
     """Some seconds of frames, with the spots and deflections measured in them.
 
-    `resting` is False if the pendulum may be swinging.
+    `resting` is False if the pendulum may be swinging. `model` is what the tracker has chosen for the beam;
+    None while it has not.
     """
 
     frames: Sequence[Frame]
     spots: Sequence[Spot]
     deflections: Deflections
     resting: bool
+    model: SpotModel | None = None
 
 
 def spot_found(spots: Sequence[Spot], limits: PreflightSettings) -> Verdict:
@@ -264,6 +267,14 @@ def check_look(
         spot_found(look.spots, limits),
         exposure(look.spots, full_scale_dn, limits),
         saturation(look.spots, limits),
+        beam_quality(
+            [frame.image for frame in look.frames],
+            look.spots,
+            look.model,
+            full_scale_dn,
+            limits,
+            noise_is_known=config.sensor is not None,
+        ),
         *stillness(look, limits),
         rest_position(look, limits),
         ground(look, config.pendulum),

@@ -1,0 +1,132 @@
+"""The verdict on the beam: go, caution or no-go, from its spots and its shape."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from acquisition.frame import Image
+from processing.spot import BeamShape, Spot, SpotFlag, SpotModel, beam_shape
+from rig.presentation import Verdict
+from rig.settings import PreflightSettings
+
+NAME = "beam quality"
+_DEPARTURE = 0.03
+"""Of the peak: what differs more from a Gaussian is named."""
+_CUT = 0.1
+"""Of the peak: so much light is missing in the flank of a beam that something cuts."""
+_LOPSIDED = 2.0
+_BAD_CHI2 = 4.0
+"""Uncertainties are doubled then, and what no model fits moves with the spot in ways they do not know."""
+_PICTURES = 16
+_CLEAN = "clean laser window, lenses and mirrors; a spatial filter"
+_MIDDLE_SIGMAS, _FLANK_SIGMAS = 0.5, 1.3
+
+
+class _Fault(NamedTuple):
+    ok: bool
+    reason: str
+    remedy: str
+
+
+def beam_quality(
+    images: Sequence[Image],
+    spots: Sequence[Spot],
+    model: SpotModel | None,
+    full_scale_dn: float,
+    limits: PreflightSettings,
+    *,
+    noise_is_known: bool = True,
+) -> Verdict:
+    """Judge the beam.
+
+    Parameters
+    ----------
+    images
+        The newest whole frames; the last of them belongs to the last of `spots`.
+    spots
+        Those of consecutive frames, at rest or in motion.
+    model
+        What the tracker has chosen; None while it has not.
+    noise_is_known
+        The sensor's noise is stated, not assumed.
+    """
+    found = [spot for spot in spots if not spot.flags & SpotFlag.LOST]
+    if not found:
+        return Verdict(NAME, False, "there is nothing to judge", "find the spot first", measured="no spot")
+    count = min(len(images), len(spots), _PICTURES)
+    shape = beam_shape(images[len(images) - count :], spots[len(spots) - count :], full_scale_dn)
+    # those before the choice were fitted with another model
+    learned = found[-1].flags & SpotFlag.LEARNED
+    same = [spot for spot in found if spot.flags & SpotFlag.LEARNED == learned]
+    poor = float(np.mean([bool(spot.flags & SpotFlag.POOR_FIT) for spot in same]))
+    chi2 = float(np.median([spot.chi2_per_dof for spot in same]))
+    words = (
+        f"{model or 'model not chosen yet'}, chi2/dof {chi2:.2f}, POOR_FIT in {100 * poor:.3g} % of frames"
+    )
+    if shape is not None:
+        words += f", off a Gaussian by {100 * shape.departure:.2g} % of its peak"
+    edge = float(np.mean([bool(spot.flags & SpotFlag.EDGE) for spot in found]))
+    faults = [
+        *_cuts(edge > limits.max_lost_fraction, shape),
+        *_bad_fit(poor > limits.max_poor_fit_fraction, chi2, model, noise_is_known=noise_is_known),
+        *_other_shapes(shape),
+    ]
+    # the worst first; what is seen of the shape is the likely cause of a bad fit
+    faults.sort(key=lambda fault: fault.ok)
+    return Verdict(
+        NAME,
+        all(fault.ok for fault in faults),
+        "; ".join(fault.reason for fault in faults),
+        "; ".join(dict.fromkeys(fault.remedy for fault in faults)),
+        measured=words,
+        limit=f"POOR_FIT in {100 * limits.max_poor_fit_fraction:g} %, off by {100 * _DEPARTURE:g} %",
+    )
+
+
+def _cuts(at_edge: bool, shape: BeamShape | None) -> list[_Fault]:
+    if at_edge:
+        return [
+            _Fault(False, "the edge of the sensor cuts the spot", "move it to the middle: rig camera align")
+        ]
+    if shape is None or _is_ghost(shape):
+        return []
+    free = "centre the beam in lens, mirrors and window; free its path"
+    if shape.lopsided > _LOPSIDED:
+        reason = f"something cuts it: one side falls {shape.lopsided:.1f} times as steeply as the other"
+        return [_Fault(False, reason, free)]
+    if not shape.extra_light and shape.away_sigmas > _FLANK_SIGMAS and shape.departure > _DEPARTURE:
+        reason = f"something cuts it: {100 * shape.departure:.2g} % are missing {shape.away_px:.0f} px off"
+        return [_Fault(shape.departure < _CUT, reason, free)]
+    return []
+
+
+def _bad_fit(poor: bool, chi2: float, model: SpotModel | None, *, noise_is_known: bool) -> list[_Fault]:
+    if not poor:
+        return []
+    if model is None:
+        reason = "one Gaussian does not fit; its own profile is learned from the first frames of the run"
+        return [_Fault(True, reason, _CLEAN)]
+    if not noise_is_known:
+        return [_Fault(chi2 < _BAD_CHI2, "no model fits to the assumed noise", "rig calibrate sensor")]
+    remedy = f"{_CLEAN}; let the laser warm up; rig calibrate sensor"
+    return [_Fault(chi2 < _BAD_CHI2, "no model fits", remedy)]
+
+
+def _other_shapes(shape: BeamShape | None) -> list[_Fault]:
+    if shape is None or shape.departure <= _DEPARTURE:
+        return []
+    part = f"{100 * shape.departure:.2g} %"
+    if _is_ghost(shape):
+        reason = f"a second spot or ghost: {part} more light {shape.away_px:.0f} px off"
+        return [_Fault(True, reason, "tilt or wedge what reflects twice: window, filter, cover glass")]
+    if not shape.extra_light and shape.away_sigmas > _FLANK_SIGMAS:
+        return []
+    if not shape.extra_light and shape.away_sigmas < _MIDDLE_SIGMAS:
+        reason = f"hollow: {part} of light are missing in its middle"
+        return [_Fault(True, reason, "one mode only: a spatial filter or fibre, clean lenses, less current")]
+    return [_Fault(True, f"ragged: {part} off", _CLEAN)]
+
+
+def _is_ghost(shape: BeamShape) -> bool:
+    return shape.extra_light and shape.away_sigmas > _FLANK_SIGMAS

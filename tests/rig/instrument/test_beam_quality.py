@@ -1,0 +1,112 @@
+"""The verdict on the beam: go, caution and no-go of tracked beams, with the reason that is theirs."""
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from processing.spot import SpotFlag, SpotModel, SpotTracker
+from rig.instrument import beam_quality
+from rig.presentation import Verdict
+from rig.settings import PreflightSettings
+from tests.processing.spot.frames import LIT_EIGHT_BIT, exposed, light
+
+SHAPE = (110, 120)
+Y, X = np.indices(SHAPE)
+Light = Callable[[float, float], NDArray[np.float64]]
+LUMPS = np.random.default_rng(5).normal(size=(6, 2))
+
+
+def good(x: float, y: float) -> NDArray[np.float64]:
+    return light(SHAPE, x, y, 5, 160, 7)
+
+
+def ghost(x: float, y: float) -> NDArray[np.float64]:
+    return good(x, y) + light(SHAPE, x + 14, y - 9, 5, 0.06 * 160, 7)
+
+
+def cut(x: float, y: float) -> NDArray[np.float64]:
+    """A screen that leaves what is left of 0.8 sigma."""
+    return np.where(x + 4 > X, good(x, y), 0.0)
+
+
+def grazed(x: float, y: float) -> NDArray[np.float64]:
+    """The same at two sigma."""
+    return np.where(x + 10 > X, good(x, y), 0.0)
+
+
+def donut(x: float, y: float) -> NDArray[np.float64]:
+    square = ((x - X) ** 2 + (y - Y) ** 2) / (2 * 6.0**2)
+    return np.asarray(160 * math.e * square * np.exp(-square))
+
+
+def ragged(x: float, y: float) -> NDArray[np.float64]:
+    lumps = sum(
+        (18 * light(SHAPE, x + 5 * a, y + 5 * b, 2.5, 1.0) * (-1) ** k for k, (a, b) in enumerate(LUMPS))
+    )
+    return np.maximum(0.85 * good(x, y) + lumps, 0.0)
+
+
+def judged(beam: Light, frames: int = 16, x_px: float = 60.0) -> Verdict:
+    rng, tracker = np.random.default_rng(8), SpotTracker(LIT_EIGHT_BIT)
+    images, spots = [], []
+    for k in range(frames):
+        place = x_px + 0.4 * math.sin(k), 54 + 0.3 * math.cos(0.7 * k)
+        images.append(exposed(beam(*place), rng, sensor=LIT_EIGHT_BIT))
+        spots.append(tracker.track(images[-1]))
+    return beam_quality(images[-32:], spots, tracker.model, 255.0, PreflightSettings())
+
+
+def test_a_good_beam_is_go_with_its_numbers() -> None:
+    verdict = judged(good, 140)
+    assert verdict.ok
+    assert not verdict.remedy
+    assert verdict.measured.startswith("one Gaussian, chi2/dof 0.95")
+    assert "POOR_FIT in 0 % of frames" in verdict.measured
+    assert verdict.line.startswith("beam quality: go, one Gaussian")
+    assert "model not chosen yet" in judged(good).measured
+
+
+@pytest.mark.parametrize(
+    ("beam", "reason", "ok"),
+    [
+        (ghost, "a second spot or ghost: 5", True),
+        (grazed, "something cuts it: ", True),
+        (cut, "something cuts it: one side falls", False),
+        (donut, "hollow: ", True),
+        (ragged, "ragged: ", True),
+    ],
+)
+def test_what_is_wrong_with_a_beam_is_named(beam: Light, reason: str, ok: bool) -> None:
+    verdict = judged(beam, 3)
+    assert verdict.ok is ok
+    assert reason in verdict.reason
+    assert verdict.remedy
+
+
+def test_the_edge_of_the_sensor_and_no_spot_are_no_go() -> None:
+    assert "edge of the sensor" in judged(good, x_px=8.0).reason
+    verdict = judged(lambda x, y: np.zeros(SHAPE))
+    assert not verdict.ok
+    assert verdict.remedy == "find the spot first"
+
+
+def test_a_learned_profile_that_fits_is_caution_and_one_that_does_not_is_no_go() -> None:
+    learned = judged(ragged, 170)
+    assert learned.ok
+    assert learned.remedy
+    assert learned.measured.startswith("learned profile, chi2/dof ")
+    spot = SpotTracker(LIT_EIGHT_BIT).track(
+        exposed(good(60, 54), np.random.default_rng(1), sensor=LIT_EIGHT_BIT)
+    )
+    changing = [spot._replace(chi2_per_dof=9.0, flags=SpotFlag.LEARNED | SpotFlag.POOR_FIT)] * 50
+    verdict = beam_quality([], changing, SpotModel.LEARNED, 255.0, PreflightSettings())
+    assert not verdict.ok
+    assert verdict.reason == "no model fits"
+    assert "POOR_FIT in 100 % of frames" in verdict.measured
+    mild = [spot._replace(chi2_per_dof=1.8, flags=SpotFlag.POOR_FIT)] * 50
+    assumed = beam_quality([], mild, SpotModel.ONE, 255.0, PreflightSettings(), noise_is_known=False)
+    assert assumed.ok
+    assert assumed.remedy == "rig calibrate sensor"
