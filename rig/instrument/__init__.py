@@ -9,7 +9,7 @@ from rig.instrument.balance import (
     sensor_room,
     turn_text,
 )
-from rig.instrument.beam_quality import beam_quality
+from rig.instrument.beam_verdict import beam_quality
 from rig.instrument.calibration import judge_calibration
 from rig.instrument.complete_configuration import complete
 from rig.instrument.configured_camera import (
