@@ -3,7 +3,7 @@
 from dataclasses import astuple, dataclass
 from typing import Final, Literal, NamedTuple, Protocol, runtime_checkable
 
-from pydantic import BaseModel, Field
+from pydantic import BaseModel, Field, field_validator
 
 from acquisition.frame import Frame
 from processing.errors import DeviceError
@@ -15,6 +15,9 @@ Stamped = Literal["start", "middle", "end"]
 """The moment of the exposure that a camera's timestamps mark."""
 Edge = Literal["rising", "falling"]
 """The change of a trigger's voltage that starts an exposure."""
+
+
+_WITHOUT: Final = {"trigger": None, "trigger_edge": None, "exposure_output": None, "ptp": False, "binning": 1}
 
 
 class FrameTimeout(DeviceError):
@@ -36,6 +39,12 @@ class CameraSettings(BaseModel, frozen=True, extra="forbid"):
     gain_db: float | None = None
     frame_rate_hz: float | None = Field(default=None, gt=0)
     pixel_format: PixelFormat | None = None
+    binning: int | None = Field(
+        default=None,
+        ge=1,
+        le=16,
+        description="pixels of the sensor, in each direction, in one of the image; None: 1",
+    )
     width_px: int | None = Field(default=None, gt=0)
     height_px: int | None = Field(default=None, gt=0)
     offset_x_px: int | None = Field(default=None, ge=0)
@@ -56,12 +65,22 @@ class CameraSettings(BaseModel, frozen=True, extra="forbid"):
         description="any feature by its own name, set after all others, in this order",
     )
 
+    @field_validator("features")
+    @classmethod
+    def _no_binning(cls, features: dict[str, FeatureValue]) -> dict[str, FeatureValue]:
+        for name in features:
+            if name in ("BinningHorizontal", "BinningVertical", "DecimationHorizontal", "DecimationVertical"):
+                raise ValueError(f"{name}: set camera.binning instead, which the pixel pitch follows")
+        return features
+
 
 def without_wires(settings: CameraSettings, name: str) -> None:
-    """Raise DeviceError for a trigger, exposure output or network clock asked of a driver that has none."""
-    for key in ("trigger", "trigger_edge", "exposure_output", "ptp"):
+    """Raise DeviceError for a trigger, exposure output, network clock or binning asked of a driver that has
+    none.
+    """
+    for key, has_none in _WITHOUT.items():
         value = getattr(settings, key)
-        if value not in (None, False):
+        if value not in (None, has_none):
             raise DeviceError(f"{name}: this driver knows no {key}; leave camera.{key} = {value!r} out")
 
 

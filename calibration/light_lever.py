@@ -42,6 +42,28 @@ class Lever(BaseModel, frozen=True, extra="forbid"):
         default=None, description="spot at zero tilt; None: the sensor's middle"
     )
     reference_y_px: float | None = None
+    binning: int = Field(
+        default=1, ge=1, le=16, description="of the camera, with which pitch and reference hold"
+    )
+
+    def at_binning(self, binning: int) -> Self:
+        """The same lever seen with another binning: the pitch is that of the pixels of the image."""
+        times = binning / self.binning
+        if times == 1.0:
+            return self
+        x_px, y_px = (
+            None if at is None else (at + 0.5) / times - 0.5
+            for at in (self.reference_x_px, self.reference_y_px)
+        )
+        return self.model_copy(
+            update={
+                "binning": binning,
+                "pixel_pitch_m": self.pixel_pitch_m * times,
+                "u_pixel_pitch_m": self.u_pixel_pitch_m * times,
+                "reference_x_px": x_px,
+                "reference_y_px": y_px,
+            }
+        )
 
     def tilt_rad(self, displacement_px: ArrayLike) -> NDArray[np.float64]:
         """Tilt for a displacement of the spot from the reference, exact (arc tangent), of any shape; NaN

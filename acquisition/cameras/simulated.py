@@ -79,20 +79,20 @@ class SimulatedCamera:
         self._must_be_open()
         if self._reader is not None and self._reader.running:
             raise DeviceError(f"{CAMERA_NAME}: cannot be configured while frames are running; stop it first")
-        without_features(settings, CAMERA_NAME)
+        without_features(settings.model_copy(update={"binning": None}), CAMERA_NAME)
         asked = settings.model_dump(exclude_none=True)
-        sensor = self._settings.sensor
+        binning = settings.binning or self._applied.binning or 1
+        width_px, height_px = (size // binning for size in self._sensor_px)
+        if binning != self._applied.binning:
+            whole = {"width_px": width_px, "height_px": height_px, "offset_x_px": 0, "offset_y_px": 0}
+            self._applied = self._applied.model_copy(update={"binning": binning, **whole})
         if "width_px" in asked and "offset_x_px" not in asked:
-            asked["offset_x_px"] = min(
-                self._applied.offset_x_px or 0, max(sensor.width_px - asked["width_px"], 0)
-            )
+            asked["offset_x_px"] = min(self._applied.offset_x_px or 0, max(width_px - asked["width_px"], 0))
         if "height_px" in asked and "offset_y_px" not in asked:
-            asked["offset_y_px"] = min(
-                self._applied.offset_y_px or 0, max(sensor.height_px - asked["height_px"], 0)
-            )
+            asked["offset_y_px"] = min(self._applied.offset_y_px or 0, max(height_px - asked["height_px"], 0))
         new = CameraSettings(**{**self._applied.model_dump(), **asked})
-        _check_range("width_px", (new.offset_x_px or 0) + (new.width_px or 0), sensor.width_px)
-        _check_range("height_px", (new.offset_y_px or 0) + (new.height_px or 0), sensor.height_px)
+        _check_range("width_px", (new.offset_x_px or 0) + (new.width_px or 0), width_px)
+        _check_range("height_px", (new.offset_y_px or 0) + (new.height_px or 0), height_px)
         if not 0 <= (new.gain_db or 0.0) <= 48:
             raise DeviceError(
                 f"{CAMERA_NAME}: gain_db = {new.gain_db:g} is out of range; 0 to 48 dB are possible"
@@ -157,7 +157,12 @@ class SimulatedCamera:
             exposure_us=new.exposure_us or sensor.exposure_us,
             gain_db=new.gain_db or 0.0,
             frame_rate_hz=new.frame_rate_hz or self._settings.clock.frame_rate_hz,
+            binning=new.binning or 1,
         )
+
+    @property
+    def _sensor_px(self) -> tuple[int, int]:
+        return self._settings.sensor.width_px, self._settings.sensor.height_px
 
     def _defaults(self) -> CameraSettings:
         sensor = self._settings.sensor
@@ -166,6 +171,7 @@ class SimulatedCamera:
             gain_db=0.0,
             frame_rate_hz=self._settings.clock.frame_rate_hz,
             pixel_format=_FORMATS[sensor.bit_depth],
+            binning=1,
             width_px=sensor.width_px,
             height_px=sensor.height_px,
             offset_x_px=0,

@@ -41,7 +41,8 @@ class Plan(NamedTuple):
 class Readings(NamedTuple):
     """Settings of the camera: region of the sensor, bit depth, exposure, gain, frame rate.
 
-    Motion during an exposure is neglected.
+    Motion during an exposure is neglected. With `binning`, place and size of the region are in pixels of the
+    image, each the mean of that many of the sensor in each direction, read one by one.
     """
 
     x0_px: int
@@ -52,6 +53,7 @@ class Readings(NamedTuple):
     exposure_us: float
     gain_db: float
     frame_rate_hz: float
+    binning: int = 1
 
 
 class Scene:
@@ -70,7 +72,8 @@ class Scene:
         inputs: RigInputs | None = None,
     ) -> None:
         truth = settings.sensor
-        state = truth.at(readings.bit_depth, readings.gain_db)
+        state = truth.at(readings.bit_depth, readings.gain_db).binned(readings.binning)
+        area = readings.binning**2
         self._settings = settings
         self._faults = faults
         self._readings = readings
@@ -86,25 +89,25 @@ class Scene:
             self._command(inputs.begin(), 0.0)
         self._state = state
         brightness = readings.exposure_us / truth.exposure_us
-        self._peak_e = settings.optics.peak_dn * truth.gain_e_per_dn * brightness
+        self._peak_e = settings.optics.peak_dn * truth.gain_e_per_dn * brightness * area
         self._readout = sensor.Readout(
             gain_e_per_dn=state.gain_e_per_dn,
             black_level_dn=state.black_level_dn,
             full_scale_dn=float(state.full_scale_dn),
-            full_well_e=truth.full_well_e,
+            full_well_e=truth.full_well_e * area,
             read_noise_e=state.read_noise_e,
-            ambient_e=truth.ambient_dn * truth.gain_e_per_dn * brightness,
+            ambient_e=truth.ambient_dn * truth.gain_e_per_dn * brightness * area,
         )
         self._dark = sensor.dark_table(state)
-        self._pixels = sensor.pixels(
-            truth, settings.seed, readings.x0_px, readings.y0_px, readings.width_px, readings.height_px
-        )
+        region_px = (readings.x0_px, readings.y0_px, readings.width_px, readings.height_px)
+        self._pixels = sensor.pixels(truth, settings.seed, *region_px, readings.binning)
         self._edges = randomness.ziggurat().x
         self._light_e = np.zeros((readings.height_px, readings.width_px))
         self._dtype = np.uint8 if readings.bit_depth == 8 else np.uint16
         self._rolling: RollingReadout | None = None
         if truth.row_time_s:
-            self._rolling = RollingReadout(truth, readings.y0_px, readings.height_px, readings.frame_rate_hz)
+            top, rows = readings.y0_px * readings.binning, readings.height_px * readings.binning
+            self._rolling = RollingReadout(truth, top, rows, readings.frame_rate_hz)
 
     def plan(self, count: int) -> Plan:
         """Calculate the next `count` frames, without their images."""
@@ -177,17 +180,24 @@ class Scene:
         readings = self._readings
         optics = self._settings.optics
         peak_e = self._peak_e * power
-        x, y = x_px - readings.x0_px, y_px - readings.y0_px
+        binning = readings.binning
+        # the middle of the first pixel of the image lies between those of the sensor that it combines
+        x = (x_px - 0.5 * (binning - 1)) / binning - readings.x0_px
+        y = (y_px - 0.5 * (binning - 1)) / binning - readings.y0_px
         main = np.column_stack((x, y, peak_e))
         sheared = Sheared(optics, np.zeros((len(x), 2)) if slope is None else slope)
         ghost = np.column_stack(
-            (x + sheared.ghost_dx_px, y + sheared.ghost_dy_px, peak_e * optics.ghost_relative)
+            (
+                x + sheared.ghost_dx_px / binning,
+                y + sheared.ghost_dy_px / binning,
+                peak_e * optics.ghost_relative,
+            )
         )
         images = np.empty((len(x_px), readings.height_px, readings.width_px), dtype=self._dtype)
         sensor.expose_frames(
             images,
             self._light_e,
-            sheared.shapes,
+            sheared.shapes / (binning, binning, 1),
             main,
             ghost,
             self._readout,

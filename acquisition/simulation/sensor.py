@@ -133,21 +133,31 @@ def _alias(
     return first, second, np.rint(keep * 2**shift).astype(np.uint32), shift
 
 
-def pixels(truth: SensorTruth, seed: int, x0: int, y0: int, nx: int, ny: int) -> Pixels:
-    """Response and hot pixels of a region; they depend on the position on the sensor, not on the region."""
+def pixels(truth: SensorTruth, seed: int, x0: int, y0: int, nx: int, ny: int, binning: int = 1) -> Pixels:
+    """Response and hot pixels of a region; they depend on the position on the sensor, not on the region.
+
+    The region is in pixels of the image, which combine `binning` of the sensor in each direction.
+    """
     empty = np.empty((0, 0), dtype=np.float32)
     response = empty
     if truth.prnu > 0:
         noise = np.empty((truth.height_px, truth.width_px))
         randomness.frame_normals(seed, 0, _MAP, 0, randomness.ziggurat().x, noise)
-        response = np.maximum(1 + truth.prnu * noise, 0)[y0 : y0 + ny, x0 : x0 + nx].astype(np.float32)
+        part = np.s_[y0 * binning : (y0 + ny) * binning, x0 * binning : (x0 + nx) * binning]
+        blocks = np.maximum(1 + truth.prnu * noise, 0)[part].reshape(ny, binning, nx, binning)
+        response = blocks.mean(axis=(1, 3)).astype(np.float32)
     generator = np.random.Generator(np.random.PCG64([seed, _HOT]))
     count = min(truth.hot_pixels, truth.width_px * truth.height_px)
     place = generator.choice(truth.width_px * truth.height_px, size=count, replace=False)
-    hot_e = generator.exponential(truth.hot_pixel_dn * truth.gain_e_per_dn, size=count)
-    row, column = np.divmod(place, truth.width_px)
+    hot_e: NDArray[np.float64] = generator.exponential(truth.hot_pixel_dn * truth.gain_e_per_dn, size=count)
+    row, column = place // truth.width_px // binning, place % truth.width_px // binning
     inside = (row >= y0) & (row < y0 + ny) & (column >= x0) & (column < x0 + nx)
-    return Pixels(np.ascontiguousarray(response), row[inside] - y0, column[inside] - x0, hot_e[inside])
+    row, column, hot_e = row[inside] - y0, column[inside] - x0, hot_e[inside]
+    if binning > 1:  # two hot pixels of the sensor may be in one of the image
+        where, of = np.unique(row * nx + column, return_inverse=True)
+        row, column = where // nx, where % nx
+        hot_e = np.bincount(of, weights=hot_e, minlength=len(where)).astype(np.float64)
+    return Pixels(np.ascontiguousarray(response), row, column, hot_e)
 
 
 @kernel

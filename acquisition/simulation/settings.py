@@ -122,6 +122,12 @@ class SensorState(NamedTuple):
     full_scale_dn: int
     black_level_dn: float
 
+    def binned(self, binning: int) -> "SensorState":
+        """Properties of pixels that are the mean of `binning` squared ones, each read with its own noise."""
+        return self._replace(
+            gain_e_per_dn=self.gain_e_per_dn * binning**2, read_noise_e=self.read_noise_e * binning
+        )
+
 
 class SensorTruth(Section, frozen=True):
     """The image sensor. The black level is not due to light and has read noise only."""

@@ -42,7 +42,8 @@ class Step(BaseModel, frozen=True, extra="forbid"):
 class LadderFile(BaseModel, frozen=True, extra="forbid"):
     """A ladder of known tilts or shifts, or the geometry of the lever instead.
 
-    Steps are in the order of the measurement. `u_reference` is the standard uncertainty of one
+    `pixel_pitch_m` is that of the sensor; `binning` is the camera's where spots are stated (records know
+    theirs). Steps are in the order of the measurement. `u_reference` is the standard uncertainty of one
     setting, in `unit`; `u_reference_relative` that of the scale of the reference. Paths of records are
     relative to the file.
     """
@@ -54,6 +55,7 @@ class LadderFile(BaseModel, frozen=True, extra="forbid"):
     pixel_pitch_m: float | None = Field(default=None, gt=0, lt=1e-3)
     arm_m: float | None = Field(default=None, gt=0)
     u_arm_m: float = Field(default=0.0, ge=0)
+    binning: int = Field(default=1, ge=1, le=16)
     step: tuple[Step, ...] = ()
     geometry: LeverGeometry | None = None
 

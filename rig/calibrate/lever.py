@@ -18,7 +18,7 @@ from calibration import (
 from processing.errors import ConfigurationError
 from rig.calibrate.filing import Filing, details_of, file_calibration
 from rig.calibrate.inputs import LadderFile, read_ladder
-from rig.calibrate.spots import mean_spot, spots_of_record
+from rig.calibrate.spots import binning_of_record, mean_spot, spots_of_record
 
 
 def calibrate_lever(ladder: Path, filing: Filing) -> Path:
@@ -34,10 +34,12 @@ def calibrate_lever(ladder: Path, filing: Filing) -> Path:
             "lever", filing, "geometry, traced", _plain_lever(found.lever), details, [ladder]
         )
     fit, sources, began = _climb(ladder, table)
+    binning = _binning(ladder, table)
     if table.kind == "tilt":
-        lever = lever_from_tilts(fit, table.needed("pixel_pitch_m"))
+        lever = lever_from_tilts(fit, table.needed("pixel_pitch_m") * binning)
     else:
         lever = lever_from_shifts(fit, table.needed("arm_m"), table.u_arm_m)
+    lever = lever.model_copy(update={"binning": binning})
     details = {**_ladder_details(fit, table), "u_scale_relative": lever.u_scale_relative}
     method = f"ladder of {len(table.step)} {table.kind}s"
     return file_calibration("lever", filing, method, _plain_lever(lever), details, sources, fit.notes, began)
@@ -50,7 +52,7 @@ def check_known_angle(ladder: Path, lever: Path, filing: Filing) -> Path:
         raise ConfigurationError(f"{ladder}: known tilts are needed for a check (kind = 'tilt')")
     in_use = Lever.model_validate(read_calibration(lever, "lever").values)
     fit, sources, began = _climb(ladder, table)
-    check = check_scale(in_use, fit)
+    check = check_scale(in_use.at_binning(_binning(ladder, table)), fit)
     details = {**details_of(check), **_ladder_details(fit, table)}
     notes = list(fit.notes)
     if check.moved:
@@ -80,6 +82,14 @@ def _climb(path: Path, table: LadderFile) -> tuple[LadderFit, list[Path], dateti
         sources,
         began,
     )
+
+
+def _binning(path: Path, table: LadderFile) -> int:
+    """The camera's binning when the ladder was measured, as its records state it, or the file without one."""
+    found = {binning_of_record(path.parent / step.record) for step in table.step if step.record is not None}
+    if len(found) > 1:
+        raise ConfigurationError(f"{path}: its records have different binnings: {sorted(found)}")
+    return found.pop() if found else table.binning
 
 
 def _ladder_details(fit: LadderFit, table: LadderFile) -> dict[str, Any]:

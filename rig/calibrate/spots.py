@@ -42,6 +42,13 @@ def spots_of_record(record: Path) -> tuple[Deflections, datetime.datetime]:
     return Deflections(good["time_ns"].copy(), x_px, y_px, u_x_px, u_y_px, DeflectionUnit.PX), began
 
 
+def binning_of_record(record: Path) -> int:
+    """The camera's binning in a record; 1 if it has none."""
+    with RecordReader(record) as reader:
+        stated = reader.metadata.get("camera_settings", {}).get("binning", "")
+    return int(stated) if stated.isdigit() else 1
+
+
 def whole_spots(record: Path) -> tuple[NDArray[Any], datetime.datetime]:
     """The table of a record's complete, unsaturated spots, and the start of the record.
 

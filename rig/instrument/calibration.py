@@ -8,7 +8,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from calibration import CalibrationFile, Kind, moved_between, parse_calibration
+from calibration import CalibrationFile, Kind, Lever, moved_between, parse_calibration
 from processing.errors import ConfigurationError
 from rig.settings import Configuration
 
@@ -40,6 +40,8 @@ def fill_from_files(config: Configuration) -> Configuration:
             fault = error.errors()[0]
             place = ".".join(str(part) for part in fault["loc"][1:])
             raise ConfigurationError(f"{path}: values.{place}: {fault['msg']}") from None
+        if isinstance(values, Lever):
+            values = values.at_binning(config.camera.binning or 1)
         stated = getattr(config, section)
         if stated not in (None, values):
             raise ConfigurationError(

@@ -6,6 +6,15 @@ from rig.settings import Configuration
 
 
 def complete(config: Configuration) -> Configuration:
-    """Fill missing sections from calibration files and from the true values of a simulated rig."""
-    config = fill_from_files(config)
-    return fill_from_truth(config) if config.simulated else config
+    """Fill missing sections from calibration files and from the true values of a simulated rig.
+
+    The lever becomes that of the camera's binning.
+    """
+    config = fill_from_files(_binned(config))
+    return _binned(fill_from_truth(config)) if config.simulated else config
+
+
+def _binned(config: Configuration) -> Configuration:
+    if config.lever is None:
+        return config
+    return config.model_copy(update={"lever": config.lever.at_binning(config.camera.binning or 1)})

@@ -23,7 +23,7 @@ def fill_from_truth(config: Configuration) -> Configuration:
     return config.model_copy(
         update={
             "sensor": config.sensor or _sensor(truth, config),
-            "shutter": config.shutter or _shutter(truth),
+            "shutter": config.shutter or _shutter(truth, config.camera.binning or 1),
             "lever": config.lever or _lever(truth),
             "axes": config.axes or _axes(truth),
             "pendulum": config.pendulum or _pendulum(truth),
@@ -40,20 +40,21 @@ def _sensor(truth: SimulationSettings, config: Configuration) -> SensorModel:
         if camera.pixel_format is None
         else int(camera.pixel_format.removeprefix("mono"))
     )
-    state = truth.sensor.at(depth, camera.gain_db or 0.0)
+    binning = camera.binning or 1
+    state = truth.sensor.at(depth, camera.gain_db or 0.0).binned(binning)
     return SensorModel(
         gain_e_per_dn=state.gain_e_per_dn,
         read_noise_e=state.read_noise_e,
         full_scale_dn=state.full_scale_dn,
         pedestal_dn=state.black_level_dn,
-        prnu=truth.sensor.prnu,
+        prnu=truth.sensor.prnu / binning,
     )
 
 
-def _shutter(truth: SimulationSettings) -> Shutter | None:
+def _shutter(truth: SimulationSettings, binning: int) -> Shutter | None:
     """None for a global shutter, which needs no correction."""
     sensor = truth.sensor
-    return Shutter(sensor.row_time_s, first_row=sensor.first_row) if sensor.row_time_s else None
+    return Shutter(sensor.row_time_s * binning, first_row=sensor.first_row) if sensor.row_time_s else None
 
 
 def _lever(truth: SimulationSettings) -> Lever:

@@ -6,6 +6,7 @@ from typing import Any
 from acquisition.camera import CameraSettings, FeatureValue, PixelFormat
 from acquisition.cameras import wiring
 from acquisition.cameras.automatic import RESULTING_RATES, leave_images_alone
+from acquisition.cameras.binning import binning_of, set_binning
 from acquisition.cameras.pixel_formats import BY_NAME, FORMATS, Format
 from processing.errors import DeviceError
 
@@ -42,6 +43,7 @@ class AravisFeatures:
         """Apply the settings that are not None; return all settings as read back."""
         leave_images_alone(self)
         settings = wiring.with_kept(settings, self._wiring)
+        set_binning(self, settings.binning or 1)
         wiring.wire(self, settings)
         self._wiring = settings
         self._waits = settings.trigger is not None or any("Trigger" in name for name in settings.features)
@@ -130,6 +132,7 @@ class AravisFeatures:
             gain_db=camera.get_gain() if camera.is_gain_available() else None,
             frame_rate_hz=min(filter(None, (rate_hz, possible_hz)), default=None),
             pixel_format=self.pixel_format().pixel_format,
+            binning=binning_of(self),
             width_px=width_px,
             height_px=height_px,
             offset_x_px=x,

@@ -6,6 +6,7 @@ from typing import Any, Final
 from acquisition.camera import CameraSettings, FeatureValue, PixelFormat
 from acquisition.cameras import wiring
 from acquisition.cameras.automatic import RESULTING_RATES, leave_images_alone
+from acquisition.cameras.binning import binning_of, set_binning
 from processing.errors import DeviceError
 
 _FORMATS: Final[dict[PixelFormat, str]] = {
@@ -37,6 +38,7 @@ class PylonFeatures:
         """Apply the settings that are not None; return all settings as read back."""
         leave_images_alone(self)
         settings = wiring.with_kept(settings, self._wiring)
+        set_binning(self, settings.binning or 1)
         wiring.wire(self, settings)
         self._wiring = settings
         self._set_format(settings.pixel_format)
@@ -199,6 +201,7 @@ class PylonFeatures:
             gain_db=None if gain is None else float(gain.Value),
             frame_rate_hz=rate_hz,
             pixel_format=by_name[camera.PixelFormat.Value],
+            binning=binning_of(self),
             width_px=int(camera.Width.Value),
             height_px=int(camera.Height.Value),
             offset_x_px=int(camera.OffsetX.Value),

@@ -8,6 +8,7 @@ from typing import Any, Final
 from acquisition.camera import CameraLost, CameraSettings, FeatureValue, PixelFormat
 from acquisition.cameras import wiring
 from acquisition.cameras.automatic import RESULTING_RATES, leave_images_alone
+from acquisition.cameras.binning import binning_of, set_binning
 from acquisition.cameras.pixel_formats import BY_NAME, FORMATS, Format
 from acquisition.cameras.usb3vision.genapi.choice_nodes import Enumeration
 from acquisition.cameras.usb3vision.genapi.node import Access
@@ -153,6 +154,7 @@ class Features:
         self.nodes.forget()
         leave_images_alone(self)
         settings = wiring.with_kept(settings, self._wiring)
+        set_binning(self, settings.binning or 1)
         wiring.wire(self, settings)
         self._wiring = settings
         self._waits = settings.trigger is not None or any("Trigger" in name for name in settings.features)
@@ -221,6 +223,7 @@ class Features:
             gain_db=self._gain(),
             frame_rate_hz=self._frame_rate(),
             pixel_format=pixel_format,
+            binning=binning_of(self),
             width_px=self.get("Width"),
             height_px=self.get("Height"),
             offset_x_px=self.get_if_readable("OffsetX"),

@@ -202,6 +202,19 @@ def test_trigger_and_exposure_output() -> None:
     camera.close()
 
 
+def test_binning_that_another_program_left_on_is_undone_unless_asked() -> None:
+    camera = PylonCamera()
+    camera.open()
+    camera._camera.BinningHorizontal.Value = 2
+    camera._camera.BinningVertical.Value = 2
+    assert camera.configure(CameraSettings()).binning == 1
+    assert camera.feature_value("BinningVertical") == 1
+    assert camera.configure(CameraSettings(binning=2)).binning == 2
+    assert camera.feature_value("BinningVertical") == 2
+    assert camera.configure(CameraSettings(exposure_us=100.0)).binning == 2, "kept"
+    camera.close()
+
+
 def test_a_rate_that_the_exposure_does_not_allow_is_said_with_the_one_that_is_possible() -> None:
     """The emulation takes any exposure and says that its rate results."""
     camera = PylonCamera()

@@ -15,6 +15,8 @@ from acquisition.simulation.scene import Readings, Scene
 from acquisition.simulation.settings import OpticsTruth, SensorTruth, SimulationSettings
 from acquisition.simulation.true_path import axes_motion
 from processing.errors import ConfigurationError
+from rig.instrument import complete
+from rig.settings import Configuration
 
 ROWS, TOP = 300, 120
 
@@ -56,6 +58,49 @@ def test_every_row_sees_the_spot_at_its_own_time(first_row: str) -> None:
         assert np.abs(image - expected).max() < 2e-4 * 40000.0
         weight = image / image.sum()
         assert plan.y_px[frame] - TOP == pytest.approx((weight.sum(1) * rows).sum(), abs=2e-3)
+
+
+@pytest.mark.parametrize("row_time_s", [0.0, 30e-6])
+def test_a_binned_image_is_the_mean_of_the_sensors_pixels(row_time_s: float) -> None:
+    """In a region, too, and with each row of the sensor at its own time."""
+    settings = settings_of(row_time_s)
+    whole = Scene(settings, FaultSettings(), Readings(0, 0, 120, 402, 16, 100.0, 0.0, 50.0), 0)
+    part = Scene(settings, FaultSettings(), Readings(10, 30, 20, 100, 16, 100.0, 0.0, 50.0, binning=3), 0)
+    plan = whole.plan(200)
+    frame = int(np.argmin(np.abs(plan.y_px - 240.0)))
+    image = whole.draw(frame, plan.x_px[frame], plan.y_px[frame], 1.0, plan.slope[frame]).astype(float)
+    seen = part.draw(frame, plan.x_px[frame], plan.y_px[frame], 1.0, plan.slope[frame]).astype(float)
+    expected = image[90:390, 30:90].reshape(100, 3, 20, 3).mean(axis=(1, 3))
+    assert expected.max() > 20000.0
+    assert np.abs(seen - expected).max() < 1e-3 * 40000.0
+
+
+@pytest.mark.parametrize("binning", [2, 3])
+def test_rows_of_a_binned_image_are_later_by_as_many_row_times(binning: int) -> None:
+    """The time that is right for the rows of the image is that at which the spot was there."""
+    settings = settings_of(20e-6)
+    rows = 640 // binning
+    scene = Scene(settings, FaultSettings(), Readings(0, 0, 40, rows, 16, 100.0, 0.0, 50.0, binning), 0)
+    plan = scene.plan(200)
+    frames = range(40, 200, 40)
+    images = [scene.draw(n, plan.x_px[n], plan.y_px[n], 1.0, plan.slope[n]).astype(float) for n in frames]
+    seen_px = np.array([(image.sum(1) @ np.arange(rows)) / image.sum() for image in images])
+    config = complete(
+        Configuration.model_validate(
+            {"simulation": settings.model_dump(), "camera": {"binning": binning, "frame_rate_hz": 50.0}}
+        )
+    )
+    assert config.shutter is not None
+    assert config.lever is not None
+    # the first row of the image is the mean of so many rows of the sensor
+    first_s = 0.5 * (binning - 1) * 20e-6
+    times_s = np.array(frames) / 50.0 + first_s + seen_px * config.shutter.row_time_s
+    fast, slow = motions(settings, 0)
+    tilts = axes_motion(settings, fast, slow, times_s)
+    _, y_px = spot_position_px(*tilts, times_s, settings.axes, settings.optics, settings.sensor)
+    assert seen_px == pytest.approx((y_px + 0.5) / binning - 0.5, abs=3e-3)
+    tilt_rad = config.lever.tilt_rad(0.5 * (640 / binning - 1) - seen_px)
+    assert tilt_rad == pytest.approx(tilts[1], abs=3e-3 * binning * 4.8e-6)
 
 
 def test_a_readout_longer_than_a_frame_is_refused() -> None:

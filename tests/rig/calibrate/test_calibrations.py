@@ -20,6 +20,7 @@ from rig.calibrate import (
     check_known_angle,
 )
 from rig.calibrate.filing import Filing
+from rig.instrument import complete
 from rig.instrument.calibration import calibration_attachments, fill_from_files, judge_calibration
 from rig.measure.session import simulate_record
 from rig.settings.configuration import Configuration, validate_configuration
@@ -61,6 +62,27 @@ def records(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 def in_use(**files: Path) -> Configuration:
     tree: dict[str, Any] = {"calibration": {kind: str(path) for kind, path in files.items()}}
     return validate_configuration(tree, "test")
+
+
+def test_the_pitch_follows_the_binning(tmp_path: Path) -> None:
+    """A lever measured with 2 x 2 pixels, used with 4 x 4: one pixel of the image is four of the sensor."""
+    readings = [-60.0, -30.0, 0.0, 30.0, 60.0]
+    lines = ["kind = 'tilt'", "unit = 'arcsec'", "pixel_pitch_m = 4.8e-6", "binning = 2"]
+    for reading in readings:
+        lines += ["[[step]]", f"reference = {reading}", "x_px = 80.0", "u_px = 0.01"]
+        lines += [f"y_px = {160.0 - 0.5 * reading * ARCSEC_PX}"]
+    path = calibrate_lever(write(tmp_path / "l.toml", "\n".join(lines)), Filing(tmp_path / "c", 30, ""))
+    values = read_calibration(path, "lever").values
+    assert (values["binning"], values["pixel_pitch_m"]) == (2, 9.6e-6)
+    tree = {"calibration": {"lever": str(path)}, "camera": {"driver": "v4l2", "binning": 4}}
+    config = complete(validate_configuration(tree, "test"))
+    assert config.lever is not None
+    assert config.lever.pixel_pitch_m == pytest.approx(4 * 4.8e-6)
+    assert config.lever.arm_m == pytest.approx(1.0, rel=1e-6)
+    assert config.lever.reference_y_px == pytest.approx((160.0 + 0.5) / 2 - 0.5, abs=1e-3)
+    assert complete(config) == config, "as a record's configuration is, which states it already"
+    with pytest.raises(ConfigurationError, match=r"set camera\.binning instead"):
+        validate_configuration({"camera": {"features": {"BinningVertical": 2}}}, "test")
 
 
 def test_a_lever_from_geometry_fills_the_configuration(tmp_path: Path) -> None:

@@ -350,6 +350,8 @@ def test_trigger_exposure_output_and_network_clock(richer: AravisCamera) -> None
     assert richer.feature_value("LineSource") == "ExposureActive"
     assert richer.feature_value("PtpStatus") == "Slave", "read after it was latched"
     assert richer.feature_values()["PtpStatus"] == "Slave"
+    assert richer.configure(CameraSettings(binning=2)).binning == 2
+    assert richer.configure(CameraSettings(binning=1)).binning == 1
     wait_for_network_clock(richer)
     assert richer.configure(CameraSettings(ptp=False)).ptp is False
     with pytest.raises(DeviceError, match="not the network's, its state is Disabled; is a clock running"):

@@ -323,6 +323,8 @@ def test_the_exposure_is_shown_on_the_line_that_is_named(device: VisionDevice) -
         camera.configure(CameraSettings(exposure_output="Line7"))
     with pytest.raises(DeviceError, match="TriggerSource cannot be Line2; it can be Software, Line1, Line3"):
         camera.configure(CameraSettings(trigger="Line2"))
+    with pytest.raises(DeviceError, match=r"has no BinningHorizontal; leave camera\.binning out"):
+        camera.configure(CameraSettings(binning=2))
     with pytest.raises(DeviceError, match=r"has no PtpEnable; leave camera\.ptp out"):
         camera.configure(CameraSettings(ptp=True))
     camera.close()
