@@ -5,14 +5,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from acquisition.record.chunk_builder import ChunkBuilder
-from acquisition.record.chunk_reader import ChunkDamage, messages_in
+from acquisition.record.chunk_builder import MESSAGE_HEAD, ChunkBuilder
+from acquisition.record.chunk_reader import ChunkDamage, message_heads
 from acquisition.record.container import McapFile, create_record
 from acquisition.record.descriptions import own_texts
 from acquisition.record.digest import sha256_of
 from acquisition.record.proof import unproved_parts
 from acquisition.record.proved_file import Damage
 from acquisition.record.reader import RecordReader
+from acquisition.record.records import HEAD
 from processing.errors import RecordError
 
 _RESERVE_BYTES = 1024 * 1024
@@ -84,13 +85,19 @@ def _copy(reader: RecordReader, file: McapFile, path: Path) -> Recovery:
     for place in contents.chunks:
         builder = ChunkBuilder()
         try:
-            for message in messages_in(opened(place)):
-                copied = numbers.get(message.channel)
+            chunk = opened(place)
+            starts, heads = message_heads(chunk)
+            # a message may fill its chunk: it is copied once, into the builder
+            data = memoryview(chunk.data)
+            for start, head in zip(starts.tolist(), heads.tolist(), strict=True):
+                _, length, channel, sequence, log_time_ns, _ = head
+                copied = numbers.get(channel)
                 if copied is None:
                     reader.note_damage(place, "messages of a topic without a description")
                     continue
-                builder.add(copied, message.sequence, message.log_time_ns, message.data)
-                counts[contents.channels[message.channel].topic] += 1
+                content = data[start + MESSAGE_HEAD.size : start + HEAD.size + length]
+                builder.add(copied, sequence, log_time_ns, content)
+                counts[contents.channels[channel].topic] += 1
         except ChunkDamage as damage:
             reader.note_damage(place, str(damage))
             continue
