@@ -88,14 +88,14 @@ def _copy(reader: RecordReader, file: McapFile, path: Path) -> Recovery:
             chunk = opened(place)
             starts, heads = message_heads(chunk)
             # a message may fill its chunk: it is copied once, into the builder
-            data = memoryview(chunk.data)
+            bytes_of = memoryview(chunk.data)
             for start, head in zip(starts.tolist(), heads.tolist(), strict=True):
                 _, length, channel, sequence, log_time_ns, _ = head
                 copied = numbers.get(channel)
                 if copied is None:
                     reader.note_damage(place, "messages of a topic without a description")
                     continue
-                content = data[start + MESSAGE_HEAD.size : start + HEAD.size + length]
+                content = bytes_of[start + MESSAGE_HEAD.size : start + HEAD.size + length]
                 builder.add(copied, sequence, log_time_ns, content)
                 counts[contents.channels[channel].topic] += 1
         except ChunkDamage as damage:

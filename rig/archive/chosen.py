@@ -8,12 +8,13 @@ from typing import Any
 from processing.errors import ConfigurationError
 from rig.archive.listing import selected
 from rig.archive.remarks import write_remark
-from rig.archive.store import Archive
+from rig.archive.store import Archive, reads_archive
 from rig.presentation import NOT_KNOWN, Table, plain, print_tables, with_uncertainty
 
 _SHORTEST = 4
 
 
+@reads_archive
 def remark(
     archive: Path,
     names: Sequence[str],
@@ -58,6 +59,7 @@ def named(connection: Any, name: str) -> list[str]:
     return runs
 
 
+@reads_archive
 def show_runs(archive: Path, names: Sequence[str]) -> None:
     """Print all that the archive knows of runs, and which versions of them it has."""
     connection = Archive(archive).connection()

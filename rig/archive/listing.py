@@ -11,7 +11,7 @@ from typing import Any, Literal
 from acquisition.record import whole_file
 from processing.errors import ConfigurationError, RecordError
 from rig.archive.columns import SHOWN
-from rig.archive.store import Archive, duckdb_module
+from rig.archive.store import Archive, duckdb_module, reads_archive
 from rig.presentation import NOT_KNOWN, Cell, Table, plain, plain_values, print_tables, with_uncertainty
 
 Format = Literal["table", "csv", "json", "parquet"]
@@ -19,6 +19,7 @@ _SHORTENED = 8
 """Characters of a hash that name a run on the screen."""
 
 
+@reads_archive
 def list_runs(
     archive: Path, condition: str, columns: Sequence[str], kind: Format, output: Path | None
 ) -> None:

@@ -9,12 +9,13 @@ from typing import Any
 from processing.errors import ConfigurationError
 from rig.archive.columns import COLUMNS, SHORT_NAMES
 from rig.archive.listing import selected, write_output
-from rig.archive.store import Archive
+from rig.archive.store import Archive, reads_archive
 from rig.presentation import palette
 
 _MOST_GROUPS = 12
 
 
+@reads_archive
 def plot_runs(archive: Path, x: str, y: str, by: str, condition: str, output: Path) -> str:
     """Draw y against x of the runs that meet a condition into a new SVG or PNG; says how many they are.
 

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from pydantic import BaseModel, ValidationError
+from pydantic import AwareDatetime, BaseModel, ValidationError
 
 from acquisition.record import whole_file
 from processing.errors import ConfigurationError, RecordError
@@ -21,7 +21,7 @@ _FOLDER = "remarks"
 class Remark(BaseModel, frozen=True):
     """One command: tags added to and removed from runs (by the SHA-256 of their records), or a note."""
 
-    utc: datetime.datetime
+    utc: AwareDatetime
     user: str = ""
     computer: str = ""
     runs: tuple[str, ...]

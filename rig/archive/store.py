@@ -6,18 +6,21 @@ lock: two processes that write at once write different files, or the same one.
 """
 
 import contextlib
+import functools
 import io
 import os
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Concatenate, ParamSpec, TypeVar
 
 from acquisition.record import whole_file
 from processing.errors import ConfigurationError, RecordError
 from rig.archive.columns import COLUMNS, SHORT_NAMES
 from rig.archive.remarks import read_remarks
 
+_P = ParamSpec("_P")
+_R = TypeVar("_R")
 _MANY = 256
 """Files of sessions beside the merged one from which on they are merged."""
 _FEW = 24
@@ -169,6 +172,23 @@ def duckdb_module() -> Any:
             "rig archive needs DuckDB and pyarrow: pip install 'optical-pendulum-rig[archive]'"
         ) from None
     return duckdb
+
+
+def reads_archive(function: Callable[Concatenate[Path, _P], _R]) -> Callable[Concatenate[Path, _P], _R]:
+    """A function of an archive's folder that raises RecordError where DuckDB finds a fault as it reads rows.
+
+    A query's rows are read when they are fetched, after the query itself was found sound.
+    """
+
+    @functools.wraps(function)
+    def reading(archive: Path, /, *args: _P.args, **kwargs: _P.kwargs) -> _R:
+        duckdb = duckdb_module()
+        try:
+            return function(archive, *args, **kwargs)
+        except duckdb.Error as error:
+            raise RecordError(_unreadable(archive, error)) from None
+
+    return reading
 
 
 def _unreadable(path: Path, error: object) -> str:

@@ -65,7 +65,8 @@ def read(path: Path) -> list[Pair]:
     pairs: list[Pair] = []
     if not path.exists():
         return pairs
-    for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
+    text = path.read_text(encoding="utf-8", errors="replace")
+    for number, line in enumerate(text.splitlines(), start=1):
         try:
             entry = json.loads(line)
             if entry.get("forgotten"):
@@ -78,7 +79,7 @@ def read(path: Path) -> list[Pair]:
             if any(state.shape != (3,) for state in states) or not np.all(np.isfinite(parts)):
                 raise ValueError
             pairs.append(Pair(str(entry.get("utc", "")), entry["weight"], parts, *states))
-        except (ValueError, TypeError, KeyError, AttributeError):
+        except (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError):
             # truncated by a power failure or edited by hand; the other lines are still valid
             say(f"{path}: line {number} cannot be read and is skipped")
     return pairs

@@ -1,11 +1,13 @@
 """Every file that the project reads, changed at random, gives one clear line or right answers."""
 
+import io
 import json
-import shutil
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -16,12 +18,20 @@ from acquisition.cameras.files.settings import FilesSettings
 from acquisition.record.check import check_record
 from acquisition.record.reader import RecordReader
 from acquisition.record.recover import recover
+from acquisition.simulation.ground_file import read_ground_file
 from calibration.store import read_calibration
 from processing.errors import RigError
 from rig.analysis import encoded, read_results
 from rig.analysis.position_table import read_trajectory
+from rig.archive import list_runs
+from rig.archive.columns import COLUMNS
+from rig.archive.remarks import read_remarks
+from rig.archive.store import Archive
+from rig.balance import history
+from rig.calibrate.inputs import read_ladder, read_transfer
 from rig.measure.session_file import SessionFile
 from rig.settings.configuration import load_configuration
+from rig.settings.night_plan import load_plan
 from tests.acquisition.record.samples import write_sample
 
 OLDER = Path(__file__).parent / "data" / "older"
@@ -112,7 +122,11 @@ def read_table(path: Path) -> None:
 
 
 def read_images(path: Path) -> None:
-    camera = FilesCamera(FilesSettings(path=path.parent, frame_rate_hz=10.0))
+    read_stack(path.parent)
+
+
+def read_stack(path: Path) -> None:
+    camera = FilesCamera(FilesSettings(path=path, frame_rate_hz=10.0))
     try:
         camera.open()
         camera.start()
@@ -122,10 +136,52 @@ def read_images(path: Path) -> None:
         camera.close()
 
 
+def read_remark(path: Path) -> None:
+    """With another one beside it, which tells the order of the two."""
+    folder = path.parent / "remarks"
+    folder.mkdir(exist_ok=True)
+    path.replace(folder / path.name)
+    (folder / "2.json").write_bytes(REMARK)
+    read_remarks(path.parent)
+
+
 def written_again(path: Path) -> None:
     json.dumps(encoded(read_results(path)))
 
 
+def stored(kind: str) -> bytes:
+    """A small image or stack of them, in the format of a file name's ending."""
+    pixels = (np.arange(192) % 251).astype(np.uint8).reshape(12, 16)
+    if kind == "npy":
+        data = io.BytesIO()
+        np.save(data, np.stack([pixels, pixels]))
+        return data.getvalue()
+    done, encoded = (
+        cv2.imencodemulti(".tiff", [pixels, pixels]) if kind == "tiff" else cv2.imencode(f".{kind}", pixels)
+    )
+    assert done
+    return encoded.tobytes()
+
+
+LADDER = b"""u_reference = 0.1
+arm_m = 1.5
+pixel_pitch_m = 3.45e-6
+
+[[step]]
+reference = -60.0
+x_px = 12.5
+u_px = 0.01
+"""
+GROUND = b"time_s,acceleration_um_per_s2\n" + b"".join(b"%.2f,%d\n" % (n / 100, n % 7) for n in range(80))
+PLAN = b"""[[series]]
+name = "first"
+config = "demo.toml"
+temperature_c = [20.0, 22.0]
+set = ["session.runs=2"]
+"""
+TURN = b'{"utc": "2026-11-22T00:00:00+00:00", "weight": "a", "turns": 0.5, '
+TURN += b'"before": [1.0, 2.0, 3e-6], "after": [1.5, 2.0, 3e-6], "u": [0.1, 0.1, 1e-7]}\n'
+REMARK = b'{"utc": "2026-11-22T00:00:00Z", "user": "A", "runs": ["ab"], "add": ["good"], "note": "dry"}'
 FILES: dict[str, tuple[Path | bytes, str, Callable[[Path], Any]]] = {
     "configuration": (OLDER / "session.toml", "session.toml", load_configuration),
     "session": (OLDER / "series" / "session.json", "session.json", read_session),
@@ -133,6 +189,19 @@ FILES: dict[str, tuple[Path | bytes, str, Callable[[Path], Any]]] = {
     "calibration": (OLDER / "calibrations" / "lever-001.toml", "lever-001.toml", read_calibration),
     "table": (OLDER / "decay.csv", "decay.csv", read_table),
     "PGM": (b"P5 16 12 255\n" + bytes(range(192)), "frame0.pgm", read_images),
+    "PNG": (stored("png"), "frame0.png", read_images),
+    "TIFF stack": (stored("tiff"), "frames.tiff", read_stack),
+    "NumPy stack": (stored("npy"), "frames.npy", read_stack),
+    "ladder": (LADDER, "ladder.toml", read_ladder),
+    "photon transfer": (
+        b'darks = "dark"\n[[level]]\nframes = "1"\nexposure_us = 50.0\n',
+        "t.toml",
+        read_transfer,
+    ),
+    "ground": (GROUND, "ground.csv", read_ground_file),
+    "night's plan": (PLAN, "night.toml", load_plan),
+    "turned weights": (2 * TURN, "weights.jsonl", history.read),
+    "remark": (REMARK, "1.json", read_remark),
     "times": (b"time_ns,sequence\n10,0\n", "timestamps.csv", read_images),
 }
 
@@ -140,18 +209,30 @@ FILES: dict[str, tuple[Path | bytes, str, Callable[[Path], Any]]] = {
 @pytest.mark.parametrize("kind", FILES)
 @FEW
 @given(wanted=changes())
-def test_a_file(
-    tmp_path_factory: pytest.TempPathFactory, kind: str, wanted: list[tuple[str, float, bytes]]
-) -> None:
+def test_a_file(kind: str, wanted: list[tuple[str, float, bytes]]) -> None:
     source, name, use = FILES[kind]
-    folder = tmp_path_factory.mktemp("changed")
-    if kind == "times":
-        (folder / "frame0.pgm").write_bytes(b"P5 16 12 255\n" + bytes(192))
     data = source if isinstance(source, bytes) else source.read_bytes()
-    path = folder / name
-    path.write_bytes(changed(data, wanted))
-    one_line(lambda: use(path), str(path) if kind == "configuration" else "")
-    shutil.rmtree(folder)
+    with tempfile.TemporaryDirectory() as made:
+        folder = Path(made)
+        if kind == "times":
+            (folder / "frame0.pgm").write_bytes(b"P5 16 12 255\n" + bytes(192))
+        path = folder / name
+        path.write_bytes(changed(data, wanted))
+        one_line(lambda: use(path), str(path) if kind == "configuration" else "")
+
+
+@settings(FEW, max_examples=10)
+@given(wanted=changes())
+def test_an_archive(wanted: list[tuple[str, float, bytes]]) -> None:
+    """What the merged file, a list and its rows are read from."""
+    with tempfile.TemporaryDirectory() as made:
+        folder = Path(made)
+        archive = Archive(folder)
+        archive.add("one", [{**dict.fromkeys(COLUMNS), "sha256": "ab", "version": "one", "b": 1e-3}])
+        path = folder / "sessions" / "one.parquet"
+        path.write_bytes(changed(path.read_bytes(), wanted))
+        one_line(lambda: archive.merge(at_once=1))
+        one_line(lambda: list_runs(folder, "", ["b", "version"], "csv", folder / "listed.csv"))
 
 
 @pytest.mark.parametrize(

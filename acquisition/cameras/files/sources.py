@@ -145,8 +145,12 @@ class TiffSource:
     def read(self, index: int) -> Stored:
         if index == self._pages:
             raise Unreadable("the file is cut off before this page; copy it again")
-        with _quiet():
-            good, pages = cv2.imreadmulti(str(self._path), index, 1, flags=cv2.IMREAD_UNCHANGED)
+        try:
+            with _quiet():
+                good, pages = cv2.imreadmulti(str(self._path), index, 1, flags=cv2.IMREAD_UNCHANGED)
+        except cv2.error:
+            # a changed page may state a size that no array has
+            good = False
         if not good or len(pages) != 1:
             self._path.stat()
             raise Unreadable("the page cannot be decoded")
@@ -169,7 +173,8 @@ class StackSource:
         self.lossy = ""
         try:
             stack = np.load(path, mmap_mode="r", allow_pickle=False)
-        except (OSError, ValueError, EOFError) as error:
+        # whatever Python's own parser raises at a changed header
+        except Exception as error:
             raise DeviceError(f"{path}: is no .npy stack that can be read: {error}") from None
         if stack.ndim != 3 or stack.dtype not in (np.uint8, np.uint16) or 0 in stack.shape:
             raise DeviceError(

@@ -14,11 +14,22 @@ from pyarrow import parquet
 from processing.errors import ConfigurationError, RecordError
 from rig.archive import add_sessions, list_runs, plot_runs, remark
 from rig.archive.columns import COLUMNS, SAID_OF_RUNS
+from rig.archive.remarks import read_remarks
 from rig.archive.store import Archive
 from tests.rig.command_line import rig
 
 ROOT = Path(__file__).resolve().parents[3]
 OLDER = ROOT / "tests" / "rig" / "data" / "older"
+
+
+def test_a_remark_without_a_time_zone_is_refused_in_a_line(tmp_path: Path) -> None:
+    folder = tmp_path / "remarks"
+    folder.mkdir()
+    for number, zone in enumerate(("Z", "")):
+        said = {"utc": f"2026-11-22T00:00:00{zone}", "runs": ["ab"], "note": "dry"}
+        (folder / f"{number}.json").write_text(json.dumps(said))
+    with pytest.raises(RecordError, match=r"1\.json: cannot be read"):
+        read_remarks(tmp_path)
 
 
 @pytest.fixture
