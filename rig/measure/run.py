@@ -202,13 +202,15 @@ class Run:
     def _shut_down(self) -> None:
         self._stop.close_stream()
         losses = self._losses.now
-        self._status.snapshot = replace(
-            self.snapshot,
-            phase="done",
-            reason=self._stop.reason,
-            dropped_frames=max(self.snapshot.dropped_frames, losses.total),
-            losses=losses,
-            instruction="",
+        self._status.end(
+            replace(
+                self.snapshot,
+                phase="done",
+                reason=self._stop.reason,
+                dropped_frames=max(self.snapshot.dropped_frames, losses.total),
+                losses=losses,
+                instruction="",
+            )
         )
 
 

@@ -99,6 +99,12 @@ class RunStatus:
             for watcher in self._watchers:
                 watcher.event(start_ns, event)
 
+    def end(self, snapshot: Snapshot) -> None:
+        """Publish the state after the record, the last one, to the watchers too."""
+        self.snapshot = snapshot
+        for watcher in self._watchers:
+            watcher.snapshot(snapshot)
+
     def take_events(self) -> list[tuple[EventKind, str]]:
         """Events of controller, laser and sensors since the last call, as (kind, text)."""
         happened = [] if self._devices is None else self._devices.take_events()

@@ -9,11 +9,12 @@ from rig.instrument import Snapshot
 def state_text(snapshot: Snapshot, unit: DeflectionUnit) -> str:
     """Phase, amplitude, frames and losses, in Markdown."""
     dropped, lost = snapshot.dropped_frames, snapshot.lost_spots
-    lines = [
-        f"time {snapshot.elapsed_s:.1f} s",
-        f"amplitude {snapshot.amplitude:.2f} {unit.shown}, period {snapshot.period_s:.4f} s",
-        f"{snapshot.frames} frames, {dropped} dropped, {lost} spots lost",
-    ]
+    lines = [f"time {snapshot.elapsed_s:.1f} s"]
+    if not math.isnan(snapshot.amplitude):
+        lines.append(f"amplitude {snapshot.amplitude:.2f} {unit.shown}")
+    if not math.isnan(snapshot.period_s):
+        lines.append(f"period {snapshot.period_s:.4f} s")
+    lines.append(f"{snapshot.frames} frames, {dropped} dropped, {lost} spots lost")
     if snapshot.beam:
         lines.append(f"beam: {snapshot.beam}")
     if not math.isnan(snapshot.frame_age_s):
@@ -22,4 +23,5 @@ def state_text(snapshot: Snapshot, unit: DeflectionUnit) -> str:
         lines.append(f"lost: {snapshot.losses}")
     lines.append(f"{snapshot.half_cycles} half-cycles")
     alarm = f"# {snapshot.alarm.upper()}\n\n" if snapshot.alarm else ""
-    return f"{alarm}**{snapshot.phase}**\n\n" + "\n".join(f"- {line}" for line in lines) + "\n"
+    reason = f": {snapshot.reason}" if snapshot.reason else ""
+    return f"{alarm}**{snapshot.phase}**{reason}\n\n" + "\n".join(f"- {line}" for line in lines) + "\n"

@@ -155,6 +155,7 @@ class Viewer:
         self._advise = advise
         self._next_image_s = 0.0
         self._next_state_s = 0.0
+        self._shown_phase = ""
         self._notes: list[str] = []
         self._program = ViewerProgram(mode, web_port, self._note)
         setup = Setup(
@@ -232,10 +233,11 @@ class Viewer:
         self.log((event.time_ns - start_ns) * 1e-9 + later_s, event.level, event.line, run=run)
 
     def snapshot(self, snapshot: Snapshot) -> None:
-        """State and losses, at most twice a second."""
+        """State and losses, at most twice a second, and when the phase changes."""
         now_s = time.monotonic()
-        if now_s < self._next_state_s:
+        if now_s < self._next_state_s and snapshot.phase == self._shown_phase:
             return
+        self._shown_phase = snapshot.phase
         self._next_state_s = now_s + _STATE_INTERVAL_S
         self.state(state_text(snapshot, self._unit), time_s=snapshot.elapsed_s)
         counts = {"dropped_frames": snapshot.dropped_frames, "lost_spots": snapshot.lost_spots}

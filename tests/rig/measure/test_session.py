@@ -20,6 +20,7 @@ from rig.instrument.provenance import frame_shape, recorded_configuration
 from rig.replay.replay import Replay
 from rig.settings.configuration import load_configuration
 from tests.rig.command_line import CONFIGS, SMALL, rig, rig_process, set_words
+from tests.rig.view.rrd_contents import column
 
 TRUTH = {
     "glass": {"b": 37.33e-4, "p": 0.944, "c": 10.51e-9, "n": 0.092, "period0_s": 4.071, "gamma_pa": 28.97e6},
@@ -61,7 +62,10 @@ def test_a_session_leaves_records_a_view_and_results(short_session: Path) -> Non
         for fit in run["fits"].values():
             for name in TRUTH["glass"]:
                 assert fit[name]["standard_uncertainty"] > 0
-        assert (short_session / run["record"]).with_suffix(".rrd").stat().st_size > 10_000
+        rrd = (short_session / run["record"]).with_suffix(".rrd")
+        assert rrd.stat().st_size > 10_000
+        (last_state,) = column(rrd, "/state", "TextDocument:text")[1][-1]
+        assert last_state.startswith("**done**: time limit of")
     assert tree["runs"][0]["sha256"] != tree["runs"][1]["sha256"]
 
 
