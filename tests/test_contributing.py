@@ -12,7 +12,7 @@ import pytest
 
 from acquisition.record.reader import RecordReader
 from processing.angle import ARCSEC_RAD
-from tests.rig.view.rrd_contents import scalars
+from tests.rig.view.rrd_contents import measured
 
 pytestmark = pytest.mark.slow
 ROOT = Path(__file__).resolve().parents[1]
@@ -105,7 +105,7 @@ def test_a_quantity_of_the_balance_is_recorded_and_drawn(tree: Path) -> None:
     run_all(tree, "Adding a quantity of the balance")
     with RecordReader(tree / "balance.mcap") as record:
         recorded = record.table("/balance")["rest_distance_rad"]
-    times_s, shown = scalars(tree / "balance.rrd", "/balance/rest_distance/value")
+    times_s, shown, _ = measured(tree / "balance.rrd", "/balance/rest_distance")
     assert len(times_s) == len(recorded) > 3
     assert shown == pytest.approx(recorded / ARCSEC_RAD)
 

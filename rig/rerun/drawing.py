@@ -199,11 +199,18 @@ class Drawing:
         label: str,
         colour: str,
     ) -> None:
-        """A value and two fainter lines, one standard uncertainty above and below it."""
-        self._gather(run, f"{path}/value", time_s, value, label, colour)
-        # The same name and colour: the legend has one entry for the three.
-        for side, sign in (("upper", 1.0), ("lower", -1.0)):
-            self._gather(run, f"{path}/{side}", time_s, value + sign * u, label, colour, width=0.4)
+        """A value with a band of one standard uncertainty on either side."""
+        full = layout.entity(run, path)
+        if full not in self._named:
+            self._named.add(full)
+            style = rr.Measurements.from_fields(
+                names=f"{run} {label}".strip(),
+                colors=[palette.rgba(self._run_colour(run, colour))],
+                widths=[1.5],
+            )
+            self._stream.log(full, style, static=True)
+        self._gathered.measurements(full, time_s, value, u)
+        self._latest_s = max(self._latest_s, float(time_s[-1]))
 
     def _gather(
         self,

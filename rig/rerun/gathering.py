@@ -24,6 +24,7 @@ class Gathering:
         self._limit_s = limit_s
         self._limit_rows = limit_rows
         self._scalars: dict[str, list[tuple[Floats, Floats]]] = {}
+        self._measurements: dict[str, list[tuple[Floats, Floats, Floats]]] = {}
         self._strips: dict[str, tuple[list[float], list[Floats]]] = {}
         self._points: dict[str, tuple[list[float], list[Floats]]] = {}
         self._rows = 0
@@ -32,6 +33,11 @@ class Gathering:
     def scalars(self, path: str, times_s: Floats, values: Floats) -> None:
         """Add values (n,) of the curve at the entity `path`."""
         self._scalars.setdefault(path, []).append((times_s, values))
+        self._rows += len(times_s)
+
+    def measurements(self, path: str, times_s: Floats, values: Floats, u: Floats) -> None:
+        """Add values (n,) with their standard uncertainties of the curve at the entity `path`."""
+        self._measurements.setdefault(path, []).append((times_s, values, u))
         self._rows += len(times_s)
 
     def strips(self, path: str, times_s: Floats, pieces: list[Floats]) -> None:
@@ -54,11 +60,16 @@ class Gathering:
         self._sent_at = time.monotonic()
         self._rows = 0
         scalars, self._scalars = self._scalars, {}
+        measurements, self._measurements = self._measurements, {}
         strips, self._strips = self._strips, {}
         points, self._points = self._points, {}
         for path, parts in scalars.items():
             times_s, values = (np.concatenate(column) for column in zip(*parts, strict=True))
             self._stream.send_columns(path, [_column(times_s)], rr.Scalars.columns(scalars=values))
+        for path, blocks in measurements.items():
+            times_s, values, u = (np.concatenate(column) for column in zip(*blocks, strict=True))
+            columns = rr.Measurements.columns(values=values, variances=u**2)
+            self._stream.send_columns(path, [_column(times_s)], columns)
         for path, (times, pieces) in strips.items():
             self._stream.send_columns(path, [_column(times)], rr.LineStrips2D.columns(strips=pieces))
         for path, (times, known) in points.items():

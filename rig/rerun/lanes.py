@@ -1,4 +1,4 @@
-"""What a run was in at each time, as coloured lanes: measuring or ended, spot, camera and laser.
+"""What a run was in at each time, as coloured lanes: measuring or ended, spot, frames and laser.
 
 They follow from the events, which are drawn as text as well.
 """
@@ -17,20 +17,21 @@ _STATES: Final = {
     "ended": _OVER,
     "followed": _GOOD,
     "lost": _BAD,
-    "delivers": _GOOD,
+    "arriving": _GOOD,
     "silent": palette.ORANGE,
+    "camera lost": _BAD,
     "lit": _GOOD,
     "dark": _BAD,
 }
 _CHANGES: Final[dict[str, dict[str, str]]] = {
-    EventKind.START: {"run": "measuring", "spot": "followed", "camera": "delivers"},
+    EventKind.START: {"run": "measuring", "spot": "followed", "frames": "arriving"},
     EventKind.STOP: {"run": "ended"},
     EventKind.SPOT_LOST: {"spot": "lost"},
     EventKind.SPOT_FOUND: {"spot": "followed"},
-    EventKind.CAMERA_SILENT: {"camera": "silent"},
-    EventKind.CAMERA_SPEAKS: {"camera": "delivers"},
-    EventKind.CAMERA_LOST: {"camera": "lost"},
-    EventKind.CAMERA_BACK: {"camera": "delivers"},
+    EventKind.CAMERA_SILENT: {"frames": "silent"},
+    EventKind.CAMERA_SPEAKS: {"frames": "arriving"},
+    EventKind.CAMERA_LOST: {"frames": "camera lost"},
+    EventKind.CAMERA_BACK: {"frames": "arriving"},
     EventKind.LASER_DARK: {"laser": "dark"},
     EventKind.LASER_LIT: {"laser": "lit"},
 }
@@ -46,7 +47,7 @@ class Lanes:
     def draw(self, run: str, line: str) -> None:
         """Change the lanes as an event says (`kind: text`); its time is set already."""
         for lane, state in _CHANGES.get(line.partition(": ")[0], {}).items():
-            entity = layout.entity(run, f"{layout.LANES_ROOT}/{lane}")
+            entity = layout.entity(run, lane)
             if entity not in self._known:
                 self._known.add(entity)
                 colours = [palette.rgba(colour) for colour in _STATES.values()]

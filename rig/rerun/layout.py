@@ -42,7 +42,8 @@ IMAGE: Final = "camera/image"
 SPOT: Final = "camera/spot"
 BALANCE_ROOT: Final = "balance"
 LOSSES_ROOT: Final = "losses"
-LANES_ROOT: Final = "lanes"
+LANES: Final = ("run", "spot", "frames", "laser")
+"""What a run can be in, each below the run's name itself: the viewer titles a lane with its whole path."""
 STATE: Final = "state"
 ADVICE: Final = "advice"
 BALANCE_TABLE: Final = "balance_table"
@@ -52,6 +53,11 @@ REPORT: Final = "analysis/report"
 
 WINDOW_S: Final = 30.0
 """Duration of X(t) and Y(t) that is shown before the time cursor."""
+BALANCING_S: Final = 120.0
+"""The same of the balance: of what was turned just now, a longer range would hide the effect."""
+WHOLE_RUN: Final = rrb.TimeAxis(
+    view_range=rr.TimeRange(start=rrb.TimeRangeBoundary.infinite(), end=rrb.TimeRangeBoundary.infinite())
+)
 
 
 def entity(run: str, path: str) -> str:
@@ -62,6 +68,16 @@ def entity(run: str, path: str) -> str:
 def trail_entity(run: str, part: str) -> str:
     """Path of a part of a run's trajectory; those of all runs are below TRAJECTORY, which scales them."""
     return f"{TRAJECTORY}/{rr.escape_entity_path_part(run)}/{part}" if run else f"{TRAJECTORY}/{part}"
+
+
+def until_now(seconds: float) -> rrb.TimeAxis:
+    """A time axis of this length that ends at the time cursor."""
+    return rrb.TimeAxis(
+        view_range=rr.TimeRange(
+            start=rrb.TimeRangeBoundary.cursor_relative(seconds=-seconds),
+            end=rrb.TimeRangeBoundary.cursor_relative(),
+        )
+    )
 
 
 def blueprint(layout: LayoutName, runs: Sequence[str], unit: str, period_s: float) -> rrb.Blueprint:
@@ -176,34 +192,39 @@ class _Views:
         )
 
     def deflection(self, path: str, title: str) -> rrb.View:
-        window = rr.TimeRange(
-            start=rrb.TimeRangeBoundary.cursor_relative(seconds=-WINDOW_S),
-            end=rrb.TimeRangeBoundary.cursor_relative(),
-        )
         return rrb.TimeSeriesView(
             name=f"{title} / {self._unit}",
             contents=self._below(path),
-            axis_x=rrb.TimeAxis(view_range=window),
+            axis_x=until_now(WINDOW_S),
             plot_legend=rrb.PlotLegend(visible=len(self._runs) > 1),
         )
 
     def history(self, path: str, title: str) -> rrb.View:
         return rrb.TimeSeriesView(
-            name=title, contents=self._below(path), plot_legend=rrb.PlotLegend(visible=len(self._runs) > 1)
+            name=title,
+            contents=self._below(path),
+            axis_x=WHOLE_RUN,
+            plot_legend=rrb.PlotLegend(visible=len(self._runs) > 1),
         )
 
     def balance(self, title: str, names: Sequence[str]) -> rrb.View:
         contents = [line for name in names for line in self._below(f"{BALANCE_ROOT}/{name}")]
-        legend = rrb.PlotLegend(rrb.Corner2D.RightTop, visible=len(names) > 1 or len(self._runs) > 1)
-        return rrb.TimeSeriesView(name=title, contents=contents, plot_legend=legend)
+        legend = rrb.PlotLegend(rrb.Corner2D.LeftTop, visible=len(names) > 1 or len(self._runs) > 1)
+        return rrb.TimeSeriesView(
+            name=title, contents=contents, axis_x=until_now(BALANCING_S), plot_legend=legend
+        )
 
     def losses(self) -> rrb.View:
         return rrb.TimeSeriesView(
-            name="Losses", contents=self._below(LOSSES_ROOT), plot_legend=rrb.Corner2D.RightTop
+            name="Losses",
+            contents=self._below(LOSSES_ROOT),
+            axis_x=WHOLE_RUN,
+            plot_legend=rrb.Corner2D.LeftTop,
         )
 
     def lanes(self) -> rrb.View:
-        return rrb.StateTimelineView(name="Conditions", contents=self._below(LANES_ROOT))
+        contents = [f"+ {entity(run, lane)}" for run in self._runs for lane in LANES]
+        return rrb.StateTimelineView(name="Conditions", contents=contents, time_view=WHOLE_RUN)
 
     def camera(self) -> rrb.View:
         return rrb.Spatial2DView(name="Camera", contents=self._below(CAMERA)[:1])

@@ -97,7 +97,7 @@ def write_rrd(
         amplitude=max(each.amplitude for each in overviews),
         unit=units.pop(),
     )
-    lines = ["| record | start (UTC) | spots | half-cycles | |", "|---|---|---:|---:|---|"]
+    lines = []
     with viewer:
         for path, name, each in zip(paths, names, overviews, strict=True):
             later_s = 0.0 if align_start else (each.start_utc_ns - first_utc_ns) * 1e-9
@@ -107,7 +107,8 @@ def write_rrd(
                 spots, swings = _draw(viewer, reader, name, each.start_ns, later_s)
                 start = datetime.fromtimestamp(each.start_utc_ns * 1e-9, UTC)
                 end = "truncated" if reader.truncated else "damaged" if reader.damages else "complete"
-            lines.append(f"| {path.stem} | {start:%Y-%m-%d %H:%M:%S} | {spots} | {swings} | {end} |")
+            lines.append(f"**{path.stem}**: {end}\n")
+            lines.append(f"- start {start:%Y-%m-%d %H:%M:%S} UTC\n- {spots} spots\n- {swings} half-cycles\n")
         viewer.state("\n".join(lines), time_s=0.0, run=names[0])
         if layout == "analysing":
             _draw_analysis(viewer, paths, names)

@@ -12,7 +12,7 @@ from rig.balance.learned_turns import LearnedTurns
 from rig.instrument.balance import nominal_effects
 from tests.rig.balance.cases import CONFIG, follow_advice, seen, state_of, trimmed_pendulum
 from tests.rig.command_line import CONFIGS, rig
-from tests.rig.view.rrd_contents import column, scalars
+from tests.rig.view.rrd_contents import column, measured
 
 LIMITS = BalanceLimits()
 U = np.array([0.01, 0.01, 1e-8])
@@ -108,7 +108,7 @@ def test_balance_follows_its_own_advice_from_frames_on(tmp_path: Path) -> None:
     advice_s, advice = column(tmp_path / "looks.rrd", "/advice", "TextDocument:text")
     assert "turn weight" in str(advice[0])
     assert "balanced" in str(advice[-1])
-    _, rest = scalars(tmp_path / "looks.rrd", "/balance/rest_x/value")
+    _, rest, _ = measured(tmp_path / "looks.rrd", "/balance/rest_x")
     assert abs(rest[0]) > 20 > 10 > abs(rest[-1])
     assert advice_s[-1] > (looks - 1) * 12.0
     _, events = column(tmp_path / "looks.rrd", "/events", "TextLog:text")

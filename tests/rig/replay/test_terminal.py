@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from tests.rig.replay.replay_record import make_record
-from tests.rig.view.rrd_contents import scalars
+from tests.rig.view.rrd_contents import measured, scalars
 
 if os.name != "posix":
     pytest.skip("pseudo-terminals are those of POSIX", allow_module_level=True)
@@ -159,5 +159,5 @@ def test_without_a_terminal_there_are_no_keys(record: Path, tmp_path: Path) -> N
     times_s, values = scalars(rrd, "/deflection/y")
     assert len(times_s) == round(SECONDS * 50) - 1
     assert abs(values[0]) > 100.0
-    assert len(scalars(rrd, "/amplitude/value")[0]) >= 25
-    assert len(scalars(rrd, "/balance/line_angle/value")[0]) >= 10
+    assert len(measured(rrd, "/amplitude")[0]) >= 25
+    assert len(measured(rrd, "/balance/line_angle")[0]) >= 10

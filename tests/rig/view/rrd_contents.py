@@ -35,6 +35,17 @@ def scalars(path: Path, entity: str) -> tuple[np.ndarray[Any, Any], np.ndarray[A
     return times_s, np.array([value[0] for value in values])
 
 
+def measured(path: Path, entity: str) -> tuple[np.ndarray[Any, Any], ...]:
+    """Times in s, values and standard uncertainties of a curve with a band."""
+    times_s, values = column(path, entity, "Measurements:values")
+    _, variances = column(path, entity, "Measurements:variances")
+    return (
+        times_s,
+        np.array([value[0] for value in values]),
+        np.sqrt([variance[0] for variance in variances]),
+    )
+
+
 def static_values(path: Path, entity: str, component: str) -> list[Any]:
     """Values of a component that holds for all times."""
     for chunk in RrdReader(path).stream():

@@ -20,7 +20,7 @@ from rig.view.analysis_curves import analysis_curves, overlaid_curves, report_te
 from rig.view.configured import start_view
 from rig.view.recorded import write_rrd
 from tests.rig.replay.replay_record import CONFIG, make_record
-from tests.rig.view.rrd_contents import column, entities, scalars, static_values
+from tests.rig.view.rrd_contents import column, entities, measured, scalars, static_values
 
 PANELS = {"decay", "residuals", "period", "period_residuals", "loops"}
 
@@ -128,8 +128,8 @@ def test_the_balance_of_a_record_without_a_calibration_is_in_px(tmp_path: Path) 
     assert "| drift Y / (px/min) |" in tables
     assert "arcsec" not in tables
     assert "rad" not in tables
-    assert scalars(rrd, "/balance/rest_x/value")[1] == pytest.approx([b.rest_x for b in balances])
-    assert static_values(rrd, "/balance/rest_x/value", "SeriesLines:names") == ["rest X / px"]
+    assert measured(rrd, "/balance/rest_x")[1] == pytest.approx([b.rest_x for b in balances])
+    assert static_values(rrd, "/balance/rest_x", "Measurements:names") == ["rest X / px"]
     assert column(rrd, "/advice", "TextDocument:text")[1] == []
 
 

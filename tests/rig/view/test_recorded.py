@@ -17,7 +17,7 @@ from processing.spot import Spot, SpotFlag
 from processing.swing import Swing
 from rig.view.recorded import run_names, show_records, write_rrd
 from tests.rig.view import scene as view_scene
-from tests.rig.view.rrd_contents import column, entities, scalars
+from tests.rig.view.rrd_contents import column, entities, measured, scalars
 
 EPOCH_NS = 1_700_000_000_000_000_000
 LOST_ROW = 500
@@ -77,10 +77,12 @@ def test_a_record_is_drawn_from_its_start(tmp_path: Path) -> None:
     np.testing.assert_allclose(x, expected, rtol=1e-12)
     assert times_s[0] == 0.0
     assert times_s[-1] == pytest.approx(10.0, abs=1e-9)
-    assert scalars(rrd, "/amplitude/value")[1] == pytest.approx([120.0] * 4)
-    assert scalars(rrd, "/period/value")[1] == pytest.approx([4.07] * 4)
-    assert scalars(rrd, "/balance/line_angle/value")[1] == pytest.approx([1.5] * 4)
-    assert scalars(rrd, "/balance/transverse_ratio/upper")[1] == pytest.approx([2.05] * 4)
+    assert measured(rrd, "/amplitude")[1] == pytest.approx([120.0] * 4)
+    assert measured(rrd, "/period")[1] == pytest.approx([4.07] * 4)
+    assert measured(rrd, "/balance/line_angle")[1] == pytest.approx([1.5] * 4)
+    _, ratio, u_ratio = measured(rrd, "/balance/transverse_ratio")
+    assert ratio == pytest.approx([2.0] * 4)
+    assert u_ratio == pytest.approx([0.05] * 4)
     assert scalars(rrd, "/losses/missing_frames")[1][-1] == 1
     assert scalars(rrd, "/losses/lost_spots")[1][-1] == 1
     assert column(rrd, "/events", "TextLog:text")[1] == [["gap: 1 frame is missing"]]

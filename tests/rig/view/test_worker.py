@@ -16,7 +16,7 @@ from processing.errors import ConfigurationError
 from rig.rerun.ports import free_port
 from rig.view.viewer import Viewer
 from tests.rig.view import scene as view_scene
-from tests.rig.view.rrd_contents import column, scalars
+from tests.rig.view.rrd_contents import column, measured, scalars
 
 pytestmark = pytest.mark.realtime
 
@@ -64,7 +64,7 @@ def test_everything_arrives_in_the_file(tmp_path: Path) -> None:
     assert len(times_s) == count
     np.testing.assert_allclose(times_s[:10], np.arange(10) / 100, atol=1e-9)
     np.testing.assert_array_equal(x[: len(expected)], expected)
-    assert len(scalars(path, "/amplitude/value")[0]) == 30
+    assert len(measured(path, "/amplitude")[0]) == 30
 
 
 def test_the_trajectory_in_the_file_has_y_upward(tmp_path: Path) -> None:
