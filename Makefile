@@ -10,7 +10,7 @@ INSTALL = $(PIP) install --quiet
 export PYTHONDONTWRITEBYTECODE =
 
 .DELETE_ON_ERROR:
-.PHONY: demo test test-quick test-kernel bench lint format schema pins clean
+.PHONY: demo test test-quick test-kernel bench lint format schema pictures pins clean
 
 demo: $(VENV)/.installed
 	$(BIN)/rig run configs/demo.toml $(ARGS)
@@ -40,6 +40,10 @@ format: $(VENV)/.installed-test
 # The JSON schema of results.json follows from the values in rig/analysis/results.py.
 schema: $(VENV)/.installed
 	$(BIN)/python -c 'from rig.analysis import results_schema; print(results_schema(), end="")' > docs/results.schema.json
+
+# The pictures of README and docs, from a run of the demonstration.
+pictures: $(VENV)/.installed-test
+	$(BIN)/python docs/pictures/make_pictures.py $(ARGS)
 
 bench: $(VENV)/.installed-test
 	-$(PIP) install --quiet ".[bench]"

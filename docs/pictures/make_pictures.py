@@ -1,12 +1,14 @@
-"""Makes the pictures of the view for README and docs: one of each layout, beside this file.
+"""Makes the pictures of README and docs beside this file, from a run of configs/demo.toml.
 
-    python docs/pictures/make_pictures.py [RECORD.mcap]
+    make pictures
 
-With a record every layout shows it, `analysing` with the results beside it; without one the fixed
-scene of the tests is drawn. Needs Mesa's software Vulkan (Debian: mesa-vulkan-drivers, libvulkan1).
+With the folder of a session that was measured already it is shown: make pictures ARGS=DIR. The view needs
+Mesa's software Vulkan (Debian: mesa-vulkan-drivers, libvulkan1). What the pictures show is written beside
+them, so that a test notices when something else is drawn.
 """
 
-import math
+import json
+import subprocess
 import sys
 import tempfile
 import time
@@ -14,58 +16,82 @@ from pathlib import Path
 from typing import get_args
 
 import cv2
+import numpy as np
 
-BAR_PX = 36
-MOMENT_S = {"balancing": 60.0, "measuring": 240.0}
-"""When each layout is photographed; the end where that comes before, or where nothing is said."""
-NOTES_GONE_S = 12.0
-"""The viewer's notes at its start have gone by then."""
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parents[1]))
 
+from rig.rerun import LayoutName  # noqa: E402
 from rig.rerun.layout import TIMELINE  # noqa: E402
-from rig.rerun.messages import LayoutName  # noqa: E402
 from rig.view.recorded import write_rrd  # noqa: E402
-from rig.view.viewer import Viewer  # noqa: E402
-from tests.rig.view import scene  # noqa: E402
+from tests.rig.drawn_pictures import CONFIGURATION, DRAWN, RESULT_FIGURES, drawn_now  # noqa: E402
 from tests.rig.view.headless_viewer import headless_viewer, software_vulkan  # noqa: E402
 
+BAR_PX = 36
+MOMENT_S = {"balancing": 120.0, "measuring": 60.0, "analysing": 60.0}
+"""When each layout is photographed."""
+NOTES_GONE_S = 12.0
+"""The viewer's notes at its start have gone by then."""
+WIDTH_PX = 1600
 
-def main(record: Path | None) -> None:
-    """Draw and photograph every layout."""
-    if software_vulkan() is None:
-        raise SystemExit("Mesa's software Vulkan is not installed: mesa-vulkan-drivers, libvulkan1")
+
+def main(session: Path) -> None:
+    """Draw and photograph every layout of the session's first run, and its report's figures."""
     with tempfile.TemporaryDirectory() as folder:
         for layout in get_args(LayoutName):
             rrd = Path(folder) / f"{layout}.rrd"
-            draw(rrd, layout, record)
-            photograph(rrd, HERE / f"rerun-{layout}.png", MOMENT_S.get(layout, math.inf))
+            write_rrd([session / "run-1.mcap"], rrd, layout=layout)
+            photograph(rrd, HERE / f"rerun-{layout}.png", MOMENT_S[layout])
+    gather_figures(session / "report" / "run-1", HERE / "result.png")
+    DRAWN.write_text(json.dumps(drawn_now(), indent=2) + "\n", encoding="utf-8")
 
 
-def draw(rrd: Path, layout: LayoutName, record: Path | None) -> None:
-    """The record, or the scene, in a layout."""
-    if record is not None:
-        write_rrd([record], rrd, layout=layout)
-        return
-    with Viewer(rrd, layout=layout, title="scene") as viewer:
-        scene.play(viewer)
-
-
-def photograph(rrd: Path, picture: Path, moment_s: float) -> None:
+def photograph(rrd: Path, picture: Path, at_s: float) -> None:
     """Save how the file looks at a moment."""
     with headless_viewer(str(rrd)) as shown:
-        state = shown.wait_loaded()
-        timeline = next(line for line in state.recordings[0].timelines if line.name == TIMELINE)
-        # A little before the end, where every panel has something to show.
-        end_s = (timeline.end or 0) * 1e-9
-        at_s = min(moment_s, end_s - min(2.0, 0.02 * end_s))
+        shown.wait_loaded()
         shown.client.set_time(TIMELINE, duration=at_s, play_state="paused")
         time.sleep(NOTES_GONE_S)
         window = shown.picture(picture)
-    # Without the viewer's own bar, whose warnings are about this way of drawing.
-    cv2.imwrite(str(picture), window[BAR_PX:, :, ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 9])
-    print(f"{picture.name}: {picture.stat().st_size / 1000:.0f} kB")
+    # without the viewer's own bar, whose warnings are about this way of drawing
+    save(window[BAR_PX:, :, ::-1], picture)
+
+
+def gather_figures(report: Path, picture: Path) -> None:
+    """Save figures of a report as one picture, row by row on a white sheet."""
+    rows = []
+    for names in RESULT_FIGURES:
+        images = [read(report / f"{name}.png") for name in names]
+        height = max(image.shape[0] for image in images)
+        rows.append(np.hstack([padded(image, height) for image in images]))
+    sheet = np.vstack(rows)
+    height_px = round(sheet.shape[0] * WIDTH_PX / sheet.shape[1])
+    save(cv2.resize(sheet, (WIDTH_PX, height_px), interpolation=cv2.INTER_AREA), picture)
+
+
+def read(path: Path) -> np.ndarray:
+    image = cv2.imread(str(path))
+    if image is None:
+        raise SystemExit(f"{path}: cannot be read; rig report makes it")
+    return image
+
+
+def padded(image: np.ndarray, height: int) -> np.ndarray:
+    return cv2.copyMakeBorder(image, 0, height - image.shape[0], 0, 0, cv2.BORDER_CONSTANT, value=(255,) * 3)
+
+
+def save(image: np.ndarray, path: Path) -> None:
+    cv2.imwrite(str(path), image, [cv2.IMWRITE_PNG_COMPRESSION, 9])
+    print(f"{path.name}: {path.stat().st_size / 1000:.0f} kB")
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]) if len(sys.argv) > 1 else None)
+    if software_vulkan() is None:
+        raise SystemExit("Mesa's software Vulkan is not installed: mesa-vulkan-drivers, libvulkan1")
+    if len(sys.argv) > 1:
+        main(Path(sys.argv[1]))
+    else:
+        with tempfile.TemporaryDirectory() as made:
+            run = [sys.executable, "-m", "rig", "run", str(CONFIGURATION), "-o", f"{made}/session"]
+            subprocess.run(run, check=True)
+            main(Path(made) / "session")
