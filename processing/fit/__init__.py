@@ -15,6 +15,7 @@ from processing.fit.reported import (
     work_per_cycle_j,
 )
 from processing.fit.result import FitResult
+from processing.fit.row_time import by_row_time
 from processing.fit.series import (
     Combined,
     Comparison,
@@ -45,6 +46,7 @@ __all__ = [
     "Verdict",
     "average_curves",
     "budgets",
+    "by_row_time",
     "combine_runs",
     "compare_series",
     "density_of_step",

@@ -53,7 +53,8 @@ class RigQuantities:
     `fast_ratio` is the ratio of the fast to the slow mode's amplitude; if the directions are wrong, the fast
     mode contributes to the slow deflection. `skew` is that of the lever: a wrong one changes the scale where
     the pendulum rests, at the tilt `rest_rad` from the lever's reference. `balls` is the number of balls that
-    carry the weight, 1 or 2. `contact_radius_m` is a stated radius of the contact in the place of Hertz's:
+    carry the weight, 1 or 2. `row_time_s` is that of a rolling shutter, 0 if it is not one.
+    `contact_radius_m` is a stated radius of the contact in the place of Hertz's:
     the materials are then not used, and the load does not change it.
     """
 
@@ -72,6 +73,7 @@ class RigQuantities:
     rest_rad: float = 0.0
     contact_radius_m: Quantity | None = None
     balls: int = 1
+    row_time_s: Quantity = Quantity(0.0)
 
     def __post_init__(self) -> None:
         for name in ("mass_kg", "ball_radius_m", "arm_m", "pitch_m", "gravity_m_per_s2", "clock"):
@@ -101,6 +103,7 @@ class RigQuantities:
         found["slow_angle_rad"] = self.slow_angle_rad
         found["non_orthogonality_rad"] = self.non_orthogonality_rad
         found["skew"] = self.skew
+        found["row_time_s"] = self.row_time_s
         return found
 
     def skewed_scale(self, skew: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -34,7 +34,8 @@ class FittedContact:
 
     `names` are the six contact parameters and, if fitted, the drag. `dof` is the number of degrees of
     freedom of the covariance. `reading_covariance` is the part of it that remains on ground at rest; None
-    where it is not known.
+    where it is not known. `by_row_time` are derivatives by the shutter's row time; None where they are not
+    known or not needed.
     """
 
     names: tuple[str, ...]
@@ -44,6 +45,7 @@ class FittedContact:
     by_log_rho: NDArray[np.float64]
     reference_rad: float
     reading_covariance: NDArray[np.float64] | None = None
+    by_row_time: NDArray[np.float64] | None = None
 
 
 def fitted_contact(result: FitResult) -> FittedContact:
@@ -109,6 +111,8 @@ def reported_quantities(
     nominal_rho = nominal.ball_radius_m / nominal.contact_radius_m
     bent = np.log(radius / a / nominal_rho * scale)
     moved = values + found.by_log_rho[:, None] * bent
+    if found.by_row_time is not None:
+        moved = moved + found.by_row_time[:, None] * (inputs["row_time_s"] - rig.row_time_s.value)
     b, p, c, n, period0, gamma = moved[:6]
     nominal_force = nominal.mass_kg * nominal.gravity_m_per_s2
     out = {

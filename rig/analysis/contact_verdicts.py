@@ -6,7 +6,7 @@ from dataclasses import asdict, astuple, replace
 
 import numpy as np
 
-from calibration import Axes, Lever
+from calibration import GLOBAL, Axes, Lever
 from processing.angle import ARCSEC_RAD
 from processing.contact import HertzContact, Material, PendulumOnBall, cycle_work, hertz_contact
 from processing.errors import DataError
@@ -19,6 +19,7 @@ from processing.fit import (
     Quantity,
     RigQuantities,
     budgets,
+    by_row_time,
     drag_verdict,
     draw_fitted,
     fitted_contact,
@@ -76,7 +77,7 @@ def rig_quantities(
     # a table's angles are taken as they are
     lever = lever or Lever(arm_m=1.0, pixel_pitch_m=1e-6)
     timebase = config.timebase or TimebaseSettings()
-    axes = config.axes or Axes()
+    axes, shutter = config.axes or Axes(), config.shutter or GLOBAL
     return RigQuantities(
         mass_kg=Quantity(pendulum.mass_kg, pendulum.u_mass_kg),
         ball_radius_m=Quantity(pendulum.ball_radius_m, pendulum.u_ball_radius_m),
@@ -95,6 +96,7 @@ def rig_quantities(
         skew=Quantity(lever.skew, lever.u_skew),
         rest_rad=rest_rad,
         balls=balls(config),
+        row_time_s=Quantity(shutter.row_time_s, shutter.u_row_time_s),
     )
 
 
@@ -162,7 +164,13 @@ def evaluate(
     tables: Mapping[str, GumBudget] = {}
     propagated: Mapping[str, Sampled] = {}
     if rig is not None:
-        tables = budgets(fitted_contact(exact), rig)
+        try:
+            by_row = by_row_time(points, pendulum, exact, rig)
+        except DataError as error:
+            by_row = None
+            notes.append(f"the budget has no line for the shutter's row time: {error}")
+        contact = replace(fitted_contact(exact), by_row_time=by_row)
+        tables = budgets(contact, rig)
         if all(quantity.u == 0 for quantity in rig.inputs().values()):
             notes.append(
                 "the configuration states no type B uncertainty (u_mass_kg, u_ball_radius_m, u_arm_m, "
@@ -170,7 +178,7 @@ def evaluate(
             )
         try:
             rng = np.random.default_rng(seed)
-            propagated = monte_carlo(fitted_contact(exact), rig, rng, draws=DRAWS, against=tables)
+            propagated = monte_carlo(contact, rig, rng, draws=DRAWS, against=tables)
         except DataError as error:
             notes.append(f"no Monte Carlo: {error}")
     return replace(

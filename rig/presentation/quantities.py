@@ -127,6 +127,7 @@ SOURCES: Final[Mapping[str, str]] = {
     "arm_m": "lever arm",
     "pitch_m": "pixel pitch",
     "clock": "clock",
+    "row_time_s": "row time of the shutter",
     "flat_youngs_modulus_pa": "E of the flat",
     "flat_poisson_ratio": "ν of the flat",
     "ball_youngs_modulus_pa": "E of the ball",

@@ -18,6 +18,7 @@ from processing.fit.reported import (
     reported_quantities,
     work_per_cycle_j,
 )
+from processing.fit.row_time import by_row_time
 from processing.fit.uncertainty import FIT, GROUND, budgets, monte_carlo
 from processing.swing import TurningPoints
 from tests.processing.fit.decays import ARCSEC, decay, paper_pair
@@ -256,3 +257,22 @@ def test_impossible_quantities_are_refused(change: dict[str, Quantity]) -> None:
         rig(**change)
     with pytest.raises(ConfigurationError, match="must not be negative"):
         Quantity(1.0, -0.1)
+
+
+def test_a_wrong_row_time_moves_the_parameters_by_what_the_budget_says(points: TurningPoints) -> None:
+    """The row time is wrong by three times its uncertainty: the whole analysis again."""
+    u_s = 0.5e-6
+    rolling = rig(row_time_s=Quantity(15e-6, u_s))
+    exact = fit_exact(points, rolling.pendulum())
+    slopes = by_row_time(points, rolling.pendulum(), exact, rolling)
+    assert slopes is not None
+    tables = budgets(replace(fitted_contact(exact), by_row_time=slopes), rolling)
+    rows = np.tan(2 * points.amplitude) / 3.45e-6 * (1 - 2 * (points.index % 2))
+    again = fit_exact(replace(points, time_s=points.time_s + 3 * u_s * rows), rolling.pendulum(), near=exact)
+    for name in ("b", "period0_s", "gamma_pa"):
+        (line,) = [line for line in tables[name].lines if line.source == "row_time_s"]
+        moved = again.values[again.names.index(name)] - exact.values[exact.names.index(name)]
+        assert moved == pytest.approx(line.sensitivity * 3 * u_s, rel=0.3), name
+        assert line.contribution == pytest.approx(abs(line.sensitivity) * u_s)
+    assert by_row_time(points, rig().pendulum(), exact, rig()) is None
+    assert "row_time_s" not in {line.source for line in budgets(fitted_contact(exact), rig())["b"].lines}

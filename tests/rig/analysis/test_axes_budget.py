@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from calibration.axes import Axes
+from calibration.shutter import Shutter
 from processing.deflections import Deflections, DeflectionUnit, Floats
 from processing.fit.apparatus import Quantity
 from processing.fit.reported import FittedContact
@@ -71,6 +72,10 @@ def test_the_configuration_states_them() -> None:
     assert quantities.slow_angle_rad == Quantity(0.1, 1e-3)
     assert quantities.non_orthogonality_rad == Quantity(0.02, 3e-3)
     assert quantities.fast_ratio == 0.01
+    assert quantities.row_time_s == Quantity(0.0)
+    rolling = rig_quantities(config.model_copy(update={"shutter": Shutter(15e-6, 2e-7)}))
+    assert rolling is not None
+    assert rolling.row_time_s == Quantity(15e-6, 2e-7)
 
 
 def test_the_fast_mode_is_compared_with_the_slow_one() -> None:
