@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from processing.spot.fit_values import GATE, Floats, misfit_limit, poor_fit_limit
+from processing.spot.hot_pixels import HotPixels
 from processing.spot.outcome import principal_axes
 from processing.spot.profile_fit import (
     CENTRE_X,
@@ -32,6 +33,8 @@ REACH = 4.5
 _PER_SIGMA = 8.0
 """Knots of the learned profile in a standard deviation: what is finer is noise, unless the spot is small."""
 ROUNDS = 3
+_LEFT_OUT_DN = 1e18
+"""Further from any model than any gate allows; its square is still a number in single precision."""
 MOST_APART_PX = 2.0
 """Largest distance of the profile's centre from the Gaussian's: beyond it, they have met different spots."""
 
@@ -97,10 +100,12 @@ def fit_at(
     origin_px: tuple[int, int],
     start: Floats,
     noise_values: Floats,
+    hot: HotPixels | None = None,
 ) -> Fit | None:
     """Fit of a profile near the place in `start` (parameters, centre on the sensor); None if there is none.
 
-    `origin_px` are the sensor coordinates of the first pixel. The window follows the spot, at most twice.
+    `origin_px` are the sensor coordinates of the first pixel, `hot` the pixels to be left out. The window
+    follows the spot, at most twice.
     """
     p = start.copy()
     ny, nx = pixels.shape
@@ -114,6 +119,9 @@ def fit_at(
             return None
         window = np.ascontiguousarray(pixels[y0:y1, x0:x1], dtype=np.float32)
         left, top = x0 + origin_px[0], y0 + origin_px[1]
+        left_out = hot.within(left, top, x1 + origin_px[0], y1 + origin_px[1]) if hot is not None else None
+        if left_out is not None:
+            window[left_out] = _LEFT_OUT_DN
         p[CENTRE_X] -= left
         p[CENTRE_Y] -= top
         done, chi2, kept, saturated, outliers, u_x, u_y = fit_profile(
@@ -123,6 +131,7 @@ def fit_at(
         p[CENTRE_Y] += top
         away = max(abs(p[CENTRE_X] - column - origin_px[0]), abs(p[CENTRE_Y] - row - origin_px[1]))
         if done and away <= 1.0:
+            outliers = max(outliers - (0 if left_out is None else len(left_out[0])), 0.0)
             return Fit(p, chi2 / max(kept - FITTED, 1.0), kept, saturated, outliers, u_x, u_y)
         if not away > 1.0:
             return None

@@ -16,6 +16,7 @@ from processing.spot.fit_values import (
     Y,
     poor_fit_limit,
 )
+from processing.spot.hot_pixels import HotPixels
 from processing.spot.memory import FOLLOWS, LAST, POOR_FRAMES, STEP_X, STEP_Y, TILTED, TWO
 from processing.spot.outcome import principal_axes
 from processing.spot.profile import BeamProfile, Fit, dark_variance, fit_at
@@ -30,9 +31,10 @@ _ALIKE = 2.0
 class ProfileFollower:
     """Fits a profile where the tracker's memory expects the spot."""
 
-    def __init__(self, profile: BeamProfile, noise: PixelNoise) -> None:
+    def __init__(self, profile: BeamProfile, noise: PixelNoise, hot: HotPixels | None = None) -> None:
         self._profile = profile
         self._noise = noise
+        self._hot = hot
         self._noise_values = np.array(noise)
         self._slopes = (0.0, 0.0)
         shape = profile.shape
@@ -52,7 +54,7 @@ class ProfileFollower:
             start[CENTRE_X] += memory[STEP_X]
             start[CENTRE_Y] += memory[STEP_Y]
         origin_px = place.origin_x, place.origin_y
-        fit = fit_at(self._profile, image, origin_px, start, self._noise_values)
+        fit = fit_at(self._profile, image, origin_px, start, self._noise_values, self._hot)
         if fit is None or not 1.0 / _ALIKE < fit.p[LIGHT] / memory[LAST + AMPLITUDE] < _ALIKE:
             return None
         spot = self._report(fit, place)

@@ -37,7 +37,8 @@ class SensorModel:
     in DN^2: read noise, quantisation, shot noise. Light is everything above `pedestal_dn`, the level
     of a pixel in the dark; with the default 0 the whole background counts as light. `prnu` is the
     relative spread of the pixels' response (photo-response non-uniformity); it adds
-    ``(prnu * spot_dn)^2``, where spot_dn is the spot's own light.
+    ``(prnu * spot_dn)^2``, where spot_dn is the spot's own light. `hot_pixels_xy` are pixels whose values say
+    nothing of the light, counted from the first of a frame.
 
     Raises
     ------
@@ -54,6 +55,10 @@ class SensorModel:
     prnu: float = field(
         default=0.0,
         metadata={"ge": 0, "lt": 0.2, "description": "relative spread of the pixels' response to light"},
+    )
+
+    hot_pixels_xy: tuple[tuple[int, int], ...] = field(
+        default=(), metadata={"description": "pixels (x, y) of a frame that are left out of every fit"}
     )
 
     def __post_init__(self) -> None:

@@ -1,7 +1,6 @@
 """Tracking of the laser spot from frame to frame."""
 
 import math
-from typing import Any
 
 import numpy as np
 
@@ -22,12 +21,14 @@ from processing.spot.fit_values import (
     Y,
 )
 from processing.spot.following import SEARCH, follow
+from processing.spot.hot_pixels import HotPixels
+from processing.spot.image_memory import SearchMemory, plain
 from processing.spot.memory import ALONE, FOLLOWS, LAST, POOR_FRAMES, STEP_X, STEP_Y, TWO, empty_memory
 from processing.spot.model_choice import ModelChoice, SpotModel
 from processing.spot.outcome import Result
 from processing.spot.profile import Shape
 from processing.spot.profile_follower import ProfileFollower
-from processing.spot.scan import BAND_ROWS, BAND_STEP, SAMPLES
+from processing.spot.scan import SAMPLES
 from processing.spot.searching import search
 from processing.spot.sensor_model import SensorModel
 from processing.spot.spot import Image, Spot, SpotFlag
@@ -46,47 +47,6 @@ _SPOT = tuple.__new__
 _NOT_HERE: Result = (*(math.nan,) * 10, SEARCH)
 
 
-class _Writable:
-    """Array interface to a read-only array's memory that does not declare it read-only.
-
-    numba treats read-only arrays as a separate type and would compile every kernel a second time for them.
-    The kernels do not write to the image.
-    """
-
-    def __init__(self, image: Image) -> None:
-        self._image = image
-        interface = dict(image.__array_interface__)
-        interface["data"] = (interface["data"][0], False)
-        self.__array_interface__ = interface
-
-
-def _plain(images: Image) -> Image:
-    """The image in C order, aligned, and of the array type that the kernels are compiled for."""
-    if not (images.flags.c_contiguous and images.flags.aligned):
-        return images.copy(order="C")
-    memory: Any = _Writable(images)
-    writable: Image = np.asarray(memory)
-    return writable
-
-
-class _SearchMemory:
-    """Working memory of a search in images of one shape and type."""
-
-    def __init__(self, image: Image) -> None:
-        ny, nx = image.shape
-        if min(ny, nx) < 5:
-            raise DataError(f"image has shape {image.shape}; at least 5 x 5 pixels are needed")
-        self.mask = np.zeros((ny, nx), dtype=np.uint8)
-        self.stack = np.zeros(ny * nx, dtype=np.int64)
-        rows = (ny + BAND_ROWS - 1) // BAND_ROWS
-        columns = (nx + BAND_STEP - 1) // BAND_STEP * BAND_STEP + 2
-        self.bands: Image = np.zeros((rows, columns), dtype=image.dtype)
-
-    def fits(self, image: Image) -> bool:
-        """Whether it is for such images."""
-        return image.shape == self.mask.shape and image.dtype == self.bands.dtype
-
-
 class SpotTracker:
     """Maximum-likelihood position of the spot, with standard uncertainties and flags.
 
@@ -97,7 +57,7 @@ class SpotTracker:
     Parameters
     ----------
     sensor
-        Noise and full scale of a pixel.
+        Noise and full scale of a pixel, and the hot pixels, which are left out.
     row_step
         A search reads every `row_step`-th row first, and every row if that finds no clean spot. With 1,
         every row is read at once.
@@ -118,7 +78,8 @@ class SpotTracker:
         self._work = np.zeros(WORKSPACE_SHAPE)
         self._tables = np.zeros((TABLE_ROWS, LARGEST_TABLE), dtype=np.float32)
         self._sample = np.zeros(SAMPLES, dtype=np.int64)
-        self._frame = self._near = _SearchMemory(np.zeros((5, 5), dtype=np.uint8))
+        self._frame = self._near = SearchMemory(np.zeros((5, 5), dtype=np.uint8))
+        self._hot = HotPixels(sensor.hot_pixels_xy) if sensor.hot_pixels_xy else None
         self._choice = ModelChoice(self._pixel_noise, self._one_gaussian)
         self._settled = False
         self._follower: ProfileFollower | None = None
@@ -158,13 +119,16 @@ class SpotTracker:
                 f"image has shape {image.shape} and type {image.dtype}; (ny, nx) of uint8 or uint16 is needed"
             )
         if not image.flags.carray:
-            image = _plain(image)
+            image = plain(image)
         x0, y0 = origin_px
         ny, nx = sensor_shape if sensor_shape is not None else image.shape
         if self._follower is not None:
             return self._with_profile(self._follower, image, Place(x0, y0, nx, ny))
         if self._memory[FOLLOWS]:
-            found = follow(image, x0, y0, nx, ny, self._memory, self._work, self._tables, self._noise)
+            if self._hot is None:
+                found = follow(image, x0, y0, nx, ny, self._memory, self._work, self._tables, self._noise)
+            else:
+                found = self._hot.follow(image, Place(x0, y0, nx, ny), self._memory, self._follow)
             if not found[10] and self._settled:
                 return _SPOT(Spot, found)
             if found[10] != SEARCH:
@@ -175,14 +139,33 @@ class SpotTracker:
                 self._memory[ALONE] = 1.0  # two Gaussians have not lasted
         return _SPOT(Spot, self._find(image, x0, y0, nx, ny))
 
+    def _follow(self, image: Image, place: Place) -> Result:
+        return follow(image, *place, self._memory, self._work, self._tables, self._noise)
+
     def _find(self, image: Image, x0: int, y0: int, nx: int, ny: int) -> Result:
         """Spot of a frame in which it is not at the expected place."""
+        if self._hot is None:
+            return self._find_in(image, x0, y0, nx, ny)
+        memory = self._memory
+        found = self._find_in(self._hot.smoothed(image, (x0, y0)), x0, y0, nx, ny)
+        if not memory[FOLLOWS]:
+            return found
+        before = memory.copy()
+        result = self._hot.follow(image, Place(x0, y0, nx, ny), memory, self._follow)
+        if result[10] == SEARCH:
+            memory[:] = before
+            return found
+        memory[[STEP_X, STEP_Y]] = before[[STEP_X, STEP_Y]]
+        return result
+
+    def _find_in(self, image: Image, x0: int, y0: int, nx: int, ny: int) -> Result:
+        """The same in an image all of whose pixels are taken."""
         if self._memory[FOLLOWS]:
             found = self._follow_jump(image, x0, y0, nx, ny)
             if found[10] != SEARCH:
                 return found
         if not self._frame.fits(image):
-            self._frame = _SearchMemory(image)
+            self._frame = SearchMemory(image)
         return self._search(image, x0, y0, nx, ny, self._frame, self._row_step, False)
 
     def _with_profile(self, follower: ProfileFollower, image: Image, place: Place) -> Spot:
@@ -210,7 +193,8 @@ class SpotTracker:
             x0, y0, x1, y1 = self.record_window(spot, (place.sensor_ny, place.sensor_nx))
             left, top = max(x0 - place.origin_x, 0), max(y0 - place.origin_y, 0)
             cut: Image = image[top : y1 - place.origin_y, left : x1 - place.origin_x].copy()
-            return cut, (left + place.origin_x, top + place.origin_y)
+            origin_px = left + place.origin_x, top + place.origin_y
+            return cut if self._hot is None else self._hot.smoothed(cut, origin_px), origin_px
 
         fitted = (2.0 * REACH) ** 2 * spot.sigma_x_px * spot.sigma_y_px
         choice.see(spot.chi2_per_dof, spot.flags, fitted, window)
@@ -219,14 +203,14 @@ class SpotTracker:
             memory[ALONE] = 0.0 if choice.model is SpotModel.TWO else 1.0
             memory[POOR_FRAMES] = 0.0
             if choice.profile is not None:
-                self._follower = ProfileFollower(choice.profile, self._pixel_noise)
+                self._follower = ProfileFollower(choice.profile, self._pixel_noise, self._hot)
                 memory[TWO] = 0.0
 
     def _one_gaussian(self, image: Image, origin_px: tuple[int, int]) -> tuple[Floats, Shape] | None:
         """Fit of a single Gaussian to a window."""
         memory = empty_memory()
         memory[ALONE] = 1.0
-        arrays = _SearchMemory(image)
+        arrays = SearchMemory(image)
         found = search(
             image, *origin_px, 2**30, 2**30, memory, self._work, self._tables, self._noise, 1,
             arrays.bands, self._sample, arrays.mask, arrays.stack, False,
@@ -251,12 +235,12 @@ class SpotTracker:
         top = min(max(round(last[Y] - y0) - height // 2, 0), image.shape[0] - height)
         near = image[top : top + height, left : left + width].copy()
         if not self._near.fits(near):
-            self._near = _SearchMemory(near)
+            self._near = SearchMemory(near)
         self._search(near, x0 + left, y0 + top, nx, ny, self._near, 1, True)
         found = self._memory[LAST : LAST + PARAMETERS]
         if not self._memory[FOLLOWS] or not all(0.5 < found[k] / last[k] < 2.0 for k in _ALIKE):
             return _NOT_HERE
-        result = follow(image, x0, y0, nx, ny, self._memory, self._work, self._tables, self._noise)
+        result = self._follow(image, Place(x0, y0, nx, ny))
         self._memory[STEP_X] = found[X] - last[X]
         self._memory[STEP_Y] = found[Y] - last[Y]
         return result
@@ -268,7 +252,7 @@ class SpotTracker:
         y0: int,
         nx: int,
         ny: int,
-        arrays: _SearchMemory,
+        arrays: SearchMemory,
         row_step: int,
         cut_out: bool,
     ) -> Result:

@@ -35,7 +35,7 @@ def fill_from_files(config: Configuration) -> Configuration:
             continue
         found = parse_calibration(_read(path), str(path), kind)
         try:
-            values = getattr(Configuration.model_validate({section: found.values}), section)
+            values = getattr(Configuration.model_validate({section: _section_values(found)}), section)
         except ValidationError as error:
             fault = error.errors()[0]
             place = ".".join(str(part) for part in fault["loc"][1:])
@@ -53,6 +53,12 @@ def fill_from_files(config: Configuration) -> Configuration:
         if path is not None:
             parse_calibration(_read(path), str(path))
     return config.model_copy(update=update)
+
+
+def _section_values(found: CalibrationFile) -> dict[str, Any]:
+    """What fills the section: the values, and for a sensor the map of its hot pixels from the details."""
+    hot = found.details.get("hot_pixels_xy") if found.kind == "sensor" else None
+    return {**found.values, **({"hot_pixels_xy": hot} if hot else {})}
 
 
 def calibration_attachments(config: Configuration) -> dict[str, bytes]:

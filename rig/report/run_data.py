@@ -29,6 +29,7 @@ from rig.analysis import (
 from rig.instrument import CONFIGURATION_NAME, recorded_configuration
 
 Array = NDArray[np.float64]
+_LONG_LIST = 20
 
 
 @dataclass(frozen=True)
@@ -189,6 +190,8 @@ def _flat(tree: JsonObject, above: str = "") -> dict[str, str]:
         elif isinstance(value, list) and all(isinstance(item, dict) for item in value):
             for place, item in enumerate(value, start=1):
                 found |= _flat(item, f"{name}.{place}.") if isinstance(item, dict) else {}
+        elif isinstance(value, list) and len(value) > _LONG_LIST:
+            found[name] = f"{len(value)} entries"
         elif value is not None and value != "":
             found[name] = f"{value:.10g}" if isinstance(value, float) else str(value)
     return found

@@ -95,6 +95,7 @@ OTHER: dict[str, Any] = {
     "pendulum.contact_radius_m": 1e-4,
     "pendulum.mass_centre_height_m": 1e-4,
     "instrument.kind": "persoz",
+    "sensor.hot_pixels_xy": ((3, 4),),
     "shutter.first_row": "bottom",
     "shutter.u_row_time_s": 3e-7,
     "instrument.reference_runs": (2,),

@@ -1,0 +1,92 @@
+"""Hot pixels of a sensor's map are left out of searches and fits, by every model of the beam."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from processing.spot import SensorModel, Spot, SpotFlag, SpotModel, SpotTracker
+from tests.processing.spot.frames import LIT_EIGHT_BIT, errors_px, exposed, light
+
+SHAPE = (96, 110)
+WARM_DN = 5.0
+"""Less than five standard deviations on the flank of a spot: no outlier, and enough to pull a fit."""
+
+
+def place(k: int) -> tuple[float, float]:
+    return 55 + 14 * math.sin(0.11 * k), 48 + 3 * math.cos(0.08 * k)
+
+
+def warm(rng: np.random.Generator, share: float = 0.03) -> NDArray[np.float64]:
+    """Light that pixels of the upper right half show too much."""
+    y, x = np.indices(SHAPE)
+    return np.where((rng.random(SHAPE) < share) & (x > y), WARM_DN, 0.0)
+
+
+def sensors(extra: NDArray[np.float64]) -> tuple[SensorModel, SensorModel]:
+    y, x = np.nonzero(extra)
+    return LIT_EIGHT_BIT, replace(
+        LIT_EIGHT_BIT, hot_pixels_xy=tuple(zip(x.tolist(), y.tolist(), strict=True))
+    )
+
+
+def bias_u(spots: list[Spot], truth: NDArray[np.float64]) -> float:
+    """Mean error, in standard uncertainties, where it is largest: of x or y at one of the places."""
+    errors = errors_px(spots, truth) / np.array([(spot.u_x_px, spot.u_y_px) for spot in spots])
+    means = [errors[(truth == at).all(axis=1)].mean(axis=0) for at in np.unique(truth, axis=0)]
+    return float(np.abs(means).max())
+
+
+@pytest.mark.parametrize("sigma_px", [1.7, 5.0])
+def test_a_map_takes_the_bias_away(sigma_px: float) -> None:
+    rng = np.random.default_rng(5)
+    extra = warm(rng, 0.1 if sigma_px < 2 else 0.05)
+    without, mapped = (SpotTracker(sensor) for sensor in sensors(extra))
+    again = SpotTracker(sensors(extra)[1])
+    seen: dict[SpotTracker, list[Spot]] = {without: [], mapped: []}
+    truth = np.repeat([place(9 * k) for k in range(4)], 50, axis=0)
+    for x, y in truth:
+        image = exposed(light(SHAPE, x, y, sigma_px, 120, 1.3 * sigma_px) + extra, rng, sensor=LIT_EIGHT_BIT)
+        for tracker, spots in seen.items():
+            spots.append(tracker.track(image))
+        # the pixels that a record keeps give the same spots, nearly so after a jump
+        x0, y0, x1, y1 = mapped.record_window(seen[mapped][-1], SHAPE)
+        anew = again.track(image[y0:y1, x0:x1].copy(), (x0, y0), SHAPE)
+        most_u = 0.05 if len(seen[mapped]) % 50 in (1, 2) else 1e-3
+        assert abs(anew.x_px - seen[mapped][-1].x_px) < most_u * anew.u_x_px
+        assert anew.flags == seen[mapped][-1].flags
+    assert bias_u(seen[without], truth) > 1.0
+    assert bias_u(seen[mapped], truth) < 0.5  # three and a half standard deviations of a mean of 50 frames
+
+
+def test_what_a_map_names_can_have_any_value() -> None:
+    """The fit is the same, whatever a pixel that is left out shows."""
+    rng = np.random.default_rng(2)
+    extra = warm(rng)
+    dark, bright = (SpotTracker(sensors(extra)[1]) for _ in range(2))
+    for k in range(40):
+        image = exposed(light(SHAPE, *place(k), 5, 150), rng, sensor=LIT_EIGHT_BIT)
+        first = dark.track(np.where(extra > 0, 0, image).astype(np.uint8))
+        second = bright.track(np.where(extra > 0, 255, image).astype(np.uint8))
+        assert abs(first.x_px - second.x_px) < 0.02 * first.u_x_px
+        assert first.flags == second.flags == 0
+
+
+def test_a_learned_profile_leaves_them_out_too() -> None:
+    rng = np.random.default_rng(4)
+    extra = warm(rng)
+    tracker = SpotTracker(sensors(extra)[1])
+    errors, claimed = [], []
+    for k in range(360):
+        x, y = place(k)
+        beam = light(SHAPE, x, y, 5, 120) + light(SHAPE, x + 4, y - 3, 8, 40)
+        spot = tracker.track(exposed(beam + 30 * extra, rng, sensor=LIT_EIGHT_BIT))
+        if tracker.model is not None:
+            errors.append((spot.x_px - x, spot.y_px - y))
+            claimed.append((spot.u_x_px, spot.u_y_px))
+            assert len(errors) == 1 or spot.flags & ~SpotFlag.LEARNED == 0
+    assert tracker.model is SpotModel.LEARNED
+    ratio = np.std(errors[1:], axis=0) / np.mean(claimed[1:], axis=0)
+    assert np.all(ratio < 1.2)
