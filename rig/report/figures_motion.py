@@ -6,7 +6,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from rig.presentation import palette
-from rig.report.drawing import INK, Array, Drawing, canvas, envelope, thinned
+from rig.report.drawing import INK, Array, Drawing, broken, canvas, envelope, thinned
 from rig.report.run_data import Motion, Picture
 
 _ZOOM_CYCLES = 6.0
@@ -93,7 +93,7 @@ def _motion_figure(
     cycles = float(time_s[-1] - time_s[0]) / period_s
     # either every oscillation is resolved, or none: anything between makes beats that are not there
     columns = round(8 * cycles) if 8 * cycles <= _MOST_COLUMNS else round(min(cycles, _MOST_COLUMNS))
-    x, low, high = envelope(time_s, values, max(columns, 300))
+    x, low, high = broken(*envelope(time_s, values, max(columns, 300)))
     whole.fill_between(x, low, high, color=colour, lw=0.3)
     whole.set_xlim(time_s[0], time_s[-1])
     zoom_s = min(_ZOOM_CYCLES * period_s, float(time_s[-1] - time_s[0]))
@@ -113,7 +113,7 @@ def _motion_figure(
 def _zoom(axes: Axes, time_s: Array, values: Array, start_s: float, length_s: float, colour: str) -> None:
     inside = np.nonzero((time_s >= start_s) & (time_s <= start_s + length_s))[0]
     inside = inside[thinned(len(inside), _LINE_POINTS)]
-    axes.plot(time_s[inside], values[inside], color=colour, lw=0.8)
+    axes.plot(*broken(time_s[inside], values[inside]), color=colour, lw=0.8)
     axes.set_xlim(start_s, start_s + length_s)
 
 
@@ -132,8 +132,9 @@ def trajectory_figure(motion: Motion, period_s: float) -> Drawing:
     for label, (start, colour) in starts.items():
         inside = np.nonzero((motion.time_s >= start) & (motion.time_s <= start + cycles))[0]
         inside = inside[thinned(len(inside), _LINE_POINTS)]
+        _, x, y = broken(motion.time_s[inside], motion.x[inside], motion.y[inside])
         for axes in (left, right):
-            axes.plot(motion.x[inside], motion.y[inside], color=colour, lw=0.6, label=label)
+            axes.plot(x, y, color=colour, lw=0.6, label=label)
     left.set_aspect("equal", adjustable="datalim")
     left.set_title("one scale")
     right.set_title("X stretched")

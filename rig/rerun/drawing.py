@@ -7,6 +7,7 @@ import rerun as rr
 from rig.presentation import balance_drawn, balance_table, palette, quantity
 from rig.rerun import layout
 from rig.rerun.analysis_panels import draw_fits
+from rig.rerun.breaks import Breaks
 from rig.rerun.decimation import Decimator
 from rig.rerun.gathering import Gathering
 from rig.rerun.lanes import Lanes
@@ -29,6 +30,9 @@ from rig.rerun.messages import (
 DRAWN_RATE_HZ = 100.0
 """Largest rate of the samples that are drawn."""
 JPEG_QUALITY = 90
+SAMPLES_GAP, POINTS_GAP = 1.0, 4.0
+"""Periods of the slow mode without a value after which a curve is broken: that of the samples, and those of
+half-cycles and balance, which have a value at least every period."""
 LEVELS = {
     "debug": rr.TextLogLevel.DEBUG,
     "info": rr.TextLogLevel.INFO,
@@ -75,6 +79,7 @@ class Drawing:
         self._picture_interval_s = picture_interval_s
         self._last_picture_s: dict[str, float] = {}
         self._latest_s = 0.0
+        self._breaks = Breaks()
         self._decimators: dict[str, Decimator] = {}
         self._named: set[str] = set()
 
@@ -107,7 +112,14 @@ class Drawing:
         chosen = decimator.choose(message.time_s, message.flags)
         if not chosen.any():
             return
-        time_s, x, y = message.time_s[chosen], message.x[chosen], message.y[chosen]
+        gap_s = SAMPLES_GAP * self._setup.period_s
+        time_s, x, y = self._breaks.in_gaps(
+            layout.entity(message.run, layout.X),
+            gap_s,
+            message.time_s[chosen],
+            message.x[chosen],
+            message.y[chosen],
+        )
         self._gather(message.run, layout.X, time_s, x, f"X / {self._setup.unit}", palette.X_COLOUR)
         self._gather(message.run, layout.Y, time_s, y, f"Y / {self._setup.unit}", palette.Y_COLOUR)
         colour = self._run_colour(message.run, palette.TRAJECTORY_COLOUR)
@@ -209,7 +221,9 @@ class Drawing:
                 widths=[1.5],
             )
             self._stream.log(full, style, static=True)
-        self._gathered.measurements(full, time_s, value, u)
+        self._gathered.measurements(
+            full, *self._breaks.in_gaps(full, POINTS_GAP * self._setup.period_s, time_s, value, u)
+        )
         self._latest_s = max(self._latest_s, float(time_s[-1]))
 
     def _gather(

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from rig.analysis.determined import bound_text, determined_text, series_verdicts
 from rig.analysis.results import CombinedParameter, Determination
 from rig.presentation.numbers import plain, rounded, with_uncertainty
-from rig.report.drawing import envelope, thinned
+from rig.report.drawing import broken, envelope, thinned
 from rig.terminal_encoding import spelled
 
 
@@ -110,6 +110,18 @@ def test_an_envelope_holds_every_extreme() -> None:
     assert high.max() == 5.0
     assert low.min() == np.nanmin(y)
     assert np.all(low <= high)
+
+
+def test_lines_end_at_gaps_and_bands_too() -> None:
+    x = np.delete(np.arange(0, 100, 0.01), np.arange(3000, 5000))
+    at, y = broken(x, np.cos(x))
+    (gap,) = np.flatnonzero(np.isnan(y))
+    assert at[gap] == pytest.approx(40, abs=0.02)
+    assert np.array_equal(np.delete(y, gap), np.cos(x))
+    wide, low, high = broken(*envelope(x, np.cos(x), 300))
+    assert np.isnan(low).sum() == np.isnan(high).sum() == 1
+    assert 30 < wide[np.isnan(low)][0] < 50
+    assert len(broken(x[:3], x[:3])[0]) == 3
 
 
 def test_thinning_keeps_both_ends() -> None:
