@@ -185,7 +185,8 @@ class VisionDevice:
         put(manifest, 8, "HBBIQQ", 0, 0, 1, schema, XML, len(stored))
         own = bytearray(layout.END - layout.BASE)
         segments = {0: abrm, SBRM: sbrm, SIRM: sirm, EIRM: bytearray(0x10), MANIFEST: manifest}
-        segments |= {layout.BASE: own, XML: bytearray(stored)}
+        # memory is made of words, whatever is stored in it
+        segments |= {layout.BASE: own, XML: bytearray(stored + bytes(-len(stored) % 4))}
         self._segments = segments
         for at, value in (
             (layout.WIDTH, 640), (layout.HEIGHT, 480), (layout.PIXEL_FORMAT, layout.FORMATS["Mono8"]),
