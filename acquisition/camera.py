@@ -13,11 +13,16 @@ FeatureValue = bool | int | float | str
 """Value of one of the camera's own features."""
 Stamped = Literal["start", "middle", "end"]
 """The moment of the exposure that a camera's timestamps mark."""
+ColourPlane = Literal["red", "green", "blue"]
+"""The pixels of one colour of a sensor with a Bayer mosaic."""
 Edge = Literal["rising", "falling"]
 """The change of a trigger's voltage that starts an exposure."""
 
 
-_WITHOUT: Final = {"trigger": None, "trigger_edge": None, "exposure_output": None, "ptp": False, "binning": 1}
+_WITHOUT: Final = {"ptp": False, "binning": 1} | dict.fromkeys(
+    ("trigger", "trigger_edge", "exposure_output", "colour_plane")
+)
+"""What settings may say that a driver does not know, with the value that asks for nothing."""
 
 
 class FrameTimeout(DeviceError):
@@ -45,6 +50,10 @@ class CameraSettings(BaseModel, frozen=True, extra="forbid"):
         le=16,
         description="pixels of the sensor, in each direction, in one of the image; None: 1",
     )
+    colour_plane: ColourPlane | None = Field(
+        default=None,
+        description="of a colour camera, the pixels of this colour alone; size and offsets are in these",
+    )
     width_px: int | None = Field(default=None, gt=0)
     height_px: int | None = Field(default=None, gt=0)
     offset_x_px: int | None = Field(default=None, ge=0)
@@ -65,6 +74,11 @@ class CameraSettings(BaseModel, frozen=True, extra="forbid"):
         description="any feature by its own name, set after all others, in this order",
     )
 
+    @property
+    def pitch_factor(self) -> int:
+        """Distance of neighbouring pixels of the image, in those of the sensor."""
+        return (self.binning or 1) * (1 if self.colour_plane is None else 2)
+
     @field_validator("features")
     @classmethod
     def _no_binning(cls, features: dict[str, FeatureValue]) -> dict[str, FeatureValue]:
@@ -75,8 +89,8 @@ class CameraSettings(BaseModel, frozen=True, extra="forbid"):
 
 
 def without_wires(settings: CameraSettings, name: str) -> None:
-    """Raise DeviceError for a trigger, exposure output, network clock or binning asked of a driver that has
-    none.
+    """Raise DeviceError for a trigger, exposure output, network clock, binning or colour plane asked of a
+    driver that has none.
     """
     for key, has_none in _WITHOUT.items():
         value = getattr(settings, key)

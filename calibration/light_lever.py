@@ -43,7 +43,7 @@ class Lever(BaseModel, frozen=True, extra="forbid"):
     )
     reference_y_px: float | None = None
     binning: int = Field(
-        default=1, ge=1, le=16, description="of the camera, with which pitch and reference hold"
+        default=1, ge=1, le=32, description="of the camera, with which pitch and reference hold"
     )
 
     def at_binning(self, binning: int) -> Self:

@@ -81,7 +81,7 @@ class Format:
     """One pixel format of the naming convention.
 
     `transport_bits` is the number of bits of a pixel on the bus; `kernel` unpacks pixels that do not consist
-    of whole bytes.
+    of whole bytes. `colours` are those of the first two pixels of the first row of a Bayer mosaic.
     """
 
     name: str
@@ -90,6 +90,7 @@ class Format:
     transport_bits: int
     full_scale_dn: int
     kernel: _Kernel | None = None
+    colours: str = ""
 
     def prepare(self) -> None:
         """Compile the kernel now; compilation at the first frame would block the reading thread."""

@@ -9,7 +9,7 @@ from acquisition.camera import CameraSettings, Edge
 from acquisition.cameras.named_features import NamedFeatures, choose, is_on
 from processing.errors import DeviceError
 
-_KEPT: Final = ("trigger", "trigger_edge", "exposure_output", "ptp", "binning")
+_KEPT: Final = ("trigger", "trigger_edge", "exposure_output", "ptp", "binning", "colour_plane")
 _FRAME_TRIGGERS: Final = ("FrameStart", "ExposureStart", "AcquisitionStart")
 _EDGES: Final[dict[Edge, str]] = {"rising": "RisingEdge", "falling": "FallingEdge"}
 _EXPOSURE: Final = "ExposureActive"
@@ -18,7 +18,7 @@ _PTP_LATCHES: Final = ("PtpDataSetLatch", "GevIEEE1588DataSetLatch")
 
 
 def with_kept(settings: CameraSettings, before: CameraSettings) -> CameraSettings:
-    """The settings with the wiring, and the binning, of those `before` where they leave them out."""
+    """The settings with wiring, binning and colour of those `before` where they leave them out."""
     kept = {name: getattr(before, name) for name in _KEPT if getattr(settings, name) is None}
     return settings.model_copy(update=kept)
 

@@ -43,10 +43,11 @@ def spots_of_record(record: Path) -> tuple[Deflections, datetime.datetime]:
 
 
 def binning_of_record(record: Path) -> int:
-    """The camera's binning in a record; 1 if it has none."""
+    """The camera's binning in a record, twice as many pixels with a colour plane; 1 if it has none."""
     with RecordReader(record) as reader:
-        stated = reader.metadata.get("camera_settings", {}).get("binning", "")
-    return int(stated) if stated.isdigit() else 1
+        stated = reader.metadata.get("camera_settings", {})
+    binning = stated.get("binning", "")
+    return (int(binning) if binning.isdigit() else 1) * (2 if "colour_plane" in stated else 1)
 
 
 def whole_spots(record: Path) -> tuple[NDArray[Any], datetime.datetime]:

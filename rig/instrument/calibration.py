@@ -41,7 +41,7 @@ def fill_from_files(config: Configuration) -> Configuration:
             place = ".".join(str(part) for part in fault["loc"][1:])
             raise ConfigurationError(f"{path}: values.{place}: {fault['msg']}") from None
         if isinstance(values, Lever):
-            values = values.at_binning(config.camera.binning or 1)
+            values = values.at_binning(config.camera.pitch_factor)
         stated = getattr(config, section)
         if stated not in (None, values):
             raise ConfigurationError(

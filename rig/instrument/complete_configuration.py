@@ -8,7 +8,7 @@ from rig.settings import Configuration
 def complete(config: Configuration) -> Configuration:
     """Fill missing sections from calibration files and from the true values of a simulated rig.
 
-    The lever becomes that of the camera's binning.
+    The lever becomes that of the camera's binning and colour plane.
     """
     config = fill_from_files(_binned(config))
     return _binned(fill_from_truth(config)) if config.simulated else config
@@ -17,4 +17,4 @@ def complete(config: Configuration) -> Configuration:
 def _binned(config: Configuration) -> Configuration:
     if config.lever is None:
         return config
-    return config.model_copy(update={"lever": config.lever.at_binning(config.camera.binning or 1)})
+    return config.model_copy(update={"lever": config.lever.at_binning(config.camera.pitch_factor)})

@@ -6,7 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from acquisition.camera import ColourPlane
 from acquisition.cameras.aravis.numbering import FrameNumbering
+from acquisition.cameras.colour_plane import plane_of
 from acquisition.cameras.pixel_formats import Format
 from acquisition.frame import Frame
 from processing.errors import DeviceError
@@ -16,7 +18,8 @@ from processing.errors import DeviceError
 class BufferReader:
     """Converts the buffers of one acquisition into frames.
 
-    `aravis` is the library's module; `has_clock` is True if timestamps come from the camera's own clock.
+    `aravis` is the library's module; `has_clock` is True if timestamps come from the camera's own clock,
+    `plane` is the colour to deliver.
     """
 
     aravis: Any
@@ -26,6 +29,7 @@ class BufferReader:
     height_px: int
     has_clock: bool
     numbering: FrameNumbering
+    plane: ColourPlane | None = None
     _host_time_ns: int = field(default=0, init=False)
 
     def frame(self, buffer: Any, underruns: int) -> Frame | None:
@@ -59,6 +63,7 @@ class BufferReader:
             return None
         raw = np.frombuffer(data, np.uint8)
         image = self.pixel_format.image(raw, self.width_px, self.height_px, x_padding)
+        image = plane_of(image, self.pixel_format, self.plane)
         image.flags.writeable = False
         device_time_ns = buffer.get_timestamp() if self.has_clock else -1
         return Frame(image, number, device_time_ns, arrived_ns)

@@ -174,6 +174,7 @@ class AravisCamera:
                 height_px,
                 self._has_clock,
                 FrameNumbering(short_ids=bool(camera.is_gv_device())),
+                features.plane,
             )
             self._halted.clear()
             self._started = True

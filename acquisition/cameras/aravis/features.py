@@ -3,11 +3,12 @@
 from contextlib import suppress
 from typing import Any
 
-from acquisition.camera import CameraSettings, FeatureValue, PixelFormat
+from acquisition.camera import CameraSettings, ColourPlane, FeatureValue, PixelFormat
 from acquisition.cameras import wiring
 from acquisition.cameras.automatic import RESULTING_RATES, leave_images_alone
 from acquisition.cameras.binning import binning_of, set_binning
-from acquisition.cameras.pixel_formats import BY_NAME, FORMATS, Format
+from acquisition.cameras.colour_plane import format_of, in_plane_px, in_sensor_px, names_by_depth
+from acquisition.cameras.pixel_formats import Format
 from processing.errors import DeviceError
 
 
@@ -23,6 +24,7 @@ class AravisFeatures:
         self.name = name
         self._waits = False
         self._wiring = CameraSettings()
+        self.plane: ColourPlane | None = None
 
     def give_up(self) -> list[Any]:
         """Return libaravis's camera in a list, no longer held here: dropping the last reference may block."""
@@ -46,9 +48,13 @@ class AravisFeatures:
         set_binning(self, settings.binning or 1)
         wiring.wire(self, settings)
         self._wiring = settings
+        self.plane = settings.colour_plane
+        settings = in_sensor_px(settings)
         self._waits = settings.trigger is not None or any("Trigger" in name for name in settings.features)
         if settings.pixel_format is not None:
             self._set_format(settings.pixel_format)
+        elif self._format() is None:
+            self._set_format(next(iter(self._depths())))
         self._set_region(settings)
         camera = self.camera
         if settings.trigger is None:
@@ -63,7 +69,7 @@ class AravisFeatures:
             camera.set_gain(settings.gain_db)
         for name, value in settings.features.items():
             self.write(name, value)
-        applied = self.read_back(tuple(settings.features))
+        applied = in_plane_px(self.read_back(tuple(settings.features)), self.plane)
         if settings.trigger is not None:
             rate_hz = wiring.triggered_rate(settings, self._possible_rate())
             applied = applied.model_copy(update={"frame_rate_hz": rate_hz})
@@ -176,28 +182,39 @@ class AravisFeatures:
 
     def pixel_format(self) -> Format:
         """The present pixel format; DeviceError if the rig does not support it."""
-        name = self.camera.get_pixel_format_as_string()
-        if name not in BY_NAME:
+        found = self._format()
+        if found is None:
+            name = self.camera.get_pixel_format_as_string()
             raise DeviceError(
                 f"{self.name}: pixel format {name} can't be used; there are {', '.join(self._depths())}"
             )
-        return BY_NAME[name]
+        return found
 
     def choose_usable_format(self) -> Format:
-        """Keep the present pixel format if the rig supports it; otherwise set the first supported one."""
-        if self.camera.get_pixel_format_as_string() not in BY_NAME:
+        """Keep the present pixel format if the rig supports it, of a mosaic, too; otherwise set the first
+        supported one.
+        """
+        mosaic = format_of(self.camera.get_pixel_format_as_string(), "red")
+        if mosaic is not None:
+            return mosaic
+        if self._format() is None:
             self._set_format(next(iter(self._depths())))
         return self.pixel_format()
+
+    def _format(self) -> Format | None:
+        return format_of(self.camera.get_pixel_format_as_string(), self.plane)
 
     def _depths(self) -> dict[PixelFormat, str]:
         """The available bit depths, with the camera's name of each."""
         there = set(self.camera.dup_available_pixel_formats_as_strings())
-        usable: dict[PixelFormat, str] = {}
-        for one in FORMATS:
-            if one.name in there:
-                usable.setdefault(one.pixel_format, one.name)
+        usable = {depth: names[0] for depth, names in names_by_depth(there, self.plane).items()}
         if not usable:
-            raise DeviceError(f"{self.name}: has no grey pixel format, only {', '.join(sorted(there))}")
+            what = "Bayer format" if self.plane else "grey pixel format"
+            mosaic = not self.plane and names_by_depth(there, "red")
+            raise DeviceError(
+                f"{self.name}: has no {what}, only {', '.join(sorted(there))}"
+                + ("; set camera.colour_plane to the laser's colour" if mosaic else "")
+            )
         return usable
 
     def _set_format(self, wanted: PixelFormat) -> None:

@@ -14,10 +14,13 @@ from acquisition.camera import (
     CameraLost,
     CameraSettings,
     CameraStatus,
+    ColourPlane,
     FeatureValue,
     FrameTimeout,
 )
 from acquisition.cameras import wiring
+from acquisition.cameras.colour_plane import plane_of
+from acquisition.cameras.pixel_formats import Format
 from acquisition.cameras.pylon.blocks import NO_BLOCK, missing_blocks
 from acquisition.cameras.pylon.features import PylonFeatures
 from acquisition.cameras.pylon.library import load_pylon
@@ -43,6 +46,7 @@ class PylonCamera:
         self._name = "pylon camera"
         self._features: PylonFeatures | None = None
         self._emulated = False
+        self._seen: tuple[Format | None, ColourPlane | None] = (None, None)
         self._tick_ns = 0.0
         self._halted = threading.Event()
         self._started = self._was_lost = False
@@ -71,7 +75,7 @@ class PylonCamera:
             self._camera = camera
             camera.MaxNumBuffer.Value = self._settings.buffers
             features = self._features = PylonFeatures(camera, self._name)
-            bits = features.choose_usable_format()
+            pixel_format = features.choose_usable_format()
             self._emulated = device.GetDeviceClass() == "BaslerCamEmu"
             shutter = features.read("SensorShutterMode") or features.read("ShutterMode")
             return CameraInfo(
@@ -81,7 +85,7 @@ class PylonCamera:
                 serial=device.GetSerialNumber(),
                 width_px=int(features.node("SensorWidth", "WidthMax").Value),
                 height_px=int(features.node("SensorHeight", "HeightMax").Value),
-                full_scale_dn=2**bits - 1,
+                full_scale_dn=pixel_format.full_scale_dn,
                 has_clock=not self._emulated,
                 shutter=str(shutter or ""),
             )
@@ -121,6 +125,7 @@ class PylonCamera:
             self._last_block = NO_BLOCK
             self._halted.clear()
             self._started = True
+            self._seen = (self._opened_features().pixel_format(), self._opened_features().plane)
             self._tick_ns = 0.0 if self._emulated else self._opened_features().tick_ns()
             camera.StartGrabbing(self._pylon.GrabStrategy_OneByOne)
 
@@ -166,6 +171,9 @@ class PylonCamera:
                     self._incomplete += 1
                     return None
                 image = np.array(result.GetArray(), copy=True)
+                pixel_format, plane = self._seen
+                if pixel_format is not None:
+                    image = plane_of(image, pixel_format, plane)
                 image.flags.writeable = False
                 device_time_ns = round(result.GetTimeStamp() * self._tick_ns) if self._tick_ns else -1
             finally:

@@ -3,19 +3,14 @@
 from contextlib import suppress
 from typing import Any, Final
 
-from acquisition.camera import CameraSettings, FeatureValue, PixelFormat
+from acquisition.camera import CameraSettings, ColourPlane, FeatureValue, PixelFormat
 from acquisition.cameras import wiring
 from acquisition.cameras.automatic import RESULTING_RATES, leave_images_alone
 from acquisition.cameras.binning import binning_of, set_binning
+from acquisition.cameras.colour_plane import format_of, in_plane_px, in_sensor_px, names_by_depth
+from acquisition.cameras.pixel_formats import Format
 from processing.errors import DeviceError
 
-_FORMATS: Final[dict[PixelFormat, str]] = {
-    "mono8": "Mono8",
-    "mono10": "Mono10",
-    "mono12": "Mono12",
-    "mono14": "Mono14",
-    "mono16": "Mono16",
-}
 _EXPOSURE: Final = ("ExposureTime", "ExposureTimeAbs")
 _RATE: Final = ("AcquisitionFrameRate", "AcquisitionFrameRateAbs")
 _RATE_SWITCH: Final = "AcquisitionFrameRateEnable"
@@ -33,6 +28,7 @@ class PylonFeatures:
         self._nodes = camera.GetNodeMap()
         self.name = name
         self._wiring = CameraSettings()
+        self.plane: ColourPlane | None = None
 
     def apply(self, settings: CameraSettings) -> CameraSettings:
         """Apply the settings that are not None; return all settings as read back."""
@@ -41,6 +37,8 @@ class PylonFeatures:
         set_binning(self, settings.binning or 1)
         wiring.wire(self, settings)
         self._wiring = settings
+        self.plane = settings.colour_plane
+        settings = in_sensor_px(settings)
         self._set_format(settings.pixel_format)
         self._set_region(settings)
         self._set_times(settings)
@@ -107,27 +105,44 @@ class PylonFeatures:
         per_s = self.read(_TICKS_PER_S)
         return 1e9 / float(per_s) if per_s else 1.0
 
-    def choose_usable_format(self) -> int:
-        """Keep the present pixel format if the rig supports it, otherwise set the first supported one;
-        returns its bits.
+    def choose_usable_format(self) -> Format:
+        """Keep the present pixel format if the rig supports it, of a mosaic, too; otherwise set the first
+        supported one.
         """
-        if self._camera.PixelFormat.Value not in _FORMATS.values():
+        mosaic = format_of(self._camera.PixelFormat.Value, "red")
+        if mosaic is not None:
+            return mosaic
+        if self.pixel_format() is None:
             self._camera.PixelFormat.Value = next(iter(self._possible().values()))
-        return int(self._camera.PixelFormat.Value.removeprefix("Mono"))
+        found = self.pixel_format()
+        assert found is not None
+        return found
+
+    def pixel_format(self) -> Format | None:
+        """The present pixel format, if the rig supports it."""
+        return format_of(self._camera.PixelFormat.Value, self.plane)
 
     # ---- inside
 
     def _possible(self) -> dict[PixelFormat, str]:
         there = set(self._camera.PixelFormat.Symbolics)
-        found = {ours: theirs for ours, theirs in _FORMATS.items() if theirs in there}
+        # pylon makes arrays of whole words only
+        whole = {name for name in there if not name.endswith(("p", "Packed"))}
+        found = {depth: names[0] for depth, names in names_by_depth(whole, self.plane).items()}
         if not found:
-            raise DeviceError(f"{self.name}: has no grey pixel format, only {', '.join(sorted(there))}")
+            what = "Bayer format" if self.plane else "grey pixel format"
+            mosaic = not self.plane and names_by_depth(whole, "red")
+            raise DeviceError(
+                f"{self.name}: has no {what}, only {', '.join(sorted(there))}"
+                + ("; set camera.colour_plane to the laser's colour" if mosaic else "")
+            )
         return found
 
     def _set_format(self, wanted: PixelFormat | None) -> None:
-        if wanted is None:
+        if wanted is None and self.pixel_format() is not None:
             return
         there = self._possible()
+        wanted = wanted or next(iter(there))
         if wanted not in there:
             raise DeviceError(
                 f"{self.name}: pixel format {wanted} is not supported; there are {', '.join(there)}"
@@ -195,12 +210,12 @@ class PylonFeatures:
         rate_hz = min(filter(None, (self._positive(_RATE), possible_hz)), default=None)
         if settings.trigger is not None:
             rate_hz = wiring.triggered_rate(settings, possible_hz)
-        by_name = {theirs: ours for ours, theirs in _FORMATS.items()}
+        pixel_format = self.pixel_format()
         applied = CameraSettings(
             exposure_us=self._positive(_EXPOSURE),
             gain_db=None if gain is None else float(gain.Value),
             frame_rate_hz=rate_hz,
-            pixel_format=by_name[camera.PixelFormat.Value],
+            pixel_format=None if pixel_format is None else pixel_format.pixel_format,
             binning=binning_of(self),
             width_px=int(camera.Width.Value),
             height_px=int(camera.Height.Value),
@@ -208,4 +223,4 @@ class PylonFeatures:
             offset_y_px=int(camera.OffsetY.Value),
             features={name: self.node(name).ToString() for name in settings.features},
         )
-        return applied.model_copy(update=wiring.wired(self, settings))
+        return in_plane_px(applied.model_copy(update=wiring.wired(self, settings)), self.plane)

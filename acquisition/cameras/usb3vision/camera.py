@@ -130,6 +130,7 @@ class Usb3VisionCamera:
                 int(features.get("Width")),
                 int(features.get("Height")),
                 session.identity.timestamp_increment_ns > 0,
+                features.plane,
             )
             session.registers.enable(False)
             session.link.reset_stream()

@@ -5,11 +5,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Final
 
-from acquisition.camera import CameraLost, CameraSettings, FeatureValue, PixelFormat
+from acquisition.camera import CameraLost, CameraSettings, ColourPlane, FeatureValue, PixelFormat
 from acquisition.cameras import wiring
 from acquisition.cameras.automatic import RESULTING_RATES, leave_images_alone
 from acquisition.cameras.binning import binning_of, set_binning
-from acquisition.cameras.pixel_formats import BY_NAME, FORMATS, Format
+from acquisition.cameras.colour_plane import format_of, in_plane_px, in_sensor_px, names_by_depth
+from acquisition.cameras.pixel_formats import Format
 from acquisition.cameras.usb3vision.genapi.choice_nodes import Enumeration
 from acquisition.cameras.usb3vision.genapi.node import Access
 from acquisition.cameras.usb3vision.genapi.node_map import NodeMap
@@ -53,6 +54,7 @@ class Features:
         self.nodes = nodes
         self._waits = False
         self._wiring = CameraSettings()
+        self.plane: ColourPlane | None = None
 
     def find(self, name: str) -> str | None:
         """The name of the feature in this camera, also if it is not accessible now; None if it has none."""
@@ -157,8 +159,10 @@ class Features:
         set_binning(self, settings.binning or 1)
         wiring.wire(self, settings)
         self._wiring = settings
+        self.plane = settings.colour_plane
+        settings = in_sensor_px(settings)
         self._waits = settings.trigger is not None or any("Trigger" in name for name in settings.features)
-        if settings.pixel_format is not None:
+        if settings.pixel_format is not None or (self.plane and self._format() is None):
             self._set_pixel_format(settings.pixel_format)
         self._set_region(settings)
         if settings.trigger is None:
@@ -170,7 +174,7 @@ class Features:
             self._set_number("Gain", settings.gain_db)
         for name, value in settings.features.items():
             self.set(name, value)
-        applied = self.read_back(tuple(settings.features))
+        applied = in_plane_px(self.read_back(tuple(settings.features)), self.plane)
         if settings.trigger is not None:
             rate_hz = wiring.triggered_rate(settings, self._possible_rate())
             applied = applied.model_copy(update={"frame_rate_hz": rate_hz})
@@ -273,28 +277,32 @@ class Features:
 
     def pixel_format(self) -> Format:
         """The present pixel format; DeviceError if the rig does not support it."""
+        found = self._format()
+        if found is not None:
+            return found
         name = str(self.get("PixelFormat"))
-        if name not in BY_NAME:
-            raise DeviceError(
-                f"{self.nodes.name}: pixel format {name} is not supported; "
-                f"set one of: {self._usable_depths()}"
-            )
-        return BY_NAME[name]
+        mosaic = format_of(name, "red") is not None
+        raise DeviceError(
+            f"{self.nodes.name}: pixel format {name} is not supported; set one of: {self._usable_depths()}"
+            + (", or camera.colour_plane to the laser's colour" if mosaic and not self.plane else "")
+        )
+
+    def _format(self) -> Format | None:
+        return format_of(str(self.get("PixelFormat")), self.plane)
+
+    def _names(self) -> dict[PixelFormat, list[str]]:
+        return names_by_depth(set(self.choices("PixelFormat")), self.plane)
 
     def _usable_depths(self) -> str:
-        node = self.nodes.node("PixelFormat")
-        choices = node.choices() if isinstance(node, Enumeration) else ()
-        depths = dict.fromkeys(item.pixel_format for item in FORMATS if item.name in choices)
-        return ", ".join(depths) or "none that this camera has"
+        return ", ".join(self._names()) or "none that this camera has"
 
-    def _set_pixel_format(self, wanted: PixelFormat) -> None:
-        node = self.nodes.node("PixelFormat") if "PixelFormat" in self.nodes else None
-        choices = node.choices() if isinstance(node, Enumeration) else ()
-        fitting = [item.name for item in FORMATS if item.pixel_format == wanted and item.name in choices]
+    def _set_pixel_format(self, wanted: PixelFormat | None) -> None:
+        """Set a format of this depth, or any."""
+        names = self._names()
+        fitting = names.get(wanted, []) if wanted else [name for each in names.values() for name in each]
         if not fitting:
-            raise DeviceError(
-                f"{self.nodes.name}: does not offer pixel format {wanted}; it offers: {self._usable_depths()}"
-            )
+            what = f"pixel format {wanted or 'of a Bayer mosaic'}"
+            raise DeviceError(f"{self.nodes.name}: does not offer {what}; it offers: {self._usable_depths()}")
         # a format of the same depth that is already set (packed, for example) is kept
         if self.get("PixelFormat") not in fitting:
             self.set("PixelFormat", fitting[0])

@@ -18,7 +18,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.camera import CameraLost, CameraStatus
+from acquisition.camera import CameraLost, CameraStatus, ColourPlane
+from acquisition.cameras.colour_plane import plane_of
 from acquisition.cameras.pixel_formats import Format
 from acquisition.cameras.reading import Reading
 from acquisition.cameras.usb3vision.link import StreamHalted, UsbLink
@@ -53,12 +54,13 @@ _MOST_MISFITS: Final = 10
 
 @dataclass(frozen=True, slots=True)
 class Expected:
-    """Expected format and size of every frame, and whether the camera has a clock."""
+    """Expected format and size of every frame, whether the camera has a clock, and the colour to deliver."""
 
     pixel_format: Format
     width_px: int
     height_px: int
     has_clock: bool
+    plane: ColourPlane | None = None
 
     @property
     def image_bytes(self) -> int:
@@ -369,6 +371,7 @@ class FrameStream:
         image = wanted.pixel_format.image(
             self._whole_payload(), wanted.width_px, wanted.height_px, leader.x_padding
         )
+        image = plane_of(image, wanted.pixel_format, wanted.plane)
         image.flags.writeable = False
         device_time_ns = leader.timestamp if wanted.has_clock else -1
         return Frame(image, self._last_sequence, device_time_ns, host_time_ns)

@@ -215,6 +215,27 @@ def test_binning_that_another_program_left_on_is_undone_unless_asked() -> None:
     camera.close()
 
 
+def test_one_colour_of_a_mosaic_has_half_the_rows_and_columns() -> None:
+    camera = PylonCamera()
+    camera.open()
+    asked = CameraSettings(
+        colour_plane="green", pixel_format="mono12", width_px=320, height_px=200, frame_rate_hz=50.0
+    )
+    applied = camera.configure(asked)
+    assert setting_differences(asked, applied) == []
+    assert camera.feature_value("PixelFormat") in ("BayerGR12", "BayerRG12", "BayerGB12", "BayerBG12")
+    assert camera.feature_value("Width") == 640
+    camera.start()
+    frame = camera.read(5.0)
+    assert frame is not None
+    assert frame.image.shape == (200, 320)
+    camera.stop()
+    camera.open()
+    assert camera.configure(CameraSettings()).colour_plane is None
+    assert str(camera.feature_value("PixelFormat")).startswith("Mono")
+    camera.close()
+
+
 def test_a_rate_that_the_exposure_does_not_allow_is_said_with_the_one_that_is_possible() -> None:
     """The emulation takes any exposure and says that its rate results."""
     camera = PylonCamera()

@@ -74,13 +74,18 @@ def test_the_pitch_follows_the_binning(tmp_path: Path) -> None:
     path = calibrate_lever(write(tmp_path / "l.toml", "\n".join(lines)), Filing(tmp_path / "c", 30, ""))
     values = read_calibration(path, "lever").values
     assert (values["binning"], values["pixel_pitch_m"]) == (2, 9.6e-6)
-    tree = {"calibration": {"lever": str(path)}, "camera": {"driver": "v4l2", "binning": 4}}
+    tree: dict[str, Any] = {"calibration": {"lever": str(path)}}
+    tree["camera"] = {"driver": "v4l2", "binning": 4}
     config = complete(validate_configuration(tree, "test"))
     assert config.lever is not None
     assert config.lever.pixel_pitch_m == pytest.approx(4 * 4.8e-6)
     assert config.lever.arm_m == pytest.approx(1.0, rel=1e-6)
     assert config.lever.reference_y_px == pytest.approx((160.0 + 0.5) / 2 - 0.5, abs=1e-3)
     assert complete(config) == config, "as a record's configuration is, which states it already"
+    tree["camera"] = {"driver": "usb3vision", "colour_plane": "red"}
+    coloured = complete(validate_configuration(tree, "test"))
+    assert coloured.lever is not None
+    assert coloured.lever.pixel_pitch_m == pytest.approx(2 * 4.8e-6), "one pixel of four is red"
     with pytest.raises(ConfigurationError, match=r"set camera\.binning instead"):
         validate_configuration({"camera": {"features": {"BinningVertical": 2}}}, "test")
 

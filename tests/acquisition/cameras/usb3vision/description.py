@@ -16,6 +16,7 @@ FORMATS = {
     "Mono12p": 0x010C0047,
     "Mono12Packed": 0x010C0006,
     "BayerRG8": 0x01080009,
+    "BayerGB12p": 0x010C0055,
 }
 BITS = {name: (code >> 16) & 0xFF for name, code in FORMATS.items()}
 

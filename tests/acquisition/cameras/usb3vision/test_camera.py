@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import usb.backend.libusb1
 
-from acquisition.camera import Camera, CameraLost, CameraSettings, FrameTimeout, PixelFormat
+from acquisition.camera import Camera, CameraLost, CameraSettings, ColourPlane, FrameTimeout, PixelFormat
 from acquisition.cameras.drivers import make_camera
 from acquisition.cameras.pixel_formats import BY_CODE
 from acquisition.cameras.usb3vision import discovery
@@ -174,6 +174,54 @@ def test_a_colour_camera_is_refused_with_the_formats_that_work(device: VisionDev
         DeviceError, match=r"BayerRG8 is not supported; set one of: mono8, mono10, mono12, mono14, mono16"
     ):
         camera.start()
+    camera.close()
+
+
+@pytest.mark.parametrize(
+    ("name", "plane", "row", "column"),
+    [
+        ("BayerRG8", "red", 0, 0),
+        ("BayerRG8", "green", 0, 1),
+        ("BayerRG8", "blue", 1, 1),
+        ("BayerGB12p", "red", 1, 0),
+        ("BayerGB12p", "green", 1, 1),
+        ("BayerGB12p", "blue", 0, 1),
+    ],
+)
+def test_one_colour_of_a_mosaic_is_delivered_as_it_was_read(
+    device: VisionDevice, name: str, plane: ColourPlane, row: int, column: int
+) -> None:
+    camera = camera_on(device)
+    camera.open()
+    camera.features.set("PixelFormat", name)
+    asked = CameraSettings(colour_plane=plane, width_px=160, height_px=101, offset_x_px=5, offset_y_px=3)
+    applied = camera.configure(asked)
+    assert setting_differences(asked, applied) == []
+    assert device.shape == (202, 320)
+    assert device.number(layout.OFFSET_X) == 10
+    camera.start()
+    for _ in range(2):
+        frame = camera.read(2.0)
+        assert frame is not None
+        assert frame.image.shape == (101, 160)
+        assert np.array_equal(frame.image, device.pixels(frame.sequence)[row::2, column::2])
+        assert not frame.image.flags.writeable
+    camera.close()
+
+
+def test_a_mosaic_is_chosen_where_a_colour_is_asked_for(device: VisionDevice) -> None:
+    camera = camera_on(device)
+    camera.open()
+    assert camera.configure(CameraSettings(colour_plane="red")).pixel_format == "mono8"
+    assert camera.features.get("PixelFormat") == "BayerRG8"
+    assert camera.configure(CameraSettings(pixel_format="mono12")).colour_plane == "red", "kept"
+    assert camera.features.get("PixelFormat") == "BayerGB12p"
+    with pytest.raises(DeviceError, match="does not offer pixel format mono10; it offers: mono8, mono12"):
+        camera.configure(CameraSettings(pixel_format="mono10"))
+    camera.close()
+    camera.open()
+    camera.configure(CameraSettings(pixel_format="mono8"))
+    assert camera.features.get("PixelFormat") == "Mono8"
     camera.close()
 
 
