@@ -48,6 +48,7 @@ from rig.analysis.results_file import (
     results_schema,
     write_results,
 )
+from rig.analysis.run_conditions import mean_air
 from rig.analysis.screen import print_results
 from rig.analysis.stored_turning_points import StoredTurningPoints
 from rig.analysis.table_fit import Columns, analyse_table
@@ -96,6 +97,7 @@ __all__ = [
     "fit_results",
     "fit_trajectory",
     "free_path",
+    "mean_air",
     "parameter_table",
     "points_in_true_time",
     "print_results",

@@ -3,21 +3,18 @@
 import datetime
 import hashlib
 from collections.abc import Iterator
-from math import isfinite, nan
+from math import isfinite
 from pathlib import Path
 from typing import Any, NamedTuple
-
-import numpy as np
 
 from acquisition.record.digest import sha256_of
 from acquisition.record.proof import data_crc_matches
 from acquisition.record.reader import RecordReader
-from acquisition.record.topics import ENVIRONMENT
 from acquisition.record.utc import utc
 from processing.errors import RecordError
 from processing.estimate import Estimate
 from processing.fit import FitMethod
-from rig.analysis import RunResults, read_results, results_path
+from rig.analysis import RunResults, mean_air, read_results, results_path
 from rig.archive.columns import OF_INSTRUMENTS, PARAMETERS
 
 Row = dict[str, Any]
@@ -90,7 +87,7 @@ def _of_record(path: Path) -> Row:
                 row["began_utc"] = utc(contents.start_ns).replace(tzinfo=None)
                 row["duration_s"] = (contents.end_ns - contents.start_ns) * 1e-9
             row |= _of_metadata(texts)
-            row |= _air(reader, texts.get("environment", {}))
+            row |= {name: _number(value) for name, value in mean_air(reader).items()}
     except RecordError as error:
         row |= {"state": "unreadable", "flaw": str(error).removeprefix(f"{path}: ")}
     return row
@@ -105,20 +102,6 @@ def _of_metadata(texts: dict[str, dict[str, str]]) -> Row:
         "code_version": versions.get("optical-pendulum-rig"),
         "code_commit": versions.get("commit"),
     }
-
-
-def _air(reader: RecordReader, stated: dict[str, str]) -> Row:
-    """Means of what the sensor read, else what the user stated."""
-    table = reader.table(ENVIRONMENT.topic)
-    found: Row = {}
-    for name in ("temperature_c", "humidity_percent"):
-        read = table[name][np.isfinite(table[name])] if len(table) else np.empty(0)
-        try:
-            found[name] = float(np.mean(read)) if len(read) else float(stated.get(name) or nan)
-        except ValueError:
-            found[name] = nan
-        found[name] = _number(found[name])
-    return found
 
 
 def _of_results(run: RunResults) -> Iterator[tuple[str, Any]]:

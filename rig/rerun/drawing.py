@@ -1,5 +1,7 @@
 """Draws messages into one Rerun stream."""
 
+from typing import Any
+
 import cv2
 import numpy as np
 import rerun as rr
@@ -21,6 +23,7 @@ from rig.rerun.messages import (
     Losses,
     Message,
     Picture,
+    Properties,
     Samples,
     Setup,
     State,
@@ -102,6 +105,8 @@ class Drawing:
                 self._draw_log_line(message)
             case Fits():
                 draw_fits(self._stream, message, self._setup.unit)
+            case Properties():
+                self._stream.send_property("run", rr.AnyValues(**dict[str, Any](message.values)))
 
     def send(self, *, now: bool = False) -> None:
         """Send what was gathered if a limit of `Gathering` is reached, or in any case if `now`."""

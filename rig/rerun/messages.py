@@ -136,11 +136,17 @@ class Fits(NamedTuple):
     text: str
 
 
+class Properties(NamedTuple):
+    """What is known of the whole recording, by name: columns of the catalogue's table of recordings."""
+
+    values: Mapping[str, float | str]
+
+
 class Finish(NamedTuple):
     """Last message: complete the file and end."""
 
 
-Message = Samples | Swings | BalanceNumbers | Picture | Losses | State | LogLine | Fits | Finish
+Message = Samples | Swings | BalanceNumbers | Picture | Losses | State | LogLine | Fits | Properties | Finish
 
 
 def rows(message: Message) -> int:

@@ -22,6 +22,7 @@ from rig.presentation import balance_numbers, say
 from rig.rerun import LayoutName
 from rig.view.analysis_curves import analysis_curves, overlaid_curves, report_text, run_analysis
 from rig.view.rrd_display import show_rrd
+from rig.view.run_properties import run_properties
 from rig.view.viewer import Viewer
 
 logger = logging.getLogger(__name__)
@@ -104,6 +105,8 @@ def write_rrd(
             with RecordReader(path) as reader:
                 if reader.truncated:
                     say(reader.cut_notice)
+                if len(paths) == 1:
+                    viewer.properties(run_properties(reader))
                 spots, swings = _draw(viewer, reader, name, each.start_ns, later_s)
                 start = datetime.fromtimestamp(each.start_utc_ns * 1e-9, UTC)
                 end = "truncated" if reader.truncated else "damaged" if reader.damages else "complete"

@@ -42,6 +42,7 @@ from rig.rerun import (
     Message,
     Mode,
     Picture,
+    Properties,
     Samples,
     Setup,
     State,
@@ -304,6 +305,10 @@ class Viewer:
     def fits(self, curves: Sequence[Curve], text: str = "", *, run: str = "") -> None:
         """Curves of the analysing layout and the report's text (Markdown)."""
         self._put(Fits(run, tuple(curves), text))
+
+    def properties(self, values: Mapping[str, float | str]) -> None:
+        """What is known of the whole run, by name."""
+        self._put(Properties(dict(values)))
 
     # -- how it fares --------------------------------------------------------------
 
