@@ -4,6 +4,7 @@ from processing.fit.apparatus import Quantity, RigQuantities
 from processing.fit.asymptotic import fit_asymptotic
 from processing.fit.determination import Determination, Verdict, identifiability, strong_correlations
 from processing.fit.drag import DragVerdict, drag_verdict
+from processing.fit.errors_of_place import PlaceErrors, place_errors, with_place_errors
 from processing.fit.exact import fit_exact
 from processing.fit.ground import GROUND_SEEN, Ground, density_of_step
 from processing.fit.remeasure import describes_as_well, known_motion, measured_again, shift_of, widened
@@ -39,6 +40,7 @@ __all__ = [
     "FitResult",
     "FittedContact",
     "Ground",
+    "PlaceErrors",
     "Propagated",
     "Quantity",
     "RigQuantities",
@@ -60,10 +62,12 @@ __all__ = [
     "known_motion",
     "measured_again",
     "monte_carlo",
+    "place_errors",
     "reported_quantities",
     "shift_of",
     "strong_correlations",
     "super_smooth",
     "widened",
+    "with_place_errors",
     "work_per_cycle_j",
 ]

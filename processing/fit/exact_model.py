@@ -167,6 +167,20 @@ class ExactModel:
         table = self._tabulated[1]
         return table if len(table.amplitude) > 1 else None
 
+    def by_amplitudes(self, columns: Array, errors: Array) -> Array:
+        """Changes (2 points, m) of the residuals where measured amplitudes grow by `errors` (points, m)."""
+        relative = errors / self.reference
+        if self._gains is None:
+            of_amplitudes = -relative / self._u[:, None]
+            return np.concatenate([of_amplitudes, np.zeros_like(of_amplitudes)])
+        out = copy(self)
+        before = self(columns)[0]
+        changes = []
+        for change in relative.T:
+            out._measured = self._measured + np.array([change, np.zeros_like(change)])
+            changes.append(out(columns)[0] - before)
+        return np.asarray(changes, dtype=np.float64).T
+
     def starts(self) -> Iterator[Array]:
         """Start values for which the map reaches the last half-cycle, the most promising first.
 

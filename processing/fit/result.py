@@ -64,6 +64,9 @@ class FitResult:
         None for the exact fit, or if it is not known.
     whiteness
         Test whether the residuals are correlated.
+    place_covariance
+        Part of the covariance, and of `reading_covariance`, that errors of position fixed on the sensor
+        leave; None where none were found.
     """
 
     method: FitMethod
@@ -88,6 +91,7 @@ class FitResult:
     widened: NDArray[np.float64] | None = None
     bias: Mapping[str, float] | None = None
     whiteness: Whiteness | None = None
+    place_covariance: NDArray[np.float64] | None = None
 
     @property
     def chi2_per_dof(self) -> float:

@@ -1,6 +1,7 @@
 """Analysis of a decaying oscillation: turning points with uncertainties, separation of two modes."""
 
 from processing.swing.compilation import compile_kernels
+from processing.swing.cycle_residuals import SHARED, CycleResiduals, CycleWatch
 from processing.swing.detector import SwingDetector
 from processing.swing.known_motion import KnownMotion
 from processing.swing.modes import TwoModes, separate_modes
@@ -9,6 +10,9 @@ from processing.swing.spectrum import ResidualSpectrum, residual_spectrum
 from processing.swing.swing import Swing, SwingFlag, TurningPoints, turning_points
 
 __all__ = [
+    "SHARED",
+    "CycleResiduals",
+    "CycleWatch",
     "KnownMotion",
     "ResidualSpectrum",
     "Swing",

@@ -1,0 +1,91 @@
+"""Errors that many turning points share because the sensor has them at a place: what a fit says of them.
+
+An error of place moves the amplitudes of all half-cycles that pass it. Residuals of whole cycles find it but
+for what looks like a motion (`processing.position_map`); of the rest, the fitted law sees what no decay does.
+"""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from processing.contact import PendulumOnBall
+from processing.fit.exact_model import ExactModel
+from processing.fit.result import FitResult
+from processing.least_squares import propagate
+from processing.swing import TurningPoints
+
+Floats = NDArray[np.float64]
+
+_FELT = 1e-3
+"""Largest error of an amplitude, in its uncertainties, below which a direction is left as it is."""
+
+
+class PlaceErrors(NamedTuple):
+    """What a fit says of errors that it shares among its amplitudes.
+
+    `values` (m,) and `covariance` (m, m) are those of the coordinates, which were 0 and 1 before the fit.
+    `of_parameters` is the covariance that they add to the fit's values.
+    """
+
+    values: Floats
+    covariance: Floats
+    of_parameters: Floats
+
+
+def place_errors(
+    points: TurningPoints, pendulum: PendulumOnBall | None, fit: FitResult, errors: Floats
+) -> PlaceErrors:
+    """Errors and parameters that describe the turning points best together, near an exact fit.
+
+    Parameters
+    ----------
+    points
+        The turning points of the fit.
+    errors : (points, m)
+        Errors of the amplitudes for each of m independent coordinates of variance 1.
+
+    Notes
+    -----
+    With the whitened residuals r and their derivatives J by the parameters and E by the coordinates z, and P
+    the projection on what J leaves, ``z = -(1 + E^T P E)^-1 E^T P r``; the parameters change by ``-J^+ E z``.
+    """
+    model, columns = ExactModel.of(points, pendulum, fit)
+    residuals, jacobian = model(columns)
+    felt = np.max(np.abs(errors) / points.u_amplitude[:, None], axis=0) > _FELT
+    by_errors = -model.by_amplitudes(columns, errors[: fit.half_cycles][:, felt])
+    good = np.isfinite(residuals) & np.isfinite(jacobian).all(axis=1) & np.isfinite(by_errors).all(axis=1)
+    residuals, jacobian, by_errors = residuals[good], jacobian[good], by_errors[good]
+    size = np.sqrt(np.sum(jacobian**2, axis=0))
+    directions, spread, turned = np.linalg.svd(jacobian / size, full_matrices=False)
+    kept = spread > 1e-12 * spread[0]
+    directions = directions[:, kept]
+    left = residuals - directions @ (directions.T @ residuals)
+    beside = by_errors - directions @ (directions.T @ by_errors)
+    noise2 = 1.0
+    for _ in range(2):
+        # what the errors of place do not explain of the scatter is noise
+        of_felt = np.linalg.inv(np.eye(len(beside.T)) + beside.T @ beside / noise2)
+        found = -of_felt @ (beside.T @ left) / noise2
+        noise2 = max(1.0, float(np.sum((left + beside @ found) ** 2)) / fit.dof)
+    values, covariance = np.zeros(len(felt)), np.eye(len(felt))
+    values[felt], covariance[np.ix_(felt, felt)] = found, of_felt
+    of_columns = ((turned[kept].T / spread[kept]) @ (directions.T @ by_errors)) / size[:, None]
+    to_physical = model.columns.physical(columns)[1]
+    return PlaceErrors(values, covariance, propagate(to_physical, of_columns @ of_felt @ of_columns.T))
+
+
+def with_place_errors(fit: FitResult, of_parameters: Floats, names: tuple[str, ...]) -> FitResult:
+    """The fit with the covariance that errors of place add to the parameters `names`."""
+    at = [names.index(name) for name in fit.names if name in names]
+    own = [name in names for name in fit.names]
+    added = np.zeros((len(fit.names), len(fit.names)))
+    added[np.ix_(own, own)] = of_parameters[np.ix_(at, at)]
+    reading = fit.reading_covariance
+    return replace(
+        fit,
+        covariance=fit.covariance + added,
+        reading_covariance=None if reading is None else reading + added,
+        place_covariance=added,
+    )

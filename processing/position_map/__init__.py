@@ -1,0 +1,6 @@
+"""Errors of position that are fixed on the sensor, found from a run that passes each place many times."""
+
+from processing.position_map.position_map import PositionMap
+from processing.position_map.search import PositionMapSearch
+
+__all__ = ["PositionMap", "PositionMapSearch"]

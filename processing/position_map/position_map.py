@@ -1,0 +1,100 @@
+"""Error of position as a function of place, with its covariance."""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from processing.deflections import Deflections
+from processing.position_map.splines import Splines
+
+Floats = NDArray[np.float64]
+
+_QUADRATURE = 512
+
+
+@dataclass(frozen=True)
+class PositionMap:
+    """Error of the measured deflection at every place of the stretch that a run swept.
+
+    Attributes
+    ----------
+    splines
+        What it is made of, over places: true deflections, in the unit of the measured ones.
+    coefficients, covariance
+        Of the splines: the most likely error, and how well it is known. A constant and a scale, which no
+        free swing shows, are as uncertain as errors of the found size and correlation length let them be.
+    correlation_length
+        Distance over which the error changes, in the unit of the deflections.
+    significance
+        See `PositionMapSearch`.
+    cycles
+        From how many cycles it was made.
+    noise_scale
+        By how much the residuals of whole cycles scatter more than their samples' uncertainties say.
+    """
+
+    splines: Splines
+    coefficients: Floats
+    covariance: Floats
+    correlation_length: float
+    significance: float
+    cycles: int
+    noise_scale: float
+
+    def error(self, place: Floats) -> Floats:
+        """Error (n,) at true deflections `place`; 0 where they are NaN."""
+        found = np.zeros(len(place))
+        good = np.isfinite(place)
+        first, values = self.splines.at(place[good])
+        found[good] = sum(values[:, k] * self.coefficients[first + k] for k in range(4))
+        return found
+
+    def u_error(self, place: Floats) -> Floats:
+        """Standard uncertainties (n,) of `error` beside a constant and a scale, which the map leaves open."""
+        matrix = self.splines.matrix(place)
+        trend = np.column_stack([np.ones(len(place)), place - place.mean()])
+        matrix -= trend @ np.linalg.lstsq(trend, matrix, rcond=None)[0]
+        variance = np.einsum("ij,jk,ik->i", matrix, self.covariance, matrix)
+        return np.asarray(np.sqrt(np.maximum(variance, 0.0)), dtype=np.float64)
+
+    def corrected(self, deflections: Deflections) -> Deflections:
+        """Deflections without the error."""
+        place = deflections.y - self.error(deflections.y)
+        return replace(deflections, y=deflections.y - self.error(place))
+
+    def amplitude_errors(self, amplitude: Floats, centre: Floats, side: Floats) -> Floats:
+        """Errors of amplitudes that the map's covariance leaves, as independent columns (n, m).
+
+        ``errors @ errors.T`` is the amplitudes' covariance. A half-cycle is fitted to all of its samples, its
+        rest position to whole cycles: with the place x = centre + side A cos s and the splines B(x), its
+        amplitude moves by ``2/pi`` times the integral of ``side (B - mean of B over the cycle) cos s`` over
+        the half-cycle. The time of the turning point does not move: an error that depends on the place alone
+        is the same before and after it.
+        """
+        s = (np.arange(_QUADRATURE) + 0.5) * (2.0 * math.pi / _QUADRATURE)
+        cosine = np.cos(s)
+        inner = cosine > 0.0
+        gain = np.empty((len(amplitude), self.splines.count))
+        for k in range(len(amplitude)):
+            values = self.splines.matrix(centre[k] + side[k] * amplitude[k] * cosine)
+            values[inner] -= values.mean(axis=0)
+            gain[k] = (side[k] * 4.0 / _QUADRATURE) * (cosine[inner] @ values[inner])
+        return np.asarray(gain @ self._root(), dtype=np.float64)
+
+    def adjusted(self, values: Floats, covariance: Floats) -> "PositionMap":
+        """The map with what became known of the coordinates whose columns `amplitude_errors` returned.
+
+        `values` (m,) and `covariance` (m, m) were 0 and 1 before.
+        """
+        root = self._root()
+        return replace(
+            self,
+            coefficients=self.coefficients + root @ values,
+            covariance=root @ covariance @ root.T,
+        )
+
+    def _root(self) -> Floats:
+        variance, directions = np.linalg.eigh(self.covariance)
+        return np.asarray(directions * np.sqrt(np.maximum(variance, 0.0)), dtype=np.float64)

@@ -1,0 +1,198 @@
+"""Search for an error of position that is fixed on the sensor, in the residuals of whole cycles.
+
+The residuals r of cycle c are ``B theta + J l_c + K s + noise``: splines B of the place with one theta for
+all, the derivatives J of the motion by what each cycle has for itself, and K by frequency and shape, which
+all have in common. l_c and s are left free. What swings with the phase of the motion at all amplitudes is
+thus the motion's and not the sensor's; what stays at a place while the amplitude falls, and is passed in both
+directions, is the sensor's. theta is a Gaussian process with a variance and a correlation length that make
+the residuals most likely.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import toeplitz
+
+from processing.position_map.normal_equations import Accumulator, NormalEquations, all_of
+from processing.position_map.position_map import PositionMap
+from processing.position_map.splines import Splines
+from processing.swing import CycleResiduals
+
+Floats = NDArray[np.float64]
+
+_SPLINES = 320
+_LENGTHS = (0.25, 0.125, 0.0625, 0.032, 0.016, 0.008)
+"""Correlation lengths tried, as fractions of the stretch."""
+_FEWEST_CYCLES = 8
+_SAMPLED = 64
+"""Cycles whose residuals are kept, to see how much they scatter about a common error."""
+_MOST_SUMS = 256
+"""Cycles are summed in groups of neighbours, so that there are about so many at most."""
+_PARTS = 10
+"""Parts of the run, each of which must confirm what the others say."""
+_CONFIRMING = 0.8
+"""Share of the parts that must do so."""
+_VISIBLE = 1e-9
+"""Smallest information of the cycles about a part of the error, relative to the largest."""
+SIGNIFICANT = 12.0
+"""Score in its standard deviations above which the error is believed.
+
+Of errors with a single degree of freedom, the most scattered case, noise gives such a score with a
+probability of 2e-5 for each correlation length."""
+
+
+class _Likeliest(NamedTuple):
+    """Half the logarithm of the likelihood over that without an error, and the error."""
+
+    gain: float
+    length: float
+    coefficients: Floats
+    covariance: Floats
+
+
+class PositionMapSearch:
+    """Collects cycles of a run and says whether they share an error of place.
+
+    Parameters
+    ----------
+    low, high
+        Least and largest deflection of the run.
+    cycles
+        About how many will be added.
+    """
+
+    def __init__(self, low: float, high: float, cycles: int) -> None:
+        self._splines = Splines.over(low, high, _SPLINES)
+        self._parts = [Accumulator(self._splines) for _ in range(_PARTS)]
+        self._expected = max(cycles, 1)
+        self._group = max(1, math.ceil(cycles / _MOST_SUMS))
+        self._every = max(1, math.ceil(cycles / _SAMPLED))
+        self._scores: list[Floats] = []
+        self._sampled: list[CycleResiduals] = []
+        self._cycles = 0
+
+    def add(self, cycle: CycleResiduals) -> None:
+        """Add the residuals of one cycle."""
+        score = self._parts[min(_PARTS * self._cycles // self._expected, _PARTS - 1)].add(cycle)
+        if self._cycles % self._group == 0:
+            self._scores.append(score)
+        else:
+            self._scores[-1] = self._scores[-1] + score
+        if self._cycles % self._every == 0:
+            self._sampled.append(cycle)
+        self._cycles += 1
+
+    def found(self) -> PositionMap | None:
+        """The map, where the cycles agree on one beyond doubt; None where they do not."""
+        if len(self._scores) < _FEWEST_CYCLES:
+            return None
+        parts = [part.sums() for part in self._parts if part.cycles]
+        whole = all_of(parts)
+        scores = np.array(self._scores)
+        scores = scores[:, :_SPLINES] - scores[:, _SPLINES:] @ whole.by_common().T
+        significance = max(_significance(self._prior(length), scores) for length in _LENGTHS)
+        if not significance > SIGNIFICANT:
+            return None
+        scale, lengths = 1.0, _LENGTHS
+        for _ in range(2):
+            tried = (_likeliest(length, self._prior(length), whole.of_splines(scale)) for length in lengths)
+            best = max(tried, key=lambda one: one.gain)
+            scale = self._scatter(best, whole)
+        best = _likeliest(best.length, self._prior(best.length), whole.of_splines(scale))
+        if not self._confirmed(parts, best.length, scale):
+            return None
+        return PositionMap(
+            splines=self._splines,
+            coefficients=best.coefficients,
+            covariance=best.covariance,
+            correlation_length=best.length * self._splines.spacing * (_SPLINES - 3),
+            significance=significance,
+            cycles=self._cycles,
+            noise_scale=math.sqrt(scale),
+        )
+
+    def _confirmed(self, parts: Sequence[NormalEquations], length: float, scale: float) -> bool:
+        """Whether the parts of the run are better described with the map of the others than without one.
+
+        What another motion leaves in neighbouring cycles is alike in them, but not over the whole run.
+        """
+        gains = []
+        for part in parts:
+            others = all_of([other for other in parts if other is not part])
+            theirs = _likeliest(length, self._prior(length), others.of_splines(scale)).coefficients
+            gains.append(
+                part.explained(others.with_common(theirs))
+                - part.explained(others.with_common(np.zeros(_SPLINES)))
+            )
+        found = np.array(gains)
+        return bool(found.sum() > 0.0 and np.mean(found > 0.0) >= _CONFIRMING)
+
+    def _prior(self, length: float) -> Floats:
+        """Correlation of the coefficients for a correlation length, which is a fraction of the stretch."""
+        step = np.arange(_SPLINES) / ((_SPLINES - 3) * length)
+        return np.asarray(toeplitz(np.exp(-0.5 * step**2)), dtype=np.float64)
+
+    def _scatter(self, found: _Likeliest, whole: NormalEquations) -> float:
+        """Variance of the cycles' scores about the common error, over that of the samples' uncertainties.
+
+        In the directions in which the error is looked for: what else disturbs neighbouring samples alike
+        counts there in full.
+        """
+        everything = whole.with_common(found.coefficients)
+        prior, power, expected = self._prior(found.length), 0.0, 0.0
+        for cycle in self._sampled:
+            alone = Accumulator(self._splines)
+            alone.add(cycle)
+            sums = alone.sums()
+            off = (sums.score - sums.information @ everything)[:_SPLINES]
+            power += float(off @ prior @ off)
+            expected += float(np.sum(prior * sums.information[:_SPLINES, :_SPLINES]))
+        return power / expected
+
+
+def _significance(prior: Floats, scores: Floats) -> float:
+    """Score for an error common to all cycles, in standard deviations of what independent ones give.
+
+    With the sum g of the scores, their covariance S and the prior C of the error it is
+    ``(g.C g - tr CS) / sqrt(2 tr CSCS)``. S is taken from second differences d of the scores, which have
+    six times their variance: neighbouring cycles pass the same places, and a common error drops out.
+    """
+    difference = scores[:-2] - 2.0 * scores[1:-1] + scores[2:]
+    scale = len(scores) / (6.0 * len(difference))
+    total = scores.sum(axis=0)
+    products = scale * difference @ prior @ difference.T
+    spread = math.sqrt(2.0 * float(np.sum(products**2)))
+    return float((total @ prior @ total - np.trace(products)) / spread) if spread > 0.0 else 0.0
+
+
+def _likeliest(length: float, prior: Floats, sums: NormalEquations) -> _Likeliest:
+    """Error whose variance makes the residuals most likely, for one correlation length.
+
+    With the prior ``v C = v A A^T`` and ``A^T N A = Q L Q^T``, ``h = Q^T A^T g``: twice the logarithm of the
+    likelihood is ``sum h^2 v/(1 + v L) - ln(1 + v L)``.
+    """
+    information, score = sums
+    variance, directions = np.linalg.eigh(prior)
+    kept = variance > 1e-9 * variance[-1]
+    root = directions[:, kept] * np.sqrt(variance[kept])
+    size, turned = np.linalg.eigh(root.T @ information @ root)
+    basis = root @ turned
+    # what is not seen has no information but that of rounding
+    visible = size > _VISIBLE * size[-1]
+    size = np.where(visible, size, 0.0)
+    seen = np.where(visible, basis.T @ score, 0.0)
+
+    def gain(log_v: float) -> float:
+        v = math.exp(log_v)
+        return float(np.sum(seen**2 * v / (1.0 + v * size) - np.log1p(v * size)))
+
+    # from a thousandth of what one cycle shows to far beyond any
+    middle = -math.log(float(size.max()))
+    tried = middle + np.arange(-5.0, 30.0, 0.25)
+    log_v = float(tried[np.argmax([gain(one) for one in tried.tolist()])])
+    v = math.exp(log_v)
+    shrunk = v / (1.0 + v * size)
+    return _Likeliest(0.5 * gain(log_v), length, basis @ (shrunk * seen), (basis * shrunk) @ basis.T)

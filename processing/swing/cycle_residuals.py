@@ -1,0 +1,195 @@
+"""What is left of whole cycles when a known motion is taken off, and what of it the motion may still explain.
+
+Half-cycles that are measured one by one follow an error that is fixed on the sensor: each has an amplitude
+and a time of its own. A whole cycle, two half-cycles with one amplitude, time and rest position, passes every
+place of its stretch twice, in both directions, and can follow no more than a constant and a scale.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from processing.deflections import Deflections, joined
+from processing.robust import MAD_TO_SIGMA
+from processing.swing.half_cycle import (
+    AMPLITUDE,
+    CENTRE,
+    DRIFT,
+    RATE,
+    SHAPE,
+    STATES,
+    TIME,
+    linearise,
+    propagate,
+    tabulate_state,
+)
+from processing.swing.known_motion import KnownMotion
+from processing.swing.swing import Swing
+from processing.swing.waveform import NODES, SHAPES, zero_phases
+
+Floats = NDArray[np.float64]
+
+_ACTIVE = np.array([AMPLITUDE, TIME, RATE, *range(SHAPE, SHAPE + SHAPES), CENTRE, DRIFT])
+_OWN = np.isin(_ACTIVE, (AMPLITUDE, TIME, CENTRE, DRIFT))
+_TIMING = 3
+"""Highest power of the place with which the time of a sample may change: rows that are exposed in turn."""
+SHARED = 1 + SHAPES + _TIMING
+"""Number of columns that all cycles have in common: frequency, shape and timing."""
+
+_REACH = 0.6
+"""Half periods before the first and after the second turning point that surely hold the cycle."""
+_FEWEST = 16
+_GATE = 6.0
+_LINE = 40.0
+"""Power of a line in the fast deflection, over the median of all frequencies, that makes it the fast mode."""
+
+
+class CycleResiduals(NamedTuple):
+    """Samples of one cycle, from a zero crossing to the next but one.
+
+    `place` is where the known motion, fitted to this cycle, has the spot. (A place as measured would hold
+    the residual, and explain it.) `residual` is what remains of the measured deflections beside the motion
+    before that fit, `weight` the inverse squares of their uncertainties, 0 for outliers. `own` (n, q) are the
+    derivatives of the motion by what each cycle has for itself (amplitude, time, rest position and its drift,
+    a fast mode), `shared` (n, SHARED) those by frequency, shape and a time that depends on the place.
+    """
+
+    place: Floats
+    residual: Floats
+    weight: Floats
+    own: Floats
+    shared: Floats
+
+
+class CycleWatch:
+    """Takes the cycles out of deflections that pass.
+
+    Parameters
+    ----------
+    swings
+        Half-cycles of these deflections. Two neighbours without a flag make a cycle.
+    motion
+        Frequency and waveform, fitted to all of them.
+    """
+
+    def __init__(self, swings: Sequence[Swing], motion: KnownMotion) -> None:
+        self._motion = motion
+        self._pairs = _pairs(swings)
+        self._half_ns = round(1e9 * math.pi / motion.rate_rad_per_s)
+        self._kept: list[Deflections] = []
+
+    @property
+    def cycles(self) -> int:
+        """How many are still to come."""
+        return len(self._pairs)
+
+    def update(self, block: Deflections) -> Iterator[CycleResiduals]:
+        """The cycles that end within this block of deflections."""
+        if not self._pairs or not len(block):
+            return
+        self._kept.append(block)
+        reach_ns = round(_REACH * self._half_ns)
+        last_ns = int(block.times_ns[-1])
+        if self._pairs[0][1].turn_time_ns + reach_ns > last_ns:
+            return
+        kept = joined(self._kept, block.unit)
+        while self._pairs and self._pairs[0][1].turn_time_ns + reach_ns <= last_ns:
+            first, second = self._pairs.pop(0)
+            begin, end = np.searchsorted(
+                kept.times_ns, [first.turn_time_ns - reach_ns, second.turn_time_ns + reach_ns]
+            )
+            found = _residuals(kept[int(begin) : int(end)], first, self._motion)
+            if found is not None:
+                yield found
+        if self._pairs:
+            kept = kept.since(self._pairs[0][0].turn_time_ns - reach_ns)
+        self._kept = [kept]
+
+
+def _pairs(swings: Sequence[Swing]) -> list[tuple[Swing, Swing]]:
+    pairs: list[tuple[Swing, Swing]] = []
+    before: Swing | None = None
+    for swing in swings:
+        if swing.flags:
+            before = None
+        elif before is not None and swing.index == before.index + 1 and swing.side != before.side:
+            pairs.append((before, swing))
+            before = None
+        else:
+            before = swing
+    return pairs
+
+
+def _residuals(samples: Deflections, first: Swing, motion: KnownMotion) -> CycleResiduals | None:
+    state = motion.put_into(np.zeros(STATES))
+    state[AMPLITUDE], state[CENTRE] = first.amplitude, first.centre
+    tau_s = np.asarray((samples.times_ns - first.turn_time_ns) * 1e-9, dtype=np.float64)
+    usable = np.isfinite(samples.y) & (samples.u_y > 0.0)
+    anchor, transition = state.copy(), np.eye(STATES)
+    parts: list[tuple[NDArray[np.intp], Floats, Floats]] = []
+    side = float(first.side)
+    for _ in range(2):
+        table, turn = np.zeros((2 + SHAPES, NODES, 2)), np.zeros((2, 2 + SHAPES))
+        tabulate_state(state, anchor, motion.reference, _ACTIVE, table, turn)
+        begin_s, end_s = np.array(zero_phases(table)) / state[RATE] + state[TIME]
+        rows = np.flatnonzero(usable & (tau_s >= begin_s) & (tau_s < end_s))
+        if len(rows) < _FEWEST // 2:
+            return None
+        residual, jacobian = np.empty(len(rows)), np.empty((len(rows), len(_ACTIVE)))
+        linearise(state, side, _ACTIVE, table, tau_s[rows], samples.y[rows], residual, jacobian)
+        parts.append((rows, residual, jacobian @ transition[np.ix_(_ACTIVE, _ACTIVE)]))
+        if len(parts) == 1:
+            # both count from the first turning point: centre and drift stay what they are
+            state, transition = propagate(state, turn, 0.0)
+            side = -side
+    rows, residual, jacobian = (np.concatenate([part[k] for part in parts]) for k in range(3))
+    if not (np.isfinite(residual).all() and np.isfinite(jacobian).all()):
+        return None
+    own = jacobian[:, _OWN]
+    by_time = jacobian[:, _ACTIVE == TIME]
+    relative = (samples.y[rows, None] - state[CENTRE]) / motion.reference
+    shared = np.column_stack([jacobian[:, ~_OWN], by_time * relative ** np.arange(1, _TIMING + 1)])
+    weight = samples.u_y[rows] ** -2.0
+    fast = _fast_mode(tau_s[rows], samples.x[rows], own)
+    if fast is not None:
+        own = np.column_stack([own, fast])
+    left = _without(residual, own, np.sqrt(weight))
+    size = np.abs(left) * np.sqrt(weight)
+    far = size > _GATE * max(1.0, MAD_TO_SIGMA * float(np.median(size)))
+    return CycleResiduals(samples.y[rows] - left, residual, np.where(far, 0.0, weight), own, shared)
+
+
+def _without(values: Floats, columns: Floats, root_weight: Floats | float = 1.0) -> Floats:
+    """Values (n,) without what the columns (n, q) explain of them."""
+    size = np.sqrt(np.sum(columns**2, axis=0))
+    scaled = columns / np.where(size > 0.0, size, 1.0)
+    weighted = (scaled.T * root_weight).T
+    return np.asarray(
+        values - scaled @ np.linalg.lstsq(weighted, values * root_weight, rcond=1e-9)[0], dtype=np.float64
+    )
+
+
+def _fast_mode(tau_s: Floats, fast: Floats, own: Floats) -> Floats | None:
+    """Cosine and sine of the strongest line in the fast deflection, if it has one, and both times the time.
+
+    What of it is seen along the slow axis would scatter the residuals by more than most errors of the sensor.
+    The last two of the columns (n, 4) allow for an error of its frequency, and for its damping.
+    """
+    if not np.isfinite(fast).all():
+        return None
+    left = _without(fast, own)
+    count = 4 * len(tau_s)
+    even_s = np.linspace(tau_s[0], tau_s[-1], len(tau_s))
+    window = np.hanning(len(tau_s))
+    power = np.abs(np.fft.rfft(window * np.interp(even_s, tau_s, left), count)) ** 2
+    top = int(np.argmax(power))
+    if not 0 < top < len(power) - 1 or power[top] < _LINE * float(np.median(power)):
+        return None
+    below, peak, above = np.log(power[top - 1 : top + 2])
+    rate = 2.0 * math.pi * (top + 0.5 * (below - above) / (below - 2.0 * peak + above))
+    phase = rate * (tau_s - tau_s[0]) / (count * (even_s[1] - even_s[0]))
+    line = np.column_stack([np.cos(phase), np.sin(phase)])
+    return np.column_stack([line, line * np.linspace(-1.0, 1.0, len(line))[:, None]])

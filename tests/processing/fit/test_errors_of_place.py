@@ -1,0 +1,60 @@
+"""Errors that turning points share: what a fit sees of them, and what they add to its uncertainties."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from processing.fit import fit_exact, place_errors, with_place_errors
+from tests.processing.fit.decays import ARCSEC, decay, paper_pair
+
+
+def test_an_error_that_no_decay_has_is_seen_and_one_that_looks_like_a_decay_is_not() -> None:
+    parameters, pendulum = paper_pair("glass_k8")
+    points = decay(parameters, pendulum, noise_arcsec=0.01, seed=4, last_arcsec=60.0)
+    wave = 0.05 * ARCSEC * np.sin(points.amplitude / (4 * ARCSEC))
+    scale = 1e-3 * points.amplitude
+    errors = np.column_stack([wave, scale, 1e-9 * wave])
+    shifted = replace(points, amplitude=points.amplitude + 0.7 * wave)
+    fit = fit_exact(shifted, pendulum)
+    told = place_errors(shifted, pendulum, fit, errors)
+    u_wave = np.sqrt(told.covariance[0, 0])
+    assert abs(told.values[0] - 0.7) < 4 * u_wave
+    assert u_wave < 0.2
+    # a scale is all but a decay with other coefficients, and an error below all uncertainties is left alone
+    assert told.covariance[1, 1] > 0.5
+    assert told.values[2] == 0.0
+    assert told.covariance[2, 2] == 1.0
+    mended = replace(shifted, amplitude=shifted.amplitude - errors @ told.values)
+    better = fit_exact(mended, pendulum, near=fit)
+    assert fit.ground is not None
+    assert better.ground is not None
+    # what looked like a drive of the ground was the error
+    assert fit.ground.seen
+    assert not better.ground.seen
+    assert better.ground.deviance < fit.ground.deviance - 40
+
+    # c is proportional to the scale of the angles: one of 1e-3 adds what the law does not see of it
+    again = fit_exact(points, pendulum)
+    of_scale = place_errors(points, pendulum, again, scale[:, None])
+    wider = with_place_errors(again, of_scale.of_parameters, again.names)
+    at = again.names.index("c")
+    added = wider.covariance[at, at] - again.covariance[at, at]
+    assert np.isclose(np.sqrt(added), 1e-3 * abs(again.values[at]), rtol=0.3)
+    assert wider.place_covariance is not None
+    assert wider.reading_covariance is not None
+    assert again.reading_covariance is not None
+    assert np.allclose(wider.reading_covariance - again.reading_covariance, wider.place_covariance)
+
+
+def test_a_driven_pendulum_answers_to_shifted_amplitudes_as_a_refit_does() -> None:
+    parameters, pendulum = paper_pair("glass_k8")
+    points = decay(parameters, pendulum, noise_arcsec=0.01, seed=4, last_arcsec=60.0)
+    walk = np.cumsum(np.random.default_rng(7).normal(0.0, 0.02 * ARCSEC, len(points)))
+    points = replace(points, amplitude=points.amplitude + walk)
+    fit = fit_exact(points, pendulum)
+    assert fit.ground is not None
+    assert not fit.ground.noise.at_rest
+    wave = 0.02 * ARCSEC * np.sin(points.amplitude / (4 * ARCSEC))
+    told = place_errors(points, pendulum, fit, wave[:, None])
+    assert 0.0 < told.covariance[0, 0] <= 1.0
+    assert np.all(np.linalg.eigvalsh(told.of_parameters) > -1e-6 * np.trace(told.of_parameters))
