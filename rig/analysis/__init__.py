@@ -1,7 +1,7 @@
 """From a record or a table to results: laws of the contact, other instruments, verdicts, results.json."""
 
 from rig.analysis.base_acceleration import base_motion
-from rig.analysis.contact_laws import points_in_true_time, settled_swings, surface_energies
+from rig.analysis.contact_laws import surface_energies
 from rig.analysis.contact_results import (
     NOT_DETERMINED,
     BaseMotion,
@@ -50,6 +50,7 @@ from rig.analysis.results_file import (
 )
 from rig.analysis.run_conditions import mean_air
 from rig.analysis.screen import print_results
+from rig.analysis.settled import points_in_true_time, settled_swings
 from rig.analysis.stored_turning_points import StoredTurningPoints
 from rig.analysis.table_fit import Columns, analyse_table
 from rig.analysis.table_screen import fit_envelope_table, fit_trajectory

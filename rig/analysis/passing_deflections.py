@@ -9,7 +9,7 @@ from processing.deflections import Deflections, DeflectionUnit
 
 
 class PassingDeflections:
-    """The deflections of a run, in order, some thousand frames at a time; they can be passed through once.
+    """The deflections of a run, in order, some thousand frames at a time.
 
     Only the coordinates of the frames that have passed are kept, 16 bytes a frame: a day's deflections
     with their times and uncertainties would be several hundred megabytes.
@@ -17,7 +17,7 @@ class PassingDeflections:
     Parameters
     ----------
     blocks
-        Consecutive frames.
+        Consecutive frames. They are asked for again by who passes through more than once.
     unit
         Of every block.
 
@@ -35,11 +35,17 @@ class PassingDeflections:
         self.lost_spots = 0
         self.first_ns = 0
         self.last_ns = 0
+        self._source = blocks
         self._blocks = iter(blocks)
+        self._passed = False
         self._x: list[NDArray[np.float64]] = []
         self._y: list[NDArray[np.float64]] = []
 
     def __iter__(self) -> Iterator[Deflections]:
+        """The first time all frames are counted; afterwards they pass once more."""
+        if self._passed:
+            yield from filter(len, self._source)
+            return
         for block in self._blocks:
             if not len(block):
                 continue
@@ -51,14 +57,16 @@ class PassingDeflections:
             self._x.append(block.x)
             self._y.append(block.y)
             yield block
+        self._passed = True
 
     def fast_ratio(self) -> float:
         """Fast over slow motion (r.m.s. about the median, NaN left out) of all frames, those left included.
 
         0 where there is nothing to compare. What has passed is forgotten.
         """
-        for _ in self:
-            pass
+        if not self._passed:
+            for _ in self:
+                pass
         spread_x, spread_y = _spread(self._x), _spread(self._y)
         return spread_x / spread_y if spread_y > 0 else 0.0
 

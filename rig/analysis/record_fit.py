@@ -15,7 +15,7 @@ from processing.fit import FitMethod, FitResult, RigQuantities
 from processing.spot import BeamUse
 from processing.swing import Swing, TurningPoints
 from rig.analysis.beam import Beam
-from rig.analysis.contact_laws import DecayFits, fit_decay, points_in_true_time, settled_swings
+from rig.analysis.contact_laws import DecayFits, fit_decay
 from rig.analysis.contact_series import combined_series
 from rig.analysis.contact_verdicts import evaluate, fit_results, rig_quantities
 from rig.analysis.other_instruments import Air, Reduction, reduce_run
@@ -24,6 +24,7 @@ from rig.analysis.passing_deflections import PassingDeflections
 from rig.analysis.results import RunResults, Series, SessionResults
 from rig.analysis.results_file import relative_record
 from rig.analysis.run_conditions import run_conditions
+from rig.analysis.settled import points_in_true_time, settled_swings
 from rig.analysis.stored_turning_points import StoredTurningPoints
 from rig.instrument import inputs_sha256, judge_calibration, pendulum_on_ball, recorded_configuration
 from rig.settings import Configuration
@@ -50,18 +51,29 @@ def analyse_record(path: Path, overrides: Sequence[str] = ()) -> AnalysedRun:
     """Fit one closed record; `overrides` change its configuration (fit settings, pendulum) for this fit."""
     with RecordReader(path) as reader:
         config = recorded_configuration(reader, overrides)
-        following, beam = 0, BeamUse()
+        blocks = _RecordedDeflections(reader)
+        run = analyse_run(reader, config, reader.swings(), blocks, reader.deflection_unit, blocks.beam)
+        return with_dropped_frames(run, blocks.following - run.results.frames, reader, config)
 
-        def blocks() -> Iterator[Deflections]:
-            nonlocal following
-            fields = ("sequence", "flags", *DEFLECTION_FIELDS[reader.deflection_unit])
-            for spots in reader.spot_blocks(fields=fields):
-                following = int(spots["sequence"][-1]) + 1
-                beam.take(spots["sequence"], spots["flags"])
-                yield reader.deflections(spots)
 
-        run = analyse_run(reader, config, reader.swings(), blocks(), reader.deflection_unit, beam)
-        return with_dropped_frames(run, following - run.results.frames, reader, config)
+class _RecordedDeflections:
+    """The deflections of a record, read anew each time.
+
+    `following` is the number after the last frame's, `beam` what the spots say, each taken once.
+    """
+
+    def __init__(self, reader: RecordReader) -> None:
+        self.following = 0
+        self.beam = BeamUse()
+        self._reader = reader
+
+    def __iter__(self) -> Iterator[Deflections]:
+        fields = ("sequence", "flags", *DEFLECTION_FIELDS[self._reader.deflection_unit])
+        for spots in self._reader.spot_blocks(fields=fields):
+            if int(spots["sequence"][0]) >= self.following:
+                self.beam.take(spots["sequence"], spots["flags"])
+                self.following = int(spots["sequence"][-1]) + 1
+            yield self._reader.deflections(spots)
 
 
 def analyse_run(

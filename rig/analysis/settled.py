@@ -1,0 +1,186 @@
+"""Half-cycles as they stand once the motion, and the errors of position that the sensor has, are known."""
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from processing.contact import PendulumOnBall
+from processing.deflections import Deflections, DeflectionUnit
+from processing.errors import DataError
+from processing.fit import (
+    FitResult,
+    PlaceErrors,
+    describes_as_well,
+    fit_exact,
+    known_motion,
+    measured_again,
+    place_errors,
+    shift_of,
+    widened,
+    with_place_errors,
+)
+from processing.least_squares import Loss
+from processing.position_map import PositionMap, PositionMapSearch
+from processing.swing import CycleWatch, KnownMotion, Swing, TurningPoints, turning_points
+from rig.settings import FitSettings
+
+
+def points_in_true_time(swings: Sequence[Swing], clock_rate: float) -> TurningPoints:
+    """Unflagged swings; `clock_rate` is how many true seconds pass in one of the swings' clock."""
+    found = turning_points(swings)
+    return replace(found, time_s=found.time_s * clock_rate, u_time_s=found.u_time_s * clock_rate)
+
+
+class Settled(NamedTuple):
+    """Half-cycles, and the motion on which they were measured again; None: they are as detected.
+
+    `exact` is the fit to them, where one was made, and `doubt` says why they were not measured again.
+    `position_map` are the errors of position that were taken off the deflections, where the run shows any;
+    the uncertainties of `exact` then hold what is left of them.
+    """
+
+    swings: Sequence[Swing]
+    motion: KnownMotion | None
+    exact: FitResult | None = None
+    doubt: str = ""
+    position_map: PositionMap | None = None
+
+
+def settled_swings(
+    swings: Sequence[Swing],
+    blocks: Iterable[Deflections],
+    unit: DeflectionUnit,
+    pendulum: PendulumOnBall | None,
+    settings: FitSettings,
+    clock_rate: float = 1.0,
+) -> Settled:
+    """The half-cycles as they stand once the motion is known from all of them.
+
+    `blocks` are consecutive deflections, in `unit`, in which the swings were detected; they pass once
+    more where the run shows errors of position.
+
+    They stay as they were detected where the laws cannot be fitted, which need deflections in rad, and where
+    the laws describe the second measurement worse than the first; their uncertainties then hold by how much
+    the two differ. One repetition is enough: a second one shifts them by some hundredths of an uncertainty.
+    """
+    if pendulum is None or unit is not DeflectionUnit.RAD:
+        return Settled(swings, None)
+    points = points_in_true_time(swings, clock_rate)
+    fit = _Fit(pendulum, settings, clock_rate)
+    try:
+        first = fit.of(swings)
+        motion = known_motion(first.parameters, pendulum, float(points.amplitude[0]), clock_rate)
+    except DataError:
+        return Settled(swings, None)
+    watch = CycleWatch(swings, motion)
+    turned = [swing.centre + swing.side * swing.amplitude for swing in swings if not swing.flags]
+    search = PositionMapSearch(min(turned), max(turned), watch.cycles)
+    again = measured_again(swings, _watched(blocks, watch, search), motion)
+    settled = _settled(swings, again, motion, first, fit)
+    found = search.found()
+    if found is None:
+        return settled
+    corrected = _without_position_errors(swings, blocks, motion, settled.exact or first, found, fit)
+    if corrected is None:
+        doubt = (
+            "the residuals show errors of position that are fixed on the sensor, but the laws describe the "
+            "turning points without them no better: they stand uncorrected"
+        )
+        return settled._replace(doubt="; ".join(filter(None, [settled.doubt, doubt])))
+    return corrected
+
+
+class _Fit(NamedTuple):
+    """How half-cycles are fitted."""
+
+    pendulum: PendulumOnBall
+    settings: FitSettings
+    clock_rate: float
+
+    def of(self, swings: Sequence[Swing], near: FitResult | None = None) -> FitResult:
+        return fit_exact(
+            points_in_true_time(swings, self.clock_rate),
+            self.pendulum,
+            drag=self.settings.drag,
+            loss=loss_of(self.settings),
+            near=near,
+        )
+
+
+def _watched(
+    blocks: Iterable[Deflections], watch: CycleWatch, search: PositionMapSearch
+) -> Iterator[Deflections]:
+    for block in blocks:
+        for cycle in watch.update(block):
+            search.add(cycle)
+        yield block
+
+
+def _settled(
+    swings: Sequence[Swing], again: Sequence[Swing], motion: KnownMotion, first: FitResult, fit: _Fit
+) -> Settled:
+    """The second measurement if the laws describe it as well as the first."""
+    shift = shift_of(swings, again)
+    reason = f"only {shift.found:.0%} of the half-cycles were found again"
+    if shift.complete:
+        try:
+            second = fit.of(again, first)
+            if describes_as_well(second, first):
+                return Settled(again, motion, second)
+            reason = "the laws would describe them worse"
+        except DataError as error:
+            reason = str(error)
+    doubt = (
+        f"the turning points stand as detected ({reason}): measured again on the fitted motion they would "
+        f"move by {shift.time:.2g} standard uncertainties in time and {shift.amplitude:.2g} in amplitude; "
+        "the uncertainties hold that"
+    )
+    return Settled(widened(swings, shift), None, None, doubt)
+
+
+def _without_position_errors(
+    swings: Sequence[Swing],
+    blocks: Iterable[Deflections],
+    motion: KnownMotion,
+    before: FitResult,
+    found: PositionMap,
+    fit: _Fit,
+) -> Settled | None:
+    """Measured again in deflections without the map's errors; None where the laws describe that worse.
+
+    The motion was fitted with the errors in it, and is therefore fitted and used once more. What the map
+    leaves open is then adjusted with what the law sees of it.
+    """
+    exact, final, again = before, found, swings
+    try:
+        for step in range(3):
+            if step == 2:
+                told = _told(found, again, exact, fit)
+                final = found.adjusted(told.values, told.covariance)
+            again = measured_again(swings, map(final.corrected, blocks), motion)
+            if not shift_of(swings, again).complete:
+                return None
+            exact = fit.of(again, exact)
+            if step < 2:
+                motion = known_motion(exact.parameters, fit.pendulum, motion.reference, fit.clock_rate)
+        if not describes_as_well(exact, before):
+            return None
+        left = _told(found, again, exact, fit).of_parameters
+    except DataError:
+        return None
+    return Settled(again, motion, with_place_errors(exact, left, exact.names), "", final)
+
+
+def _told(found: PositionMap, swings: Sequence[Swing], exact: FitResult, fit: _Fit) -> PlaceErrors:
+    """What the fit says of errors of place that the residuals leave open."""
+    good = [swing for swing in swings if not swing.flags]
+    amplitude, centre, side = np.array([(one.amplitude, one.centre, one.side) for one in good]).T
+    errors = found.amplitude_errors(amplitude, centre, side)
+    return place_errors(points_in_true_time(swings, fit.clock_rate), fit.pendulum, exact, errors)
+
+
+def loss_of(settings: FitSettings) -> Loss:
+    """Robust or not, as the settings say."""
+    return "soft_l1" if settings.robust else "linear"

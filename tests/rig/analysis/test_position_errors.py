@@ -1,0 +1,46 @@
+"""Errors of position that are fixed on the sensor are taken off before the laws are fitted."""
+
+import numpy as np
+
+from processing.deflections import Deflections, DeflectionUnit
+from processing.fit import fit_exact, known_motion, measured_again
+from processing.swing import turning_points
+from rig.analysis import settled_swings
+from rig.analysis.passing_deflections import PassingDeflections
+from rig.settings import FitSettings
+from tests.processing.position_map.runs import Run, fringes, nothing, run
+
+
+def in_blocks(one: Run) -> list[Deflections]:
+    return [one.deflections[start : start + 777] for start in range(0, len(one.deflections), 777)]
+
+
+def test_fringes_no_longer_move_the_parameters() -> None:
+    one = run(fringes, seed=1)
+    passing = PassingDeflections(in_blocks(one), DeflectionUnit.RAD)
+    settled = settled_swings(one.swings, passing, DeflectionUnit.RAD, one.pendulum, FitSettings())
+    assert settled.position_map is not None
+    assert settled.exact is not None
+    assert settled.exact.place_covariance is not None
+    before = fit_exact(turning_points(one.swings), one.pendulum)
+    assert settled.exact.estimate("n").standard_uncertainty < 0.5 * before.estimate("n").standard_uncertainty
+    for name in settled.exact.contact_names:
+        value, u = settled.exact.estimate(name)
+        assert abs(value - getattr(one.parameters, name)) < 3 * u, name
+    # all passes but the first leave the counts alone
+    assert passing.frames == len(one.deflections)
+    assert passing.last_ns == one.deflections.times_ns[-1]
+
+
+def test_without_structure_nothing_changes_bit_for_bit() -> None:
+    one = run(nothing, seed=1)
+    settled = settled_swings(one.swings, in_blocks(one), DeflectionUnit.RAD, one.pendulum, FitSettings())
+    first = fit_exact(turning_points(one.swings), one.pendulum)
+    motion = known_motion(first.parameters, one.pendulum, float(turning_points(one.swings).amplitude[0]))
+    again = measured_again(one.swings, [one.deflections], motion)
+    assert settled.position_map is None
+    assert repr(list(settled.swings)) == repr(again)
+    second = fit_exact(turning_points(again), one.pendulum, near=first)
+    assert settled.exact is not None
+    assert np.array_equal(settled.exact.values, second.values)
+    assert np.array_equal(settled.exact.covariance, second.covariance)
