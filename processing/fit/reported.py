@@ -33,9 +33,9 @@ class FittedContact:
     """Fitted contact parameters with their type A covariance, from one fit or from a series.
 
     `names` are the six contact parameters and, if fitted, the drag. `dof` is the number of degrees of
-    freedom of the covariance. `reading_covariance` is the part of it that remains on ground at rest; None
-    where it is not known. `by_row_time` are derivatives by the shutter's row time; None where they are not
-    known or not needed.
+    freedom of the covariance. `reading_covariance` is the part of it that remains on ground at rest,
+    `place_covariance` the part of both that errors of position leave; None where they are not known.
+    `by_row_time` are derivatives by the shutter's row time; None where they are not known or not needed.
     """
 
     names: tuple[str, ...]
@@ -46,6 +46,7 @@ class FittedContact:
     reference_rad: float
     reading_covariance: NDArray[np.float64] | None = None
     by_row_time: NDArray[np.float64] | None = None
+    place_covariance: NDArray[np.float64] | None = None
 
 
 def fitted_contact(result: FitResult) -> FittedContact:
@@ -64,6 +65,7 @@ def fitted_contact(result: FitResult) -> FittedContact:
         result.by_log_rho[at],
         result.reference_rad,
         None if result.reading_covariance is None else result.reading_covariance[np.ix_(at, at)],
+        place_covariance=None if result.place_covariance is None else result.place_covariance[np.ix_(at, at)],
     )
 
 

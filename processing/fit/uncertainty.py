@@ -17,6 +17,8 @@ FIT = "swings"
 """Name of a type A source: the fit's covariance, or that of a series of runs."""
 GROUND = "ground"
 """Name of that part of the fit's uncertainty which the ground's drive adds to the reading of the swings."""
+PLACE = "position_errors"
+"""Name of that part which errors of position that are fixed on the sensor leave after their correction."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,10 +138,12 @@ def _budget(
         u_own = sqrt(found.covariance[own, own]) if own is not None else float("nan")
         reading = _reading(found, by_value, type_a)
         ground = sqrt(type_a**2 - reading**2) if isfinite(type_a) else 0.0
-        share = reading / type_a if isfinite(type_a) else 1.0
-        parts.append((FIT, "A", u_own * share, float("nan"), reading))
-        if ground > 0:
-            parts.append((GROUND, "A", u_own * sqrt(1 - share**2), float("nan"), ground))
+        place = min(_of(found.place_covariance, by_value), reading) if isfinite(type_a) else 0.0
+        own_reading = sqrt(reading**2 - place**2) if place else reading
+        for source, part in ((FIT, own_reading), (GROUND, ground), (PLACE, place)):
+            if part > 0:
+                share = part / type_a if isfinite(type_a) else 1.0
+                parts.append((source, "A", u_own * share, float("nan"), part))
     inputs = rig.inputs()
     for source, slope in by_input.items():
         u = inputs[source].u
@@ -159,12 +163,19 @@ def _budget(
     return Budget(name, unit, value, combined, dof, factor, lines)
 
 
+def _of(covariance: NDArray[np.float64] | None, by_value: NDArray[np.float64]) -> float:
+    """Standard uncertainty by a covariance of the values; 0 without one."""
+    if covariance is None:
+        return 0.0
+    known = np.where(np.isfinite(covariance), covariance, 0.0)
+    return sqrt(max(float(by_value @ known @ by_value), 0.0))
+
+
 def _reading(found: FittedContact, by_value: NDArray[np.float64], type_a: float) -> float:
     """What of a type A uncertainty remains on ground at rest; all of it where that is not known."""
     if found.reading_covariance is None or not isfinite(type_a):
         return type_a
-    of_reading = np.where(np.isfinite(found.reading_covariance), found.reading_covariance, 0.0)
-    reading = sqrt(max(float(by_value @ of_reading @ by_value), 0.0))
+    reading = _of(found.reading_covariance, by_value)
     # equal but for rounding
     return reading if reading < 0.999 * type_a else type_a
 

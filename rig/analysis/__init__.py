@@ -51,6 +51,7 @@ from rig.analysis.results_file import (
 from rig.analysis.run_conditions import mean_air
 from rig.analysis.screen import print_results
 from rig.analysis.settled import points_in_true_time, settled_swings
+from rig.analysis.stored_position_errors import PositionErrors
 from rig.analysis.stored_turning_points import StoredTurningPoints
 from rig.analysis.table_fit import Columns, analyse_table
 from rig.analysis.table_screen import fit_envelope_table, fit_trajectory
@@ -75,6 +76,7 @@ __all__ = [
     "JsonObject",
     "MonteCarlo",
     "PeriodTable",
+    "PositionErrors",
     "RunResults",
     "Series",
     "SessionResults",

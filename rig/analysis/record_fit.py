@@ -25,6 +25,7 @@ from rig.analysis.results import RunResults, Series, SessionResults
 from rig.analysis.results_file import relative_record
 from rig.analysis.run_conditions import run_conditions
 from rig.analysis.settled import points_in_true_time, settled_swings
+from rig.analysis.stored_position_errors import PositionErrors
 from rig.analysis.stored_turning_points import StoredTurningPoints
 from rig.instrument import inputs_sha256, judge_calibration, pendulum_on_ball, recorded_configuration
 from rig.settings import Configuration
@@ -164,9 +165,11 @@ def analyse_swings(
         decay = DecayFits(
             {}, None, "the record has no calibration (no [lever]): amplitudes are in px, the laws need rad"
         )
+    errors = None if settled.position_map is None else PositionErrors.of(settled.position_map, unit)
     results = replace(
         _head(path, points, unit),
         measured_again_on=settled.motion,
+        position_errors=errors,
         fits={name: fit_results(fit, config.pendulum) for name, fit in decay.fits.items()},
         surface_energy_j_per_m2=decay.surface_energy,
         problem=decay.problem,
@@ -179,6 +182,8 @@ def analyse_swings(
     if decay.fits and pendulum is not None:
         seed = int(results.sha256[:12], 16)
         results = evaluate(results, points, pendulum, decay.fits[FitMethod.EXACT], rig, seed)
+    if errors is not None:
+        results = replace(results, notes=(*results.notes, errors.text))
     return AnalysedRun(path, results, points, decay.fits, rig)
 
 

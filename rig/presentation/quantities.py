@@ -121,6 +121,7 @@ def law_parameters() -> Mapping[str, "Parameter"]:
 SOURCES: Final[Mapping[str, str]] = {
     "swings": "swings (fit)",
     "ground": "motion of the ground",
+    "position_errors": "errors of position (map)",
     "mass_kg": "mass",
     "ball_radius_m": "ball radius R",
     "gravity_m_per_s2": "local g",

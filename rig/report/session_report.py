@@ -24,6 +24,7 @@ from rig.presentation import Table, quantity
 from rig.report import figures_contact, figures_ground, figures_laws, figures_motion, html
 from rig.report.drawing import Drawing, png, styled, svg
 from rig.report.figures_instruments import instrument_figures
+from rig.report.figures_place import place_figure
 from rig.report.run_data import ReportSource, RunData, read_source
 from rig.report.tables import run_tables
 from rig.report.tables_uncertainty import budget_table, series_table
@@ -189,7 +190,7 @@ def _run(run: RunData, files: Path, *, alone: bool) -> list[str]:
     body += take("instrument", "parameters")
     body.append(html.side_by_side(take("quality", "hertz")))
     body += take("conditions")
-    body += take("fig12-decay", "fig13-period", "fig14-smoother", "residuals", "spectrum")
+    body += take("fig12-decay", "fig13-period", "fig14-smoother", "residuals", "position-errors", "spectrum")
     body += take("table4-loops", "work", "losses")
     body.append(html.side_by_side(take("drag", "identifiability")))
     body += take("correlation", "budget", "monte-carlo")
@@ -214,6 +215,8 @@ def _drawings(run: RunData, curves: Curves | None) -> list[Drawing]:
         ]
     if len(points) >= 3:
         drawings.append(figures_laws.decay_figure(points, curves, motion.unit))
+    if run.results.position_errors is not None:
+        drawings.append(place_figure(run.results.position_errors))
     if run.results.instrument is not None:
         drawings += instrument_figures(run.results.instrument)
     pendulum = run.results.pendulum

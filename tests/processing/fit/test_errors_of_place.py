@@ -4,8 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from processing.fit import fit_exact, place_errors, with_place_errors
+from processing.fit import budgets, fit_exact, fitted_contact, place_errors, with_place_errors
+from processing.fit.uncertainty import FIT, GROUND, PLACE
 from tests.processing.fit.decays import ARCSEC, decay, paper_pair
+from tests.processing.fit.test_uncertainty import rig
 
 
 def test_an_error_that_no_decay_has_is_seen_and_one_that_looks_like_a_decay_is_not() -> None:
@@ -44,6 +46,12 @@ def test_an_error_that_no_decay_has_is_seen_and_one_that_looks_like_a_decay_is_n
     assert wider.reading_covariance is not None
     assert again.reading_covariance is not None
     assert np.allclose(wider.reading_covariance - again.reading_covariance, wider.place_covariance)
+    lines = {line.source: line.contribution for line in budgets(fitted_contact(wider), rig())["c"].lines}
+    before = {line.source: line.contribution for line in budgets(fitted_contact(again), rig())["c"].lines}
+    assert np.isclose(lines[PLACE], np.sqrt(added))
+    assert np.isclose(lines[FIT], before[FIT])
+    assert np.isclose(lines[GROUND], before[GROUND])
+    assert PLACE not in before
 
 
 def test_a_driven_pendulum_answers_to_shifted_amplitudes_as_a_refit_does() -> None:

@@ -1,12 +1,18 @@
 """Errors of position that are fixed on the sensor are taken off before the laws are fitted."""
 
+from pathlib import Path
+
 import numpy as np
 
+from processing.angle import ARCSEC_RAD
 from processing.deflections import Deflections, DeflectionUnit
 from processing.fit import fit_exact, known_motion, measured_again
 from processing.swing import turning_points
-from rig.analysis import settled_swings
+from rig.analysis import PositionErrors, RunResults, SessionResults, settled_swings
 from rig.analysis.passing_deflections import PassingDeflections
+from rig.analysis.results_file import read_results, write_results
+from rig.report.drawing import svg
+from rig.report.figures_place import place_figure
 from rig.settings import FitSettings
 from tests.processing.position_map.runs import Run, fringes, nothing, run
 
@@ -15,7 +21,7 @@ def in_blocks(one: Run) -> list[Deflections]:
     return [one.deflections[start : start + 777] for start in range(0, len(one.deflections), 777)]
 
 
-def test_fringes_no_longer_move_the_parameters() -> None:
+def test_fringes_no_longer_move_the_parameters(tmp_path: Path) -> None:
     one = run(fringes, seed=1)
     passing = PassingDeflections(in_blocks(one), DeflectionUnit.RAD)
     settled = settled_swings(one.swings, passing, DeflectionUnit.RAD, one.pendulum, FitSettings())
@@ -30,6 +36,18 @@ def test_fringes_no_longer_move_the_parameters() -> None:
     # all passes but the first leave the counts alone
     assert passing.frames == len(one.deflections)
     assert passing.last_ns == one.deflections.times_ns[-1]
+
+    errors = PositionErrors.of(settled.position_map, DeflectionUnit.RAD)
+    assert 0.01 < errors.rms / ARCSEC_RAD < 0.015
+    assert "0.012 arcsec r.m.s." in errors.text
+    path = tmp_path / "results.json"
+    write_results(path, SessionResults(runs=(RunResults(record="one", position_errors=errors),)))
+    (again,) = read_results(path).runs
+    assert again.position_errors is not None
+    assert np.array_equal(again.position_errors.error, errors.error)
+    (axes,) = place_figure(errors).figure.axes
+    assert np.allclose(axes.lines[1].get_ydata(), errors.error / ARCSEC_RAD)
+    assert svg(place_figure(errors)).startswith(b"<?xml")
 
 
 def test_without_structure_nothing_changes_bit_for_bit() -> None:
