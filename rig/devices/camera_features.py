@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Iterator
 
-from acquisition.cameras.usb3vision.features import FeatureReading
+from acquisition.cameras.usb3vision.feature_readings import FeatureReading
 from acquisition.cameras.usb3vision.genapi.node import Access
 
 # Cameras report the largest number of the type for a feature without a limit.

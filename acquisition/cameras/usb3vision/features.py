@@ -2,18 +2,18 @@
 
 import logging
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Any, Final
 
-from acquisition.camera import CameraLost, CameraSettings, ColourPlane, FeatureValue, PixelFormat
+from acquisition.camera import CameraSettings, ColourPlane, FeatureValue, PixelFormat
 from acquisition.cameras import wiring
 from acquisition.cameras.automatic import RESULTING_RATES, leave_images_alone
 from acquisition.cameras.binning import binning_of, set_binning
 from acquisition.cameras.colour_plane import format_of, in_plane_px, in_sensor_px, names_by_depth
 from acquisition.cameras.pixel_formats import Format
+from acquisition.cameras.usb3vision.feature_readings import FeatureReading, read_all
 from acquisition.cameras.usb3vision.genapi.choice_nodes import Enumeration
-from acquisition.cameras.usb3vision.genapi.node import Access
 from acquisition.cameras.usb3vision.genapi.node_map import NodeMap
+from acquisition.cameras.usb3vision.region import set_region
 from processing.errors import DeviceError
 
 logger = logging.getLogger(__name__)
@@ -30,21 +30,6 @@ ALIASES: Final[dict[str, tuple[str, ...]]] = {
     ),
     "DeviceClockFrequency": ("DeviceClockFrequency", "GevTimestampTickFrequency"),
 }
-
-
-@dataclass(frozen=True, slots=True)
-class FeatureReading:
-    """One feature for display. `value` is None if it cannot be read; `problem` is then the reason."""
-
-    name: str
-    kind: str
-    value: int | float | bool | str | bytes | None
-    access: str
-    minimum: float | None
-    maximum: float | None
-    unit: str
-    choices: tuple[str, ...]
-    problem: str
 
 
 class Features:
@@ -96,27 +81,7 @@ class Features:
 
     def readings(self) -> Iterator[FeatureReading]:
         """All implemented features of the camera and their present values; faulty ones have a `problem`."""
-        self.nodes.forget()
-        for name in self.nodes.features():
-            node = self.nodes.node(name)
-            access, value, low, high, problem = "", None, None, None, ""
-            choices: tuple[str, ...] = ()
-            try:
-                mode = node.access()
-                access = mode.value
-                if mode is Access.NOT_IMPLEMENTED:
-                    continue
-                if mode.readable and hasattr(node, "get"):
-                    value = self.nodes.get(name)
-                    low, high = node.minimum(), node.maximum()
-                choices = node.choices() if isinstance(node, Enumeration) else ()
-            except CameraLost:
-                raise
-            except DeviceError as error:
-                problem = str(error)
-            unit = node.description.text("Unit") or ""
-            kind = node.description.kind
-            yield FeatureReading(name, kind, value, access, low, high, unit, choices, problem)
+        return read_all(self.nodes)
 
     def execute(self, name: str) -> None:
         """Run a command."""
@@ -164,7 +129,7 @@ class Features:
         self._waits = settings.trigger is not None or any("Trigger" in name for name in settings.features)
         if settings.pixel_format is not None or (self.plane and self._format() is None):
             self._set_pixel_format(settings.pixel_format)
-        self._set_region(settings)
+        set_region(self, settings)
         if settings.trigger is None:
             self._set_times(settings.exposure_us, settings.frame_rate_hz)
         else:
@@ -306,52 +271,6 @@ class Features:
         # a format of the same depth that is already set (packed, for example) is kept
         if self.get("PixelFormat") not in fitting:
             self.set("PixelFormat", fitting[0])
-
-    def sensor_size(self, size: str) -> int:
-        """Number of columns (`size` "Width") or rows ("Height") of the sensor that can be read out."""
-        for name in (f"{size}Max", f"Sensor{size}"):
-            value = self.get_if_readable(name) if self.find(name) is not None else None
-            if value:
-                offset = self.get_if_readable("OffsetX" if size == "Width" else "OffsetY") or 0
-                return max(int(value), int(self.get(size)) + int(offset))
-        largest = self.nodes.node(size).maximum()
-        return int(largest if largest is not None else self.get(size))
-
-    def _check_region(
-        self, size: str, offset: str, wanted_size: int | None, wanted_offset: int | None
-    ) -> None:
-        end = (wanted_size or self.get(size)) + (wanted_offset or 0)
-        sensor = self.sensor_size(size)
-        if wanted_offset and end > sensor:
-            raise DeviceError(
-                f"{self.nodes.name}: {size} {end - wanted_offset} at {offset} {wanted_offset} reaches {end}; "
-                f"the sensor has {sensor}. Ask for less"
-            )
-
-    def _set_region(self, settings: CameraSettings) -> None:
-        """Set size and offset of the region, in the order in which the limits allow it: they limit each
-        other.
-        """
-        for size, offset, wanted_size, wanted_offset in (
-            ("Width", "OffsetX", settings.width_px, settings.offset_x_px),
-            ("Height", "OffsetY", settings.height_px, settings.offset_y_px),
-        ):
-            self._check_region(size, offset, wanted_size, wanted_offset)
-            has_offset = self.find(offset) is not None and self.nodes.node(offset).access().writable
-            if wanted_size is not None and self.get(size) != wanted_size:
-                before = self.get(offset) if has_offset else 0
-                if has_offset and before:
-                    self.set(offset, 0)  # the old offset may not allow a size that fits at the new one
-                try:
-                    self.set(size, wanted_size)
-                except DeviceError:
-                    if has_offset and before:
-                        self.set(offset, before)
-                    raise
-                if wanted_offset is None and before:
-                    self.set(offset, min(before, int(self.nodes.node(offset).maximum() or 0)))
-            if wanted_offset is not None and (has_offset or wanted_offset):
-                self.set(offset, wanted_offset)
 
 
 def _plain(value: Any) -> FeatureValue:

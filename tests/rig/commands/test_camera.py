@@ -14,7 +14,7 @@ from acquisition.camera import CameraSettings
 from acquisition.cameras.simulated import SimulatedCamera
 from acquisition.cameras.usb3vision import discovery
 from acquisition.cameras.usb3vision.discovery import FoundCamera
-from acquisition.cameras.usb3vision.features import FeatureReading
+from acquisition.cameras.usb3vision.feature_readings import FeatureReading
 from acquisition.frame import Frame
 from acquisition.simulation.settings import SimulationSettings
 from processing.errors import DeviceError
