@@ -20,34 +20,19 @@ import struct
 import sys
 import threading
 import zlib
-from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import zstandard
-from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
-from mcap.records import (
-    Attachment,
-    AttachmentIndex,
-    Channel,
-    ChunkIndex,
-    DataEnd,
-    Footer,
-    Header,
-    Metadata,
-    MetadataIndex,
-    Schema,
-    Statistics,
-    SummaryOffset,
-)
+from mcap.records import Attachment, Channel, Header, Metadata, Schema
 
 from acquisition.record.background_sync import BackgroundSync
 from acquisition.record.chunk_builder import ChunkBuilder
 from acquisition.record.descriptions import OWN_SHA256, sha256_of_description
 from acquisition.record.records import MAGIC
 from acquisition.record.reserve import Reserve
+from acquisition.record.summary import Summary, serialised, shortest_ending
 from acquisition.record.topics import LIBRARY, METADATA_COPY
 from acquisition.record.whole_file import sync_folder
 from processing.errors import RecordError
@@ -57,7 +42,6 @@ _CHUNK_HEAD = struct.Struct("<BQQQQII4sQ")
 _INDEX_HEAD = struct.Struct("<BQHI")
 _FULL_DISK = {errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", errno.ENOSPC)}
 _SPARE_BYTES = 64 * 1024
-_UINT32 = 0xFFFFFFFF
 
 
 class McapFile:
@@ -75,16 +59,8 @@ class McapFile:
         self.full: OSError | None = None
         self.size = 0
         self._crc = 0
-        self._schemas: dict[tuple[str, bytes], Schema] = {}
-        self._channels: list[Channel] = []
-        self._attachments: list[AttachmentIndex] = []
-        self._metadata: list[MetadataIndex] = []
+        self._summary = Summary()
         self._copies: list[tuple[Attachment, bytes]] = []
-        self._chunk_index = bytearray()
-        self._counts: Counter[int] = Counter()
-        self._chunks = 0
-        self._start_ns = 0
-        self._end_ns = 0
         self._reserve_bytes = reserve_bytes
         self._reserve_lock = threading.Lock()
         self._background = BackgroundSync(self._force)
@@ -104,13 +80,13 @@ class McapFile:
     @property
     def end_ns(self) -> int:
         """Latest log time of all chunks; 0 without any."""
-        return self._end_ns
+        return self._summary.end_ns
 
     def add_metadata(self, sections: Mapping[str, Mapping[str, str]], log_time_ns: int) -> None:
         """All metadata, texts by key by section; as an attachment, too, because that has a checksum."""
         for name, texts in sections.items():
             data = serialised(Metadata(name, dict(texts)))
-            self._metadata.append(MetadataIndex(self.size, len(data), name))
+            self._summary.add_metadata(self.size, len(data), name)
             self._append(data)
         copy = json.dumps({name: dict(texts) for name, texts in sections.items()}, ensure_ascii=False)
         self.add_attachment(METADATA_COPY, "application/json", copy.encode(), log_time_ns)
@@ -125,17 +101,7 @@ class McapFile:
     def _attach(self, attachment: Attachment, record: bytes) -> None:
         place = self.size
         self._append(record)
-        self._attachments.append(
-            AttachmentIndex(
-                place,
-                len(record),
-                attachment.create_time,
-                attachment.log_time,
-                len(attachment.data),
-                attachment.name,
-                attachment.media_type,
-            )
-        )
+        self._summary.add_attachment(place, len(record), attachment)
 
     def add_channel(
         self, topic: str, schema_name: str, descriptor: bytes, texts: Mapping[str, str] | None = None
@@ -146,15 +112,16 @@ class McapFile:
         that one changed bit does not make the topic unreadable. `texts` are the channel's metadata; unlike
         metadata records they are repeated in the summary, under its checksum.
         """
-        schema = self._schemas.get((schema_name, descriptor))
+        schemas, channels = self._summary.schemas, self._summary.channels
+        schema = schemas.get((schema_name, descriptor))
         data = b""
         if schema is None:
-            schema = Schema(len(self._schemas) + 1, descriptor, "protobuf", schema_name)
-            self._schemas[schema_name, descriptor] = schema
+            schema = Schema(len(schemas) + 1, descriptor, "protobuf", schema_name)
+            schemas[schema_name, descriptor] = schema
             data = serialised(schema)
-        channel = Channel(len(self._channels) + 1, topic, "protobuf", dict(texts or {}), schema.id)
+        channel = Channel(len(channels) + 1, topic, "protobuf", dict(texts or {}), schema.id)
         channel.metadata[OWN_SHA256] = sha256_of_description(channel, schema)
-        self._channels.append(channel)
+        channels.append(channel)
         self._append(2 * (data + serialised(channel)))
         return channel.id
 
@@ -187,26 +154,8 @@ class McapFile:
             ]
             place += _INDEX_HEAD.size + len(entries)
         self._append(b"".join(parts))
-        first = not self._chunks
-        self._start_ns = builder.start_ns if first else min(self._start_ns, builder.start_ns)
-        self._end_ns = max(self._end_ns, builder.end_ns)
-        self._chunks += 1
-        self._counts.update(builder.counts)
-        # The index is kept serialised: about 100 bytes per chunk, a tenth of the memory of objects, which
-        # matters for records of days.
-        self._chunk_index += serialised(
-            ChunkIndex(
-                chunk_length=chunk_length,
-                chunk_start_offset=chunk_start,
-                compression="zstd",
-                compressed_size=len(compressed),
-                message_end_time=builder.end_ns,
-                message_index_length=place - chunk_start - chunk_length,
-                message_index_offsets=offsets,
-                message_start_time=builder.start_ns,
-                uncompressed_size=len(builder.data),
-            )
-        )
+        index_bytes = place - chunk_start - chunk_length
+        self._summary.add_chunk(builder, chunk_start, chunk_length, len(compressed), offsets, index_bytes)
         builder.clear()
 
     def sync(self, wait: bool = True) -> None:
@@ -235,11 +184,11 @@ class McapFile:
             try:
                 for attachment, record in self._copies:
                     self._attach(attachment, record)
-                self._append(self._ending())
+                self._append(self._summary.ending(self.size, self._crc))
             except OSError as error:
                 if error.errno not in _FULL_DISK:
                     raise
-                self._append(serialised(DataEnd(self._crc)) + serialised(Footer(0, 0, 0)) + MAGIC)
+                self._append(shortest_ending(self._crc))
             _sync_file(self._file.fileno())
             if not self._has_its_name():
                 self._copy_to_its_name()
@@ -285,7 +234,7 @@ class McapFile:
             raise OSError(errno.ENOENT, "the file was removed or renamed while it was written")
         try:
             with self._reserve_lock:
-                needed = self._reserve_bytes + len(self._chunk_index) + _SPARE_BYTES
+                needed = self._reserve_bytes + len(self._summary.chunk_index) + _SPARE_BYTES
                 if self.full is None and self._reserve.size < needed:
                     # in steps, because each increase is a write to the disk
                     self._reserve.hold(needed + _SPARE_BYTES)
@@ -322,42 +271,6 @@ class McapFile:
             self.full = self.full or error
             return self._reserve.release()
 
-    def _ending(self) -> bytes:
-        """DataEnd, summary, footer and magic."""
-        data_end = serialised(DataEnd(self._crc))
-        start = self.size + len(data_end)
-        groups: list[tuple[Opcode, bytes]] = [
-            (Opcode.SCHEMA, b"".join(serialised(schema) for schema in self._schemas.values())),
-            (Opcode.CHANNEL, b"".join(serialised(channel) for channel in self._channels)),
-            (Opcode.STATISTICS, serialised(self._statistics())),
-            (Opcode.CHUNK_INDEX, bytes(self._chunk_index)),
-            (Opcode.ATTACHMENT_INDEX, b"".join(serialised(entry) for entry in self._attachments)),
-            (Opcode.METADATA_INDEX, b"".join(serialised(entry) for entry in self._metadata)),
-        ]
-        place = start
-        offsets: list[SummaryOffset] = []
-        for opcode, group in groups:
-            if group:
-                offsets.append(SummaryOffset(opcode, place, len(group)))
-                place += len(group)
-        summary = b"".join([*(group for _, group in groups), *(serialised(offset) for offset in offsets)])
-        head = struct.pack("<BQQQ", Opcode.FOOTER, 20, start, place)
-        footer = Footer(start, place, zlib.crc32(head, zlib.crc32(summary)) & _UINT32)
-        return data_end + summary + serialised(footer) + MAGIC
-
-    def _statistics(self) -> Statistics:
-        return Statistics(
-            attachment_count=len(self._attachments),
-            channel_count=len(self._channels),
-            channel_message_counts=dict(self._counts),
-            chunk_count=self._chunks,
-            message_count=self._counts.total(),
-            message_end_time=self._end_ns,
-            message_start_time=self._start_ns,
-            metadata_count=len(self._metadata),
-            schema_count=len(self._schemas),
-        )
-
 
 def create_record(path: Path, reserve_bytes: int) -> McapFile:
     """Create the file of a record. Raises RecordError if it exists or cannot be created."""
@@ -367,13 +280,6 @@ def create_record(path: Path, reserve_bytes: int) -> McapFile:
         raise RecordError(f"{path}: exists already and is never overwritten; choose another name") from None
     except OSError as error:
         raise RecordError(f"{path}: cannot be created: {error.strerror or error}") from None
-
-
-def serialised(record: Any) -> bytes:
-    """Bytes of a record of the mcap library."""
-    builder = RecordBuilder()
-    record.write(builder)
-    return bytes(builder.end())  # type: ignore[no-untyped-call]
 
 
 def _sync_file(number: int) -> None:
