@@ -22,6 +22,7 @@ from rig.analysis.determined import bound_text, determined_text, series_verdicts
 from rig.analysis.encoding import JsonObject
 from rig.analysis.fit_remarks import drive_text, remarks
 from rig.analysis.fit_tables import parameter_table, quality_table
+from rig.analysis.headline import budget_of, dominant_text
 from rig.analysis.instrument_results import DecrementTable, InstrumentResults, PeriodTable, SwingPlane
 from rig.analysis.record_fit import (
     AnalysedRun,
@@ -90,9 +91,11 @@ __all__ = [
     "analyse_table",
     "base_motion",
     "bound_text",
+    "budget_of",
     "combined_series",
     "curves_of",
     "determined_text",
+    "dominant_text",
     "drive_text",
     "encoded",
     "evaluate",

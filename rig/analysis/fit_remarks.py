@@ -3,6 +3,7 @@
 from processing.estimate import Estimate
 from processing.fit import FitMethod
 from rig.analysis.contact_results import BaseMotion, Drag, Ground
+from rig.analysis.headline import headline
 from rig.analysis.results import RunResults
 from rig.presentation import plain, quantity, with_uncertainty
 
@@ -11,9 +12,10 @@ _MUCH = 1.5
 
 
 def remarks(run: RunResults) -> list[str]:
-    """Sentences on beam, ground, drag, correlated and undetermined parameters, then the run's notes."""
+    """The headline, sentences on beam, ground, drag and what is hardly determined, then the run's notes."""
     exact = run.fits.get(FitMethod.EXACT)
-    lines = [] if run.beam is None else [run.beam.sentence]
+    lines = list(filter(None, [headline(run.budget, run.verdicts())]))
+    lines += [] if run.beam is None else [run.beam.sentence]
     lines += [ground_sentence(exact.ground)] if exact is not None and exact.ground is not None else []
     lines += [_drag_sentence(run.drag)] if run.drag is not None else []
     if run.strong_correlations:

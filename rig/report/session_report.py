@@ -9,13 +9,16 @@ from processing.errors import RecordError
 from processing.estimate import Estimate
 from processing.fit import FitMethod
 from rig.analysis import (
+    Budget,
     Curves,
     Determination,
     RunResults,
     Series,
     SurfaceEnergy,
+    budget_of,
     curves_of,
     determined_text,
+    dominant_text,
     remarks,
     results_path,
     series_verdicts,
@@ -91,12 +94,13 @@ def _summary(source: ReportSource) -> list[str]:
     body = [html.heading("Summary")]
     exact, energy, verdicts = _headline(run, series)
     if exact:
-        body.append(html.key_values(_key_results(exact, energy, verdicts)))
+        budget = run.budget if series is None else series.budget
+        body.append(html.key_values(_key_results(exact, energy, verdicts, budget)))
         what = "combined over the runs" if series is not None else "of the run"
         body.append(
             html.paragraph(
-                f"Exact fit {what}, value ± standard uncertainty of the swings; "
-                "the budget adds the apparatus.",
+                f"Exact fit {what}, value ± standard uncertainty: of the whole budget where it is named "
+                "what dominates it, else of the swings alone.",
                 "note",
             )
         )
@@ -122,12 +126,24 @@ def _headline(
 
 
 def _key_results(
-    exact: Mapping[str, Estimate], energy: SurfaceEnergy | None, verdicts: Mapping[str, Determination]
+    exact: Mapping[str, Estimate],
+    energy: SurfaceEnergy | None,
+    verdicts: Mapping[str, Determination],
+    budget: Mapping[str, Budget],
 ) -> list[tuple[str, str]]:
+    """Labels and values; with the whole budget and what dominates it where the apparatus has a part."""
     items = [(name, exact[name]) for name in PAPER.names() if name in exact]
     if energy is not None:
         items.insert(0, ("surface_energy_table2_j_per_m2", energy.table2))
-    return [(quantity(name).label, determined_text(name, *value, verdicts)) for name, value in items]
+    shown = []
+    for name, value in items:
+        item, label = budget_of(name, budget, verdicts), quantity(name).label
+        if item is None:
+            shown.append((label, determined_text(name, *value, verdicts)))
+        else:
+            text = quantity(name).text(item.value, item.standard_uncertainty)
+            shown.append((f"{label} (u: {dominant_text(item)})", text))
+    return shown
 
 
 def _sentence(run: RunData) -> str:

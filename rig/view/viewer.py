@@ -250,7 +250,8 @@ class Viewer:
         self, times_s: ArrayLike, x: ArrayLike, y: ArrayLike, flags: ArrayLike, *, run: str = ""
     ) -> None:
         """Deflections of one or many frames as shown, arrays of one length; NaN where the spot was lost."""
-        copied_flags = np.array(flags, dtype=np.int64, ndmin=1)
+        # a model that every spot of a run has is nothing that must be seen
+        copied_flags = np.array(flags, dtype=np.int64, ndmin=1) & ~int(SpotFlag.MULTIPLE | SpotFlag.LEARNED)
         self._put(Samples(run, _floats(times_s), _floats(x), _floats(y), copied_flags))
 
     def swings(self, swings: Sequence[Swing], start_ns: int, *, later_s: float = 0.0, run: str = "") -> None:

@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 import rerun as rr
 
+from processing.spot import SpotFlag
 from rig.rerun.drawing import Drawing
 from rig.rerun.messages import BalanceNumbers, Samples, Setup
+from rig.view.viewer import Viewer
 from tests.rig.view.rrd_contents import measured, scalars
 
 SETUP = Setup(
@@ -43,3 +45,12 @@ def test_a_curve_does_not_cross_what_was_not_measured(tmp_path: Path) -> None:
     assert np.isfinite(x).sum() == len(time_s)
     at, ratio, _ = measured(path, "/balance/period_ratio")
     assert at[np.isnan(ratio)] == pytest.approx([487.0])
+
+
+def test_samples_are_thinned_whatever_the_model_of_the_beam(tmp_path: Path) -> None:
+    """A flag that every spot of a run has would have every sample drawn."""
+    path = tmp_path / "run.rrd"
+    with Viewer(path) as viewer:
+        time_s = np.arange(500) / 500
+        viewer.samples(time_s, np.sin(time_s), np.cos(time_s), np.full(500, SpotFlag.LEARNED))
+    assert len(scalars(path, "/deflection/x")[0]) == 100

@@ -1,0 +1,38 @@
+"""The result that is looked for first, with its whole uncertainty and what dominates it."""
+
+from collections.abc import Mapping
+
+from rig.analysis.contact_results import Budget, Determination
+from rig.presentation import SOURCES, quantity
+
+SURFACE_ENERGY = "surface_energy_table2_j_per_m2"
+_LARGE = 0.25
+"""Share of the variance from which on a source is named; the largest one always is."""
+
+
+def budget_of(
+    name: str, budget: Mapping[str, Budget], verdicts: Mapping[str, Determination]
+) -> Budget | None:
+    """The budget of a quantity that the data determine, if the apparatus has a part in it; else None."""
+    item = budget.get(name)
+    verdict = verdicts.get("c" if name == SURFACE_ENERGY else name)
+    if item is None or (verdict is not None and verdict.verdict != "determined"):
+        return None
+    return item if any(line.type == "B" and line.share > 0 for line in item.sources) else None
+
+
+def dominant_text(item: Budget) -> str:
+    """`E of the flat 71 %, swings (fit) 26 %`: what makes most of the variance, largest first."""
+    lines = sorted(item.sources, key=lambda line: -line.share)
+    named = [line for line in lines if line.share >= _LARGE] or lines[:1]
+    return ", ".join(f"{SOURCES.get(line.source, line.source)} {100 * line.share:.0f} %" for line in named)
+
+
+def headline(budget: Mapping[str, Budget], verdicts: Mapping[str, Determination]) -> str:
+    """The surface energy with the whole budget, and what dominates; empty without a type B uncertainty."""
+    item = budget_of(SURFACE_ENERGY, budget, verdicts)
+    if item is None:
+        return ""
+    shown = quantity(SURFACE_ENERGY)
+    text = f"{shown.symbol} = {shown.text(item.value, item.standard_uncertainty)} {shown.unit}"
+    return f"{text} with the whole budget, swings and apparatus; of its variance: {dominant_text(item)}."
