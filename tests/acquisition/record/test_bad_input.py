@@ -1,5 +1,6 @@
 """A file that is not a record gives one clear line, and no file is written."""
 
+import os
 from pathlib import Path
 
 import pytest
@@ -68,6 +69,9 @@ CASES = {
     "own description damaged": (nameless, "its own description is damaged"),
     "cut in its head": (cut_in_its_head, "cut short before anything was recorded"),
 }
+if hasattr(os, "mkfifo"):
+    # opening one would wait for a writer for ever
+    CASES["pipe"] = (os.mkfifo, "is not a file but a pipe or device")
 
 
 @pytest.mark.parametrize("case", CASES)
