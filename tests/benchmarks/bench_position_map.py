@@ -48,7 +48,13 @@ def _speckle(clean: Floats, x: Floats) -> Floats:
 
 
 def _gradient(clean: Floats, x: Floats) -> Floats:
-    return clean + 60.0 + 0.2 * (x - x.mean())
+    """0.2 DN of 8 bits, of which the spot has 180."""
+    return clean + 16.0 * (60.0 + 0.2 * (x - x.mean()))
+
+
+def _stop(clean: Floats, x: Floats) -> Floats:
+    """The edge of a stop, 2 px soft, one sigma beyond the largest deflection."""
+    return clean / (1.0 + np.exp((x - 555.0) / 2.0))
 
 
 CASES: dict[str, Structure] = {
@@ -56,6 +62,7 @@ CASES: dict[str, Structure] = {
     **{f"fringes {period:g} px": _fringes(period) for period in (12.0, 20.0, 40.0, 80.0)},
     "speckle 3 %": _speckle,
     "gradient 0.2 DN/px": _gradient,
+    "stop at one end": _stop,
 }
 
 
@@ -73,11 +80,13 @@ def tracked(name: str) -> Tracked:
     columns = np.broadcast_to(np.arange(float(SHAPE[1])), SHAPE)
     place = np.arange(30.0, SHAPE[1] - 30.0)
     found, flags = [], SpotFlag(0)
-    for x in place:
+    # there and back: what the tracker learns of the beam, it learns from the first frames of a run
+    for x in (*place[::-1], *place):
         seen = CASES[name](light(SHAPE, float(x), 31.7, SIGMA_PX, PEAK_DN), columns) + PEDESTAL_DN
         spot = tracker.track(np.clip(np.rint(seen), 0, TWELVE_BIT.full_scale_dn).astype(np.uint16))
         found.append(spot.x_px)
         flags |= SpotFlag(spot.flags)
+    found = found[len(place) :]
     return Tracked(place - place.mean(), np.array(found) - place, flags)
 
 
