@@ -13,6 +13,10 @@ from processing.swing import SHARED, CycleResiduals
 Floats = NDArray[np.float64]
 
 
+_AT_ONCE = 8
+"""Cycles whose columns are multiplied together."""
+
+
 class NormalEquations(NamedTuple):
     """Information ``J^T W J`` and score ``J^T W r`` of the splines, followed by the SHARED common columns."""
 
@@ -66,7 +70,7 @@ class Accumulator:
     """Sum over cycles; what each cycle has for itself is left free.
 
     The splines' own products are a band, and what a cycle takes of them a few columns: the large matrix is
-    made once, and not for every cycle.
+    not made for every cycle.
 
     Attributes
     ----------
@@ -81,6 +85,7 @@ class Accumulator:
         self._crossed = np.zeros((splines.count, SHARED))
         self._common = np.zeros((SHARED, SHARED))
         self._taken: list[Floats] = []
+        self._together: Floats | None = None
         self._score = np.zeros(splines.count + SHARED)
 
     def add(self, cycle: CycleResiduals) -> Floats:
@@ -111,9 +116,8 @@ class Accumulator:
         self._common += columns[:, :-1].T @ columns[:, :-1]
         score = np.concatenate([crossed[:, -1], columns[:, :-1].T @ columns[:, -1]])
         self._score += score
-        if len(self._taken) > 256:
-            # no more of them than a long run needs
-            self._taken = [np.asarray(np.linalg.qr(np.column_stack(self._taken).T, mode="r")).T]
+        if len(self._taken) == _AT_ONCE:
+            self._put_together()
         return score
 
     def sums(self) -> NormalEquations:
@@ -125,10 +129,17 @@ class Accumulator:
             information[rows, rows + apart] = information[rows + apart, rows] = self._band[
                 apart, : splines - apart
             ]
-        if self._taken:
-            taken = np.column_stack(self._taken)
-            information[:splines, :splines] -= taken @ taken.T
+        self._put_together()
+        if self._together is not None:
+            information[:splines, :splines] -= self._together
         information[:splines, splines:] = self._crossed
         information[splines:, :splines] = self._crossed.T
         information[splines:, splines:] = self._common
         return NormalEquations(information, self._score)
+
+    def _put_together(self) -> None:
+        if self._taken:
+            taken = np.column_stack(self._taken)
+            self._taken.clear()
+            products = taken @ taken.T
+            self._together = products if self._together is None else self._together + products

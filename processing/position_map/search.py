@@ -27,9 +27,9 @@ _SPLINES = 320
 _LENGTHS = (0.25, 0.125, 0.0625, 0.032, 0.016, 0.008)
 """Correlation lengths tried, as fractions of the stretch."""
 _FEWEST_CYCLES = 8
-_SAMPLED = 64
+_SAMPLED = 24
 """Cycles whose residuals are kept, to see how much they scatter about a common error."""
-_MOST_SUMS = 256
+_MOST_SUMS = 64
 """Cycles are summed in groups of neighbours, so that there are about so many at most."""
 _PARTS = 10
 """Parts of the run, each of which must confirm what the others say."""

@@ -4,7 +4,10 @@ import numpy as np
 import pytest
 
 from processing.angle import ARCSEC_RAD
+from processing.fit import fit_exact, known_motion
+from processing.position_map.normal_equations import Accumulator
 from processing.position_map.splines import Splines
+from processing.swing import CycleWatch, turning_points
 from tests.processing.position_map.runs import NOISE, PX, Floats, fringes, nothing, run, searched
 
 
@@ -69,3 +72,20 @@ def test_splines_add_up_to_one_and_reproduce_a_line() -> None:
     assert np.allclose(values.sum(axis=1), 1.0)
     assert np.allclose(values @ splines.centres, place)
     assert np.allclose(splines.matrix(np.array([-9.0, 9.0])), values[[0, -1]])
+
+
+def test_cycles_add_up() -> None:
+    """The same cycle many times: the sums are so many times those of one."""
+    one = run(fringes, seed=1)
+    fit = fit_exact(turning_points(one.swings), one.pendulum)
+    watch = CycleWatch(one.swings, known_motion(fit.parameters, one.pendulum, one.swings[0].amplitude))
+    cycle = next(iter(watch.update(one.deflections)))
+    splines = Splines.over(-250 * PX, 250 * PX, 60)
+    single, many = Accumulator(splines), Accumulator(splines)
+    single.add(cycle)
+    for _ in range(100):
+        many.add(cycle)
+    assert many.cycles == 100
+    size = np.abs(single.sums().information).max()
+    assert np.allclose(many.sums().information, 100 * single.sums().information, atol=1e-9 * size)
+    assert np.allclose(many.sums().score, 100 * single.sums().score)
