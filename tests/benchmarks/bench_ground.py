@@ -31,7 +31,7 @@ from processing.fit.ground import Noise, density_of_step
 from processing.instruments import DEGREE_RAD, damping
 from processing.least_squares import covariance_of
 from processing.swing import SwingDetector, TurningPoints, turning_points
-from rig.analysis.contact_laws import settled_swings
+from rig.analysis import settled_swings
 from rig.settings import FitSettings
 from tests.processing.fit.decays import ARCSEC, PAIRS, paper_pair, truth, with_noise
 from tests.processing.fit.driven import driven_decay, driven_path

@@ -17,7 +17,7 @@ from processing.fit.exact import fit_exact
 from processing.fit.reported import fitted_contact
 from processing.fit.uncertainty import budgets
 from processing.swing import SwingDetector
-from rig.analysis.contact_laws import points_in_true_time, settled_swings
+from rig.analysis import points_in_true_time, settled_swings
 from rig.analysis.contact_verdicts import rig_quantities
 from rig.instrument import complete, pendulum_on_ball
 from rig.settings.configuration import Configuration, validate_configuration

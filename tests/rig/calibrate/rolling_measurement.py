@@ -26,7 +26,7 @@ from processing.deflections import slow_deflections
 from processing.fit.exact import fit_exact
 from processing.spot import Spot
 from processing.swing import SwingDetector, TurningPoints
-from rig.analysis.contact_laws import points_in_true_time, settled_swings
+from rig.analysis import points_in_true_time, settled_swings
 from rig.instrument import Deflector, complete, pendulum_on_ball
 from rig.settings.configuration import Configuration, FitSettings
 

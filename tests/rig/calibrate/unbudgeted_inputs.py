@@ -16,7 +16,7 @@ from processing.contact.laws import PAPER
 from processing.deflections import slow_deflections
 from processing.fit.exact import fit_exact
 from processing.swing import SwingDetector, turning_points
-from rig.analysis.contact_laws import settled_swings
+from rig.analysis import settled_swings
 from rig.settings.configuration import FitSettings
 from tests.calibration.simulated_rig import climb_tilts, draw_rig, spots_of, swing_for_axes
 
