@@ -168,7 +168,7 @@ class Law:
         """The parameters of a fit, without the initial amplitude and time."""
         replaced = {} if calibrated else self.uncalibrated
         own = tuple(replaced.get(parameter.key, parameter) for parameter in self.parameters)
-        return (*own, DRAG) if drag else own
+        return (*own, DRAG) if drag and DRAG not in own else own
 
     def names(self, *, calibrated: bool = True, drag: bool = False) -> tuple[str, ...]:
         """Keys of `fitted`."""

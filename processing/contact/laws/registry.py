@@ -4,13 +4,23 @@ from collections.abc import Mapping
 from types import MappingProxyType
 
 from processing.contact.law import Law
+from processing.contact.laws.constant_moment import CONSTANT_MOMENT
+from processing.contact.laws.dahl import DAHL
+from processing.contact.laws.masing import MASING
+from processing.contact.laws.maxwell_slip import MAXWELL_SLIP
 from processing.contact.laws.paper import PAPER
+from processing.contact.laws.viscous import VISCOUS
 
 LAWS: Mapping[str, Law] = MappingProxyType(
     {
         law.name: law
         for law in (
             PAPER,
+            MASING,
+            MAXWELL_SLIP,
+            DAHL,
+            CONSTANT_MOMENT,
+            VISCOUS,
         )
     }
 )  # fmt: skip

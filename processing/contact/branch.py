@@ -1,0 +1,69 @@
+"""A law whose moment follows from the last reversal: by the distance from it and the moment there.
+
+In a decay every reversal lies inside the one before, so that a law with memory needs no more than this. From a
+reversal at the amplitude A the resisting moment, over m g R, is a function of the distance s = A - phi, and the
+moment at the next reversal is the one at the end of the branch.
+"""
+
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from processing.contact.law import BranchMoments
+from processing.contact.moments import weight_moment
+from processing.contact.parameters import PendulumOnBall
+
+Array = NDArray[np.float64]
+Arrays = Mapping[str, Array]
+
+
+class Branch(NamedTuple):
+    """The contact's moment over m g R from one reversal on, as functions of arrays.
+
+    Angles are in units of a reference, which divides moments, too. `resistance` and `mean_resistance` take the
+    distance from the reversal, the moment there and the parameters by key; the first is the moment against the
+    motion at that distance (negative: the contact pushes), the second its mean over the way. `at_reversal`
+    takes the amplitude and the parameters: the moment at a reversal if all swings were as large. The
+    parameters include ``reference``, the unit of angles in rad. `constant` is the key of a constant friction
+    beside all this, if there is one; it remembers nothing.
+    """
+
+    resistance: Callable[[Array, Array, Arrays], Array]
+    mean_resistance: Callable[[Array, Array, Arrays], Array]
+    at_reversal: Callable[[Array, Arrays], Array]
+    constant: str = ""
+
+    def moments(
+        self, phi_rad: Array, direction: Array, values: Arrays, pendulum: PendulumOnBall
+    ) -> BranchMoments:
+        """Moments over a closed loop between the largest deflection and its opposite.
+
+        What both directions have in common is elastic, what differs is friction.
+        """
+        amplitude = np.max(np.abs(phi_rad))
+        known = {**values, "reference": np.float64(1.0)}
+        held = self.at_reversal(amplitude, known)
+        down = self.resistance(amplitude - phi_rad, held, known)
+        up = self.resistance(amplitude + phi_rad, held, known)
+        weight = weight_moment(pendulum)
+        friction = 0.5 * (down + up) + (known[self.constant] if self.constant else 0.0)
+        return BranchMoments(-weight * np.sign(direction) * friction, 0.5 * weight * (down - up))
+
+
+def masing(
+    backbone: Callable[[Array, Arrays], Array], work: Callable[[Array, Arrays], Array], *, constant: str
+) -> Branch:
+    """Branches that are the backbone curve doubled (Masing's rule), and a constant friction beside them.
+
+    ``M = 2 f(s/2) - M_reversal``. `work` is the integral of the backbone f.
+    """
+
+    def resistance(s: Array, held: Array, q: Arrays) -> Array:
+        return 2 * backbone(s / 2, q) - held
+
+    def mean_resistance(s: Array, held: Array, q: Arrays) -> Array:
+        return 4 * work(s / 2, q) / s - held
+
+    return Branch(resistance, mean_resistance, backbone, constant)

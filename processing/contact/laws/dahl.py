@@ -1,0 +1,53 @@
+"""Dahl's friction: it approaches its largest value exponentially with the angle since the reversal.
+
+dM/ds = sigma m g R (1 - M/M_c),    M_c = m g R c
+"""
+
+import numpy as np
+
+from processing.contact.branch import Array, Arrays, Branch
+from processing.contact.branch_columns import PERIOD, Scaling, logarithms_of
+from processing.contact.branch_law import FREE_PERIOD, branch_law
+from processing.contact.law import Parameter
+from processing.contact.start_values import StartValues
+
+
+def _resistance(s: Array, held: Array, q: Arrays) -> Array:
+    return np.asarray(q["c"] - (held + q["c"]) * np.exp(-s * q["sigma"] / q["c"]))
+
+
+def _mean_resistance(s: Array, held: Array, q: Arrays) -> Array:
+    way = s * q["sigma"] / q["c"]
+    return np.asarray(q["c"] + (held + q["c"]) * np.expm1(-way) / way)
+
+
+def _at_reversal(amplitude: Array, q: Arrays) -> Array:
+    return np.asarray(q["c"] * np.tanh(amplitude * q["sigma"] / q["c"]))
+
+
+def _likely(found: StartValues, _: float) -> list[dict[str, float]]:
+    loss = 2 * (found.decay.c + found.decay.b / (found.decay.p + 1))  # at the reference amplitude
+    out = []
+    for angle in (0.05, 0.5, 3.0, 20.0):  # c/sigma in units of the reference
+        at_one = 2 * (1 - np.tanh(1 / angle) * angle)
+        c = max(loss, 1e-9) / max(at_one, 1e-9)
+        out.append({"c": c, "sigma": c / angle, PERIOD: found.mean_period_s * np.sqrt(1 + min(c, 1.0))})
+    return out
+
+
+DAHL = branch_law(
+    "dahl",
+    "Dahl's friction",
+    "Dahl 1976",
+    (
+        Parameter("c", "c", "1", "largest friction, over m g R", "dM/ds = σ (1 - M/c)", lower=0.0,
+                  logarithmic=True),
+        Parameter("sigma", "σ", "rad⁻¹", "stiffness at a reversal, over m g R", "dM/ds = σ (1 - M/c)",
+                  lower=0.0, logarithmic=True),
+        FREE_PERIOD,
+    ),
+    Branch(_resistance, _mean_resistance, _at_reversal),
+    {"c": Scaling(1.0), "sigma": Scaling()},
+    logarithms_of(0, 1),
+    _likely,
+)  # fmt: skip
