@@ -1,8 +1,8 @@
 """A law whose moment follows from the last reversal: by the distance from it and the moment there.
 
-In a decay every reversal lies inside the one before, so that a law with memory needs no more than this. From a
-reversal at the amplitude A the resisting moment, over m g R, is a function of the distance s = A - phi, and the
-moment at the next reversal is the one at the end of the branch.
+In a decay every reversal lies inside the one before, so that a law with memory needs no more than this. From
+a reversal at the amplitude A the resisting moment, over m g R, is a function of the distance s = A - phi, and
+the moment at the next reversal is the one at the end of the branch.
 """
 
 from collections.abc import Callable, Mapping
@@ -22,10 +22,11 @@ Arrays = Mapping[str, Array]
 class Branch(NamedTuple):
     """The contact's moment over m g R from one reversal on, as functions of arrays.
 
-    Angles are in units of a reference, which divides moments, too. `resistance` and `mean_resistance` take the
-    distance from the reversal, the moment there and the parameters by key; the first is the moment against the
-    motion at that distance (negative: the contact pushes), the second its mean over the way. `at_reversal`
-    takes the amplitude and the parameters: the moment at a reversal if all swings were as large. The
+    Angles are in units of a reference, which divides moments, too. `resistance` and `mean_resistance` take
+    the distance from the reversal, the moment there and the parameters by key; the first is the moment
+    against the motion at that distance (negative: the contact pushes), the second its mean over the way.
+    `at_reversal` takes the amplitude and the parameters: the moment at a reversal if all swings were as
+    large. The
     parameters include ``reference``, the unit of angles in rad. `constant` is the key of a constant friction
     beside all this, if there is one; it remembers nothing.
     """
@@ -42,13 +43,15 @@ class Branch(NamedTuple):
 
         What both directions have in common is elastic, what differs is friction.
         """
-        amplitude = np.max(np.abs(phi_rad))
-        known = {**values, "reference": np.float64(1.0)}
+        amplitude = np.asarray(np.max(np.abs(phi_rad)))
+        known = {**values, "reference": np.ones(())}
         held = self.at_reversal(amplitude, known)
         down = self.resistance(amplitude - phi_rad, held, known)
         up = self.resistance(amplitude + phi_rad, held, known)
         weight = weight_moment(pendulum)
-        friction = 0.5 * (down + up) + (known[self.constant] if self.constant else 0.0)
+        friction = 0.5 * (down + up)
+        if self.constant:
+            friction = friction + known[self.constant]
         return BranchMoments(-weight * np.sign(direction) * friction, 0.5 * weight * (down - up))
 
 

@@ -1,12 +1,13 @@
-"""The solver's columns of a law that follows from the last reversal: its parameters in units of a reference."""
+"""The solver's columns of a law that follows from the last reversal."""
 
 from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from processing.contact.branch_half_swing import Array
+from processing.contact.branch import Array
 from processing.contact.law import AMPLITUDE, DRAG, TIME, HeldColumn, Parameter
 from processing.contact.parameters import PendulumOnBall
 from processing.contact.start_values import StartValues, start_values
@@ -19,9 +20,10 @@ ComplexOrReal = NDArray[Any]
 
 
 class Scaling(NamedTuple):
-    """The unit in which a parameter is fitted: ``value = scaled * reference^(power + per_exponent * exponent)``.
+    """The unit in which a parameter is fitted.
 
-    `exponent` is the key of another parameter.
+    ``value = scaled * reference^(power + per_exponent * exponent)``; `exponent` is the key of another
+    parameter.
     """
 
     power: float = 0.0
@@ -34,11 +36,14 @@ class Straight(NamedTuple):
 
     Both functions take and return one number for each of the law's own parameters and one for the period:
     `scaled` the scaled values and T0 of coordinates, which may be complex (derivatives are taken so), and
-    `coordinates` the inverse.
+    `coordinates` the inverse. `held` gives for each parameter the coordinate that moves it most, `limits` the
+    range of coordinates by place.
     """
 
     scaled: Callable[[ComplexOrReal], ComplexOrReal]
     coordinates: Callable[[Array], Array]
+    held: tuple[int, ...] = ()
+    limits: Mapping[int, tuple[float, float]] = MappingProxyType({})
 
 
 def logarithms_of(*places: int) -> Straight:
@@ -59,7 +64,7 @@ def logarithms_of(*places: int) -> Straight:
 
 
 class BranchColumns:
-    """Coordinates of the law's parameters, drag, first amplitude, that of T0, time of the first turning point."""
+    """Coordinates of the law's parameters, drag, first amplitude, coordinate of T0, first time."""
 
     def __init__(
         self,
@@ -83,9 +88,8 @@ class BranchColumns:
         self._straight, self._likely = straight, likely
         count = len(self._own)
         self._searched = [*range(count), count + self._drag + 1]
-        self._limits = {p.key: (p.lower, p.upper) for p in parameters if p.key in self._own}
         # coefficients may become negative, so that one that is truly 0 is estimated without bias
-        bounded = [self._limits[key] if self._limits[key][0] else (-np.inf, np.inf) for key in self._own]
+        bounded = [straight.limits.get(place, (-np.inf, np.inf)) for place in range(count)]
         free = [(-np.inf, np.inf)] * self._drag
         rest = [(1e-3, np.inf), (1e-6, np.inf), (-np.inf, np.inf)]
         self.lower, self.upper = np.array([*bounded, *free, *rest]).T
@@ -170,14 +174,11 @@ class BranchColumns:
 
     def held(self, name: str) -> HeldColumn:
         if name in self._own:
-            return HeldColumn(self._own.index(name))
+            place = self._own.index(name)
+            return HeldColumn(self._straight.held[place] if self._straight.held else place)
         place = {DRAG.key: len(self._own), AMPLITUDE.key: -3, PERIOD: -2, TIME.key: -1}[name]
         return HeldColumn(place % len(self.lower))
 
     def at_limit(self, columns: Array) -> Sequence[str]:
-        scaled, _ = self.map_parameters(columns)
-        return [
-            key
-            for key, value in zip(self._own, scaled.tolist(), strict=False)
-            if self._limits[key][0] and min(value - self._limits[key][0], self._limits[key][1] - value) < 1e-4
-        ]
+        near = np.minimum(columns - self.lower, self.upper - columns) < 1e-4
+        return [key for place, key in enumerate(self._own) if near[self.held(key).column]]

@@ -4,33 +4,35 @@ From a reversal at A the kinetic energy after the distance s is, over m g R and 
 
     v^2/2 = s [A - s/2 - L(s)],      L(s) = 1/s integral_0^s (resistance) ds'
 
-so that the next reversal lies at s = 2 r with A - r = L(2r). With x = A - s, s = r (1 - cos theta), the factor
+so that the next reversal lies at s = 2 r with A - r = L(2r). With s = r (1 - cos theta), the factor
 
     G = v^2 / (r sin theta)^2 = 1 + 2 [L(2r) - L(s)] / (2r - s)
 
-is smooth at both ends but for powers of s, which theta = pi v^3 smooths; the half-swing lasts integral dtheta /
-(2 pi sqrt(G)) in units of T0. A linear drag adds ``drag r^2 integral sin^2 sqrt(G) dtheta`` to the work, found by
-iteration.
+is smooth at both ends but for powers of s, which theta = pi v^3 smooths; the half-swing lasts
+``integral dtheta / (2 pi sqrt(G))`` in units of T0. A linear drag adds ``drag r^2 integral sin^2 sqrt(G)
+dtheta`` to the work, found by iteration.
 
-Loss and duration are tabulated over the amplitude and interpolated; a decay is a walk through the table. Memory
-fades within a half-swing to the order of the loss, so that the moment at a reversal is a function of the
-amplitude, too: the steady one, corrected by the moment that the branch before ends with.
+Loss and duration are tabulated over the amplitude and interpolated; a decay is a walk through the table. The
+amplitudes fall slowly, so that the moment at a reversal is a function of the amplitude, too: the steady one,
+corrected by the moment that the branch before ends with.
 """
 
 from collections.abc import Sequence
 from functools import lru_cache
 from math import exp, log
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from processing.contact.branch import Array, Arrays, Branch
 from processing.contact.law import HalfSwings
 
-_NODES = 32
-_PER_TABLE, _TABLE_RATIO = 33, 4.0
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicSpline
+
+_NODES = 24
+_PER_TABLE, _TABLE_RATIO = 25, 4.0
 """Amplitudes of a table, evenly in the logarithm, and the ratio of the largest to the smallest."""
 _STEP = 1e-5
 """Relative step of the numerical derivatives by the parameters."""
@@ -39,8 +41,8 @@ _STEP = 1e-5
 class _Nodes(NamedTuple):
     """Gauss-Legendre nodes of v with theta = pi v^3.
 
-    The rows of `work_per_share` map sqrt(G) at the nodes to ``integral_0^theta sin^2 sqrt(G) dtheta' / share``;
-    only the root is interpolated, so that the digits stay near the reversal.
+    The rows of `work_per_share` map sqrt(G) at the nodes to ``integral_0^theta sin^2 sqrt(G) dtheta'``
+    divided by the share; only the root is interpolated, so that the digits stay near the reversal.
     """
 
     share: Array  # s / 2r
@@ -120,12 +122,14 @@ class _Table(NamedTuple):
     lowest: float
     ratio: Array  # polynomial coefficients, highest power first, one column an interval
     knots: Array
-    values: CubicSpline
+    values: "CubicSpline"
     """Of ln A: A'/A, duration, then the derivatives of each by the parameters."""
 
 
 def _table(branch: Branch, names: Sequence[str], parameters: Array, highest: float) -> _Table:
     """Half-swings from amplitudes below `highest`."""
+    from scipy.interpolate import CubicSpline  # here, because it would slow down every command
+
     log_a = log(highest) - log(_TABLE_RATIO) * np.linspace(1.03, -0.03, _PER_TABLE)
     count = len(parameters)
     sets = np.repeat(parameters[None, :], 2 * count + 1, axis=0)
@@ -140,7 +144,7 @@ def _table(branch: Branch, names: Sequence[str], parameters: Array, highest: flo
     for again in (True, False):
         following, duration, next_held = _half_swing(branch, amplitude, held, q)
         if again:
-            # held enters the moment at the next reversal linearly; what is left over settles after the run's begin
+            # the moment at the next reversal is linear in the one at this
             way = amplitude + following
             fading = (branch.resistance(way, 0.0 * held, q) - next_held) / held
             more = (next_held / branch.at_reversal(following, q) - 1) / (1 + fading)

@@ -6,9 +6,9 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from processing.contact.branch import Branch
+from processing.contact.branch import Array, Branch
 from processing.contact.branch_columns import PERIOD, BranchColumns, Scaling, Straight
-from processing.contact.branch_half_swing import Array, branch_half_swings
+from processing.contact.branch_half_swing import branch_half_swings
 from processing.contact.law import DRAG, BranchMoments, HalfSwings, Law, Parameter
 from processing.contact.parameters import PendulumOnBall
 from processing.contact.start_values import StartValues
@@ -44,7 +44,7 @@ def branch_law(
     def moments(
         phi_rad: Array, direction: Array, values: Mapping[str, float], pendulum: PendulumOnBall
     ) -> BranchMoments:
-        return branch.moments(phi_rad, direction, {key: np.float64(values[key]) for key in own}, pendulum)
+        return branch.moments(phi_rad, direction, {key: np.asarray(values[key]) for key in own}, pendulum)
 
     return Law(
         name=name,

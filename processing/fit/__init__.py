@@ -7,6 +7,7 @@ from processing.fit.drag import DragVerdict, drag_verdict
 from processing.fit.errors_of_place import PlaceErrors, place_errors, with_place_errors
 from processing.fit.exact import fit_exact
 from processing.fit.ground import GROUND_SEEN, Ground, density_of_step
+from processing.fit.law_comparison import LawComparison, LawTrial, compare_laws
 from processing.fit.remeasure import describes_as_well, known_motion, measured_again, shift_of, widened
 from processing.fit.reported import (
     FittedContact,
@@ -40,6 +41,8 @@ __all__ = [
     "FitResult",
     "FittedContact",
     "Ground",
+    "LawComparison",
+    "LawTrial",
     "PlaceErrors",
     "Propagated",
     "Quantity",
@@ -50,6 +53,7 @@ __all__ = [
     "budgets",
     "by_row_time",
     "combine_runs",
+    "compare_laws",
     "compare_series",
     "density_of_step",
     "describes_as_well",

@@ -27,6 +27,8 @@ _GOOD_CHI2 = 1.5
 """Reduced chi-square above which a minimum may be a local one; other start values are tried then."""
 _ROUNDS = 12
 """Most alternations of noise and parameters; two or three suffice."""
+_STEPS = 60
+"""Most steps of one alternation; the last search has as many as it needs."""
 _SETTLED = 0.02
 """Change of the parameters, in standard uncertainties, below which the alternation ends."""
 _WEAKEST = 10.0
@@ -52,7 +54,13 @@ def _settle(model: ExactModel, start: NDArray[np.float64], loss: Loss, kind: Noi
         here = model.on_ground(columns, _kept(likeliest.noise))
         try:
             solution = solve(
-                here, columns, lower=model.lower, upper=model.upper, loss=loss, cost_tolerance=1e-9
+                here,
+                columns,
+                lower=model.lower,
+                upper=model.upper,
+                loss=loss,
+                cost_tolerance=1e-9,
+                max_evaluations=_STEPS,
             )
         except DataError:
             return None

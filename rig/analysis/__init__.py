@@ -1,6 +1,7 @@
 """From a record or a table to results: laws of the contact, other instruments, verdicts, results.json."""
 
 from rig.analysis.base_acceleration import base_motion
+from rig.analysis.compared_laws import chosen_laws, law_table, laws_of
 from rig.analysis.contact_laws import surface_energies
 from rig.analysis.contact_results import (
     NOT_DETERMINED,
@@ -92,6 +93,7 @@ __all__ = [
     "base_motion",
     "bound_text",
     "budget_of",
+    "chosen_laws",
     "combined_series",
     "curves_of",
     "determined_text",
@@ -103,6 +105,8 @@ __all__ = [
     "fit_results",
     "fit_trajectory",
     "free_path",
+    "law_table",
+    "laws_of",
     "mean_air",
     "parameter_table",
     "points_in_true_time",

@@ -36,6 +36,7 @@ from rig.analysis.encoding import (
     Value,
 )
 from rig.analysis.instrument_results import InstrumentResults, InstrumentSeries
+from rig.analysis.law_results import ComparedLaws
 from rig.analysis.stored_position_errors import PositionErrors
 from rig.analysis.stored_turning_points import StoredTurningPoints
 from rig.presentation import Verdict
@@ -55,6 +56,7 @@ class RunResults:
     counts their flags. `measured_again_on` is the motion on which the fitted
     turning points were measured again (see `processing.fit.remeasure`); None: they are as detected.
     `position_errors` were taken off the deflections before that; None where the run shows none.
+    `laws` compares several, where that was asked for.
     `initial_amplitude` and `final_amplitude` are in `amplitude_unit`: arcsec, or px of a record without a
     lever; those in arcsec are not determined then. `conditions` judges light, losses and what else the record
     shows of the circumstances. What follows from a fit (`pendulum` to `notes`) is empty
@@ -95,6 +97,7 @@ class RunResults:
     turning_points: StoredTurningPoints | None = None
     conditions: tuple[Verdict, ...] = ()
     position_errors: PositionErrors | None = None
+    laws: Annotated[ComparedLaws | None, LeftOut] = None
 
     def half_cycles_text(self, unit: str, before_amplitudes: str = ", ") -> str:
         """`33 half-cycles, 123.24 to 101.09 arcsec`, or that there are none.

@@ -1,6 +1,7 @@
 """`rig fit`."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -42,31 +43,50 @@ def fit(
     frequency: Annotated[
         float | None, typer.Option(min=0.0, help="CSV: frequency in Hz of what an envelope is of.")
     ] = None,
+    law: Annotated[
+        list[str] | None,
+        typer.Option(help="Records: compare the paper's law with another one, or all; may be repeated."),
+    ] = None,
     set_: Set = None,
 ) -> None:
     """Fit the contact laws to records, or to a CSV table."""
     if len(files) == 1 and files[0].suffix.lower() != ".mcap":
+        from processing.errors import ConfigurationError
         from rig.analysis import Columns, fit_envelope_table, fit_trajectory
 
+        if law:
+            raise ConfigurationError(
+                f"--law {law[0]}: only records are compared with several laws, not a table"
+            )
         columns = Columns(time, tuple(position or ()), unit, time_unit)
         if envelope is not None:
             raise typer.Exit(fit_envelope_table(files[0], output, columns, envelope, frequency))
         raise typer.Exit(fit_trajectory(files[0], output, config, columns, overrides=set_ or []))
-    raise typer.Exit(fit_records(files, output, overrides=set_ or []))
+    raise typer.Exit(fit_records(files, output, overrides=set_ or [], laws=law or []))
 
 
-def fit_records(paths: Sequence[Path], output: Path | None, overrides: Sequence[str]) -> int:
-    """Fit records; results.json in `output` or beside the first record. Returns the exit status."""
+def fit_records(
+    paths: Sequence[Path], output: Path | None, overrides: Sequence[str], laws: Sequence[str] = ()
+) -> int:
+    """Fit records; results.json in `output` or beside the first record. Returns the exit status.
+
+    `laws` are names of the registry, to be compared with the paper's.
+    """
     from rig.analysis import (
         RESULTS_NAME,
         analyse_record,
+        chosen_laws,
         free_path,
+        laws_of,
         print_results,
         session_results,
         write_results,
     )
 
+    compared = chosen_laws(["paper", *laws]) if laws else ()
     runs = [analyse_record(path, overrides) for path in paths]
+    if compared:
+        runs = [replace(run, results=replace(run.results, laws=laws_of(run, compared))) for run in runs]
     folder = output or paths[0].parent
     folder.mkdir(parents=True, exist_ok=True)
     target = free_path(folder) if output is None else folder / RESULTS_NAME

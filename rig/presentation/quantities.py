@@ -115,7 +115,8 @@ def law_parameters() -> Mapping[str, "Parameter"]:
     from processing.contact import AMPLITUDE, DRAG, LAWS, TIME
 
     own = [p for law in LAWS.values() for p in (*law.parameters, *law.uncalibrated.values())]
-    return {parameter.key: parameter for parameter in (*own, DRAG, AMPLITUDE, TIME)}
+    # a key that several laws have is described as the first one has it
+    return {parameter.key: parameter for parameter in reversed((*own, DRAG, AMPLITUDE, TIME))}
 
 
 SOURCES: Final[Mapping[str, str]] = {

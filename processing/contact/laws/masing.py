@@ -1,10 +1,10 @@
 """Rolling with memory: a backbone that is a power of the angle, doubled on every branch (Masing's rule).
 
-    f(phi) = k phi^q,    M = M_reversal - 2 k m g R (s/2)^q - m g R c sign(phi'),    s: angle since the reversal
+    f(phi) = k phi^q,    M = M_reversal - 2 k m g R (s/2)^q - m g R c sign(phi')
 
-Al-Bender & De Moerlooze (2008) find it for rolling before gross slip. Per cycle it takes 4 k (1-q)/(1+q)
-A^(q+1), as b of Eq. 1 does with p = q and b = k (1-q), and it makes the period depend on the amplitude without
-any further parameter.
+with s the angle since the reversal. Al-Bender & De Moerlooze (2008) find it for rolling before gross slip.
+Per cycle it takes ``4 k (1-q)/(1+q) A^(q+1)``, as b of Eq. 1 does with p = q and b = k (1-q), and it makes
+the period depend on the amplitude without any further parameter.
 """
 
 import numpy as np
@@ -31,16 +31,24 @@ def _stiffness(q: ComplexOrReal) -> ComplexOrReal:
 
 
 def _scaled(values: ComplexOrReal) -> ComplexOrReal:
-    """k, q, c, T0 from the loss ln(k (1-q)/(1+q)), q, c and the period at the reference amplitude."""
-    log_loss, q, c, period_s = values
-    k = np.exp(log_loss) * (1 + q) / (1 - q)
-    return np.array([k, q, c, period_s * np.sqrt(1 + k * _stiffness(q))])
+    """k, q, c, T0 from ln of the loss and the share of the contact in the stiffness, c and period of a swing.
+
+    Gravity has the rest of the stiffness. Decay and period determine these; if the contact were much stiffer
+    than gravity, k could be anything.
+    """
+    log_loss, share, c, period_s = values
+    k = share / (1 - share)
+    loss = (1 + k) * np.exp(log_loss)
+    q = (k - loss) / (k + loss)
+    return np.array([k, q, (1 + k) * c, period_s * np.sqrt(1 + k * _stiffness(q))])
 
 
 def _coordinates(values: Array) -> Array:
     k, q, c, period0_s = values
-    loss = max(k, 1e-12) * (1 - q) / (1 + q)
-    return np.array([np.log(loss), q, c, period0_s / np.sqrt(1 + k * _stiffness(q))])
+    loss = max(k * (1 - q) / (1 + q), 1e-12)
+    return np.array(
+        [np.log(loss / (1 + k)), k / (1 + k), c / (1 + k), period0_s / np.sqrt(1 + k * _stiffness(q))]
+    )
 
 
 def _likely(found: StartValues, _: float) -> list[dict[str, float]]:
@@ -70,6 +78,6 @@ MASING = branch_law(
         "q": Scaling(),
         "c": Scaling(1.0),
     },
-    Straight(_scaled, _coordinates),
+    Straight(_scaled, _coordinates, held=(1, 0, 2), limits={1: (1e-4, 0.6)}),
     _likely,
 )  # fmt: skip

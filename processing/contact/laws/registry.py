@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 
 from processing.contact.law import Law
-from processing.contact.laws.constant_moment import CONSTANT_MOMENT
+from processing.contact.laws.coulomb import COULOMB
 from processing.contact.laws.dahl import DAHL
 from processing.contact.laws.masing import MASING
 from processing.contact.laws.maxwell_slip import MAXWELL_SLIP
@@ -19,7 +19,7 @@ LAWS: Mapping[str, Law] = MappingProxyType(
             MASING,
             MAXWELL_SLIP,
             DAHL,
-            CONSTANT_MOMENT,
+            COULOMB,
             VISCOUS,
         )
     }

@@ -21,7 +21,7 @@ def _likely(found: StartValues, _: float) -> list[dict[str, float]]:
     return [{"c": c, PERIOD: found.mean_period_s}]
 
 
-CONSTANT_MOMENT = branch_law(
+COULOMB = branch_law(
     "constant",
     "constant friction",
     "Coulomb",

@@ -1,0 +1,107 @@
+"""Several laws fitted to one decay, each with the ground's drive that it needs, and which of them remain.
+
+A law that lacks something needs a stronger drive of the ground, which makes its likelihood smaller: laws are
+compared by it, with Schwarz's penalty for each parameter. What no drive can take up stays in the order of the
+residuals.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from math import inf, log
+
+from processing.contact import PendulumOnBall
+from processing.contact.laws import Law
+from processing.errors import DataError
+from processing.fit.exact import fit_exact
+from processing.fit.result import FitResult
+from processing.swing import TurningPoints
+
+EXCLUDED_BIC = 10.0
+"""Distance in BIC above which a law is excluded: odds of 150 to 1 (Kass & Raftery 1995)."""
+
+
+@dataclass(frozen=True, slots=True)
+class LawTrial:
+    """One law at its best; without a `fit`, `problem` says why there is none.
+
+    `bic` is ``-2 ln L + k ln N`` for k parameters and N numbers (an amplitude and a time a half-cycle),
+    infinite without a fit.
+    """
+
+    law: Law
+    fit: FitResult | None
+    bic: float = inf
+    problem: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class LawComparison:
+    """The laws in the order of their BIC, the best first."""
+
+    trials: tuple[LawTrial, ...]
+
+    def above_best(self, trial: LawTrial) -> float:
+        """How far a law's BIC lies above the best one's; infinite where it has no fit."""
+        return trial.bic - self.trials[0].bic if trial.fit is not None else inf
+
+    @property
+    def remaining(self) -> tuple[LawTrial, ...]:
+        """The laws that the data do not exclude."""
+        return tuple(trial for trial in self.trials if self.above_best(trial) <= EXCLUDED_BIC)
+
+    @property
+    def describes(self) -> bool:
+        """Whether the best law leaves nothing but noise."""
+        best = self.trials[0].fit
+        return best is not None and best.whiteness is not None and not best.whiteness.correlated
+
+    def text(self) -> str:
+        """The verdict in words."""
+        names = [trial.law.name for trial in self.remaining]
+        if not names:
+            return "none of these laws can be fitted to this decay"
+        excluded = [trial.law.name for trial in self.trials if trial.law.name not in names]
+        without = f"; excluded: {', '.join(excluded)}" if excluded else ""
+        if len(names) > 1:
+            said = f"this decay cannot tell {' and '.join(names)} apart; a higher start or more runs may"
+        else:
+            said = f"of these laws, {names[0]} describes this decay best"
+        if self.describes:
+            return said + without
+        doubt = "yet what is left over is no noise: something else moves the spot, or none is right"
+        return f"{said}{without}; {doubt}"
+
+
+def compare_laws(
+    points: TurningPoints,
+    pendulum: PendulumOnBall,
+    laws: Iterable[Law],
+    *,
+    drag: bool = False,
+    known: Sequence[FitResult] = (),
+) -> LawComparison:
+    """Fit every law to the same turning points.
+
+    Parameters
+    ----------
+    drag
+        Fit a linear drag beside each.
+    known
+        Exact fits of these points that have been made.
+    """
+    made = {fit.law.name: fit for fit in known if fit.has_drag == drag}
+    trials = []
+    for law in laws:
+        try:
+            fit = made.get(law.name) or fit_exact(points, pendulum, law=law, drag=drag)
+        except DataError as error:
+            trials.append(LawTrial(law, None, problem=str(error)))
+            continue
+        lost = len(points) - fit.half_cycles
+        if lost:
+            problem = f"the drive that it needs would drown {lost} half-cycles"
+            trials.append(LawTrial(law, None, problem=problem))
+            continue
+        assert fit.ground is not None  # of every exact fit
+        trials.append(LawTrial(law, fit, fit.ground.deviance + len(fit.names) * log(2 * len(points))))
+    return LawComparison(tuple(sorted(trials, key=lambda trial: trial.bic)))

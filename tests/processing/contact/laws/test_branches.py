@@ -1,0 +1,133 @@
+"""Laws that follow from the last reversal: their map against integrations, their fits against the truth."""
+
+import numpy as np
+import pytest
+
+from processing.contact import LAWS, PendulumOnBall
+from processing.fit import FitResult, compare_laws, fit_exact
+from processing.swing import TurningPoints
+from tests.processing.contact.laws.branches import dahl_decay, slider_decay
+from tests.processing.fit.decays import ARCSEC, decay, paper_pair
+
+FIRST, PERIOD_S, U = 124 * ARCSEC, 4.05, 0.005 * ARCSEC
+PENDULUM: PendulumOnBall = paper_pair("steel")[1]
+
+
+def seen(amplitude_rad: np.ndarray, time_s: np.ndarray, seed: int) -> TurningPoints:
+    rng = np.random.default_rng(seed)
+    u_time = U / (amplitude_rad * 2 * np.pi / PERIOD_S)
+    return TurningPoints(
+        np.arange(len(time_s), dtype=np.int64),
+        time_s + u_time * rng.standard_normal(len(time_s)),
+        u_time,
+        amplitude_rad + U * rng.standard_normal(len(time_s)),
+        np.full(len(time_s), U),
+    )
+
+
+def masing_points(k: float, q: float, c: float, count: int, seed: int) -> TurningPoints:
+    """A backbone k phi^q as a thousand springs with sliders, of which one after another slips."""
+    edges = FIRST * np.concatenate([[0.0], np.geomspace(1e-5, 1.05, 1000)])
+    slope = np.diff(k * edges**q) / np.diff(edges)
+    stiffness = -np.diff(np.append(slope, 0.0))
+    amplitude, time = slider_decay(stiffness, edges[1:] / FIRST, c / FIRST, 0.0, 1.0, count)
+    return seen(amplitude * FIRST, time * PERIOD_S / (2 * np.pi), seed)
+
+
+def pulls(found: FitResult, truth: dict[str, float]) -> list[float]:
+    return [
+        (found.estimate(name).value - value) / found.estimate(name).standard_uncertainty
+        for name, value in truth.items()
+    ]
+
+
+def test_dahls_half_swings_are_those_of_his_equation() -> None:
+    amplitude, time = dahl_decay(0.02, 0.04, 1.0, 16)
+    begun = 3  # what the first reversal remembers is not known, and has faded then
+    first = float(amplitude[begun])
+    found = LAWS["dahl"].half_swing_map(np.array([0.02, 0.04, 0.0, FIRST, first]), np.arange(16 - begun))
+    np.testing.assert_allclose(found.amplitude, amplitude[begun:], rtol=3e-7)
+    np.testing.assert_allclose(found.time, (time[begun:] - time[begun]) / (2 * np.pi), rtol=1e-7)
+
+
+@pytest.mark.parametrize("drag", [0.0, 1e-3])
+def test_sliders_lose_what_they_lose_one_by_one(drag: float) -> None:
+    stiffness = np.array([0.01, 0.008, 0.01, 0.006])
+    slip = np.array([4.0, 12.0, 36.0, 90.0]) * ARCSEC / FIRST
+    amplitude, time = slider_decay(stiffness, slip, 1e-4, drag, 1.0, 20)
+    found = LAWS["maxwell-slip"].half_swing_map(np.array([*stiffness, 1e-4, drag, FIRST, 1.0]), np.arange(20))
+    # tabulated across the kinks at which a slider gives way
+    np.testing.assert_allclose(found.amplitude, amplitude, rtol=2e-5)
+    np.testing.assert_allclose(found.time, time / (2 * np.pi), rtol=2e-5)
+
+
+def test_a_linear_drag_alone_takes_the_same_share_of_every_swing() -> None:
+    drag, index = 4e-3, np.arange(300)
+    found = LAWS["viscous"].half_swing_map(np.array([drag, FIRST, 1.0]), index)
+    rate = np.sqrt(1 - drag**2 / 4)
+    np.testing.assert_allclose(found.amplitude, np.exp(-np.pi * drag / (2 * rate) * index), rtol=1e-12)
+    np.testing.assert_allclose(found.time, index / (2 * rate), rtol=1e-11)
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        ("masing", [0.07, 0.9, 1e-4]),
+        ("dahl", [0.02, 0.04]),
+        ("maxwell-slip", [0.01, 0.008, 0.01, 0.006, 1e-4]),
+        ("constant", [1e-3]),
+        ("viscous", []),
+    ],
+)
+def test_gradients_are_those_of_differences(name: str, values: list[float]) -> None:
+    # the table rounds the kinks of sliders that give way, and with them the slopes
+    rtol = 0.05 if name == "maxwell-slip" else 2e-3
+    index, law = np.arange(0, 60, 3), LAWS[name]
+    at = np.array([*values, 1e-3, FIRST, 1.0])
+    found = law.half_swing_map(at, index)
+    for place in range(len(at)):
+        if place == len(at) - 2:
+            continue  # the unit of angles, which no fit varies
+        step = np.zeros(len(at))
+        step[place] = 1e-3 * at[place]
+        high, low = law.half_swing_map(at + step, index), law.half_swing_map(at - step, index)
+        for gradient, above, below in (
+            (found.amplitude_gradient, high.amplitude, low.amplitude),
+            (found.time_gradient, high.time, low.time),
+        ):
+            numeric = (above - below) / (2 * step[place])
+            np.testing.assert_allclose(
+                gradient[:, place], numeric, rtol=rtol, atol=2e-4 * np.abs(numeric).max()
+            )
+
+
+def test_rolling_with_memory_is_found_and_told_from_the_papers_law() -> None:
+    """Springs and sliders one by one, which no law of the registry integrates."""
+    truth = {"k": 0.066, "q": 0.944, "c": 1.05e-8, "period0_s": PERIOD_S}
+    points = masing_points(0.066, 0.944, 1.05e-8, 200, 1)
+    masing = fit_exact(points, PENDULUM, law=LAWS["masing"])
+    assert 0.8 < masing.chi2_per_dof < 1.25
+    assert max(map(abs, pulls(masing, truth))) < 3.5
+    compared = compare_laws(points, PENDULUM, [LAWS["paper"], LAWS["masing"]], known=[masing])
+    assert [trial.law.name for trial in compared.trials] == ["masing", "paper"]
+    assert compared.trials[0].fit is masing
+    assert compared.above_best(compared.trials[1]) > 100
+    assert compared.describes
+    assert compared.text() == "of these laws, masing describes this decay best; excluded: paper"
+
+
+def test_the_papers_law_excludes_the_others() -> None:
+    parameters, pendulum = paper_pair("glass_k8")
+    points = decay(parameters, pendulum, noise_arcsec=0.005, seed=1, last_arcsec=80)
+    compared = compare_laws(points, pendulum, LAWS.values())
+    assert compared.trials[0].law.name == "paper"
+    assert [trial.law.name for trial in compared.remaining] == ["paper"]
+    assert {trial.law.name for trial in compared.trials} == set(LAWS)
+
+
+def test_a_decay_too_short_to_tell_says_so() -> None:
+    parameters, pendulum = paper_pair("glass_k8")
+    points = decay(parameters, pendulum, noise_arcsec=2.0, seed=1, last_arcsec=90)
+    compared = compare_laws(points, pendulum, [LAWS["paper"], LAWS["masing"], LAWS["viscous"]])
+    assert {trial.law.name for trial in compared.remaining} >= {"masing", "viscous"}
+    assert "cannot tell" in compared.text()
