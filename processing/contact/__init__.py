@@ -1,5 +1,6 @@
 """Contact of ball and flat: Hertz theory, laws of friction and elasticity, decay, period, half-swing map."""
 
+from processing.contact.adhesion import AdhesiveContact, adhesive_contacts
 from processing.contact.decay import decay_path, path_nodes
 from processing.contact.decay_fit import fit_decay
 from processing.contact.energy_loss import measured_losses, model_losses
@@ -45,6 +46,7 @@ __all__ = [
     "PAPER",
     "STANDARD_GRAVITY_M_PER_S2",
     "TIME",
+    "AdhesiveContact",
     "BranchMoments",
     "Columns",
     "ContactParameters",
@@ -57,6 +59,7 @@ __all__ = [
     "Parameter",
     "PendulumOnBall",
     "PeriodStart",
+    "adhesive_contacts",
     "contact_radius",
     "cosine_moment",
     "cycle_work",

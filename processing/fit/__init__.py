@@ -8,6 +8,7 @@ from processing.fit.errors_of_place import PlaceErrors, place_errors, with_place
 from processing.fit.exact import fit_exact
 from processing.fit.ground import GROUND_SEEN, Ground, density_of_step
 from processing.fit.law_comparison import LawComparison, LawTrial, compare_laws
+from processing.fit.planning import Conditions, PlannedRun, planned_run
 from processing.fit.remeasure import describes_as_well, known_motion, measured_again, shift_of, widened
 from processing.fit.reported import (
     FittedContact,
@@ -35,6 +36,7 @@ __all__ = [
     "Budget",
     "Combined",
     "Comparison",
+    "Conditions",
     "Determination",
     "DragVerdict",
     "FitMethod",
@@ -44,6 +46,7 @@ __all__ = [
     "LawComparison",
     "LawTrial",
     "PlaceErrors",
+    "PlannedRun",
     "Propagated",
     "Quantity",
     "RigQuantities",
@@ -67,6 +70,7 @@ __all__ = [
     "measured_again",
     "monte_carlo",
     "place_errors",
+    "planned_run",
     "reported_quantities",
     "shift_of",
     "strong_correlations",

@@ -78,3 +78,8 @@ class Ground:
 def density_of_step(step: float, half_period_s: float) -> float:
     """q for which either quadrature moves by `step` in a half-swing: ``2 w step / sqrt(T/2)``, w = 2 pi/T."""
     return float(2 * np.pi * step / half_period_s**1.5)
+
+
+def step_of_density(density: float, half_period_s: float) -> float:
+    """Inverse of `density_of_step`."""
+    return float(density * half_period_s**1.5 / (2 * np.pi))

@@ -150,6 +150,30 @@ class Hertz:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class AdhesiveSpot:
+    """Radius of the contact spot with adhesion, and the surface energy (Table 2's form) of that radius."""
+
+    radius_m: Value = NOT_DETERMINED
+    surface_energy_j_per_m2: Value = NOT_DETERMINED
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Adhesion:
+    """The contact spot after three theories of adhesion; `holds` names the one that the Tabor parameter asks
+    for. The values elsewhere are the paper's, with the radius after Hertz."""
+
+    tabor: Number = nan
+    holds: str = ""
+    jkr: AdhesiveSpot = AdhesiveSpot()
+    dmt: AdhesiveSpot = AdhesiveSpot()
+    maugis_dugdale: AdhesiveSpot = AdhesiveSpot()
+
+    def spots(self) -> dict[str, AdhesiveSpot]:
+        """By the name of the theory."""
+        return {"JKR": self.jkr, "Maugis-Dugdale": self.maugis_dugdale, "DMT": self.dmt}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Drag:
     """Whether a linear drag is in the data: the default fit with it against that without."""
 

@@ -8,7 +8,15 @@ import numpy as np
 
 from calibration import GLOBAL, Axes, Lever
 from processing.angle import ARCSEC_RAD
-from processing.contact import HertzContact, Material, PendulumOnBall, cycle_work, hertz_contact
+from processing.contact import (
+    AdhesiveContact,
+    HertzContact,
+    Material,
+    PendulumOnBall,
+    adhesive_contacts,
+    cycle_work,
+    hertz_contact,
+)
 from processing.errors import DataError
 from processing.estimate import Estimate
 from processing.fit import Budget as GumBudget
@@ -34,6 +42,8 @@ from processing.fit import Propagated as Sampled
 from processing.swing import TurningPoints
 from rig.analysis.base_acceleration import base_motion
 from rig.analysis.contact_results import (
+    Adhesion,
+    AdhesiveSpot,
     Budget,
     BudgetSource,
     Correlation,
@@ -53,6 +63,8 @@ from rig.settings import Configuration, PendulumSettings, TimebaseSettings
 
 DRAWS = 10_000
 _UNUSED = Material(1e11, 0.3)
+_SEEN = 2.0
+"""Least c, in standard uncertainties, for which adhesion is accounted for."""
 TABLE4_AMPLITUDE_ARCSEC = 3.1
 """Amplitude at which the paper's Table 4 draws its loops."""
 
@@ -185,6 +197,7 @@ def evaluate(
         run,
         pendulum=pendulum,
         hertz=None if rig is None else _hertz(contact_of(rig)),
+        adhesion=None if rig is None else _adhesion(exact.estimate("c"), pendulum, rig),
         drag=drag,
         identifiability=determinations,
         strong_correlations=tuple(strong_correlations(exact)),
@@ -261,6 +274,29 @@ def _hertz(contact: HertzContact) -> Hertz:
         Estimate(contact.radius_m, contact.u_radius_m),
         Estimate(contact.depth_m, contact.u_depth_m),
         Estimate(contact.angle_rad, contact.u_angle_rad),
+    )
+
+
+def _adhesion(c: Estimate, pendulum: PendulumOnBall, rig: RigQuantities) -> Adhesion | None:
+    """The spot with adhesion; None where c is not seen or the spot's radius was stated."""
+    if rig.contact_radius_m is not None or not c.value > _SEEN * c.standard_uncertainty:
+        return None
+    hertz, found = contact_of(rig), adhesive_contacts(c.value, pendulum)
+    u_radius, u_c = hertz.u_radius_m / hertz.radius_m, c.standard_uncertainty / c.value
+
+    def spot(contact: AdhesiveContact) -> AdhesiveSpot:
+        radius_m, energy = contact.radius_m, contact.surface_energy_j_per_m2
+        return AdhesiveSpot(
+            radius_m=Estimate(radius_m, u_radius * radius_m),
+            surface_energy_j_per_m2=Estimate(energy, u_c * energy),
+        )
+
+    return Adhesion(
+        tabor=found.tabor,
+        holds=found.holds,
+        jkr=spot(found.jkr),
+        dmt=spot(found.dmt),
+        maugis_dugdale=spot(found.maugis),
     )
 
 

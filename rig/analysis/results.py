@@ -14,6 +14,7 @@ from processing.swing import KnownMotion
 from rig.analysis.beam import Beam
 from rig.analysis.contact_results import (
     NOT_DETERMINED,
+    Adhesion,
     Budget,
     Determination,
     Drag,
@@ -56,7 +57,8 @@ class RunResults:
     counts their flags. `measured_again_on` is the motion on which the fitted
     turning points were measured again (see `processing.fit.remeasure`); None: they are as detected.
     `position_errors` were taken off the deflections before that; None where the run shows none.
-    `laws` compares several, where that was asked for.
+    `laws` compares several, where that was asked for. `adhesion` is the contact spot with adhesion, where c
+    is seen and the spot's radius calculated after Hertz.
     `initial_amplitude` and `final_amplitude` are in `amplitude_unit`: arcsec, or px of a record without a
     lever; those in arcsec are not determined then. `conditions` judges light, losses and what else the record
     shows of the circumstances. What follows from a fit (`pendulum` to `notes`) is empty
@@ -86,6 +88,7 @@ class RunResults:
     calibration: JsonObject = field(default_factory=dict)
     pendulum: Pendulum | None = None
     hertz: Annotated[Hertz | None, Section] = None
+    adhesion: Annotated[Adhesion | None, LeftOut] = None
     drag: Annotated[Drag | None, Section] = None
     identifiability: tuple[Determination, ...] = ()
     strong_correlations: tuple[tuple[str, str, Number], ...] = ()

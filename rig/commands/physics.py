@@ -1,4 +1,4 @@
-"""`rig fit`."""
+"""`rig fit`, `rig plan`."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -13,6 +13,7 @@ from rig.commands.arguments import Set
 def register(app: typer.Typer) -> None:
     """Add the commands of this module."""
     app.command("fit")(fit)
+    app.command("plan")(plan)
 
 
 def fit(
@@ -94,3 +95,29 @@ def fit_records(
     write_results(target, results)
     print_results(results, [("results", target)])
     return 1 if any(run.problem for run in results.runs) else 0
+
+
+def plan(
+    record: Annotated[Path, typer.Argument(help="A run of this rig (.mcap).", show_default=False)],
+    first: Annotated[
+        list[float] | None, typer.Option(min=0.1, help="First amplitude, arcsec; may be repeated.")
+    ] = None,
+    last: Annotated[
+        list[float] | None, typer.Option(min=0.1, help="Last amplitude, arcsec; may be repeated.")
+    ] = None,
+    ground: Annotated[
+        float | None,
+        typer.Option(min=0.0, help="Drive of another ground, rad/s2/sqrt(Hz); default: the record's."),
+    ] = None,
+    output: Annotated[Path | None, typer.Option("-o", "--output", help="Folder for the picture.")] = None,
+    set_: Set = None,
+) -> None:
+    """What runs to come will tell: uncertainties over first and last amplitudes, from a run of this rig."""
+    from rig.analysis import analyse_record
+    from rig.plan import plan_runs, print_plan, save_plan
+
+    firsts, lasts = first or [300.0, 124.0, 60.0], last or [30.0, 15.0, 8.0, 4.0, 2.0]
+    planned = plan_runs(analyse_record(record, set_ or []), firsts, lasts, ground)
+    print_plan(planned)
+    if output is not None:
+        save_plan(planned, output)

@@ -90,7 +90,7 @@ _SHORT_LIST = 12
 
 
 def hertz_table(results: RunResults) -> Table:
-    """Contact after Hertz (Table 1 of the paper)."""
+    """Contact after Hertz (Table 1 of the paper), and with adhesion where that is seen."""
     rows: list[list[Cell]] = []
     shown = []
     if results.hertz is not None:
@@ -99,9 +99,24 @@ def hertz_table(results: RunResults) -> Table:
             value: Estimate = getattr(results.hertz, key)
             rows.append([name, *value])
             shown.append([quantity(name).symbol, quantity(name).text(*value), quantity(name).unit])
+    note = ""
+    if results.adhesion is not None:
+        for theory, spot in results.adhesion.spots().items():
+            for key, value in (
+                ("contact_radius_m", spot.radius_m),
+                ("surface_energy_table2_j_per_m2", spot.surface_energy_j_per_m2),
+            ):
+                form = quantity(key)
+                rows.append([f"{key} ({theory})", *value])
+                shown.append([f"{form.symbol}, {theory}", form.text(*value), form.unit])
+        note = (
+            "With adhesion the spot is larger than Hertz's and the surface energy smaller. The Tabor "
+            f"parameter of {results.adhesion.tabor:.2g} (atoms 0.3 nm apart) asks for "
+            f"{results.adhesion.holds}; all other values are the paper's, after Hertz."
+        )
     return Table(
-        "hertz", "Contact after Hertz", ("quantity", "value", "standard_uncertainty"), rows,
-        ("", "value", "unit"), shown,
+        "hertz", "Contact after Hertz, and with adhesion" if note else "Contact after Hertz",
+        ("quantity", "value", "standard_uncertainty"), rows, ("", "value", "unit"), shown, note,
     )  # fmt: skip
 
 

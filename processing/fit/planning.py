@@ -1,0 +1,147 @@
+"""What a run will tell: standard uncertainties of a law's parameters before the run is made.
+
+The turning points of a run follow from the law, their scatter from the measurement and the ground's drive.
+The information that they hold (Fisher's matrix of the driven model) bounds every uncertainty from below, and
+the fit comes near to this bound.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from math import inf
+
+import numpy as np
+
+from processing.contact import AMPLITUDE, DRAG, PAPER, TIME, Law, PendulumOnBall
+from processing.errors import DataError
+from processing.fit.checks import FEWEST_HALF_CYCLES
+from processing.fit.exact_model import ExactModel
+from processing.fit.ground import Noise, step_of_density
+from processing.fit.result import FitResult
+from processing.least_squares import covariance_of
+from processing.swing import TurningPoints
+
+_LOST = 10.0
+"""A run ends where the ground moves the pendulum in a half-swing by more than the amplitude over this."""
+
+
+@dataclass(frozen=True, slots=True)
+class Conditions:
+    """What makes turning points scatter: their measurement, and the drive.
+
+    `u_time_amplitude_s_rad` is the product of a time's uncertainty and its amplitude.
+    """
+
+    u_amplitude_rad: float
+    u_time_amplitude_s_rad: float
+    ground_rad_per_s2_rthz: float = 0.0
+
+    @classmethod
+    def of(cls, fit: FitResult, points: TurningPoints) -> "Conditions":
+        """Those of a run that has been made; its drive is the likeliest one."""
+        scale = 1.0 if fit.ground is None else fit.ground.noise.scale
+        return cls(
+            scale * float(np.median(points.u_amplitude)),
+            scale * float(np.median(points.u_time_s * points.amplitude)),
+            0.0 if fit.ground is None else fit.ground.density.value,
+        )
+
+    def on_ground(self, rad_per_s2_rthz: float) -> "Conditions":
+        """The same measurement on another ground."""
+        return replace(self, ground_rad_per_s2_rthz=rad_per_s2_rthz)
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedRun:
+    """One run between two amplitudes: how long it lasts, and the uncertainty of every parameter after it.
+
+    `complete` is False where the drive drowns the pendulum before the amplitude at which it should end.
+    """
+
+    first_rad: float
+    last_rad: float
+    duration_s: float
+    half_cycles: int
+    u: Mapping[str, float]
+    complete: bool = True
+
+
+def planned_run(
+    values: Mapping[str, float],
+    pendulum: PendulumOnBall | None,
+    conditions: Conditions,
+    first_rad: float,
+    last_rad: float,
+    *,
+    law: Law = PAPER,
+) -> PlannedRun:
+    """What a run from one amplitude to another will tell of a law with these values.
+
+    Raises
+    ------
+    DataError
+        The pendulum makes too few half-cycles between the two amplitudes, or none ends there.
+    """
+    names = law.fit_names(calibrated=pendulum is not None, drag=DRAG.key in values)
+    known = {**values, AMPLITUDE.key: first_rad, TIME.key: 0.0}
+    amplitude, time, complete = _decay(law, known, names, pendulum, first_rad, last_rad, conditions)
+    if len(amplitude) < FEWEST_HALF_CYCLES:
+        raise DataError(
+            f"from {first_rad:.3g} to {last_rad:.3g} rad there are {len(amplitude)} half-cycles; a fit needs "
+            f"{FEWEST_HALF_CYCLES}"
+        )
+    points = TurningPoints(
+        np.arange(len(amplitude), dtype=np.int64),
+        time,
+        conditions.u_time_amplitude_s_rad / amplitude,
+        amplitude,
+        np.full(len(amplitude), conditions.u_amplitude_rad),
+    )
+    model = ExactModel(points, pendulum, law=law, drag=DRAG.key in values)
+    columns = model.columns.from_physical(known)
+    half_period_s = float(np.diff(time).mean())
+    step = step_of_density(conditions.ground_rad_per_s2_rthz, half_period_s) / model.reference
+    jacobian = model.on_ground(columns, Noise(step=step))(columns)[1]
+    to_physical = model.columns.physical(columns)[1]
+    u = np.sqrt(np.diag(to_physical @ covariance_of(jacobian) @ to_physical.T))
+    return PlannedRun(
+        first_rad,
+        last_rad,
+        float(time[-1]),
+        len(points),
+        dict(zip(names[:-2], u.tolist(), strict=False)),
+        complete,
+    )
+
+
+def _decay(
+    law: Law,
+    known: Mapping[str, float],
+    names: tuple[str, ...],
+    pendulum: PendulumOnBall | None,
+    first_rad: float,
+    last_rad: float,
+    conditions: Conditions,
+) -> tuple[np.ndarray, np.ndarray, bool]:
+    """Amplitudes and times of the law's free decay, and whether it reaches the last amplitude."""
+    scaled = TurningPoints(
+        np.array([0, 1], dtype=np.int64),
+        np.array([0.0, 1.0]),
+        np.ones(2),
+        np.array([first_rad, last_rad]),
+        np.full(2, 1e-3 * last_rad),
+    )
+    columns = law.columns(scaled, pendulum, names)
+    parameters = columns.map_parameters(columns.from_physical(known))[0]
+    count = 256
+    while True:
+        found = law.half_swing_map(parameters[:-2], np.arange(count, dtype=np.int64))
+        amplitude = found.amplitude * columns.reference
+        if not np.isfinite(amplitude[-1]) or amplitude[-1] < last_rad or count > 1 << 16:
+            break
+        count *= 2
+    time = found.time * parameters[-2]
+    half_period_s = float(time[1]) if np.isfinite(time[1]) else inf
+    weakest = _LOST * step_of_density(conditions.ground_rad_per_s2_rthz, half_period_s)
+    lasting = np.isfinite(amplitude) & (amplitude >= max(last_rad, weakest))
+    complete = bool(weakest <= last_rad and np.nanmin(amplitude) < last_rad)
+    return amplitude[lasting], time[lasting], complete

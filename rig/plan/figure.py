@@ -1,0 +1,44 @@
+"""Uncertainty against the last amplitude and the time of a run."""
+
+import numpy as np
+from matplotlib.lines import Line2D
+
+from processing.angle import ARCSEC_RAD
+from rig.plan.plan import Plan
+from rig.presentation import palette, quantity
+from rig.report import INK, Drawing, canvas
+
+_LINES = ("-", "--", ":", "-.")
+
+
+def plan_figure(plan: Plan) -> Drawing:
+    """Two panels with the same curves, a colour for each parameter and a line for each first amplitude."""
+    figure = canvas(3.4)
+    by_amplitude, by_time = figure.subplots(1, 2, sharey=True)
+    starts = sorted({run.first_rad for run in plan.runs}, reverse=True)
+    names = list(plan.runs[0].u)
+    for line, first in zip(_LINES, starts, strict=False):
+        runs = sorted((run for run in plan.runs if run.first_rad == first), key=lambda run: run.duration_s)
+        for colour, name in zip(palette.SEQUENCE, names, strict=False):
+            u_percent = np.array([100 * plan.relative(run)[name] for run in runs])
+            label = quantity(name).symbol if first == starts[0] else None
+            last = np.array([run.last_rad for run in runs]) / ARCSEC_RAD
+            by_amplitude.plot(last, u_percent, line, color=colour, marker=".", label=label)
+            by_time.plot([run.duration_s / 60 for run in runs], u_percent, line, color=colour, marker=".")
+    by_amplitude.set_xscale("log")
+    by_amplitude.set_yscale("log")
+    by_amplitude.invert_xaxis()
+    lasts = sorted({run.last_rad / ARCSEC_RAD for run in plan.runs})
+    by_amplitude.set_xticks(lasts, [f"{last:g}" for last in lasts])
+    by_amplitude.set_xticks([], minor=True)
+    by_amplitude.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    by_amplitude.set_xlabel("last amplitude / arcsec")
+    by_time.set_xlabel("time of a run / min")
+    by_amplitude.set_ylabel("u / value, %")
+    by_amplitude.legend(ncols=2)
+    styles = [Line2D([], [], color=INK, ls=line) for line in _LINES[: len(starts)]]
+    from_words = [f"from {first / ARCSEC_RAD:g}″" for first in starts]
+    by_time.legend(styles, from_words)
+    figure.subplots_adjust(left=0.09, right=0.985, bottom=0.14, top=0.97, wspace=0.05)
+    words = "Standard uncertainty over value of every parameter after one run."
+    return Drawing("plan", "What a run will tell", words, figure)

@@ -1,0 +1,114 @@
+"""Uncertainties of planned runs over their first and last amplitudes, as table and picture."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich.console import Console
+
+from processing.angle import ARCSEC_RAD
+from processing.errors import ConfigurationError, DataError
+from processing.fit import Conditions, FitMethod, PlannedRun, planned_run
+from rig.analysis import AnalysedRun
+from rig.presentation import Cell, Table, print_tables, quantity
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """Planned runs under the conditions of one that was made; `values` are its parameters."""
+
+    conditions: Conditions
+    values: Mapping[str, float]
+    runs: tuple[PlannedRun, ...]
+
+    def relative(self, run: PlannedRun) -> dict[str, float]:
+        """Uncertainty over value, by parameter."""
+        return {name: u / abs(self.values[name]) for name, u in run.u.items()}
+
+
+def plan_runs(
+    run: AnalysedRun,
+    first_arcsec: Sequence[float],
+    last_arcsec: Sequence[float],
+    ground_rad_per_s2_rthz: float | None = None,
+) -> Plan:
+    """Runs between all first and last amplitudes, with the contact, the noise and the ground of a run.
+
+    Raises
+    ------
+    DataError
+        The run has no fit, or no pair of amplitudes makes a run.
+    """
+    exact, pendulum = run.fits.get(FitMethod.EXACT), run.results.pendulum
+    if exact is None or pendulum is None:
+        raise DataError(f"{run.record}: a plan needs a fitted run: {run.results.problem or 'it has no fit'}")
+    conditions = Conditions.of(exact, run.points)
+    if ground_rad_per_s2_rthz is not None:
+        conditions = conditions.on_ground(ground_rad_per_s2_rthz)
+    values = {name: exact.estimate(name).value for name in exact.contact_names}
+    runs = []
+    problem = "every last amplitude must lie below every first one"
+    for first in first_arcsec:
+        for last in last_arcsec:
+            if last < first:
+                try:
+                    runs.append(
+                        planned_run(values, pendulum, conditions, first * ARCSEC_RAD, last * ARCSEC_RAD)
+                    )
+                except DataError as error:
+                    problem = str(error)
+    if not runs:
+        raise DataError(f"no such run: {problem}")
+    return Plan(conditions, values, tuple(runs))
+
+
+def plan_table(plan: Plan) -> Table:
+    """A row for every run: its time, and the relative uncertainty of every parameter."""
+    names = list(plan.runs[0].u)
+    rows: list[list[Cell]] = []
+    shown = []
+    for run in plan.runs:
+        relative = plan.relative(run)
+        first, last = run.first_rad / ARCSEC_RAD, run.last_rad / ARCSEC_RAD
+        rows.append([first, last, run.duration_s, run.half_cycles, *(run.u[name] for name in names)])
+        drowned = "" if run.complete else " (the ground ends it earlier)"
+        shown.append(
+            [f"{first:g} to {last:g}″{drowned}", f"{run.duration_s / 60:.1f}"]
+            + [f"{100 * relative[name]:.2g} %" for name in names]
+        )
+    return Table(
+        "plan",
+        "What one run will tell",
+        ("first_arcsec", "last_arcsec", "duration_s", "half_cycles", *(f"u_{name}" for name in names)),
+        rows,
+        ("amplitudes", "min", *(f"u({quantity(name).symbol})" for name in names)),
+        shown,
+        "Standard uncertainty over value, from the swings alone; N runs divide it by √N. Measurement of an "
+        f"amplitude {plan.conditions.u_amplitude_rad / ARCSEC_RAD:.2g}″, ground "
+        f"{plan.conditions.ground_rad_per_s2_rthz:.1e} rad/s²/√Hz.",
+    )
+
+
+def print_plan(plan: Plan) -> None:
+    """The table on the terminal."""
+    print_tables([plan_table(plan)])
+
+
+def save_plan(plan: Plan, folder: Path) -> None:
+    """plan.csv, plan.png and plan.svg in a folder, which is made; existing files are never overwritten."""
+    from rig.plan.figure import plan_figure
+    from rig.report import png, styled, svg
+
+    folder.mkdir(parents=True, exist_ok=True)
+    if taken := sorted(folder.glob("plan.*")):
+        raise ConfigurationError(
+            f"{taken[0]} exists, and nothing is overwritten: name another folder with -o"
+        )
+    with styled():
+        drawing = plan_figure(plan)
+        made = {".csv": plan_table(plan).csv().encode(), ".png": png(drawing), ".svg": svg(drawing)}
+    for suffix, content in made.items():
+        path = folder / f"plan{suffix}"
+        with path.open("xb") as file:
+            file.write(content)
+        Console().print(f"{'plan':<12} {path}", highlight=False, markup=False, soft_wrap=True)

@@ -1,0 +1,81 @@
+"""What a planned run is said to tell, against what such runs tell."""
+
+import numpy as np
+import pytest
+
+from processing.contact import LAWS
+from processing.errors import DataError
+from processing.fit import Conditions, fit_exact, planned_run
+from processing.fit.ground import density_of_step, step_of_density
+from tests.processing.fit.decays import ARCSEC, decay, paper_pair, truth
+from tests.processing.fit.driven import driven_decay
+
+NOISE_ARCSEC = 0.005
+
+
+def conditions(q: float = 0.0) -> Conditions:
+    u_rad = NOISE_ARCSEC * ARCSEC
+    return Conditions(u_rad, u_rad * 4.071 / (2 * np.pi), q)
+
+
+def test_a_step_and_its_density_are_inverse() -> None:
+    assert step_of_density(density_of_step(3e-9, 2.04), 2.04) == pytest.approx(3e-9)
+
+
+@pytest.mark.parametrize("q", [0.0, 3e-8])
+def test_a_plan_says_what_runs_scatter(q: float) -> None:
+    """Twelve runs of an equation of motion of the tests' own; their scatter is known to 20 %."""
+    parameters, pendulum = paper_pair("glass_k8")
+    names = LAWS["paper"].names()
+    values = dict(zip(names, truth(parameters, names), strict=True))
+    planned = planned_run(values, pendulum, conditions(q), 124 * ARCSEC, 30 * ARCSEC)
+    found = []
+    for seed in range(12):
+        if q:
+            points = driven_decay(parameters, pendulum, q=q, noise_arcsec=NOISE_ARCSEC, seed=700 + seed)
+            points = points.first(planned.half_cycles)
+        else:
+            points = decay(parameters, pendulum, noise_arcsec=NOISE_ARCSEC, seed=700 + seed, last_arcsec=30)
+        assert abs(len(points) - planned.half_cycles) <= 2
+        assert points.time_s[-1] - points.time_s[0] == pytest.approx(planned.duration_s, rel=0.02)
+        found.append(fit_exact(points, pendulum, averaged=bool(not q)).values[: len(names)])
+    for name, scatter in zip(names, np.std(found, axis=0, ddof=1), strict=True):
+        assert 0.5 < scatter / planned.u[name] < 1.7, name
+
+
+def test_a_higher_start_and_a_lower_end_tell_more() -> None:
+    parameters, pendulum = paper_pair("glass_k8")
+    names = LAWS["paper"].names()
+    values = dict(zip(names, truth(parameters, names), strict=True))
+    runs = [
+        planned_run(values, pendulum, conditions(), first * ARCSEC, last * ARCSEC)
+        for first, last in ((124, 15), (124, 4), (300, 4))
+    ]
+    for name in names:
+        u = [run.u[name] for run in runs]
+        assert u == sorted(u, reverse=True), name
+    # "How long to measure": 1.6 and 0.37 % of c after 11.1 and 17.1 minutes without a drive
+    for run, percent, minutes in zip(runs[:2], (1.6, 0.37), (11.1, 17.1), strict=True):
+        assert 100 * run.u["c"] / values["c"] == pytest.approx(percent, rel=0.06)
+        assert run.duration_s / 60 == pytest.approx(minutes, rel=0.02)
+
+
+def test_the_ground_ends_a_run() -> None:
+    parameters, pendulum = paper_pair("glass_k8")
+    names = LAWS["paper"].names()
+    values = dict(zip(names, truth(parameters, names), strict=True))
+    assert planned_run(values, pendulum, conditions(1e-8), 124 * ARCSEC, 2 * ARCSEC).complete
+    planned = planned_run(values, pendulum, conditions(1e-5), 124 * ARCSEC, 2 * ARCSEC)
+    assert not planned.complete
+    assert planned.duration_s < 900
+    with pytest.raises(DataError, match="half-cycles; a fit needs"):
+        planned_run(values, pendulum, conditions(), 124 * ARCSEC, 123.9 * ARCSEC)
+
+
+def test_other_laws_are_planned_too() -> None:
+    values = {"k": 0.066, "q": 0.94, "c": 1e-8, "period0_s": 4.2}
+    planned = planned_run(
+        values, paper_pair("glass_k8")[1], conditions(), 124 * ARCSEC, 30 * ARCSEC, law=LAWS["masing"]
+    )
+    assert set(planned.u) == set(values)
+    assert all(0 < planned.u[name] < 0.1 * value for name, value in values.items())
