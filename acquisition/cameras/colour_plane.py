@@ -4,11 +4,13 @@ The pixels of a plane are those of a grey sensor of twice the pitch. Planes are 
 colour is not theirs, pixels hold little light and all of their noise, and interpolated ones are correlated.
 """
 
+from collections.abc import Iterable
 from typing import Final
 
 from acquisition.camera import CameraSettings, ColourPlane, PixelFormat
 from acquisition.cameras.pixel_formats import FORMATS, Format, unpack_10p, unpack_12p
 from acquisition.frame import Image
+from processing.errors import DeviceError
 
 PITCH: Final = 2
 """Distance of neighbouring pixels of a plane, in those of the sensor."""
@@ -44,6 +46,20 @@ def names_by_depth(offered: set[str], plane: ColourPlane | None) -> dict[PixelFo
     for item in BAYER_FORMATS if plane else FORMATS:
         if item.name in offered:
             found.setdefault(item.pixel_format, []).append(item.name)
+    return found
+
+
+def preferred_names(camera: str, offered: Iterable[str], plane: ColourPlane | None) -> dict[PixelFormat, str]:
+    """The best of the offered formats of each depth; DeviceError that names the `camera` if there is none."""
+    there = set(offered)
+    found = {depth: names[0] for depth, names in names_by_depth(there, plane).items()}
+    if not found:
+        what = "Bayer format" if plane else "grey pixel format"
+        mosaic = not plane and names_by_depth(there, "red")
+        raise DeviceError(
+            f"{camera}: has no {what}, only {', '.join(sorted(there))}"
+            + ("; set camera.colour_plane to the laser's colour" if mosaic else "")
+        )
     return found
 
 

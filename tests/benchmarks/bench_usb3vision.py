@@ -16,7 +16,8 @@ from acquisition.cameras.usb3vision.settings import Usb3VisionSettings
 from acquisition.cameras.usb3vision.stream import Expected, FrameStream
 from acquisition.cameras.usb3vision.transfers import Arrived, Bytes
 from tests.acquisition.cameras.usb3vision.backend import InProcessBackend
-from tests.acquisition.cameras.usb3vision.device import VisionDevice, pack
+from tests.acquisition.cameras.usb3vision.device import VisionDevice
+from tests.acquisition.cameras.usb3vision.packing import pack
 
 WIDTH, HEIGHT = 640, 480
 LARGE_WIDTH, LARGE_HEIGHT, LARGE_RATE_HZ = 2448, 2048, 75.0

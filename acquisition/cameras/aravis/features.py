@@ -4,10 +4,10 @@ from contextlib import suppress
 from typing import Any
 
 from acquisition.camera import CameraSettings, ColourPlane, FeatureValue, PixelFormat
-from acquisition.cameras import wiring
-from acquisition.cameras.automatic import RESULTING_RATES, leave_images_alone
-from acquisition.cameras.binning import binning_of, set_binning
-from acquisition.cameras.colour_plane import format_of, in_plane_px, in_sensor_px, names_by_depth
+from acquisition.cameras import preparation, wiring
+from acquisition.cameras.automatic import RESULTING_RATES
+from acquisition.cameras.binning import binning_of
+from acquisition.cameras.colour_plane import format_of, in_sensor_px, preferred_names
 from acquisition.cameras.pixel_formats import Format
 from processing.errors import DeviceError
 
@@ -22,9 +22,12 @@ class AravisFeatures:
         self.camera = camera
         self._aravis = aravis
         self.name = name
-        self._waits = False
-        self._wiring = CameraSettings()
-        self.plane: ColourPlane | None = None
+        self._asked = CameraSettings()
+
+    @property
+    def plane(self) -> ColourPlane | None:
+        """The colour that is read, of a sensor with a Bayer mosaic."""
+        return self._asked.colour_plane
 
     def give_up(self) -> list[Any]:
         """Return libaravis's camera in a list, no longer held here: dropping the last reference may block."""
@@ -43,14 +46,8 @@ class AravisFeatures:
 
     def apply(self, settings: CameraSettings) -> CameraSettings:
         """Apply the settings that are not None; return all settings as read back."""
-        leave_images_alone(self)
-        settings = wiring.with_kept(settings, self._wiring)
-        set_binning(self, settings.binning or 1)
-        wiring.wire(self, settings)
-        self._wiring = settings
-        self.plane = settings.colour_plane
-        settings = in_sensor_px(settings)
-        self._waits = settings.trigger is not None or any("Trigger" in name for name in settings.features)
+        self._asked = preparation.prepare(self, settings, self._asked)
+        settings = in_sensor_px(self._asked)
         if settings.pixel_format is not None:
             self._set_format(settings.pixel_format)
         elif self._format() is None:
@@ -69,11 +66,8 @@ class AravisFeatures:
             camera.set_gain(settings.gain_db)
         for name, value in settings.features.items():
             self.write(name, value)
-        applied = in_plane_px(self.read_back(tuple(settings.features)), self.plane)
-        if settings.trigger is not None:
-            rate_hz = wiring.triggered_rate(settings, self._possible_rate())
-            applied = applied.model_copy(update={"frame_rate_hz": rate_hz})
-        return applied.model_copy(update=wiring.wired(self, settings))
+        applied = self.read_back(tuple(settings.features))
+        return preparation.as_prepared(self, applied, settings, self._possible_rate())
 
     # ---- as named_features.NamedFeatures
 
@@ -176,7 +170,7 @@ class AravisFeatures:
 
     def run_on(self) -> None:
         """Select continuous acquisition, without a trigger unless one was asked for."""
-        if not self._waits:
+        if not preparation.waits(self._asked):
             self.camera.clear_triggers()
         self.camera.set_acquisition_mode(self._aravis.AcquisitionMode.CONTINUOUS)
 
@@ -206,16 +200,7 @@ class AravisFeatures:
 
     def _depths(self) -> dict[PixelFormat, str]:
         """The available bit depths, with the camera's name of each."""
-        there = set(self.camera.dup_available_pixel_formats_as_strings())
-        usable = {depth: names[0] for depth, names in names_by_depth(there, self.plane).items()}
-        if not usable:
-            what = "Bayer format" if self.plane else "grey pixel format"
-            mosaic = not self.plane and names_by_depth(there, "red")
-            raise DeviceError(
-                f"{self.name}: has no {what}, only {', '.join(sorted(there))}"
-                + ("; set camera.colour_plane to the laser's colour" if mosaic else "")
-            )
-        return usable
+        return preferred_names(self.name, self.camera.dup_available_pixel_formats_as_strings(), self.plane)
 
     def _set_format(self, wanted: PixelFormat) -> None:
         depths = self._depths()

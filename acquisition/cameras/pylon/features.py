@@ -4,10 +4,10 @@ from contextlib import suppress
 from typing import Any, Final
 
 from acquisition.camera import CameraSettings, ColourPlane, FeatureValue, PixelFormat
-from acquisition.cameras import wiring
-from acquisition.cameras.automatic import RESULTING_RATES, leave_images_alone
-from acquisition.cameras.binning import binning_of, set_binning
-from acquisition.cameras.colour_plane import format_of, in_plane_px, in_sensor_px, names_by_depth
+from acquisition.cameras import preparation, wiring
+from acquisition.cameras.automatic import RESULTING_RATES
+from acquisition.cameras.binning import binning_of
+from acquisition.cameras.colour_plane import format_of, in_sensor_px, preferred_names
 from acquisition.cameras.pixel_formats import Format
 from processing.errors import DeviceError
 
@@ -27,18 +27,17 @@ class PylonFeatures:
         self._camera = camera
         self._nodes = camera.GetNodeMap()
         self.name = name
-        self._wiring = CameraSettings()
-        self.plane: ColourPlane | None = None
+        self._asked = CameraSettings()
+
+    @property
+    def plane(self) -> ColourPlane | None:
+        """The colour that is read, of a sensor with a Bayer mosaic."""
+        return self._asked.colour_plane
 
     def apply(self, settings: CameraSettings) -> CameraSettings:
         """Apply the settings that are not None; return all settings as read back."""
-        leave_images_alone(self)
-        settings = wiring.with_kept(settings, self._wiring)
-        set_binning(self, settings.binning or 1)
-        wiring.wire(self, settings)
-        self._wiring = settings
-        self.plane = settings.colour_plane
-        settings = in_sensor_px(settings)
+        self._asked = preparation.prepare(self, settings, self._asked)
+        settings = in_sensor_px(self._asked)
         self._set_format(settings.pixel_format)
         self._set_region(settings)
         self._set_times(settings)
@@ -125,18 +124,10 @@ class PylonFeatures:
     # ---- inside
 
     def _possible(self) -> dict[PixelFormat, str]:
-        there = set(self._camera.PixelFormat.Symbolics)
+        there = self._camera.PixelFormat.Symbolics
         # pylon makes arrays of whole words only
-        whole = {name for name in there if not name.endswith(("p", "Packed"))}
-        found = {depth: names[0] for depth, names in names_by_depth(whole, self.plane).items()}
-        if not found:
-            what = "Bayer format" if self.plane else "grey pixel format"
-            mosaic = not self.plane and names_by_depth(whole, "red")
-            raise DeviceError(
-                f"{self.name}: has no {what}, only {', '.join(sorted(there))}"
-                + ("; set camera.colour_plane to the laser's colour" if mosaic else "")
-            )
-        return found
+        whole = [name for name in there if not name.endswith(("p", "Packed"))]
+        return preferred_names(self.name, whole, self.plane)
 
     def _set_format(self, wanted: PixelFormat | None) -> None:
         if wanted is None and self.pixel_format() is not None:
@@ -208,8 +199,6 @@ class PylonFeatures:
     def _readings(self, settings: CameraSettings) -> CameraSettings:
         camera, gain, possible_hz = self._camera, self.node("Gain"), self._positive(RESULTING_RATES)
         rate_hz = min(filter(None, (self._positive(_RATE), possible_hz)), default=None)
-        if settings.trigger is not None:
-            rate_hz = wiring.triggered_rate(settings, possible_hz)
         pixel_format = self.pixel_format()
         applied = CameraSettings(
             exposure_us=self._positive(_EXPOSURE),
@@ -223,4 +212,4 @@ class PylonFeatures:
             offset_y_px=int(camera.OffsetY.Value),
             features={name: self.node(name).ToString() for name in settings.features},
         )
-        return in_plane_px(applied.model_copy(update=wiring.wired(self, settings)), self.plane)
+        return preparation.as_prepared(self, applied, settings, possible_hz)

@@ -5,10 +5,10 @@ from collections.abc import Iterator
 from typing import Any, Final
 
 from acquisition.camera import CameraSettings, ColourPlane, FeatureValue, PixelFormat
-from acquisition.cameras import wiring
-from acquisition.cameras.automatic import RESULTING_RATES, leave_images_alone
-from acquisition.cameras.binning import binning_of, set_binning
-from acquisition.cameras.colour_plane import format_of, in_plane_px, in_sensor_px, names_by_depth
+from acquisition.cameras import preparation, wiring
+from acquisition.cameras.automatic import RESULTING_RATES
+from acquisition.cameras.binning import binning_of
+from acquisition.cameras.colour_plane import format_of, in_sensor_px, names_by_depth
 from acquisition.cameras.pixel_formats import Format
 from acquisition.cameras.usb3vision.feature_readings import FeatureReading, read_all
 from acquisition.cameras.usb3vision.genapi.choice_nodes import Enumeration
@@ -37,9 +37,12 @@ class Features:
 
     def __init__(self, nodes: NodeMap) -> None:
         self.nodes = nodes
-        self._waits = False
-        self._wiring = CameraSettings()
-        self.plane: ColourPlane | None = None
+        self._asked = CameraSettings()
+
+    @property
+    def plane(self) -> ColourPlane | None:
+        """The colour that is read, of a sensor with a Bayer mosaic."""
+        return self._asked.colour_plane
 
     def find(self, name: str) -> str | None:
         """The name of the feature in this camera, also if it is not accessible now; None if it has none."""
@@ -119,14 +122,8 @@ class Features:
         back.
         """
         self.nodes.forget()
-        leave_images_alone(self)
-        settings = wiring.with_kept(settings, self._wiring)
-        set_binning(self, settings.binning or 1)
-        wiring.wire(self, settings)
-        self._wiring = settings
-        self.plane = settings.colour_plane
-        settings = in_sensor_px(settings)
-        self._waits = settings.trigger is not None or any("Trigger" in name for name in settings.features)
+        self._asked = preparation.prepare(self, settings, self._asked)
+        settings = in_sensor_px(self._asked)
         if settings.pixel_format is not None or (self.plane and self._format() is None):
             self._set_pixel_format(settings.pixel_format)
         set_region(self, settings)
@@ -139,11 +136,8 @@ class Features:
             self._set_number("Gain", settings.gain_db)
         for name, value in settings.features.items():
             self.set(name, value)
-        applied = in_plane_px(self.read_back(tuple(settings.features)), self.plane)
-        if settings.trigger is not None:
-            rate_hz = wiring.triggered_rate(settings, self._possible_rate())
-            applied = applied.model_copy(update={"frame_rate_hz": rate_hz})
-        return applied.model_copy(update=wiring.wired(self, settings))
+        applied = self.read_back(tuple(settings.features))
+        return preparation.as_prepared(self, applied, settings, self._possible_rate())
 
     def _set_times(self, exposure_us: float | None, frame_rate_hz: float | None) -> None:
         """Set exposure and frame rate in the order in which they fit: each limits the other."""
@@ -237,7 +231,7 @@ class Features:
         """Select continuous acquisition, without a trigger unless one was asked for."""
         if "Continuous" in self.choices("AcquisitionMode") and self.writable("AcquisitionMode"):
             self.write("AcquisitionMode", "Continuous")
-        if not self._waits:
+        if not preparation.waits(self._asked):
             wiring.run_freely(self)
 
     def pixel_format(self) -> Format:

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from acquisition.cameras.pixel_formats import BY_NAME, FORMATS
 from tests.acquisition.cameras.usb3vision.description import FORMATS as CODES
-from tests.acquisition.cameras.usb3vision.device import pack
+from tests.acquisition.cameras.usb3vision.packing import pack
 
 
 def test_the_numbers_are_those_of_the_naming_convention() -> None:

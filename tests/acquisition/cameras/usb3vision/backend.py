@@ -11,6 +11,8 @@ from typing import Any
 import usb.backend
 import usb.core
 
+from acquisition.cameras.usb3vision.camera import Usb3VisionCamera
+from acquisition.cameras.usb3vision.settings import Usb3VisionSettings
 from tests.acquisition.cameras.usb3vision import descriptors
 from tests.acquisition.cameras.usb3vision.device import (
     OverrunError,
@@ -223,6 +225,11 @@ class InProcessBackend(usb.backend.IBackend):  # type: ignore[misc]
 
     def is_kernel_driver_active(self, dev_handle: Any, intf: int) -> bool:
         return False
+
+
+def camera_on(device: VisionDevice, **settings: object) -> Usb3VisionCamera:
+    """The driver on a bus with this camera alone."""
+    return Usb3VisionCamera(Usb3VisionSettings.model_validate(settings), InProcessBackend(device))
 
 
 def wait_until(condition: Any, timeout_s: float = 5.0) -> bool:

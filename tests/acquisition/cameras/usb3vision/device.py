@@ -4,11 +4,9 @@ Written from the standard's layouts, without the driver's constants, so that an 
 is not repeated here. It has no thread: frames fall due by the clock and are made when the host asks.
 """
 
-import io
 import struct
 import threading
 import time
-import zipfile
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -17,36 +15,11 @@ import numpy as np
 
 from tests.acquisition.cameras.usb3vision import description as layout
 from tests.acquisition.cameras.usb3vision.descriptors import (
-    CONTROL_IN,
-    CONTROL_OUT,
-    EVENT_IN,
     PACKET,
     STREAM_IN,
 )
-
-SBRM, SIRM, EIRM, MANIFEST, XML = 0x10000, 0x10400, 0x10800, 0x11000, 0x100000
-
-
-# Bits of a pixel by the format's number (not the same as what it takes on the bus)
-DEPTHS = {code: int("".join(filter(str.isdigit, name))) for name, code in layout.FORMATS.items()}
-
-
-def pack(pixels: np.ndarray, pixel_format: int) -> bytes:
-    """An image's bytes on the bus."""
-    name = {code: name for name, code in layout.FORMATS.items()}[pixel_format]
-    values = pixels.ravel()
-    if name.endswith("Packed"):
-        values = np.append(values, 0) if values.size % 2 else values
-        one, two = values[0::2].astype(np.uint16), values[1::2].astype(np.uint16)
-        low = DEPTHS[pixel_format] - 8
-        rest = (1 << low) - 1
-        triple = np.stack([one >> low, (one & rest) | (two & rest) << 4, two >> low], axis=1).astype(np.uint8)
-        return triple.tobytes()[: -(-pixels.size * 12 // 8)]
-    if name.endswith("p"):
-        bits = DEPTHS[pixel_format]
-        spread = np.unpackbits(values.astype("<u2").view(np.uint8).reshape(-1, 2), axis=1, bitorder="little")
-        return np.packbits(spread[:, :bits].ravel(), bitorder="little").tobytes()
-    return values.astype(np.uint8 if layout.BITS[name] == 8 else "<u2").tobytes()
+from tests.acquisition.cameras.usb3vision.packing import DEPTHS, pack
+from tests.acquisition.cameras.usb3vision.registers import EIRM, SBRM, SIRM, XML, Registers
 
 
 class UnpluggedError(Exception):
@@ -81,7 +54,7 @@ class Faults:
     block_ids: Callable[[int], int] = field(default=lambda block: block)
 
 
-class VisionDevice:
+class VisionDevice(Registers):
     """One camera.
 
     Parameters
@@ -142,83 +115,12 @@ class VisionDevice:
         self.frames_lost_inside = 0
         self._sawtooth: dict[tuple[int, int], np.ndarray] = {}
         text = (xml if xml is not None else layout.description()).encode()
-        self._segments = self._memory(prefix + text, packing, max_packet, alignment_bits, frame_rate_hz)
+        super().__init__(
+            serial, prefix + text, packing, max_packet, alignment_bits, frame_rate_hz, clock_step_ns
+        )
+        self._update()
 
     # ---- registers
-
-    def _memory(
-        self, text: bytes, packing: str, max_packet: int, alignment: int, frame_rate_hz: float
-    ) -> dict[int, bytearray]:
-        abrm = bytearray(0x1000)
-
-        def put(where: bytearray, at: int, layout: str, *values: float) -> None:
-            struct.pack_into("<" + layout, where, at, *values)
-
-        put(abrm, 0x0, "HH", 0, 1)
-        for at, name in (
-            (0x4, "Testwerk"),
-            (0x44, "Pendulum Eye"),
-            (0x84, "Test family"),
-            (0x144, self.serial),
-        ):
-            abrm[at : at + len(name)] = name.encode()
-        put(abrm, 0x1C4, "Q", 0x8 | 0x200 | 0x800)
-        put(abrm, 0x1CC, "I", 100)
-        put(abrm, 0x1D0, "QQ", MANIFEST, SBRM)
-        put(abrm, 0x1FC, "Q", self._clock_step_ns)
-        sbrm = bytearray(0x100)
-        put(sbrm, 0x0, "I", 0x00010000)
-        put(sbrm, 0x4, "Q", 3)
-        put(sbrm, 0x14, "III", max_packet, max_packet, 1)
-        put(sbrm, 0x20, "QIQI", SIRM, 0x30, EIRM, 0x10)
-        put(sbrm, 0x40, "I", 8)
-        sirm = bytearray(0x30)
-        put(sirm, 0x0, "I", alignment << 24)
-        stored, schema = text, 0
-        if packing == "zip":
-            buffer = io.BytesIO()
-            with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
-                archive.writestr("eye.xml", text)
-            stored, schema = buffer.getvalue(), 1 << 10
-        manifest = bytearray(8 + 64)
-        put(manifest, 0, "Q", 1)
-        put(manifest, 8, "HBBIQQ", 0, 0, 1, schema, XML, len(stored))
-        own = bytearray(layout.END - layout.BASE)
-        segments = {0: abrm, SBRM: sbrm, SIRM: sirm, EIRM: bytearray(0x10), MANIFEST: manifest}
-        # memory is made of words, whatever is stored in it
-        segments |= {layout.BASE: own, XML: bytearray(stored + bytes(-len(stored) % 4))}
-        self._segments = segments
-        for at, value in (
-            (layout.WIDTH, 640), (layout.HEIGHT, 480), (layout.PIXEL_FORMAT, layout.FORMATS["Mono8"]),
-        ):  # fmt: skip
-            self.poke(at, struct.pack("<I", value))
-        self.poke(layout.EXPOSURE_TICKS, struct.pack(">I", 10000))
-        self.poke(layout.FRAME_RATE, struct.pack("<d", frame_rate_hz))
-        self.poke(layout.FRAME_RATE_ENABLE, b"\0\0\0\1")
-        self._update()
-        return segments
-
-    def _find(self, address: int, length: int) -> tuple[bytearray, int] | None:
-        for base, segment in self._segments.items():
-            if base <= address and address + length <= base + len(segment):
-                return segment, address - base
-        return None
-
-    def peek(self, address: int, length: int = 4) -> bytes:
-        """Registers as they are, without a command."""
-        found = self._find(address, length)
-        assert found is not None, hex(address)
-        return bytes(found[0][found[1] : found[1] + length])
-
-    def poke(self, address: int, data: bytes) -> None:
-        """Set registers without a command."""
-        found = self._find(address, len(data))
-        assert found is not None, hex(address)
-        found[0][found[1] : found[1] + len(data)] = data
-
-    def number(self, address: int) -> int:
-        """A little-endian 32-bit register."""
-        return int(struct.unpack("<I", self.peek(address))[0])
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -305,7 +207,7 @@ class VisionDevice:
         refused = self.faults.refuse(0x0800, address)
         if self.faults.reads_words_only and count % 4:
             refused = 0x8002
-        found = self._find(address, count)
+        found = self.find(address, count)
         if refused or found is None:
             return refused or 0x8003, b""
         if address in (layout.START, layout.STOP):
@@ -316,7 +218,7 @@ class VisionDevice:
 
     def _write(self, address: int, data: bytes) -> int:
         refused = self.faults.refuse(0x0802, address)
-        found = self._find(address, len(data))
+        found = self.find(address, len(data))
         if refused or found is None:
             return refused or 0x8003
         if address in (layout.PAYLOAD_SIZE,) or address >= XML:
@@ -511,6 +413,3 @@ class VisionDevice:
     def _alive(self) -> None:
         if self.unplugged:
             raise UnpluggedError
-
-
-__all__ = ["CONTROL_IN", "CONTROL_OUT", "EVENT_IN", "STREAM_IN", "VisionDevice"]

@@ -13,7 +13,8 @@ from acquisition.cameras.usb3vision.registers import plan_transfers, read_identi
 from processing.errors import DeviceError
 from tests.acquisition.cameras.usb3vision import description
 from tests.acquisition.cameras.usb3vision.backend import InProcessBackend
-from tests.acquisition.cameras.usb3vision.device import MANIFEST, XML, VisionDevice
+from tests.acquisition.cameras.usb3vision.device import VisionDevice
+from tests.acquisition.cameras.usb3vision.registers import MANIFEST, XML
 
 pytestmark = pytest.mark.realtime
 
