@@ -10,7 +10,7 @@ INSTALL = $(PIP) install --quiet
 export PYTHONDONTWRITEBYTECODE =
 
 .DELETE_ON_ERROR:
-.PHONY: demo test test-quick test-kernel bench lint format schema pictures pins clean
+.PHONY: demo test test-quick test-kernel bench lint format schema pictures docs pins clean
 
 demo: $(VENV)/.installed
 	$(BIN)/rig run configs/demo.toml $(ARGS)
@@ -45,6 +45,11 @@ schema: $(VENV)/.installed
 pictures: $(VENV)/.installed-test
 	$(BIN)/python docs/pictures/make_pictures.py $(ARGS)
 
+# The documents as a site in build/site, without a network; a link that leads nowhere is an error.
+docs: $(VENV)/.installed-test
+	$(BIN)/python -m sphinx -W --keep-going -q -c docs/site -b html . build/site
+	$(BIN)/python docs/site/check_links.py build/site
+
 bench: $(VENV)/.installed-test
 	-$(PIP) install --quiet ".[bench]"
 	$(BIN)/python -m tests.benchmarks $(ARGS)
@@ -70,7 +75,7 @@ COMPILE = $(BIN)/pip-compile --quiet --generate-hashes --allow-unsafe --strip-ex
 
 pins: $(VENV)/.installed
 	$(PIP) install --quiet pip-tools
-	$(COMPILE) --extra test --output-file constraints-test.txt pyproject.toml constraints.in
+	$(COMPILE) --extra test --extra docs --output-file constraints-test.txt pyproject.toml constraints.in
 	$(COMPILE) --output-file constraints.txt pyproject.toml constraints.in
 
 clean:

@@ -17,7 +17,12 @@ from tests.rig.command_line import rig
 from tests.rig.replay.replay_record import RATE_HZ, make_record
 
 ROOT = Path(__file__).resolve().parents[2]
-DOCUMENTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+DOCUMENTS = [
+    ROOT / "README.md",
+    ROOT / "CONTRIBUTING.md",
+    *sorted((ROOT / "docs").glob("*.md")),
+    *sorted((ROOT / "docs" / "reference").glob("*.md")),
+]
 SHORT = ["--set", "session.max_duration_s=70"]
 
 
