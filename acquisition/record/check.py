@@ -99,6 +99,8 @@ def check_record(path: Path, results: Path | None = None) -> list[Finding]:
         findings += _check_chunks(reader, tally)
         findings += _check_attachments(reader)
         findings += _check_index(reader.file, contents)
+        if reader.disk_notice:
+            findings.append(Finding("error", reader.disk_notice))
         bytes_changed = not data_crc_matches(reader.file, contents)
         if bytes_changed and not any(finding.severity == "error" for finding in findings):
             findings.append(

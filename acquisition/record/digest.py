@@ -5,6 +5,7 @@ import hashlib
 from collections.abc import Callable
 from pathlib import Path
 
+from acquisition.record.disk_faults import RecordFile
 from processing.errors import RecordError
 
 _BLOCK_BYTES = 1024 * 1024
@@ -25,10 +26,11 @@ def known_sha256_of(path: Path) -> str:
 
 
 def sha256_of(path: Path, progress: Callable[[int, int], None] | None = None) -> str:
-    """Hexadecimal SHA-256 of a file, read in pieces; `progress` gets bytes done and bytes in all."""
+    """Hexadecimal SHA-256 of a file, read in pieces, with zeros where the disk
+    cannot give them; `progress` gets bytes done and bytes in all."""
     digest = hashlib.sha256()
     try:
-        with path.open("rb") as file:
+        with RecordFile(path) as file:
             total = path.stat().st_size
             done = 0
             while block := file.read(_BLOCK_BYTES):

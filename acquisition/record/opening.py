@@ -1,23 +1,23 @@
 """Opens a file and judges whether it is a record of this program."""
 
 from pathlib import Path
-from typing import IO
 
 from mcap.opcode import Opcode
 
 from acquisition.record.contents import Contents
 from acquisition.record.descriptions import own_texts
+from acquisition.record.disk_faults import RecordFile
 from acquisition.record.records import MAGIC
 from acquisition.record.topics import SCHEMA_VERSION, SPOT
 from processing.errors import RecordError
 
 
-def open_mcap(path: Path) -> IO[bytes]:
+def open_mcap(path: Path) -> RecordFile:
     """Open an MCAP file. Raises RecordError if it is missing, cannot be read, or is another kind of file."""
     try:
         if not path.is_dir() and path.exists() and not path.is_file():
             raise RecordError(f"{path}: is not a file but a pipe or device; copy the record into a file")
-        file = path.open("rb")
+        file = RecordFile(path)
         head = file.read(len(MAGIC) + 1)
     except FileNotFoundError:
         raise RecordError(f"{path}: no such record") from None
@@ -27,6 +27,8 @@ def open_mcap(path: Path) -> IO[bytes]:
         raise RecordError(f"{str(path)!r}: is not the name of a file ({error})") from None
     if not _is_magic(head):
         file.close()
+        if file.unreadable_bytes:
+            raise RecordError(f"{path}: cannot be read from its disk")
         what = "is empty" if not head else "is not an MCAP file"
         raise RecordError(f"{path}: {what}; a record is made by rig run")
     return file

@@ -94,13 +94,20 @@ class ProvedFile:
             f"rig recover {self.path} makes a complete file of it"
         )
 
+    @property
+    def disk_notice(self) -> str:
+        """One line about parts that the disk could not give so far; empty if there are none."""
+        count = self.file.unreadable_bytes
+        return f"{count} bytes cannot be read from its disk, they are taken as lost" if count else ""
+
     def doubts(self) -> list[str]:
         """What has to be said with everything that was read so far: cut short, damaged, changed; one line
         each.
         """
         lines = [self.cut_notice] if self.truncated else []
         lines += [f"damaged, not used: {damage.what}" for damage in self.damages]
-        return lines + [f"the record's structure: {text}" for text in self.contents.damage]
+        lines += [f"the record's structure: {text}" for text in self.contents.damage]
+        return lines + ([self.disk_notice] if self.disk_notice else [])
 
     @property
     def metadata(self) -> dict[str, dict[str, str]]:

@@ -106,10 +106,13 @@ def _copy(reader: RecordReader, file: McapFile, path: Path) -> Recovery:
             raise file.full
     lost_bytes = 0 if contents.whole else contents.size - contents.readable_bytes
     unproved = unproved_parts(reader.file, contents)
+    source_sha256 = sha256_of(reader.path)
+    if reader.disk_notice:
+        contents.damage.append(reader.disk_notice)
     lost_parts = [damage.what for damage in reader.damages if not damage.start_ns]
     recovery = {
         "source": reader.path.name,
-        "source_sha256": sha256_of(reader.path),
+        "source_sha256": source_sha256,
         "source_was_cut": str(reader.truncated).lower(),
         "lost_chunks": str(len(reader.damages) - len(lost_parts)),
         "lost_parts": "; ".join([*lost_parts, *contents.damage]),

@@ -110,10 +110,14 @@ def _copied_out(kind: str, folder: Path, count: int) -> list[bytes]:
         for word in ("-drive", f"file={image},format=raw,if=virtio,cache=unsafe")
     ]
     mount = f"mount -t {kind} -o loop,offset=$((i*{DRIVE_BYTES})),sizelimit={DRIVE_BYTES} /dev/vda {FOLDER}"
-    copy = f"dd if={FOLDER}/{RECORD} of=/dev/vdb bs=1M seek=$((i*{DRIVE_BYTES >> 20})) conv=notrunc,fsync"
+    # exFAT has no journal: it may know a file's size without the place of its last clusters
+    copy = (
+        f"dd if={FOLDER}/{RECORD} of=/dev/vdb bs={_BLOCK_BYTES} seek=$((i*{DRIVE_BYTES // _BLOCK_BYTES})) "
+        "conv=noerror,sync,notrunc,fsync"
+    )
     command = (
         f"export PATH=/usr/sbin:/sbin:/usr/bin:/bin; mkdir -p {FOLDER}; i=0; while [ $i -lt {count} ]; do "
-        f'{mount} && {copy} && echo "{COPIED}$i $(stat -c %s {FOLDER}/{RECORD})"; '
+        f'{mount} && {{ {copy}; echo "{COPIED}$i $(stat -c %s {FOLDER}/{RECORD})"; }}; '
         f"umount {FOLDER}; i=$((i+1)); done"
     )
     guest = start_guest(command, folder, DRIVE_MODULES, *attached)

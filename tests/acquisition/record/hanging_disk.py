@@ -1,10 +1,12 @@
-"""A FUSE file system that passes everything on to a folder, and hangs while a file is there.
+"""A FUSE file system that passes everything on to a folder, hangs while a file is there, and can be spoilt.
 
 As a program it takes the source, the place to mount and the name of that file: while the file exists, nothing
-that writes, forces data to the disk or asks for its space returns, as on a disk that does not answer.
+that writes, forces data to the disk or asks for its space returns, as on a disk that does not answer. A file
+of the same name with the suffix .spoilt states bytes that cannot be read.
 """
 
 import contextlib
+import errno
 import os
 import subprocess
 import sys
@@ -41,6 +43,10 @@ class Mounted:
     def go_on(self) -> None:
         """It answers again."""
         self.hangs.unlink(missing_ok=True)
+
+    def spoil(self, first: int, last: int) -> None:
+        """From now on these bytes of every file cannot be read."""
+        self.hangs.with_suffix(".spoilt").write_text(f"{first} {last}")
 
     def wait_for_hanging(self) -> None:
         """Return when somebody waits for an answer."""
@@ -121,6 +127,10 @@ class HangingDisk(Operations):
         return os.open(self._path(path), flags)
 
     def read(self, path: str, size: int, offset: int, fh: int) -> bytes:
+        with contextlib.suppress(FileNotFoundError):
+            first, last = map(int, self._hangs.with_suffix(".spoilt").read_text().split())
+            if offset < last and offset + size > first:
+                raise OSError(errno.EIO, "unreadable")
         return os.pread(fh, size, offset)
 
     def write(self, path: str, data: bytes, offset: int, fh: int) -> int:
