@@ -14,8 +14,7 @@ import typer
 from processing.errors import ConfigurationError, RigError
 from rig.commands import archive, calibration, camera, instruments, measure, physics, records, reporting
 from rig.commands import session as session_commands
-from rig.interruption import reason_of, terminated_by_signals
-from rig.terminal_encoding import spell_out_what_is_missing
+from rig.terminal import reason_of, spell_out_what_is_missing, terminated_by_signals
 
 app = typer.Typer(
     name="rig",

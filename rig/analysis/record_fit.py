@@ -98,6 +98,7 @@ def analyse_run(
     results = replace(
         run.results,
         frames=deflections.frames,
+        simulated=reader.metadata.get("camera", {}).get("driver") == "simulated",
         losses=reader.losses(),
         beam=Beam.of(beam, noise_is_known=config.sensor is not None),
         warnings=tuple(warnings),

@@ -52,7 +52,8 @@ class RunResults:
     """What is reported of one run; `problem` says in one line why a fit is missing.
 
     `record` is relative to the folder of the file where it can be; `sha256` is its hash, `inputs_sha256` are
-    those of the configuration and the calibrations in it. `losses` says who lost the frames that
+    those of the configuration and the calibrations in it. `simulated`: its frames are those of the simulated
+    rig; None where an older file does not say, and of a table. `losses` says who lost the frames that
     are missing; None where an older record does not. `beam` says which model was fitted to the spots, and
     counts their flags. `measured_again_on` is the motion on which the fitted
     turning points were measured again (see `processing.fit.remeasure`); None: they are as detected.
@@ -67,6 +68,7 @@ class RunResults:
 
     record: str
     sha256: str = ""
+    simulated: Annotated[bool | None, LeftOut] = None
     inputs_sha256: Mapping[str, str] = field(default_factory=dict)
     record_bytes: int | None = None
     frames: int = 0

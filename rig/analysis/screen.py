@@ -16,8 +16,9 @@ def print_results(results: SessionResults, paths: Sequence[tuple[str, Path]]) ->
     """The tables and remarks of every run, then the `paths` that were written, by what they hold."""
     console = Console()
     for number, run in enumerate(results.runs, start=1):
+        origin = "SIMULATED run" if run.simulated else "run"
         head = (
-            f"run {number}: {run.half_cycles_text(run.amplitude_unit or '')}, {run.frames} frames, "
+            f"{origin} {number}: {run.half_cycles_text(run.amplitude_unit or '')}, {run.frames} frames, "
             f"{run.dropped_frames} dropped"
         )
         print_run(run, head)

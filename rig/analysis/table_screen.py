@@ -25,7 +25,7 @@ def fit_trajectory(
     overrides: Sequence[str],
 ) -> int:
     """Analyse a table, print what is known of every decay, write results.json. Returns the exit status."""
-    config = load_configuration(config_path, overrides) if config_path else None
+    config = load_configuration(config_path, overrides, needs_camera=False) if config_path else None
     table = analyse_table(path, config, columns)
     _print(path, table)
     _write(output, table.results)

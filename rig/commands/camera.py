@@ -80,15 +80,16 @@ def set_features(
     """
     from acquisition.camera import CameraSettings
     from processing.errors import ConfigurationError
-    from rig.settings import apply_overrides, validate_configuration
+    from rig.settings import apply_overrides, load_configuration, validate_configuration
 
+    loaded = load_configuration(config, set_ or [])
     with _opened(config, set_) as (camera, _, _):
         for assignment in assignments:
             name, equals, value = assignment.partition("=")
             if not equals:
                 raise ConfigurationError(f"{assignment}: must read NAME=VALUE")
             if name in CameraSettings.model_fields and name != "features":
-                tree: dict[str, Any] = {}
+                tree: dict[str, Any] = {"camera": {"driver": loaded.camera.driver}}
                 apply_overrides(tree, [f"camera.{assignment}"])
                 asked = validate_configuration(tree, str(config)).camera
                 applied = camera.configure(CameraSettings(**{name: getattr(asked, name)}))

@@ -6,11 +6,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from pydantic import ValidationError
-
 from calibration import CalibrationFile, Kind, Lever, moved_between, parse_calibration
 from processing.errors import ConfigurationError
-from rig.settings import Configuration
+from rig.settings import Configuration, validate_configuration
 
 PREFIX = "calibration/"
 _SECTIONS: Mapping[Kind, str] = {
@@ -34,12 +32,8 @@ def fill_from_files(config: Configuration) -> Configuration:
         if path is None:
             continue
         found = parse_calibration(_read(path), str(path), kind)
-        try:
-            values = getattr(Configuration.model_validate({section: _section_values(found)}), section)
-        except ValidationError as error:
-            fault = error.errors()[0]
-            place = ".".join(str(part) for part in fault["loc"][1:])
-            raise ConfigurationError(f"{path}: values.{place}: {fault['msg']}") from None
+        tree = {"camera": {"driver": config.camera.driver}, section: _section_values(found)}
+        values = getattr(validate_configuration(tree, str(path)), section)
         if isinstance(values, Lever):
             values = values.at_binning(config.camera.pitch_factor)
         stated = getattr(config, section)

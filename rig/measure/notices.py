@@ -16,9 +16,9 @@ from acquisition.frame import Frame
 from acquisition.record.events import Event
 from processing.errors import ConfigurationError
 from rig.instrument import Block, Snapshot
-from rig.interruption import reason_of
 from rig.presentation import say
 from rig.settings import SessionSettings
+from rig.terminal import reason_of
 
 _CALL_S = 20.0
 _LAST_WAIT_S = 10.0

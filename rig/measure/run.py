@@ -11,7 +11,6 @@ from acquisition.frame import Frame
 from acquisition.record.events import Event
 from processing.errors import DataError, DeviceError
 from rig.instrument import Snapshot
-from rig.interruption import reason_of
 from rig.measure.end_of_run import StopRequest
 from rig.measure.recorder import MOST_WAITING_BYTES, Recorder
 from rig.measure.recording import Recording
@@ -19,6 +18,7 @@ from rig.measure.run_losses import LossLog
 from rig.measure.run_parts import RunOutcome, RunParts
 from rig.measure.run_status import RunStatus
 from rig.measure.start_judge import StartJudge
+from rig.terminal import reason_of
 
 _log = logging.getLogger(__name__)
 

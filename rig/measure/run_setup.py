@@ -53,6 +53,8 @@ def measure_run(plan: RunPlan, devices: Devices) -> RunOutcome:
             f"{record.parent}: {free_bytes // 2**20} MiB of disk are free, {_RESERVE_BYTES // 2**20} MiB are "
             "needed to begin; nothing was started: free some, or name another folder"
         )
+    if plan.config.simulated:
+        say(f"{plan.title}: SIMULATED, no camera is read and every number is invented")
     with devices.camera(plan.config) as camera:
         for line in camera.notes:
             say(line)
@@ -69,7 +71,9 @@ def _execute(plan: RunPlan, devices: Devices, camera: OpenCamera, watchers: list
     config, record = plan.config, plan.record
     optics = optics_of(config, camera.info.full_scale_dn)
     final_amplitude = config.session.final_amplitude_arcsec
-    display = RunDisplay(plan.title, final_amplitude, optics.unit, json_lines=plan.json_lines)
+    display = RunDisplay(
+        plan.title, final_amplitude, optics.unit, json_lines=plan.json_lines, simulated=config.simulated
+    )
     with_start = config.start.way != "at once"
     phases: PhasesBeforeRecord | None = None
     if with_start or preflight_wanted(config):

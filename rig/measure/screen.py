@@ -45,9 +45,11 @@ class RunDisplay:
         unit: DeflectionUnit,
         *,
         json_lines: bool = False,
+        simulated: bool = False,
         console: Console | None = None,
     ) -> None:
         self._title = title
+        self._simulated = simulated
         # the final amplitude is configured in arcsec, hence unknown for a run in px
         self._final = final_amplitude_arcsec if unit is DeflectionUnit.RAD else math.nan
         self._unit = unit
@@ -146,7 +148,7 @@ class RunDisplay:
     def screen(self, snapshot: Snapshot) -> RenderableType:
         """The whole screen, cut to the size of the terminal."""
         return run_panel(
-            self._title,
+            f"SIMULATED {self._title}" if self._simulated else self._title,
             snapshot,
             self._fraction(snapshot),
             self._rows(snapshot),

@@ -18,7 +18,6 @@ from rig.analysis import (
 )
 from rig.devices import Devices
 from rig.instrument import check_materials, complete
-from rig.interruption import Terminated, reason_of
 from rig.measure.notices import Notices, announced
 from rig.measure.phases import NoGo
 from rig.measure.recording import NOT_ACCEPTED
@@ -26,6 +25,7 @@ from rig.measure.run_setup import RunPlan, measure_run
 from rig.measure.session_file import RunState, SessionFile
 from rig.presentation import failures, print_json_line, say
 from rig.settings import Configuration
+from rig.terminal import Terminated, reason_of
 
 Patience = Callable[[str], bool]
 

@@ -46,7 +46,7 @@ def compare(folders: Sequence[Path], output: Path | None) -> list[Table]:
         raise RecordError(f"{len(folders)} folder: a comparison needs at least two sessions")
     sessions = [read_results(folder) for folder in folders]
     series = {
-        _label(folder, folders): series_of(found, folder)
+        _label(folder, folders) + _of_origin(found): series_of(found, folder)
         for folder, found in zip(folders, sessions, strict=True)
     }
     verdicts = [verdicts_of(found) for found in sessions]
@@ -76,6 +76,10 @@ def _label(folder: Path, folders: Sequence[Path]) -> str:
         raise RecordError(f"{folder}: named twice; a comparison needs different sessions")
     name = folder.resolve().name
     return name if sum(other.resolve().name == name for other in folders) == 1 else str(folder)
+
+
+def _of_origin(session: SessionResults) -> str:
+    return " (SIMULATED)" if any(run.simulated for run in session.runs) else ""
 
 
 def series_of(session: SessionResults, folder: Path) -> SeriesResult:

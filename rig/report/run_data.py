@@ -70,6 +70,13 @@ class RunData:
     notes: Sequence[str] = ()
 
     @property
+    def simulated(self) -> bool:
+        """Whether the frames are those of the simulated rig; older results leave that to the record."""
+        if self.results.simulated is not None:
+            return self.results.simulated
+        return self.provenance.get("camera", {}).get("driver") == "simulated"
+
+    @property
     def points(self) -> TurningPoints:
         """The turning points as the fits took them."""
         return self.stored.points()

@@ -85,6 +85,8 @@ def _title(source: ReportSource) -> tuple[str, str]:
     if session.get("operator"):
         words.append(f"operator {session['operator']}")
     words += [word for word in (session.get("contact_history"), session.get("notes")) if word]
+    if any(run.simulated for run in source.runs):
+        title = f"SIMULATED: {title}"
     what = "a pendulum on one ball" if source.runs[0].results.fits else "a pendulum"
     return title, f"Free decay of {what}: " + ", ".join(words)
 
@@ -92,6 +94,11 @@ def _title(source: ReportSource) -> tuple[str, str]:
 def _summary(source: ReportSource) -> list[str]:
     run, series = source.runs[0].results, source.series
     body = [html.heading("Summary")]
+    if any(data.simulated for data in source.runs):
+        body.append(
+            '<div class="warn">SIMULATED: every number comes from the simulated rig; '
+            "nothing was measured.</div>"
+        )
     exact, energy, verdicts = _headline(run, series)
     if exact:
         budget = run.budget if series is None else series.budget

@@ -94,5 +94,7 @@ def fit_table(
     RigError
         The table has no numbers or lacks a column, or the samples are not a free decay.
     """
-    config = load_configuration(Path(configuration)) if configuration is not None else None
+    config = None
+    if configuration is not None:
+        config = load_configuration(Path(configuration), needs_camera=False)
     return analyse_table(Path(path), config, Columns(time, tuple(positions), unit, time_unit)).results

@@ -17,7 +17,7 @@ from processing.errors import ConfigurationError
 class CameraChoice(CameraSettings, frozen=True, extra="forbid"):
     """The choice of the camera, and the settings requested from it."""
 
-    driver: str = "simulated"
+    driver: str = Field(description=f"one of {', '.join(DRIVERS)}; simulated invents its numbers")
     serial: str | None = Field(default=None, description="needed only if several cameras are plugged in")
     timeout_s: float = Field(
         default=5.0, gt=0, description="the camera counts as stalled after this time without a frame"

@@ -122,7 +122,7 @@ class Configuration(Section, frozen=True):
 
     session: SessionSettings = SessionSettings()
     environment: EnvironmentConditions = EnvironmentConditions()
-    camera: CameraSection = CameraSection()
+    camera: CameraSection
     sensor: SensorModel | None = None
     shutter: Shutter | None = None
     lever: Lever | None = None
@@ -171,8 +171,12 @@ class Configuration(Section, frozen=True):
         return deflection_unit(self.lever)
 
 
-def load_configuration(path: Path, overrides: Iterable[str] = ()) -> Configuration:
+def load_configuration(
+    path: Path, overrides: Iterable[str] = (), *, needs_camera: bool = True
+) -> Configuration:
     """Read a configuration file and apply ``KEY=VALUE`` overrides.
+
+    Without `needs_camera`, for what is calculated from a table, ``camera.driver`` may be left out.
 
     Raises ConfigurationError for a missing file, invalid TOML, an unknown key (naming the nearest known
     one), or a value of the wrong type or out of range: a line for each, which names the file or --set.
@@ -180,6 +184,8 @@ def load_configuration(path: Path, overrides: Iterable[str] = ()) -> Configurati
     tree = read_toml_tree(path)
     overrides = tuple(overrides)
     apply_overrides(tree, overrides)
+    if not needs_camera and "camera" not in tree:
+        tree["camera"] = {"driver": "files"}
     return validate_configuration(tree, str(path), overrides)
 
 
@@ -214,6 +220,8 @@ def validate_configuration(
 
     A fault of a key that one of `overrides` states is told of --set, any other of `source`.
     """
+    # so that a missing section is reported as the key that it lacks
+    tree = {"camera": {}, **tree}
     told = list(not_numbers(Configuration, tree))
     try:
         config = Configuration.model_validate(tree)

@@ -23,7 +23,9 @@ def in_words(root: type, fault: ErrorDetails) -> str:
         hint = f"did you mean {near[0]}?" if near else f"known here: {', '.join(sorted(known))}"
         return f"{path}: unknown key; {hint}"
     if fault["type"] == "missing":
-        return f"{path}: is missing; state a value"
+        field = _field(root, fault["loc"])
+        what = f": {field.description}" if field is not None and field.description else ""
+        return f"{path}: is missing; state a value{what}"
     message = fault["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
     if not path:
         return message
@@ -96,6 +98,16 @@ def _parts(annotation: Any) -> Iterator[Any]:
     yield annotation
     for inner in get_args(annotation):
         yield from _parts(inner)
+
+
+def _field(root: type, place: _Place) -> FieldInfo | None:
+    """The field of a key; None inside a table with names of the user's own."""
+    section: type | None = root
+    field = None
+    for part in place:
+        field = None if section is None else section_fields(section).get(str(part))
+        section = None if field is None else section_of(field)
+    return field
 
 
 def _known_keys(root: type, place: _Place) -> list[str]:

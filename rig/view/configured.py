@@ -36,7 +36,7 @@ def start_view(
         rrd,
         mode,
         layout,
-        title,
+        f"SIMULATED {title}" if config.simulated else title,
         amplitude=config.session.initial_amplitude_arcsec,
         unit=config.deflection_unit,
         image_interval_s=config.view.image_interval_s,

@@ -40,7 +40,7 @@ def frames_beside_a_stuck_line(seconds: float) -> dict[str, Any]:
     """500 frames/s of 640x480 while every heartbeat waits for its whole timeout and retries."""
     settings = ControllerSettings(kind="simulated", timeout_s=0.2, faults=SerialFaults(delay_s=10.0))
     service = ControlService(simulated_controller(settings, 0.001), settings)
-    devices = Devices(Configuration())
+    devices = Devices(Configuration(camera={"driver": "simulated"}))
     devices.control = service
     frames = drawn_frames(640, 480, 500.0, 600)
     with tempfile.TemporaryDirectory() as folder, service:
@@ -51,7 +51,13 @@ def frames_beside_a_stuck_line(seconds: float) -> dict[str, Any]:
             RunParts(
                 stream=FrameStream(camera, CameraSettings()),
                 optics=optics,
-                record=RecordFile(Path(folder) / "run.mcap", Configuration(), Path(), opened, optics),
+                record=RecordFile(
+                    Path(folder) / "run.mcap",
+                    Configuration(camera={"driver": "simulated"}),
+                    Path(),
+                    opened,
+                    optics,
+                ),
                 end=EndLimits(0.0, 1e9),
                 devices=devices,
             )
@@ -84,7 +90,13 @@ def soak(simulated_s: float, runs: int) -> dict[str, Any]:
                 RunParts(
                     stream=FrameStream(camera, CameraSettings(), policy="wait"),
                     optics=optics,
-                    record=RecordFile(Path(folder) / "run.mcap", Configuration(), Path(), opened, optics),
+                    record=RecordFile(
+                        Path(folder) / "run.mcap",
+                        Configuration(camera={"driver": "simulated"}),
+                        Path(),
+                        opened,
+                        optics,
+                    ),
                     end=EndLimits(0.0, simulated_s / runs),
                 )
             )

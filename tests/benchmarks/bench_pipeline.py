@@ -136,7 +136,13 @@ def real_time(
         prepare_kernels(sensor, print)
         lever = Lever(arm_m=1.0, pixel_pitch_m=4.8e-6)
         optics = Optics(sensor, lever, Axes())
-        file = RecordFile(Path(folder) / "run.mcap", Configuration(lever=lever), Path(), opened, optics)
+        file = RecordFile(
+            Path(folder) / "run.mcap",
+            Configuration(camera={"driver": "simulated"}, lever=lever),
+            Path(),
+            opened,
+            optics,
+        )
         run = Run(
             RunParts(
                 stream=FrameStream(camera, CameraSettings()),

@@ -6,7 +6,7 @@ from types import FrameType
 
 import pytest
 
-from rig.interruption import BY_USER, Terminated, reason_of, terminated_by_signals
+from rig.terminal import BY_USER, Terminated, reason_of, terminated_by_signals
 
 
 def own_handler(_number: int, _frame: FrameType | None) -> None:

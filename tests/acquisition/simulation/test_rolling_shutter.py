@@ -87,7 +87,10 @@ def test_rows_of_a_binned_image_are_later_by_as_many_row_times(binning: int) -> 
     seen_px = np.array([(image.sum(1) @ np.arange(rows)) / image.sum() for image in images])
     config = complete(
         Configuration.model_validate(
-            {"simulation": settings.model_dump(), "camera": {"binning": binning, "frame_rate_hz": 50.0}}
+            {
+                "simulation": settings.model_dump(),
+                "camera": {"driver": "simulated", "binning": binning, "frame_rate_hz": 50.0},
+            }
         )
     )
     assert config.shutter is not None

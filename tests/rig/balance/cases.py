@@ -15,7 +15,7 @@ from rig.instrument import complete
 from rig.instrument.balance import elastic_drop, nominal_effects
 from rig.settings.configuration import Configuration
 
-CONFIG = complete(Configuration())
+CONFIG = complete(Configuration(camera={"driver": "simulated"}))
 LIMITS = BalanceLimits()
 _U_RAD = 0.003 * ARCSEC_RAD
 

@@ -71,7 +71,7 @@ def random_start(seed: int, *, parallel: bool = False, apart_deg: float = 0.0) -
         axes=AxesTruth(rest_fast_arcsec=rest[0], rest_slow_arcsec=rest[1]),
         sensor=SensorTruth(width_px=SENSOR_PX, height_px=SENSOR_PX),
     )
-    config = complete(Configuration(simulation=truth))
+    config = complete(Configuration(camera={"driver": "simulated"}, simulation=truth))
     contact = truth.contact.model_copy(update={"period0_s": period_s})
     config = config.model_copy(update={"simulation": truth.model_copy(update={"contact": contact})})
     turned = math.radians((0.0, 45.0, 90.0)[seed % 3])

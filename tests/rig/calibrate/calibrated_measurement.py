@@ -132,6 +132,7 @@ def _configuration(files: dict[Kind, Path]) -> Configuration:
         for name, (value, u) in MODULI_PA.items()
     }
     tree = {
+        "camera": {"driver": "simulated"},
         "pendulum": pendulum,
         "materials": materials,
         "calibration": {kind: str(path) for kind, path in files.items()},

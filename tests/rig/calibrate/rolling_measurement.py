@@ -81,7 +81,9 @@ def measure(
     settings: SimulationSettings, frame_ns: NDArray[np.int64], spots: list[Spot], shutter: Shutter
 ) -> Seen:
     """Deflections, half-cycles and the exact fit, with this shutter taken for the camera's."""
-    config = complete(Configuration.model_validate({"simulation": settings.model_dump()}))
+    config = complete(
+        Configuration.model_validate({"camera": {"driver": "simulated"}, "simulation": settings.model_dump()})
+    )
     pendulum = pendulum_on_ball(config)
     assert pendulum is not None
     lever = Lever(arm_m=settings.optics.arm_m, pixel_pitch_m=settings.sensor.pixel_pitch_m)

@@ -54,13 +54,14 @@ def records(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
         "burnt": {"max_duration_s": 2.0, **rest, "optics": {"peak_dn": 900.0}},
     }
     for name, simulation in runs.items():
-        config = validate_configuration({"simulation": simulation}, name)
+        config = validate_configuration({"camera": {"driver": "simulated"}, "simulation": simulation}, name)
         assert simulate_record(config, folder / "none.toml", folder / f"{name}.mcap") == 0
     return {name: folder / f"{name}.mcap" for name in runs}
 
 
 def in_use(**files: Path) -> Configuration:
-    tree: dict[str, Any] = {"calibration": {kind: str(path) for kind, path in files.items()}}
+    calibrations = {kind: str(path) for kind, path in files.items()}
+    tree: dict[str, Any] = {"camera": {"driver": "simulated"}, "calibration": calibrations}
     return validate_configuration(tree, "test")
 
 
@@ -87,7 +88,9 @@ def test_the_pitch_follows_the_binning(tmp_path: Path) -> None:
     assert coloured.lever is not None
     assert coloured.lever.pixel_pitch_m == pytest.approx(2 * 4.8e-6), "one pixel of four is red"
     with pytest.raises(ConfigurationError, match=r"set camera\.binning instead"):
-        validate_configuration({"camera": {"features": {"BinningVertical": 2}}}, "test")
+        validate_configuration(
+            {"camera": {"driver": "simulated", "features": {"BinningVertical": 2}}}, "test"
+        )
 
 
 def test_a_lever_from_geometry_fills_the_configuration(tmp_path: Path) -> None:
@@ -134,7 +137,8 @@ def test_a_record_carries_its_calibration_and_says_whether_it_held(tmp_path: Pat
         old.model_copy(update={"measured_at": past, "valid_until": past + datetime.timedelta(days=90)}),
     )
     for path, validity in ((good, "valid"), (expired, "expired")):
-        tree = {"simulation": {"max_duration_s": 20.0}, "calibration": {"lever": str(path)}}
+        camera, simulation = {"driver": "simulated"}, {"max_duration_s": 20.0}
+        tree = {"camera": camera, "simulation": simulation, "calibration": {"lever": str(path)}}
         record = tmp_path / f"{validity}.mcap"
         assert simulate_record(validate_configuration(tree, "test"), tmp_path / "none.toml", record) == 0
         with RecordReader(record) as reader:
@@ -173,6 +177,7 @@ def test_a_lever_that_moved_between_the_checks_is_flagged(tmp_path: Path) -> Non
 def test_stated_and_calibrated_differently_is_refused(tmp_path: Path) -> None:
     path = calibrate_lever(write(tmp_path / "g.toml", GEOMETRY), Filing(tmp_path))
     tree = {"lever": {"arm_m": 2.0, "pixel_pitch_m": 4.8e-6}, "calibration": {"lever": str(path)}}
+    tree["camera"] = {"driver": "simulated"}
     with pytest.raises(ConfigurationError, match="leave one of them out"):
         fill_from_files(validate_configuration(tree, "test"))
     with pytest.raises(ConfigurationError, match="is a calibration of lever, axes is wanted"):
@@ -227,7 +232,7 @@ def test_a_sensor_from_stacks_of_frames_feeds_the_tracker(tmp_path: Path) -> Non
 def test_a_clock_from_a_record_in_real_time_fills_the_timebase(tmp_path: Path) -> None:
     simulation = {"real_time": True, "max_duration_s": 2.0, "clock": {"drift_ppm": 30.0}}
     record = tmp_path / "clock.mcap"
-    config = validate_configuration({"simulation": simulation}, "test")
+    config = validate_configuration({"camera": {"driver": "simulated"}, "simulation": simulation}, "test")
     assert simulate_record(config, tmp_path / "none.toml", record) == 0
     path = calibrate_clock(record, Filing(tmp_path / "c"), None)
     found = read_calibration(path)

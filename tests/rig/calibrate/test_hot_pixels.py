@@ -44,7 +44,13 @@ def spots(record: Path, truth: SensorTruth, **sections: Any) -> np.ndarray:
         "fast": {"amplitude_arcsec": 0.0},
         "max_duration_s": 1.0,
     }
-    simulate_record(validate_configuration({"simulation": simulation, **sections}, "test"), record, record)
+    simulate_record(
+        validate_configuration(
+            {"camera": {"driver": "simulated"}, "simulation": simulation, **sections}, "test"
+        ),
+        record,
+        record,
+    )
     with RecordReader(record) as reader:
         table = reader.spots()
     return np.column_stack([table[name] for name in ("x_px", "y_px", "u_x_px", "u_y_px")])[10:]
@@ -53,7 +59,7 @@ def spots(record: Path, truth: SensorTruth, **sections: Any) -> np.ndarray:
 def test_the_map_takes_away_what_hot_pixels_do_and_a_replay_repeats_it(
     tmp_path: Path, calibration: Path
 ) -> None:
-    in_use = {"calibration": {"sensor": str(calibration)}}
+    in_use = {"camera": {"driver": "simulated"}, "calibration": {"sensor": str(calibration)}}
     sensor = fill_from_files(validate_configuration(in_use, "test")).sensor
     assert sensor is not None
     assert len(sensor.hot_pixels_xy) > 300

@@ -23,7 +23,7 @@ class Terminal(StringIO):
 def test_an_interlock_is_acknowledged_by_a_person_and_that_is_kept(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    devices = Devices(Configuration.model_validate({"session": {"operator": "Ada"}}), tmp_path)
+    devices = Devices(Configuration(camera={"driver": "simulated"}, session={"operator": "Ada"}), tmp_path)
     devices.permit.begin()
     devices.permit.interlock_opened("the controller")
     monkeypatch.setattr(sys, "stderr", Terminal())
@@ -45,6 +45,6 @@ def test_a_log_that_leads_elsewhere_is_not_followed(
     elsewhere = tmp_path / "elsewhere"
     elsewhere.write_text("a file of somebody else")
     (tmp_path / "audit.jsonl").symlink_to(elsewhere)
-    Devices(Configuration(), tmp_path).audit("weight turned")
+    Devices(Configuration(camera={"driver": "simulated"}), tmp_path).audit("weight turned")
     assert elsewhere.read_text() == "a file of somebody else"
     assert "audit.jsonl: the audit log cannot be written" in capsys.readouterr().err

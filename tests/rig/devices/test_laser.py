@@ -36,7 +36,7 @@ def configuration(kind: str, port: str, **sections: Any) -> Configuration:
     value = "current_a" if kind in ("thorlabs4000", "ldc500") else "power_w"
     laser = {"kind": kind, "port": port, value: 0.02, f"max_{value}": 0.03, "timeout_s": 2.0}
     laser |= sections.pop("laser", {})
-    tree = {"laser": laser, **sections}
+    tree = {"camera": {"driver": "simulated"}, "laser": laser, **sections}
     return validate_configuration(tree, "test")
 
 

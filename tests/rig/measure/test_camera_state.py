@@ -28,7 +28,10 @@ def test_features_and_temperature_are_in_the_record(tmp_path: Path) -> None:
     info = camera.open()
     asked = CameraSettings(exposure_us=200.0, width_px=64, height_px=64, frame_rate_hz=100.0, gain_db=-6.0)
     opened = OpenCamera(camera, info, (), camera.configure(asked), 100_000)
-    config, optics = Configuration(), optics_of(Configuration(), 255)
+    config, optics = (
+        Configuration(camera={"driver": "simulated"}),
+        optics_of(Configuration(camera={"driver": "simulated"}), 255),
+    )
     record = tmp_path / "run.mcap"
     run = Run(
         RunParts(

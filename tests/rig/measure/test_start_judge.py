@@ -13,7 +13,11 @@ from rig.settings import Configuration
 
 
 def judge(lever: Lever | None) -> StartJudge:
-    return StartJudge(start_limits(Configuration(), Optics(SensorModel(1.0, 5.0, 255.0), lever, Axes())))
+    return StartJudge(
+        start_limits(
+            Configuration(camera={"driver": "simulated"}), Optics(SensorModel(1.0, 5.0, 255.0), lever, Axes())
+        )
+    )
 
 
 def swings(amplitude: float) -> list[Swing]:

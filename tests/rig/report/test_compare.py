@@ -50,6 +50,16 @@ def test_table_and_plot_of_three_series(tmp_path: Path) -> None:
     assert len((tmp_path / "page" / "values.csv").read_text().splitlines()) == 7
 
 
+def test_a_simulated_series_is_called_so(tmp_path: Path) -> None:
+    invented = session(tmp_path / "a")
+    tree = json.loads((invented / "results.json").read_text())
+    tree["runs"][0]["simulated"] = True
+    (invented / "results.json").write_text(json.dumps(tree))
+    values, differences = compare([invented, session(tmp_path / "b")], None)
+    assert list(values.head) == ["", "a (SIMULATED)", "b"]
+    assert differences.rows[0][0] == "a (SIMULATED)"
+
+
 def test_what_a_series_does_not_determine_is_a_bound(tmp_path: Path) -> None:
     """c is 1.05e-8 with an uncertainty of 0.9e-8: no number with digits, but less than something."""
     vague = session(tmp_path / "vague")

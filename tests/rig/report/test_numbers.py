@@ -13,7 +13,7 @@ from rig.analysis.determined import bound_text, determined_text, series_verdicts
 from rig.analysis.results import CombinedParameter, Determination
 from rig.presentation.numbers import plain, rounded, with_uncertainty
 from rig.report.drawing import broken, envelope, thinned
-from rig.terminal_encoding import spelled
+from rig.terminal import spelled
 
 
 @pytest.mark.parametrize(

@@ -187,3 +187,12 @@ def test_results_that_are_no_json_are_one_line(tmp_path: Path) -> None:
     (tmp_path / "results.json").write_text("{")
     with pytest.raises(RecordError, match="cannot be read"):
         make_report(tmp_path)
+
+
+def test_what_was_simulated_is_called_so(measured_series: Path) -> None:
+    assert [run["simulated"] for run in results_of(measured_series)["runs"]] == [True, True]
+    page = (measured_series / "report.html").read_text(encoding="utf-8")
+    assert "<title>SIMULATED: " in page
+    assert (
+        "SIMULATED: every number comes from the simulated rig" in parsed(measured_series / "report.html").text
+    )

@@ -34,7 +34,9 @@ def session_in_pixels(folder: Path, *, lost: bool) -> Path:
     else:
         spots = [Spot(32 + a, 120 + b, 0.01, 0.01, 3, 3, 0, 200, 8, 1, 0) for a, b in zip(x, y, strict=True)]
     record = folder / "run-1.mcap"
-    attachments = {CONFIGURATION_NAME: Configuration().model_dump_json().encode()}
+    attachments = {
+        CONFIGURATION_NAME: Configuration(camera={"driver": "simulated"}).model_dump_json().encode()
+    }
     with RecordWriter(record, EPOCH_NS, attachments=attachments, deflection_unit=DeflectionUnit.PX) as writer:
         times_ns = np.round(time_s * 1e9).astype(np.int64)
         numbers = list(range(len(y)))

@@ -156,7 +156,8 @@ def light_the_lasers() -> None:
         instrument = family()
         laser = {"kind": kind, "port": instrument.port, value: 0.02, f"max_{value}": 0.03, "timeout_s": 2.0}
         try:
-            with Devices(Configuration.model_validate({"laser": laser})) as devices:
+            tree = {"camera": {"driver": "simulated"}, "laser": laser}
+            with Devices(Configuration.model_validate(tree)) as devices:
                 devices.light()
         finally:
             instrument.close()

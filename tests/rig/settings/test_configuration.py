@@ -81,6 +81,22 @@ def test_a_wrong_setting_is_one_line_that_names_it(override: str, message: str) 
     assert all(line.startswith(("--set ", str(CONFIGS))) for line in str(caught.value).split("\n"))
 
 
+@pytest.mark.parametrize("text", ["", "[session]\nruns = 1\n", "[camera]\nexposure_us = 80\n"])
+def test_a_camera_that_is_not_named_is_never_the_simulated_one(tmp_path: Path, text: str) -> None:
+    path = write(tmp_path / "mine.toml", text)
+    with pytest.raises(ConfigurationError) as caught:
+        load_configuration(path)
+    assert str(caught.value).startswith(
+        f"{path}: camera.driver: is missing; state a value: one of simulated, "
+    )
+    assert "\n" not in str(caught.value)
+
+
+def test_a_table_needs_no_camera(tmp_path: Path) -> None:
+    path = write(tmp_path / "table.toml", "[pendulum]\nmass_kg = 0.4\nball_radius_m = 6e-3\n")
+    assert not load_configuration(path, needs_camera=False).simulated
+
+
 def test_every_fault_has_a_line_and_unknown_keys_come_first() -> None:
     slips = ["pendulum.mas_kg=3", "pendulum.ball_radius_m=true", "session.runs=0"]
     with pytest.raises(ConfigurationError) as caught:
