@@ -42,6 +42,7 @@ from rig.analysis.results import (
 )
 from rig.analysis.results_file import (
     RESULTS_NAME,
+    decoded,
     encoded,
     free_path,
     read_results,
@@ -96,6 +97,7 @@ __all__ = [
     "chosen_laws",
     "combined_series",
     "curves_of",
+    "decoded",
     "determined_text",
     "dominant_text",
     "drive_text",

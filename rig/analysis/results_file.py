@@ -74,6 +74,11 @@ def read_results(source: Path) -> SessionResults:
         ) from None
     except (OSError, ValueError, RecursionError) as error:
         raise RecordError(f"{path}: cannot be read: {error}") from None
+    return decoded(tree, path)
+
+
+def decoded(tree: Any, path: Path) -> SessionResults:
+    """Results from what `encoded` gives of them; RecordError names the file and the key at fault."""
     if not isinstance(tree, dict) or not isinstance(tree.get("runs"), list) or not tree["runs"]:
         raise RecordError(f"{path}: names no runs; it was not made from records of rig run")
     version = tree.setdefault("schema", 1)

@@ -28,13 +28,25 @@ def remark(
 
     A name is the beginning of a run's SHA-256, or of its session's for all of its runs.
     """
-    connection = Archive(archive).connection()
-    runs = [run for name in names for run in named(connection, name)]
-    if where.strip():
-        runs += [run for (run,) in selected(connection, "sha256", where).fetchall()]
-    runs = list(dict.fromkeys(runs))
+    runs = list(chosen_runs(archive, names, where))
     write_remark(archive, runs, add=add, remove=remove, note=note)
     return f"{len(runs)} run{'s' if len(runs) != 1 else ''}"
+
+
+def chosen_runs(archive: Path, names: Sequence[str], where: str) -> dict[str, Path]:
+    """The records of runs that are named or meet a condition, by their SHA-256."""
+    connection = Archive(archive).connection()
+    found: dict[str, Path] = {}
+    if where.strip():
+        rows = selected(connection, "sha256, folder, record", where).fetchall()
+        found = {sha256: Path(folder) / record for sha256, folder, record in rows}
+    for name in names:
+        for run in named(connection, name):
+            folder, record = connection.execute(
+                "select folder, record from runs where sha256 = ?", [run]
+            ).fetchone()
+            found[run] = Path(folder) / record
+    return found
 
 
 def named(connection: Any, name: str) -> list[str]:

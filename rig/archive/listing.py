@@ -21,7 +21,13 @@ _SHORTENED = 8
 
 @reads_archive
 def list_runs(
-    archive: Path, condition: str, columns: Sequence[str], kind: Format, output: Path | None
+    archive: Path,
+    condition: str,
+    columns: Sequence[str],
+    kind: Format,
+    output: Path | None,
+    *,
+    refits: bool = False,
 ) -> None:
     """Print the runs that meet a condition of SQL (empty: all), or write them to a new file.
 
@@ -31,11 +37,12 @@ def list_runs(
     """
     if kind == "parquet" and output is None:
         raise ConfigurationError("--format parquet needs a file: -o FILE")
-    wanted = ", ".join(columns) if columns else f"left(sha256, {_SHORTENED}) as id, {', '.join(SHOWN)}"
+    shown = (*SHOWN[:2], "level", "made_utc", *SHOWN[5:-1], "newest") if refits else SHOWN
+    wanted = ", ".join(columns) if columns else f"left(sha256, {_SHORTENED}) as id, {', '.join(shown)}"
     if not columns and kind == "table":
         wanted += ", u_b, u_p, u_c, u_n"
-    connection = Archive(archive).connection()
-    found = selected(connection, wanted, condition)
+    connection = Archive(archive).connection(refits=refits)
+    found = selected(connection, wanted, condition, "refits" if refits else "runs")
     names = list(found.columns)
     if kind == "parquet":
         assert output is not None
@@ -58,11 +65,11 @@ def list_runs(
         write_output(output, f"{text}\n".encode())
 
 
-def selected(connection: Any, wanted: str, condition: str) -> Any:
-    """The result of a query of the runs, which reads and does nothing else."""
+def selected(connection: Any, wanted: str, condition: str, table: str = "runs") -> Any:
+    """The result of a query of the table, which reads and does nothing else."""
     duckdb = duckdb_module()
     no_condition = re.match(r"\s*(order\s+by|limit|group\s+by|$)", condition, re.IGNORECASE)
-    query = f"select {wanted} from runs {'' if no_condition else 'where '}{condition}"
+    query = f"select {wanted} from {table} {'' if no_condition else 'where '}{condition}"
     try:
         statements = duckdb.extract_statements(query)
         if len(statements) != 1:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from processing.errors import ConfigurationError
-from rig.archive.columns import COLUMNS, SHORT_NAMES
+from rig.archive.columns import COLUMNS, OF_REFITS, SHORT_NAMES
 from rig.archive.listing import selected, write_output
 from rig.archive.store import Archive, reads_archive
 from rig.presentation import palette
@@ -16,7 +16,9 @@ _MOST_GROUPS = 12
 
 
 @reads_archive
-def plot_runs(archive: Path, x: str, y: str, by: str, condition: str, output: Path) -> str:
+def plot_runs(
+    archive: Path, x: str, y: str, by: str, condition: str, output: Path, *, refits: bool = False
+) -> str:
     """Draw y against x of the runs that meet a condition into a new SVG or PNG; says how many they are.
 
     `x` and `y` are columns; bars are their standard uncertainties, where the catalogue has them. Runs with
@@ -27,14 +29,16 @@ def plot_runs(archive: Path, x: str, y: str, by: str, condition: str, output: Pa
     if output.suffix not in (".svg", ".png"):
         raise ConfigurationError(f"{output}: is neither .svg nor .png")
     x, y, by = (SHORT_NAMES.get(name, name) for name in (x, y, by))
+    columns = {**COLUMNS, **(OF_REFITS if refits else {})}
     for name in filter(None, (x, y, by)):
-        if name not in COLUMNS:
+        if name not in columns:
             raise ConfigurationError(f"{name}: is no column; docs/archive.md names all")
-    if COLUMNS[y].kind not in ("number", "count"):
+    if columns[y].kind not in ("number", "count"):
         raise ConfigurationError(f"{y}: holds no numbers; only x and --by may be texts")
     bars = [f"u_{name}" if f"u_{name}" in COLUMNS else "null" for name in (x, y)]
     wanted = ", ".join([x, y, *bars, by or "''"])
-    found = selected(Archive(archive).connection(), wanted, condition).fetchall()
+    connection = Archive(archive).connection(refits=refits)
+    found = selected(connection, wanted, condition, "refits" if refits else "runs").fetchall()
     groups: dict[str, list[Sequence[Any]]] = {}
     for row in found:
         if row[0] is not None and row[1] is not None:
@@ -57,7 +61,7 @@ def _drawn(x: str, y: str, groups: dict[str, list[Sequence[Any]]], suffix: str) 
         axes = figure.subplots()
         for (name, rows), colour in zip(sorted(groups.items()), cycle(palette.SEQUENCE), strict=False):
             at, values, u_at, u_values = ([row[place] for row in rows] for place in range(4))
-            measured = COLUMNS[x].kind in ("number", "count")
+            measured = {**COLUMNS, **OF_REFITS}[x].kind in ("number", "count")
             axes.errorbar(
                 at,
                 values,
@@ -74,7 +78,7 @@ def _drawn(x: str, y: str, groups: dict[str, list[Sequence[Any]]], suffix: str) 
         axes.set_ylabel(y)
         if any(groups):
             axes.legend()
-        if COLUMNS[x].kind in ("time", "text"):
+        if {**COLUMNS, **OF_REFITS}[x].kind in ("time", "text"):
             figure.autofmt_xdate()
         drawing = Drawing("archive", f"{y} against {x}", "Bars are standard uncertainties.", figure)
         return svg(drawing) if suffix == ".svg" else png(drawing)

@@ -8,26 +8,15 @@ import platform
 import secrets
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
-
-from pydantic import AwareDatetime, BaseModel, ValidationError
+from typing import TYPE_CHECKING, NamedTuple
 
 from acquisition.record import whole_file
 from processing.errors import ConfigurationError, RecordError
 
+if TYPE_CHECKING:
+    from rig.archive.remark_file import Remark
+
 _FOLDER = "remarks"
-
-
-class Remark(BaseModel, frozen=True):
-    """One command: tags added to and removed from runs (by the SHA-256 of their records), or a note."""
-
-    utc: AwareDatetime
-    user: str = ""
-    computer: str = ""
-    runs: tuple[str, ...]
-    add: tuple[str, ...] = ()
-    remove: tuple[str, ...] = ()
-    note: str = ""
 
 
 class RunRemarks(NamedTuple):
@@ -45,6 +34,9 @@ def write_remark(
 
     Raises ConfigurationError if it says nothing, or no run is named.
     """
+    # takes as long to import as `list` needs for its work
+    from rig.archive.remark_file import Remark
+
     add, remove, note = add.strip(), remove.strip(), note.strip()
     if not (add or remove or note):
         raise ConfigurationError("an empty text says nothing of a run; name a tag or write a note")
@@ -85,8 +77,7 @@ def read_remarks(archive: Path) -> RunRemarks:
     return RunRemarks(list(tags), [sorted(found) for found in tags.values()], [notes[run] for run in tags])
 
 
-def _read(path: Path) -> Remark:
-    try:
-        return Remark.model_validate_json(path.read_bytes())
-    except (OSError, ValidationError) as error:
-        raise RecordError(f"{path}: cannot be read: {str(error).splitlines()[0]}") from None
+def _read(path: Path) -> "Remark":
+    from rig.archive.remark_file import read_remark
+
+    return read_remark(path)

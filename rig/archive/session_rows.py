@@ -69,7 +69,7 @@ def _row(folder: Path, path: Path, run: RunResults | None) -> tuple[Row, list[st
                 "the results are of another record (other hash) and are left out; rig fit makes new ones"
             )
             run = None
-    return (row if run is None else row | dict(_of_results(run))), said
+    return (row if run is None else row | row_of_results(run)), said
 
 
 def _of_record(path: Path) -> Row:
@@ -102,6 +102,11 @@ def _of_metadata(texts: dict[str, dict[str, str]]) -> Row:
         "code_version": versions.get("optical-pendulum-rig"),
         "code_commit": versions.get("commit"),
     }
+
+
+def row_of_results(run: RunResults) -> Row:
+    """What results say of a run, by the names of columns."""
+    return dict(_of_results(run))
 
 
 def _of_results(run: RunResults) -> Iterator[tuple[str, Any]]:

@@ -1,31 +1,25 @@
-"""The files of an archive: one Parquet file a session, and one in which many of them are read at once.
+"""The catalogue of an archive: rows of sessions in Parquet files, and a DuckDB connection that reads them.
 
-`sessions/` holds a file for each version of a session, written once, whole or not at all, never changed.
-`merged/` holds the same rows again, in one file for speed: deleted, it is made anew. Nobody waits for a
-lock: two processes that write at once write different files, or the same one.
+`sessions/` holds a file for each version of a session, `refits/` one for each result that was made anew,
+`merged/` the same rows again (see `Shelf`).
 """
 
-import contextlib
+import datetime
 import functools
-import io
-import os
-import re
+import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Concatenate, ParamSpec, TypeVar
 
-from acquisition.record import whole_file
+import zstandard
+
 from processing.errors import ConfigurationError, RecordError
-from rig.archive.columns import COLUMNS, SHORT_NAMES
+from rig.archive.columns import COLUMNS, OF_REFITS, SHORT_NAMES, Column
 from rig.archive.remarks import read_remarks
+from rig.archive.shelf import MANY, Shelf, as_parquet, unreadable
 
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
-_MANY = 256
-"""Files of sessions beside the merged one from which on they are merged."""
-_FEW = 24
-_KEPT = 2
-"""Merged files that are kept: somebody may be reading the one before."""
 
 
 class Archive:
@@ -33,65 +27,29 @@ class Archive:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self._sessions = folder / "sessions"
-        self._merged = folder / "merged"
+        self._sessions = Shelf(folder / "sessions", folder / "merged", "runs", ".parquet", _read_parquet)
+        self.refits = refit_shelf(folder)
 
     def add(self, name: str, rows: Sequence[Mapping[str, Any]]) -> bool:
         """Write a version of a session, rows by the names of `COLUMNS`; False if it is there already."""
-        try:
-            self._sessions.mkdir(parents=True, exist_ok=True)
-            whole_file.write_new(self._sessions / f"{name}.parquet", _parquet(_table(rows)))
-        except FileExistsError:
-            return False
-        except OSError as error:
-            raise RecordError(f"{self.folder}: cannot be written: {error.strerror or error}") from None
-        return True
+        return self._sessions.write(name, as_parquet(_table(rows)))
 
     def versions(self) -> set[str]:
         """Names of all versions of sessions."""
-        try:
-            return {
-                entry.name.removesuffix(".parquet")
-                for entry in os.scandir(self._sessions)
-                if entry.name.endswith(".parquet") and not entry.name.startswith(".")
-            }
-        except FileNotFoundError:
-            return set()
-        except OSError as error:
-            raise RecordError(f"{self.folder}: cannot be read: {error.strerror or error}") from None
+        return self._sessions.names()
 
-    def merge(self, *, at_once: int = _FEW) -> None:
-        """Write the merged file anew where at least so many sessions are not in it."""
-        import pyarrow as pa
-        from pyarrow import parquet
+    def merge(self, **how: int) -> None:
+        """Write the merged file anew where many sessions are not in it (see `Shelf.merge`)."""
+        self._sessions.merge(**how)
 
-        newest, number = self._newest()
-        there = self.versions()
-        tables = []
-        if newest is not None:
-            with contextlib.suppress(pa.ArrowInvalid, OSError):
-                old = parquet.read_table(newest)
-                tables.append(old.filter(pa.array([name in there for name in old["version"].to_pylist()])))
-        merged = set(tables[0]["version"].to_pylist()) if tables else set()
-        loose = sorted(there - merged)
-        if len(loose) < at_once:
-            return
-        for name in loose:
-            path = self._sessions / f"{name}.parquet"
-            try:
-                tables.append(parquet.read_table(path))
-            except (pa.ArrowInvalid, OSError) as error:
-                raise RecordError(_unreadable(path, error)) from None
-        self._merged.mkdir(exist_ok=True)
-        data = _parquet(pa.concat_tables(tables, promote_options="default"))
-        # another process that was faster has merged as well as this one
-        with contextlib.suppress(FileExistsError):
-            whole_file.write_new(self._merged / f"runs-{number + 1:08d}.parquet", data)
-        for old_path in sorted(self._merged.glob("runs-*.parquet"))[:-_KEPT]:
-            old_path.unlink(missing_ok=True)
+    def merge_many(self) -> None:
+        """Merge if so many sessions are not in the merged file that reading them one by one takes long."""
+        self._sessions.merge(at_once=MANY)
 
-    def connection(self) -> Any:
+    def connection(self, *, refits: bool = False) -> Any:
         """A DuckDB connection in which `runs` has the newest row of every run; it can read nothing else.
+
+        With `refits` the table of that name has a row for each result that was made anew.
 
         Raises RecordError where nothing was added yet, or a file is damaged.
         """
@@ -104,7 +62,7 @@ class Archive:
         connection = duckdb.connect(
             config={"autoinstall_known_extensions": "false", "python_enable_replacements": "false"}
         )
-        newest, _ = self._newest()
+        newest, _ = self._sessions.newest()
         files: list[str] = []
         gone: list[str] = []
         merged: set[str] = set()
@@ -113,31 +71,39 @@ class Archive:
                 found = connection.execute("select distinct version from read_parquet(?)", [str(newest)])
                 merged = {name for (name,) in found.fetchall()}
                 files, gone = [str(newest)], sorted(merged - there)
-            files += [str(self._sessions / f"{name}.parquet") for name in sorted(there - merged)]
+            files += [str(self._sessions.path(name)) for name in sorted(there - merged)]
             connection.execute("set variable files = ?", [files])
             connection.execute("set variable gone = ?", [gone])
             connection.execute(_REMARKS, list(read_remarks(self.folder)))
             connection.execute(_VIEWS)
+            if refits:
+                files += self._with_refits(connection)
         except duckdb.Error as error:
-            raise RecordError(_unreadable(self.folder, error)) from None
+            raise unreadable(self.folder, error) from None
         connection.execute("set allowed_paths = $files", {"files": files})
         connection.execute("set enable_external_access = false")
         connection.execute("set lock_configuration = true")
         return connection
 
-    def _newest(self) -> tuple[Path | None, int]:
-        """The merged file with the highest number, and that number."""
-        numbered = {
-            int(found[1]): path
-            for path in self._merged.glob("runs-*.parquet")
-            if (found := re.fullmatch(r"runs-(\d+)\.parquet", path.name))
-        }
-        number = max(numbered, default=0)
-        return numbered.get(number), number
+    def _with_refits(self, connection: Any) -> list[str]:
+        """Define the table `refits`; returns the files that it is read from."""
+        self.refits.merge(at_once=MANY)
+        newest, _ = self.refits.newest()
+        loose, there = self.refits.names(), sorted(self.refits.names())
+        source = "select * from loose_refits"
+        if newest is not None:
+            found = connection.execute("select version from read_parquet(?)", [str(newest)]).fetchall()
+            loose = loose - {name for (name,) in found}
+            source = f"{source} union all by name select * from read_parquet('{_quoted(newest)}')"
+        import pyarrow as pa
 
-    def merge_many(self) -> None:
-        """Merge if so many sessions are not in the merged file that reading them one by one takes long."""
-        self.merge(at_once=_MANY)
+        tables = [_table([], _REFIT_COLUMNS), *(self.refits.read(self.refits.path(n)) for n in sorted(loose))]
+        connection.register("loose_rows", pa.concat_tables(tables))
+        connection.execute("create table loose_refits as select * from loose_rows")
+        connection.unregister("loose_rows")
+        connection.execute("set variable refits_there = ?", [there])
+        connection.execute(_REFITS.replace("SOURCE", source))
+        return [] if newest is None else [str(newest)]
 
 
 _ALIASES = ", ".join(f"{name} as {short}" for short, name in SHORT_NAMES.items())
@@ -160,6 +126,24 @@ create view runs as
     latest.*, coalesce(tags, []::varchar[]) as tags, coalesce(notes, []::varchar[]) as notes, {_ALIASES}
   from latest left join remarks on run_sha256 = sha256
   qualify row_number() over (partition by sha256 order by added_utc desc, version desc) = 1;
+"""
+
+
+_FROM_RESULTS = [*list(COLUMNS)[list(COLUMNS).index("configuration_sha256") :], "version"]
+"""Columns that results decide; the others are the run's."""
+_REFIT_COLUMNS = {
+    **{name: COLUMNS[name] for name in ("sha256", *_FROM_RESULTS)},
+    **{name: column for name, column in OF_REFITS.items() if name != "newest"},
+}
+_REFITS = f"""
+create view refits as
+  with made as (SOURCE)
+  select
+    runs.* replace ({", ".join(f"made.{name} as {name}" for name in _FROM_RESULTS)}),
+    level, laws, settings, code, made_utc,
+    row_number() over (partition by made.sha256 order by made_utc desc, made.version desc) = 1 as newest
+  from made join runs on runs.sha256 = made.sha256
+  where list_contains(getvariable('refits_there'), made.version)
 """
 
 
@@ -186,17 +170,17 @@ def reads_archive(function: Callable[Concatenate[Path, _P], _R]) -> Callable[Con
         try:
             return function(archive, *args, **kwargs)
         except duckdb.Error as error:
-            raise RecordError(_unreadable(archive, error)) from None
+            raise unreadable(archive, error) from None
 
     return reading
 
 
-def _unreadable(path: Path, error: object) -> str:
-    text = str(error).splitlines()[0]
-    return f"{path}: cannot be read: {text}; delete the file that is named, rig archive add makes it anew"
+def refit_shelf(archive: Path) -> Shelf:
+    """Where results that were made anew lie."""
+    return Shelf(archive / "refits", archive / "merged", "refits", ".json.zst", _read_refit_row)
 
 
-def _table(rows: Iterable[Mapping[str, Any]]) -> Any:
+def _table(rows: Iterable[Mapping[str, Any]], columns: Mapping[str, Column] = COLUMNS) -> Any:
     import pyarrow as pa
 
     kinds = {
@@ -206,13 +190,32 @@ def _table(rows: Iterable[Mapping[str, Any]]) -> Any:
         "yes or no": pa.bool_(),
         "time": pa.timestamp("us"),
     }
-    schema = pa.schema([(name, kinds[column.kind]) for name, column in COLUMNS.items()])
+    schema = pa.schema([(name, kinds[column.kind]) for name, column in columns.items()])
     return pa.Table.from_pylist([dict(row) for row in rows], schema=schema)
 
 
-def _parquet(table: Any) -> bytes:
+def _read_parquet(path: Path) -> Any:
     from pyarrow import parquet
 
-    data = io.BytesIO()
-    parquet.write_table(table, data, compression="zstd")
-    return data.getvalue()
+    # several times faster for a small file than `read_table`, which starts threads
+    return parquet.ParquetFile(path).read(use_threads=False)
+
+
+def _read_refit_row(path: Path) -> Any:
+    try:
+        tree = json.loads(zstandard.ZstdDecompressor().decompress(path.read_bytes()))
+        row = {
+            **tree["row"],
+            "level": tree["level"],
+            "laws": ", ".join(tree["laws"]),
+            "settings": "; ".join(tree["settings"]),
+            "code": tree["code"],
+            "made_utc": datetime.datetime.fromisoformat(tree["made_utc"]),
+        }
+    except (OSError, ValueError, KeyError, TypeError, zstandard.ZstdError) as error:
+        raise unreadable(path, error, "refit") from None
+    return _table([row], _REFIT_COLUMNS)
+
+
+def _quoted(path: Path) -> str:
+    return str(path).replace("'", "''")

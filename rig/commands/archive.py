@@ -5,6 +5,8 @@ from typing import Annotated, Literal
 
 import typer
 
+from rig.commands.arguments import Set
+
 Archive = Annotated[
     Path, typer.Option("--archive", envvar="RIG_ARCHIVE", help="Folder of the archive; or RIG_ARCHIVE.")
 ]
@@ -14,6 +16,10 @@ Names = Annotated[
     typer.Argument(help="First characters of a run's or a session's hash.", show_default=False),
 ]
 Where = Annotated[str, typer.Option(help="The runs that meet a condition, as of rig archive list.")]
+
+Refits = Annotated[
+    bool, typer.Option("--refits", help="Of results that rig archive refit made, all versions.")
+]
 
 
 def register(app: typer.Typer) -> None:
@@ -25,6 +31,7 @@ def register(app: typer.Typer) -> None:
     archive.command("show")(show)
     archive.command("tag")(tag)
     archive.command("note")(note)
+    archive.command("refit")(refit)
     app.add_typer(archive, name="archive")
 
 
@@ -47,12 +54,13 @@ def list_(
     ] = "",
     format_: Annotated[Literal["table", "csv", "json", "parquet"], typer.Option("--format")] = "table",
     output: Annotated[Path | None, typer.Option("-o", "--output", help="File to write.")] = None,
+    refits: Refits = False,
     archive: Archive = _PLACE,
 ) -> None:
     """List the runs that meet a condition."""
     from rig.archive import list_runs
 
-    list_runs(archive, condition, [columns] if columns.strip() else [], format_, output)
+    list_runs(archive, condition, [columns] if columns.strip() else [], format_, output, refits=refits)
 
 
 def plot(
@@ -61,12 +69,13 @@ def plot(
     output: Annotated[Path, typer.Option("-o", "--output", help="SVG or PNG to write.", show_default=False)],
     by: Annotated[str, typer.Option(help="Column whose values have a colour each.")] = "",
     where: Where = "",
+    refits: Refits = False,
     archive: Archive = _PLACE,
 ) -> None:
     """Draw one column against another, with standard uncertainties."""
     from rig.archive import plot_runs
 
-    print(plot_runs(archive, x, y, by, where, output))
+    print(plot_runs(archive, x, y, by, where, output, refits=refits))
 
 
 def show(
@@ -105,3 +114,38 @@ def note(
     from rig.archive import remark
 
     print(remark(archive, names or [], where, note=text))
+
+
+def refit(
+    names: Names = None,
+    where: Where = "",
+    level: Annotated[
+        Literal["swings", "spots", "pixels"],
+        typer.Option(help="From the recorded half-cycles, the recorded spots, or the recorded pixels."),
+    ] = "swings",
+    law: Annotated[
+        list[str] | None,
+        typer.Option(help="Compare the paper's law with another one, or all; may be repeated."),
+    ] = None,
+    set_: Set = None,
+    cluster: Annotated[str, typer.Option(help="Dask cluster to use: tcp://HOST:PORT.")] = "",
+    processes: Annotated[
+        int | None, typer.Option(min=1, help="Processes on this machine; default: as it has processors.")
+    ] = None,
+    archive: Archive = _PLACE,
+) -> None:
+    """Make results anew of many records; what was made already is left as it is."""
+    from rig.archive import refit_runs
+
+    raise typer.Exit(
+        refit_runs(
+            archive,
+            names or [],
+            where,
+            level,
+            laws=law or [],
+            settings=set_ or [],
+            cluster=cluster,
+            processes=processes,
+        )
+    )

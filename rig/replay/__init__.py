@@ -1,5 +1,6 @@
-"""The command `rig replay`: processes a record again and compares the results with the recorded ones."""
+"""Processes a record again: for `rig replay`, which compares it with what was recorded, or to fit it."""
 
-from rig.replay.record_replay import replay_record
+from rig.replay.comparison import Change, parameter_changes
+from rig.replay.record_replay import analyse_replayed, replay_record
 
-__all__ = ["replay_record"]
+__all__ = ["Change", "analyse_replayed", "parameter_changes", "replay_record"]

@@ -16,7 +16,7 @@ HELP: Final = "space pause  → frame  h half-cycle  + - 10 s  g go to  q end"
 SEEK_S: Final = 10.0
 _TICK_S = 0.05
 _LATEST_S = 0.5
-_MOST_FRAMES = {False: 10_000, True: 64}
+MOST_FRAMES = {False: 10_000, True: 64}
 """Frames processed between two checks of the keys: with recorded spots, and tracked again."""
 
 
@@ -58,7 +58,7 @@ class Player:
         self._speed = speed
         self._keys = keys
         self._display = display
-        self._most = _MOST_FRAMES[retrack]
+        self._most = MOST_FRAMES[retrack]
         self._view = view
         self._events = sorted(events or [], key=lambda event: event.time_ns)
         self._clock = clock

@@ -23,7 +23,7 @@ from rig.analysis import (
 from rig.instrument import recorded_configuration
 from rig.presentation import Keys, say
 from rig.replay.comparison import parameter_changes
-from rig.replay.player import HELP, Player
+from rig.replay.player import HELP, MOST_FRAMES, Player
 from rig.replay.replay import Replay, Replayed
 from rig.replay.screen import ReplayLine, print_changes, print_comparison
 from rig.settings import Configuration
@@ -87,10 +87,7 @@ def replay_record(
             player.play()
         result = replay.finish()
         partial = replay.partial or replay.sought or player.ended_by_user
-        run = analyse_run(
-            reader, config, result.swings, result.deflections, config.deflection_unit, result.beam
-        )
-        run = with_dropped_frames(run, result.dropped_frames, reader, config)
+        run = _analysed(reader, config, result)
         if partial:
             part = f"replayed from {replay.begun_s:.2f} s to {replay.position_s:.2f} s of the record"
             run = replace(run, results=replace(run.results, warnings=(part, *run.results.warnings)))
@@ -102,6 +99,24 @@ def replay_record(
         write_results(output / RESULTS_NAME, results)
         print(f"results      {output / RESULTS_NAME}")
     return 1 if run.results.problem and config.lever is not None and not partial else 0
+
+
+def analyse_replayed(record: Path, *, retrack: bool, overrides: Sequence[str] = ()) -> AnalysedRun:
+    """Fit the half-cycles found anew in the recorded spots, or with `retrack` in the recorded pixels.
+
+    Nothing is shown or written. Raises RecordError for a record that cannot be replayed.
+    """
+    with RecordReader(record) as reader:
+        config = recorded_configuration(reader, overrides)
+        replay = Replay(reader, config, retrack=retrack)
+        while replay.advance(math.inf, MOST_FRAMES[retrack]) is not None:
+            pass
+        return _analysed(reader, config, replay.finish())
+
+
+def _analysed(reader: RecordReader, config: Configuration, result: Replayed) -> AnalysedRun:
+    run = analyse_run(reader, config, result.swings, result.deflections, config.deflection_unit, result.beam)
+    return with_dropped_frames(run, result.dropped_frames, reader, config)
 
 
 def _view(

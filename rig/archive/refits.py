@@ -1,0 +1,131 @@
+"""Results made anew of records in an archive: a file for each, every version kept."""
+
+import datetime
+import hashlib
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+import zstandard
+
+from acquisition.record.digest import sha256_of
+from processing.errors import ConfigurationError, RecordError, RigError
+from rig.analysis import (
+    AnalysedRun,
+    RunResults,
+    analyse_record,
+    chosen_laws,
+    decoded,
+    encoded,
+    laws_of,
+    session_results,
+)
+from rig.archive.code_identity import code_identity
+from rig.archive.session_rows import now_utc, row_of_results
+from rig.archive.shelf import unreadable
+from rig.archive.store import refit_shelf
+from rig.replay import analyse_replayed
+
+Level = Literal["swings", "spots", "pixels"]
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """From what results are made, with which laws and settings, by which code."""
+
+    level: Level
+    laws: tuple[str, ...]
+    settings: tuple[str, ...]
+    code: str
+
+    def name(self, sha256: str) -> str:
+        """Name of the file with the results of one record."""
+        parts = (sha256, self.level, "\0".join(self.laws), "\0".join(self.settings), self.code)
+        return f"{sha256[:16]}-{hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:16]}"
+
+
+class Task(NamedTuple):
+    """One record, to be made results of; `sha256` is the record's as the archive knows it."""
+
+    archive: Path
+    record: Path
+    sha256: str
+    recipe: Recipe
+
+
+@dataclass(frozen=True)
+class Refit:
+    """A file of results as it was written; `results` is None where `problem` says why there are none."""
+
+    name: str
+    recipe: Recipe
+    made_utc: datetime.datetime
+    problem: str
+    results: RunResults | None
+
+
+def refit(task: Task) -> str:
+    """Make and store the results of one record; says what hindered it, or nothing.
+
+    What lies in the record itself (nothing to fit, no pixels) is stored as the results' problem, because it
+    would be found again each time. What may be remedied is not.
+    """
+    recipe, name = task.recipe, task.recipe.name(task.sha256)
+    if code_identity() != recipe.code:
+        return f"this worker runs other code ({code_identity()}) than was asked for ({recipe.code})"
+    try:
+        if sha256_of(task.record) != task.sha256:
+            return f"{task.record}: has changed since it was added; rig archive add"
+    except RecordError as error:
+        return str(error)
+    row: dict[str, Any] = {"sha256": task.sha256, "version": name}
+    results = None
+    try:
+        run = _analysed(task)
+        results = encoded(session_results([run], task.record.parent))
+        row |= row_of_results(run.results)
+    except ConfigurationError as error:
+        return str(error)
+    except RigError as error:
+        row["problem"] = str(error)
+    document = {
+        "version": name,
+        "sha256": task.sha256,
+        "made_utc": now_utc().isoformat(),
+        "level": recipe.level,
+        "laws": recipe.laws,
+        "settings": recipe.settings,
+        "code": recipe.code,
+        "row": row,
+        "results": results,
+    }
+    packed = zstandard.ZstdCompressor(level=6).compress(json.dumps(document).encode())
+    refit_shelf(task.archive).write(name, packed)
+    return ""
+
+
+def _analysed(task: Task) -> AnalysedRun:
+    recipe = task.recipe
+    if recipe.level == "swings":
+        run = analyse_record(task.record, recipe.settings)
+    else:
+        run = analyse_replayed(task.record, retrack=recipe.level == "pixels", overrides=recipe.settings)
+    if recipe.laws:
+        compared = laws_of(run, chosen_laws(["paper", *recipe.laws]))
+        run = replace(run, results=replace(run.results, laws=compared))
+    return run
+
+
+def read_refit(path: Path) -> Refit:
+    """One file of results. Raises RecordError where it cannot be understood."""
+    try:
+        tree = json.loads(zstandard.ZstdDecompressor().decompress(path.read_bytes()))
+        recipe = Recipe(tree["level"], tuple(tree["laws"]), tuple(tree["settings"]), tree["code"])
+        made, problem = datetime.datetime.fromisoformat(tree["made_utc"]), tree["row"].get("problem") or ""
+        stored = tree["results"]
+        return Refit(
+            tree["version"], recipe, made, problem, None if stored is None else decoded(stored, path).runs[0]
+        )
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, zstandard.ZstdError) as error:
+        raise unreadable(path, error, "refit") from None

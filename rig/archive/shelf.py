@@ -1,0 +1,124 @@
+"""A folder of small files, each written once, whole or not at all, and one file that holds the rows of all.
+
+Nobody waits for a lock: two processes that write at once write different files, or the same one. The merged
+file holds the same rows again, for speed: deleted, it is made anew.
+"""
+
+import contextlib
+import io
+import os
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from acquisition.record import whole_file
+from processing.errors import RecordError
+
+MANY = 256
+"""Files beside the merged one from which on they are merged while more are written."""
+_FEW = 24
+_KEPT = 2
+"""Merged files that are kept: somebody may be reading the one before."""
+
+
+@dataclass(frozen=True)
+class Shelf:
+    """Files `NAME.suffix` in `folder`, and `kind-NUMBER.parquet` in `merged`.
+
+    `read` gives the rows of one file as an Arrow table whose column `version` is the file's name.
+    """
+
+    folder: Path
+    merged: Path
+    kind: str
+    suffix: str
+    read: Callable[[Path], Any]
+
+    def path(self, name: str) -> Path:
+        return self.folder / f"{name}{self.suffix}"
+
+    def write(self, name: str, data: bytes) -> bool:
+        """Write a file; False if it is there already. Raises RecordError where it cannot be written."""
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            whole_file.write_new(self.path(name), data)
+        except FileExistsError:
+            return False
+        except OSError as error:
+            raise RecordError(f"{self.folder}: cannot be written: {error.strerror or error}") from None
+        return True
+
+    def names(self) -> set[str]:
+        """Names of all files, without their ending."""
+        try:
+            return {
+                entry.name.removesuffix(self.suffix)
+                for entry in os.scandir(self.folder)
+                if entry.name.endswith(self.suffix) and not entry.name.startswith(".")
+            }
+        except FileNotFoundError:
+            return set()
+        except OSError as error:
+            raise RecordError(f"{self.folder}: cannot be read: {error.strerror or error}") from None
+
+    def merge(self, *, at_once: int = _FEW) -> None:
+        """Write the merged file anew where at least so many files are not in it."""
+        import pyarrow as pa
+        from pyarrow import parquet
+
+        newest, number = self.newest()
+        there = self.names()
+        tables = []
+        if newest is not None:
+            with contextlib.suppress(pa.ArrowInvalid, OSError):
+                old = parquet.read_table(newest)
+                tables.append(old.filter(pa.array([name in there for name in old["version"].to_pylist()])))
+        merged = set(tables[0]["version"].to_pylist()) if tables else set()
+        loose = sorted(there - merged)
+        if len(loose) < at_once:
+            return
+        for name in loose:
+            try:
+                tables.append(self.read(self.path(name)))
+            except (pa.ArrowInvalid, OSError) as error:
+                raise unreadable(self.path(name), error) from None
+        self.merged.mkdir(exist_ok=True)
+        data = as_parquet(pa.concat_tables(tables, promote_options="default"))
+        # another process that was faster has merged as well as this one
+        with contextlib.suppress(FileExistsError):
+            whole_file.write_new(self.merged / f"{self.kind}-{number + 1:08d}.parquet", data)
+        for old_path in sorted(self.merged.glob(f"{self.kind}-*.parquet"))[:-_KEPT]:
+            old_path.unlink(missing_ok=True)
+
+    def newest(self) -> tuple[Path | None, int]:
+        """The merged file with the highest number, and that number."""
+        numbered = {
+            int(found[1]): path
+            for path in self.merged.glob(f"{self.kind}-*.parquet")
+            if (found := re.fullmatch(rf"{self.kind}-(\d+)\.parquet", path.name))
+        }
+        number = max(numbered, default=0)
+        return numbered.get(number), number
+
+
+def unreadable(path: Path, error: object, command: str = "add") -> RecordError:
+    """That a derived file is damaged, and what makes it anew."""
+    text = (str(error).splitlines() or [type(error).__name__])[0]
+    return RecordError(
+        f"{path}: cannot be read: {text}; delete the file that is named, rig archive {command} makes it anew"
+    )
+
+
+def as_parquet(table: Any, *, few_rows: bool = False) -> bytes:
+    """An Arrow table as the bytes of a Parquet file.
+
+    With `few_rows` without all that speeds up searches: most of a small file consists of it.
+    """
+    from pyarrow import parquet
+
+    data = io.BytesIO()
+    told = {"use_dictionary": False, "write_statistics": False, "store_schema": False} if few_rows else {}
+    parquet.write_table(table, data, compression="zstd", **told)
+    return data.getvalue()

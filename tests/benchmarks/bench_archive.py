@@ -1,0 +1,141 @@
+"""An archive of many sessions: adding, listing, killed at random moments, two that add at once.
+
+Run as ``python -m tests.benchmarks archive [--quick]``; `RIG_BENCH_SESSIONS` names another number of sessions
+than 10,000 (which take 4 GB while it runs).
+"""
+
+import os
+import random
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from tests.rig.archive.many_sessions import RUNS, make_sessions
+
+KILLS = 100
+_LISTED = "sample like '%K8%' and humidity < 45 and state = 'whole' order by c limit 40"
+_MEASURE = """
+import os, subprocess, sys
+quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+_, status, usage = os.wait4(subprocess.Popen(sys.argv[1:], **quiet).pid, 0)
+print(usage.ru_maxrss, usage.ru_utime + usage.ru_stime, status)
+"""
+"""Starts a command and tells its use, from a small process: a child's most memory is never less than its
+parent's was.
+"""
+
+
+def run(quick: bool = False) -> dict[str, Any]:
+    """All numbers; `quick` takes 200 sessions and 10 kills."""
+    sessions = int(os.environ.get("RIG_BENCH_SESSIONS", "200" if quick else "10000"))
+    kills = 10 if quick else KILLS
+    results: dict[str, Any] = {"sessions": sessions, "runs": sessions * RUNS}
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        began_s = time.process_time()
+        made = sum(1 for _ in make_sessions(folder / "runs", sessions, templates=8 if quick else 24))
+        assert made == sessions
+        results["generated, CPU s"] = time.process_time() - began_s
+        archive = folder / "archive"
+        for what in ("add", "add again"):
+            began_s = time.monotonic()
+            peak_mib, spent_s = _taken("add", folder / "runs", "--archive", archive)
+            results |= {f"{what}: CPU s": spent_s, f"{what}: s": time.monotonic() - began_s}
+            results[f"{what}: MiB resident"] = peak_mib
+        _taken("list", "limit 1", "--archive", archive)  # compiles bytecode
+        peak_mib, results["list: CPU s"] = _taken("list", _LISTED, "--archive", archive)
+        results["list: MiB resident"] = peak_mib
+        results["catalogue MB"] = _size(archive / "sessions") / 1e6
+        results["merged MB"] = _size(archive / "merged") / 1e6
+        results |= _killed(folder / "runs", folder / "killed", sessions, kills, results["add: s"])
+        results |= _two_at_once(folder / "runs", folder / "two", sessions)
+    table = Table("archive", "measured")
+    for key, value in results.items():
+        table.add_row(key, f"{value:,.4g}" if isinstance(value, float) else str(value))
+    Console().print(table)
+    return results
+
+
+def _command(*words: str | Path) -> list[str]:
+    return [sys.executable, "-m", "rig", "archive", *map(str, words)]
+
+
+def _taken(*words: str | Path) -> tuple[float, float]:
+    """Most memory of a command in MiB, and its processor time in s. It must succeed."""
+    told = subprocess.run(
+        [sys.executable, "-S", "-c", _MEASURE, *_command(*words)],
+        stdout=subprocess.PIPE,
+        text=True,
+        check=True,
+    )
+    peak_kib, spent_s, status = told.stdout.split()
+    if int(status) != 0:
+        raise RuntimeError(f"rig archive {words[0]} failed")
+    return float(peak_kib) / 1024, float(spent_s)
+
+
+def _size(folder: Path) -> int:
+    return sum(path.stat().st_size for path in folder.iterdir()) if folder.is_dir() else 0
+
+
+def _killed(runs: Path, archive: Path, sessions: int, kills: int, whole_s: float) -> dict[str, Any]:
+    """`add` killed at random moments and started again: what is listed must never fail, nor be lost."""
+    moments = random.Random(1)
+    before = broken = 0
+    for _ in range(kills):
+        process = subprocess.Popen(
+            _command("add", runs, "--archive", archive),
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+        try:
+            # half of the whole work in all, so that it is killed at every stage of it
+            process.wait(moments.uniform(1.0, 1.0 + whole_s / kills))
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+        found = _listed(archive)
+        broken += found < before
+        before = max(found, before)
+    _taken("add", runs, "--archive", archive)
+    return {
+        "killed: times": kills,
+        "killed: listed less than before, or nothing": broken,
+        "killed: runs missing at the end": sessions * RUNS - _listed(archive),
+    }
+
+
+def _two_at_once(runs: Path, archive: Path, sessions: int) -> dict[str, Any]:
+    folders = sorted(path for path in runs.iterdir() if path.is_dir())
+    halves: Sequence[Sequence[Path]] = (folders, folders[::-1])
+    began_s = time.monotonic()
+    both = [
+        subprocess.Popen(_command("add", *half, "--archive", archive), stdout=subprocess.DEVNULL)
+        for half in halves
+    ]
+    failed = sum(process.wait() != 0 for process in both)
+    return {
+        "two at once: s": time.monotonic() - began_s,
+        "two at once: failed": failed,
+        "two at once: runs missing": sessions * RUNS - _listed(archive),
+    }
+
+
+def _listed(archive: Path) -> int:
+    """How many runs are listed; 0 of an archive that holds none yet, -1 where it cannot be read."""
+    done = subprocess.run(
+        _command("list", "--columns", "count(*)", "--format", "csv", "--archive", archive),
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if done.returncode:
+        return 0 if "holds no sessions" in done.stderr else -1
+    return int(done.stdout.split()[-1])
