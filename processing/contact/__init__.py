@@ -32,7 +32,9 @@ from processing.contact.law import (
     Law,
     Parameter,
 )
+from processing.contact.law_of_splines import spline_law
 from processing.contact.laws import LAWS, PAPER
+from processing.contact.moment_splines import MomentSplines
 from processing.contact.moments import cycle_work, surface_energy, weight_moment
 from processing.contact.one_half_swing import OneHalfSwing, tabulated_half_swing
 from processing.contact.parameters import STANDARD_GRAVITY_M_PER_S2, ContactParameters, PendulumOnBall
@@ -55,6 +57,7 @@ __all__ = [
     "HertzContact",
     "Law",
     "Material",
+    "MomentSplines",
     "OneHalfSwing",
     "Parameter",
     "PendulumOnBall",
@@ -77,6 +80,7 @@ __all__ = [
     "period_start",
     "relative_curvature",
     "scaled_contact",
+    "spline_law",
     "stiffness_ratio",
     "surface_energy",
     "tabulated_half_swing",

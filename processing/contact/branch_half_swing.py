@@ -18,18 +18,16 @@ corrected by the moment that the branch before ends with.
 """
 
 from collections.abc import Sequence
-from functools import lru_cache
+from functools import lru_cache, partial
 from math import exp, log
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from processing.contact.branch import Array, Arrays, Branch
 from processing.contact.law import HalfSwings
-
-if TYPE_CHECKING:
-    from scipy.interpolate import CubicSpline
+from processing.contact.tabulated_decay import SwingTable, walk
 
 _NODES = 24
 _PER_TABLE, _TABLE_RATIO = 25, 4.0
@@ -116,18 +114,8 @@ def _half_swing(branch: Branch, amplitude: Array, held: Array, q: Arrays) -> tup
         return following, duration, branch.resistance(2 * radius, held, q)
 
 
-class _Table(NamedTuple):
-    """A'/A and duration over ln A, and their derivatives by the parameters."""
-
-    lowest: float
-    ratio: Array  # polynomial coefficients, highest power first, one column an interval
-    knots: Array
-    values: "CubicSpline"
-    """Of ln A: A'/A, duration, then the derivatives of each by the parameters."""
-
-
-def _table(branch: Branch, names: Sequence[str], parameters: Array, highest: float) -> _Table:
-    """Half-swings from amplitudes below `highest`."""
+def _table(branch: Branch, names: Sequence[str], parameters: Array, highest: float) -> SwingTable | None:
+    """Half-swings from amplitudes below `highest`; None where the pendulum sticks."""
     from scipy.interpolate import CubicSpline  # here, because it would slow down every command
 
     log_a = log(highest) - log(_TABLE_RATIO) * np.linspace(1.03, -0.03, _PER_TABLE)
@@ -154,11 +142,10 @@ def _table(branch: Branch, names: Sequence[str], parameters: Array, highest: flo
     rows = np.concatenate([ratio[:1], duration[:1], *by]).T
     usable = np.isfinite(rows).all(axis=1)
     if not usable[-4:].all():
-        return _Table(np.inf, np.empty((4, 0)), log_a, CubicSpline([0, 1], [[0], [0]]))
+        return None
     first = len(usable) - int(np.argmin(usable[::-1])) if not usable.all() else 0
-    values = CubicSpline(log_a[first:], rows[first:])
     lowest = exp(log_a[first]) if first else highest / _TABLE_RATIO
-    return _Table(lowest, values.c[:, :, 0], values.x, values)
+    return SwingTable(lowest, CubicSpline(log_a[first:], rows[first:]))
 
 
 def _on_grid(log_a: Array, at: Array, values: Array) -> Array:
@@ -190,62 +177,4 @@ def branch_half_swings(
     """
     keys = (*names, "drag", "reference")
     own = parameters[:-1]
-    count, last = len(own), int(index[-1])
-    amplitudes: list[float] = [float(parameters[-1])]
-    rows: list[Array] = []
-    while len(amplitudes) <= last and amplitudes[-1] > 0:
-        table = _table(branch, keys, own, amplitudes[-1])
-        begun = len(amplitudes) - 1
-        _walk(table, amplitudes, last)
-        if len(amplitudes) == begun + 1:
-            break
-        log_a = np.log(amplitudes[begun:-1])
-        here = table.values(log_a)
-        slope = table.values(log_a, 1)[:, :2] / np.exp(log_a)[:, None]
-        rows.append(np.column_stack([slope, here]))
-    out = np.full((len(index), 2 * count + 4), np.nan)
-    walked = np.concatenate(rows) if rows else np.empty((0, 2 * count + 4))
-    a = np.array(amplitudes[: len(walked) + 1])
-    # dA'/dA and, at fixed A, dA'/dq; likewise the duration
-    by_a = walked[:, 2] + a[:-1] * walked[:, 0]
-    by_q = a[:-1, None] * walked[:, 4 : 4 + count]
-    product = np.concatenate([[1.0], np.cumprod(by_a)])
-    summed = np.cumsum(by_q / product[1:, None], axis=0)
-    gradient = product[:, None] * np.column_stack(
-        [np.concatenate([np.zeros((1, count)), summed]), np.ones(len(a))]
-    )
-    by_time = walked[:, 1][:, None] * gradient[:-1]
-    by_time[:, :count] += walked[:, 4 + count :]
-    reached = index < len(a)
-    at = index[reached]
-    out = _filled(len(index), reached, a[at])
-    time = np.concatenate([[0.0], np.cumsum(walked[:, 3])])
-    time_gradient = np.concatenate([np.zeros((1, count + 1)), np.cumsum(by_time, axis=0)])
-    return HalfSwings(
-        out,
-        _filled(len(index), reached, time[at]),
-        _filled(len(index), reached, gradient[at]),
-        _filled(len(index), reached, time_gradient[at]),
-    )
-
-
-def _filled(count: int, where: NDArray[np.bool_], values: Array) -> Array:
-    out = np.full((count, *values.shape[1:]), np.nan)
-    out[where] = values
-    return out
-
-
-def _walk(table: _Table, amplitudes: list[float], last: int) -> None:
-    """Append amplitudes until the table or the wanted number ends."""
-    c3, c2, c1, c0 = (row.tolist() for row in table.ratio)
-    if not c0:
-        return
-    origin, step = float(table.knots[0]), float(table.knots[1] - table.knots[0])
-    knots = table.knots.tolist()
-    here = amplitudes[-1]
-    while len(amplitudes) <= last and here >= table.lowest:
-        log_a = log(here)
-        k = min(max(int((log_a - origin) / step), 0), len(c0) - 1)
-        d = log_a - knots[k]
-        here *= ((c3[k] * d + c2[k]) * d + c1[k]) * d + c0[k]
-        amplitudes.append(here)
+    return walk(partial(_table, branch, keys, own), len(own), float(parameters[-1]), index)

@@ -29,6 +29,7 @@ from processing.fit.series import (
 )
 from processing.fit.smoothing import super_smooth
 from processing.fit.uncertainty import Budget, Propagated, budgets, monte_carlo
+from processing.fit.without_law import FreeMoments, WithoutLaw, fit_without_law
 from processing.fit_method import FitMethod
 
 __all__ = [
@@ -42,6 +43,7 @@ __all__ = [
     "FitMethod",
     "FitResult",
     "FittedContact",
+    "FreeMoments",
     "Ground",
     "LawComparison",
     "LawTrial",
@@ -52,6 +54,7 @@ __all__ = [
     "RigQuantities",
     "SeriesResult",
     "Verdict",
+    "WithoutLaw",
     "average_curves",
     "budgets",
     "by_row_time",
@@ -64,6 +67,7 @@ __all__ = [
     "draw_fitted",
     "fit_asymptotic",
     "fit_exact",
+    "fit_without_law",
     "fitted_contact",
     "identifiability",
     "known_motion",

@@ -1,7 +1,7 @@
 """From a record or a table to results: laws of the contact, other instruments, verdicts, results.json."""
 
 from rig.analysis.base_acceleration import base_motion
-from rig.analysis.compared_laws import chosen_laws, law_table, laws_of
+from rig.analysis.compared_laws import chosen_laws, law_table, laws_of, moments_table
 from rig.analysis.contact_laws import surface_energies
 from rig.analysis.contact_results import (
     NOT_DETERMINED,
@@ -25,6 +25,7 @@ from rig.analysis.fit_remarks import drive_text, remarks
 from rig.analysis.fit_tables import parameter_table, quality_table
 from rig.analysis.headline import budget_of, dominant_text
 from rig.analysis.instrument_results import DecrementTable, InstrumentResults, PeriodTable, SwingPlane
+from rig.analysis.law_results import ComparedLaws, MomentsWithoutLaw
 from rig.analysis.record_fit import (
     AnalysedRun,
     analyse_record,
@@ -68,6 +69,7 @@ __all__ = [
     "Budget",
     "Columns",
     "CombinedParameter",
+    "ComparedLaws",
     "Correlation",
     "Curves",
     "DecrementTable",
@@ -77,6 +79,7 @@ __all__ = [
     "Ground",
     "InstrumentResults",
     "JsonObject",
+    "MomentsWithoutLaw",
     "MonteCarlo",
     "PeriodTable",
     "PositionErrors",
@@ -110,6 +113,7 @@ __all__ = [
     "law_table",
     "laws_of",
     "mean_air",
+    "moments_table",
     "parameter_table",
     "points_in_true_time",
     "print_results",

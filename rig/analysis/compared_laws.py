@@ -1,17 +1,23 @@
 """Which laws describe a run: fits of several to its turning points, and the table for the terminal."""
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from typing import Final
 
+from processing.contact import PendulumOnBall
 from processing.contact.laws import LAWS, Law
-from processing.errors import ConfigurationError
-from processing.fit import FitMethod, LawComparison, compare_laws
-from rig.analysis.law_results import ComparedLaws, LawFit
+from processing.errors import ConfigurationError, DataError
+from processing.fit import FitMethod, LawComparison, compare_laws, fit_without_law
+from processing.swing import TurningPoints
+from rig.analysis.law_results import ComparedLaws, LawFit, LawMoments, MomentsWithoutLaw
 from rig.analysis.record_fit import AnalysedRun
 from rig.presentation import Cell, Table
 
+NO_LAW: Final = "none"
+
 
 def chosen_laws(names: Sequence[str]) -> tuple[Law, ...]:
-    """Laws of the registry by name; "all" means all of them.
+    """Laws of the registry by name; "all" means all of them, "none" none but those named beside it.
 
     Raises
     ------
@@ -19,8 +25,10 @@ def chosen_laws(names: Sequence[str]) -> tuple[Law, ...]:
         There is no law of that name.
     """
     for name in names:
-        if name != "all" and name not in LAWS:
-            raise ConfigurationError(f"--law {name}: no such law; there are {', '.join(LAWS)}, and all")
+        if name not in ("all", NO_LAW, *LAWS):
+            raise ConfigurationError(
+                f"--law {name}: no such law; there are {', '.join(LAWS)}, {NO_LAW} and all"
+            )
     return tuple(law for law in LAWS.values() if law.name in names or "all" in names)
 
 
@@ -29,7 +37,35 @@ def laws_of(run: AnalysedRun, laws: Iterable[Law]) -> ComparedLaws | None:
     exact, pendulum = run.fits.get(FitMethod.EXACT), run.results.pendulum
     if exact is None or pendulum is None:
         return None
-    return _values(compare_laws(run.points, pendulum, laws, drag=exact.has_drag, known=[exact]))
+    compared = compare_laws(run.points, pendulum, laws, drag=exact.has_drag, known=[exact])
+    return replace(_values(compared), without_law=_without_law(run.points, pendulum, compared))
+
+
+def _without_law(
+    points: TurningPoints, pendulum: PendulumOnBall, compared: LawComparison
+) -> MomentsWithoutLaw | None:
+    """Moments as splines, and those of the laws that remain in the same terms; None where there is no fit."""
+    try:
+        free = fit_without_law(points, pendulum)
+    except DataError:
+        return None
+    assert free.fit.ground is not None  # of every exact fit
+    found = free.moments()
+    same = {}
+    for trial in compared.trials:
+        if trial.fit is not None:
+            moments = free.of_law(trial.fit, found.phi_rad)
+            same[trial.law.name] = LawMoments(moments.friction_n_m, moments.elastic_n_m)
+    return MomentsWithoutLaw(
+        phi_rad=found.phi_rad,
+        friction_n_m=found.friction_n_m,
+        u_friction_n_m=found.u_friction_n_m,
+        elastic_n_m=found.elastic_n_m,
+        u_elastic_n_m=found.u_elastic_n_m,
+        reference_rad=found.reference_rad,
+        ground_rad_per_s2_rthz=free.fit.ground.density.value,
+        laws=same,
+    )
 
 
 def _values(compared: LawComparison) -> ComparedLaws:
@@ -74,3 +110,17 @@ def law_table(compared: ComparedLaws) -> Table:
         "BIC: distance from the best law; more than 10 excludes one. Drive of the ground that the law needs, "
         "in rad/s²/√Hz: what the law lacks, a stronger drive must explain.",
     )
+
+
+def moments_table(compared: ComparedLaws) -> Table:
+    """The contact's moments without a law and those of the fitted laws, for a file."""
+    free = compared.without_law
+    columns = ["phi_rad", "friction_n_m", "u_friction_n_m", "elastic_n_m", "u_elastic_n_m"]
+    rows: list[list[Cell]] = []
+    if free is not None:
+        parts = [getattr(free, name) for name in columns]
+        for name, law in free.laws.items():
+            columns += [f"{name}_friction_n_m", f"{name}_elastic_n_m"]
+            parts += [law.friction_n_m, law.elastic_n_m]
+        rows = [list(row) for row in zip(*(part.tolist() for part in parts), strict=True)]
+    return Table("moments", "Moments of the contact without a law", columns, rows)

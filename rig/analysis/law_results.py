@@ -2,9 +2,12 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from math import inf
+from math import inf, nan
+from typing import Annotated
 
-from rig.analysis.encoding import Number, Value
+import numpy as np
+
+from rig.analysis.encoding import Floats, LeftOut, Number, Value
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -23,8 +26,36 @@ class LawFit:
 
 
 @dataclass(frozen=True, slots=True)
+class LawMoments:
+    """What a fitted law says of both moments, as `MomentsWithoutLaw` has them."""
+
+    friction_n_m: Floats
+    elastic_n_m: Floats
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MomentsWithoutLaw:
+    """Friction against the motion and elastic moment at the angles `phi_rad`, as splines of the angle.
+
+    `u_friction_n_m` and `u_elastic_n_m` are standard uncertainties: bands that cover 68 %. A moment
+    proportional to the angle is gravity's, so that the elastic moment vanishes at `reference_rad`; `laws` has
+    what the fitted laws say in the same terms. `ground_rad_per_s2_rthz` is the drive that the splines leave.
+    """
+
+    phi_rad: Floats = field(default_factory=lambda: np.empty(0))
+    friction_n_m: Floats = field(default_factory=lambda: np.empty(0))
+    u_friction_n_m: Floats = field(default_factory=lambda: np.empty(0))
+    elastic_n_m: Floats = field(default_factory=lambda: np.empty(0))
+    u_elastic_n_m: Floats = field(default_factory=lambda: np.empty(0))
+    reference_rad: Number = nan
+    ground_rad_per_s2_rthz: Number = nan
+    laws: Mapping[str, LawMoments] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
 class ComparedLaws:
-    """Laws by name, the best first, and the verdict in words."""
+    """Laws by name, the best first, the verdict in words, and the moments without a law (None: no fit)."""
 
     laws: Mapping[str, LawFit]
     verdict: str
+    without_law: Annotated[MomentsWithoutLaw | None, LeftOut] = None

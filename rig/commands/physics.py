@@ -46,7 +46,7 @@ def fit(
     ] = None,
     law: Annotated[
         list[str] | None,
-        typer.Option(help="Records: compare the paper's law with another one, or all; may be repeated."),
+        typer.Option(help="Records: compare the paper's law with another one, all or none; may be repeated."),
     ] = None,
     set_: Set = None,
 ) -> None:

@@ -11,7 +11,7 @@ from processing.deflections import DeflectionUnit
 from processing.errors import DataError
 from processing.fit import FitMethod
 from processing.swing import TurningPoints
-from rig.analysis import Curves
+from rig.analysis import ComparedLaws, Curves, MomentsWithoutLaw
 from rig.presentation import palette
 from rig.report.drawing import (
     ASYMPTOTIC,
@@ -220,5 +220,51 @@ def loss_figure(points: TurningPoints, parameters: ContactParameters, pendulum: 
         "losses",
         "Losses against amplitude",
         "From turning points whole cycles apart, and of the exact map with the fitted parameters.",
+        figure,
+    )
+
+
+_SEVERAL = (EXACT, ASYMPTOTIC, *palette.SEQUENCE)
+
+
+def moments_figure(laws: ComparedLaws, free: MomentsWithoutLaw) -> Drawing:
+    """The contact's moments without a law with their bands, and over them those of the laws that remain."""
+    figure = canvas(4.6)
+    panels = figure.subplots(2, 2, sharex=True, height_ratios=[1.6, 1.0])
+    figure.subplots_adjust(left=0.095, right=0.985, bottom=0.1, top=0.94, hspace=0.07, wspace=0.28)
+    phi = free.phi_rad / ARCSEC_RAD
+    shown = [name for name in free.laws if not laws.laws[name].excluded]
+    for column, (title, values, u, of_laws) in enumerate(
+        (
+            ("friction", free.friction_n_m, free.u_friction_n_m,
+             [free.laws[name].friction_n_m for name in shown]),
+            ("elastic moment", free.elastic_n_m, free.u_elastic_n_m,
+             [free.laws[name].elastic_n_m for name in shown]),
+        )
+    ):  # fmt: skip
+        top, bottom = panels[:, column]
+        top.fill_between(phi, (values - u) * 1e9, (values + u) * 1e9, color=DATA, alpha=0.3, lw=0)
+        top.plot(phi, values * 1e9, color=DATA, lw=2.0, label="no law")
+        bottom.axhspan(-1, 1, color=DATA, alpha=0.3, lw=0)
+        bottom.axhline(0, color=INK, lw=0.6)
+        for name, law, colour in zip(shown, of_laws, _SEVERAL * len(shown), strict=False):
+            top.plot(phi, law * 1e9, color=colour, lw=0.9, label=name)
+            bottom.plot(phi, (law - values) / u, color=colour, lw=0.9)
+        top.set_title(title)
+        top.set_xscale("log")
+        top.set_ylabel("M / nN m")
+        bottom.set_xlabel("φ / arcsec")
+        bottom.set_ylabel("(law − no law)/u", fontsize=7.5)
+        bottom.set_ylim(-5, 5)
+        bottom.set_xticks([2, 5, 10, 20, 50, 100], ["2", "5", "10", "20", "50", "100"])
+        bottom.minorticks_off()
+        bottom.set_xlim(phi[0], phi[-1])
+    panels[0, 0].legend(loc="upper left")
+    return Drawing(
+        "moments",
+        "Moments of the contact without a law",
+        "Splines of the angle, fitted to amplitudes and times; bands cover 68 %. A moment "
+        f"proportional to φ is gravity's: the elastic one vanishes at {free.reference_rad / ARCSEC_RAD:.3g} "
+        "arcsec. Lines: the laws that the data do not exclude, in the same terms.",
         figure,
     )

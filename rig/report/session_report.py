@@ -214,7 +214,7 @@ def _run(run: RunData, files: Path, *, alone: bool) -> list[str]:
     body.append(html.side_by_side(take("quality", "hertz")))
     body += take("conditions")
     body += take("fig12-decay", "fig13-period", "fig14-smoother", "residuals", "position-errors", "spectrum")
-    body += take("table4-loops", "work", "losses")
+    body += take("table4-loops", "work", "losses", "laws", "moments")
     body.append(html.side_by_side(take("drag", "identifiability")))
     body += take("correlation", "budget", "monte-carlo")
     body += take("fig00-frame", "fig09-y", "fig10-x", "fig11-trajectory")
@@ -242,6 +242,8 @@ def _drawings(run: RunData, curves: Curves | None) -> list[Drawing]:
         drawings.append(place_figure(run.results.position_errors))
     if run.results.instrument is not None:
         drawings += instrument_figures(run.results.instrument)
+    if run.results.laws is not None and run.results.laws.without_law is not None:
+        drawings.append(figures_laws.moments_figure(run.results.laws, run.results.laws.without_law))
     pendulum = run.results.pendulum
     if curves is not None and pendulum is not None and fit is not None:
         exact = fit.contact()

@@ -3,6 +3,7 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from processing.errors import ConfigurationError
@@ -21,11 +22,18 @@ def test_a_records_laws_are_compared_and_the_verdict_stands_in_the_results(
     assert viscous["bic_above_best"] > 10
     # the same fit as the run's own
     assert paper["parameters"]["b"] == run["fits"]["exact"]["b"]
+    free = run["laws"]["without_law"]
+    assert set(free["laws"]) == {"paper", "viscous"}
+    friction, u = np.array(free["friction_n_m"]), np.array(free["u_friction_n_m"])
+    apart = (np.array(free["laws"]["paper"]["friction_n_m"]) - friction) / u
+    assert np.all(np.abs(apart) < 4)
     said = " ".join(capsys.readouterr().out.split())
     assert "Laws of the contact" in said
     assert "paper describes this decay best; excluded: viscous" in said
 
 
 def test_an_unknown_law_is_named_with_those_that_there_are(measured_series: Path, tmp_path: Path) -> None:
-    with pytest.raises(ConfigurationError, match=r"--law hertz: no such law; there are paper, masing, .*all"):
+    with pytest.raises(
+        ConfigurationError, match=r"--law hertz: no such law; there are paper, masing, .*none and all"
+    ):
         fit_records([measured_series / "run-1.mcap"], tmp_path / "out", (), ["hertz"])

@@ -1,0 +1,168 @@
+"""No law: the moments of the contact as splines of the angle, whatever they are.
+
+    M = -m g R f(|phi|) sign(phi') + m g R phi g(|phi|)
+
+A moment proportional to phi is gravity's: g is zero at the reference amplitude by definition, and T0 the
+period of what is proportional there. With D and V, the integrals of f and of x g, and U = x^2/2 - V, a swing
+from A turns next at A' where
+
+    U(A) - D(A) = U(A') + D(A')
+
+and either quarter lasts ``integral dtheta / (2 pi sqrt(G))`` in units of T0, with x = A cos theta and
+
+    G = 1 - 2 [V(A) - V(x) +- (D(A) - D(x))] / (A sin theta)^2
+
+(+ after the turning point, - before it). But for the root this is linear in the coefficients of the splines.
+
+A swing of a law with memory loses and lasts as one of this kind does; f and g are then those of the contact
+without memory that has the same turning points.
+"""
+
+from collections.abc import Mapping
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from processing.contact.branch_columns import PERIOD, BranchColumns, Scaling, logarithms_of
+from processing.contact.branch_law import FREE_PERIOD
+from processing.contact.law import BranchMoments, HalfSwings, Law, Parameter
+from processing.contact.moment_splines import MomentSplines
+from processing.contact.moments import weight_moment
+from processing.contact.parameters import PendulumOnBall
+from processing.contact.quadrature import quarter_nodes
+from processing.contact.start_values import StartValues
+from processing.contact.tabulated_decay import SwingTable, walk
+from processing.periods import reference_amplitude
+from processing.swing import TurningPoints
+
+Array = NDArray[np.float64]
+
+_FEWEST = 8
+"""Fewest amplitudes of a table."""
+
+
+def _turning(splines: MomentSplines, energy: Array, of_friction: Array, of_elastic: Array) -> Array:
+    """The amplitudes below those of the grid at which U + D reaches an energy; NaN where there is none."""
+    highest = splines.grid
+    x, lowest = highest.copy(), 0.1 * highest[0]
+    for _ in range(40):
+        above = 0.5 * x**2 - splines.elastic_work(x) @ of_elastic + splines.friction_work(x) @ of_friction
+        slope = x - splines.elastic(x) @ of_elastic + splines.friction(x) @ of_friction
+        following = np.clip(x - (above - energy) / slope, lowest, highest)
+        settled = np.all(np.abs(following - x) < 1e-15 * highest)
+        x = following
+        if settled:
+            break
+    return np.where(x > lowest, x, np.nan)
+
+
+def _table(splines: MomentSplines, of_friction: Array, of_elastic: Array) -> SwingTable | None:
+    """Half-swings from the amplitudes of the grid; None where the pendulum sticks."""
+    from scipy.interpolate import CubicSpline  # here, because it would slow down every command
+
+    nodes, grid = quarter_nodes(), splines.grid
+    lost, stored = splines.friction_work(grid), splines.elastic_work(grid)
+    quarters = []
+    with np.errstate(all="ignore"):
+        for sign in (1.0, -1.0):
+            root = 1 / np.sqrt(1 - splines.stored @ of_elastic - sign * (splines.lost @ of_friction))
+            weight = 0.5 * nodes.weight * root**3
+            quarters.append(
+                np.column_stack(
+                    [
+                        root @ nodes.weight,
+                        sign * np.einsum("ak,akj->aj", weight, splines.lost),
+                        np.einsum("ak,akj->aj", weight, splines.stored),
+                    ]
+                )
+                / (2 * np.pi)
+            )
+        energy = 0.5 * grid**2 - stored @ of_elastic - lost @ of_friction
+        following = _turning(splines, energy, of_friction, of_elastic)
+    first = len(grid) - int(np.argmax(np.append(~(following[::-1] > grid[0]), True)))
+    if len(grid) - first < _FEWEST or not np.all(np.isfinite(quarters)):
+        return None
+    leaving, arriving = quarters[0][first:], CubicSpline(np.log(grid), quarters[1])
+    grid, following = grid[first:], following[first:]
+    stiffness = (
+        following - splines.elastic(following) @ of_elastic + splines.friction(following) @ of_friction
+    )
+    by = np.column_stack(
+        [
+            -(lost[first:] + splines.friction_work(following)),
+            splines.elastic_work(following) - stored[first:],
+        ]
+    )
+    by /= stiffness[:, None]
+    at = np.log(following)
+    quarter = leaving + arriving(at)
+    by_duration = quarter[:, 1:] + arriving(at, 1)[:, :1] / following[:, None] * by
+    nothing = np.zeros((len(grid), 2))  # by drag and reference
+    rows = [following / grid, quarter[:, 0], by / grid[:, None], nothing, by_duration, nothing]
+    return SwingTable(float(grid[0]), CubicSpline(np.log(grid), np.column_stack(rows)))
+
+
+def _half_swings(splines: MomentSplines, parameters: Array, index: NDArray[np.int64]) -> HalfSwings:
+    """The map, whose parameters and amplitudes are in units of a reference that need not be the splines'."""
+    count, last = splines.friction_count, len(parameters) - 1
+    in_units = np.ones(last + 1)
+    in_units[[*range(count), last]] = parameters[-2] / splines.unit_rad
+    scaled = parameters * in_units
+    table = _table(splines, scaled[:count], scaled[count:-3])
+
+    def table_from(amplitude: float) -> SwingTable | None:
+        return table if table is not None and amplitude >= table.lowest else None
+
+    found = walk(table_from, last, float(scaled[-1]), index)
+    return HalfSwings(
+        found.amplitude / in_units[-1],
+        found.time,
+        found.amplitude_gradient * in_units / in_units[-1],
+        found.time_gradient * in_units,
+    )
+
+
+def spline_law(points: TurningPoints) -> tuple[Law, MomentSplines]:
+    """The contact of one decay without a law, and its splines in units of the decay's reference amplitude.
+
+    Parameters are f0, f1, ... and g1, g2, ... (over m g R), and T0.
+    """
+    reference = reference_amplitude(points)
+    splines = MomentSplines(float(points.amplitude.max()), float(points.amplitude.min()), reference)
+    of_friction = [f"f{number}" for number in range(splines.friction_count)]
+    of_elastic = [f"g{number + 1}" for number in range(splines.elastic_count)]
+
+    def moments(
+        phi_rad: Array, direction: Array, values: Mapping[str, float], pendulum: PendulumOnBall
+    ) -> BranchMoments:
+        x, weight = np.abs(phi_rad) / reference, weight_moment(pendulum)
+        friction = splines.friction(x) @ np.array([values[key] for key in of_friction])
+        elastic = splines.elastic(x) @ np.array([values[key] for key in of_elastic]) * reference
+        return BranchMoments(-weight * np.sign(direction) * friction, weight * np.sign(phi_rad) * elastic)
+
+    def likely(found: StartValues, _: float) -> list[dict[str, float]]:
+        x = splines.grid
+        wanted = found.decay.c + max(found.decay.b, 0.0) * x**found.decay.p
+        friction = np.linalg.lstsq(splines.friction(x) / wanted[:, None], np.ones_like(x), rcond=None)[0]
+        known = dict(zip(of_friction, friction.tolist(), strict=True))
+        return [known | dict.fromkeys(of_elastic, 0.0) | {PERIOD: found.mean_period_s}]
+
+    parameters = (
+        *(Parameter(key, key, "1", "spline of the friction, over m g R", "no law") for key in of_friction),
+        *(Parameter(key, key, "1", "spline of the stiffness, over m g R", "no law") for key in of_elastic),
+        FREE_PERIOD,
+    )
+    scalings = dict.fromkeys(of_friction, Scaling(1.0)) | dict.fromkeys(of_elastic, Scaling())
+    law = Law(
+        name="none",
+        title="no law: moments as splines of the angle",
+        source="",
+        parameters=parameters,
+        branch_moments=moments,
+        half_swing_map=partial(_half_swings, splines),
+        columns=partial(
+            BranchColumns, parameters=parameters, scalings=scalings, straight=logarithms_of(), likely=likely
+        ),
+    )
+    return law, splines

@@ -1,0 +1,58 @@
+"""Moments of the contact without a law: the truth lies in their bands."""
+
+import numpy as np
+import pytest
+
+from processing.contact import spline_law
+from processing.fit import fit_exact, fit_without_law
+from tests.benchmarks.bench_without_law import true_moments
+from tests.processing.fit.decays import ARCSEC, decay, paper_pair
+
+
+@pytest.mark.parametrize("flat", ["glass_k8", "silicon"])
+def test_the_truth_lies_in_the_bands(flat: str) -> None:
+    parameters, pendulum = paper_pair(flat)
+    free = fit_without_law(decay(parameters, pendulum, noise_arcsec=0.005, seed=1, last_arcsec=20), pendulum)
+    found = free.moments()
+    friction, elastic = true_moments(found, parameters, pendulum)
+    assert np.all(found.u_friction_n_m < 0.01 * friction)
+    assert np.all(np.abs(found.friction_n_m - friction) < 3.5 * found.u_friction_n_m)
+    assert np.all(np.abs(found.elastic_n_m - elastic) < 3.5 * found.u_elastic_n_m)
+    assert 0.8 < free.fit.chi2_per_dof < 1.25
+
+
+def test_a_fitted_law_is_told_in_the_same_terms() -> None:
+    parameters, pendulum = paper_pair("glass_k8")
+    points = decay(parameters, pendulum, noise_arcsec=0.005, seed=2, last_arcsec=60)
+    free = fit_without_law(points, pendulum)
+    phi_rad = np.array([70.0, 90.0, 110.0]) * ARCSEC
+    law = free.of_law(fit_exact(points, pendulum), phi_rad)
+    friction, elastic = true_moments(law, parameters, pendulum)
+    np.testing.assert_allclose(law.friction_n_m, friction, rtol=1e-3)
+    np.testing.assert_allclose(law.elastic_n_m, elastic, rtol=0.03)
+
+
+def test_gradients_are_those_of_differences() -> None:
+    parameters, pendulum = paper_pair("silicon")
+    points = decay(parameters, pendulum, noise_arcsec=0.005, seed=1, last_arcsec=40)
+    law, splines = spline_law(points)
+    rng = np.random.default_rng(1)
+    friction = 1e-3 * (1 + 0.3 * rng.random(splines.friction_count))
+    elastic = 3e-3 * rng.random(splines.elastic_count)
+    # another reference than the splines' own: the map answers in the one that it is given
+    at = np.array([*friction, *elastic, 0.0, 0.9 * splines.unit_rad, 1.3])
+    index = np.arange(0, 120, 3)
+    found = law.half_swing_map(at, index)
+    assert np.all(np.isfinite(found.time))
+    for place in [*range(len(at) - 3), len(at) - 1]:
+        step = np.zeros(len(at))
+        step[place] = 1e-6
+        high, low = law.half_swing_map(at + step, index), law.half_swing_map(at - step, index)
+        for gradient, above, below in (
+            (found.amplitude_gradient, high.amplitude, low.amplitude),
+            (found.time_gradient, high.time, low.time),
+        ):
+            numeric = (above - below) / 2e-6
+            np.testing.assert_allclose(
+                gradient[:, place], numeric, rtol=1e-4, atol=1e-9 + 1e-5 * np.abs(numeric).max()
+            )
