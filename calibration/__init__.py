@@ -12,6 +12,7 @@ from calibration.lever_fit import LadderFit, LadderSteps, fit_ladder, lever_from
 from calibration.lever_geometry import GeometryLever, LeverGeometry, lever_from_geometry
 from calibration.light_lever import Lever, deflection_unit
 from calibration.pointing import Stability, stability
+from calibration.pulsed_shutter import PulsedShutterFit, fit_row_time_of_pulses
 from calibration.sensor import SensorCalibration, photon_transfer
 from calibration.shutter import GLOBAL, Shutter, ShutterFit, fit_row_time
 from calibration.store import (
@@ -37,6 +38,7 @@ __all__ = [
     "LadderSteps",
     "Lever",
     "LeverGeometry",
+    "PulsedShutterFit",
     "ScaleCheck",
     "SensorCalibration",
     "Shutter",
@@ -50,6 +52,7 @@ __all__ = [
     "fit_axes",
     "fit_ladder",
     "fit_row_time",
+    "fit_row_time_of_pulses",
     "lever_from_geometry",
     "lever_from_shifts",
     "lever_from_tilts",

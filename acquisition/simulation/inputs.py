@@ -5,9 +5,11 @@ from typing import NamedTuple
 
 
 class RigState(NamedTuple):
-    """State of a controller's outputs."""
+    """State of a controller's outputs; `pulse_us` 0: the laser is not pulsed."""
 
     laser_w: float = 0.0
+    pulse_delay_us: float = 0.0
+    pulse_us: float = 0.0
     magnet: bool = False
     starter: bool = False
     clamp: bool = False
@@ -29,6 +31,10 @@ class RigInputs:
     def laser(self, power_w: float) -> None:
         """Optical power of the laser; 0 is off."""
         self._change(laser_w=power_w)
+
+    def pulse(self, delay_us: float, width_us: float) -> None:
+        """Light only for a time after the beginning of each exposure; width 0: all the time."""
+        self._change(pulse_delay_us=delay_us, pulse_us=width_us)
 
     def magnet(self, on: bool) -> None:
         """On: holds the pendulum at the amplitude of the release; off: releases it."""

@@ -53,6 +53,11 @@ class RollingReadout:
         by_part = np.einsum("nkc,nk->nc", path[:, 1:] * powers[:, None], part[:, None] ** (powers - 1))
         return self._along(path, part), by_part / (self._last - self._first)
 
+    def row_begins_s(self, y_px: NDArray[np.float64]) -> NDArray[np.float64]:
+        """From the beginning of the first row's exposure to that of the row at `y_px` of the sensor."""
+        begins: NDArray[np.float64] = self._span_s * (y_px - self._first) / (self._last - self._first)
+        return begins
+
     @staticmethod
     def _along(path: NDArray[np.float64], part: NDArray[np.float64]) -> NDArray[np.float64]:
         position: NDArray[np.float64] = np.einsum("nkc,nk->nc", path, part[:, None] ** np.arange(_NODES))

@@ -119,13 +119,19 @@ class Scene:
         self._next += count
         period_s = 1 / self._readings.frame_rate_hz
         times_s = np.arange(first, first + count, dtype=np.float64) * period_s
+        pulsed = self._commanded.pulse_us > 0
         offset_px = self._pointing.offset_px(first, count)
-        if self._rolling is None:
-            position_px, slope = self._spot_px(times_s) + offset_px, np.zeros((count, 2))
+        if self._rolling is None or pulsed:
+            position_px, slope = (
+                self._spot_px(times_s + self._light_after_s) + offset_px,
+                np.zeros((count, 2)),
+            )
         else:
             moving_px = self._spot_px(self._rolling.times_s(times_s)).reshape(count, -1, 2)
             position_px, slope = self._rolling.seen(moving_px + offset_px[:, None, :])
         power = laser_factor(self._faults, times_s) * (self._commanded.laser_w / settings.optics.laser_w)
+        if pulsed:
+            power = power * self._seen_of_pulse(position_px[:, 1])
         if settings.optics.power_noise > 0:
             relative = 1 + settings.optics.power_noise * self._noise.power(first, count)
             power = power * np.maximum(relative, 0)
@@ -139,6 +145,23 @@ class Scene:
             slope=slope,
             dropped=self._noise.dropped(first, count, settings.disturbances.dropped_fraction),
         )
+
+    @property
+    def _light_after_s(self) -> float:
+        """From the middle of the first row's exposure to that of the light."""
+        state = self._commanded
+        if not state.pulse_us:
+            return 0.0
+        return 1e-6 * (state.pulse_delay_us + 0.5 * (state.pulse_us - self._readings.exposure_us))
+
+    def _seen_of_pulse(self, y_px: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Light that the row under the spot collects from a pulse, relative to that without pulses."""
+        state, exposure_us = self._commanded, self._readings.exposure_us
+        opens_us = np.zeros_like(y_px) if self._rolling is None else 1e6 * self._rolling.row_begins_s(y_px)
+        ends_us = np.minimum(state.pulse_delay_us + state.pulse_us, opens_us + exposure_us)
+        seen_us = ends_us - np.maximum(state.pulse_delay_us, opens_us)
+        relative: NDArray[np.float64] = np.maximum(seen_us, 0.0) / exposure_us
+        return relative
 
     def _spot_px(self, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
         """Centre of the spot (n, 2) at these times, which must not decrease, without the beam's motion."""

@@ -6,7 +6,7 @@ from dataclasses import asdict, astuple, replace
 
 import numpy as np
 
-from calibration import GLOBAL, Axes, Lever
+from calibration import Axes, Lever
 from processing.angle import ARCSEC_RAD
 from processing.contact import (
     AdhesiveContact,
@@ -58,7 +58,7 @@ from rig.analysis.contact_results import (
     Work,
 )
 from rig.analysis.results import RunResults
-from rig.instrument import balls, material
+from rig.instrument import balls, material, shutter_of
 from rig.settings import Configuration, PendulumSettings, TimebaseSettings
 
 DRAWS = 10_000
@@ -89,7 +89,7 @@ def rig_quantities(
     # a table's angles are taken as they are
     lever = lever or Lever(arm_m=1.0, pixel_pitch_m=1e-6)
     timebase = config.timebase or TimebaseSettings()
-    axes, shutter = config.axes or Axes(), config.shutter or GLOBAL
+    axes, shutter = config.axes or Axes(), shutter_of(config)
     return RigQuantities(
         mass_kg=Quantity(pendulum.mass_kg, pendulum.u_mass_kg),
         ball_radius_m=Quantity(pendulum.ball_radius_m, pendulum.u_ball_radius_m),

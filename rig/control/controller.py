@@ -7,13 +7,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from processing.errors import DeviceError
-from rig.control.link import ControllerReset, Link
+from rig.control.link import ControllerReset, Link, Refused
 from rig.control.protocol import BoardEvent
 from rig.control.serial_port import Line, PortLost, SerialPort
 from rig.control.settings import ControllerSettings
 
 _MAKER = "optical-pendulum-rig"
 _PROTOCOL = "1"
+_UNKNOWN_COMMAND = -113
 
 
 class InterlockOpen(DeviceError):
@@ -160,6 +161,21 @@ class Controller:
                 f" 0 to {self._limit_w:g} W is allowed by max_power_w and the controller's own limit"
             )
         self._ask(f"LAS:POW {_floor_w(power_w)}")
+
+    def set_laser_pulse(self, delay_us: float, width_us: float) -> None:
+        """Light only for `width_us`, `delay_us` after each exposure begins; to be set while the laser is off.
+
+        Raises `Refused` while it is on, and DeviceError if the board's firmware knows no pulses. A new
+        session begins without them.
+        """
+        try:
+            self._ask(f"LAS:PULS {delay_us:.7g},{width_us:.7g}")
+        except Refused as refusal:
+            if refusal.code != _UNKNOWN_COMMAND:
+                raise
+            raise DeviceError(
+                f"{self.name}: its firmware knows no pulses; flash the one that came with this version"
+            ) from None
 
     def laser_on(self) -> None:
         """Switch the laser on. Reads the interlock first and raises InterlockOpen if it is open."""

@@ -121,6 +121,10 @@ class ControlService(DeviceThread):
         """Set the laser's power within its limits."""
         return self.submit(lambda c: c.set_laser_power_w(power_w))
 
+    def set_laser_pulse(self, delay_us: float, width_us: float) -> "Future[None]":
+        """Light only in pulses timed by the camera's exposures; to be set while the laser is off."""
+        return self.submit(lambda c: c.set_laser_pulse(delay_us, width_us))
+
     def hold(self) -> "Future[None]":
         """Energise the holding magnet."""
         return self.submit(Controller.hold)

@@ -23,14 +23,20 @@ def _ignore(_: object) -> None:
     """Output of a pin that is not connected."""
 
 
+def _ignore_both(_: object, __: object) -> None:
+    """The same for two values."""
+
+
 @dataclass(frozen=True)
 class SimulatedOutputs:
     """Callbacks of the simulated board's pins, called from its thread; each must return immediately.
 
-    `laser` is given the optical power in W, 0.0 when off; `starter` and the other outputs True or False.
+    `laser` is given the optical power in W, 0.0 when off, `pulse` delay and width in us of the light
+    after each exposure's beginning, width 0 for light all the time; `starter` and the others True or False.
     """
 
     laser: Callable[[float], None] = _ignore
+    pulse: Callable[[float, float], None] = _ignore_both
     magnet: Callable[[bool], None] = _ignore
     starter: Callable[[bool], None] = _ignore
     clamp: Callable[[bool], None] = _ignore
@@ -137,6 +143,10 @@ class SimulatedBoard:
         """Switch the laser, with this power."""
         self._enabled = on
         self._outputs.laser(power_w if on else 0.0)
+
+    def set_pulse(self, delay_us: float, width_us: float) -> None:
+        """Time the light to the exposures."""
+        self._outputs.pulse(delay_us, width_us)
 
     def laser_enabled(self) -> bool:
         """Whether the laser's relay is closed."""

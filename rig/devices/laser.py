@@ -44,9 +44,12 @@ def light(settings: LaserSettings, control: ControlService | None, laser: LaserS
             raise ConfigurationError(_needs_controller("laser.kind"))
         if settings.power_w <= 0:
             raise ConfigurationError("laser.power_w = 0: set it to the wanted power in W")
+        if settings.pulse_us:
+            wait_for_command(control.set_laser_pulse(settings.pulse_delay_us, settings.pulse_us))
         wait_for_command(control.set_laser_power_w(settings.power_w))
         wait_for_command(control.laser_on())
-        return f"laser on, {settings.power_w * 1e3:g} mW"
+        pulsed = f", {settings.pulse_us:g} us in each exposure" if settings.pulse_us else ""
+        return f"laser on, {settings.power_w * 1e3:g} mW{pulsed}"
     if laser is None:
         return ""
     state = _wait(laser, lambda _: True)

@@ -27,7 +27,7 @@ from rig.control import (
 from rig.devices import audit
 from rig.devices.laser import LaserNow, laser_now, light
 from rig.devices.network_clock import wait_for_network_clock
-from rig.instrument import camera_settings, make_camera, setting_differences, shift_to_middle_ns
+from rig.instrument import camera_settings, make_camera, pulse_faults, setting_differences, shift_to_light_ns
 from rig.settings import Configuration
 
 _log = logging.getLogger(__name__)
@@ -120,8 +120,8 @@ class Devices:
             applied = camera.configure(asked)
             if asked.ptp:
                 wait_for_network_clock(camera)
-            notes = tuple(setting_differences(asked, applied))
-            yield OpenCamera(camera, info, notes, applied, shift_to_middle_ns(config, info, applied))
+            notes = (*setting_differences(asked, applied), *pulse_faults(config, info, applied))
+            yield OpenCamera(camera, info, notes, applied, shift_to_light_ns(config, info, applied))
         finally:
             camera.close()
 
@@ -140,6 +140,7 @@ class Devices:
             limit_w,
             SimulatedOutputs(
                 laser=inputs.laser if config.laser.kind == "controller" else _unwired,
+                pulse=inputs.pulse,
                 magnet=inputs.magnet,
                 starter=inputs.starter,
                 clamp=inputs.clamp,

@@ -17,9 +17,9 @@ from rig.instrument.configured_camera import (
     frame_policy,
     make_camera,
     setting_differences,
-    shift_to_middle_ns,
 )
 from rig.instrument.kernels import prepare_kernels
+from rig.instrument.light_times import pulse_faults, shift_to_light_ns, shutter_of
 from rig.instrument.optics import Optics, optics_of, sensor_model
 from rig.instrument.pendulum import balls, check_materials, material, pendulum_on_ball
 from rig.instrument.pipeline import Block, Deflector, Pipeline
@@ -61,12 +61,14 @@ __all__ = [
     "optics_of",
     "pendulum_on_ball",
     "prepare_kernels",
+    "pulse_faults",
     "recorded_configuration",
     "sensor_model",
     "sensor_room",
     "session_metadata",
     "setting_differences",
-    "shift_to_middle_ns",
+    "shift_to_light_ns",
+    "shutter_of",
     "turn_text",
     "versions",
 ]

@@ -2,10 +2,9 @@
 
 import math
 
-from acquisition.camera import Camera, CameraInfo, CameraSettings
+from acquisition.camera import Camera, CameraSettings
 from acquisition.cameras import drivers
 from acquisition.frame_queue import Policy
-from calibration import GLOBAL
 from rig.settings import Configuration
 
 
@@ -48,21 +47,6 @@ def setting_differences(asked: CameraSettings, applied: CameraSettings) -> list[
                 f"an exposure of {applied.exposure_us:g} us leaves at most {possible_hz:g} Hz"
             )
     return lines
-
-
-def shift_to_middle_ns(config: Configuration, info: CameraInfo, applied: CameraSettings) -> int:
-    """What is added to the camera's timestamps so that they mark the middle of the first row's exposure.
-
-    0 for a camera without a clock, or whose exposure is not known.
-    """
-    stamped = config.camera.stamped or info.stamped
-    if not info.has_clock or applied.exposure_us is None or stamped == "middle":
-        return 0
-    half_ns = round(500.0 * applied.exposure_us)
-    if stamped == "start":
-        return half_ns
-    shutter, rows = config.shutter or GLOBAL, applied.height_px or info.height_px
-    return -half_ns - round(1e9 * shutter.row_time_s * (rows - 1))
 
 
 def frame_policy(config: Configuration) -> Policy:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from calibration import GLOBAL, Axes, Lever, Shutter, deflection_unit
 from processing.deflections import DeflectionUnit
 from processing.spot import SensorModel, SpotTracker
+from rig.instrument.light_times import shutter_of
 from rig.instrument.pipeline import Deflector, Pipeline
 from rig.settings import Configuration
 
@@ -46,7 +47,7 @@ class Optics:
 def optics_of(config: Configuration, full_scale_dn: float) -> Optics:
     """The optics as configured, for a camera whose pixels saturate at `full_scale_dn`."""
     return Optics(
-        sensor_model(config, full_scale_dn), config.lever, config.axes or Axes(), config.shutter or GLOBAL
+        sensor_model(config, full_scale_dn), config.lever, config.axes or Axes(), shutter_of(config)
     )
 
 

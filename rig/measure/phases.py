@@ -187,7 +187,9 @@ class PhasesBeforeRecord:
         limits = config.preflight
         self.verdicts = [
             device_checks.camera(self._camera.info.driver, self._camera.notes),
-            device_checks.shutter(self._camera.info.shutter, config.shutter, config.axes),
+            device_checks.shutter(
+                self._camera.info.shutter, config.shutter, config.axes, pulsed=config.laser.pulse_us > 0
+            ),
             *frame_checks.check_look(
                 frames.look(resting, _preflight_s(config)),
                 config,

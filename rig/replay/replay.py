@@ -14,7 +14,7 @@ from processing.deflections import Deflections
 from processing.errors import RecordError
 from processing.spot import BeamUse, Spot, SpotFlag
 from processing.swing import Swing
-from rig.instrument import Block, frame_shape, optics_of, recorded_configuration
+from rig.instrument import Block, frame_shape, optics_of, recorded_configuration, shutter_of
 from rig.replay.comparison import Comparison, ReplayComparison
 from rig.settings import Configuration
 
@@ -94,10 +94,10 @@ class Replay:
                 f"{reader.path}: contains no windows of raw pixels{why}, the spot cannot be tracked again; "
                 "replay it without --retrack"
             )
-        self._same_deflections = (config.lever, config.axes, config.shutter) == (
+        self._same_deflections = (config.lever, config.axes, shutter_of(config)) == (
             recorded.lever,
             recorded.axes,
-            recorded.shutter,
+            shutter_of(recorded),
         )
         self._shape = frame_shape(reader)
         head = next(reader.spot_blocks(), None)

@@ -6,6 +6,8 @@ a pull-down resistor, so that all outputs are off while the board is in reset):
     GP2 laser, PWM into the driver's modulation input     GP3 laser enable relay (external interlock)
     GP4 holding magnet   GP5 starter   GP6 clamp   GP7 brake
     GP8 interlock loop to ground, closed = low            GP9 maintenance jumper to ground
+    GP10 exposure output of the camera, high while it exposes
+    GP11 laser gate: the driver's digital modulation, high lets light out
     GP16 SDA, GP17 SCL: BME280
 """
 
@@ -17,6 +19,7 @@ import time
 import machine  # type: ignore[import-not-found]
 import micropython  # type: ignore[import-not-found]
 from bme280 import Bme280  # type: ignore[import-not-found]
+from pulse import Pulses  # type: ignore[import-not-found]
 
 LIMITS_FILE = "limits.json"
 PWM_HZ = 100_000
@@ -28,6 +31,10 @@ class Board:
     def __init__(self) -> None:
         self._laser = machine.PWM(machine.Pin(2), freq=PWM_HZ, duty_u16=0)
         self._enable = machine.Pin(3, machine.Pin.OUT, value=0)
+        self._exposure = machine.Pin(10, machine.Pin.IN, machine.Pin.PULL_DOWN)
+        self._gate = machine.Pin(11, machine.Pin.OUT, value=0)
+        self._pulses: Pulses | None = None
+        self._pulse_us = (0.0, 0.0)
         self._magnet = machine.Pin(4, machine.Pin.OUT, value=0)
         self._starter = machine.Pin(5, machine.Pin.OUT, value=0)
         self._clamp = machine.Pin(6, machine.Pin.OUT, value=0)
@@ -87,10 +94,32 @@ class Board:
         """
         if on:
             self._laser.duty_u16(int(65535 * power_w / self._full_scale_w))
+            self._open_gate()
             self._enable.value(1)
         else:
             self._enable.value(0)
             self._laser.duty_u16(0)
+            self._close_gate()
+
+    def set_pulse(self, delay_us: float, width_us: float) -> None:
+        """From the next time the laser is switched on: one pulse after each exposure's beginning; width 0: no
+        pulses, light all the time.
+        """
+        self._pulse_us = (delay_us, width_us)
+
+    def _open_gate(self) -> None:
+        delay_us, width_us = self._pulse_us
+        if not width_us:
+            self._gate.value(1)
+        elif self._pulses is None:
+            self._pulses = Pulses(self._exposure, self._gate, delay_us, width_us)
+
+    def _close_gate(self) -> None:
+        if self._pulses is not None:
+            self._pulses.end()
+            self._pulses = None
+        # takes the pin back from the pulses
+        self._gate.init(machine.Pin.OUT, value=0)
 
     def laser_enabled(self) -> bool:
         """True if the enable relay's pin is high, as read back from the pin itself."""

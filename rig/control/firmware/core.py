@@ -5,12 +5,13 @@ bytes are accessed through the board object (see `board.py` for its methods). Th
 commands are documented in docs/controller.md.
 """
 
-VERSION = "1.0"
+VERSION = "1.1"
 LINE_MAX = 120
 REPLAY = 8
 ERRORS_MAX = 16
 DEADLINE_MIN_MS = 100
 DEADLINE_MAX_MS = 5000
+PULSE_MAX_US = 1000000
 
 
 def _crc_table() -> list[int]:
@@ -86,6 +87,8 @@ class Firmware:
         self.limit_w = board.laser_max_w
         self.power_w = 0.0
         self.laser = False
+        # delay and width after each edge of the camera's exposure output; width 0 is light all the time
+        self.pulse_us = (0.0, 0.0)
         self.magnet = False
         self.starter = False
         self.clamp = board.clamp_closed
@@ -110,6 +113,7 @@ class Firmware:
             ("LASer:STATe?", lambda _: str(int(self.laser))),
             ("LASer:POWer?", lambda _: f"{self.power_w:.7g}"),
             ("LASer:POWer:LIMit?", lambda _: f"{self.limit_w:.7g}"),
+            ("LASer:PULSe?", lambda _: f"{self.pulse_us[0]:.7g},{self.pulse_us[1]:.7g}"),
             ("INTerlock?", lambda _: "CLOSED" if board.interlock_closed() else "OPEN"),
             ("MAGNet?", lambda _: str(int(self.magnet))),
             ("STARter?", lambda _: str(int(self.starter))),
@@ -128,6 +132,7 @@ class Firmware:
             ("LASer:STATe", self._set_laser),
             ("LASer:POWer", self._set_power),
             ("LASer:POWer:LIMit", self._set_limit),
+            ("LASer:PULSe", self._set_pulse),
             ("MAGNet", self._set_magnet),
             ("MAGNet:RELease", self._release),
             ("STARter:PULSe", self._pulse),
@@ -320,6 +325,7 @@ class Firmware:
         self.heard_ms = self.board.ticks_ms()
         self.trip = "NONE"
         self.power_w = 0.0
+        self._apply_pulse(0.0, 0.0)
         self.limit_w = self.board.laser_max_w
         return f"{self.limit_w:.7g}"
 
@@ -361,6 +367,24 @@ class Firmware:
         if self.power_w > limit_w:
             self._set_power(argument)
         return ""
+
+    def _set_pulse(self, argument: str) -> str:
+        if self.laser:
+            raise Refused(-221, "Settings conflict; the laser is on")
+        if argument == "OFF":
+            self._apply_pulse(0.0, 0.0)
+            return ""
+        delay, _, width = argument.partition(",")
+        delay_us, width_us = _number(delay), _number(width)
+        # written so that NaN is refused
+        if not (0.0 <= delay_us <= PULSE_MAX_US and 1.0 <= width_us <= PULSE_MAX_US):
+            raise Refused(-222, "Data out of range; 0 to 1e6 us delay, 1 to 1e6 us width")
+        self._apply_pulse(delay_us, width_us)
+        return ""
+
+    def _apply_pulse(self, delay_us: float, width_us: float) -> None:
+        self.pulse_us = (delay_us, width_us)
+        self.board.set_pulse(delay_us, width_us)
 
     def _set_magnet(self, argument: str) -> str:
         self.magnet = _on_off(argument)

@@ -28,6 +28,15 @@ class LaserSettings(BaseModel, frozen=True, extra="forbid"):
     interlock: Literal["own", "controller"] = "own"
     max_current_a: float = Field(default=0.0, ge=0, le=20, allow_inf_nan=False)
     current_a: float = Field(default=0.0, ge=0, allow_inf_nan=False)
+    pulse_us: float = Field(
+        default=0.0,
+        ge=0,
+        le=1e6,
+        description="light only for this time in each exposure; 0: all the time (controller)",
+    )
+    pulse_delay_us: float = Field(
+        default=0.0, ge=0, le=1e6, description="from the beginning of an exposure to that of its pulse"
+    )
     when_dark: Literal["end", "wait"] = Field(
         default="end",
         description="a laser that goes dark during a run ends it; 'wait': it is lit again when it can be, "
@@ -53,6 +62,12 @@ class LaserSettings(BaseModel, frozen=True, extra="forbid"):
             raise ValueError(f"power_w {self.power_w:g} is above max_power_w {self.max_power_w:g}")
         if self.current_a > self.max_current_a:
             raise ValueError(f"current_a {self.current_a:g} is above max_current_a {self.max_current_a:g}")
+        if self.pulse_us and self.kind != "controller":
+            raise ValueError(
+                f"pulse_us needs kind = 'controller', whose gate makes the pulses, not {self.kind!r}"
+            )
+        if 0 < self.pulse_us < 1:
+            raise ValueError(f"pulse_us {self.pulse_us:g} is too short; at least 1 us is possible")
         if self.warm_up_min_s > self.warm_up_max_s:
             raise ValueError(
                 f"warm_up_min_s {self.warm_up_min_s:g} is above warm_up_max_s {self.warm_up_max_s:g}"

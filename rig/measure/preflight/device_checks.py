@@ -63,15 +63,18 @@ def laser(now: LaserNow | None, goes_dark_by_itself: bool) -> Verdict:
     return Verdict("laser", True, STAYS_LIT, WIRE_IT, measured=now.words, limit="lit")
 
 
-def shutter(kind: str, known: Shutter | None, axes: Axes | None) -> Verdict:
+def shutter(kind: str, known: Shutter | None, axes: Axes | None, *, pulsed: bool = False) -> Verdict:
     """Check that the row time of a rolling shutter is known where the spot swings across the rows.
 
-    `kind` is the camera's word for its shutter. Without `axes` the slow axis is taken along the columns.
+    `kind` is the camera's word for its shutter. Without `axes` the slow axis is taken along the columns. A
+    `pulsed` laser lights all rows at one time.
     """
     limit = "global, or its row time known"
     if not kind.lower().startswith("rolling"):
         words = kind.lower() or "the camera does not say which"
         return Verdict("shutter", True, measured=words, limit=limit, made=bool(kind))
+    if pulsed:
+        return Verdict("shutter", True, measured="rolling, all rows see the laser's pulse", limit=limit)
     across = abs(math.cos(0.0 if axes is None else axes.slow_angle_rad))
     if known is not None:
         row_us = with_uncertainty(1e6 * known.row_time_s, 1e6 * known.u_row_time_s)

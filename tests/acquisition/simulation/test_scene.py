@@ -299,6 +299,25 @@ def test_magnet_holds_and_lets_go_and_the_laser_obeys() -> None:
     assert swing.min() == pytest.approx(-123.2, abs=0.3)
 
 
+def test_a_pulse_of_the_laser_shows_the_spot_where_it_is_then() -> None:
+    """100 us of exposure about each frame's time; the pulse is its last quarter, so 37.5 us later."""
+    lit, pulsed = RigInputs(), RigInputs()
+    for inputs in (lit, pulsed):
+        inputs.laser(1e-3)
+        inputs.magnet(True)
+    pulsed.pulse(75.0, 25.0)
+    views = [commanded(inputs) for inputs in (lit, pulsed)]
+    for inputs, view in zip((lit, pulsed), views, strict=True):
+        view.plan(10)
+        inputs.magnet(False)
+    plain, short = (view.plan(200) for view in views)
+    speed_px_per_s = np.gradient(plain.y_px, plain.true_time_s)
+    assert np.abs(speed_px_per_s).max() > 100.0
+    assert (short.y_px - plain.y_px)[1:-1] == pytest.approx(37.5e-6 * speed_px_per_s[1:-1], abs=2e-5)
+    assert short.power == pytest.approx(0.25 * plain.power)
+    assert np.array_equal(short.device_time_ns, plain.device_time_ns)
+
+
 def test_starter_pulse_sets_it_swinging_and_the_brake_and_the_clamp_stop_it() -> None:
     inputs = RigInputs()
     view = commanded(inputs)

@@ -29,7 +29,7 @@ def opened(board: FirmwareBoard, **changes: object) -> Controller:
 def test_identity_and_stored_limit(board: FirmwareBoard) -> None:
     controller = Controller(settings_for(board.port), MAX_W)
     identity = controller.open()
-    assert (identity.serial, identity.firmware, identity.laser_max_w) == ("TEST0001", "1.0", 0.001)
+    assert (identity.serial, identity.firmware, identity.laser_max_w) == ("TEST0001", "1.1", 0.001)
     controller.close()
 
 
@@ -82,6 +82,24 @@ def test_pulse_ends_by_itself_and_brake_has_a_longest_time(board: FirmwareBoard)
     controller.close()
 
 
+def test_pulses_are_set_in_the_dark_and_forgotten_with_the_session(board: FirmwareBoard) -> None:
+    controller = opened(board, watchdog_s=5.0)
+    assert board.outputs()["pulse"] == [0, 0]
+    controller.set_laser_pulse(4800.0, 20.5)
+    assert board.outputs()["pulse"] == [4800, 20.5]
+    for delay_us, width_us in ((0.0, 0.9), (-1.0, 20.0), (0.0, 1.1e6), (math.nan, 20.0), (0.0, math.nan)):
+        with pytest.raises(Refused, match="out of range"):
+            controller.set_laser_pulse(delay_us, width_us)
+    controller.set_laser_power_w(0.0005)
+    controller.laser_on()
+    with pytest.raises(Refused, match="the laser is on"):
+        controller.set_laser_pulse(0.0, 20.0)
+    assert board.outputs()["pulse"] == [4800, 20.5]
+    controller.close()
+    opened(board).close()
+    assert board.outputs()["pulse"] == [0, 0]
+
+
 def test_interlock_is_read_before_enabling_and_trips_while_lit(board: FirmwareBoard) -> None:
     controller = opened(board, watchdog_s=5.0)
     board.press(b"o")
@@ -127,7 +145,7 @@ def test_power_above_the_configured_limit_is_not_even_sent(board: FirmwareBoard)
 def test_typed_by_hand_one_may_ask_but_not_act(board: FirmwareBoard) -> None:
     with serial.Serial(board.port, timeout=10.0) as terminal:
         terminal.write(b"*IDN?\r\n")
-        assert terminal.readline() == b"OK optical-pendulum-rig,controller,TEST0001,1.0\r\n"
+        assert terminal.readline() == b"OK optical-pendulum-rig,controller,TEST0001,1.1\r\n"
         terminal.write(b"laser:power:limit?\n")
         assert terminal.readline() == b"OK 0.001\r\n"
         terminal.write(b"LAS:STAT ON\n")

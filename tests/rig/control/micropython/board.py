@@ -37,6 +37,9 @@ class Board:
     def laser_enabled(self):
         return self._enabled and not wires.stuck()
 
+    def set_pulse(self, delay_us, width_us):
+        self._log(f"pulse {delay_us:.9g} {width_us:.9g}")
+
     def set_magnet(self, on):
         self._log(f"magnet {int(on)}")
 
