@@ -7,6 +7,7 @@ from processing.fit.drag import DragVerdict, drag_verdict
 from processing.fit.errors_of_place import PlaceErrors, place_errors, with_place_errors
 from processing.fit.exact import fit_exact
 from processing.fit.ground import GROUND_SEEN, Ground, density_of_step
+from processing.fit.key_comparison import Degree, KeyComparison, compare_laboratories
 from processing.fit.law_comparison import LawComparison, LawTrial, compare_laws
 from processing.fit.planning import Conditions, PlannedRun, planned_run
 from processing.fit.remeasure import describes_as_well, known_motion, measured_again, shift_of, widened
@@ -24,6 +25,7 @@ from processing.fit.series import (
     Comparison,
     SeriesResult,
     average_curves,
+    combine,
     combine_runs,
     compare_series,
 )
@@ -38,6 +40,7 @@ __all__ = [
     "Combined",
     "Comparison",
     "Conditions",
+    "Degree",
     "Determination",
     "DragVerdict",
     "FitMethod",
@@ -45,6 +48,7 @@ __all__ = [
     "FittedContact",
     "FreeMoments",
     "Ground",
+    "KeyComparison",
     "LawComparison",
     "LawTrial",
     "PlaceErrors",
@@ -58,7 +62,9 @@ __all__ = [
     "average_curves",
     "budgets",
     "by_row_time",
+    "combine",
     "combine_runs",
+    "compare_laboratories",
     "compare_laws",
     "compare_series",
     "density_of_step",

@@ -3,16 +3,39 @@
 from typing import TYPE_CHECKING, Any
 
 from rig.archive.adding import add_sessions
+from rig.archive.blind import unseal
+from rig.archive.blinding import blind_runs
 from rig.archive.chosen import remark, show_runs
 from rig.archive.listing import Format, list_runs
 from rig.archive.plot import plot_runs
 
 if TYPE_CHECKING:
+    from rig.archive.differences import print_differences
+    from rig.archive.laboratories import compare_groups
     from rig.archive.refitting import refit_runs
+    from rig.archive.viewing import view_runs
 
-__all__ = ["Format", "add_sessions", "list_runs", "plot_runs", "refit_runs", "remark", "show_runs"]
+__all__ = [
+    "Format",
+    "add_sessions",
+    "blind_runs",
+    "compare_groups",
+    "list_runs",
+    "plot_runs",
+    "print_differences",
+    "refit_runs",
+    "remark",
+    "show_runs",
+    "unseal",
+    "view_runs",
+]
 
-_LATER = {"refit_runs": "refitting"}
+_LATER = {
+    "compare_groups": "laboratories",
+    "print_differences": "differences",
+    "refit_runs": "refitting",
+    "view_runs": "viewing",
+}
 """What takes seconds to import, for which `list` must not wait, by module."""
 
 

@@ -33,6 +33,7 @@ def remark(
     return f"{len(runs)} run{'s' if len(runs) != 1 else ''}"
 
 
+@reads_archive
 def chosen_runs(archive: Path, names: Sequence[str], where: str) -> dict[str, Path]:
     """The records of runs that are named or meet a condition, by their SHA-256."""
     connection = Archive(archive).connection()

@@ -14,6 +14,7 @@ from typing import Any, Concatenate, ParamSpec, TypeVar
 import zstandard
 
 from processing.errors import ConfigurationError, RecordError
+from rig.archive.blind import Seal, offsets, sealed
 from rig.archive.columns import COLUMNS, OF_REFITS, SHORT_NAMES, Column
 from rig.archive.remarks import read_remarks
 from rig.archive.shelf import MANY, Shelf, as_parquet, unreadable
@@ -78,6 +79,7 @@ class Archive:
             connection.execute(_VIEWS)
             if refits:
                 files += self._with_refits(connection)
+            _hide(connection, sealed(self.folder), refits=refits)
         except duckdb.Error as error:
             raise unreadable(self.folder, error) from None
         connection.execute("set allowed_paths = $files", {"files": files})
@@ -106,6 +108,26 @@ class Archive:
         return [] if newest is None else [str(newest)]
 
 
+def _hide(connection: Any, seal: Seal | None, *, refits: bool) -> None:
+    """The tables as they are shown: with hidden offsets where the archive is blind."""
+    names = ("runs", "refits") if refits else ("runs",)
+    if seal is None:
+        for name in names:
+            connection.execute(f"create view {name} as select * from open_{name}")
+        return
+    hosts = [host for (host,) in connection.execute("select distinct host from open_runs").fetchall()]
+    columns = ", ".join(f'"{name}" double' for name in seal.scales)
+    connection.execute(f"create table hidden (of_host varchar, {columns})")
+    for row in offsets(seal, hosts):
+        connection.execute(f"insert into hidden values ({', '.join('?' * len(row))})", list(row.values()))
+    for name in names:
+        moved = ", ".join(f"{name}.{column} + hidden.{column} as {column}" for column in seal.scales)
+        connection.execute(
+            f"create view {name} as select {name}.* replace ({moved}) "
+            f"from open_{name} as {name} join hidden on of_host is not distinct from host"
+        )
+
+
 _ALIASES = ", ".join(f"{name} as {short}" for short, name in SHORT_NAMES.items())
 _REMARKS = """
 create table remarks as
@@ -121,7 +143,7 @@ create view latest as
   where version in (
     select arg_max(version, (added_utc, version)) from versions group by computer, folder
   );
-create view runs as
+create view open_runs as
   select
     latest.*, coalesce(tags, []::varchar[]) as tags, coalesce(notes, []::varchar[]) as notes, {_ALIASES}
   from latest left join remarks on run_sha256 = sha256
@@ -136,13 +158,13 @@ _REFIT_COLUMNS = {
     **{name: column for name, column in OF_REFITS.items() if name != "newest"},
 }
 _REFITS = f"""
-create view refits as
+create view open_refits as
   with made as (SOURCE)
   select
     runs.* replace ({", ".join(f"made.{name} as {name}" for name in _FROM_RESULTS)}),
     level, laws, settings, code, made_utc,
     row_number() over (partition by made.sha256 order by made_utc desc, made.version desc) = 1 as newest
-  from made join runs on runs.sha256 = made.sha256
+  from made join open_runs as runs on runs.sha256 = made.sha256
   where list_contains(getvariable('refits_there'), made.version)
 """
 

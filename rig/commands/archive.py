@@ -32,6 +32,11 @@ def register(app: typer.Typer) -> None:
     archive.command("tag")(tag)
     archive.command("note")(note)
     archive.command("refit")(refit)
+    archive.command("diff")(diff)
+    archive.command("compare")(compare)
+    archive.command("blind")(blind)
+    archive.command("unblind")(unblind)
+    archive.command("view")(view)
     app.add_typer(archive, name="archive")
 
 
@@ -149,3 +154,70 @@ def refit(
             processes=processes,
         )
     )
+
+
+def diff(
+    names: Names = None,
+    where: Where = "",
+    least_u: Annotated[
+        float, typer.Option("--least-u", min=0.0, help="Name what moved by more standard uncertainties.")
+    ] = 1.0,
+    archive: Archive = _PLACE,
+) -> None:
+    """Name what moved between the last two versions of results, and why."""
+    from rig.archive import print_differences
+
+    print_differences(archive, names or [], where, least_u)
+
+
+def compare(
+    column: Annotated[str, typer.Argument(help="Column: c, b, ...", show_default=False)],
+    by: Annotated[str, typer.Option(help="Column whose values are the rigs or laboratories.")] = "host",
+    where: Where = "",
+    output: Annotated[Path | None, typer.Option("-o", "--output", help="SVG or PNG to write.")] = None,
+    refits: Refits = False,
+    archive: Archive = _PLACE,
+) -> None:
+    """Compare what rigs or laboratories say of a parameter."""
+    from rig.archive import compare_groups
+
+    compare_groups(archive, column, by, where, output, refits=refits)
+
+
+def blind(
+    columns: Annotated[
+        list[str] | None, typer.Argument(help="Columns; default: the laws' parameters.", show_default=False)
+    ] = None,
+    archive: Archive = _PLACE,
+) -> None:
+    """Hide values behind offsets until the analysis is frozen."""
+    from rig.archive import blind_runs
+
+    print(blind_runs(archive, columns or []))
+
+
+def unblind(
+    frozen: Annotated[
+        str, typer.Argument(help="Which analysis is frozen: commit, cuts, law.", show_default=False)
+    ],
+    archive: Archive = _PLACE,
+) -> None:
+    """Show true values again, and record who asked for it."""
+    from rig.archive import unseal
+
+    print(unseal(archive, frozen))
+
+
+def view(
+    names: Names = None,
+    where: Where = "",
+    mode: Annotated[
+        Literal["spawn", "web"], typer.Option(help="A window, or a page for a browser.")
+    ] = "spawn",
+    rrd: Annotated[Path | None, typer.Option(help="Rerun file to write instead of opening a viewer.")] = None,
+    archive: Archive = _PLACE,
+) -> None:
+    """Show runs laid over each other in the viewer."""
+    from rig.archive import view_runs
+
+    view_runs(archive, names or [], where, mode, rrd)

@@ -26,8 +26,7 @@ class Setup(NamedTuple):
     The worker writes the file `rrd_path`; if that is None it serves a live stream on `port` of a loopback
     address, which buffers up to `memory_limit` (such as "500MB"). `period_s` (slow mode) and `amplitude` are
     expected values, `unit` is that of all deflections. If the worker replaces another one, `viewer_url` is
-    the address of the viewer, which must connect to the new stream; otherwise it is empty. `parameters`, with
-    their labels, are estimated while the run is measured, and each has a panel of the measuring layout.
+    the address of the viewer, which must connect to the new stream; otherwise it is empty.
     """
 
     title: str
@@ -41,7 +40,6 @@ class Setup(NamedTuple):
     port: int
     memory_limit: str
     viewer_url: str
-    parameters: Mapping[str, str] = {}
 
 
 class Samples(NamedTuple):
@@ -75,14 +73,6 @@ class BalanceNumbers(NamedTuple):
     time_s: float
     numbers: Mapping[str, tuple[float, float]]
     advice: str
-
-
-class Estimates(NamedTuple):
-    """Parameters of the setup at one moment, each with its standard uncertainty, as shown."""
-
-    run: str
-    time_s: float
-    numbers: Mapping[str, tuple[float, float]]
 
 
 class Picture(NamedTuple):
@@ -156,19 +146,7 @@ class Finish(NamedTuple):
     """Last message: complete the file and end."""
 
 
-Message = (
-    Samples
-    | Swings
-    | BalanceNumbers
-    | Estimates
-    | Picture
-    | Losses
-    | State
-    | LogLine
-    | Fits
-    | Properties
-    | Finish
-)
+Message = Samples | Swings | BalanceNumbers | Picture | Losses | State | LogLine | Fits | Properties | Finish
 
 
 def rows(message: Message) -> int:

@@ -1,6 +1,6 @@
 """Starts the configured view."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 
 from processing.balance import Balance
@@ -10,20 +10,13 @@ from rig.settings import Configuration
 from rig.view.viewer import Viewer
 
 
-def open_view(
-    config: Configuration, record: Path, title: str, full_scale_dn: int, parameters: Sequence[str] = ()
-) -> Viewer | None:
-    """Start the configured view; None if the configuration asks for none.
-
-    `parameters` are the keys of those that are estimated while the run is measured.
-    """
+def open_view(config: Configuration, record: Path, title: str, full_scale_dn: int) -> Viewer | None:
+    """Start the configured view; None if the configuration asks for none."""
     settings = config.view
     if settings.mode == "none" and not settings.file:
         return None
     rrd = record.with_suffix(".rrd") if settings.file else None
-    return start_view(
-        config, rrd, settings.mode, settings.layout, title, full_scale_dn, parameters=parameters
-    )
+    return start_view(config, rrd, settings.mode, settings.layout, title, full_scale_dn)
 
 
 def start_view(
@@ -34,7 +27,6 @@ def start_view(
     title: str,
     full_scale_dn: int,
     advise: Callable[[Balance], str] | None = None,
-    parameters: Sequence[str] = (),
 ) -> Viewer:
     """Start the view of a live or replayed run: a Rerun file, a live stream, or both.
 
@@ -49,7 +41,6 @@ def start_view(
         unit=config.deflection_unit,
         image_interval_s=config.view.image_interval_s,
         full_scale_dn=full_scale_dn,
-        parameters=parameters,
         advise=advise or (lambda balance: advice_text(config, balance)),
     )
     viewer.start()

@@ -1,0 +1,36 @@
+"""`rig archive blind`: which columns are hidden, and by how much they could be wrong."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from processing.errors import ConfigurationError
+from rig.archive.blind import seal
+from rig.archive.columns import COLUMNS, PARAMETERS
+from rig.archive.store import Archive, reads_archive
+
+_FOLLOWING = ("surface_energy_table2_j_per_m2", "surface_energy_eq2_j_per_m2", "contact_radius_m")
+"""What follows from the parameters and would tell them."""
+
+
+@reads_archive
+def blind_runs(archive: Path, columns: Sequence[str]) -> str:
+    """Hide columns (none named: all parameters of the laws, and what follows from them); says which.
+
+    The offsets are drawn for each rig, over three times what a column scatters or is uncertain by.
+
+    Raises ConfigurationError for a column without uncertainty.
+    """
+    for name in columns:
+        if f"u_{name}" not in COLUMNS:
+            raise ConfigurationError(f"{name}: is no column with an uncertainty; docs/archive.md names all")
+    connection = Archive(archive).connection()
+    scales = {}
+    for name in columns or (*PARAMETERS, *_FOLLOWING):
+        spread, u = connection.execute(
+            f"select stddev_samp({name}), median(u_{name}) from runs where isfinite({name})"
+        ).fetchone()
+        if spread or u:
+            scales[name] = max(spread or 0.0, u or 0.0)
+    if not scales:
+        raise ConfigurationError(f"{archive}: no run has a value that could be hidden")
+    return seal(archive, scales)
