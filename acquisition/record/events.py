@@ -46,6 +46,8 @@ class EventKind(StrEnum):
     """The same of the background: a lamp was switched."""
     PUSH = "push"
     """The swing was pushed within a half-cycle: a draught, a knock."""
+    POSTERIOR = "posterior"
+    """Parameters are no longer fitted while the run is measured."""
     CLOCK_STEP = "clock step"
     """The computer's clock of the day was set: UTC of the record is that of its beginning."""
 

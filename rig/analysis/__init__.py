@@ -30,6 +30,7 @@ from rig.analysis.record_fit import (
     AnalysedRun,
     analyse_record,
     analyse_run,
+    clock_rate_of,
     session_results,
     with_dropped_frames,
 )
@@ -54,7 +55,7 @@ from rig.analysis.results_file import (
 )
 from rig.analysis.run_conditions import mean_air
 from rig.analysis.screen import print_results
-from rig.analysis.settled import points_in_true_time, settled_swings
+from rig.analysis.settled import loss_of, points_in_true_time, settled_swings
 from rig.analysis.stored_position_errors import PositionErrors
 from rig.analysis.stored_turning_points import StoredTurningPoints
 from rig.analysis.table_fit import Columns, analyse_table
@@ -98,6 +99,7 @@ __all__ = [
     "bound_text",
     "budget_of",
     "chosen_laws",
+    "clock_rate_of",
     "combined_series",
     "curves_of",
     "decoded",
@@ -112,6 +114,7 @@ __all__ = [
     "free_path",
     "law_table",
     "laws_of",
+    "loss_of",
     "mean_air",
     "moments_table",
     "parameter_table",

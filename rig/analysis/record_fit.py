@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from acquisition.record.digest import known_sha256_of
+from acquisition.record.events import EventKind
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import DEFLECTION_FIELDS, ENVIRONMENT
 from processing.deflections import Deflections, DeflectionUnit, joined
@@ -95,6 +96,7 @@ def analyse_run(
     began, ended = reader.utc(deflections.first_ns), reader.utc(deflections.last_ns)
     calibration, doubts = judge_calibration(config, reader.attachments, began, ended)
     warnings = [*run.results.warnings, *doubts, *reader.doubts()]
+    stops = [event.text for event in reader.events() if event.kind == EventKind.STOP]
     results = replace(
         run.results,
         frames=deflections.frames,
@@ -104,6 +106,7 @@ def analyse_run(
         warnings=tuple(warnings),
         calibration=calibration,
         inputs_sha256=inputs_sha256(reader),
+        ended=stops[-1] if stops else None,
     )
     return replace(run, results=results, lost_spots=deflections.lost_spots)
 
@@ -157,7 +160,7 @@ def analyse_swings(
     unit = deflections.unit
     if config.instrument.description().report != "contact" and unit is DeflectionUnit.RAD:
         return _reduced(path, swings, config, joined(deflections, unit), air)
-    pendulum, clock_rate = pendulum_on_ball(config), _clock_rate(config)
+    pendulum, clock_rate = pendulum_on_ball(config), clock_rate_of(config)
     settled = settled_swings(swings, deflections, unit, pendulum, config.fit, clock_rate)
     points = points_in_true_time(settled.swings, clock_rate)
     if unit is DeflectionUnit.RAD:
@@ -223,7 +226,7 @@ def _head(path: Path, points: TurningPoints, unit: DeflectionUnit) -> RunResults
     )
 
 
-def _clock_rate(config: Configuration) -> float:
+def clock_rate_of(config: Configuration) -> float:
     """True seconds in one of the camera's clock, as its calibration has it."""
     return config.timebase.camera_rate if config.timebase is not None else 1.0
 

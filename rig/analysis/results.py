@@ -61,9 +61,9 @@ class RunResults:
     `laws` compares several, where that was asked for. `adhesion` is the contact spot with adhesion, where c
     is seen and the spot's radius calculated after Hertz.
     `initial_amplitude` and `final_amplitude` are in `amplitude_unit`: arcsec, or px of a record without a
-    lever; those in arcsec are not determined then. `conditions` judges light, losses and what else the record
-    shows of the circumstances. What follows from a fit (`pendulum` to `notes`) is empty
-    where there is none.
+    lever; those in arcsec are not determined then. `ended` is why the run ended, as its record says.
+    `conditions` judges light, losses and what else the record shows of the circumstances. What follows from a
+    fit (`pendulum` to `notes`) is empty where there is none.
     """
 
     record: str
@@ -103,6 +103,7 @@ class RunResults:
     conditions: tuple[Verdict, ...] = ()
     position_errors: PositionErrors | None = None
     laws: Annotated[ComparedLaws | None, LeftOut] = None
+    ended: Annotated[str | None, LeftOut] = None
 
     def half_cycles_text(self, unit: str, before_amplitudes: str = ", ") -> str:
         """`33 half-cycles, 123.24 to 101.09 arcsec`, or that there are none.

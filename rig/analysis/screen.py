@@ -21,7 +21,7 @@ def print_results(results: SessionResults, paths: Sequence[tuple[str, Path]]) ->
             f"{origin} {number}: {run.half_cycles_text(run.amplitude_unit or '')}, {run.frames} frames, "
             f"{run.dropped_frames} dropped"
         )
-        print_run(run, head)
+        print_run(run, head, () if run.ended is None else (f"ended: {run.ended}",))
     if results.series is not None and results.series.instrument is not None:
         for line in results.series.instrument.text:
             console.print(line, highlight=False, markup=False)

@@ -1,9 +1,11 @@
 """The state of a run at one moment, for the terminal, the view and other programs."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from acquisition.frame_losses import FrameLosses
+from processing.estimate import Estimate
 
 
 @dataclass(frozen=True, slots=True)
@@ -14,6 +16,8 @@ class Snapshot:
     its processing; it grows if processing is too slow. `losses` are the dropped frames by cause, as
     counted by the camera. `instruction` is a request to the operator, `controller` the controller's state,
     `beam` what is fitted to the spot, `alarm` what is wrong with light or disk, empty if nothing is.
+    `estimates` are the contact's parameters by key, from the first `estimated_from` half-cycles; empty before
+    there are enough.
     """
 
     phase: str = "waiting for the first frame"
@@ -37,3 +41,5 @@ class Snapshot:
     instruction: str = ""
     alarm: str = ""
     beam: str = ""
+    estimates: Mapping[str, Estimate] = field(default_factory=dict)
+    estimated_from: int = 0

@@ -2,12 +2,14 @@
 
 import logging
 import threading
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from processing.errors import RigError
+from processing.estimate import Estimate
 from processing.swing import Swing
 from rig.devices import FrameStream
+from rig.settings import StopCondition
 
 _log = logging.getLogger(__name__)
 BELOW_IN_A_ROW = 3
@@ -15,10 +17,14 @@ BELOW_IN_A_ROW = 3
 
 @dataclass(frozen=True, slots=True)
 class EndLimits:
-    """A run ends below an amplitude (in the unit of the deflections; 0: no limit) and after a time."""
+    """A run ends below an amplitude (in the unit of the deflections; 0: no limit) and after a time.
+
+    It ends, too, when all of `known_enough` hold.
+    """
 
     final_amplitude: float
     max_duration_s: float
+    known_enough: tuple[StopCondition, ...] = ()
 
 
 class EndOfRun:
@@ -32,14 +38,22 @@ class EndOfRun:
         self._limits = limits
         self._below = 0
 
-    def reason(self, swings: Sequence[Swing], elapsed_s: float) -> str | None:
-        """Why the run must end, as text for the record; None while it continues."""
+    def reason(
+        self, swings: Sequence[Swing], elapsed_s: float, estimates: Mapping[str, Estimate] | None = None
+    ) -> str | None:
+        """Why the run must end, as text for the record; None while it continues.
+
+        `estimates` are the parameters as the half-cycles so far tell them.
+        """
         for swing in swings:
             self._below = self._below + 1 if swing.amplitude < self._limits.final_amplitude else 0
             if self._below >= BELOW_IN_A_ROW:
                 return "final amplitude reached"
         if elapsed_s >= self._limits.max_duration_s:
             return f"time limit of {self._limits.max_duration_s:g} s reached"
+        known, enough = estimates or {}, self._limits.known_enough
+        if enough and all(condition.relative(known) < condition.limit for condition in enough):
+            return f"known well enough: {', '.join(condition.text(known) for condition in enough)}"
         return None
 
 

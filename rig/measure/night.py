@@ -9,6 +9,7 @@ from typing import NamedTuple
 from processing.errors import ConfigurationError, RecordError
 from rig.analysis import read_results
 from rig.instrument import check_materials, complete
+from rig.measure.live_fit import check_stop_when
 from rig.measure.notices import Notices, announced
 from rig.measure.resumption import go_on
 from rig.measure.session import make_session, session_folder
@@ -86,6 +87,7 @@ class _Waiting:
 def _configuration(series: PlannedSeries) -> Configuration:
     config = complete(load_configuration(series.config, series.overrides()))
     check_materials(config)
+    check_stop_when(config)
     if series.temperature_c is not None and config.environment_sensor.kind == "none":
         raise ConfigurationError(
             f"series {series.name}: temperature_c needs a thermometer:"

@@ -21,6 +21,7 @@ from rig.measure.run_parts import RunParts
 from rig.measure.run_status import RunStatus
 from rig.measure.start_judge import StartJudge
 from rig.measure.step_events import StepEvents
+from rig.posterior import Posterior
 
 NOT_ACCEPTED = "start not accepted"
 """How the reason of a stop begins if the start was rejected."""
@@ -64,6 +65,8 @@ class Recording:
         anchors = None if stream.policy == "wait" else ClockAnchors()
         temperature = None if parts.camera is None else TemperatureWatch(parts.camera)
         status.begin_record()
+        if parts.posterior is not None:
+            parts.posterior.begin()
         events = [*events, Event(first.time_ns, EventKind.START, "first frame")]
         self._recorder.put(Entry(events=events))
         status.tell_events(counts.start_ns, events)
@@ -84,6 +87,8 @@ class Recording:
                 continue
             frames = counts.numbered(taken)
             block = pipeline.process(frames)
+            if parts.posterior is not None:
+                parts.posterior.take(block.swings)
             entry = counts.entry(frames, block, pipeline)
             clock, clock_steps = (None, []) if anchors is None else anchors.take(counts.last_ns)
             new = [*entry.events, *steps.take(block), *clock_steps, *self._device_events(counts.last_ns)]
@@ -108,7 +113,7 @@ class Recording:
                 rejected = self._judge.rejection(block.swings, block.balances, counts.elapsed_s)
                 if rejected:
                     break
-            reason = end.reason(block.swings, counts.elapsed_s)
+            reason = end.reason(block.swings, counts.elapsed_s, self._known.estimates)
             if reason is not None:
                 self._stop.because(reason)
                 break
@@ -146,15 +151,22 @@ class Recording:
             return
         self._stop.failed(DeviceError(f"{alarm}; the run is ended, laser.when_dark = 'wait' would go on"))
 
+    @property
+    def _known(self) -> Posterior:
+        return Posterior() if self._parts.posterior is None else self._parts.posterior.latest
+
     def _device_events(self, time_ns: int) -> list[Event]:
         """Events of camera, disk, controller, laser and sensors since the last call."""
         happened = self._stream.take_events() + self._status.take_events()
         for paused_s in self._recorder.take_pauses():
             text = f"did not answer for {paused_s:.1f} s; frames waited in memory meanwhile"
             happened.append((EventKind.SLOW_DISK, text))
+        if self._parts.posterior is not None and (remark := self._parts.posterior.take_remark()):
+            happened.append((EventKind.POSTERIOR, remark))
         return [Event(time_ns, kind, text) for kind, text in happened]
 
     def _publish(self, phase: str, counts: FrameCounts, swings: list[Swing], age_s: float) -> None:
+        known = self._known
         self._status.publish(
             Snapshot(
                 phase=phase,
@@ -170,6 +182,8 @@ class Recording:
                 disk_free_bytes=self._recorder.disk_free_bytes,
                 alarm=self._recorder.alarm,
                 reason=self._stop.reason,
+                estimates=known.estimates,
+                estimated_from=known.half_cycles,
             ),
             swings,
         )

@@ -14,6 +14,7 @@ from rig.measure.end_of_run import EndLimits
 from rig.measure.phases import PhasesBeforeRecord
 from rig.measure.record_file import RecordFile
 from rig.measure.start_judge import StartLimits
+from rig.posterior import LivePosterior
 
 
 class Watcher(Protocol):
@@ -63,6 +64,8 @@ class RunParts:
         Controller, laser and environment sensor, whose events and readings are recorded.
     camera
         The camera of `stream`, whose features and temperature are recorded.
+    posterior
+        Fits what is measured so far; None: nothing does.
     environment_period_s
         Time between two recorded readings of the environment.
     waits_in_darkness
@@ -80,6 +83,7 @@ class RunParts:
     watchers: Sequence[Watcher] = ()
     devices: Devices | None = None
     camera: Camera | None = None
+    posterior: LivePosterior | None = None
     environment_period_s: float = 1.0
     full_frame_interval_s: float = 10.0
     keep_windows: bool = True

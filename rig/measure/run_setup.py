@@ -11,12 +11,14 @@ from processing.errors import ConfigurationError, RecordError
 from rig.devices import Devices, FrameStream, OpenCamera
 from rig.instrument import camera_settings, frame_policy, optics_of, prepare_kernels
 from rig.measure.end_of_run import EndLimits
+from rig.measure.live_fit import live_posterior
 from rig.measure.phases import PhasesBeforeRecord, preflight_wanted
 from rig.measure.record_file import RecordFile
 from rig.measure.run import Run
 from rig.measure.run_parts import RunOutcome, RunParts, Watcher
 from rig.measure.screen import RunDisplay
 from rig.measure.start_judge import start_limits
+from rig.posterior import LivePosterior
 from rig.presentation import say
 from rig.settings import Configuration
 from rig.view import open_view
@@ -29,7 +31,7 @@ class RunPlan:
     """A run to be made.
 
     `start_rejected` is called with the new path of the record of each rejected start, and the reason;
-    `watchers` see the run beside its display and view.
+    `watchers` see the run beside its display and view. `fitted`: parameters are fitted while it is measured.
     """
 
     config: Configuration
@@ -38,6 +40,7 @@ class RunPlan:
     title: str
     force: bool = False
     json_lines: bool = False
+    fitted: bool = True
     start_rejected: Callable[[Path, str], None] = lambda _path, _reason: None
     watchers: Sequence[Watcher] = ()
 
@@ -58,21 +61,36 @@ def measure_run(plan: RunPlan, devices: Devices) -> RunOutcome:
     with devices.camera(plan.config) as camera:
         for line in camera.notes:
             say(line)
-        view = open_view(plan.config, record, plan.title, camera.info.full_scale_dn)
+        posterior = live_posterior(plan.config) if plan.fitted else None
+        parameters = () if posterior is None else posterior.parameters
+        view = open_view(plan.config, record, plan.title, camera.info.full_scale_dn, parameters)
         try:
-            return _execute(plan, devices, camera, [] if view is None else [view])
+            return _execute(plan, devices, camera, [] if view is None else [view], posterior)
         finally:
+            if posterior is not None:
+                posterior.close()
             if view is not None:
                 for note in view.close().notes:
                     say(f"view: {note}")
 
 
-def _execute(plan: RunPlan, devices: Devices, camera: OpenCamera, watchers: list[Watcher]) -> RunOutcome:
+def _execute(
+    plan: RunPlan,
+    devices: Devices,
+    camera: OpenCamera,
+    watchers: list[Watcher],
+    posterior: LivePosterior | None,
+) -> RunOutcome:
     config, record = plan.config, plan.record
     optics = optics_of(config, camera.info.full_scale_dn)
     final_amplitude = config.session.final_amplitude_arcsec
     display = RunDisplay(
-        plan.title, final_amplitude, optics.unit, json_lines=plan.json_lines, simulated=config.simulated
+        plan.title,
+        final_amplitude,
+        optics.unit,
+        stop_when=config.stop_conditions if posterior is not None else (),
+        json_lines=plan.json_lines,
+        simulated=config.simulated,
     )
     with_start = config.start.way != "at once"
     phases: PhasesBeforeRecord | None = None
@@ -101,6 +119,7 @@ def _execute(plan: RunPlan, devices: Devices, camera: OpenCamera, watchers: list
         end=EndLimits(
             final_amplitude * ARCSEC_RAD if optics.unit is DeflectionUnit.RAD else 0.0,
             config.session.max_duration_s,
+            config.stop_conditions if posterior is not None else (),
         ),
         phases=phases,
         start=start_limits(config, optics) if with_start else None,
@@ -108,6 +127,7 @@ def _execute(plan: RunPlan, devices: Devices, camera: OpenCamera, watchers: list
         watchers=(display, *plan.watchers, *watchers),
         devices=devices,
         camera=camera.camera,
+        posterior=posterior,
         environment_period_s=config.environment_sensor.period_s,
         full_frame_interval_s=config.record.full_frame_interval_s,
         keep_windows=config.record.windows,

@@ -21,9 +21,11 @@ from processing.decay_forecast import Forecast, forecast
 from processing.deflections import DeflectionUnit
 from rig.instrument import Block, Snapshot
 from rig.measure.end_of_run import BELOW_IN_A_ROW
+from rig.measure.estimates_text import estimate_rows, estimates_tree
 from rig.measure.rates import Rates
 from rig.measure.run_panel import run_panel
 from rig.presentation import Verdict, print_json_line, print_verdicts, say, table_tree
+from rig.settings import StopCondition
 
 _PLAIN_INTERVAL_S = 5.0
 _JSON_INTERVAL_S = 1.0
@@ -44,6 +46,7 @@ class RunDisplay:
         final_amplitude_arcsec: float,
         unit: DeflectionUnit,
         *,
+        stop_when: Sequence[StopCondition] = (),
         json_lines: bool = False,
         simulated: bool = False,
         console: Console | None = None,
@@ -53,6 +56,7 @@ class RunDisplay:
         # the final amplitude is configured in arcsec, hence unknown for a run in px
         self._final = final_amplitude_arcsec if unit is DeflectionUnit.RAD else math.nan
         self._unit = unit
+        self._stop_when = stop_when
         self._json = json_lines
         self._initial = math.nan
         self._console = console or Console(stderr=True)
@@ -137,7 +141,11 @@ class RunDisplay:
             self._printed_s = now_s
             if self._json:
                 losses = snapshot.losses._asdict()
-                self.line("state", {**asdict(snapshot), "losses": losses, **self._numbers()})
+                estimates = estimates_tree(snapshot.estimates)
+                self.line(
+                    "state",
+                    {**asdict(snapshot), "losses": losses, "estimates": estimates, **self._numbers()},
+                )
             else:
                 say(f"{self._title}: {100 * self._fraction(snapshot):.0f} %  {self._plain(snapshot)}")
             for shout in (snapshot.alarm, snapshot.instruction):
@@ -165,6 +173,7 @@ class RunDisplay:
             ("to the end" if math.isnan(self._final) else f"to {self._final:g} {unit}", self._prediction()),
             ("amplitude", _number(snapshot.amplitude, ".3f", unit)),
             ("period", _number(snapshot.period_s, ".5f", "s")),
+            *estimate_rows(snapshot, self._stop_when),
             ("transverse", self._transverse(balance)),
             ("rest position", self._rest(balance)),
             ("camera", f"{self._rates.frames_hz:.1f} frames/s, {snapshot.frames} in all, {_age(snapshot)}"),

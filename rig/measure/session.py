@@ -18,6 +18,7 @@ from rig.analysis import (
 )
 from rig.devices import Devices
 from rig.instrument import check_materials, complete
+from rig.measure.live_fit import check_stop_when
 from rig.measure.notices import Notices, announced
 from rig.measure.phases import NoGo
 from rig.measure.recording import NOT_ACCEPTED
@@ -51,6 +52,7 @@ def measure_session(
     """
     config = complete(config)
     check_materials(config)
+    check_stop_when(config)
     folder = session_folder(config, source, output)
     with announced(config.session, folder) as told:
         told.status = make_session(config, source, folder, told.notices, force=force, json_lines=json_lines)
@@ -121,8 +123,8 @@ def make_runs(
             f"run {number}",
             force,
             json_lines,
-            start_rejected,
-            [notices],
+            start_rejected=start_rejected,
+            watchers=[notices],
         )
         try:
             acknowledge_interlock(devices)
@@ -223,7 +225,9 @@ def simulate_record(config: Configuration, source: Path, record: Path) -> int:
     record.parent.mkdir(parents=True, exist_ok=True)
     config = complete(config.model_copy(update={"view": quiet}))
     with Devices(config) as devices:
-        outcome = measure_run(RunPlan(config, source, record, "simulation"), devices)
+        outcome = measure_run(
+            RunPlan(config, source, record, "simulation", fitted=bool(config.session.stop_when)), devices
+        )
     if outcome.failure is not None:
         say(f"simulation failed: {outcome.failure}", error=True)
         return 1

@@ -17,6 +17,7 @@ from rig.rerun.lissajous import Lissajous
 from rig.rerun.marks import spot_cross
 from rig.rerun.messages import (
     BalanceNumbers,
+    Estimates,
     Fits,
     Floats,
     LogLine,
@@ -36,6 +37,8 @@ JPEG_QUALITY = 90
 SAMPLES_GAP, POINTS_GAP = 1.0, 4.0
 """Periods of the slow mode without a value after which a curve is broken: that of the samples, and those of
 half-cycles and balance, which have a value at least every period."""
+_DRAWN_FROM = 0.5
+"""Relative uncertainty from which on a parameter is drawn."""
 LEVELS = {
     "debug": rr.TextLogLevel.DEBUG,
     "info": rr.TextLogLevel.INFO,
@@ -95,6 +98,8 @@ class Drawing:
                 self._draw_swings(message)
             case BalanceNumbers():
                 self._draw_balance(message)
+            case Estimates():
+                self._draw_estimates(message)
             case Picture():
                 self._draw_picture(message)
             case Losses():
@@ -167,6 +172,17 @@ class Drawing:
         if message.advice:
             self._draw_text(message.run, layout.ADVICE, message.time_s, message.advice)
 
+    def _draw_estimates(self, message: Estimates) -> None:
+        """What is known to a half of its value: the first values would hide all later ones."""
+        at = np.array([message.time_s])
+        for number, (key, label) in enumerate(self._setup.parameters.items()):
+            value, u = message.numbers.get(key, (np.nan, np.nan))
+            if u <= _DRAWN_FROM * abs(value):
+                path, colour = f"{layout.PARAMETERS_ROOT}/{key}", palette.SEQUENCE[number]
+                self._gather_uncertain(
+                    message.run, path, at, np.array([value]), np.array([u]), label, colour, gap_periods=np.inf
+                )
+
     def _draw_picture(self, message: Picture) -> None:
         last = self._last_picture_s.get(message.run, -np.inf)
         if message.time_s - last < self._picture_interval_s * 0.999:
@@ -215,6 +231,7 @@ class Drawing:
         u: Floats,
         label: str,
         colour: str,
+        gap_periods: float = POINTS_GAP,
     ) -> None:
         """A value with a band of one standard uncertainty on either side."""
         full = layout.entity(run, path)
@@ -227,7 +244,7 @@ class Drawing:
             )
             self._stream.log(full, style, static=True)
         self._gathered.measurements(
-            full, *self._breaks.in_gaps(full, POINTS_GAP * self._setup.period_s, time_s, value, u)
+            full, *self._breaks.in_gaps(full, gap_periods * self._setup.period_s, time_s, value, u)
         )
         self._latest_s = max(self._latest_s, float(time_s[-1]))
 

@@ -10,7 +10,7 @@ parent EQUAL has one that stretches X. Rerun applies the transforms below a view
 origin EQUAL has equal scales, one with the origin STRETCHED shows X stretched.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Final
 
 import rerun as rr
@@ -42,6 +42,7 @@ IMAGE: Final = "camera/image"
 SPOT: Final = "camera/spot"
 BALANCE_ROOT: Final = "balance"
 LOSSES_ROOT: Final = "losses"
+PARAMETERS_ROOT: Final = "parameters"
 LANES: Final = ("run", "spot", "frames", "laser")
 """What a run can be in, each below the run's name itself: the viewer titles a lane with its whole path."""
 STATE: Final = "state"
@@ -80,11 +81,17 @@ def until_now(seconds: float) -> rrb.TimeAxis:
     )
 
 
-def blueprint(layout: LayoutName, runs: Sequence[str], unit: str, period_s: float) -> rrb.Blueprint:
-    """Layout of the panels for one run or several overlaid ones; `unit` and `period_s` are those of
-    `Setup`.
+def blueprint(
+    layout: LayoutName,
+    runs: Sequence[str],
+    unit: str,
+    period_s: float,
+    parameters: Mapping[str, str],
+) -> rrb.Blueprint:
+    """Layout of the panels for one run or several overlaid ones; `unit`, `period_s` and `parameters`
+    are those of `Setup`.
     """
-    views = _Views(tuple(runs), unit, period_s)
+    views = _Views(tuple(runs), unit, period_s, parameters)
     root = {
         "balancing": views.balancing,
         "measuring": views.measuring,
@@ -103,10 +110,13 @@ def blueprint(layout: LayoutName, runs: Sequence[str], unit: str, period_s: floa
 class _Views:
     """Builds the panels, each from the entities of all runs."""
 
-    def __init__(self, runs: tuple[str, ...], unit: str, period_s: float) -> None:
+    def __init__(
+        self, runs: tuple[str, ...], unit: str, period_s: float, parameters: Mapping[str, str]
+    ) -> None:
         self._runs = runs
         self._unit = unit
         self._period_s = period_s
+        self._parameters = parameters
 
     def measuring(self) -> rrb.Container:
         return rrb.Horizontal(
@@ -119,6 +129,7 @@ class _Views:
                 rrb.Horizontal(
                     self.history(AMPLITUDE, f"Amplitude / {self._unit}"), self.history(PERIOD, "Period / s")
                 ),
+                *self.parameters(),
             ),
             rrb.Vertical(
                 self.camera(),
@@ -206,6 +217,11 @@ class _Views:
             axis_x=WHOLE_RUN,
             plot_legend=rrb.PlotLegend(visible=len(self._runs) > 1),
         )
+
+    def parameters(self) -> list[rrb.Container]:
+        """One grid of small panels, if there are parameters."""
+        panels = [self.history(f"{PARAMETERS_ROOT}/{key}", label) for key, label in self._parameters.items()]
+        return [rrb.Grid(*panels, grid_columns=3)] if panels else []
 
     def balance(self, title: str, names: Sequence[str]) -> rrb.View:
         contents = [line for name in names for line in self._below(f"{BALANCE_ROOT}/{name}")]

@@ -26,7 +26,8 @@ class Setup(NamedTuple):
     The worker writes the file `rrd_path`; if that is None it serves a live stream on `port` of a loopback
     address, which buffers up to `memory_limit` (such as "500MB"). `period_s` (slow mode) and `amplitude` are
     expected values, `unit` is that of all deflections. If the worker replaces another one, `viewer_url` is
-    the address of the viewer, which must connect to the new stream; otherwise it is empty.
+    the address of the viewer, which must connect to the new stream; otherwise it is empty. `parameters`, with
+    their labels, are estimated while the run is measured, and each has a panel of the measuring layout.
     """
 
     title: str
@@ -40,6 +41,7 @@ class Setup(NamedTuple):
     port: int
     memory_limit: str
     viewer_url: str
+    parameters: Mapping[str, str] = {}
 
 
 class Samples(NamedTuple):
@@ -73,6 +75,14 @@ class BalanceNumbers(NamedTuple):
     time_s: float
     numbers: Mapping[str, tuple[float, float]]
     advice: str
+
+
+class Estimates(NamedTuple):
+    """Parameters of the setup at one moment, each with its standard uncertainty, as shown."""
+
+    run: str
+    time_s: float
+    numbers: Mapping[str, tuple[float, float]]
 
 
 class Picture(NamedTuple):
@@ -146,7 +156,19 @@ class Finish(NamedTuple):
     """Last message: complete the file and end."""
 
 
-Message = Samples | Swings | BalanceNumbers | Picture | Losses | State | LogLine | Fits | Properties | Finish
+Message = (
+    Samples
+    | Swings
+    | BalanceNumbers
+    | Estimates
+    | Picture
+    | Losses
+    | State
+    | LogLine
+    | Fits
+    | Properties
+    | Finish
+)
 
 
 def rows(message: Message) -> int:

@@ -14,6 +14,7 @@ from rig.settings.configuration import (
 from rig.settings.instrument import InstrumentSettings
 from rig.settings.night_plan import PlannedSeries, load_plan
 from rig.settings.phases import PreflightSettings
+from rig.settings.stop_conditions import StopCondition
 
 __all__ = [
     "BalanceSettings",
@@ -24,6 +25,7 @@ __all__ = [
     "PlannedSeries",
     "PreflightSettings",
     "SessionSettings",
+    "StopCondition",
     "TimebaseSettings",
     "apply_overrides",
     "load_configuration",

@@ -25,6 +25,7 @@ from rig.settings.calibration import CalibrationSettings, TimebaseSettings
 from rig.settings.camera import CameraSection
 from rig.settings.instrument import InstrumentSettings
 from rig.settings.phases import PhaseSettings, PreflightSettings, StartSettings
+from rig.settings.stop_conditions import StopCondition, stop_conditions
 from rig.settings.wording import dotted, in_words, is_unknown_key, not_numbers
 
 
@@ -44,6 +45,10 @@ class SessionSettings(Section, frozen=True):
         default=124.0, gt=0, description="wanted at the start of a run; see [start]"
     )
     final_amplitude_arcsec: float = Field(default=2.0, gt=0, description="a run ends below this amplitude")
+    stop_when: tuple[str, ...] = Field(
+        default=(),
+        description="a run ends, too, once all of these hold, for example u(c)/c < 0.03 and u(b)/b < 0.01",
+    )
     max_duration_s: float = Field(default=7200.0, gt=0, description="a run ends after this time in any case")
     output: Path = Field(default=Path("runs"), description="each session makes a folder in it")
     notify_command: tuple[str, ...] = Field(
@@ -152,6 +157,10 @@ class Configuration(Section, frozen=True):
                 f"session.final_amplitude_arcsec = {self.session.final_amplitude_arcsec:g} must be below "
                 f"session.initial_amplitude_arcsec = {self.session.initial_amplitude_arcsec:g}"
             )
+        try:
+            stop_conditions(self.session.stop_when, drag=self.fit.drag)
+        except ValueError as error:
+            raise ValueError(f"session.stop_when: {error}") from None
         return self
 
     @property
@@ -164,6 +173,11 @@ class Configuration(Section, frozen=True):
         """True if frames are simulated or read from files on request, so that none can be lost."""
         paced = self.simulated and self.simulation.real_time
         return find_driver(self.camera.driver).on_demand and not paced
+
+    @property
+    def stop_conditions(self) -> tuple[StopCondition, ...]:
+        """Those of `session.stop_when`."""
+        return stop_conditions(self.session.stop_when, drag=self.fit.drag)
 
     @property
     def deflection_unit(self) -> DeflectionUnit:

@@ -1,6 +1,6 @@
 """Starts the configured view."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from processing.balance import Balance
@@ -10,13 +10,20 @@ from rig.settings import Configuration
 from rig.view.viewer import Viewer
 
 
-def open_view(config: Configuration, record: Path, title: str, full_scale_dn: int) -> Viewer | None:
-    """Start the configured view; None if the configuration asks for none."""
+def open_view(
+    config: Configuration, record: Path, title: str, full_scale_dn: int, parameters: Sequence[str] = ()
+) -> Viewer | None:
+    """Start the configured view; None if the configuration asks for none.
+
+    `parameters` are the keys of those that are estimated while the run is measured.
+    """
     settings = config.view
     if settings.mode == "none" and not settings.file:
         return None
     rrd = record.with_suffix(".rrd") if settings.file else None
-    return start_view(config, rrd, settings.mode, settings.layout, title, full_scale_dn)
+    return start_view(
+        config, rrd, settings.mode, settings.layout, title, full_scale_dn, parameters=parameters
+    )
 
 
 def start_view(
@@ -27,6 +34,7 @@ def start_view(
     title: str,
     full_scale_dn: int,
     advise: Callable[[Balance], str] | None = None,
+    parameters: Sequence[str] = (),
 ) -> Viewer:
     """Start the view of a live or replayed run: a Rerun file, a live stream, or both.
 
@@ -41,6 +49,7 @@ def start_view(
         unit=config.deflection_unit,
         image_interval_s=config.view.image_interval_s,
         full_scale_dn=full_scale_dn,
+        parameters=parameters,
         advise=advise or (lambda balance: advice_text(config, balance)),
     )
     viewer.start()

@@ -29,10 +29,11 @@ from processing.errors import ConfigurationError
 from processing.spot import Spot, SpotFlag
 from processing.swing import Swing
 from rig.instrument import Block, Snapshot
-from rig.presentation import balance_numbers
+from rig.presentation import balance_numbers, quantity
 from rig.rerun import (
     BalanceNumbers,
     Curve,
+    Estimates,
     Fits,
     Floats,
     LayoutName,
@@ -108,6 +109,8 @@ class Viewer:
         Shortest interval, in the host's time, between the images of a run.
     full_scale_dn
         Pixel value shown white; default: the largest value of the image's type.
+    parameters
+        Keys of those that are estimated while the run is measured.
     advise
         Returns advice for a balance, in Markdown.
     memory_limit
@@ -138,6 +141,7 @@ class Viewer:
         unit: DeflectionUnit = DeflectionUnit.RAD,
         image_interval_s: float = 0.0,
         full_scale_dn: int | None = None,
+        parameters: Sequence[str] = (),
         advise: Callable[[Balance], str] = lambda _: "",
         memory_limit: str = "200MiB",
         port: int = 9876,
@@ -154,6 +158,8 @@ class Viewer:
         self._image_interval_s = image_interval_s
         self._full_scale_dn = full_scale_dn
         self._advise = advise
+        self._parameters = {key: quantity(key) for key in parameters}
+        self._estimated_from = 0
         self._next_image_s = 0.0
         self._next_state_s = 0.0
         self._shown_phase = ""
@@ -171,6 +177,7 @@ class Viewer:
             port=port,
             memory_limit=memory_limit,
             viewer_url="",
+            parameters={key: shown.label for key, shown in self._parameters.items()},
         )
 
         def feed(setup: Setup) -> Feed:
@@ -234,7 +241,10 @@ class Viewer:
         self.log((event.time_ns - start_ns) * 1e-9 + later_s, event.level, event.line, run=run)
 
     def snapshot(self, snapshot: Snapshot) -> None:
-        """State and losses, at most twice a second, and when the phase changes."""
+        """State and losses, at most twice a second, and when the phase changes; every new estimate."""
+        if snapshot.estimated_from != self._estimated_from:
+            self._estimated_from = snapshot.estimated_from
+            self.estimates(snapshot.elapsed_s, snapshot.estimates)
         now_s = time.monotonic()
         if now_s < self._next_state_s and snapshot.phase == self._shown_phase:
             return
@@ -274,6 +284,16 @@ class Viewer:
         """Balance at one moment: value and standard uncertainty by name (see `balance_numbers`)."""
         plain = {name: (float(value), float(u)) for name, (value, u) in numbers.items()}
         self._put(BalanceNumbers(run, float(time_s), plain, advice))
+
+    def estimates(self, time_s: float, numbers: Mapping[str, tuple[float, float]], *, run: str = "") -> None:
+        """The view's parameters at one moment, value and standard uncertainty by key, as stored."""
+        shown = {
+            key: (one.factor * numbers[key][0], one.factor * numbers[key][1])
+            for key, one in self._parameters.items()
+            if key in numbers
+        }
+        if shown:
+            self._put(Estimates(run, float(time_s), shown))
 
     def image(
         self,

@@ -17,7 +17,7 @@ from rig.analysis.base_acceleration import base_motion
 from rig.analysis.contact_verdicts import rig_quantities
 from rig.analysis.other_instruments import Air, reduce_run
 from rig.analysis.other_instruments_series import reduce_series
-from rig.analysis.record_fit import _clock_rate
+from rig.analysis.record_fit import clock_rate_of
 from rig.instrument import (
     height_of,
     nominal_effects,
@@ -43,7 +43,7 @@ def optical_path(config: Configuration) -> Any:
     optics = optics_of(config, 255.0)
     spots = [Spot(x, y, 0.01, 0.02, *[1.0] * 6, 0) for x, y in ((80.0, 320.0), (90.0, 20.0), (3.0, 600.0))]
     deflected = optics.deflector(_SHAPE)(np.zeros(3, np.int64), spots)
-    return repr(optics.sensor), repr(deflected), _clock_rate(config)
+    return repr(optics.sensor), repr(deflected), clock_rate_of(config)
 
 
 def shutter(config: Configuration) -> Any:

@@ -1,0 +1,6 @@
+"""What a run has told of the contact so far: fitted in a process of its own while it is measured."""
+
+from rig.posterior.messages import FittedModel
+from rig.posterior.posterior import FIRST_HALF_CYCLES, LivePosterior, Posterior, following
+
+__all__ = ["FIRST_HALF_CYCLES", "FittedModel", "LivePosterior", "Posterior", "following"]

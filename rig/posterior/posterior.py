@@ -1,0 +1,172 @@
+"""Parameters and uncertainties while a run is measured, from its half-cycles so far."""
+
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from processing.estimate import Estimate
+from processing.swing import Swing, TurningPoints
+from rig.posterior.fitting_process import FittingProcess
+from rig.posterior.messages import FittedModel
+
+FIRST_HALF_CYCLES = 40
+"""Fewer determine nothing: u of b and c is then larger than their values for every pair of the paper."""
+_GROWTH = 1.04
+"""So many times more half-cycles are worth another fit: u falls by a tenth where it falls fastest."""
+_SHARE = 0.05
+"""Largest part of a core that fits may have."""
+
+
+@dataclass(frozen=True, slots=True)
+class Posterior:
+    """Parameters by key, from the first `half_cycles` unflagged ones of a run; none before the first fit."""
+
+    half_cycles: int = 0
+    estimates: Mapping[str, Estimate] = field(default_factory=dict)
+
+
+NOTHING = Posterior()
+
+
+def following(half_cycles: int) -> int:
+    """How many half-cycles are worth a fit after one of so many."""
+    return max(half_cycles + 1, round(_GROWTH * half_cycles))
+
+
+class LivePosterior:
+    """Fits the half-cycles of a run again and again in a process of its own, at most in 5 % of its time.
+
+    `begin`, `take` and `latest` return at once and are called by the thread that processes the frames. A fit
+    that fails changes nothing; a process that dies ends the fits, and `take_remark` says so.
+
+    Parameters
+    ----------
+    model
+        What is fitted.
+    points_of
+        Turning points of swings, on a true clock.
+    in_step
+        Frames are made on demand: `take` waits for every fit that is due, whatever its share of a core, so
+        that a run that ends by what it knows repeats exactly.
+    """
+
+    def __init__(
+        self,
+        model: FittedModel,
+        points_of: Callable[[Sequence[Swing]], TurningPoints],
+        *,
+        in_step: bool = False,
+    ) -> None:
+        self._model, self._points_of, self._in_step = model, points_of, in_step
+        self._changed = threading.Condition()
+        self._swings: list[Swing] = []
+        self._run = 0
+        self._due_half_cycles = FIRST_HALF_CYCLES
+        self._due_s = 0.0
+        self._latest = NOTHING
+        self._remark = ""
+        self._over = False
+        self._process: FittingProcess | None = None
+        self._thread = threading.Thread(target=self._fit_all, name="posterior", daemon=True)
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Keys of what is estimated."""
+        return self._model.parameters
+
+    @property
+    def latest(self) -> Posterior:
+        """What is known now."""
+        return self._latest
+
+    @property
+    def worker_pid(self) -> int | None:
+        """Process number of the process that fits; None before the first fit."""
+        return None if self._process is None else self._process.pid
+
+    def begin(self) -> None:
+        """Forget all half-cycles: a run begins, or is begun again."""
+        with self._changed:
+            self._run += 1
+            self._swings = []
+            self._due_half_cycles = FIRST_HALF_CYCLES
+            self._latest = NOTHING
+
+    def take(self, swings: Sequence[Swing]) -> None:
+        """Half-cycles that follow."""
+        good = [swing for swing in swings if not swing.flags]
+        if not good or self._over:
+            return
+        with self._changed:
+            self._swings += good
+            if len(self._swings) < self._due_half_cycles:
+                return
+            if self._thread.ident is None:
+                self._thread.start()
+            self._changed.notify_all()
+            while self._in_step and not self._over and len(self._swings) >= self._due_half_cycles:
+                self._changed.wait()
+
+    def take_remark(self) -> str:
+        """Why there are no fits any more; once, else an empty text."""
+        remark, self._remark = self._remark, ""
+        return remark
+
+    def close(self) -> None:
+        """End the process, also in the middle of a fit."""
+        with self._changed:
+            self._over = True
+            process = self._process
+            self._changed.notify_all()
+        if process is not None:
+            process.kill()
+        if self._thread.is_alive():
+            self._thread.join(5.0)
+
+    def _fit_all(self) -> None:
+        try:
+            process = FittingProcess(self._model)
+        except OSError as error:
+            self._end(f"the process that fits cannot be started ({error})")
+            return
+        with self._changed:
+            self._process = process
+        try:
+            self._fit_with(process)
+        finally:
+            process.close()
+
+    def _fit_with(self, process: FittingProcess) -> None:
+        while (asked := self._next()) is not None:
+            run, swings = asked
+            found = process.fit(self._points_of(swings))
+            if found is None:
+                self._end("the process that fits while the run is measured has died")
+                return
+            with self._changed:
+                self._due_s = time.monotonic() + found.cpu_s / _SHARE
+                if run == self._run:
+                    self._due_half_cycles = following(len(swings))
+                    if found.estimates:
+                        self._latest = Posterior(len(swings), found.estimates)
+                self._changed.notify_all()
+
+    def _next(self) -> tuple[int, list[Swing]] | None:
+        """The swings of the next fit once it is due, and the run that they belong to; None at the end."""
+        with self._changed:
+            while not self._over:
+                left_s = 0.0 if self._in_step else self._due_s - time.monotonic()
+                if len(self._swings) < self._due_half_cycles:
+                    self._changed.wait()
+                elif left_s > 0:
+                    self._changed.wait(left_s)
+                else:
+                    return self._run, list(self._swings)
+        return None
+
+    def _end(self, why: str) -> None:
+        with self._changed:
+            self._over = True
+            self._remark = f"{why}: the run goes on, what it tells is seen at its end"
+            self._changed.notify_all()

@@ -1,0 +1,50 @@
+"""The process that fits: turning points come in on its standard input, parameters go out on its output.
+
+Messages are pickled. It ends when its input does, and thus with the process that started it.
+"""
+
+import os
+import pickle
+import sys
+import time
+from contextlib import suppress
+
+from processing.errors import DataError
+from processing.fit import FitResult, fit_exact
+from processing.swing import TurningPoints
+from rig.posterior.messages import Fitted, FittedModel
+
+
+def main() -> None:
+    """Fit until the input ends."""
+    incoming, outgoing = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
+    # nothing that a library prints may get between the answers
+    os.dup2(2, 1)
+    if hasattr(os, "nice"):
+        os.nice(10)
+    near: FitResult | None = None
+    warm = False
+    # the end of the input, or of who reads the answers
+    with suppress(EOFError, OSError):
+        model: FittedModel = pickle.load(incoming)
+        while True:
+            points: TurningPoints = pickle.load(incoming)
+            if not warm:
+                # the first fit of a process loads its kernels, which says nothing of what a fit costs
+                _fitted(points, model, None)
+                warm = True
+            near, answer = _fitted(points, model, near)
+            pickle.dump(answer, outgoing)
+            outgoing.flush()
+
+
+def _fitted(
+    points: TurningPoints, model: FittedModel, near: FitResult | None
+) -> tuple[FitResult | None, Fitted]:
+    began_s = time.process_time()
+    try:
+        fit = fit_exact(points, model.pendulum, drag=model.drag, loss=model.loss, near=near)
+    except DataError as error:
+        return near, Fitted({}, str(error), time.process_time() - began_s)
+    found = {name: fit.estimate(name) for name in fit.contact_names}
+    return fit, Fitted(found, "", time.process_time() - began_s)

@@ -1,0 +1,85 @@
+"""Runs that end by what they know, and what the screen says of it."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from acquisition.record.reader import RecordReader
+from processing.errors import ConfigurationError
+from processing.estimate import Estimate
+from rig.instrument import Snapshot
+from rig.measure.end_of_run import EndLimits, EndOfRun
+from rig.measure.estimates_text import estimate_rows
+from rig.measure.session import measure_session
+from rig.settings import StopCondition
+from rig.settings.configuration import load_configuration
+from tests.rig.command_line import CONFIGS, SMALL, figures_are_not_drawn
+from tests.rig.view.rrd_contents import column
+
+WHEN = (StopCondition("c", 0.03), StopCondition("b", 0.01))
+KNOWN = {"c": Estimate(1e-8, 2.5e-10), "b": Estimate(37e-4, 0.2e-4)}
+
+
+def test_a_run_ends_once_all_conditions_hold() -> None:
+    end = EndOfRun(EndLimits(0.0, 1e3, WHEN))
+    assert end.reason([], 1.0) is None
+    assert end.reason([], 1.0, {}) is None
+    assert end.reason([], 1.0, {**KNOWN, "b": Estimate(37e-4, 1e-4)}) is None
+    assert end.reason([], 1.0, KNOWN) == "known well enough: u(c)/c = 0.025 < 0.03, u(b)/b = 0.00541 < 0.01"
+    assert EndOfRun(EndLimits(0.0, 1e3)).reason([], 1.0, KNOWN) is None
+
+
+def test_the_screen_says_what_is_known_and_what_the_end_waits_for() -> None:
+    rows = dict(estimate_rows(Snapshot(estimates=KNOWN, estimated_from=200), WHEN))
+    assert rows["c, b"] == "(1.000 ± 0.025) × 10⁻⁸ (2.5 %),  (3.700 ± 0.020) × 10⁻³ rad⁻ᵖ (0.54 %)"
+    assert rows["ends when"] == "u(c)/c = 0.025 < 0.03, u(b)/b = 0.00541 < 0.01"
+    unseen = dict(estimate_rows(Snapshot(estimates={"c": Estimate(1e-8, 2e-8)}), ()))
+    assert unseen == {"c": "not yet seen"}
+    assert estimate_rows(Snapshot(), ()) == []
+
+
+@pytest.mark.slow
+def test_a_session_ends_by_what_it_knows_and_says_so(tmp_path: Path) -> None:
+    wanted = {
+        **SMALL,
+        "camera.frame_rate_hz": "25",
+        "session.stop_when": '["u(p)/p < 0.9"]',
+        "view.file": "true",
+    }
+    source, folder = CONFIGS / "demo.toml", tmp_path / "out"
+    config = load_configuration(source, [f"{key}={value}" for key, value in wanted.items()])
+    with figures_are_not_drawn():
+        assert measure_session(config, source, folder) == 0
+    (run,) = json.loads((folder / "results.json").read_text())["runs"]
+    assert run["ended"].startswith("known well enough: u(p)/p = 0.")
+    assert run["ended"].endswith(" < 0.9")
+    # the turning point of a half-cycle is known some frames after it
+    assert 40 <= run["half_cycles"] <= 42
+    with RecordReader(folder / "run-1.mcap") as reader:
+        assert reader.events()[-1].text == run["ended"]
+    _, shown = column(folder / "run-1.rrd", "/parameters/period0_s", "Measurements:values")
+    assert shown[0][0] == pytest.approx(4.071, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        (["instrument.kind=persoz"], "instrument.kind = 'persoz' reports none; leave stop_when out"),
+        (["camera.driver=usb3vision"], r"without \[lever\] amplitudes are in px"),
+        (
+            ["camera.driver=usb3vision", "lever={arm_m=1.0, pixel_pitch_m=4.8e-6}"],
+            r"state mass_kg and ball_radius_m in \[pendulum\]",
+        ),
+    ],
+)
+def test_a_rig_that_fits_no_contact_is_told_before_it_measures(
+    overrides: list[str], message: str, tmp_path: Path
+) -> None:
+    source = CONFIGS / "demo.toml"
+    config = load_configuration(source, ['session.stop_when=["u(c)/c < 0.03"]', *overrides])
+    with pytest.raises(
+        ConfigurationError, match=f"session.stop_when needs the contact's parameters: {message}"
+    ):
+        measure_session(config, source, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
