@@ -63,15 +63,20 @@ def preferred_names(camera: str, offered: Iterable[str], plane: ColourPlane | No
     return found
 
 
-def plane_of(image: Image, pixel_format: Format, plane: ColourPlane | None) -> Image:
-    """The pixels of one colour; the whole image without a plane. Of green ones, those in the red rows."""
+def plane_of(image: Image, colours: str, plane: ColourPlane | None) -> Image:
+    """The pixels of one colour of a mosaic with these `colours` in its first row; all without a plane."""
     if plane is None:
         return image
-    rows = (pixel_format.colours, _BELOW[pixel_format.colours])
-    row = next(i for i, letters in enumerate(rows) if ("B" if plane == "blue" else "R") in letters)
-    column = rows[row].index(plane[0].upper())
+    row, column = place_in_mosaic(colours, plane)
     part: Image = image[row::PITCH, column::PITCH].copy()
     return part
+
+
+def place_in_mosaic(colours: str, plane: ColourPlane) -> tuple[int, int]:
+    """Row and column of the first pixel of a colour, by the first row's colours; of green, in the red row."""
+    rows = (colours, _BELOW[colours])
+    row = next(i for i, letters in enumerate(rows) if ("B" if plane == "blue" else "R") in letters)
+    return row, rows[row].index(plane[0].upper())
 
 
 def in_sensor_px(settings: CameraSettings) -> CameraSettings:

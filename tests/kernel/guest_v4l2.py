@@ -294,6 +294,30 @@ def unplugged(reading: str) -> dict[str, Any]:
     }
 
 
+def mosaic() -> dict[str, Any]:
+    """The same picture in several mosaics: a colour's plane is the same in all of them."""
+    means: dict[str, dict[str, list[float]]] = {}
+    shapes = set()
+    for fourcc in ("RGGB", "GRBG", "GBRG", "BA81", "RG10", "BA12"):
+        means[fourcc] = {}
+        for plane in ("red", "green", "blue"):
+            here = kernel.open_device(device())
+            kernel.set_layout(here, 640, 360, fourcc)
+            os.close(here)
+            camera = make()
+            info = camera.open()
+            camera.configure(CameraSettings.model_validate({"colour_plane": plane}))
+            camera.start()
+            frame = camera.read(5.0)
+            camera.close()
+            assert frame is not None
+            shapes.add(frame.image.shape)
+            # the means of the picture's colour bars
+            bars = np.array_split(frame.image.mean(axis=0) / info.full_scale_dn, 8)
+            means[fourcc][plane] = [float(bar[5:-5].mean()) for bar in bars]
+    return {"means": means, "shapes": sorted(shapes)}
+
+
 def devices() -> dict[str, Any]:
     return {"found": [found._asdict() for found in list_devices()]}
 
@@ -312,6 +336,7 @@ def main() -> None:
         "stale_opencv": lambda: stale("opencv"),
         "refused": refused,
         "automatic": automatic,
+        "mosaic": mosaic,
         "unplugged": lambda: unplugged("kernel"),
     }
     for name in sys.argv[1:] or list(scenarios):

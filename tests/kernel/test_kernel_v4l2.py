@@ -48,6 +48,17 @@ def test_devices_are_listed_with_their_modes(results: dict[str, Any]) -> None:
     assert "mono12 (Y12) 320 x 180 at 60 Hz" in found[0]["modes"]
 
 
+def test_a_colour_of_a_mosaic_is_the_same_in_every_mosaic(results: dict[str, Any]) -> None:
+    seen = scenario(results, "mosaic")
+    assert seen["shapes"] == [[180, 320]]
+    bars = {plane: [means[plane] for means in seen["means"].values()] for plane in ("red", "green", "blue")}
+    for plane, of_mosaics in bars.items():
+        assert np.ptp(of_mosaics, axis=0).max() < 0.02, plane
+    # the colour bars are not grey: each plane shows others of them
+    for one, other in (("red", "green"), ("green", "blue"), ("blue", "red")):
+        assert np.abs(np.subtract(bars[one][0], bars[other][0])).max() > 0.3
+
+
 def test_buffers_that_the_driver_drops_are_counted(results: dict[str, Any]) -> None:
     seen = scenario(results, "dropped")
     numbers = seen["numbers"]

@@ -63,7 +63,7 @@ class BufferReader:
             return None
         raw = np.frombuffer(data, np.uint8)
         image = self.pixel_format.image(raw, self.width_px, self.height_px, x_padding)
-        image = plane_of(image, self.pixel_format, self.plane)
+        image = plane_of(image, self.pixel_format.colours, self.plane)
         image.flags.writeable = False
         device_time_ns = buffer.get_timestamp() if self.has_clock else -1
         return Frame(image, number, device_time_ns, arrived_ns)

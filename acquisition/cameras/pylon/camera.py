@@ -173,7 +173,7 @@ class PylonCamera:
                 image = np.array(result.GetArray(), copy=True)
                 pixel_format, plane = self._seen
                 if pixel_format is not None:
-                    image = plane_of(image, pixel_format, plane)
+                    image = plane_of(image, pixel_format.colours, plane)
                 image.flags.writeable = False
                 device_time_ns = round(result.GetTimeStamp() * self._tick_ns) if self._tick_ns else -1
             finally:

@@ -371,7 +371,7 @@ class FrameStream:
         image = wanted.pixel_format.image(
             self._whole_payload(), wanted.width_px, wanted.height_px, leader.x_padding
         )
-        image = plane_of(image, wanted.pixel_format, wanted.plane)
+        image = plane_of(image, wanted.pixel_format.colours, wanted.plane)
         image.flags.writeable = False
         device_time_ns = leader.timestamp if wanted.has_clock else -1
         return Frame(image, self._last_sequence, device_time_ns, host_time_ns)

@@ -80,12 +80,16 @@ def find_device(path: str | None, serial: str | None) -> VideoDevice:
             )
     if not chosen:
         raise DeviceError("no video device was found; is the camera plugged in, and does lsusb show it?")
-    usable = [device for device in chosen if possible(list(device.formats))] or chosen
+    usable = [device for device in chosen if _is_readable(list(device.formats))] or chosen
     if len(usable) > 1:
         raise DeviceError(f"several video devices: {listed}; set camera.v4l2.device to one of them")
     if usable[0].problem:
         raise DeviceError(usable[0].problem)
     return usable[0]
+
+
+def _is_readable(formats: list[str]) -> bool:
+    return bool(possible(formats) or possible(formats, mosaic=True))
 
 
 def refusal(path: str, error: OSError) -> str:

@@ -9,7 +9,16 @@ import re
 import select
 import time
 
-from acquisition.camera import CameraInfo, CameraLost, CameraSettings, FeatureValue, without_wires
+from acquisition.camera import (
+    CameraInfo,
+    CameraLost,
+    CameraSettings,
+    ColourPlane,
+    FeatureValue,
+    PixelFormat,
+    without_wires,
+)
+from acquisition.cameras.colour_plane import in_plane_px, in_sensor_px
 from acquisition.cameras.v4l2 import kernel
 from acquisition.cameras.v4l2.devices import find_device, refusal
 from acquisition.cameras.v4l2.layouts import LAYOUTS, choose, image_bytes, possible, to_image
@@ -33,6 +42,7 @@ class LinuxSource:
         self._last_ns = 0
         self._queued_ns: list[int] = []
         self._bounds: kernel.Rectangle | None = None
+        self._plane: ColourPlane | None = None
 
     def open(self) -> CameraInfo:
         """Find and open the device; if its format is not supported, set the preferred one that it offers."""
@@ -40,7 +50,8 @@ class LinuxSource:
         self._name = f"{found.path} ({found.name})"
         try:
             self._device = kernel.open_device(found.path)
-            fourcc = choose(kernel.formats(self._device), None)
+            offered = kernel.formats(self._device)
+            fourcc = choose(offered, None) or choose(offered, None, mosaic=True)
             if fourcc is None:
                 raise DeviceError(
                     f"{self._name}: offers {', '.join(code.strip() for code in found.formats)}; none is grey "
@@ -74,7 +85,9 @@ class LinuxSource:
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
         """Apply the settings, in an order in which a later one does not change an earlier one."""
-        without_wires(settings, self._name)
+        without_wires(settings.model_copy(update={"colour_plane": None}), self._name)
+        self._plane = settings.colour_plane or self._plane
+        settings = in_sensor_px(settings.model_copy(update={"colour_plane": self._plane}))
         try:
             self._leave_images_alone()
             self._set_layout(settings)
@@ -84,7 +97,7 @@ class LinuxSource:
                 kernel.set_rate_hz(self._device, settings.frame_rate_hz)
             for name, value in settings.features.items():
                 self._set_feature(name, value)
-            return self._readings(tuple(settings.features))
+            return in_plane_px(self._readings(tuple(settings.features)), self._plane)
         except OSError as error:
             raise self._failure(error) from None
 
@@ -125,7 +138,7 @@ class LinuxSource:
             image = None
             if whole and not stale:
                 with memoryview(self._maps[filled.buffer]) as data:
-                    image = to_image(data, self._layout)
+                    image = to_image(data, self._layout, self._plane)
             late = self._queued_ns[filled.buffer] > self._last_ns
             self._last_ns = filled.time_ns
             kernel.queue(self._device, filled.buffer)
@@ -188,15 +201,12 @@ class LinuxSource:
     def _set_layout(self, settings: CameraSettings) -> None:
         offered = kernel.formats(self._device)
         fourcc = self._layout.fourcc
-        wanted = settings.pixel_format
-        if wanted is not None and LAYOUTS[fourcc].pixel_format != wanted:
-            chosen = choose(offered, wanted)
-            if chosen is None:
-                raise DeviceError(
-                    f"{self._name}: pixel format {wanted} is not supported; there are "
-                    f"{', '.join(possible(offered))}"
-                )
-            fourcc = chosen
+        wanted, mosaic = settings.pixel_format, self._plane is not None
+        now = LAYOUTS[fourcc]
+        if wanted not in (None, now.pixel_format) or bool(now.colours) != mosaic:
+            fourcc = choose(offered, wanted, mosaic=mosaic) or ""
+            if not fourcc:
+                raise DeviceError(f"{self._name}: {_no_format(offered, wanted, mosaic)}")
         width_px = settings.width_px or self._layout.width_px
         height_px = settings.height_px or self._layout.height_px
         if self._bounds is not None:
@@ -307,6 +317,15 @@ class LinuxSource:
         if error.errno in (errno.ENODEV, errno.ENXIO, errno.EIO, errno.EBADF):
             return CameraLost(f"{self._name}: is no longer connected ({error.strerror}); plug it in again")
         return DeviceError(refusal(self._name, error))
+
+
+def _no_format(offered: list[str], wanted: PixelFormat | None, mosaic: bool) -> str:
+    there = possible(offered, mosaic=mosaic)
+    if there:
+        return f"pixel format {wanted} is not supported; there are {', '.join(there)}"
+    if mosaic:
+        return "has no Bayer format; leave camera.colour_plane out"
+    return "has a Bayer mosaic; set camera.colour_plane to the laser's colour"
 
 
 def _key(name: str) -> str:

@@ -6,6 +6,7 @@ The kernel's test driver has none of them, so that buffers are made here from th
 import numpy as np
 import pytest
 
+from acquisition.camera import ColourPlane
 from acquisition.cameras.v4l2.kernel import PixelLayout
 from acquisition.cameras.v4l2.layouts import choose, image_bytes, to_image
 
@@ -28,6 +29,59 @@ def test_packed_pixels_are_those_of_the_sensor(fourcc: str, bits: int, group: in
     assert np.array_equal(image, pixels)
     assert image.dtype == np.uint16
     assert not image.flags.writeable
+
+
+# of each mosaic, the colours of its first two rows, as the kernel's description has them
+MOSAICS = {
+    "RGGB": ("RG", "GB"), "GRBG": ("GR", "BG"), "GBRG": ("GB", "RG"), "BA81": ("BG", "GR"),
+    "RG10": ("RG", "GB"), "BA10": ("GR", "BG"), "GB10": ("GB", "RG"), "BG10": ("BG", "GR"),
+    "RG12": ("RG", "GB"), "BA12": ("GR", "BG"), "GB12": ("GB", "RG"), "BG12": ("BG", "GR"),
+    "RG16": ("RG", "GB"), "GR16": ("GR", "BG"), "GB16": ("GB", "RG"), "BYR2": ("BG", "GR"),
+    "pRAA": ("RG", "GB"), "pgAA": ("GR", "BG"), "pGAA": ("GB", "RG"), "pBAA": ("BG", "GR"),
+    "pRCC": ("RG", "GB"), "pgCC": ("GR", "BG"), "pGCC": ("GB", "RG"), "pBCC": ("BG", "GR"),
+}  # fmt: skip
+LEVELS = {"R": 0xB7, "G": 0x5A, "B": 0x21}
+
+
+@pytest.mark.parametrize("fourcc", MOSAICS)
+def test_one_colour_of_a_mosaic(fourcc: str) -> None:
+    """Every pixel says its colour in its high bits and, with the low ones, its row."""
+    width, height = 24, 10
+    bits = {"AA": 10, "CC": 12, "10": 10, "12": 12, "16": 16, "R2": 16}.get(fourcc[2:], 8)
+    low = bits - 8
+    group = {"AA": 4, "CC": 2}.get(fourcc[2:], 0)
+    colours = [[MOSAICS[fourcc][y % 2][x % 2] for x in range(width)] for y in range(height)]
+    values = np.array(
+        [[(LEVELS[c] << low) | (y & ((1 << low) - 1)) for c in row] for y, row in enumerate(colours)]
+    )
+    if group:
+        rows = bytearray()
+        for row in values.tolist():
+            for first in range(0, width, group):
+                pixels = row[first : first + group]
+                rows += bytes(pixel >> low for pixel in pixels)
+                rows.append(sum((p & ((1 << low) - 1)) << (low * i) for i, p in enumerate(pixels)))
+        buffer = bytes(rows)
+    else:
+        buffer = values.astype("u1" if bits == 8 else "<u2").tobytes()
+    layout = PixelLayout(width, height, fourcc, len(buffer) // height, len(buffer))
+    planes: tuple[ColourPlane, ...] = ("red", "green", "blue")
+    for plane in planes:
+        image = to_image(memoryview(buffer), layout, plane)
+        letter = plane[0].upper()
+        row = next(y for y in (0, 1) if ("B" if plane == "blue" else "R") in colours[y])
+        assert image.shape == (height // 2, width // 2)
+        assert image.flags.c_contiguous
+        assert not image.flags.writeable
+        assert (image >> low == LEVELS[letter]).all()
+        assert np.array_equal(image, values[row::2, colours[row].index(letter) :: 2])
+
+
+def test_a_mosaic_is_taken_where_a_colour_is_asked_for() -> None:
+    assert choose(["RGGB", "pRAA", "GREY"], None) == "GREY"
+    assert choose(["RGGB", "pRAA", "GREY"], None, mosaic=True) == "RGGB"
+    assert choose(["pRAA", "RG10"], "mono10", mosaic=True) == "RG10"
+    assert choose(["pRAA"], None) is None
 
 
 def test_whole_words_are_preferred_to_packed_pixels() -> None:
