@@ -148,6 +148,22 @@ def test_access_and_values_are_those_of_the_reference(descriptions: dict[str, st
     assert compared > 1000
 
 
+def test_enumerations_offer_what_the_reference_offers(descriptions: dict[str, str]) -> None:
+    offered = 0
+    for file, xml in descriptions.items():
+        pair = Pair(xml, 0)
+        for name in pair.names({"Enumeration"}):
+            reference = pair.reference.get_node(name)
+            if ACCESS[reference.get_access_mode()] in (Access.NOT_IMPLEMENTED, Access.NOT_AVAILABLE):
+                continue
+            wanted = [
+                entry.symbolic for entry in reference.entries if ACCESS[entry.get_access_mode()].readable
+            ]
+            assert list(pair.ours.node(name).choices()) == wanted, (file, name)
+            offered += len(wanted)
+    assert offered > 100
+
+
 @pytest.mark.parametrize("seed", SEEDS)
 def test_features_touch_the_registers_that_the_reference_touches(
     descriptions: dict[str, str], seed: int
