@@ -11,8 +11,10 @@ from rig.archive.store import Archive, duckdb_module
 from rig.presentation import say
 
 
-def add_sessions(archive: Path, sources: Sequence[Path]) -> str:
+def add_sessions(archive: Path, sources: Sequence[Path], *, read: bool = False) -> str:
     """Add every session below the folders; returns a line that counts them.
+
+    A session whose files are as they were by name, size and time is not read, unless `read`.
 
     A session is known by the SHA-256 of its records: added again it changes nothing, with new results or
     records it becomes a new version. Flaws of records are said on stderr and listed as their `state`.
@@ -25,12 +27,17 @@ def add_sessions(archive: Path, sources: Sequence[Path]) -> str:
 
     store, computer = Archive(archive), platform.node()
     known = store.versions()
+    unchanged = set() if read else store.known_files(computer)
     added = runs = before = 0
     for source in sources:
         folders = list(session_folders(source, archive))
         if not folders:
             raise RecordError(f"{source}: holds no session (no record, no results.json) in any folder")
         for folder in folders:
+            files = _files(folder)
+            if (str(folder), files) in unchanged:
+                before += 1
+                continue
             found = session_rows(folder)
             for flaw in found.flaws:
                 say(flaw)
@@ -39,7 +46,9 @@ def add_sessions(archive: Path, sources: Sequence[Path]) -> str:
             states = sorted(f"{row['sha256']} {row['state']}" for row in found.rows)
             place = (computer, str(folder), found.results_sha256, *states)
             name = f"{found.session[:16]}-{hashlib.sha256(chr(0).join(place).encode()).hexdigest()[:16]}"
+            inside = not any(Path(row["record"]).is_absolute() for row in found.rows)
             more = {"folder": str(folder), "computer": computer, "added_utc": now_utc(), "version": name}
+            more["files"] = files if inside else None
             if name in known or not store.add(name, [row | more for row in found.rows]):
                 before += 1
                 continue
@@ -49,6 +58,16 @@ def add_sessions(archive: Path, sources: Sequence[Path]) -> str:
                 store.merge_many()
     store.merge()
     return f"{added} sessions added ({runs} runs), {before} known already"
+
+
+def _files(folder: Path) -> str:
+    """Hash of names, sizes and times of a session's files, as far as `add` reads them."""
+    found = sorted(
+        f"{entry.name}\0{entry.stat().st_size}\0{entry.stat().st_mtime_ns}"
+        for entry in os.scandir(folder)
+        if entry.name.endswith((".mcap", ".json")) and entry.is_file()
+    )
+    return hashlib.sha256("\n".join(found).encode()).hexdigest()
 
 
 def session_folders(source: Path, archive: Path) -> Iterator[Path]:

@@ -41,6 +41,9 @@ COLUMNS: Final[Mapping[str, Column]] = {
     "flaw": Column("text", "in a line what is wrong with the record"),
     "results": Column("text", "name of the results file"),
     "results_sha256": Column("text", "its hash"),
+    "files": Column(
+        "text", "hash of names, sizes and times of the session's files, by which add knows it again"
+    ),
     "added_utc": Column("time", "when this version was added"),
     "version": Column("text", "name of the file in the archive that holds the row"),
     "began_utc": Column("time", "first message of the record"),

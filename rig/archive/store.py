@@ -39,6 +39,13 @@ class Archive:
         """Names of all versions of sessions."""
         return self._sessions.names()
 
+    def known_files(self, computer: str) -> set[tuple[str, str]]:
+        """Folders of a computer with what their files were like when they were last added."""
+        if not self.versions():
+            return set()
+        query = "select distinct folder, files from latest where computer = ? and files is not null"
+        return set(self.connection().execute(query, [computer]).fetchall())
+
     def merge(self, **how: int) -> None:
         """Write the merged file anew where many sessions are not in it (see `Shelf.merge`)."""
         self._sessions.merge(**how)

@@ -44,12 +44,15 @@ def add(
     folders: Annotated[
         list[Path], typer.Argument(help="Folders; the sessions in and below them.", show_default=False)
     ],
+    read: Annotated[
+        bool, typer.Option("--read", help="Read also what looks as it was, to find damage.")
+    ] = False,
     archive: Archive = _PLACE,
 ) -> None:
     """Add sessions; those that are known already are left as they are."""
     from rig.archive import add_sessions
 
-    print(add_sessions(archive, folders))
+    print(add_sessions(archive, folders, read=read))
 
 
 def list_(

@@ -54,7 +54,10 @@ def run(quick: bool = False) -> dict[str, Any]:
         results["list: MiB resident"] = peak_mib
         results["catalogue MB"] = _size(archive / "sessions") / 1e6
         results["merged MB"] = _size(archive / "merged") / 1e6
-        results |= _killed(folder / "runs", folder / "killed", sessions, kills, results["add: s"])
+        began_s = time.monotonic()
+        _listed(archive)
+        start_s = time.monotonic() - began_s
+        results |= _killed(folder / "runs", folder / "killed", sessions, kills, start_s, results["add: s"])
         results |= _two_at_once(folder / "runs", folder / "two", sessions)
     table = Table("archive", "measured")
     for key, value in results.items():
@@ -85,7 +88,9 @@ def _size(folder: Path) -> int:
     return sum(path.stat().st_size for path in folder.iterdir()) if folder.is_dir() else 0
 
 
-def _killed(runs: Path, archive: Path, sessions: int, kills: int, whole_s: float) -> dict[str, Any]:
+def _killed(
+    runs: Path, archive: Path, sessions: int, kills: int, start_s: float, whole_s: float
+) -> dict[str, Any]:
     """`add` killed at random moments and started again: what is listed must never fail, nor be lost."""
     moments = random.Random(1)
     before = broken = 0
@@ -96,8 +101,8 @@ def _killed(runs: Path, archive: Path, sessions: int, kills: int, whole_s: float
             stderr=subprocess.DEVNULL,
         )
         try:
-            # half of the whole work in all, so that it is killed at every stage of it
-            process.wait(moments.uniform(1.0, 1.0 + whole_s / kills))
+            # the whole work in all, so that it is killed at every stage of it
+            process.wait(start_s + moments.uniform(0.0, 2 * whole_s / kills))
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()

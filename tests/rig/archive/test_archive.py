@@ -1,6 +1,7 @@
 """`rig archive`: sessions added once whatever happens, and found again by conditions."""
 
 import json
+import os
 import re
 import shlex
 import shutil
@@ -96,6 +97,21 @@ def test_only_what_is_new_is_added_and_a_run_is_listed_once(sessions: Path, tmp_
     add_sessions(archive, [series])
     shutil.rmtree(tmp_path / "copy")
     assert len(rows(archive, f"folder = '{series}'")) == 2
+
+
+def test_what_looks_as_it_was_is_read_only_when_asked(sessions: Path, tmp_path: Path) -> None:
+    archive, record = tmp_path / "archive", sessions / "series" / "run-1.mcap"
+    add_sessions(archive, [sessions])
+    data, found = bytearray(record.read_bytes()), record.stat()
+    data[len(data) // 2] ^= 1
+    record.write_bytes(data)
+    os.utime(record, ns=(found.st_atime_ns, found.st_mtime_ns))
+    assert add_sessions(archive, [sessions]) == "0 sessions added (0 runs), 2 known already"
+    assert add_sessions(archive, [sessions], read=True) == "1 sessions added (2 runs), 1 known already"
+    assert rows(archive, "state = 'damaged'", "run") == [{"run": "run-1"}]
+    # another time alone is no new version
+    os.utime(record)
+    assert add_sessions(archive, [sessions]) == "0 sessions added (0 runs), 2 known already"
 
 
 def test_damaged_missing_and_unreadable_records_are_listed_as_such(sessions: Path, tmp_path: Path) -> None:
