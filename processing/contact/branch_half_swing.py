@@ -134,8 +134,9 @@ def _table(branch: Branch, names: Sequence[str], parameters: Array, highest: flo
         if again:
             # the moment at the next reversal is linear in the one at this
             way = amplitude + following
-            fading = (branch.resistance(way, 0.0 * held, q) - next_held) / held
-            more = (next_held / branch.at_reversal(following, q) - 1) / (1 + fading)
+            with np.errstate(invalid="ignore"):  # where the springs have no stiffness
+                fading = (branch.resistance(way, 0.0 * held, q) - next_held) / held
+                more = (next_held / branch.at_reversal(following, q) - 1) / (1 + fading)
             held = steady * (1 + _on_grid(log_a, np.log(following), more))
     ratio = following / amplitude
     by = [(one[1 : 1 + count] - one[1 + count :]) / (2 * steps[:, None]) for one in (ratio, duration)]

@@ -180,6 +180,7 @@ def fit_exact(
         against_rest=found.likeliest.against_rest,
         left_out=len(points) - len(kept),
         deviance=found.likeliest.deviance,
+        unrestricted=found.likeliest.unrestricted,
     )
     averaged_over = search.averaged_covariance(found.likeliest, bounds)
     return _result(found.model, found.solution, ground, loss, found.likeliest.covariance, averaged_over)

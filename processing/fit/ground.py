@@ -56,7 +56,10 @@ class Ground:
     against_rest
         By how much -2 ln L of ground at rest exceeds that of this ground.
     deviance
-        -2 ln L of the turning points with this noise, up to a constant of their number.
+        -2 ln L of the turning points with this noise, restricted to what the fitted parameters leave over, up
+        to a constant of their number and of the law.
+    unrestricted
+        -2 ln L of the turning points themselves, up to a constant of their number: laws are compared by it.
     left_out
         Half-cycles at the end that were not fitted, because the ground moves the pendulum in one half-swing
         by more than a tenth of its amplitude: amplitude and phase no longer describe the motion there.
@@ -68,6 +71,7 @@ class Ground:
     against_rest: float
     left_out: int = 0
     deviance: float = nan
+    unrestricted: float = nan
 
     @property
     def seen(self) -> bool:

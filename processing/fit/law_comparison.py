@@ -1,8 +1,8 @@
 """Several laws fitted to one decay, each with the ground's drive that it needs, and which of them remain.
 
 A law that lacks something needs a stronger drive of the ground, which makes its likelihood smaller: laws are
-compared by it, with Schwarz's penalty for each parameter. What no drive can take up stays in the order of the
-residuals.
+compared by it, with Schwarz's penalty for each parameter, and by the evidence with stated priors. What no
+drive can take up stays in the order of the residuals.
 """
 
 from collections.abc import Iterable, Sequence
@@ -12,6 +12,7 @@ from math import inf, log
 from processing.contact import PendulumOnBall
 from processing.contact.laws import Law
 from processing.errors import DataError
+from processing.fit.evidence import log_evidence
 from processing.fit.exact import fit_exact
 from processing.fit.result import FitResult
 from processing.swing import TurningPoints
@@ -25,12 +26,14 @@ class LawTrial:
     """One law at its best; without a `fit`, `problem` says why there is none.
 
     `bic` is ``-2 ln L + k ln N`` for k parameters and N numbers (an amplitude and a time a half-cycle),
-    infinite without a fit.
+    `aic` is ``-2 ln L + 2 k``; both are infinite without a fit. `log_evidence` is that of `evidence`.
     """
 
     law: Law
     fit: FitResult | None
     bic: float = inf
+    aic: float = inf
+    log_evidence: float = -inf
     problem: str = ""
 
 
@@ -44,10 +47,18 @@ class LawComparison:
         """How far a law's BIC lies above the best one's; infinite where it has no fit."""
         return trial.bic - self.trials[0].bic if trial.fit is not None else inf
 
+    def odds_against(self, trial: LawTrial) -> float:
+        """ln of the odds of the likeliest law's evidence against this one's; infinite where it has no fit."""
+        return max(one.log_evidence for one in self.trials) - trial.log_evidence if trial.fit else inf
+
     @property
     def remaining(self) -> tuple[LawTrial, ...]:
-        """The laws that the data do not exclude."""
-        return tuple(trial for trial in self.trials if self.above_best(trial) <= EXCLUDED_BIC)
+        """The laws that the data do not exclude: both BIC and evidence have to."""
+        return tuple(
+            trial
+            for trial in self.trials
+            if min(self.above_best(trial), 2 * self.odds_against(trial)) <= EXCLUDED_BIC
+        )
 
     @property
     def describes(self) -> bool:
@@ -55,15 +66,15 @@ class LawComparison:
         best = self.trials[0].fit
         return best is not None and best.whiteness is not None and not best.whiteness.correlated
 
-    def text(self) -> str:
-        """The verdict in words."""
+    def text(self, remedy: str = "a higher start or more runs may") -> str:
+        """The verdict in words; `remedy` says what would tell the remaining laws apart."""
         names = [trial.law.name for trial in self.remaining]
         if not names:
             return "none of these laws can be fitted to this decay"
         excluded = [trial.law.name for trial in self.trials if trial.law.name not in names]
         without = f"; excluded: {', '.join(excluded)}" if excluded else ""
         if len(names) > 1:
-            said = f"this decay cannot tell {' and '.join(names)} apart; a higher start or more runs may"
+            said = f"this decay cannot tell {' and '.join(names)} apart; {remedy}"
         else:
             said = f"of these laws, {names[0]} describes this decay best"
         if self.describes:
@@ -103,5 +114,7 @@ def compare_laws(
             trials.append(LawTrial(law, None, problem=problem))
             continue
         assert fit.ground is not None  # of every exact fit
-        trials.append(LawTrial(law, fit, fit.ground.deviance + len(fit.names) * log(2 * len(points))))
+        deviance, count = fit.ground.unrestricted, len(fit.names)
+        bic, aic = deviance + count * log(2 * len(points)), deviance + 2 * count
+        trials.append(LawTrial(law, fit, bic, aic, log_evidence(fit, pendulum)))
     return LawComparison(tuple(sorted(trials, key=lambda trial: trial.bic)))

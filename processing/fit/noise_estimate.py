@@ -38,7 +38,8 @@ _LEAST_SHARE = 1e-13
 class LikeliestNoise(NamedTuple):
     """The likeliest noise at given columns.
 
-    `deviance` is its -2 ln L, `against_rest` by how much that of ground at rest is larger, `covariance`
+    `deviance` is its -2 ln L, restricted to what the columns leave over, `unrestricted` that of the turning
+    points themselves. `against_rest` is by how much the deviance of ground at rest is larger, `covariance`
     that of the columns with this noise.
     """
 
@@ -46,6 +47,7 @@ class LikeliestNoise(NamedTuple):
     deviance: float
     against_rest: float = 0.0
     covariance: Array | None = None
+    unrestricted: float = np.inf
 
 
 class NoiseBounds(NamedTuple):
@@ -158,11 +160,12 @@ class NoiseSearch:
         dof = len(left) - len(self._columns)
         scale2 = max(1.0, chi2 / dof) if linear else 1.0
         log_information = float(np.sum(np.log(share)) + 2 * np.sum(np.log(norm)))
-        deviance = chi2 / scale2 + dof * np.log(scale2) + found.log_det + log_information
+        unrestricted = chi2 / scale2 + len(left) * np.log(scale2) + found.log_det
+        deviance = unrestricted - len(self._columns) * np.log(scale2) + log_information
         scale = float(np.sqrt(scale2))
         noise = replace(self._kind, step=ratio * scale, scale=scale)
         covariance = scale2 * ((vectors / share) @ vectors.T) / np.outer(norm, norm)
-        return LikeliestNoise(noise, float(deviance), covariance=covariance)
+        return LikeliestNoise(noise, float(deviance), covariance=covariance, unrestricted=float(unrestricted))
 
 
 def _lowest(function: Callable[[float], float], low: float, high: float) -> float:

@@ -4,6 +4,9 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Final
 
+import numpy as np
+
+from processing.angle import ARCSEC_RAD
 from processing.contact import PendulumOnBall
 from processing.contact.laws import LAWS, Law
 from processing.errors import ConfigurationError, DataError
@@ -14,6 +17,8 @@ from rig.analysis.record_fit import AnalysedRun
 from rig.presentation import Cell, Table
 
 NO_LAW: Final = "none"
+_TELLING, _MOST_RUNS = 3.0, 100
+"""Distance in standard uncertainties that tells two laws apart, and the most runs that are proposed."""
 
 
 def chosen_laws(names: Sequence[str]) -> tuple[Law, ...]:
@@ -38,7 +43,28 @@ def laws_of(run: AnalysedRun, laws: Iterable[Law]) -> ComparedLaws | None:
     if exact is None or pendulum is None:
         return None
     compared = compare_laws(run.points, pendulum, laws, drag=exact.has_drag, known=[exact])
-    return replace(_values(compared), without_law=_without_law(run.points, pendulum, compared))
+    free = _without_law(run.points, pendulum, compared)
+    remaining = [trial.law.name for trial in compared.remaining]
+    values = _values(compared)
+    if free is not None and len(remaining) > 1:
+        values = replace(values, verdict=compared.text(_remedy(free, remaining[0], remaining[1])))
+    return replace(values, without_law=free)
+
+
+def _remedy(free: MomentsWithoutLaw, one: str, other: str) -> str:
+    """Where two laws differ most in what one run knows, and how many runs make that three uncertainties."""
+    by_moment = {
+        "friction": np.abs(free.laws[one].friction_n_m - free.laws[other].friction_n_m) / free.u_friction_n_m,
+        "elastic moment": np.abs(free.laws[one].elastic_n_m - free.laws[other].elastic_n_m)
+        / free.u_elastic_n_m,
+    }
+    name, apart = max(by_moment.items(), key=lambda item: float(item[1].max()))
+    most = float(apart.max())
+    runs = np.ceil((_TELLING / most) ** 2)
+    where = f"they differ most in {name} at {free.phi_rad[int(apart.argmax())] / ARCSEC_RAD:.2g} arcsec"
+    if not 2 <= runs <= _MOST_RUNS:
+        return f"{where}; a higher start or more runs may"
+    return f"{where}, by {most:.1f} of what one run knows: {runs:.0f} such runs, or a higher start, may"
 
 
 def _without_law(
@@ -79,6 +105,8 @@ def _values(compared: LawComparison) -> ComparedLaws:
                 source=trial.law.source,
                 parameters={name: fit.estimate(name) for name in fit.names},
                 bic_above_best=compared.above_best(trial),
+                aic_above_best=trial.aic - min(one.aic for one in compared.trials),
+                log_odds_against=compared.odds_against(trial),
                 ground_rad_per_s2_rthz=fit.ground.density.value,
                 residuals_are_noise=not fit.whiteness.correlated,
                 excluded=trial not in compared.remaining,
@@ -92,22 +120,24 @@ def law_table(compared: ComparedLaws) -> Table:
     rows: list[list[Cell]] = []
     shown = []
     for name, law in compared.laws.items():
-        rows.append([name, law.bic_above_best, law.ground_rad_per_s2_rthz, law.problem])
+        measures = (law.bic_above_best, law.aic_above_best, law.log_odds_against)
+        rows.append([name, *measures, law.ground_rad_per_s2_rthz, law.problem])
         if law.problem:
-            shown.append([name, law.title, "", "", law.problem])
+            shown.append([name, law.title, "", "", "", "", law.problem])
             continue
         left = "noise" if law.residuals_are_noise else "no noise"
         verdict = "excluded" if law.excluded else "remains"
         ground = f"{law.ground_rad_per_s2_rthz:.1e}"
-        shown.append([name, law.title, f"{law.bic_above_best:.1f}", ground, f"{left}; {verdict}"])
+        shown.append([name, law.title, *(f"{one:.1f}" for one in measures), ground, f"{left}; {verdict}"])
     return Table(
         "laws",
         "Laws of the contact",
-        ("law", "bic_above_best", "ground_rad_per_s2_rthz", "problem"),
+        ("law", "bic_above_best", "aic_above_best", "log_odds_against", "ground_rad_per_s2_rthz", "problem"),
         rows,
-        ("law", "", "BIC", "drive", "leaves"),
+        ("law", "", "BIC", "AIC", "ln odds", "drive", "leaves"),
         shown,
-        "BIC: distance from the best law; more than 10 excludes one. Drive of the ground that the law needs, "
+        "BIC and AIC: distance from the best law; ln odds: against it by the evidence. BIC above 10 "
+        "with ln odds above 5 excludes one. Drive of the ground that the law needs, "
         "in rad/s²/√Hz: what the law lacks, a stronger drive must explain.",
     )
 

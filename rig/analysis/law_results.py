@@ -12,13 +12,20 @@ from rig.analysis.encoding import Floats, LeftOut, Number, Value
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LawFit:
-    """One law at its best. `bic_above_best` is its distance from the best law in Schwarz's criterion, and
-    `ground_rad_per_s2_rthz` the drive that it needs; `problem` says why there is no fit."""
+    """One law at its best.
+
+    `bic_above_best` and `aic_above_best` are its distances from the best law in the criteria of Schwarz and
+    Akaike, `log_odds_against` is the natural logarithm of the odds against it by the evidence (see
+    `processing.fit.evidence`), `ground_rad_per_s2_rthz` the drive that it needs; `problem` says why there is
+    no fit.
+    """
 
     title: str
     source: str
     parameters: Mapping[str, Value] = field(default_factory=dict)
     bic_above_best: Number = inf
+    aic_above_best: Number = inf
+    log_odds_against: Number = inf
     ground_rad_per_s2_rthz: Number = inf
     residuals_are_noise: bool = False
     excluded: bool = True

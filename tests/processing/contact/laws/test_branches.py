@@ -116,6 +116,19 @@ def test_rolling_with_memory_is_found_and_told_from_the_papers_law() -> None:
     assert compared.text() == "of these laws, masing describes this decay best; excluded: paper"
 
 
+def test_a_law_is_charged_for_its_parameters_and_no_more() -> None:
+    """Sliders beside a constant friction that they do not help to describe."""
+    index = np.arange(120)
+    points = seen(FIRST - 8e-7 * index, 0.5 * PERIOD_S * index, 1)
+    compared = compare_laws(points, PENDULUM, [LAWS["maxwell-slip"], LAWS["constant"]])
+    best, sliders = compared.trials
+    assert best.law.name == "constant"
+    assert 0 < compared.above_best(sliders) <= 4 * np.log(2 * len(points))
+    # four stiffnesses that might have been anything, and are nothing
+    assert 5 < compared.odds_against(sliders) < 60
+    assert best.aic < sliders.aic
+
+
 def test_the_papers_law_excludes_the_others() -> None:
     parameters, pendulum = paper_pair("glass_k8")
     points = decay(parameters, pendulum, noise_arcsec=0.005, seed=1, last_arcsec=80)
