@@ -9,10 +9,10 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[3]
 DAY_SPOTS = 5_000_000
-FLUSH_SPOTS = 46
-"""Spots between two flushes, 0.8 s, when 5 million are spread over 24 h."""
+FLUSH_SPOTS = 35
+"""Spots between two flushes, 0.6 s, when 5 million are spread over 24 h."""
 ALLOWED_BYTES_PER_SPOT = 8.0
-"""The index of two chunks a flush is about 230 bytes, 5 bytes a spot: 25 MB a day. The rest is slack."""
+"""The index of two chunks a flush is about 230 bytes, 6.6 bytes a spot: 33 MB a day. The rest is slack."""
 
 PROGRAM = """
 import resource, sys, gc
