@@ -106,6 +106,33 @@ def test_the_files_of_calibrations_are_read_as_they_are_shown(tmp_path: Path) ->
     assert len(read_transfer(tmp_path / "transfer.toml").level) == 3
 
 
+def test_a_rig_is_built_as_it_is_written(tmp_path: Path, measured_series: Path) -> None:
+    """Its rehearsal: the configuration with the simulated camera; a measured series stands for the runs."""
+    text = (ROOT / "docs" / "build.md").read_text(encoding="utf-8")
+    ((name, block),) = re.findall(r"^```toml\n# (\S+\.toml)\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
+    assert 'driver = "usb3vision"' in block
+    validate_configuration(tomllib.loads(block), name)
+    (tmp_path / name).write_text(block.replace("usb3vision", "simulated"), encoding="utf-8")
+    calibrations = (ROOT / "docs" / "calibration.md").read_text(encoding="utf-8")
+    for file, shown in re.findall(r"^```toml\n# (\S+\.toml)\n(.*?)^```", calibrations, re.M | re.S):
+        (tmp_path / file).write_text(shown, encoding="utf-8")
+    made = []
+    for line in indented(ROOT / "docs" / "build.md"):
+        words = shlex.split(line)[1:]
+        if words[0] == "run":
+            load_configuration(
+                tmp_path / words[1], words[words.index("--set") + 1 :] if "--set" in words else []
+            )
+            shutil.copytree(measured_series, tmp_path / words[words.index("-o") + 1])
+        elif words[:2] != ["calibrate", "sensor"]:
+            extra = {"align": ["--seconds", "1"], "balance": ["--follow", "1"]}
+            done = rig(*words, *extra.get(words[-2], []), cwd=tmp_path)
+            assert done.returncode == 0, f"{line}: {done.stderr[-500:]}"
+            made += [done.stdout.splitlines()[-1]] if words[0] == "calibrate" else []
+    (section,) = re.findall(r"^```toml\n(\[calibration\]\n.*?)^```", text, re.MULTILINE | re.DOTALL)
+    assert set(made) <= set(tomllib.loads(section)["calibration"].values())
+
+
 def test_sections_that_are_named_exist() -> None:
     """In README and docs; the example in CONTRIBUTING adds a section of its own."""
     found = set()
