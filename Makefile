@@ -10,7 +10,7 @@ INSTALL = $(PIP) install --quiet
 export PYTHONDONTWRITEBYTECODE =
 
 .DELETE_ON_ERROR:
-.PHONY: demo test test-quick test-kernel bench lint format schema pictures docs pins clean
+.PHONY: demo test test-quick test-kernel bench lint format schema pictures drawings docs pins clean
 
 demo: $(VENV)/.installed
 	$(BIN)/rig run configs/demo.toml $(ARGS)
@@ -44,6 +44,11 @@ schema: $(VENV)/.installed
 # The pictures of README and docs, from a run of the demonstration.
 pictures: $(VENV)/.installed-test
 	$(BIN)/python docs/pictures/make_pictures.py $(ARGS)
+
+# The drawings of docs, and its gallery of troubles, from the simulated rig.
+drawings: $(VENV)/.installed
+	$(BIN)/python docs/pictures/drawings.py
+	$(BIN)/python docs/pictures/troubles.py
 
 # The documents as a site in build/site, without a network; a link that leads nowhere is an error.
 docs: $(VENV)/.installed-test

@@ -23,11 +23,9 @@ from rig.settings import load_configuration
 
 HERE = Path(__file__).resolve().parent / "troubles"
 CONFIGURATION = HERE.parents[2] / "configs" / "demo.toml"
-SECONDS = 24
 SMALL = {
     "simulation.sensor.width_px": 160,
     "camera.frame_rate_hz": 50,
-    "session.max_duration_s": SECONDS,
     "view.file": "false",
 }
 Record = Any
@@ -37,6 +35,7 @@ class Trouble(NamedTuple):
     """What is changed in the simulation, and what is drawn of it."""
 
     title: str
+    seconds: int
     keys: Mapping[str, object]
     draw: Callable[[Axes, Record], None]
 
@@ -108,6 +107,7 @@ def shape(axes: Axes, record: Record) -> None:
 TROUBLES = {
     "tilt": Trouble(
         "out of balance, camera turned",
+        12,
         {
             "simulation.axes.leakage_quadrature": 0.04,
             "simulation.axes.slow_angle_rad": 0.03,
@@ -115,14 +115,15 @@ TROUBLES = {
         },
         trajectory,
     ),
-    "ghost": Trouble("light from a second surface", {"simulation.optics.ghost_relative": 0.2}, picture),
-    "saturation": Trouble("too much light", {"simulation.optics.peak_dn": 600}, picture),
-    "fringes": Trouble("a cover glass", {}, fringed),
+    "ghost": Trouble("light from a second surface", 2, {"simulation.optics.ghost_relative": 0.2}, picture),
+    "saturation": Trouble("too much light", 2, {"simulation.optics.peak_dn": 600}, picture),
+    "fringes": Trouble("a cover glass", 2, {}, fringed),
     "knock": Trouble(
-        "a knock at 12 s", {"faults.draught_at_s": 12.3, "faults.draught_arcsec": 6}, amplitudes
+        "a knock at 12 s", 24, {"faults.draught_at_s": 12.3, "faults.draught_arcsec": 6}, amplitudes
     ),
     "ground": Trouble(
         "a noisy building",
+        24,
         {
             "simulation.ground.model": '"peterson"',
             "simulation.ground.between_noise_models": 1.0,
@@ -132,6 +133,7 @@ TROUBLES = {
     ),
     "rolling-shutter": Trouble(
         "rows exposed one after the other",
+        12,
         {"simulation.sensor.row_time_s": 15e-6, "shutter.row_time_s": 0.0},
         shape,
     ),
@@ -139,10 +141,11 @@ TROUBLES = {
 
 
 @cache
-def simulated(keys: tuple[tuple[str, object], ...]) -> Record:
-    """A record of the demonstration with some keys changed."""
+def simulated(seconds: int, keys: tuple[tuple[str, object], ...]) -> Record:
+    """A short record of the demonstration with some keys changed."""
     folder = Path(tempfile.mkdtemp())
     changes = [f"{key}={value}" for key, value in (SMALL | dict(keys)).items()]
+    changes.append(f"session.max_duration_s={seconds}")
     simulate_record(load_configuration(CONFIGURATION, changes), CONFIGURATION, folder / "run.mcap")
     return rig.open_record(folder / "run.mcap")
 
@@ -154,8 +157,8 @@ def drawn(name: str) -> bytes:
     FigureCanvasAgg(figure)
     left, right = figure.subplots(1, 2)
     usual = picture if trouble.draw is fringed else trouble.draw
-    usual(left, simulated(()))
-    trouble.draw(right, simulated(tuple(trouble.keys.items())))
+    usual(left, simulated(trouble.seconds, ()))
+    trouble.draw(right, simulated(trouble.seconds, tuple(trouble.keys.items())))
     left.set_title("as it should be", fontsize=10)
     right.set_title(trouble.title, fontsize=10)
     out = io.BytesIO()

@@ -42,8 +42,9 @@ python_display_short_literal_types = True
 maximum_signature_line_length = 80
 
 CONTENTS = {
-    "Start": ["docs/tutorial"],
-    "Concepts": ["docs/laws", "docs/instruments"],
+    "Start": ["docs/tutorial", "docs/everyday", "docs/troubleshooting"],
+    "Build one": ["docs/build"],
+    "Concepts": ["docs/concepts", "docs/laws", "docs/instruments"],
     "How to": [
         "docs/session",
         "docs/cameras",
@@ -53,6 +54,7 @@ CONTENTS = {
         "docs/tables",
         "docs/archive",
         "docs/api",
+        "docs/notebook",
         "CONTRIBUTING",
     ],
     "Reference": [
@@ -62,6 +64,8 @@ CONTENTS = {
         "docs/record",
         "docs/reference/topics",
         "docs/reference/python",
+        "docs/benchmarks",
+        "CHANGELOG",
     ],
     "Decisions": ["docs/decisions/README"],
 }

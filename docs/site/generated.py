@@ -150,6 +150,24 @@ def python() -> str:
     return "```{eval-rst}\n" + "\n".join(lines) + "\n```\n"
 
 
+def notebook() -> str:
+    """The cells of the notebook with what they print and draw."""
+    path = ROOT / "docs" / "notebooks" / "own-law.ipynb"
+    cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
+    # the page has the title and the introduction
+    return "\n\n".join(part for cell in cells[1:] for part in _cell(cell))
+
+
+def _cell(cell: dict[str, Any]) -> Iterator[str]:
+    source = "".join(cell["source"])
+    yield source if cell["cell_type"] == "markdown" else f"```python\n{source}\n```"
+    for output in cell.get("outputs", []):
+        if "text" in output:
+            yield "```text\n" + "".join(output["text"]) + "```"
+        else:
+            yield f'<img alt="figure" src="data:image/png;base64,{output["data"]["image/png"]}">'
+
+
 def _table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
     lines += ["| " + " | ".join(cell.replace("|", r"\|") for cell in row) + " |" for row in rows]
@@ -170,4 +188,5 @@ PAGES: dict[str, Callable[[], str]] = {
     "results": results,
     "topics": record_topics,
     "python": python,
+    "notebook": notebook,
 }

@@ -1,6 +1,8 @@
 """The commands in README and docs run as they are written."""
 
+import json
 import re
+import runpy
 import shlex
 import shutil
 import textwrap
@@ -106,6 +108,7 @@ def test_the_files_of_calibrations_are_read_as_they_are_shown(tmp_path: Path) ->
     assert len(read_transfer(tmp_path / "transfer.toml").level) == 3
 
 
+@pytest.mark.slow
 def test_a_rig_is_built_as_it_is_written(tmp_path: Path, measured_series: Path) -> None:
     """Its rehearsal: the configuration with the simulated camera; a measured series stands for the runs."""
     text = (ROOT / "docs" / "build.md").read_text(encoding="utf-8")
@@ -125,12 +128,39 @@ def test_a_rig_is_built_as_it_is_written(tmp_path: Path, measured_series: Path) 
             )
             shutil.copytree(measured_series, tmp_path / words[words.index("-o") + 1])
         elif words[:2] != ["calibrate", "sensor"]:
-            extra = {"align": ["--seconds", "1"], "balance": ["--follow", "1"]}
-            done = rig(*words, *extra.get(words[-2], []), cwd=tmp_path)
+            short = ["--seconds", "1"] if "align" in words else []
+            done = rig(*words, *short, cwd=tmp_path)
             assert done.returncode == 0, f"{line}: {done.stderr[-500:]}"
             made += [done.stdout.splitlines()[-1]] if words[0] == "calibrate" else []
     (section,) = re.findall(r"^```toml\n(\[calibration\]\n.*?)^```", text, re.MULTILINE | re.DOTALL)
     assert set(made) <= set(tomllib.loads(section)["calibration"].values())
+
+
+def test_the_notebook_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With a short session in the place of the tutorial's; the outputs it keeps are from that."""
+    path = ROOT / "docs" / "notebooks" / "own-law.ipynb"
+    shutil.copytree(ROOT / "tests" / "rig" / "data" / "older" / "series", tmp_path / "runs" / "first")
+    (tmp_path / "docs" / "notebooks").mkdir(parents=True)
+    monkeypatch.chdir(tmp_path / "docs" / "notebooks")
+    ran = runpy.run_path(str(path.parent / "fill.py"))["run_cells"](path)
+    kept = json.loads(path.read_text(encoding="utf-8"))
+    for cell, shown in zip(ran["cells"], kept["cells"], strict=True):
+        outputs = cell.get("outputs", []), shown.get("outputs", [])
+        assert [output["output_type"] for output in outputs[0]] == [o["output_type"] for o in outputs[1]]
+    printed = "".join(str(cell.get("outputs", "")) for cell in ran["cells"])
+    assert float(re.findall(r"paper: chi2/dof ([\d.]+)", printed)[0]) < 3
+
+
+def test_messages_that_are_explained_exist() -> None:
+    """What the page of troubles quotes in the first column is said by the program, word for word."""
+    text = (ROOT / "docs" / "troubleshooting.md").read_text(encoding="utf-8")
+    quoted = re.findall(r'"([^"|]+)"', " ".join(re.findall(r"^\|([^|]+)\|", text, re.MULTILINE)))
+    assert len(quoted) >= 15
+    sources = [ROOT / "Makefile"]
+    for package in ("rig", "acquisition", "calibration", "processing"):
+        sources += sorted((ROOT / package).rglob("*.py"))
+    said = "\n".join(path.read_text(encoding="utf-8") for path in sources)
+    assert [words for words in quoted if words not in said] == []
 
 
 def test_sections_that_are_named_exist() -> None:
@@ -197,9 +227,11 @@ def test_the_commands_of_the_tutorial(tmp_path: Path, measured_series: Path) -> 
 
 @pytest.mark.slow
 def test_the_readme_from_top_to_bottom(tmp_path: Path) -> None:
+    """And then the page that says more of the same commands."""
     (tmp_path / "configs").symlink_to(ROOT / "configs")
-    commands = [line for line in indented(ROOT / "README.md") if line.startswith("rig ")]
-    assert len(commands) >= 6
+    pages = (ROOT / "README.md", ROOT / "docs" / "everyday.md")
+    commands = [line for page in pages for line in indented(page) if line.startswith("rig ")]
+    assert len(commands) >= 9
     for line in commands:
         words = shlex.split(line)[1:]
         # two minutes of swings instead of twenty
