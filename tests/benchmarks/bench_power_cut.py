@@ -36,6 +36,9 @@ def _of_one(kind: str, folder: Path, cuts: int, duration_s: float) -> dict[str, 
     return {
         f"{kind}: cuts": len(records),
         f"{kind}: readable": len(read),
+        f"{kind}: refused, with the writes lost before": [
+            (record.found["refused"], record.writes_lost) for record in records if "refused" in record.found
+        ],
         f"{kind}: with gaps": sum(not record.found["without gaps"] for record in read),
         f"{kind}: wrong after recovery": sum(bool(record.found["wrong after recovery"]) for record in read),
         f"{kind}: lost, median, s": float(np.median(lost_s)) if lost_s else np.nan,
