@@ -1,12 +1,14 @@
 """The camera's clock against the host's: a clock that runs too fast or too slow counts in another unit."""
 
+import math
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from acquisition.frame import Frame
-from calibration import ClockRelation, relate_clocks
-from processing.errors import DataError, DeviceError
+from calibration import ClockRelation
+from processing.errors import DeviceError
 
 MOST_PPM: Final = 1000.0
 """A quartz is right within 100 ppm: a clock that runs otherwise counts in another unit than was believed."""
@@ -20,7 +22,22 @@ def wrong_rate(relation: ClockRelation) -> str:
     """How fast the camera's clock runs, if that is not possible for one that counts ns; else empty."""
     if abs(relation.drift_ppm) - 3.0 * relation.u_drift_ppm <= MOST_PPM:
         return ""
-    return f"the camera's clock runs {1.0 + 1e-6 * relation.drift_ppm:.6g} times as fast as the computer's"
+    return _as_fast(relation.drift_ppm)
+
+
+def _as_fast(drift_ppm: float) -> str:
+    return f"the camera's clock runs {1.0 + 1e-6 * drift_ppm:.6g} times as fast as the computer's"
+
+
+def _drift_ppm(seen: NDArray[np.int64]) -> float:
+    """Rate of camera times against host times, (n, 2) in ns, minus 1; NaN if the host's do not rise.
+
+    From the medians of the first and the last third, which frames that come late now and then do not move.
+    The thread that reads the camera waits for it: a fit of all frames would cost some of them.
+    """
+    since_ns, third = seen - seen[0], len(seen) // 3
+    device_ns, host_ns = np.median(since_ns[-third:], axis=0) - np.median(since_ns[:third], axis=0)
+    return (device_ns / host_ns - 1.0) * 1e6 if host_ns > 0 else math.nan
 
 
 class ClockWatch:
@@ -31,9 +48,9 @@ class ClockWatch:
     row, of `window_ns` each, show the same.
     """
 
-    def __init__(self, window_ns: int = 3_000_000_000) -> None:
+    def __init__(self, window_ns: int = _WINDOW_NS) -> None:
         self._window_ns = window_ns
-        self._frames: list[tuple[int, int, int]] = []
+        self._frames: list[tuple[int, int]] = []
         self._found: list[float] = []
         self._done = False
 
@@ -49,24 +66,20 @@ class ClockWatch:
             self._done = True
             return
         seen = self._frames
-        seen.append((frame.device_time_ns, frame.host_time_ns, frame.sequence))
+        seen.append((frame.device_time_ns, frame.host_time_ns))
         if seen[-1][1] - seen[0][1] < self._window_ns or len(seen) < _FEWEST:
             return
-        device_ns, host_ns, sequence = np.array(seen, dtype=np.int64).T
+        drift_ppm = _drift_ppm(np.array(seen, dtype=np.int64))
         seen.clear()
-        try:
-            relation = relate_clocks(device_ns, host_ns, sequence)
-        except DataError:
-            return  # times that do not rise are for the preflight and rig calibrate clock to report
-        wrong = wrong_rate(relation)
-        if not wrong:
-            self._done = True
+        if not abs(drift_ppm) > MOST_PPM:
+            # times that do not rise are for the preflight and rig calibrate clock to report
+            self._done = not math.isnan(drift_ppm)
             return
-        self._found = [*self._found, relation.drift_ppm][-_IN_A_ROW:]
+        self._found = [*self._found, drift_ppm][-_IN_A_ROW:]
         mean = sum(self._found) / len(self._found)
         same = all(abs(drift - mean) < _SPREAD * abs(mean) for drift in self._found)
         if len(self._found) == _IN_A_ROW and same:
             raise DeviceError(
-                f"{wrong}, at most {MOST_PPM:g} ppm are possible: its times cannot be used; "
+                f"{_as_fast(mean)}, at most {MOST_PPM:g} ppm are possible: its times cannot be used; "
                 "the driver misreads its unit, or the computer's clock was set: see rig doctor"
             )
