@@ -220,6 +220,22 @@ class DisturbanceTruth(Section, frozen=True):
         return self
 
 
+class StatedTruth(Section, frozen=True):
+    """How well the rig's constants are known: standard uncertainties of what is stated to the analysis.
+
+    The stated values themselves are the true ones.
+    """
+
+    u_mass_kg: float = Field(default=0.0, ge=0)
+    u_ball_radius_m: float = Field(default=0.0, ge=0)
+    u_ball_youngs_modulus_pa: float = Field(default=0.0, ge=0)
+    u_flat_youngs_modulus_pa: float = Field(default=0.0, ge=0)
+    u_poisson_ratio: float = Field(default=0.0, ge=0, description="of ball and flat")
+    u_gravity_m_per_s2: float = Field(default=0.0, ge=0)
+    u_arm_m: float = Field(default=0.0, ge=0)
+    u_pixel_pitch_m: float = Field(default=0.0, ge=0)
+
+
 class SimulationSettings(Section, frozen=True):
     """The simulated rig; the same settings give identical frames."""
 
@@ -245,6 +261,7 @@ class SimulationSettings(Section, frozen=True):
     disturbances: DisturbanceTruth = DisturbanceTruth()
     ground: GroundTruth = GroundTruth()
     person: PersonTruth = PersonTruth()
+    stated: StatedTruth = StatedTruth()
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

@@ -60,7 +60,9 @@ def _shutter(truth: SimulationSettings, binning: int) -> Shutter | None:
 def _lever(truth: SimulationSettings) -> Lever:
     return Lever(
         arm_m=truth.optics.arm_m,
+        u_arm_m=truth.stated.u_arm_m,
         pixel_pitch_m=truth.sensor.pixel_pitch_m,
+        u_pixel_pitch_m=truth.stated.u_pixel_pitch_m,
         reference_x_px=truth.optics.reference_x_px,
         reference_y_px=truth.optics.reference_y_px,
     )
@@ -76,15 +78,18 @@ def _axes(truth: SimulationSettings) -> Axes:
 
 
 def _pendulum(truth: SimulationSettings) -> PendulumSettings:
-    contact, ground = truth.contact, truth.ground
+    contact, ground, stated = truth.contact, truth.ground, truth.stated
     return PendulumSettings(
         mass_kg=contact.mass_kg,
+        u_mass_kg=stated.u_mass_kg,
         ball_radius_m=contact.ball_radius_m,
+        u_ball_radius_m=stated.u_ball_radius_m,
         contact_radius_m=contact.contact_radius_m,
         ball_material=SIMULATED_BALL,
         flat_material=SIMULATED_FLAT,
         mass_centre_height_m=None if ground.model == "none" else ground.mass_centre_height_m,
         gravity_m_per_s2=contact.gravity_m_per_s2,
+        u_gravity_m_per_s2=stated.u_gravity_m_per_s2,
     )
 
 
@@ -99,12 +104,18 @@ def _balance(truth: SimulationSettings, balance: BalanceSettings) -> BalanceSett
 
 
 def _materials(truth: SimulationSettings) -> dict[str, Material]:
-    contact = truth.contact
+    contact, stated = truth.contact, truth.stated
     return {
         SIMULATED_BALL: Material(
-            youngs_modulus_pa=contact.ball_youngs_modulus_pa, poisson_ratio=contact.ball_poisson_ratio
+            contact.ball_youngs_modulus_pa,
+            contact.ball_poisson_ratio,
+            stated.u_ball_youngs_modulus_pa,
+            stated.u_poisson_ratio,
         ),
         SIMULATED_FLAT: Material(
-            youngs_modulus_pa=contact.flat_youngs_modulus_pa, poisson_ratio=contact.flat_poisson_ratio
+            contact.flat_youngs_modulus_pa,
+            contact.flat_poisson_ratio,
+            stated.u_flat_youngs_modulus_pa,
+            stated.u_poisson_ratio,
         ),
     }
