@@ -12,17 +12,20 @@ from rig.archive.plot import plot_runs
 if TYPE_CHECKING:
     from rig.archive.differences import print_differences
     from rig.archive.laboratories import compare_groups
+    from rig.archive.publishing import Statement, publish_runs
     from rig.archive.refitting import refit_runs
     from rig.archive.viewing import view_runs
 
 __all__ = [
     "Format",
+    "Statement",
     "add_sessions",
     "blind_runs",
     "compare_groups",
     "list_runs",
     "plot_runs",
     "print_differences",
+    "publish_runs",
     "refit_runs",
     "remark",
     "show_runs",
@@ -31,8 +34,10 @@ __all__ = [
 ]
 
 _LATER = {
+    "Statement": "publishing",
     "compare_groups": "laboratories",
     "print_differences": "differences",
+    "publish_runs": "publishing",
     "refit_runs": "refitting",
     "view_runs": "viewing",
 }

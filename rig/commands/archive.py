@@ -37,6 +37,7 @@ def register(app: typer.Typer) -> None:
     archive.command("blind")(blind)
     archive.command("unblind")(unblind)
     archive.command("view")(view)
+    archive.command("publish")(publish)
     app.add_typer(archive, name="archive")
 
 
@@ -224,3 +225,23 @@ def view(
     from rig.archive import view_runs
 
     view_runs(archive, names or [], where, mode, rrd)
+
+
+def publish(
+    output: Annotated[Path, typer.Option("-o", "--output", help="Folder to make.", show_default=False)],
+    title: Annotated[str, typer.Option(help="Title of the publication.", show_default=False)],
+    author: Annotated[
+        list[str],
+        typer.Option(help="Name, with an ORCID address behind it; may be repeated.", show_default=False),
+    ],
+    names: Names = None,
+    where: Where = "",
+    licence: Annotated[str, typer.Option(help="Name of the licence as SPDX has it.")] = "CC-BY-4.0",
+    citation: Annotated[str, typer.Option(help="What to cite; default: authors and title.")] = "",
+    archive: Archive = _PLACE,
+) -> None:
+    """Write runs with results and inputs as an RO-Crate."""
+    from rig.archive import Statement, publish_runs
+
+    statement = Statement(title, licence, author, citation)
+    print(publish_runs(archive, names or [], where, output, statement))

@@ -1,0 +1,169 @@
+"""`rig archive publish`: runs, their results and inputs as an RO-Crate, a folder that describes itself."""
+
+import contextlib
+import datetime
+import os
+import re
+import secrets
+import shutil
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from acquisition.record.digest import sha256_of
+from acquisition.record.reader import RecordReader
+from processing.errors import ConfigurationError, RecordError
+from rig.analysis import read_results, results_path, write_results
+from rig.archive.blind import sealed
+from rig.archive.chosen import chosen_runs
+
+_INPUTS = ("configuration.", "calibration/", "record.md")
+_MEDIA_TYPES = {
+    ".mcap": "application/octet-stream",
+    ".json": "application/json",
+    ".toml": "application/toml",
+    ".md": "text/markdown",
+}
+
+
+class Statement(NamedTuple):
+    """What is said of a publication: its title, its licence (name of SPDX), who made it, what to cite."""
+
+    title: str
+    licence: str
+    authors: Sequence[str]
+    citation: str = ""
+
+
+def publish_runs(archive: Path, names: Sequence[str], where: str, output: Path, statement: Statement) -> str:
+    """Write runs that are named or meet a condition as an RO-Crate into a new folder; says what it holds.
+
+    One folder a session, with its records, their results, and configuration and calibrations as the records
+    hold them. The folder appears when everything in it is proved: each record has the hash that the archive
+    knows, and every file is described.
+
+    Raises ConfigurationError without the package rocrate, for no runs, or what is stated wrongly; RecordError
+    where a record is not here or has changed.
+    """
+    try:
+        from rocrate.rocrate import ROCrate
+    except ImportError:
+        raise ConfigurationError(
+            "rig archive publish needs rocrate: pip install 'optical-pendulum-rig[publish]'"
+        ) from None
+    if not re.fullmatch(r"[A-Za-z0-9.+-]+", statement.licence):
+        raise ConfigurationError(f"--licence {statement.licence!r}: is no name of SPDX, such as CC-BY-4.0")
+    if not statement.title.strip() or not statement.authors:
+        raise ConfigurationError("a publication needs a title and an author: --title TEXT --author NAME")
+    if sealed(archive) is not None:
+        raise ConfigurationError(
+            f"{archive}: is blind, and a publication holds true values; unblind it first"
+        )
+    runs = chosen_runs(archive, names, where)
+    if not runs:
+        raise ConfigurationError("no run is meant: name one, or state a condition that one meets")
+    if os.path.lexists(output):
+        raise RecordError(f"{output}: exists already and is not overwritten; choose another name")
+    beside = output.with_name(f".{output.name}.{secrets.token_hex(4)}")
+    try:
+        by_folder: dict[Path, dict[Path, str]] = {}
+        for sha256, record in runs.items():
+            by_folder.setdefault(record.parent, {})[record] = sha256
+        for number, (folder, records) in enumerate(sorted(by_folder.items()), 1):
+            _copy_session(folder, records, beside / f"session-{number}-{folder.name}")
+        _describe(ROCrate(), beside, statement)
+        _check(ROCrate(beside), beside)
+        beside.rename(output)
+    except OSError as error:
+        raise RecordError(f"{output}: cannot be written: {error.strerror or error}") from None
+    finally:
+        with contextlib.suppress(OSError):
+            shutil.rmtree(beside)
+    return f"{output}: {len(runs)} run{'s' if len(runs) != 1 else ''} of {len(by_folder)} sessions"
+
+
+def _copy_session(folder: Path, records: dict[Path, str], target: Path) -> None:
+    target.mkdir(parents=True)
+    for number, (record, sha256) in enumerate(sorted(records.items())):
+        if not record.is_file():
+            raise RecordError(f"{record}: is not here; publish on the computer where it lies")
+        copy = target / record.name
+        shutil.copyfile(record, copy)
+        if sha256_of(copy) != sha256:
+            raise RecordError(f"{record}: has changed since it was added; rig archive add")
+        if number == 0:
+            _copy_inputs(copy, target / "inputs")
+    source = results_path(folder)
+    if source.is_file():
+        results = read_results(source)
+        kept = tuple(run for run in results.runs if run.sha256 in records.values())
+        if len(kept) == len(results.runs):
+            shutil.copyfile(source, target / "results.json")
+        elif kept:
+            # the series speaks of runs that are not published
+            write_results(target / "results.json", replace(results, runs=kept, series=None))
+    if (folder / "session.json").is_file():
+        shutil.copyfile(folder / "session.json", target / "session.json")
+
+
+def _copy_inputs(record: Path, target: Path) -> None:
+    with RecordReader(record) as reader:
+        for name, data in sorted(reader.attachments.items()):
+            if name.startswith(_INPUTS) and ".." not in Path(name).parts:
+                (target / name).parent.mkdir(parents=True, exist_ok=True)
+                (target / name).write_bytes(data)
+
+
+def _describe(crate: Any, folder: Path, statement: Statement) -> None:
+    """Name every file, and state title, licence, authors and what to cite."""
+    from rocrate.model.contextentity import ContextEntity
+    from rocrate.model.person import Person
+
+    crate.name = statement.title
+    crate.description = (
+        f"{statement.title}: records (MCAP) of an optical pendulum, results of their analysis (JSON), "
+        "configuration and calibrations. rig archive add reads the folder."
+    )
+    crate.datePublished = datetime.datetime.now(datetime.UTC).date().isoformat()
+    licence = f"https://spdx.org/licenses/{statement.licence}"
+    crate.license = crate.add(
+        ContextEntity(crate, licence, {"@type": "CreativeWork", "name": statement.licence, "url": licence})
+    )
+    crate.root_dataset["author"] = [
+        crate.add(Person(crate, _identifier(text, place), {"name": text.partition("http")[0].strip(" ,")}))
+        for place, text in enumerate(statement.authors, 1)
+    ]
+    crate.root_dataset["citation"] = statement.citation or (
+        f"{', '.join(text.partition('http')[0].strip(' ,') for text in statement.authors)}: {statement.title}"
+    )
+    for path in sorted(folder.rglob("*")):
+        if path.is_file():
+            described = {
+                "name": path.name,
+                "contentSize": str(path.stat().st_size),
+                "encodingFormat": _MEDIA_TYPES.get(path.suffix, "application/octet-stream"),
+                "sha256": sha256_of(path),
+            }
+            crate.add_file(path, path.relative_to(folder).as_posix(), properties=described)
+    crate.write(folder)
+
+
+def _identifier(author: str, place: int) -> str:
+    """The address of a person (ORCID) where one is stated."""
+    found = re.search(r"https?://\S+", author)
+    return found[0] if found else f"#author-{place}"
+
+
+def _check(crate: Any, folder: Path) -> None:
+    """Every file is described, and everything described is there with the hash that is stated."""
+    described = {entity.id: entity.get("sha256") for entity in crate.data_entities if entity.type == "File"}
+    there = {
+        path.relative_to(folder).as_posix(): path
+        for path in folder.rglob("*")
+        if path.is_file() and path.name not in ("ro-crate-metadata.json", "ro-crate-preview.html")
+    }
+    wrong = sorted(set(described) ^ set(there))
+    wrong += [name for name, path in there.items() if described.get(name) != sha256_of(path)]
+    if wrong:
+        raise RecordError(f"{folder}: {wrong[0]} is not as the description of the crate says")

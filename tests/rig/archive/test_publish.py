@@ -1,0 +1,70 @@
+"""`rig archive publish`: an RO-Crate that others can check, and `add` can read."""
+
+import json
+import shutil
+import sys
+from pathlib import Path
+
+import pytest
+
+from rig.archive import add_sessions
+from tests.rig.command_line import rig
+
+OLDER = Path(__file__).resolve().parents[1] / "data" / "older"
+SAID = ("--title", "Friction of steel on K8", "--author", "Ada Example https://orcid.org/0000-0000-0000-0001")
+
+
+@pytest.fixture
+def archive(tmp_path: Path) -> Path:
+    shutil.copytree(OLDER / "series", tmp_path / "runs" / "series")
+    add_sessions(tmp_path / "archive", [tmp_path / "runs"])
+    return tmp_path / "archive"
+
+
+def test_a_crate_is_described_proved_and_read_again(archive: Path, tmp_path: Path) -> None:
+    crate = tmp_path / "crate"
+    words = ("archive", "publish", "--where", "state = 'whole'", "-o", crate, *SAID, "--archive", archive)
+    done = rig(*words)
+    assert done.returncode == 0, done.stderr
+    tree = {
+        item["@id"]: item for item in json.loads((crate / "ro-crate-metadata.json").read_text())["@graph"]
+    }
+    root = tree["./"]
+    assert root["license"]["@id"] == "https://spdx.org/licenses/CC-BY-4.0"
+    assert root["author"][0]["@id"] == "https://orcid.org/0000-0000-0000-0001"
+    files = {path.relative_to(crate).as_posix() for path in crate.rglob("*") if path.is_file()}
+    assert files - set(tree) == {"ro-crate-metadata.json"} - set(tree)
+    assert "session-1-series/inputs/calibration/lever.toml" in files
+    # of the two runs only the whole one is there, in the results, too
+    again = tmp_path / "again"
+    assert rig("archive", "add", crate, "--archive", again).stdout.startswith("1 sessions added (1 runs)")
+    columns = ("--columns", "sha256, b, state", "--format", "json")
+    listed = [
+        json.loads(rig("archive", "list", "b > 0", *columns, "--archive", place).stdout)
+        for place in (archive, again)
+    ]
+    assert listed[0] == listed[1] != []
+    assert "exists already" in rig(*words).stderr
+    assert not list(tmp_path.glob(".crate*"))
+
+
+def test_what_has_changed_is_not_published(archive: Path, tmp_path: Path) -> None:
+    words = ("archive", "publish", "-o", tmp_path / "crate", "--archive", archive)
+    assert "no run is meant" in rig(*words, *SAID).stderr
+    assert "no name of SPDX" in rig(*words, *SAID, "--licence", "all mine").stderr
+    record = archive.parent / "runs" / "series" / "run-1.mcap"
+    record.write_bytes(record.read_bytes() + b"\0")
+    done = rig(*words, *SAID, "--where", "true")
+    assert "has changed since it was added" in done.stderr
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["archive", "runs"]
+
+
+def test_without_rocrate_one_line_says_what_to_install(
+    archive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "rocrate.rocrate", None)
+    done = rig("archive", "publish", "--where", "true", "-o", tmp_path / "crate", *SAID, "--archive", archive)
+    assert done.returncode == 2
+    assert done.stderr == (
+        "rig: rig archive publish needs rocrate: pip install 'optical-pendulum-rig[publish]'\n"
+    )
