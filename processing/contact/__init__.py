@@ -39,6 +39,7 @@ from processing.contact.moments import cycle_work, surface_energy, weight_moment
 from processing.contact.one_half_swing import OneHalfSwing, tabulated_half_swing
 from processing.contact.parameters import STANDARD_GRAVITY_M_PER_S2, ContactParameters, PendulumOnBall
 from processing.contact.period_law import cosine_moment, frequency_drop, period
+from processing.contact.steady_harmonics import law_harmonics
 
 __all__ = [
     "AMPLITUDE",
@@ -70,6 +71,7 @@ __all__ = [
     "fit_decay",
     "frequency_drop",
     "hertz_contact",
+    "law_harmonics",
     "material",
     "measured_losses",
     "model_losses",

@@ -31,10 +31,12 @@ from processing.fit.series import (
 )
 from processing.fit.smoothing import super_smooth
 from processing.fit.uncertainty import Budget, Propagated, budgets, monte_carlo
+from processing.fit.waveform import CONTRADICTED, predicted_harmonics, waveform_chances
 from processing.fit.without_law import FreeMoments, WithoutLaw, fit_without_law
 from processing.fit_method import FitMethod
 
 __all__ = [
+    "CONTRADICTED",
     "GROUND_SEEN",
     "Budget",
     "Combined",
@@ -81,10 +83,12 @@ __all__ = [
     "monte_carlo",
     "place_errors",
     "planned_run",
+    "predicted_harmonics",
     "reported_quantities",
     "shift_of",
     "strong_correlations",
     "super_smooth",
+    "waveform_chances",
     "widened",
     "with_place_errors",
     "work_per_cycle_j",

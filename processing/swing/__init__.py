@@ -7,12 +7,15 @@ from processing.swing.known_motion import KnownMotion
 from processing.swing.modes import TwoModes, separate_modes
 from processing.swing.noise import estimate_noise
 from processing.swing.spectrum import ResidualSpectrum, residual_spectrum
+from processing.swing.stacked_swing import ORDERS, HarmonicClass, cycle_harmonics, harmonic_classes
 from processing.swing.swing import Swing, SwingFlag, TurningPoints, turning_points
 
 __all__ = [
+    "ORDERS",
     "SHARED",
     "CycleResiduals",
     "CycleWatch",
+    "HarmonicClass",
     "KnownMotion",
     "ResidualSpectrum",
     "Swing",
@@ -21,7 +24,9 @@ __all__ = [
     "TurningPoints",
     "TwoModes",
     "compile_kernels",
+    "cycle_harmonics",
     "estimate_noise",
+    "harmonic_classes",
     "residual_spectrum",
     "separate_modes",
     "turning_points",

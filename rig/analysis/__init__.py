@@ -60,6 +60,7 @@ from rig.analysis.stored_position_errors import PositionErrors
 from rig.analysis.stored_turning_points import StoredTurningPoints
 from rig.analysis.table_fit import Columns, analyse_table
 from rig.analysis.table_screen import fit_envelope_table, fit_trajectory
+from rig.analysis.waveform_results import waveform_table
 
 __all__ = [
     "NOT_DETERMINED",
@@ -130,6 +131,7 @@ __all__ = [
     "session_results",
     "settled_swings",
     "surface_energies",
+    "waveform_table",
     "with_dropped_frames",
     "write_results",
 ]

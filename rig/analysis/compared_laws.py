@@ -14,6 +14,7 @@ from processing.fit import FitMethod, LawComparison, compare_laws, fit_without_l
 from processing.swing import TurningPoints
 from rig.analysis.law_results import ComparedLaws, LawFit, LawMoments, MomentsWithoutLaw
 from rig.analysis.record_fit import AnalysedRun
+from rig.analysis.waveform_results import with_waveform
 from rig.presentation import Cell, Table
 
 NO_LAW: Final = "none"
@@ -48,7 +49,7 @@ def laws_of(run: AnalysedRun, laws: Iterable[Law]) -> ComparedLaws | None:
     values = _values(compared)
     if free is not None and len(remaining) > 1:
         values = replace(values, verdict=compared.text(_remedy(free, remaining[0], remaining[1])))
-    return replace(values, without_law=free)
+    return with_waveform(replace(values, without_law=free), run, pendulum, compared)
 
 
 def _remedy(free: MomentsWithoutLaw, one: str, other: str) -> str:
@@ -121,24 +122,36 @@ def law_table(compared: ComparedLaws) -> Table:
     shown = []
     for name, law in compared.laws.items():
         measures = (law.bic_above_best, law.aic_above_best, law.log_odds_against)
-        rows.append([name, *measures, law.ground_rad_per_s2_rthz, law.problem])
+        waveform = f"{law.waveform_chance:.2g}"
+        rows.append([name, *measures, law.ground_rad_per_s2_rthz, law.waveform_chance, law.problem])
         if law.problem:
-            shown.append([name, law.title, "", "", "", "", law.problem])
+            shown.append([name, law.title, *[""] * 5, law.problem])
             continue
         left = "noise" if law.residuals_are_noise else "no noise"
         verdict = "excluded" if law.excluded else "remains"
         ground = f"{law.ground_rad_per_s2_rthz:.1e}"
-        shown.append([name, law.title, *(f"{one:.1f}" for one in measures), ground, f"{left}; {verdict}"])
+        shown.append(
+            [name, law.title, *(f"{one:.1f}" for one in measures), ground, waveform, f"{left}; {verdict}"]
+        )
     return Table(
         "laws",
         "Laws of the contact",
-        ("law", "bic_above_best", "aic_above_best", "log_odds_against", "ground_rad_per_s2_rthz", "problem"),
+        (
+            "law",
+            "bic_above_best",
+            "aic_above_best",
+            "log_odds_against",
+            "ground_rad_per_s2_rthz",
+            "waveform_chance",
+            "problem",
+        ),
         rows,
-        ("law", "", "BIC", "AIC", "ln odds", "drive", "leaves"),
+        ("law", "", "BIC", "AIC", "ln odds", "drive", "waveform", "leaves"),
         shown,
         "BIC and AIC: distance from the best law; ln odds: against it by the evidence. BIC above 10 "
         "with ln odds above 5 excludes one. Drive of the ground that the law needs, "
-        "in rad/s²/√Hz: what the law lacks, a stronger drive must explain.",
+        "in rad/s²/√Hz: what the law lacks, a stronger drive must explain. Waveform: chance of a third "
+        "harmonic so far from the law's.",
     )
 
 

@@ -16,8 +16,9 @@ class LawFit:
 
     `bic_above_best` and `aic_above_best` are its distances from the best law in the criteria of Schwarz and
     Akaike, `log_odds_against` is the natural logarithm of the odds against it by the evidence (see
-    `processing.fit.evidence`), `ground_rad_per_s2_rthz` the drive that it needs; `problem` says why there is
-    no fit.
+    `processing.fit.evidence`), `waveform_chance` the chance of a third harmonic at least so far from the
+    law's (see `processing.fit.waveform`), `ground_rad_per_s2_rthz` the drive that it needs; `problem` says
+    why there is no fit.
     """
 
     title: str
@@ -27,6 +28,7 @@ class LawFit:
     aic_above_best: Number = inf
     log_odds_against: Number = inf
     ground_rad_per_s2_rthz: Number = inf
+    waveform_chance: Number = nan
     residuals_are_noise: bool = False
     excluded: bool = True
     problem: str = ""
@@ -60,9 +62,29 @@ class MomentsWithoutLaw:
 
 
 @dataclass(frozen=True, slots=True)
+class Harmonics:
+    """Harmonics of the swing by order, from its turning point on: ``cosine cos(k s) + sine sin(k s)``."""
+
+    cosine_rad: Floats
+    sine_rad: Floats
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WaveformClass:
+    """Harmonics 2 to 5 of the swings about one amplitude, their standard uncertainties, and the laws' own."""
+
+    amplitude_rad: Number
+    measured: Harmonics
+    u_rad: Floats
+    laws: Mapping[str, Harmonics] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
 class ComparedLaws:
-    """Laws by name, the best first, the verdict in words, and the moments without a law (None: no fit)."""
+    """Laws by name, the best first, the verdict in words, the moments without a law (None: no fit), and the
+    waveform by classes of amplitude, the largest first."""
 
     laws: Mapping[str, LawFit]
     verdict: str
     without_law: Annotated[MomentsWithoutLaw | None, LeftOut] = None
+    waveform: tuple[WaveformClass, ...] = ()

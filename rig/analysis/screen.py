@@ -9,6 +9,7 @@ from rig.analysis.compared_laws import law_table
 from rig.analysis.fit_remarks import remarks
 from rig.analysis.fit_tables import parameter_table, quality_table
 from rig.analysis.results import RunResults, SessionResults
+from rig.analysis.waveform_results import waveform_table
 from rig.presentation import print_tables
 
 
@@ -41,7 +42,7 @@ def print_run(run: RunResults, head: str, lines: Sequence[str] = ()) -> None:
         parameters = parameter_table(run.fits, run.surface_energy_j_per_m2, run.verdicts())
         print_tables([parameters, quality_table(run.fits)])
     if run.laws is not None:
-        print_tables([law_table(run.laws)])
+        print_tables([law_table(run.laws), waveform_table(run.laws)])
         console.print(f"  {run.laws.verdict}", highlight=False, markup=False, soft_wrap=True)
     for line in (*(run.instrument.text if run.instrument else ()), *remarks(run)):
         console.print(f"  {line}", highlight=False, markup=False, soft_wrap=True)

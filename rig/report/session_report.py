@@ -214,7 +214,7 @@ def _run(run: RunData, files: Path, *, alone: bool) -> list[str]:
     body.append(html.side_by_side(take("quality", "hertz")))
     body += take("conditions")
     body += take("fig12-decay", "fig13-period", "fig14-smoother", "residuals", "position-errors", "spectrum")
-    body += take("table4-loops", "work", "losses", "laws", "moments")
+    body += take("table4-loops", "work", "losses", "laws", "waveform", "moments")
     body.append(html.side_by_side(take("drag", "identifiability")))
     body += take("correlation", "budget", "monte-carlo")
     body += take("fig00-frame", "fig09-y", "fig10-x", "fig11-trajectory")

@@ -7,7 +7,16 @@ from pydantic import JsonValue
 
 from processing.estimate import Estimate
 from processing.fit import FitMethod
-from rig.analysis import Curves, RunResults, encoded, law_table, moments_table, parameter_table, quality_table
+from rig.analysis import (
+    Curves,
+    RunResults,
+    encoded,
+    law_table,
+    moments_table,
+    parameter_table,
+    quality_table,
+    waveform_table,
+)
 from rig.presentation import Cell, Table, Verdict, plain, quantity, with_uncertainty
 from rig.report.run_data import RunData
 from rig.report.tables_uncertainty import budget_table, identifiability_table, monte_carlo_table
@@ -31,7 +40,7 @@ def run_tables(run: RunData, curves: Curves | None) -> list[Table]:
             *tables,
         ]
     if results.laws is not None:
-        tables += [law_table(results.laws), moments_table(results.laws)]
+        tables += [law_table(results.laws), waveform_table(results.laws), moments_table(results.laws)]
     return [table for table in tables if table.rows]
 
 

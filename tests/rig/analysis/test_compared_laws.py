@@ -27,6 +27,12 @@ def test_a_records_laws_are_compared_and_the_verdict_stands_in_the_results(
     friction, u = np.array(free["friction_n_m"]), np.array(free["u_friction_n_m"])
     apart = (np.array(free["laws"]["paper"]["friction_n_m"]) - friction) / u
     assert np.all(np.abs(apart) < 4)
+    # the demonstration's contact is the paper's: its third harmonic, and no other law's, is in the motion
+    (swings,) = run["laws"]["waveform"]
+    assert paper["waveform_chance"] > 1e-3
+    assert viscous["waveform_chance"] < 1e-4
+    third = np.hypot(swings["measured"]["cosine_rad"][1], swings["measured"]["sine_rad"][1])
+    assert third > 20 * swings["u_rad"][1]
     said = " ".join(capsys.readouterr().out.split())
     assert "Laws of the contact" in said
     assert "paper describes this decay best; excluded: viscous" in said
