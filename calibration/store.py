@@ -93,7 +93,8 @@ def parse_calibration(data: bytes, name: str, kind: Kind | None = None) -> Calib
     except ValidationError as error:
         fault = error.errors()[0]
         place = ".".join(str(part) for part in fault["loc"])
-        raise ConfigurationError(f"{name}: is not a calibration file ({place}: {fault['msg']})") from None
+        said = "is missing" if fault["type"] == "missing" else fault["msg"].removeprefix("Value error, ")
+        raise ConfigurationError(f"{name}: is not a calibration file ({place}: {said})") from None
     for field in ("made_at", "valid_until", "measured_at"):
         if getattr(found, field).tzinfo is None:
             raise ConfigurationError(

@@ -5,8 +5,10 @@ Heavy imports are made inside the commands, so that ``rig --help`` responds imme
 
 import logging
 import os
+import re
 import sys
 from importlib import metadata
+from itertools import pairwise
 from typing import Annotated
 
 import typer
@@ -78,6 +80,7 @@ def main() -> None:
         # accepted anywhere, because users append it to the command that has just failed
         sys.argv = [sys.argv[0], "--debug", *(word for word in sys.argv[1:] if word != "--debug")]
     try:
+        sys.argv = _completed(sys.argv)
         with terminated_by_signals():
             status = app(standalone_mode=False)
     except (typer.Abort, KeyboardInterrupt) as ended:
@@ -94,6 +97,17 @@ def main() -> None:
             raise
         status = _say(error)
     sys.exit(status if isinstance(status, int) else 0)
+
+
+def _completed(words: list[str]) -> list[str]:
+    """The words with `--view` alone said in full; raises ConfigurationError for an empty one."""
+    found: list[str] = []
+    for word, following in pairwise([*words, "--"]):
+        if not word.strip() or re.fullmatch(r"--[\w-]+=\s*", word):
+            before = f" after {found[-1]}" if found[-1].startswith("-") else ""
+            raise ConfigurationError(f"an argument{before} is empty; state a value, or leave it out")
+        found += [word, "window"] if word == "--view" and following not in ("window", "web") else [word]
+    return found
 
 
 def _say(error: Exception) -> int:

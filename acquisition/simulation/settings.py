@@ -31,7 +31,7 @@ class ContactTruth(Section, frozen=True):
         "friction and adhesion are then relative to m g times the distance of the mass centre from the axis",
     )
     balls: Literal[1, 2] = Field(default=1, description="equal balls that share the weight")
-    mass_kg: float = Field(default=0.406, gt=0)
+    mass_kg: float = Field(default=0.406, gt=0, lt=100)
     ball_radius_m: float = Field(default=6.05e-3, gt=0, lt=1)
     contact_radius_m: float | None = Field(
         default=None, gt=0, description="radius of the contact spot; None: Hertz, from the constants below"
@@ -40,7 +40,7 @@ class ContactTruth(Section, frozen=True):
     ball_poisson_ratio: float = Field(default=0.28, gt=-1, lt=0.5)
     flat_youngs_modulus_pa: float = Field(default=0.82e11, gt=0)
     flat_poisson_ratio: float = Field(default=0.206, gt=-1, lt=0.5)
-    gravity_m_per_s2: float = Field(default=9.80665, gt=0)
+    gravity_m_per_s2: float = Field(default=9.80665, gt=0, lt=30)
 
 
 class FastModeTruth(Section, frozen=True):

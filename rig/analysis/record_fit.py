@@ -29,7 +29,7 @@ from rig.analysis.settled import points_in_true_time, settled_swings
 from rig.analysis.stored_position_errors import PositionErrors
 from rig.analysis.stored_turning_points import StoredTurningPoints
 from rig.instrument import inputs_sha256, judge_calibration, pendulum_on_ball, recorded_configuration
-from rig.settings import Configuration
+from rig.settings import OF_FITS, Configuration, refuse_without_effect
 
 
 @dataclass(frozen=True)
@@ -53,6 +53,7 @@ def analyse_record(path: Path, overrides: Sequence[str] = ()) -> AnalysedRun:
     """Fit one closed record; `overrides` change its configuration (fit settings, pendulum) for this fit."""
     with RecordReader(path) as reader:
         config = recorded_configuration(reader, overrides)
+        refuse_without_effect(overrides, OF_FITS, "rig replay takes the recorded motion again")
         blocks = _RecordedDeflections(reader)
         run = analyse_run(reader, config, reader.swings(), blocks, reader.deflection_unit, blocks.beam)
         return with_dropped_frames(run, blocks.following - run.results.frames, reader, config)

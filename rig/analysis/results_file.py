@@ -72,8 +72,12 @@ def read_results(source: Path) -> SessionResults:
         raise RecordError(
             f"{source}: holds no {RESULTS_NAME}; rig run makes one, and rig fit from records"
         ) from None
-    except (OSError, ValueError, RecursionError) as error:
-        raise RecordError(f"{path}: cannot be read: {error}") from None
+    except OSError as error:
+        raise RecordError(f"{path}: cannot be read: {error.strerror or error}") from None
+    except UnicodeDecodeError:
+        raise RecordError(f"{path}: is no results file; name {RESULTS_NAME} or its folder") from None
+    except (ValueError, RecursionError) as error:
+        raise RecordError(f"{path}: cannot be read: {error}; {_REMEDY}") from None
     return decoded(tree, path)
 
 

@@ -1,18 +1,18 @@
 """Input files (TOML) of a calibration: ladders of known tilts or shifts, and lists of frames."""
 
-import tomllib
 from pathlib import Path
-from typing import Any, Literal, Self, TypeVar
+from typing import Literal, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, Field, ValidationError, model_validator
+from pydantic import BaseModel, Field, model_validator
 
 from acquisition.cameras.files.sources import Unreadable, open_source
 from acquisition.record.reader import RecordReader
 from calibration import LadderSteps, LeverGeometry
 from processing.angle import ARCSEC_RAD
 from processing.errors import ConfigurationError, DataError
+from rig.settings import read_toml, validated
 
 Image = NDArray[np.uint8] | NDArray[np.uint16]
 _Model = TypeVar("_Model", bound=BaseModel)
@@ -102,12 +102,12 @@ class TransferFile(BaseModel, frozen=True, extra="forbid"):
 
 
 def read_ladder(path: Path) -> LadderFile:
-    """Read the file of a ladder; raises ConfigurationError in one line."""
+    """Read the file of a ladder; raises ConfigurationError, a line a fault."""
     return _read(path, LadderFile)
 
 
 def read_transfer(path: Path) -> TransferFile:
-    """Read the file of a photon transfer; raises ConfigurationError in one line."""
+    """Read the file of a photon transfer; raises ConfigurationError, a line a fault."""
     return _read(path, TransferFile)
 
 
@@ -136,19 +136,8 @@ def frames_of(path: Path) -> tuple[list[Image], int]:
 
 
 def _read(path: Path, model: type[_Model]) -> _Model:
-    try:
-        tree: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8-sig"))
-        return model.model_validate(tree)
-    except OSError as error:
-        raise ConfigurationError(f"{path}: cannot be read: {error.strerror or error}") from None
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise ConfigurationError(f"{path}: is not TOML: {error}") from None
-    except ValidationError as error:
-        fault = error.errors()[0]
-        place = ".".join(str(part) for part in fault["loc"])
-        said = (
-            "is missing; docs/calibration.md shows such a file"
-            if fault["type"] == "missing"
-            else fault["msg"]
-        )
-        raise ConfigurationError(f"{path}: {place}{': ' if place else ''}{said}") from None
+    found, told = validated(model, read_toml(path, "file of a calibration"))
+    if found is None:
+        lines = "\n".join(f"{path}: {line}" for _, line in told)
+        raise ConfigurationError(f"{lines}\n{path}: docs/calibration.md shows such a file")
+    return found

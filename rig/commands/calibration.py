@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from rig.commands.arguments import Record
+from rig.commands.arguments import Record, one_record
 
 if TYPE_CHECKING:
     from rig.calibrate import Filing
@@ -57,7 +57,7 @@ def axes(
     """Find the directions of both modes on the sensor, from a record in which both swing."""
     from rig.calibrate import calibrate_axes
 
-    _say(calibrate_axes(record, _filing(output, valid_days, by), slow_began, fast_began))
+    _say(calibrate_axes(one_record(record), _filing(output, valid_days, by), slow_began, fast_began))
 
 
 def sensor(
@@ -89,21 +89,21 @@ def clock(
     """Compare the camera's clock with the host's."""
     from rig.calibrate import calibrate_clock
 
-    _say(calibrate_clock(record, _filing(output, valid_days, by), counter_bits))
+    _say(calibrate_clock(one_record(record), _filing(output, valid_days, by), counter_bits))
 
 
 def shutter(record: Record, output: Folder = _FOLDER, valid_days: Days = _DAYS, by: By = "") -> None:
     """Measure the row time of a rolling shutter, from a run in which the spot swings across the rows."""
     from rig.calibrate import calibrate_shutter
 
-    _say(calibrate_shutter(record, _filing(output, valid_days, by)))
+    _say(calibrate_shutter(one_record(record), _filing(output, valid_days, by)))
 
 
 def pointing(record: Record, output: Folder = _FOLDER, valid_days: Days = _DAYS, by: By = "") -> None:
     """Measure noise and drift of the spot while the pendulum is clamped."""
     from rig.calibrate import calibrate_pointing
 
-    _say(calibrate_pointing(record, _filing(output, valid_days, by)))
+    _say(calibrate_pointing(one_record(record), _filing(output, valid_days, by)))
 
 
 def check(

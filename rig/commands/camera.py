@@ -3,11 +3,11 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from rig.commands.arguments import Config, Set
+from rig.commands.arguments import MODES, Config, Set, View
 
 if TYPE_CHECKING:
     from acquisition.camera import Camera, CameraInfo, CameraSettings
@@ -115,8 +115,12 @@ def snap(
     from rig.instrument import beam_quality, optics_of
     from rig.settings import load_configuration
 
+    if output.suffix.lower() != ".png":
+        raise ConfigurationError(f"{output}: a frame is saved as PNG; name a file that ends in .png")
     if output.exists():
         raise ConfigurationError(f"{output}: exists already and is not written over; name another with -o")
+    if not output.parent.is_dir():
+        raise ConfigurationError(f"{output}: there is no folder {output.parent}")
     with _opened(config, set_) as (camera, info, _):
         camera.start()
         frames = [frame for frame in (camera.read(5.0) for _ in range(average)) if frame is not None]
@@ -173,11 +177,7 @@ def align(
         Path | None,
         typer.Option(help="Also write the live picture into this Rerun file.", show_default=False),
     ] = None,
-    view: Annotated[bool, typer.Option("--view", help="Also show it in Rerun.")] = False,
-    mode: Annotated[
-        Literal["spawn", "web"],
-        typer.Option(help="With --view: in a window, or as a web page on this machine."),
-    ] = "spawn",
+    view: View = None,
     set_: Set = None,
 ) -> None:
     """Show the live picture with crosshair, saturation, histogram and beam, for aligning.
@@ -205,8 +205,7 @@ def align(
         camera, info, applied = stack.enter_context(_opened(config, set_))
         viewer = None
         if rrd is not None or view:
-            shown = mode if view else "none"
-            viewer = start_view(loaded, rrd, shown, "balancing", "aligning", info.full_scale_dn)
+            viewer = start_view(loaded, rrd, MODES[view], "balancing", "aligning", info.full_scale_dn)
             stack.callback(viewer.close)
         for path in align_camera(
             camera,
@@ -266,7 +265,7 @@ def dump(
 def _opened(
     config: Path, set_: list[str] | None
 ) -> Iterator[tuple["Camera", "CameraInfo", "CameraSettings"]]:
-    from rig.instrument import camera_settings, make_camera, setting_differences
+    from rig.instrument import camera_settings, check_full_scale, make_camera, setting_differences
     from rig.settings import load_configuration
 
     loaded = load_configuration(config, set_ or [])
@@ -275,6 +274,7 @@ def _opened(
         info = camera.open()
         asked = camera_settings(loaded)
         applied = camera.configure(asked)
+        check_full_scale(loaded, info, applied)
         for line in setting_differences(asked, applied):
             typer.echo(line, err=True)
         yield camera, info, applied

@@ -6,7 +6,8 @@ from typing import Annotated, Literal
 
 import typer
 
-from rig.commands.arguments import Config, JsonLines, Record, Set
+from processing.errors import ConfigurationError
+from rig.commands.arguments import MODES, Config, JsonLines, Record, Set, View, one_record, records_in
 
 Output = Annotated[
     Path | None, typer.Option("-o", "--output", help="Folder for the files written; must not hold a run yet.")
@@ -28,7 +29,7 @@ def run(
     output: Output = None,
     runs: Annotated[int | None, typer.Option(help="Number of runs; default: session.runs.", min=1)] = None,
     set_: Set = None,
-    view: Annotated[bool, typer.Option("--view", help="Open the live view in a window.")] = False,
+    view: View = None,
     resume: Annotated[
         Path | None,
         typer.Option(metavar="DIR", help="Continue the interrupted session in DIR, without CONFIG."),
@@ -63,7 +64,7 @@ def run(
     if runs is not None:
         overrides.append(f"session.runs={runs}")
     if view:
-        overrides.append('view.mode="spawn"')
+        overrides.append(f'view.mode="{MODES[view]}"')
     raise typer.Exit(
         measure_session(
             load_configuration(config, overrides), config, output, force=force, json_lines=json_lines
@@ -82,11 +83,7 @@ def replay(
     retrack: Annotated[
         bool, typer.Option("--retrack", help="Track the spot again, in the recorded pixels.")
     ] = False,
-    view: Annotated[bool, typer.Option("--view", help="Open the live view.")] = False,
-    mode: Annotated[
-        Literal["spawn", "web"],
-        typer.Option(help="With --view: in a window, or as a web page on this machine."),
-    ] = "spawn",
+    view: View = None,
     rrd: Annotated[Path | None, typer.Option(help="Write a Rerun file.")] = None,
     set_: Set = None,
 ) -> None:
@@ -99,24 +96,24 @@ def replay(
 
     raise typer.Exit(
         replay_record(
-            record,
+            one_record(record),
             output,
             retrack=retrack,
             overrides=set_ or [],
             speed=speed,
             from_s=from_s,
             to_s=math.inf if to_s is None else to_s,
-            mode=mode if view else "none",
+            mode=MODES[view],
             rrd=rrd,
         )
     )
 
 
 def view(
-    records: Annotated[list[Path], typer.Argument(help="Records (.mcap) or a Rerun file (.rrd).")],
-    mode: Annotated[
-        Literal["spawn", "web"], typer.Option(help="In a window, or as a web page on this machine.")
-    ] = "spawn",
+    records: Annotated[
+        list[Path], typer.Argument(help="Records (.mcap), their folders, or Rerun files (.rrd).")
+    ],
+    view: View = None,
     rrd: Annotated[Path | None, typer.Option(help="Write a Rerun file instead of opening a window.")] = None,
     layout: Annotated[
         Literal["balancing", "measuring", "analysing"],
@@ -126,7 +123,10 @@ def view(
     """Show records in Rerun; several are overlaid."""
     from rig.view import show_records
 
-    show_records(records, mode=mode, rrd=rrd, layout=layout)
+    if rrd is not None and view:
+        raise ConfigurationError(f"--view {view} --rrd {rrd}: written or shown, not both; leave one out")
+    found = [record for path in records for record in records_in(path)]
+    show_records(found, mode="web" if view == "web" else "spawn", rrd=rrd, layout=layout)
 
 
 def simulate(

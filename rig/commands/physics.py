@@ -7,7 +7,8 @@ from typing import Annotated
 
 import typer
 
-from rig.commands.arguments import Set
+from processing.errors import ConfigurationError
+from rig.commands.arguments import Set, one_record, records_in
 
 
 def register(app: typer.Typer) -> None:
@@ -19,7 +20,9 @@ def register(app: typer.Typer) -> None:
 def fit(
     files: Annotated[
         list[Path],
-        typer.Argument(help="Records (.mcap), or one table of positions (CSV).", show_default=False),
+        typer.Argument(
+            help="Records (.mcap), their folders, or one table of positions (CSV).", show_default=False
+        ),
     ],
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="Folder for results.json; must not hold one yet.")
@@ -51,19 +54,37 @@ def fit(
     set_: Set = None,
 ) -> None:
     """Fit the contact laws to records, or to a CSV table."""
-    if len(files) == 1 and files[0].suffix.lower() != ".mcap":
-        from processing.errors import ConfigurationError
+    if len(files) == 1 and files[0].suffix.lower() != ".mcap" and not files[0].is_dir():
         from rig.analysis import Columns, fit_envelope_table, fit_trajectory
 
         if law:
             raise ConfigurationError(
                 f"--law {law[0]}: only records are compared with several laws, not a table"
             )
+        if set_ and (config is None or envelope is not None):
+            raise ConfigurationError(f"--set {set_[0]}: has no effect without --config")
+        _refuse_results(output)
         columns = Columns(time, tuple(position or ()), unit, time_unit)
         if envelope is not None:
             raise typer.Exit(fit_envelope_table(files[0], output, columns, envelope, frequency))
         raise typer.Exit(fit_trajectory(files[0], output, config, columns, overrides=set_ or []))
-    raise typer.Exit(fit_records(files, output, overrides=set_ or [], laws=law or []))
+    of_tables = {
+        "--config": config, "--time": time, "--position": position, "--unit": unit, "--envelope": envelope,
+        "--frequency": frequency,
+    }  # fmt: skip
+    if stated := next((name for name, value in of_tables.items() if value), ""):
+        raise ConfigurationError(f"{stated}: has no effect on records, only on a table; leave it out")
+    _refuse_results(output)
+    records = [record for path in files for record in records_in(path)]
+    raise typer.Exit(fit_records(records, output, overrides=set_ or [], laws=law or []))
+
+
+def _refuse_results(output: Path | None) -> None:
+    """Raise ConfigurationError where the results could not be written, before anything is calculated."""
+    if output is not None and (output / "results.json").exists():
+        raise ConfigurationError(f"{output / 'results.json'}: exists already; choose another folder")
+    if output is not None and output.exists() and not output.is_dir():
+        raise ConfigurationError(f"{output}: is a file; name a folder for the results")
 
 
 def fit_records(
@@ -98,7 +119,9 @@ def fit_records(
 
 
 def plan(
-    record: Annotated[Path, typer.Argument(help="A run of this rig (.mcap).", show_default=False)],
+    record: Annotated[
+        Path, typer.Argument(help="A run of this rig (.mcap), or its folder.", show_default=False)
+    ],
     first: Annotated[
         list[float] | None, typer.Option(min=0.1, help="First amplitude, arcsec; may be repeated.")
     ] = None,
@@ -117,7 +140,7 @@ def plan(
     from rig.plan import plan_runs, print_plan, save_plan
 
     firsts, lasts = first or [300.0, 124.0, 60.0], last or [30.0, 15.0, 8.0, 4.0, 2.0]
-    planned = plan_runs(analyse_record(record, set_ or []), firsts, lasts, ground)
+    planned = plan_runs(analyse_record(one_record(record), set_ or []), firsts, lasts, ground)
     print_plan(planned)
     if output is not None:
         save_plan(planned, output)

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from rig.commands.arguments import Record
+from rig.commands.arguments import Record, one_record, records_in
 
 
 def register(app: typer.Typer) -> None:
@@ -19,7 +19,8 @@ def info(record: Record) -> None:
     """Print what a record contains, and how it was made."""
     from rig.commands.record_screen import print_info
 
-    print_info(record)
+    for each in records_in(record):
+        print_info(each)
 
 
 def check(
@@ -32,7 +33,7 @@ def check(
     """Verify a record: checksums, gaps, times, hash."""
     from rig.commands.record_screen import print_check
 
-    raise typer.Exit(print_check(record, results))
+    raise typer.Exit(max([print_check(each, results) for each in records_in(record)]))
 
 
 def recover(
@@ -44,4 +45,4 @@ def recover(
     """Save what is readable of a record that was cut short."""
     from rig.commands.record_screen import recover_record
 
-    recover_record(record, output)
+    recover_record(one_record(record), output)

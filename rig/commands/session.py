@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from rig.commands.arguments import Config, JsonLines, Set
+from rig.commands.arguments import MODES, Config, JsonLines, Set, View
 
 
 def register(app: typer.Typer) -> None:
@@ -26,10 +26,13 @@ def balance(
         Path | None, typer.Option(help="File in which looks and turns are kept; earlier ones in it are used.")
     ] = None,
     follow: Annotated[
-        int, typer.Option(help="Simulated rig: follow the advice automatically, for at most this many turns.")
+        int,
+        typer.Option(
+            help="Simulated rig: follow the advice automatically, for at most this many turns.", min=0
+        ),
     ] = 0,
     seed: Annotated[int, typer.Option(help="Simulated rig: random seed of its imbalance.")] = 1,
-    view: Annotated[bool, typer.Option("--view", help="Open the balancing view in a window.")] = False,
+    view: View = None,
     rrd: Annotated[Path | None, typer.Option(help="Write all looks into a Rerun file.")] = None,
     set_: Set = None,
 ) -> None:
@@ -37,7 +40,7 @@ def balance(
     from rig.balance import balance_rig, show_history
     from rig.settings import load_configuration
 
-    overrides = [*(set_ or []), *(['view.mode="spawn"'] if view else [])]
+    overrides = [*(set_ or []), *([f'view.mode="{MODES[view]}"'] if view else [])]
     loaded = load_configuration(config, overrides)
     if history or forget_last:
         raise typer.Exit(show_history(loaded, history_file, forget=forget_last))

@@ -27,7 +27,14 @@ from rig.control import (
 from rig.devices import audit
 from rig.devices.laser import LaserNow, laser_now, light
 from rig.devices.network_clock import wait_for_network_clock
-from rig.instrument import camera_settings, make_camera, pulse_faults, setting_differences, shift_to_light_ns
+from rig.instrument import (
+    camera_settings,
+    check_full_scale,
+    make_camera,
+    pulse_faults,
+    setting_differences,
+    shift_to_light_ns,
+)
 from rig.settings import Configuration
 
 _log = logging.getLogger(__name__)
@@ -118,6 +125,7 @@ class Devices:
             info = camera.open()
             asked = camera_settings(config)
             applied = camera.configure(asked)
+            check_full_scale(config, info, applied)
             if asked.ptp:
                 wait_for_network_clock(camera)
             notes = (*setting_differences(asked, applied), *pulse_faults(config, info, applied))

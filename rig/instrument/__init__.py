@@ -14,6 +14,7 @@ from rig.instrument.calibration import judge_calibration
 from rig.instrument.complete_configuration import complete
 from rig.instrument.configured_camera import (
     camera_settings,
+    check_full_scale,
     frame_policy,
     make_camera,
     setting_differences,
@@ -47,6 +48,7 @@ __all__ = [
     "balls",
     "beam_quality",
     "camera_settings",
+    "check_full_scale",
     "check_materials",
     "complete",
     "configuration_attachments",

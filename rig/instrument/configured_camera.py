@@ -1,10 +1,12 @@
 """Makes the configured camera and compares its settings with the requested ones."""
 
 import math
+import re
 
-from acquisition.camera import Camera, CameraSettings
+from acquisition.camera import Camera, CameraInfo, CameraSettings
 from acquisition.cameras import drivers
 from acquisition.frame_queue import Policy
+from processing.errors import ConfigurationError
 from rig.settings import Configuration
 
 
@@ -47,6 +49,18 @@ def setting_differences(asked: CameraSettings, applied: CameraSettings) -> list[
                 f"an exposure of {applied.exposure_us:g} us leaves at most {possible_hz:g} Hz"
             )
     return lines
+
+
+def check_full_scale(config: Configuration, info: CameraInfo, applied: CameraSettings) -> None:
+    """Raise ConfigurationError if [sensor] states more than a pixel of this camera can hold."""
+    # what a camera says when it is opened may be of the format before
+    bits = re.search(r"\d+$", applied.pixel_format or "")
+    most_dn = max(info.full_scale_dn, 2 ** int(bits[0]) - 1 if bits else 0)
+    if config.sensor is not None and config.sensor.full_scale_dn > most_dn:
+        raise ConfigurationError(
+            f"sensor.full_scale_dn = {config.sensor.full_scale_dn:g}: the camera ends at {most_dn} DN; "
+            "state that, or ask for more bits with camera.pixel_format"
+        )
 
 
 def frame_policy(config: Configuration) -> Policy:

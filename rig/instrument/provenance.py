@@ -17,7 +17,7 @@ from acquisition.frame import Frame
 from acquisition.record.reader import RecordReader
 from processing.errors import RecordError
 from rig.instrument.calibration import calibration_attachments
-from rig.settings import Configuration, apply_overrides, validate_configuration
+from rig.settings import Configuration, apply_overrides, in_words, validate_configuration
 
 CONFIGURATION_NAME = "configuration.json"
 SOURCE_NAME = "configuration.toml"
@@ -153,11 +153,8 @@ def recorded_configuration(reader: RecordReader, overrides: Sequence[str] = ()) 
     try:
         config = Configuration.model_validate_json(attachment)
     except ValidationError as error:
-        first = error.errors()[0]
-        place = ".".join(str(part) for part in first["loc"])
-        raise RecordError(
-            f"{reader.path}: its configuration is of another version ({place}: {first['msg']})"
-        ) from None
+        said = in_words(Configuration, error.errors()[0])
+        raise RecordError(f"{reader.path}: its configuration is of another version ({said})") from None
     if not overrides:
         return config
     tree = config.model_dump(mode="json", exclude_none=True)

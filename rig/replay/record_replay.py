@@ -26,7 +26,7 @@ from rig.replay.comparison import parameter_changes
 from rig.replay.player import HELP, MOST_FRAMES, Player
 from rig.replay.replay import Replay, Replayed
 from rig.replay.screen import ReplayLine, print_changes, print_comparison
-from rig.settings import Configuration
+from rig.settings import OF_REPLAYS, OF_TRACKING, Configuration, refuse_without_effect
 from rig.view import Viewer, start_view
 
 ViewMode = Literal["none", "spawn", "web"]
@@ -67,6 +67,11 @@ def replay_record(
         )
     with RecordReader(record) as reader:
         config = recorded_configuration(reader, overrides)
+        used: Sequence[str] = OF_TRACKING if retrack else OF_REPLAYS
+        remedy = "frames stay as they were recorded" if retrack else "what the tracker takes needs --retrack"
+        refuse_without_effect(overrides, used, remedy)
+        if output is not None and (output / RESULTS_NAME).exists():
+            raise ConfigurationError(f"{output}: holds {RESULTS_NAME} already; name another folder")
         if reader.truncated:
             say(reader.cut_notice)
         wants_view = mode != "none" or rrd is not None

@@ -11,12 +11,18 @@ from rig.settings.configuration import (
     load_configuration,
     validate_configuration,
 )
+from rig.settings.effect import OF_FITS, OF_REPLAYS, OF_TRACKING, refuse_without_effect
 from rig.settings.instrument import InstrumentSettings
 from rig.settings.night_plan import PlannedSeries, load_plan
 from rig.settings.phases import PreflightSettings
 from rig.settings.stop_conditions import StopCondition
+from rig.settings.toml_file import read_toml
+from rig.settings.wording import in_words, validated
 
 __all__ = [
+    "OF_FITS",
+    "OF_REPLAYS",
+    "OF_TRACKING",
     "BalanceSettings",
     "Configuration",
     "FitSettings",
@@ -28,7 +34,11 @@ __all__ = [
     "StopCondition",
     "TimebaseSettings",
     "apply_overrides",
+    "in_words",
     "load_configuration",
     "load_plan",
+    "read_toml",
+    "refuse_without_effect",
     "validate_configuration",
+    "validated",
 ]

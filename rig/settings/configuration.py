@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, Literal, Self
 
-from pydantic import BaseModel, Field, ValidationError, model_validator
+from pydantic import BaseModel, Field, model_validator
 
 from acquisition.cameras.drivers import find_driver
 from acquisition.simulation.faults import FaultSettings
@@ -26,7 +26,8 @@ from rig.settings.camera import CameraSection
 from rig.settings.instrument import InstrumentSettings
 from rig.settings.phases import PhaseSettings, PreflightSettings, StartSettings
 from rig.settings.stop_conditions import StopCondition, stop_conditions
-from rig.settings.wording import dotted, in_words, is_unknown_key, not_numbers
+from rig.settings.toml_file import read_toml
+from rig.settings.wording import dotted, validated
 
 
 class Section(BaseModel, frozen=True, extra="forbid"):
@@ -204,21 +205,10 @@ def load_configuration(
 
 
 def read_toml_tree(path: Path, seen: tuple[Path, ...] = ()) -> dict[str, Any]:
-    """Read a file as nested dictionaries, merged over the file that it extends."""
-    try:
-        if path.resolve() in seen:
-            raise ConfigurationError(f"{path}: extends itself; remove one of the 'extends' lines")
-        tree = tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except FileNotFoundError:
-        raise ConfigurationError(f"{path}: no such configuration file") from None
-    except IsADirectoryError:
-        raise ConfigurationError(f"{path}: is a folder; name a TOML file") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigurationError(f"{path}: cannot be read: {error}") from None
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
-        raise ConfigurationError(f"{path}: is not TOML: {error}") from None
-    except ValueError as error:
-        raise ConfigurationError(f"{str(path)!r}: is not the name of a file ({error})") from None
+    """Tables of a configuration file, merged over those of the file that it extends."""
+    tree = read_toml(path, "configuration file")
+    if path.resolve() in seen:
+        raise ConfigurationError(f"{path}: extends itself; remove one of the 'extends' lines")
     base = tree.pop("extends", None)
     if base is None:
         return tree
@@ -236,20 +226,17 @@ def validate_configuration(
     """
     # so that a missing section is reported as the key that it lacks
     tree = {"camera": {}, **tree}
-    told = list(not_numbers(Configuration, tree))
-    try:
-        config = Configuration.model_validate(tree)
-    except ValidationError as error:
-        faults = sorted(error.errors(), key=lambda fault: not is_unknown_key(fault))
-        places = {place for place, _ in told}
-        told = [
-            (fault["loc"], in_words(Configuration, fault)) for fault in faults if fault["loc"] not in places
-        ] + told
-    if not told:
+    config, told = validated(Configuration, tree)
+    if config is not None:
         return config
-    stated = {override.partition("=")[0].strip() for override in overrides}
-    lines = [f"{'--set ' if dotted(place) in stated else source + ': '}{line}" for place, line in told]
+    stated = {f"{override.partition('=')[0].strip()}." for override in overrides}
+    lines = [f"{'--set ' if _is_of(dotted(place), stated) else source + ': '}{line}" for place, line in told]
     raise ConfigurationError("\n".join(lines))
+
+
+def _is_of(place: str, stated: set[str]) -> bool:
+    """Whether a fault is that of a key that --set states, or inside or around it."""
+    return any(key.startswith(f"{place}.") or f"{place}.".startswith(key) for key in stated)
 
 
 def _merged(below: dict[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
@@ -262,7 +249,12 @@ def _merged(below: dict[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
 
 def apply_overrides(tree: dict[str, Any], overrides: Iterable[str]) -> None:
     """Set ``KEY=VALUE`` (dotted path, TOML value or bare word) in nested dictionaries, in place."""
+    stated = set()
     for override in overrides:
+        key = override.partition("=")[0].strip()
+        if key in stated:
+            raise ConfigurationError(f"--set {override}: {key} is stated twice; leave one of them out")
+        stated.add(key)
         _apply_override(tree, override)
 
 

@@ -1,12 +1,13 @@
 """The plan of a night: series to be measured one after the other, each with its conditions."""
 
-import tomllib
 from pathlib import Path
 from typing import Self
 
-from pydantic import BaseModel, Field, ValidationError, model_validator
+from pydantic import BaseModel, Field, model_validator
 
 from processing.errors import ConfigurationError
+from rig.settings.toml_file import read_toml
+from rig.settings.wording import validated
 
 
 class PlannedSeries(BaseModel, frozen=True, extra="forbid"):
@@ -56,17 +57,10 @@ class NightPlan(BaseModel, frozen=True, extra="forbid"):
 
 
 def load_plan(path: Path) -> NightPlan:
-    """Read a plan; configurations are relative to its folder. Raises ConfigurationError with one line."""
-    try:
-        plan = NightPlan.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
-    except FileNotFoundError:
-        raise ConfigurationError(f"{path}: no such plan") from None
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise ConfigurationError(f"{path}: cannot be read: {error}") from None
-    except ValidationError as error:
-        fault = error.errors()[0]
-        place = ".".join(str(part) for part in fault["loc"])
-        raise ConfigurationError(f"{path}: {place}: {fault['msg'].removeprefix('Value error, ')}") from None
+    """Read a plan; configurations are relative to its folder. Raises ConfigurationError, a line a fault."""
+    plan, told = validated(NightPlan, read_toml(path, "plan"))
+    if plan is None:
+        raise ConfigurationError("\n".join(f"{path}: {line}" for _, line in told))
     return NightPlan(
         series=tuple(
             series.model_copy(update={"config": path.parent / series.config}) for series in plan.series

@@ -1,17 +1,19 @@
 """What is wrong with a configuration, in words; and the sections and keys that its models have."""
 
 import difflib
+import math
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import is_dataclass
-from typing import Any, cast, get_args, get_origin
+from typing import Any, TypeVar, cast, get_args, get_origin
 
-from pydantic import BaseModel
+from pydantic import BaseModel, ValidationError
 from pydantic.dataclasses import dataclass, is_pydantic_dataclass
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
 _Place = tuple[int | str, ...]
+_Model = TypeVar("_Model", bound=BaseModel)
 
 
 def in_words(root: type, fault: ErrorDetails) -> str:
@@ -26,13 +28,74 @@ def in_words(root: type, fault: ErrorDetails) -> str:
         field = _field(root, fault["loc"])
         what = f": {field.description}" if field is not None and field.description else ""
         return f"{path}: is missing; state a value{what}"
-    message = fault["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
     if not path:
-        return message
+        return fault["msg"].removeprefix("Value error, ")
     if isinstance(fault["input"], str) and re.fullmatch(r"[+-]?\d+,\d+", fault["input"]):
-        message = f"a number, with a point: {fault['input'].replace(',', '.')}"
-    expected = message if fault["type"].startswith("value_error") else f"should be {message}"
-    return f"{path} = {fault['input']!r}: {expected}"
+        pointed = fault["input"].replace(",", ".")
+        return f"{path} = {fault['input']!r}: should be a number, with a point: {pointed}"
+    of_value = fault["type"].startswith("value_error")
+    expected = fault["msg"].removeprefix("Value error, ") if of_value else f"should be {wanted(fault)}"
+    return f"{path} = {_shown(fault['input'])}: {expected}"
+
+
+def wanted(fault: ErrorDetails) -> str:
+    """What should be there instead, for a value of the wrong type or out of range."""
+    kind = fault["type"]
+    if kind in _WANTED:
+        return _WANTED[kind]
+    if kind in ("too_short", "too_long"):
+        least, most = (fault["ctx"].get(name) for name in ("min_length", "max_length"))
+        return f"a list of {f'{least} entries or more' if most is None else f'at most {most} entries'}"
+    text = fault["msg"].removeprefix("Input should be ").partition(", unable to")[0]
+    if kind.startswith(("greater_than", "less_than")):
+        unit = _UNIT.search(str(fault["loc"][-1]) if fault["loc"] else "")
+        text += f" {_UNITS[unit[1]]}" if unit else ""
+    return text
+
+
+def _shown(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 3]}..."
+
+
+_LONGEST = 80
+_WANTED = {
+    "bool_parsing": "true or false",
+    "bool_type": "true or false",
+    "dataclass_type": "a table with keys of its own",
+    "dict_type": "a table with keys of its own",
+    "float_type": "a number",
+    "finite_number": "a finite number",
+    "int_from_float": "a valid integer",
+    "int_type": "a valid integer",
+    "is_instance_of": "a table with keys of its own",
+    "model_attributes_type": "a table with keys of its own",
+    "model_type": "a table with keys of its own",
+    "path_type": "the name of a file, in quotes",
+    "string_type": "text, in quotes",
+    "tuple_type": "a list in brackets",
+}
+_UNITS = {
+    "arcsec": "arcsec", "c": "°C", "deg": "degrees", "dn": "DN", "hz": "Hz", "kg": "kg", "m": "m",
+    "m_per_s2": "m/s²", "ns": "ns", "pa": "Pa", "percent": "%", "px": "px", "rad": "rad", "s": "s",
+    "us": "µs",
+}  # fmt: skip
+_UNIT = re.compile(f"_({'|'.join(sorted(_UNITS, key=len, reverse=True))})$")
+
+
+def validated(root: type[_Model], tree: Mapping[str, Any]) -> tuple[_Model | None, list[tuple[_Place, str]]]:
+    """The model of nested tables; or None, and a line for each fault with its place, unknown keys first."""
+    told = list(not_numbers(root, tree))
+    places = {place for place, _ in told}
+    try:
+        found = root.model_validate(tree)
+    except ValidationError as error:
+        faults = sorted(error.errors(), key=lambda fault: not is_unknown_key(fault))
+        told = [
+            (fault["loc"], in_words(root, fault)) for fault in faults if fault["loc"] not in places
+        ] + told
+        return None, told
+    return (None, told) if told else (found, [])
 
 
 def is_unknown_key(fault: ErrorDetails) -> bool:
@@ -46,7 +109,7 @@ def dotted(place: _Place) -> str:
 
 
 def not_numbers(root: type, tree: Mapping[str, Any], place: _Place = ()) -> Iterator[tuple[_Place, str]]:
-    """Places, with a line for each, where a number is wanted and `true` or a quoted number is stated.
+    """Places, with a line for each, where a number is wanted and `true`, `"3"`, `inf` or `nan` is stated.
 
     Pydantic would take 1.0 for `true`, and the number in the quotes.
     """
@@ -63,6 +126,8 @@ def not_numbers(root: type, tree: Mapping[str, Any], place: _Place = ()) -> Iter
         elif isinstance(value, bool | str) and _is_number(field, value):
             shown = str(value).lower() if isinstance(value, bool) else f'"{value}"'
             yield here, f"{dotted(here)} = {shown}: should be a number, without quotes"
+        elif isinstance(value, float) and not math.isfinite(value) and not key.endswith("_dof"):
+            yield here, f"{dotted(here)} = {value}: should be a finite number"
 
 
 def _is_number(field: FieldInfo, stated: bool | str) -> bool:

@@ -9,6 +9,7 @@ hangs cannot damage the file.
 
 import logging
 import math
+import os
 import time
 import uuid
 from collections import Counter
@@ -151,6 +152,11 @@ class Viewer:
     ) -> None:
         if rrd_path is not None and rrd_path.is_file():
             raise ConfigurationError(f"the Rerun file {rrd_path} exists already; choose another name")
+        if rrd_path is not None and rrd_path.is_dir():
+            raise ConfigurationError(f"the Rerun file {rrd_path} is a folder; name a file in it")
+        if rrd_path is not None and not os.access(rrd_path.parent, os.W_OK | os.X_OK):
+            what = "cannot be written to" if rrd_path.parent.is_dir() else "is not there"
+            raise ConfigurationError(f"the Rerun file {rrd_path}: the folder {rrd_path.parent} {what}")
         for name, value in (("period_s", period_s), ("amplitude", amplitude)):
             if not (math.isfinite(value) and value > 0):
                 raise ConfigurationError(f"{name} of the view must be positive, not {value!r}")

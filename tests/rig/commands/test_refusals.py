@@ -1,0 +1,120 @@
+"""Slips on the command line and in files are refused in one line, before anything is done."""
+
+from pathlib import Path
+
+import pytest
+
+from tests.rig.command_line import CONFIGS, rig
+
+DEMO = CONFIGS / "demo.toml"
+SENSOR = "sensor={gain_e_per_dn=1, read_noise_e=1, full_scale_dn=1023}"
+
+
+def said(*words: str | Path, cwd: Path, status: int = 2) -> str:
+    """What a command that refuses says; it prints nothing else."""
+    done = rig(*words, cwd=cwd)
+    assert (done.returncode, done.stdout) == (status, "")
+    assert done.stderr.startswith("rig: ")
+    return done.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("run", DEMO, "-o", ""), "an argument after -o is empty"),
+        (("run", DEMO, "--output="), "an argument is empty"),
+        (("camera", "snap", DEMO, "-o", "a.jpg"), "a.jpg: a frame is saved as PNG"),
+        (("camera", "snap", DEMO, "-o", "none/a.png"), "none/a.png: there is no folder none"),
+        (("camera", "show", DEMO, "--set", SENSOR), "sensor.full_scale_dn = 1023: the camera"),
+        (("balance", DEMO, "--follow", "-1"), "greater than or equal to 0"),
+        (("balance", DEMO, "--rrd", "none/a.rrd"), "the Rerun file none/a.rrd: the folder none is not there"),
+        (("balance", DEMO, "--rrd", "."), "the Rerun file . is a folder"),
+        (("doctor", DEMO, "--set", "session.runs=1", "--set", "session.runs=2"), "is stated twice"),
+        (("run", DEMO, "--runs", "2", "--set", "session.runs=3"), "session.runs is stated twice"),
+        (("doctor", DEMO, "--set", "simulation.contact.period0_s=inf"), "should be a finite number"),
+        (("doctor", DEMO, "--set", "simulation.contact.mass_kg=406"), "should be less than 100 kg"),
+        (("doctor", DEMO, "--set", "simulation.contact.gravity_m_per_s2=981"), "should be less than 30 m/s²"),
+        (("doctor", DEMO, "--set", "environment.pressure_pa=1013"), "should be greater than 10000 Pa"),
+        (("doctor", DEMO, "--set", "session=3"), "session = 3: should be a table with keys of its own"),
+        (("info", "."), ".: holds no record (run-1.mcap, ...)"),
+        (
+            ("fit", "table.csv", "--set", "fit.drag=true"),
+            "--set fit.drag=true: has no effect without --config",
+        ),
+        (("fit", "run-1.mcap", "--unit", "arcsec"), "--unit: has no effect on records"),
+    ],
+)
+def test_a_slip_is_refused(tmp_path: Path, words: tuple[str | Path, ...], message: str) -> None:
+    assert message in said(*words, cwd=tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("runs = 1,5\n", "a decimal point is meant: 1.5"),
+        ("sample = steel\n", "text stands in quotes"),
+        ("runs = 1\nruns = 2\n", "this is stated twice"),
+        ("sample = 'caf\xe9'\n", "bytes that are no text in UTF-8"),
+    ],
+)
+def test_what_toml_does_not_say_is_said(tmp_path: Path, text: str, message: str) -> None:
+    (tmp_path / "mine.toml").write_bytes(f"[session]\n{text}".encode("latin-1"))
+    for command in (
+        ("doctor", "mine.toml"),
+        ("run", "--plan", "mine.toml"),
+        ("calibrate", "lever", "mine.toml"),
+    ):
+        assert message in said(*command, cwd=tmp_path)
+
+
+def test_every_fault_of_a_plan_and_of_a_calibrations_file_is_said(tmp_path: Path) -> None:
+    (tmp_path / "plan.toml").write_text('[[series]]\nname = "a"\nruns = 0\nconfg = "a.toml"\n')
+    assert said("run", "--plan", "plan.toml", cwd=tmp_path).splitlines() == [
+        "rig: plan.toml: series.0.confg: unknown key; did you mean config?",
+        "rig: plan.toml: series.0.config: is missing; state a value",
+        "rig: plan.toml: series.0.runs = 0: should be greater than or equal to 1",
+    ]
+    (tmp_path / "frames.toml").write_text("darks = 3\n")
+    assert said("calibrate", "sensor", "frames.toml", cwd=tmp_path).splitlines() == [
+        "rig: frames.toml: darks = 3: should be the name of a file, in quotes",
+        "rig: frames.toml: level: is missing; state a value",
+        "rig: frames.toml: docs/calibration.md shows such a file",
+    ]
+
+
+def test_a_changed_key_that_nothing_uses_is_refused(measured_series: Path, tmp_path: Path) -> None:
+    record = measured_series / "run-1.mcap"
+    noise = ("--set", "sensor.read_noise_e=40")
+    assert "what the tracker takes needs --retrack" in said("replay", record, *noise, cwd=tmp_path)
+    assert "--set camera.exposure_us: has no effect here" in said(
+        "replay", record, "--retrack", "--set", "camera.exposure_us=5", cwd=tmp_path
+    )
+    assert "--set lever.arm_m: has no effect here" in said(
+        "fit", record, "--set", "lever.arm_m=2", "-o", "fit", cwd=tmp_path
+    )
+    assert "--set sesion: unknown key; did you mean session?" in said(
+        "replay", record, "--set", "sesion.runs=1", cwd=tmp_path
+    )
+
+
+def test_outputs_that_exist_are_refused_before_the_work(measured_series: Path, tmp_path: Path) -> None:
+    record = measured_series / "run-1.mcap"
+    for command in (("replay", record), ("fit", record)):
+        assert "results.json" in said(*command, "-o", measured_series, cwd=tmp_path)
+    (tmp_path / "old.rrd").touch()
+    for command in ("view", "replay"):
+        assert "old.rrd exists already" in said(command, record, "--rrd", "old.rrd", cwd=tmp_path)
+
+
+def test_folders_work_wherever_records_do(measured_series: Path, tmp_path: Path) -> None:
+    shown = rig("info", measured_series, cwd=tmp_path).stdout
+    assert shown.count(", whole\n") == 2
+    assert rig("check", measured_series, cwd=tmp_path).stdout.count(" is sound\n") == 2
+    for command in ("replay", "recover", "plan"):
+        several = said(command, measured_series, cwd=tmp_path)
+        assert "holds 2 records; name one of them: run-1.mcap, run-2.mcap" in several
+    (tmp_path / "one").mkdir()
+    (tmp_path / "one" / "run-1.mcap").symlink_to(measured_series / "run-1.mcap")
+    assert "nothing to recover" in rig("recover", "one", cwd=tmp_path).stdout
+    assert "is no results file" in said("report", "one/run-1.mcap", cwd=tmp_path, status=1)
