@@ -120,7 +120,7 @@ def _say(error: Exception) -> int:
         text, status = str(error), 2 if isinstance(error, ConfigurationError) else 1
     elif hasattr(error, "format_message"):
         # wrong usage, reported by typer
-        text, status = error.format_message(), 2
+        text, status = error.format_message().replace("Input should be", "should be"), 2
     else:
         text, status = f"{type(error).__name__}: {error} (--debug shows where)", 1
     for line in text.splitlines() if isinstance(error, ConfigurationError) else [text]:

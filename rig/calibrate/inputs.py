@@ -102,12 +102,12 @@ class TransferFile(BaseModel, frozen=True, extra="forbid"):
 
 
 def read_ladder(path: Path) -> LadderFile:
-    """Read the file of a ladder; raises ConfigurationError, a line a fault."""
+    """Read the file of a ladder; raises ConfigurationError, one line with every fault."""
     return _read(path, LadderFile)
 
 
 def read_transfer(path: Path) -> TransferFile:
-    """Read the file of a photon transfer; raises ConfigurationError, a line a fault."""
+    """Read the file of a photon transfer; raises ConfigurationError, one line with every fault."""
     return _read(path, TransferFile)
 
 
@@ -138,6 +138,6 @@ def frames_of(path: Path) -> tuple[list[Image], int]:
 def _read(path: Path, model: type[_Model]) -> _Model:
     found, told = validated(model, read_toml(path, "file of a calibration"))
     if found is None:
-        lines = "\n".join(f"{path}: {line}" for _, line in told)
-        raise ConfigurationError(f"{lines}\n{path}: docs/calibration.md shows such a file")
+        said = "; ".join(line for _, line in told)
+        raise ConfigurationError(f"{path}: {said}; docs/calibration.md shows such a file")
     return found

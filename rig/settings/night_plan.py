@@ -57,10 +57,10 @@ class NightPlan(BaseModel, frozen=True, extra="forbid"):
 
 
 def load_plan(path: Path) -> NightPlan:
-    """Read a plan; configurations are relative to its folder. Raises ConfigurationError, a line a fault."""
+    """Read a plan; configurations are relative to its folder. Raises ConfigurationError, one line with every fault."""
     plan, told = validated(NightPlan, read_toml(path, "plan"))
     if plan is None:
-        raise ConfigurationError("\n".join(f"{path}: {line}" for _, line in told))
+        raise ConfigurationError(f"{path}: {'; '.join(line for _, line in told)}")
     return NightPlan(
         series=tuple(
             series.model_copy(update={"config": path.parent / series.config}) for series in plan.series

@@ -91,10 +91,11 @@ def validated(root: type[_Model], tree: Mapping[str, Any]) -> tuple[_Model | Non
         found = root.model_validate(tree)
     except ValidationError as error:
         faults = sorted(error.errors(), key=lambda fault: not is_unknown_key(fault))
-        told = [
-            (fault["loc"], in_words(root, fault)) for fault in faults if fault["loc"] not in places
-        ] + told
-        return None, told
+        # a list is not too short because one of its entries has a fault
+        around = {fault["loc"][:depth] for fault in faults for depth in range(len(fault["loc"]))} - {()}
+        passed = places | around
+        others = [(fault["loc"], in_words(root, fault)) for fault in faults if fault["loc"] not in passed]
+        return None, others + told
     return (None, told) if told else (found, [])
 
 

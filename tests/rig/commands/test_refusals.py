@@ -70,17 +70,15 @@ def test_what_toml_does_not_say_is_said(tmp_path: Path, text: str, message: str)
 
 def test_every_fault_of_a_plan_and_of_a_calibrations_file_is_said(tmp_path: Path) -> None:
     (tmp_path / "plan.toml").write_text('[[series]]\nname = "a"\nruns = 0\nconfg = "a.toml"\n')
-    assert said("run", "--plan", "plan.toml", cwd=tmp_path).splitlines() == [
-        "rig: plan.toml: series.0.confg: unknown key; did you mean config?",
-        "rig: plan.toml: series.0.config: is missing; state a value",
-        "rig: plan.toml: series.0.runs = 0: should be greater than or equal to 1",
-    ]
+    assert said("run", "--plan", "plan.toml", cwd=tmp_path) == (
+        "rig: plan.toml: series.0.confg: unknown key; did you mean config?; series.0.config: is missing; "
+        "state a value; series.0.runs = 0: should be greater than or equal to 1\n"
+    )
     (tmp_path / "frames.toml").write_text("darks = 3\n")
-    assert said("calibrate", "sensor", "frames.toml", cwd=tmp_path).splitlines() == [
-        "rig: frames.toml: darks = 3: should be the name of a file, in quotes",
-        "rig: frames.toml: level: is missing; state a value",
-        "rig: frames.toml: docs/calibration.md shows such a file",
-    ]
+    assert said("calibrate", "sensor", "frames.toml", cwd=tmp_path) == (
+        "rig: frames.toml: darks = 3: should be the name of a file, in quotes; level: is missing; state a value; "
+        "docs/calibration.md shows such a file\n"
+    )
 
 
 def test_a_changed_key_that_nothing_uses_is_refused(measured_series: Path, tmp_path: Path) -> None:
