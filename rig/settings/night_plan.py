@@ -57,7 +57,7 @@ class NightPlan(BaseModel, frozen=True, extra="forbid"):
 
 
 def load_plan(path: Path) -> NightPlan:
-    """Read a plan; configurations are relative to its folder. Raises ConfigurationError, one line with every fault."""
+    """Read a plan; configurations are relative to its folder. One line of error names every fault."""
     plan, told = validated(NightPlan, read_toml(path, "plan"))
     if plan is None:
         raise ConfigurationError(f"{path}: {'; '.join(line for _, line in told)}")
