@@ -18,7 +18,7 @@ def read_toml(path: Path, what: str) -> dict[str, Any]:
     try:
         text = path.read_text(encoding="utf-8-sig")
     except FileNotFoundError:
-        raise ConfigurationError(f"{path}: no such {what}") from None
+        raise ConfigurationError(f"{path}: cannot be read: no such {what}") from None
     except IsADirectoryError:
         raise ConfigurationError(f"{path}: is a folder; name a TOML file") from None
     except OSError as error:
