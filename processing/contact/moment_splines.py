@@ -2,12 +2,15 @@
 
 from collections.abc import Callable
 from math import log
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import BSpline, CubicHermiteSpline
 
 from processing.contact.quadrature import quarter_nodes
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicHermiteSpline
 
 Array = NDArray[np.float64]
 
@@ -31,6 +34,8 @@ class MomentSplines:
     """
 
     def __init__(self, highest_rad: float, lowest_rad: float, unit_rad: float) -> None:
+        from scipy.interpolate import BSpline  # here, because it would slow down every command
+
         self.unit_rad = unit_rad
         self._lowest, top = lowest_rad / unit_rad, _BEYOND * highest_rad / unit_rad
         lowest = self._lowest
@@ -90,8 +95,10 @@ class MomentSplines:
     @staticmethod
     def _works(
         u: Array, moment: Callable[[Array], Array], below: Callable[[Array], Array]
-    ) -> CubicHermiteSpline:
+    ) -> "CubicHermiteSpline":
         """The work over u = ln x, by Gauss's rule from one point to the next."""
+        from scipy.interpolate import CubicHermiteSpline
+
         at, weight = np.polynomial.legendre.leggauss(5)
         half = 0.5 * (u[1] - u[0])
         x, ends = np.exp(u[:-1, None] + half * (1 + at)), np.exp(u)
