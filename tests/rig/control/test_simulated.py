@@ -14,6 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
+from processing.errors import DeviceError
 from rig.control.controller import Environment, InterlockOpen, PowerLimit
 from rig.control.environment import EnvironmentService, parse_environment
 from rig.control.firmware.bme280 import Bme280, Calibration, compensate
@@ -331,3 +332,17 @@ def test_environment_check_names_the_line_that_does_not_match(sensor: tuple[int,
 def test_settings_say_what_is_wrong(model: type, values: dict[str, object], message: str) -> None:
     with pytest.raises(ValidationError, match=message):
         model(**values)
+
+
+def test_a_board_whose_firmware_knows_no_pulses_is_named() -> None:
+    controller = simulated_controller(simulated(), 0.001)
+    controller.open()
+    controller.set_laser_pulse(0.0, 20.0)
+    firmware = controller._open_line.__self__._firmware  # type: ignore[attr-defined]
+    for spelling in [
+        name for name in firmware._acting if name.endswith(("PULS", "LASER:PULSE", "LAS:PULSE"))
+    ]:
+        del firmware._acting[spelling]
+    with pytest.raises(DeviceError, match="knows no pulses; flash the one that came with this version"):
+        controller.set_laser_pulse(0.0, 20.0)
+    controller.close()
