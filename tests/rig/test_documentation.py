@@ -214,10 +214,15 @@ def test_the_commands_of_the_tutorial(tmp_path: Path, measured_series: Path) -> 
     """A series measured for all tests stands for those that `rig run` would measure for minutes."""
     lines = [line for line in indented(ROOT / "docs" / "tutorial.md") if line.startswith("rig ")]
     assert [line.split()[1] for line in lines] == ["run", "info", "view", "replay", "run", "compare"]
+    shutil.copytree(ROOT / "configs", tmp_path / "configs")
+    text = (ROOT / "docs" / "tutorial.md").read_text(encoding="utf-8")
+    for name, block in re.findall(r"^```toml\n# (\S+\.toml)\n(.*?)^```", text, re.MULTILINE | re.DOTALL):
+        assert not (tmp_path / "configs" / name).exists()
+        (tmp_path / "configs" / name).write_text(block, encoding="utf-8")
     for line in lines:
         words = shlex.split(line)[1:]
         if words[0] == "run":
-            load_configuration(ROOT / words[1], words[words.index("--set") + 1 :])
+            load_configuration(tmp_path / words[1], words[words.index("--set") + 1 :])
             shutil.copytree(measured_series, tmp_path / words[words.index("-o") + 1])
         else:
             done = rig(*words, cwd=tmp_path)
