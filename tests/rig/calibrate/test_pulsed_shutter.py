@@ -23,7 +23,9 @@ def pulsed_record(path: Path, exposure: dict[str, str]) -> Path:
     """A swing over 300 rows; each row misses the light that passes before it opens."""
     controller = {"kind": "serial", "port": "/dev/ttyACM0"}
     laser = {"kind": "controller", "power_w": 1e-4, "pulse_us": EXPOSURE_US}
-    config = validate_configuration({"controller": controller, "laser": laser}, "test")
+    config = validate_configuration(
+        {"camera": {"driver": "usb3vision"}, "controller": controller, "laser": laser}, "test"
+    )
     info = CameraInfo("any", "", "", "", 64, ROWS, 255, has_clock=True, shutter="Rolling")
     count = 600
     times_ns = np.arange(count) * 20_000_000

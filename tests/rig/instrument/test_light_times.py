@@ -18,6 +18,7 @@ def camera(stamped: Stamped = "start", has_clock: bool = True) -> CameraInfo:
 def configured(**laser: Any) -> Configuration:
     return validate_configuration(
         {
+            "camera": {"driver": "usb3vision"},
             "laser": {"kind": "controller", "power_w": 1e-4, **laser},
             "controller": {"kind": "serial", "port": "x"},
             "shutter": {"row_time_s": 1e-5},
