@@ -45,10 +45,14 @@ def _version(asked: bool) -> None:
 @app.callback()
 def _options(
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks and debug messages.")] = False,
+    verbose: Annotated[
+        bool, typer.Option("--verbose", "-v", help="Show tables and remarks of every run of a series.")
+    ] = False,
     version: Annotated[
         bool, typer.Option("--version", help="Show the version and exit.", is_eager=True, callback=_version)
     ] = False,
 ) -> None:
+    logging.getLogger("rig").setLevel(logging.INFO if verbose else logging.NOTSET)
     logging.basicConfig(
         level=logging.DEBUG if debug else logging.WARNING,
         format="%(levelname)s %(name)s: %(message)s" if debug else "%(message)s",
@@ -76,9 +80,9 @@ def main() -> None:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     spell_out_what_is_missing()
     debug = "--debug" in sys.argv
-    if debug:
-        # accepted anywhere, because users append it to the command that has just failed
-        sys.argv = [sys.argv[0], "--debug", *(word for word in sys.argv[1:] if word != "--debug")]
+    # accepted anywhere, because users append them to the command that has just said too little
+    moved = [word for word in sys.argv[1:] if word in ("--debug", "-v", "--verbose")]
+    sys.argv = [sys.argv[0], *moved, *(word for word in sys.argv[1:] if word not in moved)]
     try:
         sys.argv = _completed(sys.argv)
         with terminated_by_signals():

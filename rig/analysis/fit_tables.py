@@ -6,7 +6,8 @@ from processing.contact.laws import PAPER
 from processing.estimate import Estimate
 from processing.fit import FitMethod
 from rig.analysis.contact_results import NOT_DETERMINED, Determination, Fit, SurfaceEnergies
-from rig.analysis.determined import determined_text
+from rig.analysis.determined import determined_text, series_verdicts
+from rig.analysis.results import SessionResults
 from rig.presentation import Cell, Table, plain, quantity
 
 _LARGEST_BIAS = 0.3
@@ -55,6 +56,49 @@ def parameter_table(
         shown,
         "Value ± standard uncertainty of the swings alone; the budget adds the apparatus. " + _of_bias(fits),
     )
+
+
+def combined_table(results: SessionResults) -> Table | None:
+    """The exact fits of several runs beside each other, and of the series; None where fewer are fitted."""
+    fits = [(number, run) for number, run in enumerate(results.runs, start=1) if FitMethod.EXACT in run.fits]
+    series = {} if results.series is None else results.series.fits.get(FitMethod.EXACT, {})
+    if len(fits) < 2 or not series:
+        return None
+    verdicts = series_verdicts(series)
+    energies = [run.surface_energy_j_per_m2 for _, run in fits]
+    together = results.series.surface_energy_j_per_m2 if results.series is not None else None
+    rows: list[list[Cell]] = []
+    shown = []
+    for name in PAPER.names():
+        estimates = [run.fits[FitMethod.EXACT].parameters.get(name) for _, run in fits]
+        item = series.get(name)
+        if item is None or not any(estimates):
+            continue
+        whole = Estimate(item.value, item.standard_uncertainty)
+        rows.append([name, *(number for found in (*estimates, whole) for number in found or NOT_DETERMINED)])
+        texts = [
+            "" if found is None else determined_text(name, *found, run.verdicts())
+            for found, (_, run) in zip(estimates, fits, strict=True)
+        ]
+        shown.append(
+            [quantity(name).symbol, *texts, determined_text(name, *whole, verdicts), quantity(name).unit]
+        )
+    if together is not None and all(energies):
+        name = "surface_energy_table2_j_per_m2"
+        found = [*(energy.table2 for energy in energies if energy is not None), together.table2]
+        rows.append([name, *(number for estimate in found for number in estimate)])
+        known = [*(run.verdicts() for _, run in fits), verdicts]
+        texts = [
+            determined_text(name, value, u, judged) for (value, u), judged in zip(found, known, strict=True)
+        ]
+        shown.append([quantity(name).symbol, *texts, quantity(name).unit])
+    heads = [f"run {number}" for number, _ in fits]
+    return Table(
+        "combined", "Parameters of the contact, exact fits",
+        ("parameter", *(column for head in (*heads, "together") for column in (head, f"u_{head}"))), rows,
+        ("", *heads, "together", "unit"), shown,
+        "Value ± standard uncertainty of the swings; together, also of what scatters between the runs.",
+    )  # fmt: skip
 
 
 def _of_bias(fits: Mapping[str, Fit]) -> str:

@@ -1,5 +1,6 @@
 """Results on the terminal: the tables of every run's fits, and what is said about them."""
 
+import logging
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -7,22 +8,34 @@ from rich.console import Console
 
 from rig.analysis.compared_laws import law_table
 from rig.analysis.fit_remarks import remarks
-from rig.analysis.fit_tables import parameter_table, quality_table
+from rig.analysis.fit_tables import combined_table, parameter_table, quality_table
 from rig.analysis.results import RunResults, SessionResults
 from rig.analysis.waveform_results import waveform_table
 from rig.presentation import print_tables
 
+logger = logging.getLogger(__name__)
+
 
 def print_results(results: SessionResults, paths: Sequence[tuple[str, Path]]) -> None:
-    """The tables and remarks of every run, then the `paths` that were written, by what they hold."""
+    """The runs, then the `paths` that were written, by what they hold.
+
+    Of several fitted runs one combined table, and of each run only what was not as it should be; tables and
+    remarks of every run where this logger is enabled for INFO (``rig -v``), or where there is only one.
+    """
     console = Console()
+    combined = combined_table(results)
+    short = combined is not None and not logger.isEnabledFor(logging.INFO)
     for number, run in enumerate(results.runs, start=1):
         origin = "SIMULATED run" if run.simulated else "run"
         head = (
             f"{origin} {number}: {run.half_cycles_text(run.amplitude_unit or '')}, {run.frames} frames, "
             f"{run.dropped_frames} dropped"
         )
-        print_run(run, head, () if run.ended is None else (f"ended: {run.ended}",))
+        print_run(run, head, () if run.ended is None else (f"ended: {run.ended}",), short=short)
+    if combined is not None:
+        print_tables([combined])
+        if short:
+            console.print("  -v shows tables and remarks of every run", highlight=False, markup=False)
     if results.series is not None and results.series.instrument is not None:
         for line in results.series.instrument.text:
             console.print(line, highlight=False, markup=False)
@@ -30,21 +43,24 @@ def print_results(results: SessionResults, paths: Sequence[tuple[str, Path]]) ->
         console.print(f"{name:<12} {path}", highlight=False, markup=False, soft_wrap=True)
 
 
-def print_run(run: RunResults, head: str, lines: Sequence[str] = ()) -> None:
-    """One run: its head, `lines` of its own, tables of the fits, remarks, conditions and warnings."""
+def print_run(run: RunResults, head: str, lines: Sequence[str] = (), *, short: bool = False) -> None:
+    """One run: its head, `lines` of its own, tables of the fits, remarks, conditions and warnings.
+
+    `short` leaves out tables of the fits and remarks.
+    """
     console = Console()
     console.print(head, highlight=False, markup=False, soft_wrap=True)
     for line in lines:
         console.print(f"  {line}", highlight=False, markup=False, soft_wrap=True)
     if run.problem:
         console.print(f"  no fit: {run.problem}", highlight=False, markup=False, soft_wrap=True)
-    if run.fits:
+    if run.fits and not short:
         parameters = parameter_table(run.fits, run.surface_energy_j_per_m2, run.verdicts())
         print_tables([parameters, quality_table(run.fits)])
     if run.laws is not None:
         print_tables([law_table(run.laws), waveform_table(run.laws)])
         console.print(f"  {run.laws.verdict}", highlight=False, markup=False, soft_wrap=True)
-    for line in (*(run.instrument.text if run.instrument else ()), *remarks(run)):
+    for line in (*(run.instrument.text if run.instrument else ()), *(() if short else remarks(run))):
         console.print(f"  {line}", highlight=False, markup=False, soft_wrap=True)
     for condition in run.conditions:
         if not condition.ok or condition.remedy:

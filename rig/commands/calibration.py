@@ -40,7 +40,14 @@ def register(app: typer.Typer) -> None:
 
 
 def lever(ladder: Ladder, output: Folder = _FOLDER, valid_days: Days = _DAYS, by: By = "") -> None:
-    """Calibrate pixels to radians, from geometry, known tilts or known shifts of the sensor."""
+    """Calibrate pixels to radians.
+
+    From geometry, known tilts or known shifts of the sensor.
+
+    \b
+    Example:
+      rig calibrate lever geometry.toml
+    """
     from rig.calibrate import calibrate_lever
 
     _say(calibrate_lever(ladder, _filing(output, valid_days, by)))
@@ -54,7 +61,14 @@ def axes(
     slow_began: Side = None,
     fast_began: Side = None,
 ) -> None:
-    """Find the directions of both modes on the sensor, from a record in which both swing."""
+    """Find the directions of both modes on the sensor.
+
+    From a record in which both swing.
+
+    \b
+    Example:
+      rig calibrate axes both-modes.mcap --slow-began +
+    """
     from rig.calibrate import calibrate_axes
 
     _say(calibrate_axes(one_record(record), _filing(output, valid_days, by), slow_began, fast_began))
@@ -68,7 +82,14 @@ def sensor(
     valid_days: Days = _DAYS,
     by: By = "",
 ) -> None:
-    """Measure gain, read noise and dark level of the sensor by photon transfer."""
+    """Measure the sensor: gain, read noise, dark level.
+
+    By photon transfer.
+
+    \b
+    Example:
+      rig calibrate sensor frames.toml
+    """
     from rig.calibrate import calibrate_sensor
 
     _say(calibrate_sensor(frames, _filing(output, valid_days, by)))
@@ -86,21 +107,34 @@ def clock(
         ),
     ] = None,
 ) -> None:
-    """Compare the camera's clock with the host's."""
+    """Compare the camera's clock with the host's.
+
+    \b
+    Example:
+      rig calibrate clock runs/first/run-1.mcap
+    """
     from rig.calibrate import calibrate_clock
 
     _say(calibrate_clock(one_record(record), _filing(output, valid_days, by), counter_bits))
 
 
 def shutter(record: Record, output: Folder = _FOLDER, valid_days: Days = _DAYS, by: By = "") -> None:
-    """Measure the row time of a rolling shutter, from a run in which the spot swings across the rows."""
+    """Measure the row time of a rolling shutter.
+
+    From a run in which the spot swings across the rows.
+    """
     from rig.calibrate import calibrate_shutter
 
     _say(calibrate_shutter(one_record(record), _filing(output, valid_days, by)))
 
 
 def pointing(record: Record, output: Folder = _FOLDER, valid_days: Days = _DAYS, by: By = "") -> None:
-    """Measure noise and drift of the spot while the pendulum is clamped."""
+    """Measure noise and drift of the spot, the pendulum clamped.
+
+    \b
+    Example:
+      rig calibrate pointing clamped.mcap
+    """
     from rig.calibrate import calibrate_pointing
 
     _say(calibrate_pointing(one_record(record), _filing(output, valid_days, by)))
@@ -115,7 +149,14 @@ def check(
     valid_days: Days = _DAYS,
     by: By = "",
 ) -> None:
-    """Check the lever against known tilts, before and after a series."""
+    """Check the lever against known tilts.
+
+    Before and after a series.
+
+    \b
+    Example:
+      rig calibrate check tilts.toml --lever calibrations/lever-001.toml
+    """
     from rig.calibrate import check_known_angle
 
     _say(check_known_angle(ladder, lever, _filing(output, valid_days, by)))

@@ -56,7 +56,12 @@ def devices() -> None:
 
 
 def show(config: Config, set_: Set = None) -> None:
-    """Open the camera and print its identity, its settings and all its features."""
+    """Print the identity, settings and features of the camera.
+
+    \b
+    Example:
+      rig camera show mine.toml
+    """
     from rig.devices import feature_lines
 
     with _opened(config, set_) as (camera, info, applied):
@@ -74,9 +79,13 @@ def set_features(
     assignments: Annotated[list[str], typer.Argument(metavar="NAME=VALUE...", show_default=False)],
     set_: Set = None,
 ) -> None:
-    """Set features by their GenICam name, or settings by the name they have in [camera].
+    """Set features or settings by their names.
 
-    They hold until the camera loses its power; what a measurement needs belongs in the configuration.
+    Features have their GenICam name, settings that of [camera]. They hold until the camera loses its power; what a measurement needs belongs in the configuration.
+
+    \b
+    Example:
+      rig camera set mine.toml exposure_us=80 GainRaw=12
     """
     from acquisition.camera import CameraSettings
     from processing.errors import ConfigurationError
@@ -107,7 +116,14 @@ def snap(
     average: Average = 1,
     set_: Set = None,
 ) -> None:
-    """Save a frame as PNG at its full bit depth, and print its histogram and how good the beam is."""
+    """Save a frame as PNG; print how good the beam is.
+
+    At its full bit depth, with its histogram.
+
+    \b
+    Example:
+      rig camera snap mine.toml -o spot.png --average 10
+    """
     import cv2
 
     from processing.errors import ConfigurationError
@@ -149,7 +165,10 @@ def focus(
     average: Average = 1,
     set_: Set = None,
 ) -> None:
-    """Show sharpness (larger is sharper) and saturation continuously, for focusing."""
+    """Show sharpness and saturation, for focusing.
+
+    Continuously; larger is sharper.
+    """
     import sys
     import time
 
@@ -180,11 +199,15 @@ def align(
     view: View = None,
     set_: Set = None,
 ) -> None:
-    """Show the live picture with crosshair, saturation, histogram and beam, for aligning.
+    """Show the live picture, for aligning.
 
-    e and E make the exposure shorter and longer, g and G the gain smaller and larger, z zooms in on the
-    spot, s saves the picture, q ends. What was set holds until the camera loses its power; the lines for
-    the configuration are printed at the end.
+    With crosshair, saturation, histogram and beam. e and E make the exposure shorter and longer, g and G
+    the gain smaller and larger, z zooms in on the spot, s saves the picture, q ends. What was set holds
+    until the camera loses its power; the lines for the configuration are printed at the end.
+
+    \b
+    Example:
+      rig camera align mine.toml --view web
     """
     from contextlib import ExitStack
 
@@ -227,7 +250,12 @@ def expose(
     ] = 0.7,
     set_: Set = None,
 ) -> None:
-    """Find the exposure that brings the peak to the wanted fraction of full scale."""
+    """Find the exposure for a wanted peak.
+
+    \b
+    Example:
+      rig camera expose mine.toml --target 0.6
+    """
     from rig.devices import find_exposure
 
     with _opened(config, set_) as (camera, info, applied):
@@ -241,7 +269,10 @@ def dump(
     output: Annotated[Path, typer.Option("-o", "--output", help="ZIP file to write.")] = Path("camera.zip"),
     set_: Set = None,
 ) -> None:
-    """Write how a USB3 Vision camera behaves into one file, without serial numbers, to send as evidence."""
+    """Write how a USB3 Vision camera behaves into one file.
+
+    Without serial numbers, to send as evidence.
+    """
     import zipfile
 
     from processing.errors import ConfigurationError

@@ -41,7 +41,14 @@ def run(
     force: Annotated[bool, typer.Option("--force", help="Measure even if a preflight check fails.")] = False,
     json_lines: JsonLines = False,
 ) -> None:
-    """Measure a session: record, fit, report."""
+    """Measure a session: record, fit, report.
+
+    \b
+    Examples:
+      rig run configs/demo.toml -o runs/first --view web
+      rig run mine.toml --runs 3 --set session.sample="steel on K8"
+      rig run --resume runs/first
+    """
     from rig.measure import measure_plan, measure_session, resume_session
     from rig.settings import load_configuration
 
@@ -91,6 +98,11 @@ def replay(
 
     Keys in a terminal: space pauses; → or n steps one frame, h one half-cycle, + and - 10 s; g goes to a
     time; q ends.
+
+    \b
+    Examples:
+      rig replay runs/first/run-1.mcap
+      rig replay runs/first/run-1.mcap --retrack --set sensor.read_noise_e=40
     """
     from rig.replay import replay_record
 
@@ -120,7 +132,13 @@ def view(
         typer.Option(help="Layout of the panels; analysing fits records that have no results yet."),
     ] = "measuring",
 ) -> None:
-    """Show records in Rerun; several are overlaid."""
+    """Show records in Rerun; several are overlaid.
+
+    \b
+    Examples:
+      rig view runs/first/run-1.mcap --view web
+      rig view runs/first/run-1.mcap --layout analysing --rrd fits.rrd
+    """
     from rig.view import show_records
 
     if rrd is not None and view:
@@ -134,7 +152,12 @@ def simulate(
     output: Annotated[Path, typer.Option("-o", "--output", help="Record to write (MCAP file).")],
     set_: Set = None,
 ) -> None:
-    """Record one run of the simulated rig, without fitting it."""
+    """Record one run of the simulated rig, without fitting it.
+
+    \b
+    Example:
+      rig simulate configs/demo.toml -o one.mcap --set session.max_duration_s=60
+    """
     from rig.measure import simulate_record
     from rig.settings import load_configuration
 

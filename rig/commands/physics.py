@@ -53,7 +53,13 @@ def fit(
     ] = None,
     set_: Set = None,
 ) -> None:
-    """Fit the contact laws to records, or to a CSV table."""
+    """Fit the contact laws to records, or to a CSV table.
+
+    \b
+    Examples:
+      rig fit runs/first -o runs/fit
+      rig fit decay.csv --unit arcsec --config mine.toml
+    """
     if len(files) == 1 and files[0].suffix.lower() != ".mcap" and not files[0].is_dir():
         from rig.analysis import Columns, fit_envelope_table, fit_trajectory
 
@@ -135,7 +141,14 @@ def plan(
     output: Annotated[Path | None, typer.Option("-o", "--output", help="Folder for the picture.")] = None,
     set_: Set = None,
 ) -> None:
-    """What runs to come will tell: uncertainties over first and last amplitudes, from a run of this rig."""
+    """Show what runs to come will tell, from a run of this rig.
+
+    Uncertainties over first and last amplitudes.
+
+    \b
+    Example:
+      rig plan runs/first/run-1.mcap --first 124 --last 2 -o plans
+    """
     from rig.analysis import analyse_record
     from rig.plan import plan_runs, print_plan, save_plan
 

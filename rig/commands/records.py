@@ -30,7 +30,16 @@ def check(
         typer.Option(help="results.json that names the record's hash; default: the one beside the record."),
     ] = None,
 ) -> None:
-    """Verify a record: checksums, gaps, times, hash."""
+    """Verify a record: checksums, gaps, times, hash.
+
+    \b
+    Example:
+      rig info runs/first
+
+    \b
+    Example:
+      rig check runs/first
+    """
     from rig.commands.record_screen import print_check
 
     raise typer.Exit(max([print_check(each, results) for each in records_in(record)]))
@@ -42,7 +51,12 @@ def recover(
         Path | None, typer.Option("-o", "--output", help="File to write; default: NAME-recovered.mcap.")
     ] = None,
 ) -> None:
-    """Save what is readable of a record that was cut short."""
+    """Save what is readable of a record that was cut short.
+
+    \b
+    Example:
+      rig recover runs/first/run-1.mcap
+    """
     from rig.commands.record_screen import recover_record
 
     recover_record(one_record(record), output)

@@ -23,7 +23,12 @@ def report(
         typer.Option("-o", "--output", help="HTML file to write; default: report.html in the folder."),
     ] = None,
 ) -> None:
-    """Write a report: HTML, figures as SVG and PNG, tables as CSV."""
+    """Write a report: HTML, figures as SVG and PNG, tables as CSV.
+
+    \b
+    Example:
+      rig report runs/first
+    """
     from rig.report import make_report
 
     print(make_report(folder, output))
@@ -37,7 +42,7 @@ def paper(
         int, typer.Option(help="Power of ten of b, which the paper's Table 2 omits.", min=-6, max=-3)
     ] = -4,
 ) -> None:
-    """Simulate the paper's measurements and compare with its tables."""
+    """Simulate the paper's runs and compare with its tables."""
     from rig.paper import reproduce_paper
 
     reproduce_paper(output, b_exponent)
@@ -55,7 +60,12 @@ def export(
         Literal["csv", "parquet", "hdf5"], typer.Option("--format", help="File format; hdf5 follows NeXus.")
     ] = "csv",
 ) -> None:
-    """Export spots, half-cycles and results for other programs."""
+    """Export spots, half-cycles and results for other programs.
+
+    \b
+    Example:
+      rig export runs/first --format csv -o runs/csv
+    """
     from rig.export import export_session
 
     for path in export_session(source, format_, output):
@@ -68,7 +78,12 @@ def compare(
         Path | None, typer.Option("-o", "--output", help="HTML file to write, with a figure.")
     ] = None,
 ) -> None:
-    """Compare the parameters of several series."""
+    """Compare the parameters of several series.
+
+    \b
+    Example:
+      rig compare runs/glass runs/silicon -o comparison.html
+    """
     from rig.presentation import print_tables
     from rig.report import compare as compare_sessions
 

@@ -36,7 +36,13 @@ def balance(
     rrd: Annotated[Path | None, typer.Option(help="Write all looks into a Rerun file.")] = None,
     set_: Set = None,
 ) -> None:
-    """Balance: which weight to turn, which way and how far."""
+    """Balance: which weight to turn, which way and how far.
+
+    \b
+    Examples:
+      rig balance mine.toml --view
+      rig balance configs/demo.toml --follow 6
+    """
     from rig.balance import balance_rig, show_history
     from rig.settings import load_configuration
 
@@ -52,7 +58,12 @@ def doctor(
     json_lines: JsonLines = False,
     set_: Set = None,
 ) -> None:
-    """Check devices, disk, clock and processor; suggest remedies."""
+    """Check devices, disk, clock and processor; suggest remedies.
+
+    \b
+    Example:
+      rig doctor mine.toml
+    """
     from rig.devices import examine
     from rig.settings import load_configuration
 

@@ -31,6 +31,7 @@ from rig.report.drawing import styled
 from rig.report.figures_contact import comparison_figure
 from rig.report.session_report import save_figures, save_tables
 
+_ENERGY = "surface_energy_table2_j_per_m2"
 DIFFERENT = 0.05
 """Chance, shared between all pairs and parameters, below which series are said to differ."""
 
@@ -50,7 +51,8 @@ def compare(folders: Sequence[Path], output: Path | None) -> list[Table]:
         for folder, found in zip(folders, sessions, strict=True)
     }
     verdicts = [verdicts_of(found) for found in sessions]
-    tables = [values_table(series, verdicts), differences_table(compare_series(series))]
+    energies = [energy_of(found) for found in sessions]
+    tables = [values_table(series, verdicts, energies), differences_table(compare_series(series))]
     if output is not None:
         files = output.parent / output.stem
         names = [name for name in PAPER.names() if all(name in s.parameters for s in series.values())]
@@ -112,6 +114,14 @@ def verdicts_of(session: SessionResults) -> dict[str, Determination]:
     return next((run.verdicts() for run in session.runs if run.fits), {})
 
 
+def energy_of(session: SessionResults) -> Estimate | None:
+    """The surface energy of a session, in the form of the paper's Table 2; None where it has none."""
+    energy = None if session.series is None else session.series.surface_energy_j_per_m2
+    if energy is None:
+        energy = next((run.surface_energy_j_per_m2 for run in session.runs if run.fits), None)
+    return None if energy is None else energy.table2
+
+
 def _combined_of(session: SessionResults) -> Mapping[str, CombinedParameter]:
     return {} if session.series is None else session.series.fits.get(FitMethod.EXACT, {})
 
@@ -143,7 +153,9 @@ def _single(fit: Fit) -> dict[str, Combined]:
 
 
 def values_table(
-    series: Mapping[str, SeriesResult], verdicts: Sequence[Mapping[str, Determination]]
+    series: Mapping[str, SeriesResult],
+    verdicts: Sequence[Mapping[str, Determination]],
+    energies: Sequence[Estimate | None],
 ) -> Table:
     """One row a parameter, one column a series; what is not determined as interval or bound."""
     names = [name for name in PAPER.names() if any(name in found.parameters for found in series.values())]
@@ -162,6 +174,13 @@ def values_table(
             for item, known in zip(items, verdicts, strict=True)
         ]
         shown.append([quantity(name).label, *texts])
+    if any(energies):
+        rows.append([_ENERGY, *(number for found in energies for number in (*(found or (nan, nan)), nan))])
+        texts = [
+            "–" if found is None else determined_text(_ENERGY, found.value, found.standard_uncertainty, known)
+            for found, known in zip(energies, verdicts, strict=True)
+        ]
+        shown.append([quantity(_ENERGY).label, *texts])
     columns = [f"{label}_{what}" for label in series for what in ("value", "u", "expanded_95")]
     runs = ", ".join(f"{label}: {len(_runs(found))}" for label, found in series.items())
     return Table(
@@ -192,6 +211,8 @@ def differences_table(comparisons: Sequence[Comparison]) -> Table:
                 verdict,
             ]
         )
+        if verdict != "differ":
+            continue
         shown.append(
             [
                 f"{item.first} − {item.second}", quantity(item.name).label,
@@ -203,6 +224,7 @@ def differences_table(comparisons: Sequence[Comparison]) -> Table:
         "differences", "Differences",
         ("first", "second", "parameter", "difference", "standard_uncertainty", "p_value", "verdict"), rows,
         ("", "", "difference", "chance", "verdict"), shown,
+        f"{len(shown)} of {len(rows)} comparisons differ; the others are in the CSV. "
         "Welch's t. The chance is that of so large a difference between series that are alike; 5 % is shared "
         "between all rows. Mass, radius and scale, which move all series together, are left out.",
     )  # fmt: skip

@@ -1,5 +1,9 @@
 """A run's fits are shown in the same way on the terminal and in the report."""
 
+import logging
+import re
+from pathlib import Path
+
 import pytest
 
 from processing.estimate import Estimate
@@ -13,6 +17,7 @@ from rig.analysis import (
     parameter_table,
     print_results,
     quality_table,
+    read_results,
 )
 
 _RUN = RunResults(
@@ -86,3 +91,18 @@ def test_a_run_without_half_cycles_says_so(capsys: pytest.CaptureFixture[str]) -
     printed = capsys.readouterr().out
     assert "run 1: no half-cycles, 99 frames, 0 dropped" in printed
     assert "nan" not in printed
+
+
+def test_several_runs_share_one_table_and_more_is_shown_on_request(
+    measured_series: Path, capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
+) -> None:
+    results = read_results(measured_series)
+    print_results(results, [])
+    short = capsys.readouterr().out
+    assert re.search(r"run 1 +run 2 +together +unit", short)
+    assert "Quality of the fits" not in short
+    with caplog.at_level(logging.INFO, "rig"):
+        print_results(results, [])
+    long = capsys.readouterr().out
+    assert long.count("Quality of the fits") == 2
+    assert re.search(r"run 1 +run 2 +together +unit", long)

@@ -116,3 +116,16 @@ def test_folders_work_wherever_records_do(measured_series: Path, tmp_path: Path)
     (tmp_path / "one" / "run-1.mcap").symlink_to(measured_series / "run-1.mcap")
     assert "nothing to recover" in rig("recover", "one", cwd=tmp_path).stdout
     assert "is no results file" in said("report", "one/run-1.mcap", cwd=tmp_path, status=1)
+
+
+@pytest.mark.parametrize("group", [(), ("camera",), ("calibrate",)])
+def test_a_group_alone_prints_its_help_and_every_command_has_a_whole_sentence(
+    group: tuple[str, ...], tmp_path: Path
+) -> None:
+    alone = rig(*group, cwd=tmp_path)
+    assert (alone.returncode, alone.stdout) == (2, "")
+    assert "\nCommands:\n" in alone.stderr
+    assert alone.stderr == rig(*group, "--help", cwd=tmp_path).stdout
+    assert not [line for line in alone.stderr.splitlines()[1:] if line.endswith("...")]
+    commands = alone.stderr.partition("\nCommands:\n")[2].split("\n")
+    assert "Example" in rig(*group, commands[0].split()[0], "--help", cwd=tmp_path).stdout

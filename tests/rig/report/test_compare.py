@@ -96,3 +96,15 @@ def test_a_session_is_not_compared_with_itself(tmp_path: Path) -> None:
     folder = session(tmp_path / "dry")
     with pytest.raises(RecordError, match="named twice"):
         compare([folder, folder / ".." / "dry"], None)
+
+
+def test_only_differences_are_listed_and_the_surface_energy_is_compared(tmp_path: Path) -> None:
+    folders = [session(tmp_path / "dry"), session(tmp_path / "wet", "gamma_pa", 80.0)]
+    tree = json.loads((folders[0] / "results.json").read_text())
+    energy = {"value": 0.0289, "standard_uncertainty": 0.0002}
+    tree["series"]["surface_energy_j_per_m2"] = {"table2": energy, "eq2": energy}
+    (folders[0] / "results.json").write_text(json.dumps(tree))
+    values, differences = compare(folders, None)
+    assert [row[1:] for row in values.shown if row[0].startswith("σ")] == [["28.90 ± 0.20", "–"]]
+    assert len(differences.shown) == 1
+    assert differences.note.startswith("1 of 6 comparisons differ")
