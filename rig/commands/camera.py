@@ -81,7 +81,8 @@ def set_features(
 ) -> None:
     """Set features or settings by their names.
 
-    Features have their GenICam name, settings that of [camera]. They hold until the camera loses its power; what a measurement needs belongs in the configuration.
+    Features have their GenICam name, settings that of [camera]. They hold until the camera loses its power;
+    what a measurement needs belongs in the configuration.
 
     \b
     Example:
