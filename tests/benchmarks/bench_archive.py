@@ -1,4 +1,4 @@
-"""An archive of many sessions: adding, listing, killed at random moments, two that add at once.
+"""An archive of many sessions: adding, listing, killed at random moments, two that add at once, refits.
 
 Run as ``python -m tests.benchmarks archive [--quick]``; `RIG_BENCH_SESSIONS` names another number of sessions
 than 10,000 (which take 4 GB while it runs).
@@ -6,17 +6,25 @@ than 10,000 (which take 4 GB while it runs).
 
 import os
 import random
+import resource
+import signal
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 from rich.table import Table
 
+from acquisition.record.digest import sha256_of
+from rig.analysis import analyse_record
+from rig.archive import add_sessions, refit_runs
+from rig.archive.refits import Task, refit
+from rig.archive.store import Archive
 from tests.rig.archive.many_sessions import RUNS, make_sessions
 
 KILLS = 100
@@ -54,11 +62,11 @@ def run(quick: bool = False) -> dict[str, Any]:
         results["list: MiB resident"] = peak_mib
         results["catalogue MB"] = _size(archive / "sessions") / 1e6
         results["merged MB"] = _size(archive / "merged") / 1e6
-        began_s = time.monotonic()
-        _listed(archive)
-        start_s = time.monotonic() - began_s
+        # before that no command has read anything yet
+        start_s = results["add again: s"]
         results |= _killed(folder / "runs", folder / "killed", sessions, kills, start_s, results["add: s"])
         results |= _two_at_once(folder / "runs", folder / "two", sessions)
+        results |= _refits(folder / "refitted", sessions=3 if quick else 40)
     table = Table("archive", "measured")
     for key, value in results.items():
         table.add_row(key, f"{value:,.4g}" if isinstance(value, float) else str(value))
@@ -93,7 +101,7 @@ def _killed(
 ) -> dict[str, Any]:
     """`add` killed at random moments and started again: what is listed must never fail, nor be lost."""
     moments = random.Random(1)
-    before = broken = 0
+    before = broken = further = 0
     for _ in range(kills):
         process = subprocess.Popen(
             _command("add", runs, "--archive", archive),
@@ -108,10 +116,12 @@ def _killed(
             process.wait()
         found = _listed(archive)
         broken += found < before
+        further += found > before
         before = max(found, before)
     _taken("add", runs, "--archive", archive)
     return {
         "killed: times": kills,
+        "killed: times after something was added": further,
         "killed: listed less than before, or nothing": broken,
         "killed: runs missing at the end": sessions * RUNS - _listed(archive),
     }
@@ -131,6 +141,61 @@ def _two_at_once(runs: Path, archive: Path, sessions: int) -> dict[str, Any]:
         "two at once: failed": failed,
         "two at once: runs missing": sessions * RUNS - _listed(archive),
     }
+
+
+def _refits(folder: Path, sessions: int) -> dict[str, Any]:
+    """Results made anew: by one and two processes beside the bare fits, and by processes that are killed."""
+    archive, runs = folder / "archive", sessions * RUNS
+    for _ in make_sessions(folder / "runs", sessions, templates=6, seed=2):
+        pass
+    add_sessions(archive, [folder / "runs"])
+    records = sorted((folder / "runs").rglob("*.mcap"))
+    results: dict[str, Any] = {"refit: runs": runs}
+    analyse_record(records[0])  # loads the compiled functions
+    measured = records[:: max(1, runs // 20)]
+    began_s = time.process_time()
+    for record in measured:
+        analyse_record(record)
+    bare_s = (time.process_time() - began_s) / len(measured) * runs
+    results["refit: bare fits, CPU s"] = bare_s
+    for processes in (1, 2):
+        began_s, spent_s = time.monotonic(), _children_s()
+        refit_runs(archive, [], "", "swings", settings=[f"fit.robust={processes == 1}"], processes=processes)
+        results[f"refit: {processes} processes, s"] = time.monotonic() - began_s
+        results[f"refit: {processes} processes, CPU s"] = _children_s() - spent_s
+    results["refit: times faster"] = results["refit: 1 processes, s"] / results["refit: 2 processes, s"]
+    marks = folder / "marks"
+    marks.mkdir()
+    random.Random(3).shuffle(records)
+    hashes = [sha256_of(record) for record in records]
+    work = Killed(marks, frozenset(hashes[:3]), frozenset(hashes[3 : 3 + runs // 10]))
+    before = len(Archive(archive).refits.names())
+    refit_runs(archive, [], "", "swings", settings=["fit.printed_055=true"], processes=2, work=work)
+    results["killed workers: random, poison"] = f"{len(work.once)}, {len(work.always)}"
+    results["killed workers: runs missing"] = runs - 3 - (len(Archive(archive).refits.names()) - before)
+    results["killed workers: in quarantine"] = len(list((archive / "quarantine").iterdir()))
+    return results
+
+
+@dataclass(frozen=True)
+class Killed:
+    """Makes results anew, but ends its process with some records always and with some the first time."""
+
+    marks: Path
+    always: frozenset[str]
+    once: frozenset[str]
+
+    def __call__(self, task: Task) -> str:
+        mark = self.marks / task.sha256
+        if task.sha256 in self.always or (task.sha256 in self.once and not mark.exists()):
+            mark.touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+        return refit(task)
+
+
+def _children_s() -> float:
+    spent = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return spent.ru_utime + spent.ru_stime
 
 
 def _listed(archive: Path) -> int:
