@@ -28,12 +28,14 @@ _LOST = 10.0
 class Conditions:
     """What makes turning points scatter: their measurement, and the drive.
 
-    `u_time_amplitude_s_rad` is the product of a time's uncertainty and its amplitude.
+    `u_time_amplitude_s_rad` is the product of a time's uncertainty and its amplitude; `averaged` is that of
+    `Noise`.
     """
 
     u_amplitude_rad: float
     u_time_amplitude_s_rad: float
     ground_rad_per_s2_rthz: float = 0.0
+    averaged: bool = True
 
     @classmethod
     def of(cls, fit: FitResult, points: TurningPoints) -> "Conditions":
@@ -100,7 +102,7 @@ def planned_run(
     columns = model.columns.from_physical(known)
     half_period_s = float(np.diff(time).mean())
     step = step_of_density(conditions.ground_rad_per_s2_rthz, half_period_s) / model.reference
-    jacobian = model.on_ground(columns, Noise(step=step))(columns)[1]
+    jacobian = model.on_ground(columns, Noise(step=step, averaged=conditions.averaged))(columns)[1]
     to_physical = model.columns.physical(columns)[1]
     u = np.sqrt(np.diag(to_physical @ covariance_of(jacobian) @ to_physical.T))
     return PlannedRun(

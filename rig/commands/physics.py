@@ -125,8 +125,11 @@ def fit_records(
 
 
 def plan(
-    record: Annotated[
-        Path, typer.Argument(help="A run of this rig (.mcap), or its folder.", show_default=False)
+    source: Annotated[
+        Path,
+        typer.Argument(
+            help="A run of this rig (.mcap) or its folder, or its configuration (TOML).", show_default=False
+        ),
     ],
     first: Annotated[
         list[float] | None, typer.Option(min=0.1, help="First amplitude, arcsec; may be repeated.")
@@ -136,24 +139,47 @@ def plan(
     ] = None,
     ground: Annotated[
         float | None,
-        typer.Option(min=0.0, help="Drive of another ground, rad/s2/sqrt(Hz); default: the record's."),
+        typer.Option(min=0.0, help="Drive of another ground, rad/s2/sqrt(Hz); default: what SOURCE says."),
     ] = None,
     output: Annotated[Path | None, typer.Option("-o", "--output", help="Folder for the picture.")] = None,
     set_: Set = None,
+    runs: Annotated[
+        list[int] | None, typer.Option(min=1, help="Number of runs; may be repeated; default: 1.")
+    ] = None,
+    noise: Annotated[
+        float | None,
+        typer.Option(min=0.0, help="Configuration: noise of one frame, arcsec, where it is known."),
+    ] = None,
+    contact: Annotated[
+        Path | None,
+        typer.Option(help="Configuration: results.json with the contact that is expected."),
+    ] = None,
 ) -> None:
-    """Show what runs to come will tell, from a run of this rig.
+    """Show what runs to come will tell, from a run of this rig or from its configuration.
 
-    Uncertainties over first and last amplitudes.
+    Uncertainties over first and last amplitudes, number of runs and rig time.
 
     \b
-    Example:
+    Examples:
       rig plan runs/first/run-1.mcap --first 124 --last 2 -o plans
+      rig plan configs/basement.toml --runs 1 --runs 3
     """
-    from rig.analysis import analyse_record
-    from rig.plan import plan_runs, print_plan, save_plan
+    from rig.plan import plan_expected, plan_runs, planned_expectation, print_plan, save_plan
 
     firsts, lasts = first or [300.0, 124.0, 60.0], last or [30.0, 15.0, 8.0, 4.0, 2.0]
-    planned = plan_runs(analyse_record(one_record(record), set_ or []), firsts, lasts, ground)
+    counts = runs or [1]
+    if source.suffix.lower() == ".toml":
+        expected = planned_expectation(source, set_ or [], noise, contact)
+        planned = plan_expected(expected, firsts, lasts, ground, counts)
+    else:
+        from processing.errors import ConfigurationError
+        from rig.analysis import analyse_record
+
+        if noise is not None or contact is not None:
+            raise ConfigurationError(
+                f"{source}: a record has its own noise and contact; leave out --noise and --contact"
+            )
+        planned = plan_runs(analyse_record(one_record(source), set_ or []), firsts, lasts, ground, counts)
     print_plan(planned)
     if output is not None:
         save_plan(planned, output)

@@ -1,5 +1,15 @@
-"""What runs to come will tell, from one that has been made: the table and the picture of `rig plan`."""
+"""What runs to come will tell, from one that was made or a configuration: table and picture of `rig plan`."""
 
-from rig.plan.plan import Plan, plan_runs, print_plan, save_plan
+from rig.plan.expected import Expected, expected_of, planned_expectation
+from rig.plan.plan import Plan, plan_expected, plan_runs, print_plan, save_plan
 
-__all__ = ["Plan", "plan_runs", "print_plan", "save_plan"]
+__all__ = [
+    "Expected",
+    "Plan",
+    "expected_of",
+    "plan_expected",
+    "plan_runs",
+    "planned_expectation",
+    "print_plan",
+    "save_plan",
+]

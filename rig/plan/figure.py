@@ -24,7 +24,10 @@ def plan_figure(plan: Plan) -> Drawing:
             label = quantity(name).symbol if first == starts[0] else None
             last = np.array([run.last_rad for run in runs]) / ARCSEC_RAD
             by_amplitude.plot(last, u_percent, line, color=colour, marker=".", label=label)
-            by_time.plot([run.duration_s / 60 for run in runs], u_percent, line, color=colour, marker=".")
+            for rank, count in enumerate(plan.counts):
+                minutes = [count * run.duration_s / 60 for run in runs]
+                faint = 1.0 if rank == 0 else 0.45
+                by_time.plot(minutes, u_percent / np.sqrt(count), line, color=colour, marker=".", alpha=faint)
     by_amplitude.set_xscale("log")
     by_amplitude.set_yscale("log")
     by_amplitude.invert_xaxis()
@@ -33,12 +36,15 @@ def plan_figure(plan: Plan) -> Drawing:
     by_amplitude.set_xticks([], minor=True)
     by_amplitude.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
     by_amplitude.set_xlabel("last amplitude / arcsec")
-    by_time.set_xlabel("time of a run / min")
+    by_time.set_xlabel("time of all runs / min")
     by_amplitude.set_ylabel("u / value, %")
     by_amplitude.legend(ncols=2)
     styles = [Line2D([], [], color=INK, ls=line) for line in _LINES[: len(starts)]]
     from_words = [f"from {first / ARCSEC_RAD:g}″" for first in starts]
     by_time.legend(styles, from_words)
     figure.subplots_adjust(left=0.09, right=0.985, bottom=0.14, top=0.97, wspace=0.05)
-    words = "Standard uncertainty over value of every parameter after one run."
+    more = ", ".join(str(count) for count in plan.counts[1:])
+    words = f"Standard uncertainty over value of every parameter after {plan.counts[0]} run" + (
+        f"; on the right, faint: {more} runs." if more else "."
+    )
     return Drawing("plan", "What a run will tell", words, figure)

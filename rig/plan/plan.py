@@ -1,7 +1,9 @@
 """Uncertainties of planned runs over their first and last amplitudes, as table and picture."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 
 from rich.console import Console
@@ -10,16 +12,18 @@ from processing.angle import ARCSEC_RAD
 from processing.errors import ConfigurationError, DataError
 from processing.fit import Conditions, FitMethod, PlannedRun, planned_run
 from rig.analysis import AnalysedRun
+from rig.plan.expected import Expected
 from rig.presentation import Cell, Table, print_tables, quantity
 
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """Planned runs under the conditions of one that was made; `values` are its parameters."""
+    """Planned runs, and series of `counts` of each; `values` are the parameters they are planned for."""
 
     conditions: Conditions
     values: Mapping[str, float]
     runs: tuple[PlannedRun, ...]
+    counts: tuple[int, ...] = (1,)
 
     def relative(self, run: PlannedRun) -> dict[str, float]:
         """Uncertainty over value, by parameter."""
@@ -31,6 +35,7 @@ def plan_runs(
     first_arcsec: Sequence[float],
     last_arcsec: Sequence[float],
     ground_rad_per_s2_rthz: float | None = None,
+    counts: Sequence[int] = (1,),
 ) -> Plan:
     """Runs between all first and last amplitudes, with the contact, the noise and the ground of a run.
 
@@ -42,10 +47,28 @@ def plan_runs(
     exact, pendulum = run.fits.get(FitMethod.EXACT), run.results.pendulum
     if exact is None or pendulum is None:
         raise DataError(f"{run.record}: a plan needs a fitted run: {run.results.problem or 'it has no fit'}")
-    conditions = Conditions.of(exact, run.points)
+    values = {name: exact.estimate(name).value for name in exact.contact_names}
+    expected = Expected(values, pendulum, Conditions.of(exact, run.points))
+    return plan_expected(expected, first_arcsec, last_arcsec, ground_rad_per_s2_rthz, counts)
+
+
+def plan_expected(
+    expected: Expected,
+    first_arcsec: Sequence[float],
+    last_arcsec: Sequence[float],
+    ground_rad_per_s2_rthz: float | None = None,
+    counts: Sequence[int] = (1,),
+) -> Plan:
+    """Runs between all first and last amplitudes, and series of so many of each.
+
+    Raises
+    ------
+    DataError
+        No pair of amplitudes makes a run.
+    """
+    values, pendulum, conditions = expected
     if ground_rad_per_s2_rthz is not None:
         conditions = conditions.on_ground(ground_rad_per_s2_rthz)
-    values = {name: exact.estimate(name).value for name in exact.contact_names}
     runs = []
     problem = "every last amplitude must lie below every first one"
     for first in first_arcsec:
@@ -59,31 +82,36 @@ def plan_runs(
                     problem = str(error)
     if not runs:
         raise DataError(f"no such run: {problem}")
-    return Plan(conditions, values, tuple(runs))
+    return Plan(conditions, values, tuple(runs), tuple(sorted(set(counts))))
 
 
 def plan_table(plan: Plan) -> Table:
-    """A row for every run: its time, and the relative uncertainty of every parameter."""
+    """A row for every run or series: time of all runs, and the relative uncertainty of every parameter."""
     names = list(plan.runs[0].u)
     rows: list[list[Cell]] = []
     shown = []
-    for run in plan.runs:
+    for run, count in product(plan.runs, plan.counts):
         relative = plan.relative(run)
         first, last = run.first_rad / ARCSEC_RAD, run.last_rad / ARCSEC_RAD
-        rows.append([first, last, run.duration_s, run.half_cycles, *(run.u[name] for name in names)])
+        times, all_s = 1 / math.sqrt(count), count * run.duration_s
+        u = [times * run.u[name] for name in names]
+        rows.append([first, last, run.duration_s, run.half_cycles, count, all_s, *u])
         drowned = "" if run.complete else " (the ground ends it earlier)"
         shown.append(
-            [f"{first:g} to {last:g}″{drowned}", f"{run.duration_s / 60:.1f}"]
-            + [f"{100 * relative[name]:.2g} %" for name in names]
+            [f"{first:g} to {last:g}″{drowned}", f"{count}", f"{all_s / 60:.1f}"]
+            + [f"{100 * times * relative[name]:.2g} %" for name in names]
         )
     return Table(
         "plan",
-        "What one run will tell",
-        ("first_arcsec", "last_arcsec", "duration_s", "half_cycles", *(f"u_{name}" for name in names)),
+        "What runs will tell",
+        (
+            *("first_arcsec", "last_arcsec", "duration_s", "half_cycles", "runs", "rig_time_s"),
+            *(f"u_{name}" for name in names),
+        ),
         rows,
-        ("amplitudes", "min", *(f"u({quantity(name).symbol})" for name in names)),
+        ("amplitudes", "runs", "min", *(f"u({quantity(name).symbol})" for name in names)),
         shown,
-        "Standard uncertainty over value, from the swings alone; N runs divide it by √N. Measurement of an "
+        "Standard uncertainty over value, from the swings alone; minutes of all runs. Measurement of an "
         f"amplitude {plan.conditions.u_amplitude_rad / ARCSEC_RAD:.2g}″, ground "
         f"{plan.conditions.ground_rad_per_s2_rthz:.1e} rad/s²/√Hz.",
     )

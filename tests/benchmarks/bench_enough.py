@@ -1,34 +1,39 @@
 """Runs that end by `session.stop_when` still cover, and a plan says what runs scatter.
 
 Run as ``python -m tests.benchmarks.bench_enough [--quick] [--seeds N] [stopping|plans]`` from the repository.
-The half-cycles come from the tests' own integration of a driven pendulum, and from the simulated rig's tilts
-in the basement world by way of the swing detector; neither shares a formula with the fit.
+The half-cycles come from the tests' own integration of a driven pendulum, and from the simulated rig in the
+basement world; neither shares a formula with the fit.
 """
 
 import argparse
 import json
 import sys
+from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from acquisition.simulation.true_path import true_turning_points
 from processing.contact.laws import PAPER
 from processing.errors import RigError
 from processing.fit import FitResult, fit_exact
 from processing.swing import TurningPoints
+from rig.instrument import complete
 from rig.measure.end_of_run import EndLimits, EndOfRun
+from rig.plan import expected_of, plan_expected
 from rig.posterior import FIRST_HALF_CYCLES, following
+from rig.settings import load_configuration
 from rig.settings.stop_conditions import stop_conditions
-from tests.processing.fit.decays import paper_pair
+from tests.processing.fit.decays import ARCSEC, paper_pair, with_noise
 from tests.processing.fit.driven import driven_decay
-
-NOISE_ARCSEC = 0.005
+from tests.rig.command_line import CONFIGS
 
 
 class Stopping(NamedTuple):
-    """A pair, its ground (rad/s^2/sqrt(Hz)), when its runs end, and where the first look is.
+    """A pair, its ground (rad/s^2/sqrt(Hz)), when its runs end, and from which half-cycle on it is looked at.
 
-    Fits that are far from the end are left out; they would not end a run.
+    Earlier looks are far from the end.
     """
 
     flat: str
@@ -38,94 +43,124 @@ class Stopping(NamedTuple):
 
 
 STOPPING = (
-    Stopping("glass_k8", 1.5e-8, ("u(c)/c < 0.10", "u(b)/b < 0.02"), 240),
-    Stopping("silicon", 1.5e-8, ("u(b)/b < 0.05",), 240),
-    Stopping("steel", 1.5e-8, ("u(c)/c < 0.15", "u(gamma)/gamma < 0.03"), 420),
+    Stopping("glass_k8", 1.5e-8, ("u(c)/c < 0.10", "u(b)/b < 0.02"), 290),
+    Stopping("silicon", 1.5e-8, ("u(b)/b < 0.05",), 290),
+    Stopping("steel", 1.5e-8, ("u(c)/c < 0.15", "u(gamma)/gamma < 0.03"), 500),
 )
+NOISE_ARCSEC = 0.005
+LAST_ARCSEC = 8.0
+BASEMENT = {"model": "peterson", "between_noise_models": 0.5, "mass_centre_height_m": 2e-4}
+PLANNED = {"glass": "glass.toml", "silicon": "silicon.toml", "steel": "steel.toml"}
 
 
-def stopped(points: TurningPoints, case: Stopping) -> tuple[FitResult | None, int]:
-    """The fit at which a run ends by its conditions, looked at as a session does, and how often it looked."""
+def stopped(points: TurningPoints, case: Stopping) -> FitResult | None:
+    """The fit at which a run ends by its conditions, looked at as often as a session does."""
     end = EndOfRun(EndLimits(0.0, 1e9, stop_conditions(case.when, drag=False)))
     pendulum = paper_pair(case.flat)[1]
-    count, near, looks = FIRST_HALF_CYCLES, None, 0
+    count, near = FIRST_HALF_CYCLES, None
     while count <= len(points):
         if count >= case.first:
-            looks += 1
             near = fit_exact(points.first(count), pendulum, averaged=False, near=near)
-            estimates = {name: near.estimate(name) for name in near.contact_names}
-            if end.reason([], 0.0, estimates):
-                return fit_exact(points.first(count), pendulum, averaged=False), looks
+            if end.reason([], 0.0, near.estimates()):
+                return near
         count = following(count)
-    return None, looks
+    return None
 
 
 def stopping(case: Stopping, seeds: int) -> dict[str, Any]:
     """Shares of runs whose one-u intervals hold the truth, and where they ended."""
     parameters, pendulum = paper_pair(case.flat)
-    inside, ends, pulls, first_look, unended, failed = [], [], [], 0, 0, 0
+    inside, ends, errors = [], [], []
+    unended = failed = 0
     for seed in range(seeds):
         points = driven_decay(parameters, pendulum, q=case.q, noise_arcsec=NOISE_ARCSEC, seed=9000 + seed)
         try:
-            fit, looks = stopped(points, case)
+            fit = stopped(points, case)
         except RigError:
             failed += 1
             continue
         if fit is None:
             unended += 1
             continue
-        first_look += looks == 1
         ends.append(fit.half_cycles)
-        row = []
+        row, error = [], []
         for name in PAPER.names():
-            low, high = fit.interval(name, 0.6827)
-            row.append(low <= getattr(parameters, name) <= high)
+            (low, high), (value, u) = fit.interval(name, 0.6827), fit.estimate(name)
+            true = getattr(parameters, name)
+            row.append(low <= true <= high)
+            error.append((value - true) / u)
         inside.append(row)
-        pulls.append(
-            [
-                (e.value - getattr(parameters, n)) / e.standard_uncertainty
-                for n, e in fit.estimates().items()
-                if n in PAPER.names()
-            ]
-        )
-    shares = np.mean(np.array(inside, dtype=np.float64), axis=0)
+        errors.append(error)
     return {
         "pair": case.flat,
         "when": list(case.when),
         "seeds": seeds,
         "failed": failed,
-        "reached the last amplitude": unended,
-        "ended at the first look": first_look,
+        "reached_the_last_amplitude": unended,
         "half_cycles": np.percentile(ends, [5, 50, 95]).tolist(),
-        "one_u": dict(zip(PAPER.names(), shares.tolist(), strict=True)),
-        "mean_pull": dict(zip(PAPER.names(), np.mean(pulls, axis=0).tolist(), strict=True)),
+        "one_u": by_name(np.mean(inside, axis=0)),
+        "mean_error_over_u": by_name(np.mean(errors, axis=0)),
     }
+
+
+def plans(pair: str, runs: int) -> dict[str, Any]:
+    """Scatter of runs of a pair in the basement world over what `rig plan` says of its configuration.
+
+    The scatter of N runs is known to 1/sqrt(2 N).
+    """
+    wanted = [f"simulation.ground.{key}={value}" for key, value in BASEMENT.items()]
+    config = complete(load_configuration(CONFIGS / PLANNED[pair], wanted))
+    expected = expected_of(config)
+    instants = replace(expected.conditions, averaged=False)
+    (planned,) = plan_expected(expected._replace(conditions=instants), [124.0], [LAST_ARCSEC]).runs
+    noise_arcsec = instants.u_amplitude_rad / ARCSEC
+    values, stated = [], []
+    for seed in range(runs):
+        ground = config.simulation.ground.model_copy(update={"seed": 300 + seed})
+        truth = config.simulation.model_copy(update={"ground": ground})
+        time_s, angle_rad = true_turning_points(truth, LAST_ARCSEC, run=seed)
+        rng = np.random.default_rng([seed, 79])
+        points = with_noise(time_s, np.abs(angle_rad), truth.contact.period0_s, noise_arcsec, rng)
+        fit = fit_exact(points, expected.pendulum, averaged=False)
+        values.append([fit.estimate(name).value for name in PAPER.names()])
+        stated.append([fit.estimate(name).standard_uncertainty for name in PAPER.names()])
+    u = np.array([planned.u[name] for name in PAPER.names()])
+    return {
+        "pair": pair,
+        "runs": runs,
+        "scatter_over_planned": by_name(np.std(values, axis=0, ddof=1) / u),
+        "stated_over_planned": by_name(np.median(stated, axis=0) / u),
+    }
+
+
+def by_name(values: Any) -> dict[str, float]:
+    return dict(zip(PAPER.names(), np.asarray(values, dtype=np.float64).tolist(), strict=True))
+
+
+def words(values: Mapping[str, float]) -> str:
+    return "  ".join(f"{name} {value:.2f}" for name, value in values.items())
 
 
 def run(quick: bool = False, seeds: int = 200, only: tuple[str, ...] = ()) -> dict[str, Any]:
     """All of it; numbers as plain values."""
-    out: dict[str, Any] = {}
+    out: dict[str, Any] = {"stopping": [], "plans": []}
     if not only or "stopping" in only:
-        out["stopping"] = []
         for case in STOPPING:
             found = stopping(case, 4 if quick else seeds)
             out["stopping"].append(found)
             print(
-                found["pair"],
-                *found["when"],
-                f"{found['seeds']} seeds,",
-                "half-cycles",
-                found["half_cycles"],
-                found["failed"],
-                found["reached the last amplitude"],
-                found["ended at the first look"],
+                f"{case.flat}, {', '.join(case.when)}: {found['seeds']} runs ended after "
+                f"{found['half_cycles']} half-cycles (5, 50, 95 %)"
             )
-            print("  within 1 u " + " ".join(f"{name} {value:.2f}" for name, value in found["one_u"].items()))
-            print(
-                "  mean pull  "
-                + " ".join(f"{name} {value:+.2f}" for name, value in found["mean_pull"].items()),
-                flush=True,
-            )
+            print("  within 1 u   ", words(found["one_u"]))
+            print("  mean error/u ", words(found["mean_error_over_u"]), flush=True)
+    if not only or "plans" in only:
+        for pair in PLANNED:
+            found = plans(pair, 4 if quick else max(seeds // 2, 4))
+            out["plans"].append(found)
+            print(f"{pair} in the basement, {found['runs']} runs to {LAST_ARCSEC:g} arcsec")
+            print("  scatter/planned", words(found["scatter_over_planned"]))
+            print("  stated/planned ", words(found["stated_over_planned"]), flush=True)
     return out
 
 
@@ -134,8 +169,8 @@ def main() -> None:
     parser.add_argument("parts", nargs="*", metavar="PART", help="stopping or plans; both without")
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--seeds", type=int, default=200)
-    words = parser.parse_args()
-    json.dump(run(words.quick, words.seeds, tuple(words.parts)), sys.stderr, indent=1)
+    given = parser.parse_args()
+    json.dump(run(given.quick, given.seeds, tuple(given.parts)), sys.stderr, indent=1)
 
 
 if __name__ == "__main__":

@@ -1,11 +1,23 @@
 """`rig plan`: from a record to the table and the picture."""
 
+import math
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from acquisition.record.reader import RecordReader
 from processing.errors import ConfigurationError, DataError
+from processing.fit import Conditions
+from rig.analysis import SessionResults, read_results
 from rig.commands.physics import plan
+from rig.instrument import complete, recorded_configuration
+from rig.plan.expected import expected_of
+from rig.settings import load_configuration
+from tests.rig.command_line import CONFIGS
+
+PENDULUM = "pendulum={mass_kg=0.4, ball_radius_m=6e-3, contact_radius_m=6e-5}"
+LEVER = "lever={arm_m=1.0, pixel_pitch_m=4.8e-6}"
 
 
 def test_a_run_is_planned_from_a_record(
@@ -29,3 +41,82 @@ def test_a_run_is_planned_from_a_record(
 def test_amplitudes_that_make_no_run_are_named(measured_series: Path) -> None:
     with pytest.raises(DataError, match="every last amplitude must lie below every first one"):
         plan(measured_series / "run-1.mcap", [10.0], [60.0], None, None, None)
+
+
+def test_a_configuration_says_what_its_rig_will_measure(measured_series: Path) -> None:
+    """Frames of the simulated rig, followed and detected, scatter as a plan of its configuration expects."""
+    with RecordReader(measured_series / "run-1.mcap") as reader:
+        conditions = expected_of(recorded_configuration(reader)).conditions
+    results = read_results(measured_series / "results.json")
+    assert isinstance(results, SessionResults)
+    stored = results.runs[0].turning_points
+    assert stored is not None
+    points = stored.points()
+    u_rad, u_s_rad = np.median(points.u_amplitude), np.median(points.u_time_s * points.amplitude)
+    assert conditions.u_amplitude_rad == pytest.approx(u_rad, rel=0.1)
+    assert conditions.u_time_amplitude_s_rad == pytest.approx(u_s_rad, rel=0.1)
+    assert conditions.ground_rad_per_s2_rthz == 0.0
+
+
+def test_the_ground_of_a_configuration_drives_the_planned_pendulum() -> None:
+    """A white level a drives it with w0^2 d a/(g R), a tilt of the base with w0^2 times its level."""
+
+    def drive(*overrides: str) -> float:
+        wanted = [f"simulation.ground.{override}" for override in overrides]
+        return conditions_of(*wanted).ground_rad_per_s2_rthz
+
+    w0_squared = (2 * math.pi / 4.071) ** 2
+    shaken = w0_squared * 1e-3 * 2e-6 / (9.80665 * 6.05e-3)
+    white = ("model=white", "white_m_per_s2_per_sqrt_hz=2e-6", "mass_centre_height_m=1e-3")
+    assert drive(*white) == pytest.approx(shaken, rel=1e-6)
+    tilted = w0_squared * 1e-7
+    assert drive("tilt_rad_per_sqrt_hz=1e-7") == pytest.approx(tilted, rel=1e-6)
+    assert drive(*white, "tilt_rad_per_sqrt_hz=1e-7") == pytest.approx(math.hypot(shaken, tilted), rel=1e-6)
+    higher = drive("model=peterson", "above_low_noise_db=40") / drive(
+        "model=peterson", "above_low_noise_db=20"
+    )
+    assert higher == pytest.approx(10.0)
+    with pytest.raises(ConfigurationError, match="state what it drives with --ground"):
+        drive("model=file", "file=ground.csv")
+
+
+def test_air_and_a_wandering_beam_add_to_the_scatter_of_turning_points() -> None:
+    still = conditions_of("simulation.disturbances.air_arcsec=0")
+    for override in ("air_arcsec=0.02", "pointing_walk_px_per_sqrt_s=0.1", "pointing_jitter_px=0.2"):
+        moved = conditions_of(f"simulation.disturbances.{override}")
+        assert moved.u_amplitude_rad > 1.5 * still.u_amplitude_rad
+        assert moved.u_time_amplitude_s_rad > 1.5 * still.u_time_amplitude_s_rad
+
+
+def test_a_plan_of_a_configuration_has_series_of_runs(
+    measured_series: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source, folder = CONFIGS / "basement.toml", tmp_path / "plan"
+    plan(source, [124.0], [15.0], None, folder, None, [3, 1], 0.02, measured_series / "results.json")
+    assert "124 to 15″" in capsys.readouterr().out
+    head, *rows = (line.split(",") for line in (folder / "plan.csv").read_text().splitlines())
+    one, three = (dict(zip(head, map(float, row), strict=True)) for row in rows)
+    assert (one["runs"], three["runs"]) == (1, 3)
+    assert three["rig_time_s"] == pytest.approx(3 * one["duration_s"])
+    assert three["u_c"] == pytest.approx(one["u_c"] / math.sqrt(3))
+    with pytest.raises(ConfigurationError, match="a record has its own noise and contact"):
+        plan(measured_series / "run-1.mcap", None, None, None, None, None, None, 0.02)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        (["camera.driver=usb3vision"], r"needs \[pendulum\]: state mass_kg and ball_radius_m"),
+        (["camera.driver=usb3vision", PENDULUM, LEVER], "needs camera.frame_rate_hz"),
+        (["camera.driver=usb3vision", PENDULUM, "camera.frame_rate_hz=50"], r"needs \[lever\]"),
+        (["camera.frame_rate_hz=0.4"], "show a swing of 4.071 s too seldom: raise camera.frame_rate_hz"),
+    ],
+)
+def test_what_a_plan_needs_of_a_configuration_is_named(overrides: list[str], message: str) -> None:
+    with pytest.raises(ConfigurationError, match=message):
+        conditions_of(*overrides)
+
+
+def conditions_of(*overrides: str) -> Conditions:
+    """Of the demonstration, changed."""
+    return expected_of(complete(load_configuration(CONFIGS / "demo.toml", overrides))).conditions

@@ -1,0 +1,188 @@
+"""What a rig as configured will measure: contact, scatter of turning points, motion of the ground."""
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from processing.angle import ARCSEC_RAD
+from processing.contact import PAPER, PendulumOnBall
+from processing.errors import ConfigurationError, DataError
+from processing.fit import Conditions, FitMethod
+from processing.noise_models import density_of_db, nhnm_db, nlnm_db
+from processing.spot import SensorModel, SpotTracker
+from processing.swing import SwingDetector, turning_points
+from rig.analysis import SessionResults, read_results
+from rig.instrument import complete, pendulum_on_ball, sensor_model
+from rig.settings import Configuration, load_configuration
+
+_HALF_CYCLES = 24
+_FRAMES = 9
+_AMPLITUDE_RAD = 3e-4
+_FULL_SCALE_DN = 255.0
+
+
+class Expected(NamedTuple):
+    """The contact's values by key, the pendulum, and what makes its turning points scatter."""
+
+    values: dict[str, float]
+    pendulum: PendulumOnBall
+    conditions: Conditions
+
+
+def expected_of(config: Configuration, frame_noise_rad: float | None = None) -> Expected:
+    """What is to be expected of a complete configuration.
+
+    What a rig does not know before its first run is taken from [simulation]: the contact, the spot's size and
+    light, air, pointing, and the ground. `frame_noise_rad` is the noise of one frame where it is known
+    better, as preflight measures it.
+
+    Raises
+    ------
+    ConfigurationError
+        No pendulum, lever or frame rate, or a ground whose density is not stated.
+    """
+    pendulum = pendulum_on_ball(config)
+    if pendulum is None:
+        raise ConfigurationError("rig plan needs [pendulum]: state mass_kg and ball_radius_m")
+    contact = config.simulation.contact
+    values = {name: float(getattr(contact, name)) for name in PAPER.names()}
+    noise_rad = _frame_noise_rad(config) if frame_noise_rad is None else frame_noise_rad
+    u_rad, u_time_s = _of_turning_points(noise_rad, _frame_rate_hz(config), contact.period0_s)
+    slow_rad = math.sqrt(2 * _slow_density(config) / contact.period0_s)
+    conditions = Conditions(
+        math.hypot(u_rad, slow_rad),
+        math.hypot(u_time_s * _AMPLITUDE_RAD, slow_rad * contact.period0_s / (2 * math.pi)),
+        _drive(config, pendulum),
+    )
+    return Expected(values, pendulum, conditions)
+
+
+def planned_expectation(
+    source: Path, overrides: Sequence[str], noise_arcsec: float | None, contact: Path | None
+) -> Expected:
+    """What is to be expected of a configuration file.
+
+    `noise_arcsec` is the noise of one frame, `contact` a results.json whose first fitted run has the contact.
+    """
+    config = complete(load_configuration(source, overrides))
+    expected = expected_of(config, None if noise_arcsec is None else noise_arcsec * ARCSEC_RAD)
+    if contact is None:
+        return expected
+    known = read_results(contact)
+    runs = known.runs if isinstance(known, SessionResults) else ()
+    for run in runs:
+        if FitMethod.EXACT in run.fits:
+            found = run.fits[FitMethod.EXACT].parameters
+            values = {name: found[name].value for name in PAPER.names()}
+            return expected._replace(values=values)
+    raise DataError(f"{contact}: no run in it has a fit of the contact; name another, or leave --contact out")
+
+
+def _frame_rate_hz(config: Configuration) -> float:
+    rate_hz = config.camera.frame_rate_hz
+    if rate_hz is None and config.simulated:
+        rate_hz = config.simulation.clock.frame_rate_hz
+    if rate_hz is None:
+        raise ConfigurationError("rig plan needs camera.frame_rate_hz: state the rate that will be asked for")
+    return rate_hz
+
+
+def _rad_per_px(config: Configuration) -> float:
+    if config.lever is None:
+        raise ConfigurationError("rig plan needs [lever]: state arm_m and pixel_pitch_m")
+    # the mirror turns the beam by twice its own angle
+    return config.lever.pixel_pitch_m / (2 * config.lever.arm_m)
+
+
+def _frame_noise_rad(config: Configuration) -> float:
+    """As the tracker states it for the expected spot, with the pointing's jitter."""
+    optics, truth = config.simulation.optics, config.simulation
+    sensor = sensor_model(config, _FULL_SCALE_DN)
+    u_px = _tracked_u_px(sensor, optics.peak_dn / 255 * sensor.full_scale_dn, optics.sigma_y_px)
+    if config.simulated:
+        u_px = math.hypot(u_px, truth.disturbances.pointing_jitter_px)
+    return u_px * _rad_per_px(config)
+
+
+def _tracked_u_px(sensor: SensorModel, peak_dn: float, sigma_px: float) -> float:
+    side = 2 * math.ceil(8 * sigma_px)
+    y, x = np.mgrid[:side, :side] - 0.5 * (side - 1)
+    light_dn = peak_dn * np.exp(-0.5 * (x**2 + y**2) / sigma_px**2)
+    mean_dn = sensor.pedestal_dn + light_dn
+    # rounding to whole DN adds its own part
+    sigma_dn = np.sqrt(
+        (sensor.read_noise_e / sensor.gain_e_per_dn) ** 2
+        + light_dn / sensor.gain_e_per_dn
+        + (sensor.prnu * light_dn) ** 2
+    )
+    rng = np.random.default_rng(1)
+    tracker = SpotTracker(sensor)
+    kind = np.uint8 if sensor.full_scale_dn <= 255 else np.uint16
+    found = []
+    for _ in range(_FRAMES):
+        seen = np.clip(
+            np.rint(mean_dn + sigma_dn * rng.standard_normal(mean_dn.shape)), 0, sensor.full_scale_dn
+        )
+        found.append(tracker.track(seen.astype(kind)).u_y_px)
+    return float(np.nanmedian(found))
+
+
+def _of_turning_points(noise_rad: float, rate_hz: float, period_s: float) -> tuple[float, float]:
+    """Uncertainties of amplitude (rad) and time (s) that the swing detector finds at this noise."""
+    time_s = np.arange(0.0, 0.5 * _HALF_CYCLES * period_s, 1 / rate_hz)
+    swing_rad = _AMPLITUDE_RAD * np.cos(2 * np.pi * time_s / period_s)
+    swing_rad += noise_rad * np.random.default_rng(2).standard_normal(len(time_s))
+    detector = SwingDetector()
+    u_rad = np.full(len(time_s), noise_rad)
+    swings = detector.update(np.rint(1e9 * time_s).astype(np.int64), swing_rad, u_rad)
+    points = turning_points([*swings, *detector.finish()])
+    if len(points) < _HALF_CYCLES // 2:
+        raise ConfigurationError(
+            f"{rate_hz:g} frames/s show a swing of {period_s:g} s too seldom: raise camera.frame_rate_hz"
+        )
+    later = slice(len(points) // 2, None)
+    return float(np.median(points.u_amplitude[later])), float(np.median(points.u_time_s[later]))
+
+
+def _slow_density(config: Configuration) -> float:
+    """Density in rad^2/Hz at the swing's frequency of what bends the beam slowly: air, a wandering laser.
+
+    White noise of this density S lets the amplitude of a half-swing of T/2 scatter by sqrt(2 S/T).
+    """
+    if not config.simulated:
+        return 0.0
+    said = config.simulation.disturbances
+    at_hz = 1 / config.simulation.contact.period0_s
+    density = 0.0
+    if said.air_from_hz < at_hz < said.air_to_hz:
+        air_rad = said.air_arcsec * ARCSEC_RAD
+        density += air_rad**2 / (math.log(said.air_to_hz / said.air_from_hz) * at_hz)
+    walk_rad = said.pointing_walk_px_per_sqrt_s * _rad_per_px(config)
+    return density + 2 * walk_rad**2 / (2 * math.pi * at_hz) ** 2
+
+
+def _drive(config: Configuration, pendulum: PendulumOnBall) -> float:
+    """Angular acceleration of the pendulum by the ground at its own frequency, in rad/s^2/sqrt(Hz)."""
+    truth, at_hz = config.simulation.ground, 1 / config.simulation.contact.period0_s
+    at = np.array([at_hz])
+    low, high = float(nlnm_db(at)[0]), float(nhnm_db(at)[0])
+    if truth.model == "file":
+        raise ConfigurationError("simulation.ground.model = 'file': state what it drives with --ground")
+    level = 0.0
+    if truth.model == "white":
+        level = truth.white_m_per_s2_per_sqrt_hz
+    elif truth.model == "peterson":
+        above_db = (
+            truth.between_noise_models * (high - low)
+            if truth.above_low_noise_db is None
+            else truth.above_low_noise_db
+        )
+        level = float(density_of_db(np.array([low + above_db]))[0])
+    height_m = truth.mass_centre_height_m
+    if config.pendulum is not None and config.pendulum.mass_centre_height_m is not None:
+        height_m = config.pendulum.mass_centre_height_m
+    turned = level * height_m / (pendulum.gravity_m_per_s2 * pendulum.ball_radius_m)
+    return (2 * math.pi * at_hz) ** 2 * math.hypot(turned, truth.tilt_rad_per_sqrt_hz)
