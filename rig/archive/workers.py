@@ -118,7 +118,7 @@ def _submitted(client: Any, work: Work[T], tasks: Sequence[T]) -> Iterator[tuple
     from distributed import as_completed
 
     waiting, running = deque(tasks), dict[Any, T]()
-    done = as_completed()
+    done = as_completed(loop=client.loop)
     most = 2 * max(1, sum(client.nthreads().values()))
     while waiting or running:
         while waiting and len(running) < most:
