@@ -126,6 +126,11 @@ def _read_run(folder: Path, results: RunResults, number: int) -> RunData:
         rate = _clock_rate(reader, notes)
         stored = results.turning_points or turning_points_again(reader, results)
         spectrum = _spectrum(reader, deflections) if results.fits else None
+        if len(spots):
+            provenance["file"] = {
+                **provenance["file"],
+                "began": f"{reader.utc(int(spots['time_ns'][0])):%Y-%m-%d %H:%M:%S} UTC",
+            }
         notes += [line for line in reader.doubts() if line not in results.warnings]
     if results.sha256 != known_sha256_of(path):
         notes.append("the record is not the one that the results were made from: its hash differs")

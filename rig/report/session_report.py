@@ -33,6 +33,7 @@ from rig.report.tables import run_tables
 from rig.report.tables_uncertainty import budget_table, series_table
 
 _DEFAULT_PERIOD_S = 4.0
+_AIR = {"temperature_c": "°C", "humidity_percent": "% humidity", "pressure_pa": "Pa"}
 
 
 def make_report(folder: Path, output: Path | None = None) -> Path:
@@ -99,6 +100,7 @@ def _summary(source: ReportSource) -> list[str]:
             '<div class="warn">SIMULATED: every number comes from the simulated rig; '
             "nothing was measured.</div>"
         )
+    body.append(html.facts(_circumstances(source)))
     exact, energy, verdicts = _headline(run, series)
     if exact:
         budget = run.budget if series is None else series.budget
@@ -118,6 +120,15 @@ def _summary(source: ReportSource) -> list[str]:
     if len(source.runs) == 1:
         body.append(html.notes(_notes(source.runs[0])))
     return body
+
+
+def _circumstances(source: ReportSource) -> list[tuple[str, str]]:
+    """When each run began, who measured, and the air as it was stated."""
+    began = [(f"{run.title} began", run.provenance["file"].get("began", "")) for run in source.runs]
+    first = source.runs[0].provenance
+    air = ", ".join(f"{value} {_AIR.get(name, name)}" for name, value in first.get("environment", {}).items())
+    stated = [("operator", first.get("session", {}).get("operator", "")), ("air", air)]
+    return [(name, text) for name, text in (*began, *stated) if text]
 
 
 def _headline(
