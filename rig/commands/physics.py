@@ -155,7 +155,7 @@ def plan(
         typer.Option(help="Configuration: results.json with the contact that is expected."),
     ] = None,
 ) -> None:
-    """Show what runs to come will tell, from a run of this rig or from its configuration.
+    """Show what runs to come will tell, from a run or a configuration.
 
     Uncertainties over first and last amplitudes, number of runs and rig time.
 
