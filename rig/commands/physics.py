@@ -155,9 +155,10 @@ def plan(
         typer.Option(help="Configuration: results.json with the contact that is expected."),
     ] = None,
 ) -> None:
-    """Show what runs to come will tell, from a run or a configuration.
+    """Show what runs to come will tell of the contact.
 
-    Uncertainties over first and last amplitudes, number of runs and rig time.
+    Uncertainties over first and last amplitudes, number of runs and rig time, from a run of this rig or from
+    its configuration.
 
     \b
     Examples:
