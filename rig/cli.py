@@ -104,12 +104,16 @@ def main() -> None:
 
 
 def _completed(words: list[str]) -> list[str]:
-    """The words with `--view` alone said in full; raises ConfigurationError for an empty one."""
+    """The words with `--view` alone said in full; raises ConfigurationError for an empty one.
+
+    Conditions of the archive may be empty.
+    """
     found: list[str] = []
     for word, following in pairwise([*words, "--"]):
         if not word.strip() or re.fullmatch(r"--[\w-]+=\s*", word):
             before = f" after {found[-1]}" if found[-1].startswith("-") else ""
-            raise ConfigurationError(f"an argument{before} is empty; state a value, or leave it out")
+            if before or "archive" not in words[1:]:
+                raise ConfigurationError(f"an argument{before} is empty; state a value, or leave it out")
         found += [word, "window"] if word == "--view" and following not in ("window", "web") else [word]
     return found
 

@@ -2,6 +2,7 @@
 
 import shutil
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -57,10 +58,10 @@ def measure_run(plan: RunPlan, devices: Devices) -> RunOutcome:
             "needed to begin; nothing was started: free some, or name another folder"
         )
     if plan.config.simulated:
-        say(f"{plan.title}: SIMULATED, no camera is read and every number is invented")
+        _say_if_heard(f"{plan.title}: SIMULATED, no camera is read and every number is invented")
     with devices.camera(plan.config) as camera:
         for line in camera.notes:
-            say(line)
+            _say_if_heard(line)
         posterior = live_posterior(plan.config) if plan.fitted else None
         parameters = () if posterior is None else posterior.parameters
         view = open_view(plan.config, record, plan.title, camera.info.full_scale_dn, parameters)
@@ -139,3 +140,9 @@ def _execute(
         say(lit)
     with display:
         return Run(parts).execute(display.show)
+
+
+def _say_if_heard(text: str) -> None:
+    """A session whose terminal was closed goes on without it."""
+    with suppress(OSError):
+        say(text)

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from acquisition.camera import CameraSettings
+from acquisition.camera import CameraInfo, CameraSettings
 from acquisition.cameras.simulated import SimulatedCamera
 from acquisition.simulation.faults import FaultSettings
 from acquisition.simulation.inputs import RigInputs
@@ -26,6 +26,7 @@ from rig.control import (
 from rig.control.settings import SerialFaults
 from rig.devices import Devices, FrameStream, LaserNow, OpenCamera
 from rig.instrument import camera_settings, complete, make_camera, optics_of
+from rig.instrument.light_times import shift_to_light_ns
 from rig.measure.end_of_run import EndLimits
 from rig.measure.phases import PhasesBeforeRecord
 from rig.measure.record_file import RecordFile
@@ -148,6 +149,14 @@ def talk_to_the_controller() -> None:
         service.starter_pulse(0.05).result(5.0)
     with pytest.raises(RigError):
         Controller(ControllerSettings(kind="serial", port=NOWHERE), 1e-3).open()
+
+
+def pulse_the_laser() -> None:
+    """Light that comes within the exposure, some time after its begin."""
+    laser = {"kind": "controller", "power_w": 1e-4, "pulse_us": 50.0, "pulse_delay_us": 100.0}
+    config = Configuration.model_validate({"camera": {"driver": "simulated"}, "laser": laser})
+    info = CameraInfo("any", "", "", "", 640, 480, 255, has_clock=True)
+    assert shift_to_light_ns(config, info, CameraSettings(exposure_us=200.0)) == 125_000
 
 
 def light_the_lasers() -> None:

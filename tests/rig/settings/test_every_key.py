@@ -186,6 +186,7 @@ def seen(tmp_path_factory: pytest.TempPathFactory) -> set[Key]:
         program.go_through_the_phases(folder)
         program.look_at_the_balance()
         program.talk_to_the_controller()
+        program.pulse_the_laser()
         program.read_the_environment()
         program.choose_a_camera()
         program.suffer_every_fault()

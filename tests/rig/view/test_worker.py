@@ -195,10 +195,8 @@ def test_a_full_disk_is_told_and_stops_nothing(tmp_path: Path) -> None:
 
 
 def test_a_folder_that_is_missing_is_told(tmp_path: Path) -> None:
-    with Viewer(tmp_path / "missing" / "run.rrd") as viewer:
-        send_second(viewer, 0.0)
-    assert "run.rrd" in viewer.counts.notes[0]
-    assert viewer.counts.dropped == 5000
+    with pytest.raises(ConfigurationError, match=r"missing/run\.rrd"):
+        Viewer(tmp_path / "missing" / "run.rrd")
 
 
 def test_an_existing_file_is_refused(tmp_path: Path) -> None:
