@@ -53,7 +53,7 @@ def test_a_colour_of_a_mosaic_is_the_same_in_every_mosaic(results: dict[str, Any
     assert seen["shapes"] == [[180, 320]]
     bars = {plane: [means[plane] for means in seen["means"].values()] for plane in ("red", "green", "blue")}
     for plane, of_mosaics in bars.items():
-        # bars begin in another row in some mosaics: 4 of 180 rows differ, where another colour has 0.3 and more
+        # 4 of 180 rows of the bars differ between mosaics; another colour would differ by 0.3 and more
         assert np.ptp(of_mosaics, axis=0).max() < 0.05, plane
     # the colour bars are not grey: each plane shows others of them
     for one, other in (("red", "green"), ("green", "blue"), ("blue", "red")):
