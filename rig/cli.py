@@ -14,7 +14,7 @@ from typing import Annotated
 import typer
 
 from processing.errors import ConfigurationError, RigError
-from rig.commands import archive, calibration, camera, instruments, measure, physics, records, reporting
+from rig.commands import archive, calibration, camera, init, instruments, measure, physics, records, reporting
 from rig.commands import session as session_commands
 from rig.terminal import reason_of, spell_out_what_is_missing, terminated_by_signals
 
@@ -25,6 +25,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
+init.register(app)
 measure.register(app)
 session_commands.register(app)
 records.register(app)

@@ -3,7 +3,7 @@
 from rig.control.controller import Controller
 from rig.control.environment import EnvironmentService
 from rig.control.laser_service import LONGEST_JOB_S, LaserService
-from rig.control.lasers import LaserSettings, LaserState, make_laser
+from rig.control.lasers import LASERS, LaserSettings, LaserState, laser_unit, make_laser
 from rig.control.light_permit import LightPermit, Stage
 from rig.control.ports import check_controller, check_environment, check_laser, list_serial_ports
 from rig.control.service import ControlService, ControlState
@@ -11,6 +11,7 @@ from rig.control.settings import ControllerSettings, EnvironmentSettings
 from rig.control.simulated import SimulatedOutputs, simulated_controller
 
 __all__ = [
+    "LASERS",
     "LONGEST_JOB_S",
     "ControlService",
     "ControlState",
@@ -27,6 +28,7 @@ __all__ = [
     "check_controller",
     "check_environment",
     "check_laser",
+    "laser_unit",
     "list_serial_ports",
     "make_laser",
     "simulated_controller",

@@ -2,12 +2,14 @@
 
 from rig.settings.balance import BalanceSettings
 from rig.settings.calibration import TimebaseSettings
+from rig.settings.commented_keys import commented_file, toml_value
 from rig.settings.configuration import (
     Configuration,
     FitSettings,
     PendulumSettings,
     SessionSettings,
     apply_overrides,
+    keys_with_faults,
     load_configuration,
     validate_configuration,
 )
@@ -34,11 +36,14 @@ __all__ = [
     "StopCondition",
     "TimebaseSettings",
     "apply_overrides",
+    "commented_file",
     "in_words",
+    "keys_with_faults",
     "load_configuration",
     "load_plan",
     "read_toml",
     "refuse_without_effect",
+    "toml_value",
     "validate_configuration",
     "validated",
 ]

@@ -234,6 +234,24 @@ def validate_configuration(
     raise ConfigurationError("\n".join(lines))
 
 
+def keys_with_faults(keys: Mapping[str, Any], whole: str = "") -> list[str]:
+    """A line for each fault of these values, which are by dotted key; other keys may still be missing.
+
+    What holds between the keys of a section is checked of the section `whole` only.
+    """
+    tree: dict[str, Any] = {}
+    for key, value in keys.items():
+        *sections, name = key.split(".")
+        place = tree
+        for section in sections:
+            place = place.setdefault(section, {})
+        place[name] = value
+    tree.setdefault("camera", {}).setdefault("driver", "files")
+    _, told = validated(Configuration, tree)
+    asked = {*keys, whole}
+    return [line for place, line in told if dotted(place) in asked]
+
+
 def _is_of(place: str, stated: set[str]) -> bool:
     """Whether a fault is that of a key that --set states, or inside or around it."""
     return any(key.startswith(f"{place}.") or f"{place}.".startswith(key) for key in stated)

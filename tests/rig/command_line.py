@@ -37,8 +37,8 @@ class Done:
     stderr: str
 
 
-def rig(*words: str | Path, cwd: Path | None = None, figures: bool = False) -> Done:
-    """Run a command in this process.
+def rig(*words: str | Path, cwd: Path | None = None, figures: bool = False, typed: str = "") -> Done:
+    """Run a command in this process, with `typed` as its input, which is no terminal.
 
     What belongs to a process of its own (signals, a terminal, the environment) is tested with `rig_process`.
 
@@ -48,7 +48,7 @@ def rig(*words: str | Path, cwd: Path | None = None, figures: bool = False) -> D
     out, errors = io.StringIO(), io.StringIO()
     with (
         patch.object(sys, "argv", ["rig", *map(str, words)]),
-        patch.object(sys, "stdin", io.StringIO()),
+        patch.object(sys, "stdin", io.StringIO(typed)),
         contextlib.redirect_stdout(out),
         contextlib.redirect_stderr(errors),
         contextlib.chdir(cwd or Path.cwd()),

@@ -1,7 +1,8 @@
 """Laser drivers, one file per family, and the registry with their names in the configuration."""
 
 import importlib
-from typing import cast
+from collections.abc import Callable
+from typing import Literal, cast
 
 from rig.control.lasers.drivers import LASERS
 from rig.control.lasers.laser import Laser, LaserIdentity, LaserRefused, LaserState
@@ -12,8 +13,26 @@ def make_laser(settings: LaserSettings) -> Laser | None:
     """The driver of a laser with a serial port, not opened yet; None for "none" and "controller"."""
     if settings.kind not in LASERS:
         return None
-    module, _, name = LASERS[settings.kind].partition(":")
-    return cast(Laser, getattr(importlib.import_module(module), name)(settings))
+    return _driver(settings.kind)(settings)
 
 
-__all__ = ["LASERS", "Laser", "LaserIdentity", "LaserRefused", "LaserSettings", "LaserState", "make_laser"]
+def laser_unit(kind: str) -> Literal["w", "a"]:
+    """Whether a laser is set in watts or in amperes; one that the controller feeds in watts."""
+    return cast(Literal["w", "a"], getattr(_driver(kind), "unit", "w")) if kind in LASERS else "w"
+
+
+def _driver(kind: str) -> Callable[[LaserSettings], Laser]:
+    module, _, name = LASERS[kind].partition(":")
+    return cast(Callable[[LaserSettings], Laser], getattr(importlib.import_module(module), name))
+
+
+__all__ = [
+    "LASERS",
+    "Laser",
+    "LaserIdentity",
+    "LaserRefused",
+    "LaserSettings",
+    "LaserState",
+    "laser_unit",
+    "make_laser",
+]

@@ -1,13 +1,9 @@
 """`rig replay` controlled by keys on a pseudo-terminal, and without a terminal."""
 
-import contextlib
 import os
-import re
-import select
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -18,76 +14,16 @@ from tests.rig.view.rrd_contents import measured, scalars
 if os.name != "posix":
     pytest.skip("pseudo-terminals are those of POSIX", allow_module_level=True)
 
-import pty
-import termios
+from tests.rig.pseudo_terminal import LIMIT_S, Terminal
 
 pytestmark = pytest.mark.timeout(300)
 
-LIMIT_S = 180.0
 SECONDS = 60.0
 
 
 @pytest.fixture(scope="module")
 def record(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return make_record(tmp_path_factory.mktemp("terminal") / "run-1.mcap", SECONDS)
-
-
-class Terminal:
-    """A program at a pseudo-terminal: what it writes there, and keys for it."""
-
-    def __init__(self, *words: str | Path) -> None:
-        self.master, slave = pty.openpty()
-        self.before = termios.tcgetattr(slave)
-        self._slave = slave
-        self.process = subprocess.Popen(
-            [sys.executable, "-m", "rig", *map(str, words)],
-            stdin=slave,
-            stdout=subprocess.PIPE,
-            stderr=slave,
-            text=True,
-            start_new_session=True,
-        )
-        self.screen = ""
-
-    def press(self, keys: str) -> None:
-        """Press keys; what was on the screen before is forgotten."""
-        self.screen = ""
-        os.write(self.master, keys.encode())
-
-    def wait_for(
-        self, pattern: str, accept: Callable[[re.Match[str]], bool] = lambda _: True
-    ) -> re.Match[str]:
-        """Wait until the screen shows something that is accepted; the last place where it stands."""
-        deadline_s = time.monotonic() + LIMIT_S
-        while True:
-            found = [match for match in re.finditer(pattern, self.screen) if accept(match)]
-            if found:
-                return found[-1]
-            assert time.monotonic() < deadline_s, f"no {pattern!r} in {self.screen[-500:]!r}"
-            assert self.process.poll() is None, f"ended before {pattern!r}: {self.screen[-500:]!r}"
-            self._read(0.2)
-
-    def end(self) -> str:
-        """Wait for the program's end; what it wrote on its standard output."""
-        output, _ = self.process.communicate(timeout=LIMIT_S)
-        self._read(0.0)
-        return output
-
-    @property
-    def settings(self) -> list[object]:
-        return termios.tcgetattr(self._slave)
-
-    def close(self) -> None:
-        if self.process.poll() is None:
-            self.process.kill()
-            self.process.communicate()
-        os.close(self.master)
-        os.close(self._slave)
-
-    def _read(self, wait_s: float) -> None:
-        with contextlib.suppress(OSError):
-            if select.select([self.master], [], [], wait_s)[0]:
-                self.screen += os.read(self.master, 65536).decode(errors="replace")
 
 
 @pytest.fixture

@@ -3,14 +3,13 @@
 A test compares the file with this output, so that no key is missing or obsolete.
 """
 
-import json
-import textwrap
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from pydantic.fields import FieldInfo
 
+from rig.settings.commented_keys import EXAMPLE_NAME, commented_file
 from rig.settings.configuration import Configuration
 from rig.settings.wording import section_fields, section_of
 
@@ -21,7 +20,6 @@ HEAD = """\
 # else from another file. On the command line: --set session.runs=3
 # A key that is misspelt, out of range or of the wrong type is an error, never ignored.
 """
-EXAMPLE_NAME = "my_steel"
 # Keys that are set instead of commented out, so that the file works as a starting point.
 ACTIVE: dict[str, Any] = {
     "session.operator": "your name",
@@ -54,7 +52,7 @@ ACTIVE: dict[str, Any] = {
 
 def text() -> str:
     """The whole file."""
-    return HEAD + "\n".join(_section("", Configuration)) + "\n"
+    return HEAD + commented_file(ACTIVE)
 
 
 def keys(path: str = "", model: type = Configuration) -> Iterator[str]:
@@ -66,59 +64,6 @@ def keys(path: str = "", model: type = Configuration) -> Iterator[str]:
             yield place
         else:
             yield from keys(f"{place}.{EXAMPLE_NAME}." if _is_table_of(field) else f"{place}.", inner)
-
-
-def _section(path: str, model: type, listed: bool = False) -> Iterator[str]:
-    if path:
-        active = any(key.startswith(path) for key in ACTIVE)
-        yield ""
-        document = (model.__doc__ or "").strip().split("\n\n")[0]
-        yield from (f"# {line}" for line in textwrap.wrap(" ".join(document.split()), 100))
-        yield f"{'' if active else '# '}{f'[[{path[:-1]}]]' if listed else f'[{path[:-1]}]'}"
-    inner = [(name, field) for name, field in section_fields(model).items() if section_of(field) is not None]
-    for name, field in section_fields(model).items():
-        if section_of(field) is None:
-            yield _line(path, name, field)
-    for name, field in inner:
-        below = section_of(field)
-        assert below is not None
-        yield from _section(
-            f"{path}{name}.{EXAMPLE_NAME}." if _is_table_of(field) else f"{path}{name}.",
-            below,
-            str(field.annotation).startswith("tuple"),
-        )
-
-
-def _line(path: str, name: str, field: FieldInfo) -> str:
-    key = f"{path}{name}"
-    if key in ACTIVE:
-        value, lead = _toml(ACTIVE[key]), ""
-    else:
-        lead = "# "
-        default = field.get_default(call_default_factory=True)
-        value = f"<{_kind(field)}>" if field.is_required() or default is None else _toml(default)
-    note = f"  # {field.description}" if field.description else ""
-    return f"{lead}{name} = {value}{note}"
-
-
-def _toml(value: Any) -> str:
-    if isinstance(value, Path):
-        value = value.as_posix()
-    if isinstance(value, bool | str):
-        return json.dumps(value, ensure_ascii=False)
-    if isinstance(value, tuple | list):
-        return "[" + ", ".join(_toml(item) for item in value) + "]"
-    return repr(value)
-
-
-def _kind(field: FieldInfo) -> str:
-    return (
-        str(field.annotation)
-        .removeprefix("<class '")
-        .removesuffix("'>")
-        .split(".")[-1]
-        .replace(" | None", "")
-    )
 
 
 def _is_table_of(field: FieldInfo) -> bool:

@@ -1,0 +1,58 @@
+"""`rig init`: a first configuration."""
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def register(app: typer.Typer) -> None:
+    """Add `rig init`."""
+    app.command("init")(init)
+
+
+def init(
+    file: Annotated[Path, typer.Argument(help="Configuration to write (TOML file).")] = Path("my-rig.toml"),
+) -> None:
+    """Write a configuration for your rig.
+
+    Finds the camera and the serial ports and asks what must be known. Nothing is written before the last
+    answer. Lines of a file or a pipe are taken as answers, too.
+
+    \b
+    Example:
+      rig init my-rig.toml
+    """
+    from acquisition.cameras.drivers import find_cameras
+    from rig.control import list_serial_ports
+    from rig.presentation import say
+    from rig.wizards import (
+        FirstConfiguration,
+        ask_in_terminal,
+        refuse_existing,
+        stated_keys,
+        write_configuration,
+    )
+
+    refuse_existing(file)
+    cameras, notes = find_cameras()
+    for note in notes:
+        say(f"note: {note}")
+    ports = [(port.device, port.description) for port in list_serial_ports()]
+    found = ask_in_terminal(FirstConfiguration(cameras, ports))
+    config = write_configuration(file, stated_keys(found.values))
+    sys.stderr.flush()
+    print(file)
+    for line in next_steps(file, lever=config.lever is not None, simulated=config.simulated):
+        say(line)
+
+
+def next_steps(file: Path, *, lever: bool, simulated: bool) -> list[str]:
+    """What to do with a new configuration."""
+    steps = [f"rig doctor {file}: is everything there"]
+    if not simulated:
+        steps.append(f"rig camera expose {file}, then rig camera align {file}: the light on the sensor")
+        if not lever:
+            steps.append(f"rig calibrate lever --config {file}: px to radians, asked step by step")
+    return ["next:", *(f"  {step}" for step in [*steps, f"rig run {file} -o runs/first: measure"])]

@@ -1,0 +1,41 @@
+"""Wizards: questions asked one by one, in the terminal or on the operator's page, whose answers become files.
+
+A wizard is a list of questions as plain values (`Question`), each of which may depend on the answers before
+it. `Draft` keeps the answers as typed, `progress` reads them and says what is asked next, `answered` takes
+one more. `ask_in_terminal` does that at a keyboard.
+"""
+
+from rig.wizards.configuration_file import refuse_existing, stated_keys, write_configuration
+from rig.wizards.draft import (
+    Draft,
+    Progress,
+    answered,
+    as_far_as_it_holds,
+    drop_draft,
+    keep_draft,
+    kept_draft,
+    progress,
+)
+from rig.wizards.first_configuration import FirstConfiguration
+from rig.wizards.question import Choice, Question, Recording, Wizard
+from rig.wizards.terminal import ask_in_terminal
+
+__all__ = [
+    "Choice",
+    "Draft",
+    "FirstConfiguration",
+    "Progress",
+    "Question",
+    "Recording",
+    "Wizard",
+    "answered",
+    "as_far_as_it_holds",
+    "ask_in_terminal",
+    "drop_draft",
+    "keep_draft",
+    "kept_draft",
+    "progress",
+    "refuse_existing",
+    "stated_keys",
+    "write_configuration",
+]

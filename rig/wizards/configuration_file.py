@@ -1,0 +1,76 @@
+"""The configuration file that is written from answers."""
+
+import datetime
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from acquisition.cameras.drivers import DRIVERS
+from processing.errors import ConfigurationError, RecordError
+from rig.settings import Configuration, commented_file, load_configuration
+
+Keys = Mapping[str, Any]
+"""Values by dotted key of the configuration."""
+
+
+def stated_keys(values: Mapping[str, Keys]) -> dict[str, Any]:
+    """The keys of the configuration that the answers state."""
+    return {key: value for part in values.values() for key, value in part.items()}
+
+
+def configuration_text(stated: Keys, made_at: datetime.datetime) -> str:
+    """The file: what was stated, and every other key of such a rig, commented out."""
+    driver = stated["camera.driver"]
+    without = {f"camera.{name}" for name in DRIVERS if name != driver} | {"controller.faults"}
+    if driver != "simulated":
+        without |= {"simulation", "faults"}
+    head = [
+        f"# By rig init, {made_at:%Y-%m-%d %H:%M}. What was asked stands as it was answered; each other",
+        "# key of such a rig is commented out with the value it has. Uncomment and change what you need.",
+        "# A key that is misspelt, out of range or of the wrong type is an error, never ignored.",
+        "# Values in angle brackets have no default. On the command line: --set session.runs=3",
+    ]
+    remarks = {}
+    if "camera.exposure_us" in stated:
+        remarks["camera.exposure_us"] = "rig camera expose finds it"
+    if "balance.seconds" in stated:
+        remarks["balance.seconds"] = "length of one measurement, about three periods as stated to rig init"
+    if "pendulum.mass_kg" in stated:
+        remarks["balance.inertia_kg_m2"] = (
+            "about the contact, from the drawing; with the mass centre on the contact m g R T0^2/4 pi^2; "
+            "if left out, the height is not computed"
+        )
+    return "\n".join(head) + "\n" + commented_file(stated, without=without, remarks=remarks)
+
+
+def write_configuration(path: Path, stated: Keys) -> Configuration:
+    """Write the file, and read it back; nothing is left where that fails.
+
+    Raises ConfigurationError for a file that exists already, or answers that contradict each other, and
+    RecordError where it cannot be written.
+    """
+    refuse_existing(path)
+    text = configuration_text(stated, datetime.datetime.now().astimezone())
+    try:
+        path.touch(exist_ok=False)
+    except OSError as error:
+        raise RecordError(f"{path}: cannot be written: {error.strerror or error}") from None
+    try:
+        path.write_text(text, encoding="utf-8")
+        return load_configuration(path)
+    except OSError as error:
+        path.unlink()
+        raise RecordError(f"{path}: cannot be written: {error.strerror or error}") from None
+    except BaseException:
+        path.unlink()
+        raise
+
+
+def refuse_existing(path: Path) -> None:
+    """Raise ConfigurationError for a file that exists, is no TOML file, or whose folder is missing."""
+    if path.suffix != ".toml":
+        raise ConfigurationError(f"{path}: a configuration is a TOML file; name one that ends in .toml")
+    if path.exists():
+        raise ConfigurationError(f"{path}: exists already and is not written over; name another file")
+    if not path.parent.is_dir():
+        raise ConfigurationError(f"{path}: there is no folder {path.parent}")

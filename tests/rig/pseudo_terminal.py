@@ -1,0 +1,77 @@
+"""A program at a pseudo-terminal, as a person sits at it; POSIX only."""
+
+import contextlib
+import os
+import pty
+import re
+import select
+import subprocess
+import sys
+import termios
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+LIMIT_S = 180.0
+
+
+class Terminal:
+    """`rig` at a pseudo-terminal: what it writes there, and keys for it.
+
+    Its standard output is kept apart, unless it is to be `on_screen`.
+    """
+
+    def __init__(self, *words: str | Path, cwd: Path | None = None, on_screen: bool = False) -> None:
+        self.master, slave = pty.openpty()
+        self.before = termios.tcgetattr(slave)
+        self._slave = slave
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "rig", *map(str, words)],
+            stdin=slave,
+            stdout=slave if on_screen else subprocess.PIPE,
+            stderr=slave,
+            text=True,
+            cwd=cwd,
+            start_new_session=True,
+        )
+        self.screen = ""
+
+    def press(self, keys: str) -> None:
+        """Press keys; what was on the screen before is forgotten."""
+        self.screen = ""
+        os.write(self.master, keys.encode())
+
+    def wait_for(
+        self, pattern: str, accept: Callable[[re.Match[str]], bool] = lambda _: True
+    ) -> re.Match[str]:
+        """Wait until the screen shows something that is accepted; the last place where it stands."""
+        deadline_s = time.monotonic() + LIMIT_S
+        while True:
+            found = [match for match in re.finditer(pattern, self.screen) if accept(match)]
+            if found:
+                return found[-1]
+            assert time.monotonic() < deadline_s, f"no {pattern!r} in {self.screen[-500:]!r}"
+            assert self.process.poll() is None, f"ended before {pattern!r}: {self.screen[-500:]!r}"
+            self._read(0.2)
+
+    def end(self) -> str:
+        """Wait for the program's end; what it wrote on its standard output."""
+        output, _ = self.process.communicate(timeout=LIMIT_S)
+        self._read(0.0)
+        return output or ""
+
+    @property
+    def settings(self) -> list[object]:
+        return termios.tcgetattr(self._slave)
+
+    def close(self) -> None:
+        if self.process.poll() is None:
+            self.process.kill()
+            self.process.communicate()
+        os.close(self.master)
+        os.close(self._slave)
+
+    def _read(self, wait_s: float) -> None:
+        with contextlib.suppress(OSError):
+            if select.select([self.master], [], [], wait_s)[0]:
+                self.screen += os.read(self.master, 65536).decode(errors="replace")
