@@ -9,8 +9,9 @@ from pathlib import Path
 from processing.angle import ARCSEC_RAD
 from processing.deflections import DeflectionUnit
 from processing.errors import ConfigurationError, RecordError
+from rig.channel import SessionTelling
 from rig.devices import Devices, FrameStream, OpenCamera
-from rig.instrument import camera_settings, frame_policy, optics_of, prepare_kernels
+from rig.instrument import Snapshot, camera_settings, frame_policy, optics_of, prepare_kernels
 from rig.measure.end_of_run import EndLimits
 from rig.measure.live_fit import live_posterior
 from rig.measure.phases import PhasesBeforeRecord, preflight_wanted
@@ -20,7 +21,7 @@ from rig.measure.run_parts import RunOutcome, RunParts, Watcher
 from rig.measure.screen import RunDisplay
 from rig.measure.start_judge import start_limits
 from rig.posterior import LivePosterior
-from rig.presentation import say
+from rig.presentation import Verdict, say
 from rig.settings import Configuration
 from rig.view import open_view
 
@@ -32,7 +33,7 @@ class RunPlan:
     """A run to be made.
 
     `start_rejected` is called with the new path of the record of each rejected start, and the reason;
-    `watchers` see the run beside its display and view. `fitted`: parameters are fitted while it is measured.
+    `watchers` see the run beside its display and view, `telling` tells those who watch from outside. `fitted`: parameters are fitted while it is measured.
     """
 
     config: Configuration
@@ -44,6 +45,7 @@ class RunPlan:
     fitted: bool = True
     start_rejected: Callable[[Path, str], None] = lambda _path, _reason: None
     watchers: Sequence[Watcher] = ()
+    telling: SessionTelling | None = None
 
 
 def measure_run(plan: RunPlan, devices: Devices) -> RunOutcome:
@@ -93,6 +95,24 @@ def _execute(
         json_lines=plan.json_lines,
         simulated=config.simulated,
     )
+    telling = plan.telling
+    if telling is not None:
+        telling.begin_run(plan.title, camera.info.full_scale_dn, camera.applied)
+        watchers = [*watchers, telling]
+
+    def show_table(verdicts: Sequence[Verdict]) -> None:
+        display.show_preflight(verdicts)
+        if telling is not None:
+            telling.preflight(verdicts)
+
+    def show(snapshot: Snapshot) -> None:
+        try:
+            display.show(snapshot)
+        finally:
+            # also without a terminal
+            if telling is not None:
+                telling.state(display.values(snapshot), display.rows(snapshot))
+
     with_start = config.start.way != "at once"
     phases: PhasesBeforeRecord | None = None
     if with_start or preflight_wanted(config):
@@ -103,7 +123,7 @@ def _execute(
             optics,
             record.parent,
             force=plan.force,
-            show_table=display.show_preflight,
+            show_table=show_table,
         )
     parts = RunParts(
         stream=FrameStream(
@@ -139,7 +159,7 @@ def _execute(
     if lit := devices.light():
         say(lit)
     with display:
-        return Run(parts).execute(display.show)
+        return Run(parts).execute(show)
 
 
 def _say_if_heard(text: str) -> None:

@@ -140,12 +140,7 @@ class RunDisplay:
         elif changed or now_s - self._printed_s >= (_JSON_INTERVAL_S if self._json else _PLAIN_INTERVAL_S):
             self._printed_s = now_s
             if self._json:
-                losses = snapshot.losses._asdict()
-                estimates = estimates_tree(snapshot.estimates)
-                self.line(
-                    "state",
-                    {**asdict(snapshot), "losses": losses, "estimates": estimates, **self._numbers()},
-                )
+                self.line("state", self.values(snapshot))
             else:
                 say(f"{self._title}: {100 * self._fraction(snapshot):.0f} %  {self._plain(snapshot)}")
             for shout in (snapshot.alarm, snapshot.instruction):
@@ -159,12 +154,19 @@ class RunDisplay:
             f"SIMULATED {self._title}" if self._simulated else self._title,
             snapshot,
             self._fraction(snapshot),
-            self._rows(snapshot),
+            self.rows(snapshot),
             list(self._notes),
             self._console.size,
         )
 
-    def _rows(self, snapshot: Snapshot) -> list[tuple[str, str]]:
+    def values(self, snapshot: Snapshot) -> dict[str, Any]:
+        """The state of the run for programs; the amplitude is in `amplitude_unit`."""
+        losses = snapshot.losses._asdict()
+        estimates = estimates_tree(snapshot.estimates)
+        return {**asdict(snapshot), "losses": losses, "estimates": estimates, **self._numbers()}
+
+    def rows(self, snapshot: Snapshot) -> list[tuple[str, str]]:
+        """Names and texts of the state, for people."""
         unit, balance = self._unit.shown, self._balance
         who = f" ({snapshot.losses})" if snapshot.losses.total else ""
         losses = f"{snapshot.dropped_frames} frames dropped{who}, {snapshot.lost_spots} spots lost"

@@ -16,6 +16,7 @@ from rig.analysis import (
     session_results,
     write_results,
 )
+from rig.channel import Channel, SessionTelling
 from rig.devices import Devices
 from rig.instrument import check_materials, complete
 from rig.measure.live_fit import check_stop_when
@@ -24,6 +25,7 @@ from rig.measure.phases import NoGo
 from rig.measure.recording import NOT_ACCEPTED
 from rig.measure.run_setup import RunPlan, measure_run
 from rig.measure.session_file import RunState, SessionFile
+from rig.measure.session_orders import acknowledge_interlock, devices_now, orders
 from rig.presentation import failures, print_json_line, say
 from rig.settings import Configuration
 from rig.terminal import Terminated, reason_of
@@ -103,7 +105,31 @@ def make_runs(
     force: bool,
     json_lines: bool,
 ) -> Made:
-    """Make the missing runs. Raises `Terminated` after everything is closed and session.json is written."""
+    """Make the missing runs. Raises `Terminated` after everything is closed and session.json is written.
+
+    Meanwhile the session can be watched, and takes orders, through its channel.
+    """
+    telling = SessionTelling(config)
+    with Channel(file.folder, telling, orders(devices), lambda: devices_now(devices)) as channel:
+        if channel.problem:
+            say(channel.problem)
+        return _make_runs(
+            config, source, file, devices, notices, patience, telling, force=force, json_lines=json_lines
+        )
+
+
+def _make_runs(
+    config: Configuration,
+    source: Path,
+    file: SessionFile,
+    devices: Devices,
+    notices: Notices,
+    patience: Patience,
+    telling: SessionTelling,
+    *,
+    force: bool,
+    json_lines: bool,
+) -> Made:
     folder = file.folder
     records = [folder / entry.record for entry in file.state.complete]
     failed = stopped = False
@@ -125,9 +151,10 @@ def make_runs(
             json_lines,
             start_rejected=start_rejected,
             watchers=[notices],
+            telling=telling,
         )
         try:
-            acknowledge_interlock(devices)
+            acknowledge_interlock(devices, telling)
             outcome = measure_run(plan, devices)
         except (RigError, OSError) as error:
             file.note(number, record.name, "failed", str(error))
@@ -163,19 +190,6 @@ def make_runs(
             say(f"{reason}; rig run --resume {folder} goes on, rig fit fits what there is")
             raise interrupt
     return Made(records, failed, stopped)
-
-
-def acknowledge_interlock(devices: Devices) -> None:
-    """After an interlock has opened, ask whether light is allowed again; raises DeviceError without a yes."""
-    opened = devices.permit.unacknowledged
-    if not opened:
-        return
-    if sys.stdin.isatty() and sys.stderr.isatty():
-        answer = input(f"{opened}. Look that nobody is in the beam's way. Light the laser again? [y/N] ")
-        if answer.strip().lower() in {"y", "yes"}:
-            devices.acknowledge()
-            return
-    raise DeviceError(f"{opened} and nobody has allowed light again; rig run --resume makes the missing runs")
 
 
 def report(config: Configuration, folder: Path, made: Made, *, json_lines: bool) -> int:

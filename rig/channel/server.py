@@ -1,0 +1,160 @@
+"""Answers on a loopback port what is asked of a running session, and takes orders."""
+
+import contextlib
+import hmac
+import http.server
+import json
+import os
+import secrets
+import threading
+import urllib.parse
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any, ClassVar, Self, cast
+
+from rig.channel.telling import SessionTelling
+from rig.presentation import plain_values
+
+CHANNEL_NAME = ".channel.json"
+LOOPBACK = "127.0.0.1"
+_MOST_ASKED_BYTES = 64 * 1024
+Orders = Mapping[str, Callable[[], str]]
+"""What may be ordered, by name; an order returns what was done, or raises RigError."""
+
+
+class Channel:
+    """A context manager: while it is open, the file in the session's folder names port and key.
+
+    `extra` is asked with each answer, for what only the devices know. A channel that cannot be opened is no
+    reason not to measure: nobody then watches, which `problem` says.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        telling: SessionTelling,
+        orders: Orders,
+        extra: Callable[[], Mapping[str, Any]] = dict,
+    ) -> None:
+        self._path = folder / CHANNEL_NAME
+        self._telling, self._orders, self._extra = telling, orders, extra
+        self._server: http.server.ThreadingHTTPServer | None = None
+        self.problem = ""
+
+    def __enter__(self) -> Self:
+        key = secrets.token_urlsafe(24)
+        kind = type(
+            "_Session",
+            (_Handler,),
+            {"key": key, "telling": self._telling, "orders": self._orders, "extra": (self._extra,)},
+        )
+        try:
+            self._server = _Server((LOOPBACK, 0), cast(type[_Handler], kind))
+            port = self._server.server_address[1]
+            _write(self._path, {"port": port, "key": key, "pid": os.getpid()})
+        except OSError as error:
+            self.problem = f"nobody can watch this session: {error}"
+            if self._server is not None:
+                self._server.server_close()
+                self._server = None
+            return self
+        threading.Thread(target=self._server.serve_forever, args=(0.2,), name="channel", daemon=True).start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._server is None:
+            return
+        with contextlib.suppress(OSError):
+            self._path.unlink()
+        self._server.shutdown()
+        self._server.server_close()
+
+
+class _Server(http.server.ThreadingHTTPServer):
+    daemon_threads = True
+    # a reader that hangs keeps no session from ending
+    block_on_close = False
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """A reader that has gone is no event of the session."""
+
+
+class _Handler(http.server.BaseHTTPRequestHandler):
+    protocol_version = "HTTP/1.1"
+    timeout = 30.0
+    key: ClassVar[str]
+    telling: ClassVar[SessionTelling]
+    orders: ClassVar[Orders]
+    extra: ClassVar[tuple[Callable[[], Mapping[str, Any]]]]
+
+    def do_GET(self) -> None:
+        address = urllib.parse.urlsplit(self.path)
+        if not self._may_ask():
+            return
+        number = urllib.parse.parse_qs(address.query).get("after", ["0"])[0]
+        after = int(number) if number.isdecimal() else 0
+        if address.path == "/news":
+            news = {**self.telling.news(after), **self.extra[0]()}
+            self._answer(json.dumps(plain_values(news)).encode(), "application/json")
+        elif address.path == "/picture":
+            frame = self.telling.picture(after)
+            if frame is None:
+                self._answer(b"", "text/plain", http.HTTPStatus.NO_CONTENT)
+                return
+            image = frame.image
+            about = {
+                "number": frame.number,
+                "shape": image.shape,
+                "dtype": str(image.dtype),
+                "spot": list(frame.spot),
+            }
+            self._answer(image.tobytes(), "application/octet-stream", about=json.dumps(plain_values(about)))
+        else:
+            self.send_error(http.HTTPStatus.NOT_FOUND)
+
+    def do_POST(self) -> None:
+        length = int(self.headers.get("Content-Length") or 0)
+        if not self._may_ask() or length > _MOST_ASKED_BYTES:
+            self.close_connection = True
+            return
+        name = self.rfile.read(length).decode(errors="replace")
+        order = self.orders.get(name)
+        try:
+            done = f"{name!r}: this session knows no such order" if order is None else order()
+            answer = {"ok": order is not None, "text": done}
+        except Exception as error:
+            # whatever it is, it is told to who ordered, and ends no session
+            answer = {"ok": False, "text": str(error) or type(error).__name__}
+        self._answer(json.dumps(answer).encode(), "application/json")
+
+    def log_message(self, format: str, *args: Any) -> None:
+        """Requests are not logged."""
+
+    def _may_ask(self) -> bool:
+        if hmac.compare_digest(self.headers.get("Authorization", "").encode(), self.key.encode()):
+            return True
+        self.close_connection = True
+        self.send_error(http.HTTPStatus.FORBIDDEN)
+        return False
+
+    def _answer(
+        self, data: bytes, kind: str, status: http.HTTPStatus = http.HTTPStatus.OK, about: str = ""
+    ) -> None:
+        self.send_response(status)
+        self.send_header("Content-Type", kind)
+        self.send_header("Content-Length", str(len(data)))
+        if about:
+            self.send_header("About", about)
+        self.end_headers()
+        self.wfile.write(data)
+
+
+def _write(path: Path, values: Mapping[str, object]) -> None:
+    """Replace the file as a whole, readable by this user only."""
+    new = path.with_name(f"{path.name}.{os.getpid()}")
+    with os.fdopen(os.open(new, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="ascii") as file:
+        json.dump(values, file)
+    new.replace(path)

@@ -1,0 +1,198 @@
+"""What a session knows of itself at this moment, kept for whoever asks; a watcher of its runs."""
+
+import math
+import threading
+import time
+from collections import deque
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.camera import CameraSettings
+from acquisition.frame import Frame, Image
+from acquisition.record.events import Event
+from processing.balance import Balance
+from processing.deflections import Deflections, DeflectionUnit
+from processing.spot import Spot
+from rig.instrument import Block, Snapshot, advice_text
+from rig.presentation import Verdict, balance_numbers, table_tree
+from rig.settings import Configuration
+
+_PATH_S = 20.0
+_PATH_POINTS = 400
+_SWINGS = 20_000
+_SWING_POINTS = 400
+_EVENTS = 500
+_PICTURE_INTERVAL_S = 0.1
+_WATCHED_S = 5.0
+
+
+class LastFrame(NamedTuple):
+    """A frame, the spot in it, and its number among those that were kept."""
+
+    image: Image
+    spot: Spot
+    number: int
+
+
+class SessionTelling:
+    """The state of a session; written by its threads, read by those that answer.
+
+    As a watcher of a run it only keeps references, in the processing thread. A frame is kept when somebody has
+    asked for one, at most ten times a second.
+    """
+
+    def __init__(self, config: Configuration) -> None:
+        self._config = config
+        self._unit: DeflectionUnit = config.deflection_unit
+        self._lock = threading.Lock()
+        self._events: deque[dict[str, Any]] = deque(maxlen=_EVENTS)
+        self._event_number = 0
+        self._asked_s = -math.inf
+        self._picture_wanted = False
+        self._picture_number = 0
+        self._picture_s = 0.0
+        self._frame: LastFrame | None = None
+        self.run = ""
+        self._begin()
+
+    def _begin(self) -> None:
+        self._path: deque[Deflections] = deque()
+        self._swings: deque[tuple[float, float]] = deque(maxlen=_SWINGS)
+        self._balance: Balance | None = None
+        self._advice = ""
+        self._state: Mapping[str, Any] = {}
+        self._rows: Sequence[tuple[str, str]] = ()
+        self._preflight: Sequence[Mapping[str, Any]] = ()
+        self._camera: dict[str, Any] = {}
+
+    def begin_run(self, title: str, full_scale_dn: int, applied: CameraSettings | None) -> None:
+        """A run begins, with a camera that has read back these settings."""
+        lever = self._config.lever
+        with self._lock:
+            self._begin()
+            self.run = title
+            self._camera = {
+                "full_scale_dn": full_scale_dn,
+                "applied": {} if applied is None else applied.model_dump(exclude_none=True),
+                "reference_px": None
+                if lever is None or lever.reference_x_px is None or lever.reference_y_px is None
+                else (lever.reference_x_px, lever.reference_y_px),
+            }
+
+    def state(self, values: Mapping[str, Any], rows: Sequence[tuple[str, str]]) -> None:
+        """The state of the run as its display has it: values for programs, and rows of text."""
+        self._state, self._rows = values, rows
+
+    def preflight(self, verdicts: Sequence[Verdict]) -> None:
+        """The preflight table."""
+        self._preflight = table_tree(verdicts)
+
+    # -- as a watcher, in the run's thread -----------------------------------
+
+    def block(self, start_ns: int, frames: Sequence[Frame], block: Block) -> None:
+        """Keep references to deflections and half-cycles, and the newest frame if it is wanted."""
+        size = self._unit.shown_size
+        with self._lock:
+            if len(block.deflections):
+                path = self._path
+                path.append(block.deflections)
+                newest_ns = block.deflections.times_ns[-1]
+                while newest_ns - path[0].times_ns[-1] > _PATH_S * 1e9:
+                    path.popleft()
+            for swing in block.swings:
+                if not swing.flags:
+                    self._swings.append(((swing.turn_time_ns - start_ns) * 1e-9, swing.amplitude / size))
+            if block.balances:
+                self._balance = block.balances[-1]
+        now_s = time.monotonic()
+        if self._picture_wanted and frames and block.spots and now_s - self._picture_s >= _PICTURE_INTERVAL_S:
+            self._picture_wanted, self._picture_s = False, now_s
+            self._picture_number += 1
+            image = frames[-1].image
+            # a camera's frames are read-only and never written to again; anything else is copied
+            held = image.copy() if image.flags.writeable else image
+            self._frame = LastFrame(held, block.spots[-1], self._picture_number)
+
+    def event(self, start_ns: int, event: Event) -> None:
+        """Keep an event."""
+        self.note(event.kind, event.text, event.level, (event.time_ns - start_ns) * 1e-9)
+
+    def snapshot(self, snapshot: Snapshot) -> None:
+        """Does nothing: the display's values hold the snapshot."""
+
+    # -- for those that answer -----------------------------------------------
+
+    def note(self, kind: str, text: str, level: str = "info", elapsed_s: float = math.nan) -> None:
+        """Add a line to the events; those with a time are a run's."""
+        with self._lock:
+            self._event_number += 1
+            self._events.append(
+                {
+                    "number": self._event_number,
+                    "run": self.run,
+                    "elapsed_s": elapsed_s,
+                    "kind": str(kind),
+                    "level": level,
+                    "text": text,
+                    "at": time.strftime("%H:%M:%S"),
+                }
+            )
+
+    def news(self, since: int = 0) -> dict[str, Any]:
+        """Everything as plain values; of the events those with a number above `since`.
+
+        Positions and amplitudes are as shown: arcsec, or px without a lever.
+        """
+        self._asked_s = time.monotonic()
+        with self._lock:
+            path, swings, balance = list(self._path), list(self._swings), self._balance
+            events = [event for event in self._events if event["number"] > since]
+        return {
+            "run": self.run,
+            "simulated": self._config.simulated,
+            "sample": self._config.session.sample,
+            "operator": self._config.session.operator,
+            "unit": self._unit.shown,
+            "initial_amplitude": self._config.session.initial_amplitude_arcsec,
+            "final_amplitude": self._config.session.final_amplitude_arcsec,
+            "start_way": self._config.start.way,
+            "camera": self._camera,
+            "state": self._state,
+            "rows": self._rows,
+            "preflight": self._preflight,
+            "events": events,
+            "path": _thinned_path(path),
+            "swings": swings[:: max(1, math.ceil(len(swings) / _SWING_POINTS))],
+            "balance": None if balance is None else self._told(balance),
+        }
+
+    def _told(self, balance: Balance) -> dict[str, Any]:
+        return {"numbers": balance_numbers(balance), "advice": advice_text(self._config, balance)}
+
+    @property
+    def watched(self) -> bool:
+        """Whether somebody has asked within the last seconds."""
+        return time.monotonic() - self._asked_s < _WATCHED_S
+
+    def picture(self, after: int = 0) -> LastFrame | None:
+        """A frame with a number above `after`, and ask for the next; None if there is none yet."""
+        self._picture_wanted = True
+        frame = self._frame
+        return None if frame is None or frame.number <= after else frame
+
+
+def _thinned_path(path: Sequence[Deflections]) -> dict[str, list[float | None]]:
+    """The last seconds of the trajectory, in some hundred points."""
+    if not path:
+        return {"x": [], "y": []}
+    step = max(1, math.ceil(sum(map(len, path)) / _PATH_POINTS))
+    x = np.concatenate([one.shown_x for one in path])[::step]
+    y = np.concatenate([one.shown_y for one in path])[::step]
+    return {"x": _or_none(x), "y": _or_none(y)}
+
+
+def _or_none(values: NDArray[np.float64]) -> list[float | None]:
+    return [round(value, 4) if math.isfinite(value) else None for value in values.tolist()]

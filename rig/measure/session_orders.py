@@ -1,0 +1,72 @@
+"""What a person may order while a session runs, at its terminal or through its channel."""
+
+import _thread
+import sys
+import time
+from typing import Any
+
+from processing.errors import DeviceError
+from rig.channel import Orders, SessionTelling
+from rig.devices import Devices, wait_for_command
+
+_LOOK_S = 0.1
+
+
+def orders(devices: Devices) -> Orders:
+    """The orders by name; `stop` is Ctrl-C."""
+
+    def stop() -> str:
+        _thread.interrupt_main()
+        return "stopping: the record is being closed"
+
+    def acknowledge() -> str:
+        opened = devices.permit.unacknowledged
+        if not opened:
+            return "no interlock waits for an acknowledgement"
+        devices.acknowledge()
+        return f"{opened}: acknowledged"
+
+    def brake(on: bool) -> str:
+        wait_for_command(devices.required_control("the brake").brake(on))
+        devices.audit("brake switched", on=on)
+        return f"brake {'on' if on else 'off'}"
+
+    return {
+        "stop": stop,
+        "acknowledge": acknowledge,
+        "brake on": lambda: brake(True),
+        "brake off": lambda: brake(False),
+    }
+
+
+def devices_now(devices: Devices) -> dict[str, Any]:
+    """State of laser, controller and interlock as plain values; never blocks."""
+    laser = devices.laser_now()
+    return {
+        "laser": None if laser is None else laser._asdict(),
+        "darkness": devices.darkness(),
+        "controller": None if devices.control is None else devices.describe(),
+        "unacknowledged": devices.permit.unacknowledged,
+    }
+
+
+def acknowledge_interlock(devices: Devices, telling: SessionTelling) -> None:
+    """After an interlock has opened, ask whether light is allowed again: at the terminal, else who watches.
+
+    Raises DeviceError without a yes.
+    """
+    opened = devices.permit.unacknowledged
+    if not opened:
+        return
+    if sys.stdin.isatty() and sys.stderr.isatty():
+        answer = input(f"{opened}. Look that nobody is in the beam's way. Light the laser again? [y/N] ")
+        if answer.strip().lower() in {"y", "yes"}:
+            devices.acknowledge()
+    elif telling.watched:
+        telling.note("interlock", f"{opened}: the next run waits for an acknowledgement", "error")
+        while telling.watched and devices.permit.unacknowledged:
+            time.sleep(_LOOK_S)
+    if devices.permit.unacknowledged:
+        raise DeviceError(
+            f"{opened} and nobody has allowed light again; rig run --resume makes the missing runs"
+        )
