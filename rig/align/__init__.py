@@ -1,5 +1,7 @@
 """The command `rig camera align`: the live picture and its figures, with exposure and gain at hand."""
 
 from rig.align.aligning import align_camera
+from rig.align.annotated_picture import annotated_picture
+from rig.align.look import Look, middle_of, take_look
 
-__all__ = ["align_camera"]
+__all__ = ["Look", "align_camera", "annotated_picture", "middle_of", "take_look"]

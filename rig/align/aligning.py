@@ -13,11 +13,9 @@ from processing.errors import ConfigurationError, DeviceError
 from processing.spot import SpotTracker
 from rig.align.aligning_screen import HELP, AligningScreen
 from rig.align.annotated_picture import annotated_picture
-from rig.align.look import Look
-from rig.devices import picture, watch_latest
-from rig.instrument import beam_quality
+from rig.align.look import Look, take_look
+from rig.devices import watch_latest
 from rig.presentation import Keys
-from rig.settings import PreflightSettings
 from rig.view import Viewer
 
 _EXPOSURE_STEP = 1.25
@@ -69,7 +67,7 @@ def align_camera(
     """
     begun_s = time.monotonic()
     end_s = begun_s + seconds if seconds else float("inf")
-    zoom, note, limits = 0, "", PreflightSettings()
+    zoom, note = 0, ""
     saved: list[Path] = []
     terminal = Keys() if keys is None else keys
     console = Console() if console is None else console
@@ -78,15 +76,9 @@ def align_camera(
         while going:
             going, wish = False, None
             for *_, frame in watch_latest(camera, FrameQueue(1, "latest"), 1, end_s):
-                rows, columns = frame.image.shape
-                middle_px = reference_px or (0.5 * (columns - 1), 0.5 * (rows - 1))
-                figures = picture.figures(frame.image, info.full_scale_dn)
-                spot = tracker.track(frame.image)
-                full_scale_dn = info.full_scale_dn
-                beam = beam_quality([frame.image], [spot], tracker.model, full_scale_dn, limits)
-                look = Look(frame.image, full_scale_dn, figures, spot, middle_px, applied, beam)
+                look = take_look(frame.image, info.full_scale_dn, tracker, reference_px, applied)
                 if viewer is not None:
-                    viewer.image(time.monotonic() - begun_s, frame.image, (spot.x_px, spot.y_px))
+                    viewer.image(time.monotonic() - begun_s, frame.image, (look.spot.x_px, look.spot.y_px))
                 for key in terminal.pressed(0.0):
                     if key in ("q", "escape"):
                         return saved

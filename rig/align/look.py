@@ -4,9 +4,11 @@ from typing import NamedTuple
 
 from acquisition.camera import CameraSettings
 from acquisition.frame import Image
-from processing.spot import Spot, SpotFlag
-from rig.devices import PictureFigures
+from processing.spot import Spot, SpotFlag, SpotTracker
+from rig.devices import PictureFigures, picture
+from rig.instrument import beam_quality
 from rig.presentation import Verdict
+from rig.settings import PreflightSettings
 
 
 class Look(NamedTuple):
@@ -68,3 +70,23 @@ class Look(NamedTuple):
         shape += f"  chi2/dof {spot.chi2_per_dof:.2f}"
         doubts = [flag.name.lower().replace("_", " ") for flag in SpotFlag if spot.flags & flag and flag.name]
         return [light, place, shape + (f"  {', '.join(doubts)}" if doubts else "  a clean spot"), region]
+
+
+def middle_of(image: Image, reference_px: tuple[float, float] | None) -> tuple[float, float]:
+    """Where the spot should rest, (x, y): the reference, else the middle of the frame."""
+    rows, columns = image.shape
+    return reference_px or (0.5 * (columns - 1), 0.5 * (rows - 1))
+
+
+def take_look(
+    image: Image,
+    full_scale_dn: int,
+    tracker: SpotTracker,
+    reference_px: tuple[float, float] | None,
+    applied: CameraSettings,
+) -> Look:
+    """Find the spot in a frame, and judge frame and beam."""
+    spot = tracker.track(image)
+    beam = beam_quality([image], [spot], tracker.model, full_scale_dn, PreflightSettings())
+    seen = picture.figures(image, full_scale_dn)
+    return Look(image, full_scale_dn, seen, spot, middle_of(image, reference_px), applied, beam)

@@ -1,7 +1,7 @@
 """What a running session tells on this machine, and the orders it takes: how a desk watches and acts.
 
-A session answers on a loopback port of its own, which the file `.channel.json` in its folder names with the key
-that opens it. It only ever answers: nothing waits for a reader, and without one nothing is prepared.
+A session answers on a loopback port of its own, which the file `.channel.json` in its folder names with the
+key that opens it. It only ever answers: nothing waits for a reader, and without one nothing is prepared.
 """
 
 from rig.channel.line import Line, NoSession, Picture, running_sessions

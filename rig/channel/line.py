@@ -69,8 +69,8 @@ class Line:
             return None
         told = json.loads(about)
         image = np.frombuffer(data, _KINDS[told["dtype"]]).reshape(told["shape"])
-        *floats, flags = (np.nan if one is None else one for one in told["spot"])
-        return Picture(image, Spot(*floats, int(flags)), int(told["number"]))
+        spot = Spot._make(np.nan if one is None else one for one in told["spot"])
+        return Picture(image, spot, int(told["number"]))
 
     def order(self, name: str) -> str:
         """Carry out an order; returns what was done. Raises RigError with the reason if it was not."""

@@ -40,8 +40,8 @@ class LastFrame(NamedTuple):
 class SessionTelling:
     """The state of a session; written by its threads, read by those that answer.
 
-    As a watcher of a run it only keeps references, in the processing thread. A frame is kept when somebody has
-    asked for one, at most ten times a second.
+    As a watcher of a run it only keeps references, in the processing thread. A frame is kept when somebody
+    has asked for one, at most ten times a second.
     """
 
     def __init__(self, config: Configuration) -> None:

@@ -1,16 +1,19 @@
-"""`rig balance` and `rig doctor`: preparing a measurement."""
+"""`rig desk`, `rig balance`, `rig preflight`, `rig doctor`: preparing a measurement, the page for all."""
 
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from processing.errors import ConfigurationError
 from rig.commands.arguments import MODES, Config, JsonLines, Set, View
 
 
 def register(app: typer.Typer) -> None:
     """Add the commands of this module."""
+    app.command("desk")(desk)
     app.command("balance")(balance)
+    app.command("preflight")(preflight)
     app.command("doctor")(doctor)
 
 
@@ -51,6 +54,48 @@ def balance(
     if history or forget_last:
         raise typer.Exit(show_history(loaded, history_file, forget=forget_last))
     raise typer.Exit(balance_rig(loaded, history_file, follow, seed, rrd))
+
+
+def desk(
+    config: Config,
+    port: Annotated[int, typer.Option(help="Port of 127.0.0.1; 0: 8642, or any that is free.", min=0)] = 0,
+    browser: Annotated[bool, typer.Option(help="Open the page in the browser.")] = True,
+    set_: Set = None,
+) -> None:
+    """Open the operator's desk: a page in the browser to run the rig from.
+
+    \b
+    Example:
+      rig desk mine.toml
+    """
+    try:
+        from rig.desk import open_desk
+    except ModuleNotFoundError as error:
+        if (error.name or "").partition(".")[0] not in ("nicegui", "fastapi", "starlette", "uvicorn"):
+            raise
+        raise ConfigurationError(
+            f"rig desk needs {error.name}: pip install 'optical-pendulum-rig[desk]'"
+        ) from None
+    raise typer.Exit(open_desk(config, tuple(set_ or ()), port=port, browser=browser))
+
+
+def preflight(
+    config: Config,
+    json_lines: JsonLines = False,
+    set_: Set = None,
+) -> None:
+    """Make the checks that precede a run, without a run.
+
+    Lights the laser; moves nothing and records nothing.
+
+    \b
+    Example:
+      rig preflight mine.toml
+    """
+    from rig.measure import preflight_rig
+    from rig.settings import load_configuration
+
+    raise typer.Exit(preflight_rig(load_configuration(config, set_ or []), json_lines=json_lines))
 
 
 def doctor(

@@ -2,7 +2,7 @@
 
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Generator
 
 from acquisition.camera import Camera
 from acquisition.frame import Frame
@@ -12,9 +12,14 @@ _LOOK_S = 0.2
 
 
 def watch_latest(
-    camera: Camera, queue: FrameQueue, at_least: int, end_s: float, timeout_s: float = 5.0
-) -> Iterator[list[Frame]]:
-    """Yield blocks of `at_least` frames, at most five per second; the queue drops older frames.
+    camera: Camera,
+    queue: FrameQueue,
+    at_least: int,
+    end_s: float,
+    timeout_s: float = 5.0,
+    interval_s: float = _LOOK_S,
+) -> Generator[list[Frame]]:
+    """Yield blocks of `at_least` frames, at most one per `interval_s`; the queue drops older frames.
 
     The camera must be configured and stopped. It runs until the monotonic time `end_s`, until its
     source ends, or until the caller stops iterating, and is then stopped. Errors of the camera are
@@ -43,7 +48,7 @@ def watch_latest(
                 frames += queue.take(at_least - len(frames), 0.1)
             if frames:
                 yield frames
-            time.sleep(_LOOK_S)
+            time.sleep(interval_s)
         if errors:
             raise errors[0]
     finally:

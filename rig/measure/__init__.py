@@ -1,7 +1,15 @@
 """A measurement session: preflight checks, runs, recording, end of a run, display on the terminal."""
 
 from rig.measure.night import measure_plan
+from rig.measure.preflight_alone import preflight_rig
 from rig.measure.resumption import resume_session
-from rig.measure.session import measure_session, simulate_record
+from rig.measure.session import measure_session, session_folder, simulate_record
 
-__all__ = ["measure_plan", "measure_session", "resume_session", "simulate_record"]
+__all__ = [
+    "measure_plan",
+    "measure_session",
+    "preflight_rig",
+    "resume_session",
+    "session_folder",
+    "simulate_record",
+]

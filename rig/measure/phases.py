@@ -3,6 +3,7 @@
 import math
 import shutil
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -97,6 +98,21 @@ class PhasesBeforeRecord:
             self._brake(False)
         kept_from_ns = frames.now_ns - round(1e9 * config.start.pretrigger_s)
         return [frame for frame in frames.frames if frame.time_ns >= kept_from_ns], self._wait.events
+
+    def check_alone(
+        self, stream: FrameStream, report: Callable[[Snapshot], None], stop: StopRequest
+    ) -> list[Verdict]:
+        """The preflight table of a pendulum as it is, without a run; empty if it was stopped."""
+        seconds = _preflight_s(self._config)
+        frames = RecentFrames(stream, self._optics, seconds, seconds)
+        self._wait = PhaseWait(frames, report, stop)
+        with suppress(NoGo, Stopped):
+            if self._config.start.way == "at once":
+                self._wait.until_reached("preflight", math.inf, lambda: frames.seen >= _AT_ONCE_FRAMES)
+                self._check(resting=False)
+            else:
+                self._look()
+        return self.verdicts
 
     def correct_starter(self, first_amplitude: float) -> None:
         """Scale the next starter pulse by the amplitude that the last one gave; not if that is in px."""

@@ -33,7 +33,8 @@ class RunPlan:
     """A run to be made.
 
     `start_rejected` is called with the new path of the record of each rejected start, and the reason;
-    `watchers` see the run beside its display and view, `telling` tells those who watch from outside. `fitted`: parameters are fitted while it is measured.
+    `watchers` see the run beside its display and view, `telling` tells those
+    who watch from outside. `fitted`: parameters are fitted while it is measured.
     """
 
     config: Configuration

@@ -163,7 +163,8 @@ class RunDisplay:
         """The state of the run for programs; the amplitude is in `amplitude_unit`."""
         losses = snapshot.losses._asdict()
         estimates = estimates_tree(snapshot.estimates)
-        return {**asdict(snapshot), "losses": losses, "estimates": estimates, **self._numbers()}
+        own = {"done": self._fraction(snapshot), **self._numbers()}
+        return {**asdict(snapshot), "losses": losses, "estimates": estimates, **own}
 
     def rows(self, snapshot: Snapshot) -> list[tuple[str, str]]:
         """Names and texts of the state, for people."""

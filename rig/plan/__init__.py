@@ -1,7 +1,7 @@
 """What runs to come will tell, from one that was made or a configuration: table and picture of `rig plan`."""
 
 from rig.plan.expected import Expected, expected_of, planned_expectation
-from rig.plan.plan import Plan, plan_expected, plan_runs, print_plan, save_plan
+from rig.plan.plan import Plan, plan_expected, plan_runs, plan_table, print_plan, save_plan
 
 __all__ = [
     "Expected",
@@ -9,6 +9,7 @@ __all__ = [
     "expected_of",
     "plan_expected",
     "plan_runs",
+    "plan_table",
     "planned_expectation",
     "print_plan",
     "save_plan",

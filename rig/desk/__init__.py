@@ -1,0 +1,18 @@
+"""`rig desk`: one page in a browser on this machine from which the rig is run.
+
+The desk has no logic of its own: it starts the commands (`rig run`, `rig preflight`, `rig balance`) as
+processes, watches a session through its channel (`rig.channel`), and shows what these say. A session is in no
+way a part of the desk: it goes on when the desk dies, and a desk that is opened finds it again.
+
+A panel is one module in `rig/desk/panels/` with one function, ``build(desk, tab)``, which makes its elements
+(NiceGUI's `ui`) where it is called; a line of ``PANELS`` in `rig/desk/panels/__init__.py` gives it a name and
+says its keys. `desk` is what all tabs share: configuration, running session, jobs (`desk.Desk`). `tab` is
+this tab of the browser: `tab.every(seconds, function)` keeps something fresh while the panel is seen,
+`tab.act(function)` makes a handler that works only in the tab that may act, and shows a RigError as one
+line. Work that takes longer than a moment is awaited with ``nicegui.run.io_bound``; what moves devices is a
+command in a process (`Desk.start`). `panels/fields.py` has fields that the settings' own models judge.
+"""
+
+from rig.desk.server import open_desk
+
+__all__ = ["open_desk"]

@@ -1,0 +1,105 @@
+"""The live picture while no session has the camera, with exposure, gain and region at hand."""
+
+import contextlib
+import queue
+import threading
+import time
+from collections import deque
+
+from acquisition.camera import CameraSettings
+from acquisition.frame_queue import FrameQueue
+from processing.errors import DeviceError, RigError
+from rig.align import Look, take_look
+from rig.devices import find_exposure, watch_latest
+from rig.instrument import camera_settings, check_full_scale, make_camera, optics_of, setting_differences
+from rig.settings import Configuration
+
+_LOOK_S = 0.1
+_FOCUS_POINTS = 600
+EXPOSE = "expose"
+"""A wish for the exposure at which the peak is right."""
+
+
+class Aligner:
+    """A thread that has the camera open and looks at its newest frame, ten times a second.
+
+    `look` is the last look (None before the first), `focus` its sharpness over time (seconds, 1/px), `note`
+    what the last wish has led to, `problem` why it has ended.
+    """
+
+    def __init__(self, config: Configuration) -> None:
+        self._config = config
+        self._wishes: queue.Queue[CameraSettings | str] = queue.Queue()
+        self._ended = threading.Event()
+        self.look: Look | None = None
+        self.number = 0
+        self.focus: deque[tuple[float, float]] = deque(maxlen=_FOCUS_POINTS)
+        self.applied = CameraSettings()
+        self.note = ""
+        self.problem = ""
+        self._thread = threading.Thread(target=self._run, name="align", daemon=True)
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def wish(self, wish: CameraSettings | str) -> None:
+        """Ask the camera for settings, or for the right exposure (`EXPOSE`); `note` tells what came of it."""
+        self._wishes.put(wish)
+
+    def close(self) -> None:
+        """Stop and close the camera; waits until it is free."""
+        self._ended.set()
+        self._thread.join(10.0)
+
+    @property
+    def running(self) -> bool:
+        return self._thread.is_alive()
+
+    def _run(self) -> None:
+        try:
+            self._watch()
+        except Exception as error:
+            # any error of a driver ends the picture, and is shown in its place
+            self.problem = str(error) or type(error).__name__
+
+    def _watch(self) -> None:
+        config = self._config
+        camera = make_camera(config)
+        begun_s = time.monotonic()
+        with contextlib.closing(camera):
+            info = camera.open()
+            asked = camera_settings(config)
+            self.applied = camera.configure(asked)
+            check_full_scale(config, info, self.applied)
+            self.note = "; ".join(setting_differences(asked, self.applied))
+            tracker = optics_of(config, info.full_scale_dn).tracker()
+            lever = config.lever
+            reference_px = None
+            if lever is not None and lever.reference_x_px is not None and lever.reference_y_px is not None:
+                reference_px = (lever.reference_x_px, lever.reference_y_px)
+            while not self._ended.is_set():
+                frames = watch_latest(camera, FrameQueue(1, "latest"), 1, float("inf"), interval_s=_LOOK_S)
+                with contextlib.closing(frames):
+                    for *_, frame in frames:
+                        look = take_look(frame.image, info.full_scale_dn, tracker, reference_px, self.applied)
+                        self.focus.append((time.monotonic() - begun_s, look.figures.sharpness_per_px))
+                        self.look, self.number = look, self.number + 1
+                        if self._ended.is_set() or not self._wishes.empty():
+                            break
+                    else:
+                        self.problem = "the camera has delivered its last frame"
+                        return
+                # a camera is configured while it is stopped, and goes on with the next look
+                while not self._wishes.empty():
+                    wish = self._wishes.get()
+                    before = self.applied
+                    try:
+                        if isinstance(wish, str):
+                            self.applied = find_exposure(camera, info, before).applied
+                        else:
+                            self.applied = camera.configure(wish)
+                        same = self.applied == before
+                        self.note = "nothing has changed: the camera's limit" if same else ""
+                    except (DeviceError, RigError) as error:
+                        self.note = str(error)
+                    tracker = optics_of(config, info.full_scale_dn).tracker()

@@ -1,0 +1,172 @@
+"""What all tabs of the desk share: configuration, the running session, commands that were started."""
+
+import json
+import subprocess
+import threading
+from collections.abc import Mapping
+from pathlib import Path
+
+from processing.errors import ConfigurationError, RigError
+from rig.desk.aligner import Aligner
+from rig.desk.following import Following
+from rig.desk.jobs import MESSAGES_NAME, Job, start_session
+from rig.measure import session_folder
+from rig.settings import Configuration, load_configuration
+
+
+class Desk:
+    """The desk of one configuration file; `overrides` are as of --set, and hold for all that it starts.
+
+    `kept` are settings that were made at the desk (exposure, region), by key: they hold as long as it does.
+    """
+
+    def __init__(self, source: Path, overrides: tuple[str, ...] = ()) -> None:
+        self.source = source
+        self._overrides = overrides
+        self.kept: dict[str, object] = {}
+        self.config = load_configuration(source, overrides)
+        self.following = Following(self.config.session.output)
+        self.aligner: Aligner | None = None
+        self.jobs: dict[str, Job] = {}
+        self._session: tuple[subprocess.Popen[bytes], Path] | None = None
+        self._acting = ""
+        self._lock = threading.Lock()
+
+    # -- who may act -----------------------------------------------------------
+
+    def acts(self, tab: str) -> bool:
+        """Whether this tab is the one that may act."""
+        return self._acting == tab
+
+    @property
+    def somebody_acts(self) -> bool:
+        return bool(self._acting)
+
+    def take(self, tab: str) -> None:
+        """From now on this tab may act, and no other."""
+        self._acting = tab
+
+    def leave(self, tab: str) -> None:
+        """A tab was closed."""
+        if self._acting == tab:
+            self._acting = ""
+
+    # -- the configuration ------------------------------------------------------
+
+    def overridden(self, values: Mapping[str, object] | None = None) -> list[str]:
+        """KEY=VALUE of everything that differs from the file, `values` last."""
+        own = {**self.kept, **(values or {})}
+        stated = [one for one in self._overrides if one.partition("=")[0].strip() not in own]
+        return [*stated, *(f"{key}={toml_value(value)}" for key, value in own.items())]
+
+    def checked(self, values: Mapping[str, object] | None = None) -> Configuration:
+        """The configuration with `values` changed; raises ConfigurationError with the models' own words."""
+        return load_configuration(self.source, self.overridden(values))
+
+    def fault(self, key: str, value: object) -> str:
+        """What is wrong with one value, in the models' words; empty if nothing is."""
+        try:
+            self.checked({key: value})
+        except ConfigurationError as error:
+            lines = str(error).splitlines()
+            own = [line for line in lines if line.startswith(f"--set {key}")]
+            return (own or lines)[0].removeprefix("--set ")
+        return ""
+
+    # -- what is started --------------------------------------------------------
+
+    def start(self, name: str, *words: str, values: Mapping[str, object] | None = None) -> Job:
+        """Start a command of this configuration that ends with the desk; one of a name at a time.
+
+        Raises ConfigurationError where the camera is in use.
+        """
+        self.needs_camera(name)
+        self.checked(values)
+        before = self.jobs.get(name)
+        if before is not None and before.running:
+            raise ConfigurationError(f"rig {name} is running already; end it first")
+        sets = [word for one in self.overridden(values) for word in ("--set", one)]
+        self.jobs[name] = Job([name, str(self.source), *words, *sets])
+        return self.jobs[name]
+
+    def start_session(self, values: Mapping[str, object], *, force: bool = False) -> Path:
+        """Start `rig run` with these values; it goes on when the desk ends. Returns the session's folder."""
+        with self._lock:
+            self.needs_camera("run")
+            config = self.checked(values)
+            folder = session_folder(config, self.source, None)
+            sets = [word for one in self.overridden(values) for word in ("--set", one)]
+            words = ["run", str(self.source), "-o", str(folder), *sets, *(["--force"] if force else [])]
+            self._session = start_session(words, folder), folder
+        self.following.look_now(folder)
+        return folder
+
+    def resume_session(self, folder: Path) -> None:
+        """Start `rig run --resume`; it goes on when the desk ends."""
+        with self._lock:
+            self.needs_camera("run")
+            self._session = start_session(["run", "--resume", str(folder)], folder), folder
+        self.following.look_now(folder)
+
+    def needs_camera(self, who: str) -> None:
+        """Give the camera free; raises ConfigurationError if a session or a command has it."""
+        if self.following.running or self.session_state == "running":
+            raise ConfigurationError(f"rig {who} needs the camera, which a session has; wait, or stop it")
+        for name, job in self.jobs.items():
+            if job.running:
+                raise ConfigurationError(f"rig {who} needs the camera, which rig {name} has; end that first")
+        self.end_aligning()
+
+    def begin_aligning(self) -> None:
+        """Open the camera for the live picture."""
+        self.needs_camera("camera align")
+        self.aligner = Aligner(self.checked())
+        self.aligner.start()
+
+    def end_aligning(self) -> None:
+        """Give the camera free."""
+        if self.aligner is not None:
+            self.aligner.close()
+            self.aligner = None
+
+    @property
+    def session_state(self) -> str:
+        """Of the session that this desk has started: running, done, failed; empty if none was."""
+        if self._session is None:
+            return ""
+        status = self._session[0].poll()
+        return "running" if status is None else "done" if status == 0 else "failed"
+
+    @property
+    def session_folder(self) -> Path | None:
+        """Folder of the running session, else of the last one that this desk has started."""
+        return self.following.folder or (self._session[1] if self._session is not None else None)
+
+    def last_words(self) -> list[str]:
+        """What the last session has printed, its last lines."""
+        folder = self.session_folder
+        try:
+            text = "" if folder is None else (folder / MESSAGES_NAME).read_text("utf-8", errors="replace")
+        except OSError:
+            return []
+        return text.splitlines()[-12:]
+
+    def close(self) -> None:
+        """End what ends with the desk; a session goes on."""
+        self.following.stop()
+        self.end_aligning()
+        for job in self.jobs.values():
+            job.end()
+
+
+def toml_value(value: object) -> str:
+    """A value as --set takes it."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, int | float):
+        return repr(value)
+    if isinstance(value, str):
+        if any(0xD800 <= ord(one) <= 0xDFFF for one in value):
+            raise RigError(f"{value!r}: holds characters that are no text")
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    return json.dumps(value)

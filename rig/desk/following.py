@@ -1,0 +1,117 @@
+"""Follows the session that runs on this machine, whoever has started it."""
+
+import threading
+import time
+from collections import deque
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from rig.channel import Line, NoSession, Picture, running_sessions
+
+_LOOK_S = 0.2
+_SEARCH_S = 1.0
+_EVENTS_KEPT = 300
+
+
+class Following:
+    """A thread that asks the running session for news, and looks for one while there is none.
+
+    `news` is what it said last (empty without a session), `events` its events, `folder` where it is; `silent`
+    is True while it does not answer.
+    """
+
+    def __init__(self, output: Path) -> None:
+        self._output = output
+        self.news: dict[str, Any] = {}
+        self.events: deque[dict[str, Any]] = deque(maxlen=_EVENTS_KEPT)
+        self.folder: Path | None = None
+        self.silent = False
+        self._line: Line | None = None
+        self._pictures: Line | None = None
+        self._last_picture: Picture | None = None
+        self._heard = 0
+        self._one_picture = threading.Lock()
+        self._ended = threading.Event()
+        self._wake = threading.Event()
+
+    def start(self) -> None:
+        threading.Thread(target=self._follow, name="following", daemon=True).start()
+
+    def stop(self) -> None:
+        self._ended.set()
+        self._wake.set()
+
+    @property
+    def running(self) -> bool:
+        return self.folder is not None
+
+    def look_now(self, folder: Path | None = None) -> None:
+        """Look for a session at once; `folder`: one that was just started in another place."""
+        if folder is not None:
+            self._output = folder.parent
+        self._wake.set()
+
+    def order(self, name: str) -> str:
+        """Give the running session an order; raises RigError if it cannot be carried out."""
+        if self.folder is None:
+            raise NoSession("no session runs")
+        with Line(self.folder) as line:
+            return line.order(name)
+
+    def picture(self) -> Picture | None:
+        """The newest frame of the running session, and ask for the next; blocks for a moment."""
+        folder = self.folder
+        with self._one_picture, suppress(NoSession):
+            if folder is None:
+                self._last_picture = None
+                return None
+            if self._pictures is None or self._pictures.folder != folder:
+                self._pictures, self._last_picture = Line(folder), None
+            last = self._last_picture
+            self._last_picture = self._pictures.picture(0 if last is None else last.number) or last
+            return self._last_picture
+        return self._last_picture
+
+    def _follow(self) -> None:
+        while not self._ended.is_set():
+            if self._line is None:
+                self._search()
+            else:
+                self._ask(self._line)
+            self._wake.wait(_LOOK_S if self._line is not None else _SEARCH_S)
+            self._wake.clear()
+
+    def _search(self) -> None:
+        for folder in running_sessions(self._output)[:1]:
+            with suppress(NoSession):
+                self._line = Line(folder)
+                self._heard, self.folder = 0, folder
+                self.events.clear()
+                self._ask(self._line)
+
+    def _ask(self, line: Line) -> None:
+        try:
+            news = line.news(self._heard)
+        except NoSession:
+            # busy for a moment, or gone
+            if not self.silent:
+                self.silent, self._silent_s = True, time.monotonic()
+            if time.monotonic() - self._silent_s > _SEARCH_S or not _is_there(line):
+                line.close()
+                self._line, self.folder, self.silent = None, None, False
+                self.news = {}
+            return
+        self.silent = False
+        for event in news["events"]:
+            self._heard = max(self._heard, int(event["number"]))
+            self.events.append(event)
+        self.news = news
+
+
+def _is_there(line: Line) -> bool:
+    try:
+        Line(line.folder).close()
+    except NoSession:
+        return False
+    return True

@@ -1,0 +1,105 @@
+"""The commands that the desk starts: processes that speak JSON lines, or go on without it."""
+
+import json
+import os
+import subprocess
+import sys
+import threading
+from collections import deque
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from rig.rerun import own_group
+
+_LAST_LINES = 200
+MESSAGES_NAME = "messages.txt"
+
+
+def _command(words: list[str]) -> tuple[list[str], dict[str, str]]:
+    project = str(Path(__file__).resolve().parents[2])
+    path = os.pathsep.join(part for part in (project, os.environ.get("PYTHONPATH")) if part)
+    return [sys.executable, "-P", "-m", "rig", *words], {**os.environ, "PYTHONPATH": path}
+
+
+def start_session(words: list[str], folder: Path) -> "subprocess.Popen[bytes]":
+    """Start a command that goes on when the desk ends; what it prints goes into a file in `folder`.
+
+    The file is added to, never written over.
+    """
+    command, environment = _command(words)
+    with (folder / MESSAGES_NAME).open("ab") as messages:
+        return subprocess.Popen(
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=messages,
+            stderr=messages,
+            env=environment,
+            **own_group(),
+        )
+
+
+class Job:
+    """A command that ends with the desk, because its pipes do; it answers in JSON lines.
+
+    `lines` are the last objects it has printed, `said` its other words; `count` numbers the objects.
+    """
+
+    def __init__(self, words: list[str]) -> None:
+        command, environment = _command(words)
+        self._process = subprocess.Popen(
+            command,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            encoding="utf-8",
+            env=environment,
+            **own_group(),
+        )
+        self.name = words[0]
+        self.lines: deque[dict[str, Any]] = deque(maxlen=_LAST_LINES)
+        self.newest: dict[str, dict[str, Any]] = {}
+        self.said: deque[str] = deque(maxlen=_LAST_LINES)
+        self.count = 0
+        for target in (self._read, self._listen):
+            threading.Thread(target=target, name=f"job-{self.name}", daemon=True).start()
+
+    @property
+    def running(self) -> bool:
+        return self._process.poll() is None
+
+    @property
+    def status(self) -> int | None:
+        """Its exit status; None while it runs."""
+        return self._process.poll()
+
+    def answer(self, text: str) -> None:
+        """A line to its standard input; what has ended hears nothing."""
+        with suppress(OSError, ValueError):
+            if self._process.stdin is not None:
+                self._process.stdin.write(f"{text}\n")
+                self._process.stdin.flush()
+
+    def end(self) -> None:
+        """As Ctrl-C: it switches off what it has switched on."""
+        with suppress(OSError):
+            self._process.terminate()
+
+    def _read(self) -> None:
+        assert self._process.stdout is not None
+        for line in self._process.stdout:
+            try:
+                found = json.loads(line)
+            except ValueError:
+                self.said.append(line.rstrip())
+                continue
+            if isinstance(found, dict):
+                self.lines.append(found)
+                self.newest[str(found.get("kind"))] = found
+                self.count += 1
+
+    def _listen(self) -> None:
+        assert self._process.stderr is not None
+        for line in self._process.stderr:
+            self.said.append(line.rstrip())

@@ -1,0 +1,23 @@
+"""The panels of the desk, in their order. A new one is a module here, and a line below."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+from rig.desk.desk import Desk
+from rig.desk.panels import align, measure, preflight
+from rig.desk.tab import Tab
+
+
+class Panel(NamedTuple):
+    """A panel: its name, the function that builds it, and its keys with what they do."""
+
+    name: str
+    build: Callable[[Desk, Tab], None]
+    keys: tuple[tuple[str, str], ...] = ()
+
+
+PANELS = (
+    Panel("Align", align.build, align.KEYS),
+    Panel("Preflight", preflight.build, preflight.KEYS),
+    Panel("Measure", measure.build, measure.KEYS),
+)

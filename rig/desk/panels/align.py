@@ -1,0 +1,172 @@
+"""Align: the live picture with its figures, exposure, gain and region, the focus, the rest position."""
+
+import numpy as np
+from nicegui import run, ui
+from nicegui.events import MouseEventArguments
+
+from acquisition.camera import CameraSettings
+from rig.desk import drawings
+from rig.desk.aligner import EXPOSE
+from rig.desk.desk import Desk
+from rig.desk.look_now import look_now
+from rig.desk.panels.fields import as_typed, number_field
+from rig.desk.panels.live_picture import LivePicture
+from rig.desk.tab import Tab
+
+KEYS = (
+    ("e E", "align: shorter, longer exposure"),
+    ("g G", "align: smaller, larger gain"),
+    ("z", "align: zoom 1, 4, 16"),
+)
+_SIZE = (800, 540)
+_STEP, _STEP_DB = 1.25, 1.0
+_BARS = 64
+
+
+def build(desk: Desk, tab: Tab) -> None:
+    """Build the panel."""
+    corner: list[tuple[float, float]] = []
+
+    def mouse(event: MouseEventArguments) -> None:
+        """A rectangle drawn over the whole frame becomes the camera's region."""
+        if not tab.acts or desk.aligner is None or picture.zoom != 1:
+            return
+        if event.type == "mousedown":
+            corner[:] = [(event.image_x, event.image_y)]
+        elif corner:
+            x, y = corner[0]
+            left, top = min(x, event.image_x), min(y, event.image_y)
+            width, height = abs(event.image_x - x), abs(event.image_y - y)
+            picture.element.content = (
+                f"<rect x='{left}' y='{top}' width='{width}' height='{height}' fill='none' "
+                "stroke='white' stroke-width='2'/>"
+            )
+            if event.type == "mouseup":
+                corner.clear()
+                if min(width, height) > 8:
+                    _ask_region(desk, left, top, width, height)
+                else:
+                    picture.element.content = ""
+
+    def wish(wanted: CameraSettings | str) -> None:
+        if desk.aligner is not None:
+            desk.aligner.wish(wanted)
+
+    def turned(exposure: float = 1.0, gain_db: float = 0.0) -> None:
+        applied = CameraSettings() if desk.aligner is None else desk.aligner.applied
+        if exposure != 1.0 and applied.exposure_us is not None:
+            wish(CameraSettings(exposure_us=applied.exposure_us * exposure))
+        if gain_db and applied.gain_db is not None:
+            wish(CameraSettings(gain_db=applied.gain_db + gain_db))
+
+    def typed(key: str, field: ui.input) -> None:
+        if field.value and not desk.fault(f"camera.{key}", as_typed(field.value, True)):
+            wish(CameraSettings.model_validate({key: as_typed(field.value, True)}))
+
+    async def whole() -> None:
+        for name in ("width_px", "height_px", "offset_x_px", "offset_y_px"):
+            desk.kept.pop(f"camera.{name}", None)
+        picture.element.content = ""
+        await run.io_bound(desk.begin_aligning)
+
+    async def start() -> None:
+        await run.io_bound(desk.begin_aligning)
+
+    async def stop() -> None:
+        await run.io_bound(desk.end_aligning)
+
+    def keep() -> None:
+        """What was set at the camera holds for what this desk starts."""
+        if desk.aligner is None:
+            return
+        applied = desk.aligner.applied.model_dump(exclude_none=True)
+        names = ("exposure_us", "gain_db", "width_px", "height_px", "offset_x_px", "offset_y_px")
+        own = {f"camera.{name}": applied[name] for name in names if name in applied}
+        desk.checked(own)
+        desk.kept.update(own)
+
+    with ui.row().classes("full-width no-wrap items-start"):
+        with ui.column().classes("col-8 box"):
+            picture = LivePicture(tab, _SIZE, lambda: _seen(desk), mouse)
+            with ui.row():
+                begin = ui.button("Live picture", on_click=tab.act(start)).props('color="positive"')
+                end = ui.button("Stop", on_click=tab.act(stop)).props("outline")
+                ui.button("Zoom", on_click=picture.zoom_on).props('outline aria-label="zoom, key z"')
+                ui.button("Whole sensor", on_click=tab.act(whole)).props("outline")
+                ui.button("Keep for runs", on_click=tab.act(keep)).props("outline")
+            kept = ui.label().classes("dim")
+        with ui.column().classes("col box"):
+            figures = ui.label().style("white-space: pre-line").props('aria-live="off"')
+            note = ui.label().classes("caution").props('role="status"')
+            with ui.row().classes("items-center no-wrap"):
+                exposure = number_field(desk, "camera.exposure_us", "exposure / us", None)
+                ui.button("Set", on_click=tab.act(lambda: typed("exposure_us", exposure))).props("outline")
+                ui.button("Auto", on_click=tab.act(lambda: wish(EXPOSE))).props("outline")
+            with ui.row().classes("items-center no-wrap"):
+                gain = number_field(desk, "camera.gain_db", "gain / dB", None)
+                ui.button("Set", on_click=tab.act(lambda: typed("gain_db", gain))).props("outline")
+            ui.label("histogram").classes("title")
+            histogram = ui.html(sanitize=False).classes("full-width")
+            ui.label("focus: sharpness, larger is sharper").classes("title")
+            focus = ui.html(sanitize=False).classes("full-width")
+    tab.key("z", picture.zoom_on)
+    tab.key("e", tab.act(lambda: turned(exposure=1 / _STEP)))
+    tab.key("E", tab.act(lambda: turned(exposure=_STEP)))
+    tab.key("g", tab.act(lambda: turned(gain_db=-_STEP_DB)))
+    tab.key("G", tab.act(lambda: turned(gain_db=_STEP_DB)))
+
+    def refresh() -> None:
+        aligner = desk.aligner
+        begin.set_visibility(aligner is None)
+        end.set_visibility(aligner is not None)
+        kept.set_text(_kept(desk))
+        note.set_text("" if aligner is None else aligner.problem or aligner.note)
+        if aligner is not None and aligner.focus:
+            focus.set_content(
+                drawings.curve(list(aligner.focus), (380, 130), "sharpness over time", "s", "1/px")
+            )
+        look = look_now(desk)
+        if look is None:
+            figures.set_text("no picture: start it here, or a session")
+            return
+        figures.set_text("\n".join([*filter(None, look.lines()), look.beam_line]))
+        counts = np.histogram(look.image, _BARS, (0, look.full_scale_dn + 1))[0].tolist()
+        histogram.set_content(
+            drawings.bars(counts, (380, 110), "histogram of the frame", f"{look.full_scale_dn} DN")
+        )
+
+    tab.every(0.3, refresh)
+    refresh()
+
+
+def _seen(desk: Desk) -> bool:
+    return desk.following.running or desk.aligner is not None
+
+
+def _ask_region(desk: Desk, left: float, top: float, width: float, height: float) -> None:
+    """Ask the camera for the rectangle, in px of the picture, beside the region it has."""
+    aligner = desk.aligner
+    look = None if aligner is None else aligner.look
+    if aligner is None or look is None:
+        return
+    rows, columns = look.image.shape
+    scale = min(_SIZE[0] / columns, _SIZE[1] / rows)
+    # the frame is in the middle of the picture
+    left -= 0.5 * (_SIZE[0] - columns * scale)
+    top -= 0.5 * (_SIZE[1] - rows * scale)
+    x0, y0 = aligner.applied.offset_x_px or 0, aligner.applied.offset_y_px or 0
+    aligner.wish(
+        CameraSettings(
+            width_px=max(8, min(round(width / scale), columns)),
+            height_px=max(8, min(round(height / scale), rows)),
+            offset_x_px=x0 + max(0, round(left / scale)),
+            offset_y_px=y0 + max(0, round(top / scale)),
+        )
+    )
+
+
+def _kept(desk: Desk) -> str:
+    lines = ", ".join(
+        f"{key} = {value:g}" for key, value in desk.kept.items() if isinstance(value, int | float)
+    )
+    return f"kept for all that this desk starts: {lines}" if lines else ""

@@ -1,0 +1,197 @@
+"""Measure: begin a session, watch it at arm's length, brake, stop; what has happened."""
+
+import html
+from collections.abc import Mapping
+from typing import Any
+
+from nicegui import run, ui
+
+from processing.errors import ConfigurationError
+from rig.desk import drawings
+from rig.desk.desk import Desk
+from rig.desk.panels.fields import number_field, stated, text_field
+from rig.desk.panels.live_picture import LivePicture
+from rig.desk.tab import Tab
+from rig.presentation import quantity
+
+KEYS = (("s", "measure: start a session"), ("b", "measure: brake on or off"), ("x", "measure: stop"))
+_SIZE = (420, 260)
+_RELEASE = {
+    "at once": "recorded from the first frame on, whether it moves or not",
+    "by hand": "comes to rest, is checked; then you are asked to release it by hand",
+    "magnet": "held by the magnet, released by it once at rest",
+    "starter": "comes to rest, is checked; then the starter pushes it",
+}
+
+
+def build(desk: Desk, tab: Tab) -> None:
+    """Build the panel."""
+    session = desk.config.session
+
+    def judged() -> dict[str, object]:
+        for field, _ in fields.values():
+            if field.value and not field.validate():
+                raise ConfigurationError(str(field.error))
+        return stated(fields)
+
+    async def start() -> None:
+        folder = await run.io_bound(desk.start_session, judged(), force=bool(force.value))
+        ui.notify(f"the session begins in {folder}")
+
+    async def stop() -> None:
+        if desk.following.running and await sure:
+            ui.notify(await run.io_bound(desk.following.order, "stop"))
+
+    async def brake() -> None:
+        is_on = "brake" in str(desk.following.news.get("controller") or "")
+        ui.notify(await run.io_bound(desk.following.order, "brake off" if is_on else "brake on"))
+
+    with ui.dialog() as sure, ui.card():
+        ui.label("Stop the session? The record is closed and fitted; nothing is lost.")
+        with ui.row():
+            ui.button("Stop it", on_click=lambda: sure.submit(True)).props('color="negative" autofocus')
+            ui.button("Go on", on_click=lambda: sure.submit(False)).props("outline")
+    with ui.column().classes("full-width box") as before:
+        with ui.row().classes("full-width no-wrap"):
+            sample = text_field(desk, "session.sample", "sample", session.sample)
+            operator = text_field(desk, "session.operator", "operator", session.operator)
+        with ui.row().classes("full-width no-wrap"):
+            notes = text_field(desk, "session.notes", "notes", session.notes)
+            history = text_field(desk, "session.contact_history", "contact history", session.contact_history)
+        with ui.row().classes("full-width items-center"):
+            runs = number_field(desk, "session.runs", "runs", session.runs)
+            first = number_field(
+                desk, "session.initial_amplitude_arcsec", "from / arcsec", session.initial_amplitude_arcsec
+            )
+            last = number_field(
+                desk, "session.final_amplitude_arcsec", "to / arcsec", session.final_amplitude_arcsec
+            )
+            longest = number_field(desk, "session.max_duration_s", "at most / s", session.max_duration_s)
+        with ui.row().classes("items-center"):
+            ui.button("Start", on_click=tab.act(start)).props(
+                'color="positive" size="lg" aria-label="start a session, key s"'
+            )
+            force = ui.checkbox("measure even if preflight says no-go")
+            ui.label(f"release: {_RELEASE[desk.config.start.way]}").classes("dim")
+        words = ui.html(sanitize=False).classes("full-width dim")
+    fields = {
+        "session.sample": (sample, False),
+        "session.operator": (operator, False),
+        "session.notes": (notes, False),
+        "session.contact_history": (history, False),
+        "session.runs": (runs, True),
+        "session.initial_amplitude_arcsec": (first, True),
+        "session.final_amplitude_arcsec": (last, True),
+        "session.max_duration_s": (longest, True),
+    }
+    with ui.column().classes("full-width") as during:
+        with ui.row().classes("full-width no-wrap items-stretch"):
+            with ui.column().classes("col-5 box"):
+                ui.label("amplitude").classes("title")
+                amplitude = ui.label().classes("large").props('role="status" aria-live="off" id="amplitude"')
+                ui.label("time left").classes("title")
+                left = ui.label().classes("middle")
+                progress = ui.linear_progress(value=0.0, show_value=False)
+                ui.label("laser and interlock").classes("title")
+                laser = ui.label().classes("middle")
+                with ui.row():
+                    ui.button("Stop", on_click=tab.act(stop)).props(
+                        'color="negative" size="lg" aria-label="stop the session, key x"'
+                    )
+                    brakes = ui.button("Brake", on_click=tab.act(brake)).props(
+                        'outline size="lg" aria-label="brake on or off, key b"'
+                    )
+            with ui.column().classes("col box"):
+                ui.label("what the run has told").classes("title")
+                learned = ui.html(sanitize=False).classes("full-width")
+                ui.label("decay").classes("title")
+                decay = ui.html(sanitize=False).classes("full-width")
+            with ui.column().classes("col box"):
+                ui.label("trajectory").classes("title")
+                way = ui.html(sanitize=False).classes("full-width")
+        with ui.row().classes("full-width no-wrap items-stretch"):
+            with ui.column().classes("col-4 box"):
+                LivePicture(tab, _SIZE, lambda: desk.following.running)
+            with ui.column().classes("col-4 box"):
+                state = ui.html(sanitize=False).classes("full-width")
+            with ui.column().classes("col-4 box"):
+                ui.label("events").classes("title")
+                events = ui.html(sanitize=False).classes("events").props('role="log" aria-label="events"')
+    tab.key("s", tab.act(start))
+    tab.key("x", tab.act(stop))
+    tab.key("b", tab.act(brake))
+
+    def refresh() -> None:
+        news = desk.following.news
+        running = desk.following.running
+        before.set_visibility(not running)
+        during.set_visibility(running)
+        if not running:
+            lines = "<br>".join(map(html.escape, desk.last_words()))
+            words.set_content(lines)
+            return
+        told = news.get("state") or {}
+        unit = str(news.get("unit") or "")
+        amplitude.set_text(_number(told.get("amplitude"), ".2f", unit))
+        left.set_text(_left(told))
+        progress.set_value(_done(news))
+        laser.set_text(_light(news))
+        laser.classes(remove="go no", add="no" if news.get("darkness") else "go")
+        brakes.set_visibility(news.get("controller") is not None)
+        learned.set_content(drawings.table(_estimates(told), "parameters so far"))
+        swings = [(float(t), float(a)) for t, a in news.get("swings") or []]
+        decay.set_content(drawings.curve(swings, (420, 150), "amplitude over time", "s", unit))
+        path = news.get("path") or {"x": [], "y": []}
+        way.set_content(drawings.trajectory(path["x"], path["y"], unit, (300, 300)))
+        state.set_content(drawings.table([list(row) for row in news.get("rows") or []], "state of the run"))
+        events.set_content("".join(map(_event, reversed(desk.following.events))))
+
+    tab.every(0.25, refresh)
+    refresh()
+
+
+def _number(value: Any, shape: str, unit: str) -> str:
+    return f"– {unit}" if value is None else f"{float(value):{shape}} {unit}"
+
+
+def _left(told: Mapping[str, Any]) -> str:
+    seconds, u = told.get("remaining_s"), told.get("u_remaining_s")
+    if seconds is None:
+        return "too early to say"
+    minutes, rest = divmod(max(float(seconds), 0.0), 60.0)
+    return f"{int(minutes)}:{rest:02.0f} min" + ("" if u is None else f" ± {float(u):.0f} s")
+
+
+def _done(news: Mapping[str, Any]) -> float:
+    """The part of the decay that is over, in the logarithm of the amplitude."""
+    rows = (news.get("state") or {}).get("done")
+    return 0.0 if rows is None else round(float(rows), 3)
+
+
+def _light(news: Mapping[str, Any]) -> str:
+    if news.get("darkness"):
+        return str(news["darkness"])
+    laser, controller = news.get("laser"), news.get("controller")
+    if laser is None and controller is None:
+        return "no laser is controlled"
+    return str(controller or f"laser {laser['words'] if laser else ''}")
+
+
+def _estimates(told: Mapping[str, Any]) -> list[list[str]]:
+    rows = []
+    for key, one in (told.get("estimates") or {}).items():
+        value, u = one["value"], one["standard_uncertainty"]
+        if value is None or u is None:
+            continue
+        shown = quantity(key)
+        relative = f"{100 * u / abs(value):.2g} %" if value else ""
+        rows.append([shown.label, shown.text(value, u), relative])
+    return rows or [["", "nothing yet: the first fit comes after some swings"]]
+
+
+def _event(event: Mapping[str, Any]) -> str:
+    grave = {"error": "no", "warning": "caution"}.get(str(event["level"]), "")
+    at = event["elapsed_s"]
+    when = str(event["at"]) if at is None else f"{float(at):.1f} s"
+    text = html.escape(f"{event['kind']}: {event['text']}")
+    return f"<div class='{grave}'><span class='dim'>{when}</span> {text}</div>"

@@ -1,0 +1,79 @@
+"""One tab of the browser: what it may do, which panel it shows, how it is told."""
+
+import asyncio
+import inspect
+from collections.abc import Awaitable, Callable
+
+from nicegui import context, ui
+
+from processing.errors import RigError
+from rig.desk.desk import Desk
+
+Handler = Callable[[], None] | Callable[[], Awaitable[None]]
+
+
+class Tab:
+    """A tab; `name` tells it from others, `shown` is the panel that is seen, `keys` what a key does in it."""
+
+    def __init__(self, desk: Desk) -> None:
+        self._desk = desk
+        self.name = context.client.id
+        self.shown = ""
+        self.building = ""
+        self.keys: dict[str, dict[str, Handler]] = {}
+
+    @property
+    def acts(self) -> bool:
+        """Whether this tab may act; the others watch."""
+        return self._desk.acts(self.name)
+
+    def every(self, seconds: float, refresh: Callable[[], None]) -> None:
+        """Call it again and again while the panel that is being built is seen."""
+        panel = self.building
+
+        def due() -> None:
+            if not panel or self.shown == panel:
+                refresh()
+
+        ui.timer(seconds, due)
+
+    def act(self, do: Handler) -> Callable[[], Awaitable[None]]:
+        """A handler that works in the tab that may act; a RigError is shown in its one line."""
+
+        async def acted() -> None:
+            if not self.acts:
+                ui.notify("this tab watches; Take over first", type="warning")
+                return
+            try:
+                done = do()
+                if inspect.isawaitable(done):
+                    await done
+            except RigError as error:
+                tell(str(error))
+
+        return acted
+
+    def key(self, key: str, do: Handler) -> None:
+        """A key of the panel that is being built; it works while the panel is seen."""
+        self.keys.setdefault(self.building, {})[key] = do
+
+    def press(self, key: str) -> bool:
+        """A key was pressed; whether it means something here."""
+        do = self.keys.get(self.shown, {}).get(key) or self.keys.get("", {}).get(key)
+        if do is None:
+            return False
+        done = do()
+        if inspect.iscoroutine(done):
+            task = asyncio.ensure_future(done)
+            _running.add(task)
+            task.add_done_callback(_running.discard)
+        return True
+
+
+_running: set["asyncio.Future[None]"] = set()
+"""The event loop itself keeps only weak references to tasks."""
+
+
+def tell(problem: str) -> None:
+    """An error as one line, until it is closed."""
+    ui.notify(problem, type="negative", timeout=0, close_button="close", multi_line=True)

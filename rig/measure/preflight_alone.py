@@ -1,0 +1,82 @@
+"""The command `rig preflight`: the checks that precede a run, without the run."""
+
+from pathlib import Path
+
+from rich.console import Console
+
+from processing.errors import DataError, DeviceError
+from rig.devices import Devices, FrameStream, LightWatch
+from rig.instrument import (
+    Snapshot,
+    camera_settings,
+    check_materials,
+    complete,
+    frame_policy,
+    optics_of,
+    prepare_kernels,
+)
+from rig.measure.end_of_run import StopRequest
+from rig.measure.phases import PhasesBeforeRecord
+from rig.presentation import failures, print_json_line, print_verdicts, say, table_tree
+from rig.settings import Configuration
+
+
+def preflight_rig(config: Configuration, *, json_lines: bool = False) -> int:
+    """Light the laser, look at the spot, print the table of checks; returns exit status 1 for no-go.
+
+    Nothing is moved and nothing is recorded. Noise, rest position and ground are judged if a run would begin
+    at rest (start.way is not 'at once'): the pendulum must rest then.
+    """
+    preflight = config.preflight.model_copy(update={"when": "always"})
+    config = complete(config.model_copy(update={"preflight": preflight}))
+    check_materials(config)
+    with Devices(config) as devices, devices.camera(config) as camera:
+        optics = optics_of(config, camera.info.full_scale_dn)
+        phases = PhasesBeforeRecord(config, devices, camera, optics, _place(config))
+        stream = FrameStream(
+            camera.camera,
+            camera_settings(config),
+            policy=frame_policy(config),
+            timeout_s=config.camera.timeout_s,
+            permit=devices.permit,
+            time_shift_ns=camera.time_shift_ns,
+        )
+        prepare_kernels(optics.sensor, say)
+        if lit := devices.light():
+            say(lit)
+        light = LightWatch(devices)
+        last_phase = ""
+
+        def report(snapshot: Snapshot) -> None:
+            nonlocal last_phase
+            light.look()
+            if light.alarm:
+                raise DeviceError(light.alarm)
+            if json_lines and snapshot.phase != last_phase:
+                print_json_line("state", {"phase": snapshot.phase, "elapsed_s": snapshot.elapsed_s})
+            last_phase = snapshot.phase
+
+        try:
+            stream.start_camera()
+            if stream.begin() is None:
+                raise DataError("the camera delivered no frame at all")
+            verdicts = phases.check_alone(stream, report, StopRequest(stream))
+        finally:
+            devices.darken()
+            stream.close()
+    if json_lines:
+        print_json_line("preflight", {"table": table_tree(verdicts)})
+    else:
+        print_verdicts(Console(), verdicts)
+    against = failures(verdicts)
+    if against:
+        say(f"no-go: {against}")
+    return 1 if against or not verdicts else 0
+
+
+def _place(config: Configuration) -> Path:
+    """Where a record would be written, as far as it exists."""
+    place = config.session.output.absolute()
+    while not place.exists():
+        place = place.parent
+    return place

@@ -1,0 +1,121 @@
+"""A desk in a process of its own, and a tab of a headless browser that looks at it."""
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import cv2
+
+from tests.rig.view.headless_browser import HeadlessBrowser, headless_browser
+
+LIMIT_S = 50.0
+SIZE = {"width": 1280, "height": 800, "deviceScaleFactor": 1, "mobile": False}
+
+
+class Page:
+    """A tab with the desk in it; waits for states of the page, never for durations."""
+
+    def __init__(self, browser: HeadlessBrowser) -> None:
+        self.browser = browser
+        browser.call("Emulation.setDeviceMetricsOverride", **SIZE)
+
+    def open(self, address: str) -> None:
+        self.browser.open(address)
+        self.wait("document.querySelector('.q-tab') !== null && window.socket?.connected !== false")
+
+    def ask(self, script: str) -> Any:
+        """The value of a JavaScript expression."""
+        told = self.browser.call("Runtime.evaluate", expression=script, returnByValue=True, awaitPromise=True)
+        return told.get("result", {}).get("value")
+
+    def wait(self, script: str, limit_s: float = LIMIT_S) -> Any:
+        """Until an expression is true; returns its value."""
+        deadline_s = time.monotonic() + limit_s
+        while True:
+            found = self.ask(f"(() => {{ try {{ return {script} }} catch (e) {{ return null }} }})()")
+            if found:
+                return found
+            assert time.monotonic() < deadline_s, f"never came true: {script}\n{self.text()}"
+            time.sleep(0.1)
+
+    def wait_text(self, text: str, limit_s: float = LIMIT_S) -> None:
+        """Until the page shows a text."""
+        self.wait(f"document.body.innerText.includes({text!r})", limit_s)
+
+    def text(self) -> str:
+        return str(self.ask("document.body.innerText"))
+
+    def click(self, words: str) -> None:
+        """Click the visible button, tab or box with these words."""
+        found = (
+            "[...document.querySelectorAll('button, .q-tab, .q-checkbox, a')]"
+            f".find(b => b.offsetParent && b.innerText.trim().toLowerCase().startsWith({words.lower()!r}))"
+        )
+        self.wait(f"{found} != null")
+        self.ask(f"{found}.click()")
+
+    def fill(self, key: str, text: str) -> None:
+        """Type into the field of a key of the configuration."""
+        self.ask(
+            f"(() => {{ const f = document.querySelector('[data-key=\"{key}\"]'); f.focus(); f.select() }})()"
+        )
+        self.browser.call("Input.insertText", text=text)
+
+    def key(self, key: str) -> None:
+        """Press a key where no field has the focus."""
+        self.ask("document.activeElement.blur()")
+        for kind in ("keyDown", "keyUp"):
+            self.browser.call(
+                "Input.dispatchKeyEvent", type=kind, key=key, text=key if kind == "keyDown" else ""
+            )
+
+    def picture(self, path: Path) -> None:
+        """Photograph the page."""
+        cv2.imwrite(str(path), self.browser.picture()[..., ::-1])
+
+
+class DeskProcess:
+    """`rig desk` of a configuration."""
+
+    def __init__(self, config: Path, *words: str) -> None:
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "rig", "desk", str(config), "--no-browser", *words],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            env={**os.environ, "COLUMNS": "200"},
+        )
+        assert self._process.stdout is not None
+        self.address = self._process.stdout.readline().strip()
+        assert self.address.startswith("http"), self._process.stderr and self._process.stderr.read()
+
+    def kill(self) -> None:
+        self._process.kill()
+        self._process.communicate()
+
+    def end(self) -> int:
+        if self._process.poll() is None:
+            self._process.send_signal(signal.SIGINT)
+        self._process.communicate(timeout=30)
+        return self._process.returncode
+
+
+@contextlib.contextmanager
+def desk_page(config: Path, *words: str) -> Iterator[tuple[DeskProcess, Page]]:
+    """A desk and one tab that shows it."""
+    with headless_browser() as browser:
+        desk = DeskProcess(config, *words)
+        try:
+            page = Page(browser)
+            page.open(desk.address)
+            yield desk, page
+        finally:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                desk.end()
+            desk.kill()
