@@ -1,17 +1,18 @@
 """A folder of small files, each written once, whole or not at all, and one file that holds the rows of all.
 
 Nobody waits for a lock: two processes that write at once write different files, or the same one. The merged
-file holds the same rows again, for speed: deleted, it is made anew.
+file holds the same rows again, for speed: deleted, it is made anew. Its name says of which files it is.
 """
 
 import contextlib
+import hashlib
 import io
 import os
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from acquisition.record import whole_file
 from processing.errors import RecordError
@@ -23,11 +24,20 @@ _KEPT = 2
 """Merged files that are kept: somebody may be reading the one before."""
 
 
+class Merged(NamedTuple):
+    """A merged file, and `of`, which says of which files it holds the rows (see `digest_of`)."""
+
+    path: Path
+    number: int
+    of: str
+
+
 @dataclass(frozen=True)
 class Shelf:
-    """Files `NAME.suffix` in `folder`, and `kind-NUMBER.parquet` in `merged`.
+    """Files `NAME.suffix` in `folder`, and `kind-NUMBER-DIGEST.parquet` in `merged`.
 
-    `read` gives the rows of one file as an Arrow table whose column `version` is the file's name.
+    `read` gives the rows of one file as an Arrow table whose column `version` is the file's name; `finish`
+    may add to the table of all, before it is written, columns that `read` does not give.
     """
 
     folder: Path
@@ -35,6 +45,7 @@ class Shelf:
     kind: str
     suffix: str
     read: Callable[[Path], Any]
+    finish: Callable[[Any], Any] = lambda table: table
 
     def path(self, name: str) -> Path:
         return self.folder / f"{name}{self.suffix}"
@@ -68,12 +79,12 @@ class Shelf:
         import pyarrow as pa
         from pyarrow import parquet
 
-        newest, number = self.newest()
+        newest = self.newest()
         there = self.names()
         tables = []
         if newest is not None:
             with contextlib.suppress(pa.ArrowInvalid, OSError):
-                old = parquet.read_table(newest)
+                old = parquet.read_table(newest.path)
                 tables.append(old.filter(pa.array([name in there for name in old["version"].to_pylist()])))
         merged = set(tables[0]["version"].to_pylist()) if tables else set()
         loose = sorted(there - merged)
@@ -85,22 +96,27 @@ class Shelf:
             except (pa.ArrowInvalid, OSError) as error:
                 raise unreadable(self.path(name), error) from None
         self.merged.mkdir(exist_ok=True)
-        data = as_parquet(pa.concat_tables(tables, promote_options="default"))
-        # another process that was faster has merged as well as this one
+        data = as_parquet(self.finish(pa.concat_tables(tables, promote_options="default")))
+        number = 1 if newest is None else newest.number + 1
+        # another process that was faster has merged the same files
         with contextlib.suppress(FileExistsError):
-            whole_file.write_new(self.merged / f"{self.kind}-{number + 1:08d}.parquet", data)
-        for old_path in sorted(self.merged.glob(f"{self.kind}-*.parquet"))[:-_KEPT]:
-            old_path.unlink(missing_ok=True)
+            whole_file.write_new(self.merged / f"{self.kind}-{number:08d}-{digest_of(there)}.parquet", data)
+        for old in sorted(self.merged.glob(f"{self.kind}-*.parquet"))[:-_KEPT]:
+            old.unlink(missing_ok=True)
 
-    def newest(self) -> tuple[Path | None, int]:
-        """The merged file with the highest number, and that number."""
-        numbered = {
-            int(found[1]): path
+    def newest(self) -> Merged | None:
+        """The merged file with the highest number."""
+        found = [
+            Merged(path, int(parts[1]), parts[2])
             for path in self.merged.glob(f"{self.kind}-*.parquet")
-            if (found := re.fullmatch(rf"{self.kind}-(\d+)\.parquet", path.name))
-        }
-        number = max(numbered, default=0)
-        return numbered.get(number), number
+            if (parts := re.fullmatch(rf"{self.kind}-(\d+)-(\w+)\.parquet", path.name))
+        ]
+        return max(found, key=lambda merged: merged[1:], default=None)
+
+
+def digest_of(names: Iterable[str]) -> str:
+    """Says of which files a merged file holds the rows."""
+    return hashlib.sha256("\0".join(sorted(names)).encode()).hexdigest()[:16]
 
 
 def unreadable(path: Path, error: object, command: str = "add") -> RecordError:

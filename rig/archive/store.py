@@ -17,7 +17,7 @@ from processing.errors import ConfigurationError, RecordError
 from rig.archive.blind import Seal, offsets, sealed
 from rig.archive.columns import COLUMNS, OF_REFITS, SHORT_NAMES, Column
 from rig.archive.remarks import read_remarks
-from rig.archive.shelf import MANY, Shelf, as_parquet, unreadable
+from rig.archive.shelf import MANY, Shelf, as_parquet, digest_of, unreadable
 
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
@@ -28,7 +28,9 @@ class Archive:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self._sessions = Shelf(folder / "sessions", folder / "merged", "runs", ".parquet", _read_parquet)
+        self._sessions = Shelf(
+            folder / "sessions", folder / "merged", "runs", ".parquet", _read_parquet, _with_listed
+        )
         self.refits = refit_shelf(folder)
 
     def add(self, name: str, rows: Sequence[Mapping[str, Any]]) -> bool:
@@ -70,20 +72,23 @@ class Archive:
         connection = duckdb.connect(
             config={"autoinstall_known_extensions": "false", "python_enable_replacements": "false"}
         )
-        newest, _ = self._sessions.newest()
-        files: list[str] = []
+        newest = self._sessions.newest()
+        files: list[str] = [] if newest is None else [str(newest.path)]
         gone: list[str] = []
-        merged: set[str] = set()
+        merges_all = newest is not None and newest.of == digest_of(there)
         try:
-            if newest is not None:
-                found = connection.execute("select distinct version from read_parquet(?)", [str(newest)])
-                merged = {name for (name,) in found.fetchall()}
-                files, gone = [str(newest)], sorted(merged - there)
-            files += [str(self._sessions.path(name)) for name in sorted(there - merged)]
+            if not merges_all:
+                merged: set[str] = set()
+                if files:
+                    found = connection.execute("select distinct version from read_parquet(?)", files)
+                    merged = {name for (name,) in found.fetchall()}
+                gone = sorted(merged - there)
+                files += [str(self._sessions.path(name)) for name in sorted(there - merged)]
             connection.execute("set variable files = ?", [files])
             connection.execute("set variable gone = ?", [gone])
             connection.execute(_REMARKS, list(read_remarks(self.folder)))
-            connection.execute(_VIEWS)
+            connection.execute(f"{_VIEWS}; create view latest as {_LATEST}")
+            connection.execute(_OPEN_RUNS.format(rows=_MARKED if merges_all else _LISTED))
             if refits:
                 files += self._with_refits(connection)
             _hide(connection, sealed(self.folder), refits=refits)
@@ -97,13 +102,14 @@ class Archive:
     def _with_refits(self, connection: Any) -> list[str]:
         """Define the table `refits`; returns the files that it is read from."""
         self.refits.merge(at_once=MANY)
-        newest, _ = self.refits.newest()
+        newest = self.refits.newest()
         loose, there = self.refits.names(), sorted(self.refits.names())
         source = "select * from loose_refits"
         if newest is not None:
-            found = connection.execute("select version from read_parquet(?)", [str(newest)]).fetchall()
+            merged = str(newest.path)
+            found = connection.execute("select version from read_parquet(?)", [merged]).fetchall()
             loose = loose - {name for (name,) in found}
-            source = f"{source} union all by name select * from read_parquet('{_quoted(newest)}')"
+            source = f"{source} union all by name select * from read_parquet('{_quoted(newest.path)}')"
         import pyarrow as pa
 
         tables = [_table([], _REFIT_COLUMNS), *(self.refits.read(self.refits.path(n)) for n in sorted(loose))]
@@ -112,7 +118,7 @@ class Archive:
         connection.unregister("loose_rows")
         connection.execute("set variable refits_there = ?", [there])
         connection.execute(_REFITS.replace("SOURCE", source))
-        return [] if newest is None else [str(newest)]
+        return [] if newest is None else [str(newest.path)]
 
 
 def _hide(connection: Any, seal: Seal | None, *, refits: bool) -> None:
@@ -141,20 +147,40 @@ create table remarks as
   select
     unnest($1::varchar[]) as run_sha256, unnest($2::varchar[][]) as tags, unnest($3::varchar[][]) as notes
 """
+_TYPES = {
+    "text": "varchar",
+    "number": "double",
+    "count": "bigint",
+    "yes or no": "boolean",
+    "time": "timestamp",
+}
 _VIEWS = f"""
+create table no_rows (
+  {", ".join(f"{name} {_TYPES[column.kind]}" for name, column in COLUMNS.items())}, listed boolean
+);
+create view all_rows as
+  select * from no_rows union all by name
+  select * from read_parquet(getvariable('files'), union_by_name = true);
 create view versions as
-  select * from read_parquet(getvariable('files'), union_by_name = true)
-  where not list_contains(getvariable('gone'), version);
-create view latest as
-  select * from versions
-  where version in (
-    select arg_max(version, (added_utc, version)) from versions group by computer, folder
-  );
+  select * exclude listed from all_rows where not list_contains(getvariable('gone'), version)
+"""
+_LATEST = """
+select * from versions
+where version in (select arg_max(version, (added_utc, version)) from versions group by computer, folder)
+"""
+"""Of each folder the rows of its newest version."""
+_LISTED = """
+select * from latest
+qualify row_number() over (partition by sha256 order by added_utc desc, version desc) = 1
+"""
+"""The rows that are listed: of a folder those of its newest version, and of a run the newest one."""
+_MARKED = "select * exclude listed from all_rows where listed"
+"""The same where one merged file holds all rows and says which are listed."""
+_OPEN_RUNS = f"""
 create view open_runs as
   select
-    latest.*, coalesce(tags, []::varchar[]) as tags, coalesce(notes, []::varchar[]) as notes, {_ALIASES}
-  from latest left join remarks on run_sha256 = sha256
-  qualify row_number() over (partition by sha256 order by added_utc desc, version desc) = 1;
+    shown.*, coalesce(tags, []::varchar[]) as tags, coalesce(notes, []::varchar[]) as notes, {_ALIASES}
+  from ({{rows}}) as shown left join remarks on run_sha256 = sha256;
 """
 
 
@@ -221,6 +247,21 @@ def _table(rows: Iterable[Mapping[str, Any]], columns: Mapping[str, Column] = CO
     }
     schema = pa.schema([(name, kinds[column.kind]) for name, column in columns.items()])
     return pa.Table.from_pylist([dict(row) for row in rows], schema=schema)
+
+
+def _with_listed(table: Any) -> Any:
+    """The rows of all sessions with a further column: whether a row is listed."""
+    import numpy as np
+    import pyarrow as pa
+
+    kept = table.drop_columns("listed") if "listed" in table.column_names else table
+    with duckdb_module().connect() as connection:
+        connection.register("versions", kept.append_column("place", pa.array(np.arange(len(kept)))))
+        connection.execute(f"create view latest as {_LATEST}")
+        found = connection.execute(f"select place from ({_LISTED})").fetchnumpy()["place"]
+    listed = np.zeros(len(kept), dtype=np.bool_)
+    listed[found] = True
+    return kept.append_column("listed", pa.array(listed))
 
 
 def _read_parquet(path: Path) -> Any:

@@ -3,6 +3,7 @@
 import json
 import os
 import shutil
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import pytest
@@ -27,7 +28,9 @@ def archive(tmp_path: Path) -> Path:
     return tmp_path / "archive"
 
 
-def in_this_process(work, tasks, processes):  # type: ignore[no-untyped-def]
+def in_this_process(
+    work: Callable[[Task], str], tasks: Sequence[Task], processes: int
+) -> Iterator[tuple[Task, str | None]]:
     """Starting processes takes seconds; what they do has a test of its own."""
     return ((task, work(task)) for task in tasks)
 
@@ -99,7 +102,7 @@ def test_what_cannot_be_done_is_said_and_not_stored(
 
 
 def test_what_ends_its_process_twice_is_in_quarantine(archive: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def killed(work, tasks, processes):  # type: ignore[no-untyped-def]
+    def killed(work: object, tasks: Sequence[Task], processes: int) -> Iterator[tuple[Task, None]]:
         return ((task, None) for task in tasks)
 
     monkeypatch.setattr("rig.archive.refitting.in_processes", killed)
