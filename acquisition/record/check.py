@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from acquisition.record.chunk_places import ChunkPlace
 from acquisition.record.chunk_reader import ChunkDamage, message_heads
 from acquisition.record.contents import Contents, walk
-from acquisition.record.digest import sha256_of
 from acquisition.record.frame_numbers import MOST_SHOWN, FrameNumbers
+from acquisition.record.identity import THINNED, measured_sha256_of
 from acquisition.record.proof import data_crc_matches, unproved_parts
 from acquisition.record.reader import RecordReader
 from acquisition.record.records import intact_attachment, read_record
@@ -113,6 +113,15 @@ def check_record(path: Path, results: Path | None = None) -> list[Finding]:
             ]
         findings += [
             _check_recovery(texts) for name, texts in reader.metadata.items() if name.startswith(RECOVERY)
+        ]
+        findings += [
+            Finding(
+                "note",
+                f"thinned {texts.get('utc', '')[:10]}: {texts.get('window_count', '?')} windows "
+                f"{texts.get('windows', '?')}; measured as SHA-256 {texts.get('measured_sha256', '?')}",
+            )
+            for name, texts in reader.metadata.items()
+            if name.startswith(THINNED)
         ]
         findings += _check_types(contents)
         findings += _check_counts(contents, tally)
@@ -297,7 +306,7 @@ def _check_hashes(reader: RecordReader, results: Path) -> list[Finding]:
         raise RecordError(f"{results}: is not a results.json; name the one beside the record") from None
     if run is None:
         return [Finding("warning", f"{results.name} does not contain {reader.path.name}")]
-    if sha256 != sha256_of(reader.path):
+    if sha256 != measured_sha256_of(reader.path):
         return [
             Finding(
                 "error",

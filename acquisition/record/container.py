@@ -55,7 +55,7 @@ class McapFile:
     cannot be written (disk full after the release of the reserve, drive removed).
     """
 
-    def __init__(self, path: Path, library: str, reserve_bytes: int) -> None:
+    def __init__(self, path: Path, library: str, reserve_bytes: int, zstd_level: int = _ZSTD_LEVEL) -> None:
         self.full: OSError | None = None
         self.size = 0
         self._crc = 0
@@ -64,7 +64,7 @@ class McapFile:
         self._reserve_bytes = reserve_bytes
         self._reserve_lock = threading.Lock()
         self._background = BackgroundSync(self._force)
-        self._compressor = zstandard.ZstdCompressor(level=_ZSTD_LEVEL)
+        self._compressor = zstandard.ZstdCompressor(level=zstd_level)
         self._path = path
         # also readable, so that a record whose name was removed can be copied
         self._file = path.open("x+b", buffering=0)
@@ -272,10 +272,10 @@ class McapFile:
             return self._reserve.release()
 
 
-def create_record(path: Path, reserve_bytes: int) -> McapFile:
+def create_record(path: Path, reserve_bytes: int, zstd_level: int = _ZSTD_LEVEL) -> McapFile:
     """Create the file of a record. Raises RecordError if it exists or cannot be created."""
     try:
-        return McapFile(path, LIBRARY, reserve_bytes)
+        return McapFile(path, LIBRARY, reserve_bytes, zstd_level)
     except FileExistsError:
         raise RecordError(f"{path}: exists already and is never overwritten; choose another name") from None
     except OSError as error:

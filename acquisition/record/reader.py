@@ -106,7 +106,7 @@ class RecordReader(ProvedFile):
 
         The names of the fields are those in the file, with units. Empty if the record has no such topic.
         """
-        kind = self._type(topic)
+        kind = self.message_type(topic)
         if kind is None:
             return np.empty(0, dtype=np.dtype([]))
         # what is stated may be a lie: a message takes more than a byte of the file
@@ -126,7 +126,7 @@ class RecordReader(ProvedFile):
 
         Fields that an older record does not contain are NaN (float), 0 (int) or empty (str).
         """
-        kind = self._type(topic)
+        kind = self.message_type(topic)
         if kind is None:
             return []
         wanted = message_type_of(value_class, kind.full_name, topic)
@@ -160,7 +160,7 @@ class RecordReader(ProvedFile):
         With `start_ns` (on the frames' clock), spots before that time are left out, and chunks before it are
         not read. With `fields`, only these fields (and `time_ns`) are decoded, which is faster.
         """
-        kind = self._type(SPOT.topic)
+        kind = self.message_type(SPOT.topic)
         if kind is None:
             return
         wanted = None if fields is None else {"time_ns", *fields}
@@ -195,7 +195,7 @@ class RecordReader(ProvedFile):
 
     def windows(self, start_ns: int | None = None) -> Iterator[RecordedWindow]:
         """Windows around the spot, in order of time, one at a time; `start_ns` as in `spot_blocks`."""
-        kind = self._type(WINDOW.topic)
+        kind = self.message_type(WINDOW.topic)
         if kind is None:
             return
         for message in self._since(WINDOW.topic, start_ns):
@@ -264,7 +264,7 @@ class RecordReader(ProvedFile):
         except ValueError as error:
             raise RecordError(f"{self.path}: {error}; it was not written by rig run") from None
 
-    def _type(self, topic: str) -> MessageType | None:
+    def message_type(self, topic: str) -> MessageType | None:
         """Message type of a topic as described in the file; None if the record has no such topic."""
         if topic not in self._types:
             for channel in self.contents.channels.values():

@@ -71,7 +71,8 @@ def recover(source: Path, path: Path) -> Recovery:
     return found
 
 
-def _copy(reader: RecordReader, file: McapFile, path: Path) -> Recovery:
+def copy_head(reader: RecordReader, file: McapFile) -> dict[int, int]:
+    """Copy attachments and descriptions of topics; returns the new file's channels by the old one's."""
     contents = reader.contents
     for name, data in reader.attachments.items():
         file.add_attachment(name, "application/octet-stream", data, contents.start_ns)
@@ -80,6 +81,12 @@ def _copy(reader: RecordReader, file: McapFile, path: Path) -> Recovery:
         schema = contents.schemas.get(channel.schema_id)
         if schema is not None:
             numbers[number] = file.add_channel(channel.topic, schema.name, schema.data, own_texts(channel))
+    return numbers
+
+
+def _copy(reader: RecordReader, file: McapFile, path: Path) -> Recovery:
+    contents = reader.contents
+    numbers = copy_head(reader, file)
     counts: Counter[str] = Counter()
     opened = reader.chunk_opener()
     for place in contents.chunks:

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from acquisition.record.digest import known_sha256_of
 from acquisition.record.events import EventKind
+from acquisition.record.identity import measured_sha256_of
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import DEFLECTION_FIELDS, ENVIRONMENT
 from processing.deflections import Deflections, DeflectionUnit, joined
@@ -216,7 +216,7 @@ def _head(path: Path, points: TurningPoints, unit: DeflectionUnit) -> RunResults
     in_arcsec = unit is DeflectionUnit.RAD
     return RunResults(
         record=path.name,
-        sha256=known_sha256_of(path),
+        sha256=measured_sha256_of(path, known=True),
         record_bytes=path.stat().st_size,
         half_cycles=len(points),
         amplitude_unit=unit.shown,

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from rig.archive.laboratories import compare_groups
     from rig.archive.publishing import Statement, publish_runs
     from rig.archive.refitting import refit_runs
+    from rig.archive.thinning import thin_runs
     from rig.archive.viewing import view_runs
 
 __all__ = [
@@ -29,6 +30,7 @@ __all__ = [
     "refit_runs",
     "remark",
     "show_runs",
+    "thin_runs",
     "unseal",
     "view_runs",
 ]
@@ -39,6 +41,7 @@ _LATER = {
     "print_differences": "differences",
     "publish_runs": "publishing",
     "refit_runs": "refitting",
+    "thin_runs": "thinning",
     "view_runs": "viewing",
 }
 """What takes seconds to import, for which `list` must not wait, by module."""

@@ -5,10 +5,14 @@ import os
 import platform
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from processing.errors import RecordError
 from rig.archive.store import Archive, duckdb_module
 from rig.presentation import say
+
+if TYPE_CHECKING:
+    from rig.archive.session_rows import Row
 
 
 def add_sessions(archive: Path, sources: Sequence[Path], *, read: bool = False) -> str:
@@ -43,7 +47,7 @@ def add_sessions(archive: Path, sources: Sequence[Path], *, read: bool = False) 
                 say(flaw)
             if not found.rows:
                 continue
-            states = sorted(f"{row['sha256']} {row['state']}" for row in found.rows)
+            states = sorted(_state(row) for row in found.rows)
             place = (computer, str(folder), found.results_sha256, *states)
             name = f"{found.session[:16]}-{hashlib.sha256(chr(0).join(place).encode()).hexdigest()[:16]}"
             inside = not any(Path(row["record"]).is_absolute() for row in found.rows)
@@ -58,6 +62,12 @@ def add_sessions(archive: Path, sources: Sequence[Path], *, read: bool = False) 
                 store.merge_many()
     store.merge()
     return f"{added} sessions added ({runs} runs), {before} known already"
+
+
+def _state(row: "Row") -> str:
+    """What makes another version of a session: another record, another state of it, fewer pixels."""
+    thinned = [row["windows"]] if row.get("windows") in ("dropped", "recompressed") else []
+    return " ".join([row["sha256"], row["state"], *thinned])
 
 
 def _files(folder: Path) -> str:

@@ -39,6 +39,7 @@ COLUMNS: Final[Mapping[str, Column]] = {
     "record_bytes": Column("count", "size of the record"),
     "state": Column("text", "of the record: whole, cut, damaged, unreadable, missing"),
     "flaw": Column("text", "in a line what is wrong with the record"),
+    "windows": Column("text", "of raw pixels: recorded, none, recompressed, dropped"),
     "results": Column("text", "name of the results file"),
     "results_sha256": Column("text", "its hash"),
     "files": Column(

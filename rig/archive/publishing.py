@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from acquisition.record.digest import sha256_of
+from acquisition.record.identity import measured_sha256_of
 from acquisition.record.reader import RecordReader
 from processing.errors import ConfigurationError, RecordError
 from rig.analysis import read_results, results_path, write_results
@@ -90,7 +91,7 @@ def _copy_session(folder: Path, records: dict[Path, str], target: Path) -> None:
             raise RecordError(f"{record}: is not here; publish on the computer where it lies")
         copy = target / record.name
         shutil.copyfile(record, copy)
-        if sha256_of(copy) != sha256:
+        if measured_sha256_of(copy) != sha256:
             raise RecordError(f"{record}: has changed since it was added; rig archive add")
         if number == 0:
             _copy_inputs(copy, target / "inputs")

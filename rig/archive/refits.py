@@ -9,7 +9,8 @@ from typing import Any, Literal, NamedTuple
 
 import zstandard
 
-from acquisition.record.digest import sha256_of
+from acquisition.record.identity import measured_sha256_of, thinning_of
+from acquisition.record.reader import RecordReader
 from processing.errors import ConfigurationError, RecordError, RigError
 from rig.analysis import (
     AnalysedRun,
@@ -75,8 +76,12 @@ def refit(task: Task) -> str:
     if code_identity() != recipe.code:
         return f"this worker runs other code ({code_identity()}) than was asked for ({recipe.code})"
     try:
-        if sha256_of(task.record) != task.sha256:
+        if measured_sha256_of(task.record) != task.sha256:
             return f"{task.record}: has changed since it was added; rig archive add"
+        if recipe.level == "pixels" and _dropped(task.record):
+            return (
+                f"{task.record}: its windows of pixels were dropped by rig archive thin; --level spots can be"
+            )
     except RecordError as error:
         return str(error)
     row: dict[str, Any] = {"sha256": task.sha256, "version": name}
@@ -103,6 +108,12 @@ def refit(task: Task) -> str:
     packed = zstandard.ZstdCompressor(level=6).compress(json.dumps(document).encode())
     refit_shelf(task.archive).write(name, packed)
     return ""
+
+
+def _dropped(record: Path) -> bool:
+    with RecordReader(record) as reader:
+        said = thinning_of(reader)
+        return said is not None and said.get("windows") == "dropped"
 
 
 def _analysed(task: Task) -> AnalysedRun:

@@ -8,8 +8,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from acquisition.record.digest import sha256_of
+from acquisition.record.identity import identity_of, thinning_of
 from acquisition.record.proof import data_crc_matches
 from acquisition.record.reader import RecordReader
+from acquisition.record.topics import WINDOW
 from acquisition.record.utc import utc
 from processing.errors import RecordError
 from processing.estimate import Estimate
@@ -78,7 +80,11 @@ def _of_record(path: Path) -> Row:
     try:
         with RecordReader(path) as reader:
             contents, texts = reader.contents, reader.metadata
-            row |= {"state": "whole"}
+            row |= {"state": "whole", "sha256": identity_of(reader) or row["sha256"]}
+            thinning = thinning_of(reader)
+            row["windows"] = "recorded" if reader.counts.get(WINDOW.topic) else "none"
+            if thinning is not None:
+                row["windows"] = thinning.get("windows")
             if reader.truncated:
                 row |= {"state": "cut", "flaw": "it has no ending; rig recover makes a complete file of it"}
             elif contents.damage or not data_crc_matches(reader.file, contents):

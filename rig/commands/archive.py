@@ -1,10 +1,12 @@
 """`rig archive`: a catalogue of the runs of many sessions."""
 
+import sys
 from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
 
+from processing.errors import ConfigurationError
 from rig.commands.arguments import Set
 
 Archive = Annotated[
@@ -38,6 +40,7 @@ def register(app: typer.Typer) -> None:
     archive.command("unblind")(unblind)
     archive.command("view")(view)
     archive.command("publish")(publish)
+    archive.command("thin")(thin)
     app.add_typer(archive, name="archive")
 
 
@@ -245,3 +248,37 @@ def publish(
 
     statement = Statement(title, licence, author, citation)
     print(publish_runs(archive, names or [], where, output, statement))
+
+
+def thin(
+    names: Names = None,
+    where: Where = "",
+    drop_after: Annotated[
+        int | None, typer.Option("--drop-after", min=0, help="Drop windows of pixels after so many months.")
+    ] = None,
+    recompress_after: Annotated[
+        int | None,
+        typer.Option("--recompress-after", min=0, help="Store them in fewer bytes after so many months."),
+    ] = None,
+    yes: Annotated[bool, typer.Option("--yes", help="Do not ask.")] = False,
+    archive: Archive = _PLACE,
+) -> None:
+    """Drop the pixels of old records that have results, or store them in fewer bytes; asks first."""
+    from rig.archive import thin_runs
+
+    raise typer.Exit(
+        thin_runs(
+            archive,
+            names or [],
+            where,
+            drop_after=drop_after,
+            recompress_after=recompress_after,
+            agreed=(lambda question: True) if yes else _agreed,
+        )
+    )
+
+
+def _agreed(question: str) -> bool:
+    if not sys.stdin.isatty():
+        raise ConfigurationError(f"{question} Nobody is there to be asked; --yes agrees")
+    return typer.confirm(question)

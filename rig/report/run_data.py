@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from acquisition.frame import Frame
 from acquisition.record.digest import known_sha256_of
+from acquisition.record.identity import measured_sha256_of
 from acquisition.record.reader import RecordReader
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import DataError, RecordError, RigError
@@ -132,7 +133,7 @@ def _read_run(folder: Path, results: RunResults, number: int) -> RunData:
                 "began": f"{reader.utc(int(spots['time_ns'][0])):%Y-%m-%d %H:%M:%S} UTC",
             }
         notes += [line for line in reader.doubts() if line not in results.warnings]
-    if results.sha256 != known_sha256_of(path):
+    if results.sha256 != measured_sha256_of(path, known=True):
         notes.append("the record is not the one that the results were made from: its hash differs")
     if configuration is not None:
         provenance["configuration"] = _flat(json.loads(configuration))

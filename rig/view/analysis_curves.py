@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from acquisition.record.digest import sha256_of
+from acquisition.record.identity import measured_sha256_of
 from acquisition.record.reader import RecordReader
 from processing.contact import moment_loop
 from processing.deflections import DeflectionUnit
@@ -42,7 +42,7 @@ def run_analysis(record: Path) -> RunAnalysis:
     # drawing reports takes a second to import, which must not delay a live view
     from rig.report import turning_points_again
 
-    _, known = recorded_results(record, sha256_of(record))
+    _, known = recorded_results(record, measured_sha256_of(record))
     results = analyse_record(record).results if known is None else known
     with RecordReader(record) as reader:
         stored = results.turning_points or turning_points_again(reader, results)
