@@ -3,18 +3,23 @@
 from rig.calibrate.axes import calibrate_axes
 from rig.calibrate.clock import calibrate_clock
 from rig.calibrate.filing import Filing
+from rig.calibrate.inputs import LadderFile, TransferFile
 from rig.calibrate.lever import calibrate_lever, check_known_angle
 from rig.calibrate.pointing import calibrate_pointing
 from rig.calibrate.sensor import calibrate_sensor
+from rig.calibrate.shown import calibration_tables
 from rig.calibrate.shutter import calibrate_shutter
 
 __all__ = [
     "Filing",
+    "LadderFile",
+    "TransferFile",
     "calibrate_axes",
     "calibrate_clock",
     "calibrate_lever",
     "calibrate_pointing",
     "calibrate_sensor",
     "calibrate_shutter",
+    "calibration_tables",
     "check_known_angle",
 ]

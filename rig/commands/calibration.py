@@ -13,6 +13,20 @@ if TYPE_CHECKING:
 Ladder = Annotated[
     Path, typer.Argument(help="Steps or geometry of the lever (TOML file).", show_default=False)
 ]
+AskedLadder = Annotated[
+    Path | None,
+    typer.Argument(help="Steps or geometry of the lever (TOML file); without it, asked.", show_default=False),
+]
+AskedRecord = Annotated[
+    Path | None,
+    typer.Argument(help="Record (MCAP file), or a folder with one; without it, asked.", show_default=False),
+]
+Rig = Annotated[
+    Path | None,
+    typer.Option(
+        "--config", help="Configuration of the rig, to record what is asked for.", show_default=False
+    ),
+]
 Folder = Annotated[Path, typer.Option("-o", "--output", help="Folder for the calibration file.")]
 Days = Annotated[
     float, typer.Option("--valid-days", help="Number of days for which the calibration is valid.", min=0.01)
@@ -39,31 +53,41 @@ def register(app: typer.Typer) -> None:
     app.add_typer(group, name="calibrate")
 
 
-def lever(ladder: Ladder, output: Folder = _FOLDER, valid_days: Days = _DAYS, by: By = "") -> None:
+def lever(
+    ladder: AskedLadder = None,
+    output: Folder = _FOLDER,
+    valid_days: Days = _DAYS,
+    by: By = "",
+    config: Rig = None,
+) -> None:
     """Calibrate pixels to radians.
 
-    From geometry, known tilts or known shifts of the sensor.
+    From geometry, known tilts or known shifts of the sensor. Without a file it asks step by step, and goes
+    on where it was interrupted.
 
     \b
-    Example:
+    Examples:
       rig calibrate lever geometry.toml
+      rig calibrate lever --config mine.toml
     """
     from rig.calibrate import calibrate_lever
 
-    _say(calibrate_lever(ladder, _filing(output, valid_days, by)))
+    filing = _filing(output, valid_days, by)
+    _say(_asked("lever", config, filing) if ladder is None else calibrate_lever(ladder, filing))
 
 
 def axes(
-    record: Record,
+    record: AskedRecord = None,
     output: Folder = _FOLDER,
     valid_days: Days = _DAYS,
     by: By = "",
     slow_began: Side = None,
     fast_began: Side = None,
+    config: Rig = None,
 ) -> None:
     """Find the directions of both modes on the sensor.
 
-    From a record in which both swing.
+    From a record in which both swing; without one it asks step by step.
 
     \b
     Example:
@@ -71,20 +95,28 @@ def axes(
     """
     from rig.calibrate import calibrate_axes
 
-    _say(calibrate_axes(one_record(record), _filing(output, valid_days, by), slow_began, fast_began))
+    filing = _filing(output, valid_days, by)
+    if record is None:
+        _say(_asked("axes", config, filing))
+    else:
+        _say(calibrate_axes(one_record(record), filing, slow_began, fast_began))
 
 
 def sensor(
     frames: Annotated[
-        Path, typer.Argument(help="List of dark and evenly lit frames (TOML file).", show_default=False)
-    ],
+        Path | None,
+        typer.Argument(
+            help="List of dark and evenly lit frames (TOML file); without it, asked.", show_default=False
+        ),
+    ] = None,
     output: Folder = _FOLDER,
     valid_days: Days = _DAYS,
     by: By = "",
+    config: Rig = None,
 ) -> None:
     """Measure the sensor: gain, read noise, dark level.
 
-    By photon transfer.
+    By photon transfer. Without a file it asks step by step, and takes the frames if --config is stated.
 
     \b
     Example:
@@ -92,11 +124,12 @@ def sensor(
     """
     from rig.calibrate import calibrate_sensor
 
-    _say(calibrate_sensor(frames, _filing(output, valid_days, by)))
+    filing = _filing(output, valid_days, by)
+    _say(_asked("sensor", config, filing) if frames is None else calibrate_sensor(frames, filing))
 
 
 def clock(
-    record: Record,
+    record: AskedRecord = None,
     output: Folder = _FOLDER,
     valid_days: Days = _DAYS,
     by: By = "",
@@ -106,8 +139,11 @@ def clock(
             help="Width in bits of the camera's nanosecond counter, where it rolls over.", min=16, max=62
         ),
     ] = None,
+    config: Rig = None,
 ) -> None:
     """Compare the camera's clock with the host's.
+
+    Without a record it asks step by step.
 
     \b
     Example:
@@ -115,21 +151,40 @@ def clock(
     """
     from rig.calibrate import calibrate_clock
 
-    _say(calibrate_clock(one_record(record), _filing(output, valid_days, by), counter_bits))
+    filing = _filing(output, valid_days, by)
+    if record is None:
+        _say(_asked("clock", config, filing))
+    else:
+        _say(calibrate_clock(one_record(record), filing, counter_bits))
 
 
-def shutter(record: Record, output: Folder = _FOLDER, valid_days: Days = _DAYS, by: By = "") -> None:
+def shutter(
+    record: AskedRecord = None,
+    output: Folder = _FOLDER,
+    valid_days: Days = _DAYS,
+    by: By = "",
+    config: Rig = None,
+) -> None:
     """Measure the row time of a rolling shutter.
 
-    From a run in which the spot swings across the rows.
+    From a run in which the spot swings across the rows; without one it asks step by step.
     """
     from rig.calibrate import calibrate_shutter
 
-    _say(calibrate_shutter(one_record(record), _filing(output, valid_days, by)))
+    filing = _filing(output, valid_days, by)
+    _say(_asked("shutter", config, filing) if record is None else calibrate_shutter(one_record(record), filing))
 
 
-def pointing(record: Record, output: Folder = _FOLDER, valid_days: Days = _DAYS, by: By = "") -> None:
+def pointing(
+    record: AskedRecord = None,
+    output: Folder = _FOLDER,
+    valid_days: Days = _DAYS,
+    by: By = "",
+    config: Rig = None,
+) -> None:
     """Measure noise and drift of the spot, the pendulum clamped.
+
+    Without a record it asks step by step.
 
     \b
     Example:
@@ -137,7 +192,8 @@ def pointing(record: Record, output: Folder = _FOLDER, valid_days: Days = _DAYS,
     """
     from rig.calibrate import calibrate_pointing
 
-    _say(calibrate_pointing(one_record(record), _filing(output, valid_days, by)))
+    filing = _filing(output, valid_days, by)
+    _say(_asked("pointing", config, filing) if record is None else calibrate_pointing(one_record(record), filing))
 
 
 def check(
@@ -168,17 +224,63 @@ def _filing(folder: Path, valid_days: float, by: str) -> "Filing":
     return Filing(folder, valid_days, by)
 
 
+def _asked(kind: str, config: Path | None, filing: "Filing") -> Path:
+    """Ask for what is needed, record it where a configuration is stated, and make the calibration.
+
+    The answers are kept until it is made, so that the same command goes on after a break.
+    """
+    import sys
+
+    from processing.errors import RigError
+    from rig.presentation import say
+    from rig.settings import load_configuration
+    from rig.wizards import (
+        as_far_as_it_holds,
+        ask_in_terminal,
+        calibration_wizard,
+        drop_draft,
+        keep_draft,
+        kept_draft,
+        progress,
+        recorder_of,
+    )
+
+    loaded = None if config is None else load_configuration(config)
+    wizard = calibration_wizard(kind, loaded)
+    recorder = None if loaded is None or config is None else recorder_of(loaded, config, filing.folder)
+    kept = filing.folder / f"{kind}-answers.json"
+    draft = as_far_as_it_holds(wizard, kept_draft(kept))
+    if draft.answers:
+        say(f"goes on after the {len(draft.answers)} answers in {kept}; remove that file to begin anew")
+    while True:
+        draft = ask_in_terminal(wizard, draft, lambda answers: keep_draft(kept, answers), recorder)
+        try:
+            path = wizard.file(progress(wizard, draft).values, filing)
+        except RigError as error:
+            draft = draft.without_last()
+            keep_draft(kept, draft)
+            if not sys.stdin.isatty():
+                raise
+            say(f"{error}\nthe last question once more; < goes further back")
+        else:
+            drop_draft(kept)
+            return path
+
+
 def _say(path: Path) -> None:
     """Print the content of the new file."""
-    from calibration import read_calibration
+    from rig.presentation import print_tables
+    from rig.wizards import filed
 
-    found = read_calibration(path)
+    made = filed(path)
+    found = made.calibration
     print(f"{found.kind}: {found.method}, valid until {found.valid_until:%Y-%m-%d}")
     for name, value in {**found.values, **found.details}.items():
         if isinstance(value, bool | str):
             print(f"  {name:24} {value}")
         elif isinstance(value, int | float):
             print(f"  {name:24} {value:.6g}")
+    print_tables([table for table in made.tables if table.name != "values"])
     for note in found.notes:
         print(f"note: {note}")
     print(path)

@@ -25,6 +25,8 @@ def register(app: typer.Typer) -> None:
     camera.command("show")(show)
     camera.command("set")(set_features)
     camera.command("snap")(snap)
+    camera.command("record")(record)
+    camera.command("frames")(frames)
     camera.command("focus")(focus)
     camera.command("align")(align)
     camera.command("expose")(expose)
@@ -158,6 +160,49 @@ def snap(
         limits = loaded.preflight
         typer.echo(beam_quality([image], [spot], tracker.model, info.full_scale_dn, limits).line)
         typer.echo(str(output))
+
+
+def record(
+    config: Config,
+    output: Annotated[Path, typer.Option("-o", "--output", help="Record to write (MCAP file).")],
+    seconds: Annotated[float, typer.Option(help="Length of the record.", min=1)] = 20.0,
+    set_: Set = None,
+) -> None:
+    """Record the spot as it is, for a calibration.
+
+    Without preflight, start, view and fits: also of a pendulum that is clamped.
+
+    \b
+    Example:
+      rig camera record mine.toml -o clamped.mcap --seconds 120
+    """
+    from processing.errors import ConfigurationError
+    from rig.measure import record_plainly
+    from rig.settings import load_configuration
+
+    if output.suffix != ".mcap":
+        raise ConfigurationError(f"{output}: a record is an MCAP file; name one that ends in .mcap")
+    typer.echo(record_plainly(load_configuration(config, set_ or []), config, output, seconds))
+
+
+def frames(
+    config: Config,
+    output: Annotated[Path, typer.Option("-o", "--output", help="Folder to make, for the PNG files.")],
+    number: Annotated[int, typer.Option("-n", "--number", help="Number of frames.", min=1, max=64)] = 2,
+    set_: Set = None,
+) -> None:
+    """Save whole frames for a calibration of the sensor.
+
+    As PNG files, with every bit.
+
+    \b
+    Example:
+      rig camera frames mine.toml -o level-1 --set camera.exposure_us=50
+    """
+    from rig.measure import take_frames
+    from rig.settings import load_configuration
+
+    typer.echo(take_frames(load_configuration(config, set_ or []), output, number))
 
 
 def focus(

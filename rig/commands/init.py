@@ -30,6 +30,7 @@ def init(
     from rig.wizards import (
         FirstConfiguration,
         ask_in_terminal,
+        progress,
         refuse_existing,
         stated_keys,
         write_configuration,
@@ -40,8 +41,9 @@ def init(
     for note in notes:
         say(f"note: {note}")
     ports = [(port.device, port.description) for port in list_serial_ports()]
-    found = ask_in_terminal(FirstConfiguration(cameras, ports))
-    config = write_configuration(file, stated_keys(found.values))
+    wizard = FirstConfiguration(cameras, ports)
+    answers = ask_in_terminal(wizard)
+    config = write_configuration(file, stated_keys(progress(wizard, answers).values))
     sys.stderr.flush()
     print(file)
     for line in next_steps(file, lever=config.lever is not None, simulated=config.simulated):

@@ -1,6 +1,7 @@
 """A measurement session: preflight checks, runs, recording, end of a run, display on the terminal."""
 
 from rig.measure.night import measure_plan
+from rig.measure.plain_record import record_plainly, take_frames
 from rig.measure.preflight_alone import preflight_rig
 from rig.measure.resumption import resume_session
 from rig.measure.session import measure_session, session_folder, simulate_record
@@ -9,7 +10,9 @@ __all__ = [
     "measure_plan",
     "measure_session",
     "preflight_rig",
+    "record_plainly",
     "resume_session",
     "session_folder",
     "simulate_record",
+    "take_frames",
 ]

@@ -234,21 +234,23 @@ def validate_configuration(
     raise ConfigurationError("\n".join(lines))
 
 
-def keys_with_faults(keys: Mapping[str, Any], whole: str = "") -> list[str]:
+def keys_with_faults(
+    keys: Mapping[str, Any], whole: str = "", root: type[BaseModel] | None = None
+) -> list[str]:
     """A line for each fault of these values, which are by dotted key; other keys may still be missing.
 
-    What holds between the keys of a section is checked of the section `whole` only.
+    What holds between the keys of a section is checked of the section `whole` only. `root` is the model of
+    the file; None: the configuration.
     """
-    tree: dict[str, Any] = {}
+    tree: dict[str, Any] = {} if root else {"camera": {"driver": "files"}}
     for key, value in keys.items():
         *sections, name = key.split(".")
         place = tree
         for section in sections:
             place = place.setdefault(section, {})
         place[name] = value
-    tree.setdefault("camera", {}).setdefault("driver", "files")
-    _, told = validated(Configuration, tree)
-    asked = {*keys, whole}
+    _, told = validated(root or Configuration, tree)
+    asked = {*keys, whole} - {""}
     return [line for place, line in told if dotted(place) in asked]
 
 

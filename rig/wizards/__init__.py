@@ -2,9 +2,11 @@
 
 A wizard is a list of questions as plain values (`Question`), each of which may depend on the answers before
 it. `Draft` keeps the answers as typed, `progress` reads them and says what is asked next, `answered` takes
-one more. `ask_in_terminal` does that at a keyboard.
+one more. `ask_in_terminal` does that at a keyboard. A `CalibrationWizard` then files a calibration by the
+function of `rig calibrate`, and `filed` says what to show of it.
 """
 
+from rig.wizards.calibration import CalibrationWizard, Filed, filed
 from rig.wizards.configuration_file import refuse_existing, stated_keys, write_configuration
 from rig.wizards.draft import (
     Draft,
@@ -17,12 +19,17 @@ from rig.wizards.draft import (
     progress,
 )
 from rig.wizards.first_configuration import FirstConfiguration
+from rig.wizards.kinds import KINDS, calibration_wizard
 from rig.wizards.question import Choice, Question, Recording, Wizard
+from rig.wizards.recording import place_for, recorder_of
 from rig.wizards.terminal import ask_in_terminal
 
 __all__ = [
+    "KINDS",
+    "CalibrationWizard",
     "Choice",
     "Draft",
+    "Filed",
     "FirstConfiguration",
     "Progress",
     "Question",
@@ -31,10 +38,14 @@ __all__ = [
     "answered",
     "as_far_as_it_holds",
     "ask_in_terminal",
+    "calibration_wizard",
     "drop_draft",
+    "filed",
     "keep_draft",
     "kept_draft",
+    "place_for",
     "progress",
+    "recorder_of",
     "refuse_existing",
     "stated_keys",
     "write_configuration",

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from processing.errors import ConfigurationError, RigError
 from rig.presentation import say
-from rig.wizards.draft import Draft, Progress, answered, progress
+from rig.wizards.draft import Draft, answered, progress
 from rig.wizards.question import Question, Recording, Wizard
 
 BACK = "<"
@@ -18,8 +18,8 @@ def ask_in_terminal(
     draft: Draft | None = None,
     keep: Callable[[Draft], None] = lambda _: None,
     recorder: Recorder | None = None,
-) -> Progress:
-    """Ask all questions that have no answer yet; returns what was answered.
+) -> Draft:
+    """Ask all questions that have no answer yet; returns all answers.
 
     `keep` is called with every new draft; `recorder` records what a question wants. ``<`` goes one question
     back. Where nobody sits at the keyboard, each line of the input is an answer, and the first that cannot
@@ -30,10 +30,9 @@ def ask_in_terminal(
     draft = draft or Draft()
     say(f"{wizard.title}. Enter takes what stands in brackets, {BACK} goes one question back, Ctrl-C ends.")
     while True:
-        now = progress(wizard, draft)
-        question = now.question
+        question = progress(wizard, draft).question
         if question is None:
-            return now
+            return draft
         text = _typed(question, recorder is not None)
         try:
             if text == BACK:

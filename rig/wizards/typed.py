@@ -3,7 +3,6 @@
 import re
 from collections.abc import Callable
 from decimal import Decimal
-from pathlib import Path
 from typing import NamedTuple
 
 from processing.errors import ConfigurationError
@@ -96,15 +95,3 @@ def optional(read: Callable[[str], float]) -> Callable[[str], float | None]:
 def word(text: str) -> str:
     """Any text."""
     return text
-
-
-def existing(below: Path) -> Callable[[str], Path]:
-    """Reads the name of a file or folder that exists, relative to the folder `below`."""
-
-    def read(text: str) -> Path:
-        path = Path(text).expanduser()
-        if not (below / path).exists():
-            raise ConfigurationError(f"{text}: there is no such file or folder")
-        return below / path
-
-    return read

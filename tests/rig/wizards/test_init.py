@@ -197,7 +197,8 @@ def test_at_a_terminal_wrong_answers_are_asked_again_and_ctrl_c_leaves_nothing(t
 def test_back_goes_one_question_back(monkeypatch: pytest.MonkeyPatch) -> None:
     typed = iter(["simulated", "0.4", "<", "0.406", *SIMULATED[2:]])
     monkeypatch.setattr("builtins.input", lambda _="": next(typed))
-    done = ask_in_terminal(FirstConfiguration())
+    wizard = FirstConfiguration()
+    done = progress(wizard, ask_in_terminal(wizard))
     assert stated_keys(done.values)["pendulum.mass_kg"] == 0.406
 
 

@@ -1,0 +1,64 @@
+"""Records and frames as a calibration needs them: the spot as it is, without phases, view and fits."""
+
+from pathlib import Path
+
+import cv2
+
+from processing.errors import ConfigurationError, DataError
+from rig.devices import Devices
+from rig.instrument import complete
+from rig.measure.run_setup import RunPlan, measure_run
+from rig.settings import Configuration
+
+_NO_END = 1e-9
+"""Amplitude in arcsec at which a record would end: a clamped pendulum has none."""
+
+
+def record_plainly(config: Configuration, source: Path, record: Path, seconds: float) -> Path:
+    """Record the spot for a time, whatever it does; returns the record.
+
+    Raises RigError where that fails, KeyboardInterrupt after Ctrl-C, which leaves a closed record.
+    """
+    updates = {
+        "session": config.session.model_copy(
+            update={"max_duration_s": seconds, "final_amplitude_arcsec": _NO_END, "stop_when": ()}
+        ),
+        "view": config.view.model_copy(update={"mode": "none", "file": False}),
+        "preflight": config.preflight.model_copy(update={"when": "never"}),
+        "start": config.start.model_copy(update={"way": "at once"}),
+    }
+    record.parent.mkdir(parents=True, exist_ok=True)
+    config = complete(config.model_copy(update=updates))
+    with Devices(config, record.parent) as devices:
+        outcome = measure_run(RunPlan(config, source, record, record.stem, fitted=False), devices)
+    if outcome.failure is not None:
+        raise outcome.failure
+    if outcome.interrupt is not None:
+        raise outcome.interrupt
+    return record
+
+
+def take_frames(config: Configuration, folder: Path, count: int) -> Path:
+    """Save whole frames as PNG, with every bit, into a new folder; the laser stays as it is.
+
+    Raises ConfigurationError for a folder that exists, DataError if the camera gives too few frames.
+    """
+    if folder.exists():
+        raise ConfigurationError(f"{folder}: exists already and is not written over; name another folder")
+    with Devices(config).camera(config) as opened:
+        opened.camera.start()
+        try:
+            frames = [opened.camera.read(config.camera.timeout_s) for _ in range(count)]
+        finally:
+            opened.camera.stop()
+    images = [frame.image for frame in frames if frame is not None]
+    if len(images) < count:
+        raise DataError(f"the camera gave {len(images)} frames, {count} were asked for")
+    folder.mkdir(parents=True)
+    for number, image in enumerate(images):
+        path = folder / f"{number:03d}.png"
+        done, png = cv2.imencode(".png", image)
+        if not done:
+            raise DataError(f"{path}: cannot be written as PNG")
+        path.write_bytes(png.tobytes())
+    return folder

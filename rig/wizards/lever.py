@@ -1,0 +1,210 @@
+"""The wizard of the lever: lengths, or a ladder of known tilts or shifts, step by step."""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from processing.errors import ConfigurationError
+from rig.calibrate import Filing, LadderFile, calibrate_lever
+from rig.settings import keys_with_faults
+from rig.wizards.calibration import a_record, write_table, yes_or_no
+from rig.wizards.question import Choice, Question, Recording
+from rig.wizards.typed import number, optional, quantity
+
+_FEWEST_STEPS = 5
+_SECONDS = 20.0
+_UNITS = {
+    "tilt": {"arcsec": "", "arcmin": "", "rad": "", "mrad": "", "urad": ""},
+    "shift": {"mm": "", "um": "", "m": ""},
+}
+_OTHERS = {
+    "incidence_along_rad": "Angle of incidence on the mirror, from its normal, in the plane of the swing",
+    "incidence_across_rad": "Angle of incidence across that plane",
+    "sensor_tilt_along_rad": "Tilt of the sensor from perpendicular to the beam, in the plane of the swing",
+    "sensor_tilt_across_rad": "Tilt of the sensor across that plane",
+    "ball_radius_m": "Radius of the ball that rolls",
+    "beam_height_m": "Height above the ball's centre at which the beam hits the mirror",
+    "beam_reach_m": "Horizontal distance of the mirror in front of the ball's centre",
+}
+
+
+@dataclass(frozen=True)
+class LeverWizard:
+    """`rig calibrate lever`, asked."""
+
+    kind: str = "lever"
+    title: str = "Calibration of the lever, from px to radians"
+
+    def questions(self, values: Mapping[str, Any]) -> Iterator[Question]:
+        """See `Wizard`."""
+        yield Question(
+            "way",
+            "How was it measured:",
+            str,
+            choices=(
+                Choice("geometry", "lengths: mirror to sensor, and the pixel pitch"),
+                Choice("tilt", "known tilts of the clamped pendulum: autocollimator, sine bar, level"),
+                Choice("shift", "the sensor is moved by known lengths on a stage"),
+            ),
+        )
+        if values["way"] == "geometry":
+            yield from _geometry(values)
+        else:
+            yield from _ladder(values)
+
+    def file(self, values: Mapping[str, Any], filing: Filing) -> Path:
+        """See `CalibrationWizard`."""
+        stem = "lever-geometry" if values["way"] == "geometry" else "lever-ladder"
+        return calibrate_lever(write_table(filing.folder, stem, lever_table(values)), filing)
+
+
+def lever_table(values: Mapping[str, Any]) -> dict[str, Any]:
+    """What the answers state, as the file has it."""
+    if values["way"] == "geometry":
+        stated = {key: value for found in values.values() if isinstance(found, Mapping) for key, value in found.items()}
+        return {"geometry": {key.removeprefix("geometry."): value for key, value in stated.items()}}
+    tree: dict[str, Any] = {"kind": values["way"], "unit": values["unit"]}
+    for name in ("scale", "setting", "factor"):
+        tree |= values[name]
+    if values.get("binning", 1) != 1:
+        tree["binning"] = values["binning"]
+    steps = []
+    count = 1
+    while values.get(f"reading {count}") is not None:
+        steps.append({"reference": values[f"reading {count}"], **values[f"spot {count}"]})
+        count += 1
+    return tree | {"step": steps}
+
+
+def _geometry(values: Mapping[str, Any]) -> Iterator[Question]:
+    yield Question(
+        "arm",
+        "Mirror to sensor, along the beam at rest, in m (1 m ± 1 mm):",
+        _measured("geometry.arm_m", "m"),
+        do="Measure with a tape or a rod, and state the standard uncertainty behind ±: 1 mm in 1 m is 0.1 % "
+        "of every angle of every run.",
+    )
+    yield Question(
+        "pitch",
+        "Distance of neighbouring pixels of the sensor, in m (4.8 um ± 1 nm):",
+        _measured("geometry.pixel_pitch_m", "m"),
+    )
+    yield Question(
+        "square",
+        "Does the beam meet mirror and sensor at right angles, within a degree or so?",
+        yes_or_no,
+        suggested="yes",
+        choices=(Choice("yes", ""), Choice("no", "angles and places are asked")),
+    )
+    if values["square"]:
+        return
+    for name, text in _OTHERS.items():
+        unit = name.rpartition("_")[2]
+        yield Question(
+            name,
+            f"{text}, in {unit} ({'1 deg ± 0.2 deg' if unit == 'rad' else '6.05 mm ± 1 mm'}):",
+            _measured(f"geometry.{name}", unit),
+            suggested="0",
+        )
+
+
+def _ladder(values: Mapping[str, Any]) -> Iterator[Question]:
+    way = values["way"]
+    tilts = way == "tilt"
+    yield Question(
+        "unit",
+        "Unit of the readings:",
+        str,
+        suggested="arcsec" if tilts else "mm",
+        choices=tuple(Choice(unit, text) for unit, text in _UNITS[way].items()),
+    )
+    if tilts:
+        yield Question(
+            "scale",
+            "Distance of neighbouring pixels of the sensor, in m (4.8 um):",
+            lambda text: {"pixel_pitch_m": _alone("pixel_pitch_m", text)},
+        )
+    else:
+        yield Question(
+            "scale", "Mirror to sensor, along the beam at rest, in m (1 m ± 1 mm):", _measured("arm_m", "m")
+        )
+    unit = values["unit"]
+    yield Question(
+        "setting",
+        f"Standard uncertainty of one setting, in {unit}:",
+        lambda text: _plain("u_reference", number(least=0.0)(text)),
+    )
+    yield Question(
+        "factor",
+        "Relative standard uncertainty of the scale of the reference (1e-3; from its certificate):",
+        lambda text: _plain("u_reference_relative", number(least=0.0)(text)),
+        suggested="0",
+    )
+    do = (
+        "Clamp the pendulum. Go from one end to the other through zero, and back: at least five settings, of "
+        "both signs. Up and down again shows drift."
+        if tilts
+        else "Clamp the pendulum. Move the sensor along the swing, from one end to the other and back: at least "
+        "five settings."
+    )
+    count, typed = 0, False
+    while True:
+        count += 1
+        done = count > _FEWEST_STEPS
+        yield Question(
+            f"reading {count}",
+            f"Step {count}: set it. Reading in {unit}{' (Enter: no further step)' if done else ''}:",
+            optional(number()) if done else number(),
+            do=do if count == 1 else "",
+            suggested="" if done else None,
+        )
+        if values[f"reading {count}"] is None:
+            break
+        yield Question(
+            f"spot {count}",
+            "The spot there: x y u in px (160.02 441.21 0.02), or a record of the resting spot:",
+            _spot,
+            recording=Recording("record", f"lever-step-{count}", seconds=_SECONDS),
+        )
+        typed = typed or "u_px" in values[f"spot {count}"]
+    if typed:
+        yield Question(
+            "binning",
+            "Pixels of the sensor, in each direction, in one of the picture in which the spots were typed:",
+            lambda text: int(_plain("binning", int(number()(text)))["binning"]),
+            suggested="1",
+        )
+
+
+def _spot(text: str) -> dict[str, Any]:
+    words = text.replace(",", " ").split() if not Path(text).suffix else []
+    if len(words) != 3:
+        return {"record": a_record(text)}
+    x_px, y_px, u_px = (number("px")(word) for word in words)
+    if u_px <= 0:
+        raise ConfigurationError(f"{text!r}: the uncertainty, the last number, should be greater than 0 px")
+    return {"x_px": x_px, "y_px": y_px, "u_px": u_px}
+
+
+def _measured(key: str, unit: str) -> Callable[[str], dict[str, Any]]:
+    def read(text: str) -> dict[str, Any]:
+        value, u = quantity(text, unit)
+        section, dot, name = key.rpartition(".")
+        return _checked({key: value} | ({} if u is None else {f"{section}{dot}u_{name}": u}))
+
+    return read
+
+
+def _alone(key: str, text: str) -> Any:
+    return _plain(key, number("m")(text))[key]
+
+
+def _plain(key: str, value: Any) -> dict[str, Any]:
+    return _checked({key: value})
+
+
+def _checked(keys: dict[str, Any]) -> dict[str, Any]:
+    if lines := keys_with_faults(keys, root=LadderFile):
+        raise ConfigurationError("; ".join(lines))
+    return keys
