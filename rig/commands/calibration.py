@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from rig.commands.arguments import Record, one_record
+from rig.commands.arguments import one_record
 
 if TYPE_CHECKING:
     from rig.calibrate import Filing
@@ -172,7 +172,9 @@ def shutter(
     from rig.calibrate import calibrate_shutter
 
     filing = _filing(output, valid_days, by)
-    _say(_asked("shutter", config, filing) if record is None else calibrate_shutter(one_record(record), filing))
+    _say(
+        _asked("shutter", config, filing) if record is None else calibrate_shutter(one_record(record), filing)
+    )
 
 
 def pointing(
@@ -193,7 +195,11 @@ def pointing(
     from rig.calibrate import calibrate_pointing
 
     filing = _filing(output, valid_days, by)
-    _say(_asked("pointing", config, filing) if record is None else calibrate_pointing(one_record(record), filing))
+    _say(
+        _asked("pointing", config, filing)
+        if record is None
+        else calibrate_pointing(one_record(record), filing)
+    )
 
 
 def check(

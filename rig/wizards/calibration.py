@@ -1,4 +1,4 @@
-"""What the wizards of all calibrations share: answers in, the file that the command reads and the result out."""
+"""What the wizards of all calibrations share: answers in, the command's file and the result out."""
 
 import os
 import tomllib

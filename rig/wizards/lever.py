@@ -62,7 +62,12 @@ class LeverWizard:
 def lever_table(values: Mapping[str, Any]) -> dict[str, Any]:
     """What the answers state, as the file has it."""
     if values["way"] == "geometry":
-        stated = {key: value for found in values.values() if isinstance(found, Mapping) for key, value in found.items()}
+        stated = {
+            key: value
+            for found in values.values()
+            if isinstance(found, Mapping)
+            for key, value in found.items()
+        }
         return {"geometry": {key.removeprefix("geometry."): value for key, value in stated.items()}}
     tree: dict[str, Any] = {"kind": values["way"], "unit": values["unit"]}
     for name in ("scale", "setting", "factor"):
@@ -145,8 +150,8 @@ def _ladder(values: Mapping[str, Any]) -> Iterator[Question]:
         "Clamp the pendulum. Go from one end to the other through zero, and back: at least five settings, of "
         "both signs. Up and down again shows drift."
         if tilts
-        else "Clamp the pendulum. Move the sensor along the swing, from one end to the other and back: at least "
-        "five settings."
+        else "Clamp the pendulum. Move the sensor along the swing, from one end to the other and back: at "
+        "least five settings."
     )
     count, typed = 0, False
     while True:
@@ -178,8 +183,8 @@ def _ladder(values: Mapping[str, Any]) -> Iterator[Question]:
 
 
 def _spot(text: str) -> dict[str, Any]:
-    words = text.replace(",", " ").split() if not Path(text).suffix else []
-    if len(words) != 3:
+    words = text.replace(",", " ").split()
+    if len(words) != 3 or Path(text).suffix == ".mcap":
         return {"record": a_record(text)}
     x_px, y_px, u_px = (number("px")(word) for word in words)
     if u_px <= 0:

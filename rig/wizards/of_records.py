@@ -1,4 +1,4 @@
-"""The wizards of axes, clock, shutter and pointing: one record of the right kind, and what no record can say."""
+"""The wizards of axes, clock, shutter and pointing: one record, and what no record can say."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -24,8 +24,9 @@ class AxesWizard:
         yield _record(
             self.kind,
             60.0,
-            "Decide which end of the pendulum going down, and which side of it, shall be positive. Push it gently "
-            "in both directions, so that both modes swing, remember to which sides, and record from then on.",
+            "Decide which end of the pendulum going down, and which side of it, shall be positive. Push it "
+            "gently in both directions, so that both modes swing, remember to which sides, and "
+            "record from then on.",
         )
         for mode in ("slow", "fast"):
             yield Question(
@@ -81,8 +82,8 @@ class ShutterWizard:
         yield _record(
             self.kind,
             120.0,
-            "Let the spot swing across the rows by a large part of the picture, with [shutter] left out of the "
-            "configuration.",
+            "Let the spot swing across the rows by a large part of the picture, with [shutter] left out of "
+            "the configuration.",
         )
 
     def file(self, values: Mapping[str, Any], filing: Filing) -> Path:

@@ -47,8 +47,8 @@ class SensorWizard:
                 f"exposure {count}",
                 f"Level {count}: exposure in us{' (Enter: no further level)' if done else ''}:",
                 _exposure if not done else lambda text: _exposure(text) if text else None,
-                do="Cap off. A lamp behind a diffuser, a metre away, steady; the laser stays off. Go from almost "
-                "dark to almost saturated, each exposure half as long again as the one before."
+                do="Cap off. A lamp behind a diffuser, a metre away, steady; the laser stays off. Go from "
+                "almost dark to almost saturated, each exposure half as long again as the one before."
                 if count == 1
                 else "",
                 suggested="" if done else None,
