@@ -1,6 +1,7 @@
 """Contact of ball and flat: Hertz theory, laws of friction and elasticity, decay, period, half-swing map."""
 
 from processing.contact.adhesion import AdhesiveContact, adhesive_contacts
+from processing.contact.air_drag import bar_of, expected_drag_s
 from processing.contact.decay import decay_path, path_nodes
 from processing.contact.decay_fit import fit_decay
 from processing.contact.energy_loss import measured_losses, model_losses
@@ -64,10 +65,12 @@ __all__ = [
     "PendulumOnBall",
     "PeriodStart",
     "adhesive_contacts",
+    "bar_of",
     "contact_radius",
     "cosine_moment",
     "cycle_work",
     "decay_path",
+    "expected_drag_s",
     "fit_decay",
     "frequency_drop",
     "hertz_contact",

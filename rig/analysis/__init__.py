@@ -10,6 +10,7 @@ from rig.analysis.contact_results import (
     Correlation,
     Determination,
     Drag,
+    ExpectedDrag,
     Fit,
     Ground,
     MonteCarlo,
@@ -53,11 +54,11 @@ from rig.analysis.results_file import (
     results_schema,
     write_results,
 )
-from rig.analysis.run_conditions import mean_air
 from rig.analysis.screen import print_results
 from rig.analysis.settled import loss_of, points_in_true_time, settled_swings
 from rig.analysis.stored_position_errors import PositionErrors
 from rig.analysis.stored_turning_points import StoredTurningPoints
+from rig.analysis.surroundings import Surroundings, recorded_surroundings
 from rig.analysis.table_fit import Columns, analyse_table
 from rig.analysis.table_screen import fit_envelope_table, fit_trajectory
 from rig.analysis.waveform_results import waveform_table
@@ -77,6 +78,7 @@ __all__ = [
     "DecrementTable",
     "Determination",
     "Drag",
+    "ExpectedDrag",
     "Fit",
     "Ground",
     "InstrumentResults",
@@ -91,6 +93,7 @@ __all__ = [
     "StoredTurningPoints",
     "SurfaceEnergies",
     "SurfaceEnergy",
+    "Surroundings",
     "SwingPlane",
     "TableResults",
     "analyse_record",
@@ -116,7 +119,6 @@ __all__ = [
     "law_table",
     "laws_of",
     "loss_of",
-    "mean_air",
     "moments_table",
     "parameter_table",
     "points_in_true_time",
@@ -124,6 +126,7 @@ __all__ = [
     "quality_table",
     "read_results",
     "recorded_results",
+    "recorded_surroundings",
     "remarks",
     "results_path",
     "results_schema",

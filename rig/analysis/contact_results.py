@@ -174,6 +174,23 @@ class Adhesion:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class ExpectedDrag:
+    """The order of magnitude of the drag of the air on a bar in the pendulum's place; see
+    `processing.contact.air_drag`.
+
+    `assumed` names what was neither measured nor stated: of the air the usual (20 degrees Celsius, 50 %,
+    101325 Pa), of the bar what follows from the pendulum's inertia.
+    """
+
+    drag_s: Number
+    air_density_kg_per_m3: Number
+    air_viscosity_pa_s: Number
+    length_m: Number
+    width_m: Number
+    assumed: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Drag:
     """Whether a linear drag is in the data: the default fit with it against that without."""
 
@@ -186,6 +203,7 @@ class Drag:
     significant: bool = False
     text: str = ""
     with_drag: Mapping[str, Value] = field(default_factory=dict)
+    of_air: Annotated[ExpectedDrag | None, LeftOut] = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -28,16 +28,9 @@ from rig.analysis.instrument_results import (
     SwingPlane,
 )
 from rig.analysis.reports_by_kind import range_and_period, report_of_kind
+from rig.analysis.surroundings import Surroundings
 from rig.presentation import with_uncertainty
 from rig.settings import InstrumentSettings
-
-
-@dataclass(frozen=True, slots=True)
-class Air:
-    """Mean temperature and humidity of a run; NaN for what is not known."""
-
-    temperature_c: float = math.nan
-    humidity_percent: float = math.nan
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,14 +47,14 @@ class Reduction:
     swings: Sequence[Swing]
     problem: str = ""
     damping: Damping | None = None
-    air: Air = field(default_factory=Air)
+    air: Surroundings = field(default_factory=Surroundings)
 
 
 def reduce_run(
     settings: InstrumentSettings,
     swings: Sequence[Swing],
     deflections: Deflections | None,
-    air: Air,
+    air: Surroundings,
     u_scale_relative: float = 0.0,
 ) -> Reduction:
     """Reduce the half-cycles of one run of a pendulum that swings by degrees.
@@ -144,7 +137,9 @@ def _in_its_plane(
     return found, replace(deflections, y=y, u_y=u_y), reported
 
 
-def _held_against_air(description: Description, air: Air, lines: list[str]) -> tuple[CheckedValue, ...]:
+def _held_against_air(
+    description: Description, air: Surroundings, lines: list[str]
+) -> tuple[CheckedValue, ...]:
     wanted = (
         ("temperature", air.temperature_c, description.temperature_c, "°C"),
         ("humidity", air.humidity_percent, description.humidity_percent, "%"),

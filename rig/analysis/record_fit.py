@@ -10,7 +10,7 @@ import numpy as np
 from acquisition.record.events import EventKind
 from acquisition.record.identity import measured_sha256_of
 from acquisition.record.reader import RecordReader
-from acquisition.record.topics import DEFLECTION_FIELDS, ENVIRONMENT
+from acquisition.record.topics import DEFLECTION_FIELDS
 from processing.deflections import Deflections, DeflectionUnit, joined
 from processing.fit import FitMethod, FitResult, RigQuantities
 from processing.spot import BeamUse
@@ -19,7 +19,7 @@ from rig.analysis.beam import Beam
 from rig.analysis.contact_laws import DecayFits, fit_decay
 from rig.analysis.contact_series import combined_series
 from rig.analysis.contact_verdicts import evaluate, fit_results, rig_quantities
-from rig.analysis.other_instruments import Air, Reduction, reduce_run
+from rig.analysis.other_instruments import Reduction, reduce_run
 from rig.analysis.other_instruments_series import reduce_series
 from rig.analysis.passing_deflections import PassingDeflections
 from rig.analysis.results import RunResults, Series, SessionResults
@@ -28,6 +28,7 @@ from rig.analysis.run_conditions import run_conditions
 from rig.analysis.settled import points_in_true_time, settled_swings
 from rig.analysis.stored_position_errors import PositionErrors
 from rig.analysis.stored_turning_points import StoredTurningPoints
+from rig.analysis.surroundings import Surroundings, doubts_of, expected_drag, recorded_surroundings
 from rig.instrument import inputs_sha256, judge_calibration, pendulum_on_ball, recorded_configuration
 from rig.settings import OF_FITS, Configuration, refuse_without_effect
 
@@ -92,11 +93,11 @@ def analyse_run(
     `blocks` are the deflections of consecutive frames, in `unit`; `beam` is what their spots say once they
     have passed.
     """
-    deflections = PassingDeflections(blocks, unit)
-    run = analyse_swings(reader.path, swings, config, deflections, recorded_air(reader, config))
+    deflections, surroundings = PassingDeflections(blocks, unit), recorded_surroundings(reader, config)
+    run = analyse_swings(reader.path, swings, config, deflections, surroundings)
     began, ended = reader.utc(deflections.first_ns), reader.utc(deflections.last_ns)
     calibration, doubts = judge_calibration(config, reader.attachments, began, ended)
-    warnings = [*run.results.warnings, *doubts, *reader.doubts()]
+    warnings = [*run.results.warnings, *doubts, *reader.doubts(), *doubts_of(surroundings)]
     stops = [event.text for event in reader.events() if event.kind == EventKind.STOP]
     results = replace(
         run.results,
@@ -108,6 +109,7 @@ def analyse_run(
         calibration=calibration,
         inputs_sha256=inputs_sha256(reader),
         ended=stops[-1] if stops else None,
+        surroundings=surroundings,
     )
     return replace(run, results=results, lost_spots=deflections.lost_spots)
 
@@ -131,28 +133,12 @@ def with_dropped_frames(
     return replace(run, results=replace(results, conditions=conditions))
 
 
-def recorded_air(reader: RecordReader, config: Configuration) -> Air:
-    """Means over a record of what its sensor read; what it did not read, as the user stated it."""
-    stated = stated_air(config)
-    table = reader.table(ENVIRONMENT.topic)
-    means = []
-    for name, value in (
-        ("temperature_c", stated.temperature_c),
-        ("humidity_percent", stated.humidity_percent),
-    ):
-        read = table[name][np.isfinite(table[name])] if len(table) else np.empty(0)
-        means.append(float(np.mean(read)) if len(read) else value)
-    return Air(*means)
-
-
-def stated_air(config: Configuration) -> Air:
-    """What the user stated of the air; NaN for what was not."""
-    stated = (config.environment.temperature_c, config.environment.humidity_percent)
-    return Air(*(math.nan if value is None else value for value in stated))
-
-
 def analyse_swings(
-    path: Path, swings: Sequence[Swing], config: Configuration, deflections: PassingDeflections, air: Air
+    path: Path,
+    swings: Sequence[Swing],
+    config: Configuration,
+    deflections: PassingDeflections,
+    air: Surroundings,
 ) -> AnalysedRun:
     """Reduce the half-cycles of one run, or of one decay of a table, as its kind of pendulum asks.
 
@@ -186,14 +172,18 @@ def analyse_swings(
     rig = rig_quantities(config, deflections.fast_ratio(), rest_rad)
     if decay.fits and pendulum is not None:
         seed = int(results.sha256[:12], 16)
-        results = evaluate(results, points, pendulum, decay.fits[FitMethod.EXACT], rig, seed)
+        exact = decay.fits[FitMethod.EXACT]
+        results = evaluate(results, points, pendulum, exact, rig, seed)
+        if results.drag is not None:
+            of_air = expected_drag(air, pendulum, exact.mean_period_s.value, config)
+            results = replace(results, drag=replace(results.drag, of_air=of_air))
     if errors is not None:
         results = replace(results, notes=(*results.notes, errors.text))
     return AnalysedRun(path, results, points, decay.fits, rig)
 
 
 def _reduced(
-    path: Path, swings: Sequence[Swing], config: Configuration, deflections: Deflections, air: Air
+    path: Path, swings: Sequence[Swing], config: Configuration, deflections: Deflections, air: Surroundings
 ) -> AnalysedRun:
     """A run of a pendulum that is not described by the contact's laws."""
     u_scale = config.lever.u_scale_relative if config.lever is not None else 0.0

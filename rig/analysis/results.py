@@ -40,6 +40,7 @@ from rig.analysis.instrument_results import InstrumentResults, InstrumentSeries
 from rig.analysis.law_results import ComparedLaws
 from rig.analysis.stored_position_errors import PositionErrors
 from rig.analysis.stored_turning_points import StoredTurningPoints
+from rig.analysis.surroundings import Surroundings
 from rig.presentation import Verdict
 
 SCHEMA = 2
@@ -62,7 +63,8 @@ class RunResults:
     is seen and the spot's radius calculated after Hertz.
     `initial_amplitude` and `final_amplitude` are in `amplitude_unit`: arcsec, or px of a record without a
     lever; those in arcsec are not determined then. `ended` is why the run ended, as its record says.
-    `conditions` judges light, losses and what else the record shows of the circumstances. What follows from a
+    `surroundings` are the air and the contact's history, which `conditions` judges beside light, losses and
+    what else the record shows. What follows from a
     fit (`pendulum` to `notes`) is empty where there is none.
     """
 
@@ -104,6 +106,7 @@ class RunResults:
     position_errors: PositionErrors | None = None
     laws: Annotated[ComparedLaws | None, LeftOut] = None
     ended: Annotated[str | None, LeftOut] = None
+    surroundings: Annotated[Surroundings | None, LeftOut] = None
 
     def half_cycles_text(self, unit: str, before_amplitudes: str = ", ") -> str:
         """`33 half-cycles, 123.24 to 101.09 arcsec`, or that there are none.

@@ -55,19 +55,6 @@ def run_conditions(
     )
 
 
-def mean_air(reader: RecordReader) -> dict[str, float]:
-    """Temperature and humidity of a run: means of what was read, else as stated; NaN without either."""
-    table, stated = reader.table(ENVIRONMENT.topic), reader.metadata.get("environment", {})
-    found: dict[str, float] = {}
-    for name in ("temperature_c", "humidity_percent"):
-        read = table[name][np.isfinite(table[name])] if len(table) else np.empty(0)
-        try:
-            found[name] = float(np.mean(read)) if len(read) else float(stated.get(name) or np.nan)
-        except ValueError:
-            found[name] = np.nan
-    return found
-
-
 def _fraction(name: str, count: int, of: int, most: float, remedy: str) -> Verdict:
     part = count / of if of else 0.0
     ok = part <= most

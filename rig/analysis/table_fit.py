@@ -18,8 +18,9 @@ from processing.separate_decays import separate_decays
 from processing.swing import Swing, SwingDetector, estimate_noise, turning_points
 from rig.analysis.passing_deflections import PassingDeflections
 from rig.analysis.position_table import Trajectory, read_trajectory
-from rig.analysis.record_fit import analyse_swings, stated_air
+from rig.analysis.record_fit import analyse_swings
 from rig.analysis.results import EnvelopeResults, RunResults, TableDecay, TableResults
+from rig.analysis.surroundings import stated_surroundings
 from rig.settings import Configuration
 
 _USABLE = 4
@@ -162,7 +163,7 @@ def _analyse(
     if config is not None and not problem:
         samples = slow_deflections(trajectory.times_ns[inside], deflection[inside], noise)
         passing = PassingDeflections([samples], DeflectionUnit.RAD)
-        run = analyse_swings(path, swings, config, passing, stated_air(config)).results
+        run = analyse_swings(path, swings, config, passing, stated_surroundings(config)).results
     unflagged = [swing.turn_time_ns for swing in swings if not swing.flags]
     scale = trajectory.scale_rad or 1.0
     values = _values(run) | {

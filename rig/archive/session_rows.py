@@ -16,7 +16,7 @@ from acquisition.record.utc import utc
 from processing.errors import RecordError
 from processing.estimate import Estimate
 from processing.fit import FitMethod
-from rig.analysis import RunResults, mean_air, read_results, results_path
+from rig.analysis import RunResults, read_results, recorded_surroundings, results_path
 from rig.archive.columns import OF_INSTRUMENTS, PARAMETERS
 
 Row = dict[str, Any]
@@ -93,7 +93,7 @@ def _of_record(path: Path) -> Row:
                 row["began_utc"] = utc(contents.start_ns).replace(tzinfo=None)
                 row["duration_s"] = (contents.end_ns - contents.start_ns) * 1e-9
             row |= _of_metadata(texts)
-            row |= {name: _number(value) for name, value in mean_air(reader).items()}
+            row |= recorded_surroundings(reader).known()
     except RecordError as error:
         row |= {"state": "unreadable", "flaw": str(error).removeprefix(f"{path}: ")}
     return row

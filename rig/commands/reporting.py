@@ -77,14 +77,18 @@ def compare(
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="HTML file to write, with a figure.")
     ] = None,
+    against: Annotated[
+        str, typer.Option(help="Also over temperature, humidity, pressure, dwell or age of every run.")
+    ] = "",
 ) -> None:
     """Compare the parameters of several series.
 
     \b
-    Example:
+    Examples:
       rig compare runs/glass runs/silicon -o comparison.html
+      rig compare runs/glass runs/silicon --against humidity -o humidity.html
     """
     from rig.presentation import print_tables
     from rig.report import compare as compare_sessions
 
-    print_tables(compare_sessions(folders, output))
+    print_tables(compare_sessions(folders, output, against))

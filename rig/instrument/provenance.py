@@ -103,6 +103,14 @@ def session_metadata(config: Configuration, info: CameraInfo, first: Frame) -> d
             "operator": session.operator,
             "sample": session.sample,
             "contact_history": session.contact_history,
+            **{
+                name: at.isoformat()
+                for name, at in (
+                    ("contact_made", session.contact_made),
+                    ("surfaces_cleaned", session.surfaces_cleaned),
+                )
+                if at is not None
+            },
             "notes": session.notes,
             "host": socket.gethostname(),
         },

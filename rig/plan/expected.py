@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from processing.angle import ARCSEC_RAD
 from processing.contact import PAPER, PendulumOnBall
@@ -18,7 +19,7 @@ from rig.analysis import SessionResults, read_results
 from rig.instrument import complete, pendulum_on_ball, sensor_model
 from rig.settings import Configuration, load_configuration
 
-_HALF_CYCLES = 24
+_HALF_CYCLES = 100
 _FRAMES = 9
 _AMPLITUDE_RAD = 3e-4
 _FULL_SCALE_DN = 255.0
@@ -50,13 +51,8 @@ def expected_of(config: Configuration, frame_noise_rad: float | None = None) -> 
     contact = config.simulation.contact
     values = {name: float(getattr(contact, name)) for name in PAPER.names()}
     noise_rad = _frame_noise_rad(config) if frame_noise_rad is None else frame_noise_rad
-    u_rad, u_time_s = _of_turning_points(noise_rad, _frame_rate_hz(config), contact.period0_s)
-    slow_rad = math.sqrt(2 * _slow_density(config) / contact.period0_s)
-    conditions = Conditions(
-        math.hypot(u_rad, slow_rad),
-        math.hypot(u_time_s * _AMPLITUDE_RAD, slow_rad * contact.period0_s / (2 * math.pi)),
-        _drive(config, pendulum),
-    )
+    u_rad, u_time_s = _of_turning_points(config, noise_rad)
+    conditions = Conditions(u_rad, u_time_s * _AMPLITUDE_RAD, _drive(config, pendulum))
     return Expected(values, pendulum, conditions)
 
 
@@ -130,11 +126,21 @@ def _tracked_u_px(sensor: SensorModel, peak_dn: float, sigma_px: float) -> float
     return float(np.nanmedian(found))
 
 
-def _of_turning_points(noise_rad: float, rate_hz: float, period_s: float) -> tuple[float, float]:
-    """Uncertainties of amplitude (rad) and time (s) that the swing detector finds at this noise."""
+def _of_turning_points(config: Configuration, noise_rad: float) -> tuple[float, float]:
+    """Uncertainties of amplitude (rad) and time (s) that the swing detector finds at this noise of a frame.
+
+    Air and a wandering beam bend the swing as the simulated rig has them, if it is the camera.
+    """
+    rate_hz, period_s = _frame_rate_hz(config), config.simulation.contact.period0_s
     time_s = np.arange(0.0, 0.5 * _HALF_CYCLES * period_s, 1 / rate_hz)
     swing_rad = _AMPLITUDE_RAD * np.cos(2 * np.pi * time_s / period_s)
-    swing_rad += noise_rad * np.random.default_rng(2).standard_normal(len(time_s))
+    rng = np.random.default_rng(2)
+    swing_rad += noise_rad * rng.standard_normal(len(time_s))
+    if config.simulated:
+        at_hz = np.asarray(np.fft.rfftfreq(len(time_s), 1 / rate_hz)[1:], dtype=np.float64)
+        size = np.sqrt(0.25 * len(time_s) * rate_hz * _slow_density(config, at_hz))
+        waves = size * (rng.standard_normal((2, len(at_hz))).T @ [1, 1j])
+        swing_rad += np.fft.irfft(np.append(0.0, waves), len(time_s))
     detector = SwingDetector()
     u_rad = np.full(len(time_s), noise_rad)
     swings = detector.update(np.rint(1e9 * time_s).astype(np.int64), swing_rad, u_rad)
@@ -147,21 +153,13 @@ def _of_turning_points(noise_rad: float, rate_hz: float, period_s: float) -> tup
     return float(np.median(points.u_amplitude[later])), float(np.median(points.u_time_s[later]))
 
 
-def _slow_density(config: Configuration) -> float:
-    """Density in rad^2/Hz at the swing's frequency of what bends the beam slowly: air, a wandering laser.
-
-    White noise of this density S lets the amplitude of a half-swing of T/2 scatter by sqrt(2 S/T).
-    """
-    if not config.simulated:
-        return 0.0
+def _slow_density(config: Configuration, at_hz: NDArray[np.float64]) -> NDArray[np.float64]:
+    """One-sided density, in rad^2/Hz, of what bends the beam slowly: air, a wandering laser."""
     said = config.simulation.disturbances
-    at_hz = 1 / config.simulation.contact.period0_s
-    density = 0.0
-    if said.air_from_hz < at_hz < said.air_to_hz:
-        air_rad = said.air_arcsec * ARCSEC_RAD
-        density += air_rad**2 / (math.log(said.air_to_hz / said.air_from_hz) * at_hz)
+    inside = (at_hz >= said.air_from_hz) & (at_hz <= said.air_to_hz)
+    air_rad2 = (said.air_arcsec * ARCSEC_RAD) ** 2 / math.log(said.air_to_hz / said.air_from_hz)
     walk_rad = said.pointing_walk_px_per_sqrt_s * _rad_per_px(config)
-    return density + 2 * walk_rad**2 / (2 * math.pi * at_hz) ** 2
+    return np.where(inside, air_rad2 / at_hz, 0.0) + 2 * walk_rad**2 / (2 * math.pi * at_hz) ** 2
 
 
 def _drive(config: Configuration, pendulum: PendulumOnBall) -> float:

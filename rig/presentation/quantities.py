@@ -62,6 +62,12 @@ QUANTITIES: Final[Mapping[str, Quantity]] = {
     "surface_energy_eq2_j_per_m2": Quantity("σ (Eq. 2 as printed)", "mJ/m²", "surface energy", 1e3),
     "dissipated_4a_j": Quantity("4A", "fJ", "work lost in a cycle", 1e15),
     "adhesive_4at_j": Quantity("4Aₜ", "fJ", "work lost in a cycle by adhesion", 1e15),
+    # of the surroundings
+    "temperature_c": Quantity("temperature", "°C", "temperature"),
+    "humidity_percent": Quantity("humidity", "%", "relative humidity"),
+    "pressure_pa": Quantity("pressure", "hPa", "pressure of the air", 1e-2),
+    "dwell_s": Quantity("dwell", "h", "dwell of the ball on its place", 1 / 3600),
+    "age_s": Quantity("age", "h", "age of the surfaces since cleaning", 1 / 3600),
     # of the contact after Hertz
     "contact_radius_m": Quantity("contact radius a", "µm", "radius of the contact", 1e6),
     "contact_depth_m": Quantity("depth a²/R", "µm", "depth of the contact", 1e6),

@@ -27,6 +27,7 @@ from rig.presentation import (
     quantity,
 )
 from rig.report import html
+from rig.report.against import against_figure, against_table, chosen_surrounding, seen_runs
 from rig.report.drawing import styled
 from rig.report.figures_contact import comparison_figure
 from rig.report.session_report import save_figures, save_tables
@@ -36,23 +37,33 @@ DIFFERENT = 0.05
 """Chance, shared between all pairs and parameters, below which series are said to differ."""
 
 
-def compare(folders: Sequence[Path], output: Path | None) -> list[Table]:
+def compare(folders: Sequence[Path], output: Path | None, against: str = "") -> list[Table]:
     """Tables of several sessions' exact parameters and of their differences.
 
-    With `output` (an HTML file) a page with the plot is written, figures and CSV beside it.
+    With `output` (an HTML file) a page with the plot is written, figures and CSV beside it. `against` names a
+    quantity of the surroundings over which every run's parameters are tabulated and drawn, too; a single
+    session is enough for that.
 
-    Raises RecordError for fewer than two folders, or one without fits.
+    Raises RecordError for fewer than two folders, or one without fits, ConfigurationError for an unknown
+    `against`.
     """
-    if len(folders) < 2:
+    over = chosen_surrounding(against) if against else ""
+    if len(folders) < (1 if over else 2):
         raise RecordError(f"{len(folders)} folder: a comparison needs at least two sessions")
     sessions = [read_results(folder) for folder in folders]
+    labels = [
+        _label(folder, folders) + _of_origin(found) for folder, found in zip(folders, sessions, strict=True)
+    ]
     series = {
-        _label(folder, folders) + _of_origin(found): series_of(found, folder)
-        for folder, found in zip(folders, sessions, strict=True)
+        label: series_of(found, folder)
+        for label, folder, found in zip(labels, folders, sessions, strict=True)
     }
+    seen = seen_runs(dict(zip(labels, sessions, strict=True)), over) if over else []
     verdicts = [verdicts_of(found) for found in sessions]
     energies = [energy_of(found) for found in sessions]
-    tables = [values_table(series, verdicts, energies), differences_table(compare_series(series))]
+    tables = [values_table(series, verdicts, energies)]
+    tables += [differences_table(compare_series(series))] if len(series) > 1 else []
+    tables += [against_table(seen, over)] if over else []
     if output is not None:
         files = output.parent / output.stem
         names = [name for name in PAPER.names() if all(name in s.parameters for s in series.values())]
@@ -64,7 +75,8 @@ def compare(folders: Sequence[Path], output: Path | None) -> list[Table]:
             files.mkdir(parents=True, exist_ok=True)
             save_tables(tables, files)
             with styled():
-                figures = save_figures([comparison_figure(names, bars)], files)
+                drawings = [comparison_figure(names, bars), *([against_figure(seen, over)] if over else [])]
+                figures = save_figures(drawings, files)
             body = [*figures, *(html.table(content) for content in tables)]
             output.write_text(html.page("Series compared", ", ".join(series), body), encoding="utf-8")
         except OSError as error:

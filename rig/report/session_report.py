@@ -23,7 +23,7 @@ from rig.analysis import (
     results_path,
     series_verdicts,
 )
-from rig.presentation import Table, quantity
+from rig.presentation import Table, plain, quantity
 from rig.report import figures_contact, figures_ground, figures_laws, figures_motion, html
 from rig.report.drawing import Drawing, png, styled, svg
 from rig.report.figures_instruments import instrument_figures
@@ -33,7 +33,6 @@ from rig.report.tables import run_tables
 from rig.report.tables_uncertainty import budget_table, series_table
 
 _DEFAULT_PERIOD_S = 4.0
-_AIR = {"temperature_c": "°C", "humidity_percent": "% humidity", "pressure_pa": "Pa"}
 
 
 def make_report(folder: Path, output: Path | None = None) -> Path:
@@ -123,12 +122,24 @@ def _summary(source: ReportSource) -> list[str]:
 
 
 def _circumstances(source: ReportSource) -> list[tuple[str, str]]:
-    """When each run began, who measured, and the air as it was stated."""
-    began = [(f"{run.title} began", run.provenance["file"].get("began", "")) for run in source.runs]
-    first = source.runs[0].provenance
-    air = ", ".join(f"{value} {_AIR.get(name, name)}" for name, value in first.get("environment", {}).items())
-    stated = [("operator", first.get("session", {}).get("operator", "")), ("air", air)]
-    return [(name, text) for name, text in (*began, *stated) if text]
+    """When each run began and what surrounded it, and who measured."""
+    told = [("operator", source.runs[0].provenance.get("session", {}).get("operator", ""))]
+    for run in source.runs:
+        told.append((f"{run.title} began", run.provenance["file"].get("began", "")))
+        told.append((f"{run.title} in", _surroundings(run)))
+    return [(name, text) for name, text in told if text]
+
+
+def _surroundings(run: RunData) -> str:
+    """Air and history of the contact as results have them; of older ones the air as stated."""
+    found = run.results.surroundings
+    stated = {name: float(text) for name, text in run.provenance.get("environment", {}).items()}
+    known = stated if found is None else found.known()
+    said = []
+    for name, value in known.items():
+        shown = quantity(name)
+        said.append(f"{shown.name} {plain(value * shown.factor, 4)} {shown.unit}")
+    return ", ".join(said)
 
 
 def _headline(

@@ -9,6 +9,7 @@ from processing.estimate import Estimate
 from processing.fit import FitMethod
 from rig.analysis import (
     Curves,
+    ExpectedDrag,
     RunResults,
     encoded,
     law_table,
@@ -159,6 +160,7 @@ def drag_table(results: RunResults) -> Table:
     rows.append(["significant", str(drag.significant)])
     shown = [
         ["linear drag", f"{quantity('drag_s').text(*drag.drag_s)} s"],
+        *_of_air(drag.of_air),
         ["F-test", f"F = {plain(drag.f_statistic, 3)}, chance without drag {plain(drag.p_value, 2)}"],
         ["AIC with − without", plain(drag.aic_difference, 3)],
     ]
@@ -170,7 +172,22 @@ def drag_table(results: RunResults) -> Table:
     shown += [
         ["verdict", "a linear drag is in the data" if drag.significant else drag.text.split(":")[0]],
     ]
-    return Table("drag", "Is there a linear drag?", ("quantity", "value"), rows, ("", ""), shown)
+    note = ""
+    if drag.of_air is not None:
+        numbers = {name: value for name, value in encoded(drag.of_air).items() if name != "assumed"}
+        rows += [[f"of_air_{name}", _float(value)] for name, value in numbers.items()]
+        note = "What air gives is its order of magnitude, of a bar in the pendulum's place" + (
+            f"; assumed: {', '.join(drag.of_air.assumed)}." if drag.of_air.assumed else "."
+        )
+    return Table("drag", "Is there a linear drag?", ("quantity", "value"), rows, ("", ""), shown, note)
+
+
+def _of_air(found: ExpectedDrag | None) -> list[list[str]]:
+    if found is None:
+        return []
+    bar = f"bar of {found.length_m:.2g} m × {found.width_m:.2g} m"
+    air = f"{found.air_density_kg_per_m3:.3f} kg/m³, {1e6 * found.air_viscosity_pa_s:.1f} µPa s"
+    return [["air would give", f"about {found.drag_s:.1g} s"], ["of it", f"{bar} in {air}"]]
 
 
 def correlation_table(results: RunResults) -> Table:

@@ -95,5 +95,5 @@ def _kind(field: FieldInfo) -> str:
     for kind in (field.annotation, *get_args(field.annotation)):
         if get_origin(kind) is Literal:
             return " or ".join(map(toml_value, get_args(kind)))
-    text = str(field.annotation).removeprefix("<class '").removesuffix("'>")
+    text = str(field.annotation).removeprefix("<class '").removesuffix("'>").replace("AwareDatetime", "time")
     return text.split(".")[-1].replace(" | None", "")

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, Literal, Self
 
-from pydantic import BaseModel, Field, model_validator
+from pydantic import AwareDatetime, BaseModel, Field, model_validator
 
 from acquisition.cameras.drivers import find_driver
 from acquisition.simulation.faults import FaultSettings
@@ -41,6 +41,12 @@ class SessionSettings(Section, frozen=True):
     sample: str = ""
     notes: str = ""
     contact_history: str = Field(default="", description="age, cleaning and earlier loads of the contact")
+    contact_made: AwareDatetime | None = Field(
+        default=None, description="when the ball was set on its place: 2026-11-22T09:30:00+01:00"
+    )
+    surfaces_cleaned: AwareDatetime | None = Field(
+        default=None, description="when ball and flat were last cleaned, in the same form"
+    )
     runs: int = Field(default=1, ge=1, le=1000)
     initial_amplitude_arcsec: float = Field(
         default=124.0, gt=0, description="wanted at the start of a run; see [start]"
@@ -87,6 +93,12 @@ class PendulumSettings(Section, frozen=True):
         lt=1,
         description="of the pendulum over the point of contact (below it: negative); if stated, the results "
         "say which acceleration of the ground drives it",
+    )
+    length_m: float | None = Field(
+        default=None, gt=0, lt=10, description="across its axis of swing; of the drag expected of the air"
+    )
+    width_m: float | None = Field(
+        default=None, gt=0, lt=10, description="along that axis; both left out: as its inertia says"
     )
     gravity_m_per_s2: float = Field(default=STANDARD_GRAVITY_M_PER_S2, gt=0, lt=30)
     u_gravity_m_per_s2: float = Field(default=0.0, ge=0)

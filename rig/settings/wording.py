@@ -1,5 +1,6 @@
 """What is wrong with a configuration, in words; and the sections and keys that its models have."""
 
+import datetime
 import difflib
 import math
 import re
@@ -54,7 +55,7 @@ def wanted(fault: ErrorDetails) -> str:
 
 
 def _shown(value: Any) -> str:
-    text = repr(value)
+    text = value.isoformat() if isinstance(value, datetime.datetime) else repr(value)
     return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 3]}..."
 
 
@@ -74,6 +75,10 @@ _WANTED = {
     "path_type": "the name of a file, in quotes",
     "string_type": "text, in quotes",
     "tuple_type": "a list in brackets",
+    **dict.fromkeys(
+        ("datetime_from_date_parsing", "datetime_parsing", "datetime_type", "timezone_aware"),
+        "a time with its offset from UTC, such as 2026-11-22T09:30:00+01:00",
+    ),
 }
 _UNITS = {
     "arcsec": "arcsec", "c": "°C", "deg": "degrees", "dn": "DN", "hz": "Hz", "kg": "kg", "m": "m",

@@ -6,7 +6,7 @@ from math import isfinite
 from acquisition.record.identity import measured_sha256_of
 from acquisition.record.reader import RecordReader
 from processing.fit import FitMethod
-from rig.analysis import mean_air, recorded_results
+from rig.analysis import recorded_results, recorded_surroundings
 
 _OF_SESSION = ("sample", "operator", "contact_history", "host")
 
@@ -16,7 +16,8 @@ def run_properties(reader: RecordReader) -> dict[str, float | str]:
 
     Names end in their units; `u_NAME` is a standard uncertainty. What is not known is left out.
     """
-    found: dict[str, float | str] = dict([*_stated(reader), *mean_air(reader).items(), *_fit(reader)])
+    air = recorded_surroundings(reader).known()
+    found: dict[str, float | str] = dict([*_stated(reader), *air.items(), *_fit(reader)])
     return {name: value for name, value in found.items() if isinstance(value, str) or isfinite(value)}
 
 

@@ -1,6 +1,7 @@
 """Runs that end by `session.stop_when` still cover, and a plan says what runs scatter.
 
-Run as ``python -m tests.benchmarks.bench_enough [--quick] [--seeds N] [stopping|plans]`` from the repository.
+Run as ``python -m tests.benchmarks.bench_enough [--quick] [--seeds N] [PART...]`` from the repository; its
+parts are stopping, plans and frames.
 The half-cycles come from the tests' own integration of a driven pendulum, and from the simulated rig in the
 basement world; neither shares a formula with the fit.
 """
@@ -14,11 +15,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from acquisition.simulation.true_path import true_turning_points
+from acquisition.simulation.disturbances import FrameNoise, Pointing
+from acquisition.simulation.true_path import true_path, true_turning_points
 from processing.contact.laws import PAPER
+from processing.deflections import DeflectionUnit, slow_deflections
 from processing.errors import RigError
 from processing.fit import FitResult, fit_exact
-from processing.swing import TurningPoints
+from processing.swing import SwingDetector, TurningPoints, turning_points
+from rig.analysis import settled_swings
 from rig.instrument import complete
 from rig.measure.end_of_run import EndLimits, EndOfRun
 from rig.plan import expected_of, plan_expected
@@ -114,7 +118,7 @@ def plans(pair: str, runs: int) -> dict[str, Any]:
     instants = replace(expected.conditions, averaged=False)
     (planned,) = plan_expected(expected._replace(conditions=instants), [124.0], [LAST_ARCSEC]).runs
     noise_arcsec = instants.u_amplitude_rad / ARCSEC
-    values, stated = [], []
+    values, stated, drives = [], [], []
     for seed in range(runs):
         ground = config.simulation.ground.model_copy(update={"seed": 300 + seed})
         truth = config.simulation.model_copy(update={"ground": ground})
@@ -124,12 +128,61 @@ def plans(pair: str, runs: int) -> dict[str, Any]:
         fit = fit_exact(points, expected.pendulum, averaged=False)
         values.append([fit.estimate(name).value for name in PAPER.names()])
         stated.append([fit.estimate(name).standard_uncertainty for name in PAPER.names()])
+        drives.append(fit.ground.density.value if fit.ground is not None else np.nan)
     u = np.array([planned.u[name] for name in PAPER.names()])
+    drive = expected.conditions.ground_rad_per_s2_rthz
     return {
         "pair": pair,
         "runs": runs,
         "scatter_over_planned": by_name(np.std(values, axis=0, ddof=1) / u),
         "stated_over_planned": by_name(np.median(stated, axis=0) / u),
+        "drive_over_model": np.percentile(np.array(drives) / drive, [16, 50, 84]).tolist(),
+    }
+
+
+def frames(runs: int, *wanted: str) -> dict[str, Any]:
+    """The same of configs/basement.toml as it stands, from the beam's way on the sensor, frame by frame."""
+    config = complete(load_configuration(CONFIGS / "basement.toml", wanted))
+    expected = expected_of(config)
+    assert config.lever is not None
+    (planned,) = plan_expected(expected, [124.0], [config.session.final_amplitude_arcsec]).runs
+    truth, rate_hz = config.simulation, config.simulation.clock.frame_rate_hz
+    # the turning points' own noise is that of frames and air; here of frames alone
+    still = load_configuration(
+        CONFIGS / "basement.toml",
+        ["simulation.disturbances.air_arcsec=0", "simulation.disturbances.pointing_walk_px_per_sqrt_s=0"],
+    )
+    frame_rad = expected_of(complete(still)).conditions.u_amplitude_rad * np.sqrt(
+        rate_hz * truth.contact.period0_s / 4
+    )
+    rad_per_px = config.lever.pixel_pitch_m / (2 * config.lever.arm_m)
+    values, stated, drives = [], [], []
+    for seed in range(runs):
+        ground = truth.ground.model_copy(update={"seed": 300 + seed})
+        settings = truth.model_copy(update={"ground": ground, "seed": 50 + seed})
+        end_s = float(true_turning_points(settings, config.session.final_amplitude_arcsec).time_s[-1])
+        path = true_path(settings, end_s)
+        pointing = Pointing(settings, FrameNoise(settings.seed, 0), 0, 1 / rate_hz)
+        seen = path.y_rad + rad_per_px * pointing.offset_px(0, len(path.y_rad))[:, 1]
+        seen += frame_rad * np.random.default_rng([seed, 80]).standard_normal(len(seen))
+        u_seen = np.full(len(seen), frame_rad)
+        detector = SwingDetector()
+        found = [*detector.update(path.times_ns, seen, u_seen), *detector.finish()]
+        blocks = [slow_deflections(path.times_ns, seen, u_seen)]
+        settled = settled_swings(found, blocks, DeflectionUnit.RAD, expected.pendulum, config.fit)
+        fit = settled.exact or fit_exact(turning_points(settled.swings), expected.pendulum)
+        values.append([fit.estimate(name).value for name in PAPER.names()])
+        stated.append([fit.estimate(name).standard_uncertainty for name in PAPER.names()])
+        drives.append(fit.ground.density.value if fit.ground is not None else np.nan)
+    u = np.array([planned.u[name] for name in PAPER.names()])
+    drive = expected.conditions.ground_rad_per_s2_rthz
+    return {
+        "changes": list(wanted),
+        "runs": runs,
+        "scatter_over_planned": by_name(np.std(values, axis=0, ddof=1) / u),
+        "stated_over_planned": by_name(np.median(stated, axis=0) / u),
+        "stated_b_percent": (100 * np.array(stated)[:, 0] / np.array(values)[:, 0]).round(2).tolist(),
+        "drive_over_model": np.percentile(np.array(drives) / drive, [16, 50, 84]).tolist(),
     }
 
 
@@ -143,7 +196,7 @@ def words(values: Mapping[str, float]) -> str:
 
 def run(quick: bool = False, seeds: int = 200, only: tuple[str, ...] = ()) -> dict[str, Any]:
     """All of it; numbers as plain values."""
-    out: dict[str, Any] = {"stopping": [], "plans": []}
+    out: dict[str, Any] = {"stopping": [], "plans": [], "frames": []}
     if not only or "stopping" in only:
         for case in STOPPING:
             found = stopping(case, 4 if quick else seeds)
@@ -160,7 +213,20 @@ def run(quick: bool = False, seeds: int = 200, only: tuple[str, ...] = ()) -> di
             out["plans"].append(found)
             print(f"{pair} in the basement, {found['runs']} runs to {LAST_ARCSEC:g} arcsec")
             print("  scatter/planned", words(found["scatter_over_planned"]))
-            print("  stated/planned ", words(found["stated_over_planned"]), flush=True)
+            print("  stated/planned ", words(found["stated_over_planned"]))
+            print("  drive/model, 16, 50, 84 %", found["drive_over_model"], flush=True)
+    if not only or "frames" in only:
+        quiet = (
+            "simulation.disturbances.air_arcsec=0",
+            "simulation.disturbances.pointing_walk_px_per_sqrt_s=0",
+        )
+        for wanted in ((), quiet):
+            found = frames(2 if quick else max(seeds // 10, 4), *wanted)
+            out["frames"].append(found)
+            print("configs/basement.toml, frame by frame", *wanted)
+            print("  scatter/planned", words(found["scatter_over_planned"]))
+            print("  stated/planned ", words(found["stated_over_planned"]))
+            print("  drive/model, 16, 50, 84 %", found["drive_over_model"], flush=True)
     return out
 
 

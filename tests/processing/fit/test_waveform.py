@@ -18,20 +18,38 @@ MEMORY = {"k": PARAMETERS.b / (1 - PARAMETERS.p), "q": PARAMETERS.p, "c": 0.0}
 """The backbone that loses what b and p lose."""
 
 
-@pytest.fixture(scope="module")
-def swing() -> tuple[np.ndarray, np.ndarray, TurningPoints]:
+FALSE_FRIENDS = ("lever", "rows", "leak", "fringes", "strong fringes")
+
+
+def four_minutes(seed: int) -> tuple[np.ndarray, np.ndarray, TurningPoints]:
     """Four minutes of the paper's law: times, angles, turning points."""
-    time_s, angle_rad, path = driven_path(PARAMETERS, PENDULUM, q=3e-9, seed=1, frames_per_s=RATE)
+    time_s, angle_rad, path = driven_path(PARAMETERS, PENDULUM, q=3e-9, seed=seed, frames_per_s=RATE)
     seconds = np.arange(FRAMES) / RATE
     inside = time_s < seconds[-1]
-    points = with_noise(
-        time_s[inside], np.abs(angle_rad[inside]), PARAMETERS.period0_s, 0.005, np.random.default_rng(2)
-    )
+    rng = np.random.default_rng(seed + 1)
+    points = with_noise(time_s[inside], np.abs(angle_rad[inside]), PARAMETERS.period0_s, 0.005, rng)
     return seconds, path[:FRAMES], points
 
 
-def chances(seconds: np.ndarray, seen: np.ndarray, points: TurningPoints) -> dict[str, float]:
-    noise = NOISE * np.random.default_rng(3).standard_normal(len(seen))
+def distorted(name: str, seconds: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    """The swing as an instrument with this fault shows it."""
+    if name == "lever":
+        return np.asarray(0.5 * np.tan(2 * angle) + 30 * angle**2)
+    if name == "rows":  # 5 ms from one turning point to the other
+        return np.interp(seconds + 2.5e-3 * angle / angle.max(), seconds, angle)
+    if name == "leak":
+        return angle + 0.5 * ARCSEC * np.sin(2 * np.pi * seconds / (PARAMETERS.period0_s / 5.003))
+    size = (0.02 if name == "fringes" else 0.2) * ARCSEC
+    return angle + size * np.sin(2 * np.pi * angle / (9.7 * ARCSEC) + 0.4)
+
+
+@pytest.fixture(scope="module")
+def swing() -> tuple[np.ndarray, np.ndarray, TurningPoints]:
+    return four_minutes(1)
+
+
+def chances(seconds: np.ndarray, seen: np.ndarray, points: TurningPoints, seed: int = 1) -> dict[str, float]:
+    noise = NOISE * np.random.default_rng(seed + 2).standard_normal(len(seen))
     classes = harmonic_classes(cycle_harmonics(seconds, seen + noise, points))
     assert classes
     laws = {"paper": asdict(PARAMETERS), "masing": MEMORY}
@@ -67,19 +85,10 @@ def test_the_waveform_names_the_law(swing: tuple[np.ndarray, np.ndarray, Turning
     assert found["masing"] < CONTRADICTED
 
 
-@pytest.mark.parametrize("distortion", ["lever", "rows", "leak", "fringes", "strong fringes"])
+@pytest.mark.parametrize("distortion", FALSE_FRIENDS)
 def test_false_friends_do_not_turn_it(
     swing: tuple[np.ndarray, np.ndarray, TurningPoints], distortion: str
 ) -> None:
     seconds, angle, points = swing
-    if distortion == "lever":
-        seen = 0.5 * np.tan(2 * angle) + 30 * angle**2
-    elif distortion == "rows":  # 5 ms from one turning point to the other
-        seen = np.interp(seconds + 2.5e-3 * angle / angle.max(), seconds, angle)
-    elif distortion == "leak":
-        seen = angle + 0.5 * ARCSEC * np.sin(2 * np.pi * seconds / (PARAMETERS.period0_s / 5.003))
-    else:
-        size = (0.02 if distortion == "fringes" else 0.2) * ARCSEC
-        seen = angle + size * np.sin(2 * np.pi * angle / (9.7 * ARCSEC) + 0.4)
-    found = chances(seconds, seen, points)
+    found = chances(seconds, distorted(distortion, seconds, angle), points)
     assert not (found["paper"] < CONTRADICTED < found["masing"])

@@ -13,11 +13,13 @@ from processing.estimate import Estimate
 from processing.instruments import DEGREE_RAD
 from processing.spot import Spot
 from processing.swing import Swing
+from rig.analysis import Surroundings
 from rig.analysis.base_acceleration import base_motion
 from rig.analysis.contact_verdicts import rig_quantities
-from rig.analysis.other_instruments import Air, reduce_run
+from rig.analysis.other_instruments import reduce_run
 from rig.analysis.other_instruments_series import reduce_series
 from rig.analysis.record_fit import clock_rate_of
+from rig.analysis.surroundings import expected_drag
 from rig.instrument import (
     height_of,
     nominal_effects,
@@ -53,9 +55,12 @@ def shutter(config: Configuration) -> Any:
 
 
 def apparatus(config: Configuration) -> Any:
-    """The pendulum, every input of the uncertainty budget, and the ground's motion."""
+    """The pendulum, every input of the uncertainty budget, the ground's motion and the air's drag."""
     moved = base_motion(Estimate(1e-8, 1e-9), 2e-8, 4.0, config.pendulum)
-    return repr((pendulum_on_ball(config), rig_quantities(config), moved))
+    pendulum = pendulum_on_ball(config)
+    assert pendulum is not None
+    drag = expected_drag(Surroundings(), pendulum, 4.0, config)
+    return repr((pendulum, rig_quantities(config), moved, drag))
 
 
 def stated_contact(config: Configuration) -> Any:
@@ -88,7 +93,12 @@ def instrument(config: Configuration) -> Any:
     for kind in ("koenig", "herbert", "tomlinson"):
         for references in (stated.reference_runs, ()):
             settings = stated.model_copy(update={"kind": kind, "reference_runs": references})
-            runs = [reduce_run(settings, _decay(b), None, Air(22.0, 48.0), 1e-3) for b in (0.01, 0.02, 0.03)]
+            runs = [
+                reduce_run(
+                    settings, _decay(b), None, Surroundings(temperature_c=22.0, humidity_percent=48.0), 1e-3
+                )
+                for b in (0.01, 0.02, 0.03)
+            ]
             found.append([run.values for run in runs])
             found.append(repr(reduce_series(runs)))
     return repr(found)

@@ -35,6 +35,8 @@ OBSERVED: dict[str, Callable[[Configuration], Any]] = {
     "session.sample": stated.metadata,
     "session.notes": stated.metadata,
     "session.contact_history": stated.metadata,
+    "session.contact_made": stated.metadata,
+    "session.surfaces_cleaned": stated.metadata,
     "sensor": stated.optical_path,
     "shutter": stated.shutter,
     "lever": stated.calibrated,
@@ -66,7 +68,14 @@ STATED: dict[str, Any] = {
     "shutter": {"row_time_s": 1e-5, "u_row_time_s": 1e-7, "first_row": "top"},
     "timebase": {},
     "environment": {"temperature_c": 20.0, "humidity_percent": 40.0, "pressure_pa": 1e5},
-    "pendulum": {"mass_kg": 0.4, "ball_radius_m": 6e-3, "ball_material": "mine", "flat_material": "glass_k8"},
+    "pendulum": {
+        "mass_kg": 0.4,
+        "ball_radius_m": 6e-3,
+        "ball_material": "mine",
+        "flat_material": "glass_k8",
+        "length_m": 0.5,
+        "width_m": 0.05,
+    },
     "materials": {"mine": {"youngs_modulus_pa": 2e11, "poisson_ratio": 0.3}},
     "balance": {"inertia_kg_m2": 0.01, "gamma_pa": 1e7},
     "instrument": {
@@ -90,6 +99,8 @@ STATED: dict[str, Any] = {
 """A configuration in which every one of those keys matters."""
 
 OTHER: dict[str, Any] = {
+    "session.contact_made": "2026-11-22T09:30:00+01:00",
+    "session.surfaces_cleaned": "2026-11-22T09:30:00+01:00",
     "pendulum.ball_material": "steel",
     "pendulum.flat_material": "steel",
     "pendulum.contact_radius_m": 1e-4,

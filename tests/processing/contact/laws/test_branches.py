@@ -25,13 +25,21 @@ def seen(amplitude_rad: np.ndarray, time_s: np.ndarray, seed: int) -> TurningPoi
     )
 
 
-def masing_points(k: float, q: float, c: float, count: int, seed: int) -> TurningPoints:
-    """A backbone k phi^q as a thousand springs with sliders, of which one after another slips."""
+def masing_decay(k: float, q: float, c: float, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """A backbone k phi^q as a thousand springs with sliders, of which one after another slips.
+
+    Amplitudes in rad and times in s.
+    """
     edges = FIRST * np.concatenate([[0.0], np.geomspace(1e-5, 1.05, 1000)])
     slope = np.diff(k * edges**q) / np.diff(edges)
     stiffness = -np.diff(np.append(slope, 0.0))
     amplitude, time = slider_decay(stiffness, edges[1:] / FIRST, c / FIRST, 0.0, 1.0, count)
-    return seen(amplitude * FIRST, time * PERIOD_S / (2 * np.pi), seed)
+    return amplitude * FIRST, time * PERIOD_S / (2 * np.pi)
+
+
+def masing_points(k: float, q: float, c: float, count: int, seed: int) -> TurningPoints:
+    """Such a decay with noise."""
+    return seen(*masing_decay(k, q, c, count), seed)
 
 
 def pulls(found: FitResult, truth: dict[str, float]) -> list[float]:

@@ -1,0 +1,111 @@
+"""What surrounded a run: the air, and how long the contact and its surfaces had been as they were."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from datetime import datetime
+from math import isfinite, nan
+
+import numpy as np
+
+from acquisition.record.reader import RecordReader
+from acquisition.record.topics import ENVIRONMENT
+from processing.air import humid_air
+from processing.contact import PendulumOnBall, bar_of, expected_drag_s
+from rig.analysis.contact_results import ExpectedDrag
+from rig.analysis.encoding import Number
+from rig.settings import Configuration
+
+_AIR = ("temperature_c", "humidity_percent", "pressure_pa")
+_USUAL = {"temperature_c": 20.0, "humidity_percent": 50.0, "pressure_pa": 101325.0}
+_SINCE = {"dwell_s": "contact_made", "age_s": "surfaces_cleaned"}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Surroundings:
+    """Air and history of a run's contact; NaN for what is neither read nor stated.
+
+    Air: means of what the sensor read during the run, else as stated. Until the run's first frame it is
+    `dwell_s` from when the ball was set on its place, `age_s` from the last cleaning of the surfaces.
+    """
+
+    temperature_c: Number = nan
+    humidity_percent: Number = nan
+    pressure_pa: Number = nan
+    dwell_s: Number = nan
+    age_s: Number = nan
+
+    def known(self) -> dict[str, float]:
+        """What is known, by name."""
+        return {name: value for name, value in asdict(self).items() if isfinite(value)}
+
+
+def stated_surroundings(config: Configuration) -> Surroundings:
+    """The air as the user stated it."""
+    stated = config.environment.model_dump(exclude_none=True)
+    return Surroundings(**{name: float(value) for name, value in stated.items()})
+
+
+def recorded_surroundings(reader: RecordReader, config: Configuration | None = None) -> Surroundings:
+    """Those of a record; what is stated comes from `config`, or without one from the record's own texts."""
+    if config is None:
+        air = {name: _number(text) for name, text in reader.metadata.get("environment", {}).items()}
+        session = reader.metadata.get("session", {})
+        times = {name: session.get(key, "") for name, key in _SINCE.items()}
+    else:
+        air = asdict(stated_surroundings(config))
+        told = {name: getattr(config.session, key) for name, key in _SINCE.items()}
+        times = {name: at.isoformat() if at is not None else "" for name, at in told.items()}
+    return Surroundings(**_read(reader, air), **_since(reader, times))
+
+
+def _read(reader: RecordReader, stated: Mapping[str, float]) -> dict[str, float]:
+    table = reader.table(ENVIRONMENT.topic)
+    found = {}
+    for name in _AIR:
+        read = table[name][np.isfinite(table[name])] if len(table) else np.empty(0)
+        found[name] = float(np.mean(read)) if len(read) else stated.get(name, nan)
+    return found
+
+
+def _since(reader: RecordReader, times: Mapping[str, str]) -> dict[str, float]:
+    began_ns = reader.contents.start_ns
+    return {
+        name: (reader.utc(began_ns) - datetime.fromisoformat(text)).total_seconds()
+        for name, text in times.items()
+        if text and began_ns
+    }
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return nan
+
+
+def doubts_of(found: Surroundings) -> list[str]:
+    """Times that the configuration states and that cannot be."""
+    return [
+        f"session.{key} lies {-getattr(found, name):.0f} s after the run began: correct its date or offset"
+        for name, key in _SINCE.items()
+        if getattr(found, name) < 0
+    ]
+
+
+def expected_drag(
+    found: Surroundings, pendulum: PendulumOnBall, period_s: float, config: Configuration
+) -> ExpectedDrag:
+    """The drag that this air, or a usual one where it is not known, gives a bar in the pendulum's place."""
+    air = humid_air(**{**_USUAL, **{name: value for name, value in found.known().items() if name in _AIR}})
+    stated = config.pendulum
+    length, width = (None, None) if stated is None else (stated.length_m, stated.width_m)
+    bar = bar_of(pendulum, period_s, length, width)
+    return ExpectedDrag(
+        drag_s=expected_drag_s(air, bar, pendulum, period_s),
+        air_density_kg_per_m3=air.density_kg_per_m3,
+        air_viscosity_pa_s=air.viscosity_pa_s,
+        length_m=bar.length_m,
+        width_m=bar.width_m,
+        assumed=tuple(name for name in _AIR if name not in found.known())
+        + tuple(name for name, value in (("length_m", length), ("width_m", width)) if value is None),
+    )
