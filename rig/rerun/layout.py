@@ -10,7 +10,7 @@ parent EQUAL has one that stretches X. Rerun applies the transforms below a view
 origin EQUAL has equal scales, one with the origin STRETCHED shows X stretched.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Final
 
 import rerun as rr
@@ -19,7 +19,7 @@ import rerun.blueprint as rrb
 from rig.presentation import balance_panels
 from rig.rerun.graticule import BOX, PLANE_REACH
 from rig.rerun.marks import BACKGROUND
-from rig.rerun.messages import LayoutName
+from rig.rerun.messages import Setup
 
 APPLICATION_ID: Final = "optical_pendulum_rig"
 TIMELINE: Final = "run_time"
@@ -81,22 +81,14 @@ def until_now(seconds: float) -> rrb.TimeAxis:
     )
 
 
-def blueprint(
-    layout: LayoutName,
-    runs: Sequence[str],
-    unit: str,
-    period_s: float,
-    parameters: Mapping[str, str],
-) -> rrb.Blueprint:
-    """Layout of the panels for one run or several overlaid ones; `unit`, `period_s` and `parameters`
-    are those of `Setup`.
-    """
-    views = _Views(tuple(runs), unit, period_s, parameters)
+def blueprint(setup: Setup) -> rrb.Blueprint:
+    """Layout of the panels for one run or several overlaid ones."""
+    views = _Views(setup)
     root = {
         "balancing": views.balancing,
         "measuring": views.measuring,
         "analysing": views.analysing,
-    }[layout]()
+    }[setup.layout]()
     return rrb.Blueprint(
         root,
         rrb.BlueprintPanel(state="collapsed"),
@@ -110,13 +102,12 @@ def blueprint(
 class _Views:
     """Builds the panels, each from the entities of all runs."""
 
-    def __init__(
-        self, runs: tuple[str, ...], unit: str, period_s: float, parameters: Mapping[str, str]
-    ) -> None:
-        self._runs = runs
-        self._unit = unit
-        self._period_s = period_s
-        self._parameters = parameters
+    def __init__(self, setup: Setup) -> None:
+        self._runs = setup.runs
+        self._unit = setup.unit
+        self._period_s = setup.period_s
+        self._parameters = setup.parameters
+        self._moments = setup.moments
 
     def measuring(self) -> rrb.Container:
         return rrb.Horizontal(
@@ -169,9 +160,17 @@ class _Views:
             ),
             rrb.Vertical(
                 self.plane("loops", f"Loops: moment / µN m against angle / {unit}"),
+                *self.moments(),
                 self.text(REPORT, "Report"),
             ),
         )
+
+    def moments(self) -> list[rrb.Container]:
+        """What the contact's moments are without a law, if that was asked for."""
+        if not self._moments:
+            return []
+        titles = {"friction": "No law: friction", "elastic": "No law: elastic moment"}
+        return [rrb.Tabs(*(self.plane(panel, f"{title} / nN m") for panel, title in titles.items()))]
 
     def trajectory(self) -> rrb.View:
         return self._lissajous(EQUAL, f"Trajectory / {self._unit}, equal scales")

@@ -15,7 +15,7 @@ Mode = Literal["none", "spawn", "web"]
 """How the live stream is shown: not at all, in a window, in a browser."""
 LayoutName = Literal["balancing", "measuring", "analysing"]
 LogLevel = Literal["debug", "info", "warning", "error"]
-Panel = Literal["decay", "residuals", "period", "period_residuals", "loops"]
+Panel = Literal["decay", "residuals", "period", "period_residuals", "loops", "friction", "elastic"]
 
 Floats = NDArray[np.float64]
 
@@ -28,6 +28,7 @@ class Setup(NamedTuple):
     expected values, `unit` is that of all deflections. If the worker replaces another one, `viewer_url` is
     the address of the viewer, which must connect to the new stream; otherwise it is empty. `parameters`, with
     their labels, are estimated while the run is measured, and each has a panel of the measuring layout.
+    `moments`: the analysing layout has panels of the contact's moments without a law.
     """
 
     title: str
@@ -42,6 +43,7 @@ class Setup(NamedTuple):
     memory_limit: str
     viewer_url: str
     parameters: Mapping[str, str] = {}
+    moments: bool = False
 
 
 class Samples(NamedTuple):
@@ -126,8 +128,8 @@ class Curve(NamedTuple):
 
     Axes of the panels: ``decay`` time in s, amplitude; ``residuals`` time in s, residual of the amplitude;
     ``period`` amplitude, period in s; ``period_residuals`` amplitude, residual in ms; ``loops`` angle, moment
-    in µN m. Amplitudes and angles are in the unit of the setup. NaN interrupts a line. `u_y` is drawn as
-    error bars of one standard uncertainty.
+    in µN m; ``friction`` and ``elastic`` angle, moment without a law in nN m. Amplitudes and angles are in
+    the unit of the setup. NaN interrupts a line. `u_y` is drawn as error bars of one standard uncertainty.
     """
 
     panel: Panel

@@ -37,7 +37,7 @@ class Output:
         self._flushed_at = time.monotonic()
         self._stream = rr.RecordingStream(layout.APPLICATION_ID, recording_id=setup.recording_id)
         sink = self._file_sink(Path(setup.rrd_path)) if setup.rrd_path else self._live_sink()
-        blueprint = layout.blueprint(setup.layout, setup.runs, setup.unit, setup.period_s, setup.parameters)
+        blueprint = layout.blueprint(setup)
         live = setup.rrd_path is None
         try:
             self._stream.set_sinks(sink, default_blueprint=blueprint)

@@ -25,7 +25,7 @@ from rig.analysis import (
     remarks,
 )
 from rig.presentation import Table
-from rig.rerun import Curve, Floats
+from rig.rerun import Curve, Floats, Panel
 
 
 class RunAnalysis(NamedTuple):
@@ -76,7 +76,7 @@ def analysis_curves(run: RunAnalysis) -> list[Curve]:
         u_bars = 1e3 * curves.u_period_s if method is FitMethod.EXACT else None
         residual_ms = 1e3 * (curves.period_s - model_s)
         drawn.append(Curve("period_residuals", name, at, residual_ms, u_bars, "points"))
-    return [*drawn, *_loops(run, float(amplitude[0]))]
+    return [*drawn, *_loops(run, float(amplitude[0])), *_moments(run)]
 
 
 def overlaid_curves(runs: Mapping[str, RunAnalysis]) -> list[Curve]:
@@ -132,6 +132,25 @@ def _loops(run: RunAnalysis, amplitude: float) -> list[Curve]:
     angle = loop.phi_rad[closed] / run.unit.shown_size
     moments = {"dissipative": loop.friction_n_m, "elastic": loop.elastic_n_m, "total": loop.total_n_m}
     return [Curve("loops", name, angle, 1e6 * moment[closed]) for name, moment in moments.items()]
+
+
+def _moments(run: RunAnalysis) -> list[Curve]:
+    """Where laws were compared: moments without a law, and those of the laws that remain."""
+    laws = run.results.laws
+    if laws is None or laws.without_law is None:
+        return []
+    free, size = laws.without_law, run.unit.shown_size
+    drawn: list[Curve] = []
+    panels: dict[Panel, str] = {"friction": "friction_n_m", "elastic": "elastic_n_m"}
+    for panel, name in panels.items():
+        at, u = free.phi_rad / size, 1e9 * getattr(free, f"u_{name}")
+        drawn.append(Curve(panel, "no law", at, 1e9 * getattr(free, name), u, "points"))
+        drawn += [
+            Curve(panel, law, at, 1e9 * getattr(moments, name))
+            for law, moments in free.laws.items()
+            if not laws.laws[law].excluded
+        ]
+    return drawn
 
 
 def _residual_ms(curves: Curves) -> Floats:

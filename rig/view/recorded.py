@@ -2,7 +2,7 @@
 
 import logging
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from itertools import islice
 from pathlib import Path
@@ -19,8 +19,8 @@ from processing.errors import RecordError
 from processing.spot import SpotFlag
 from rig.instrument import advice_text, recorded_configuration
 from rig.presentation import balance_numbers, say
-from rig.rerun import LayoutName
-from rig.view.analysis_curves import analysis_curves, overlaid_curves, report_text, run_analysis
+from rig.rerun import Curve, LayoutName
+from rig.view.analysis_curves import RunAnalysis, analysis_curves, overlaid_curves, report_text, run_analysis
 from rig.view.rrd_display import show_rrd
 from rig.view.run_properties import run_properties
 from rig.view.viewer import Viewer
@@ -88,6 +88,12 @@ def write_rrd(
             f"{', '.join(map(str, paths))}: some are in px (no calibration) and some in arcsec; "
             "they cannot be overlaid, show them separately"
         )
+    runs = (
+        {name: run_analysis(path) for path, name in zip(paths, names, strict=True)}
+        if layout == "analysing"
+        else {}
+    )
+    curves = _analysis_of(runs)
     first_utc_ns = min(each.start_utc_ns for each in overviews)
     viewer = Viewer(
         rrd,
@@ -97,6 +103,7 @@ def write_rrd(
         runs=names,
         amplitude=max(each.amplitude for each in overviews),
         unit=units.pop(),
+        moments=any(curve.panel == "friction" for curve in curves),
     )
     lines = []
     with viewer:
@@ -113,17 +120,15 @@ def write_rrd(
             lines.append(f"**{path.stem}**: {end}\n")
             lines.append(f"- start {start:%Y-%m-%d %H:%M:%S} UTC\n- {spots} spots\n- {swings} half-cycles\n")
         viewer.state("\n".join(lines), time_s=0.0, run=names[0])
-        if layout == "analysing":
-            _draw_analysis(viewer, paths, names)
+        if runs:
+            viewer.fits(curves, report_text(runs), run=names[0])
     if viewer.counts.notes:
         raise RecordError(f"{rrd}: {viewer.counts.notes[0]}")
 
 
-def _draw_analysis(viewer: Viewer, paths: Sequence[Path], names: Sequence[str]) -> None:
-    """Draw the fits of one record, or of several in common axes under the name of the first."""
-    runs = {name: run_analysis(path) for path, name in zip(paths, names, strict=True)}
-    curves = analysis_curves(runs[names[0]]) if len(runs) == 1 else overlaid_curves(runs)
-    viewer.fits(curves, report_text(runs), run=names[0])
+def _analysis_of(runs: Mapping[str, RunAnalysis]) -> list[Curve]:
+    """The fits of one record, or of several in common axes."""
+    return overlaid_curves(runs) if len(runs) != 1 else analysis_curves(*runs.values())
 
 
 def run_names(paths: Sequence[Path]) -> list[str]:

@@ -45,7 +45,7 @@ def measured(case: Case, seeds: int) -> dict[str, Any]:
     """Coverage at all angles and by angle, and the median band over the friction."""
     parameters, pendulum = paper_pair(case.flat)
     angles = np.array(ANGLES_ARCSEC) * ARCSEC
-    pulls, widths, cpu_s, failed = [], [], [], 0
+    pulls, widths, lowest, cpu_s, failed = [], [], [], [], 0
     for seed in range(seeds):
         points = case.points(seed)
         began_s = process_time()
@@ -65,6 +65,8 @@ def measured(case: Case, seeds: int) -> dict[str, Any]:
             ]
         )
         pulls.append(np.where(seen, pull, np.nan))
+        everywhere = free.moments()
+        lowest.append(float(np.min(everywhere.friction_n_m / everywhere.u_friction_n_m)))
         widths.append(np.where(seen, found.u_friction_n_m / truth[0], np.nan))
     pull = np.array(pulls)
     inside = np.where(np.isfinite(pull), np.abs(pull) < 1, np.nan)
@@ -76,6 +78,8 @@ def measured(case: Case, seeds: int) -> dict[str, Any]:
         "elastic": float(np.nanmean(inside[:, 1])),
         "friction_by_angle": by_angle[0].round(2).tolist(),
         "elastic_by_angle": by_angle[1].round(2).tolist(),
+        "lowest_friction_over_u": float(np.min(lowest)),
+        "friction_below_zero": int(np.count_nonzero(np.array(lowest) < 0)),
         "u_friction_percent": (100 * np.nanmedian(widths, axis=0)).round(3).tolist(),
         "cpu_s": float(np.median(cpu_s)),
     }

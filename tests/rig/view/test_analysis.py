@@ -11,7 +11,8 @@ from acquisition.record.reader import RecordReader
 from processing.angle import ARCSEC_RAD
 from processing.balance import Balance
 from processing.deflections import DeflectionUnit
-from rig.analysis import read_results
+from rig.analysis import ComparedLaws, MomentsWithoutLaw, read_results
+from rig.analysis.law_results import LawFit, LawMoments
 from rig.instrument import complete
 from rig.instrument.balance import advice_text
 from rig.instrument.provenance import recorded_configuration
@@ -47,6 +48,36 @@ def test_every_panel_has_its_curves_from_the_results_beside_the_record(measured_
     loop = by_name["loops", "total"]
     assert (loop.x[0], loop.y[0]) == (loop.x[-1], loop.y[-1])
     assert np.max(loop.x) == pytest.approx(measured.y[0])
+
+
+def test_moments_without_a_law_have_panels_where_laws_were_compared(
+    measured_series: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    phi = np.geomspace(1e-5, 5e-4, 20)
+    found = [LawMoments(phi * size, phi * size / 3) for size in (1e-3, 2e-3)]
+    free = MomentsWithoutLaw(
+        phi_rad=phi,
+        friction_n_m=phi * 1.1e-3,
+        u_friction_n_m=phi * 1e-4,
+        elastic_n_m=phi * 4e-4,
+        u_elastic_n_m=phi * 1e-4,
+        laws=dict(zip(("paper", "dahl"), found, strict=True)),
+    )
+    laws = {name: LawFit(title=name, source="", excluded=name == "dahl") for name in free.laws}
+    run = run_analysis(measured_series / "run-1.mcap")
+    run = run._replace(results=replace(run.results, laws=ComparedLaws(laws, "", free)))
+    curves = [curve for curve in analysis_curves(run) if curve.panel not in PANELS]
+    assert [(curve.panel, curve.name) for curve in curves] == [
+        ("friction", "no law"), ("friction", "paper"), ("elastic", "no law"), ("elastic", "paper")
+    ]  # fmt: skip
+    np.testing.assert_allclose(curves[0].y, 1.1e6 * phi)
+    np.testing.assert_allclose(curves[0].u_y, 1e5 * phi)
+    monkeypatch.setattr("rig.view.recorded.run_analysis", lambda _: run)
+    write_rrd([measured_series / "run-1.mcap"], tmp_path / "moments.rrd", layout="analysing")
+    drawn = entities(tmp_path / "moments.rrd")
+    assert {"/analysis/friction/axes/grid", "/analysis/elastic/no_law", "/analysis/elastic/paper"} <= {
+        name.replace("\\ ", "_") for name in drawn
+    }
 
 
 def test_the_report_says_what_results_json_says(measured_series: Path) -> None:
