@@ -41,6 +41,7 @@ def _of_kind(found: CalibrationFile) -> Iterator[Table]:
                     100.0 * line["contribution"],
                 )
                 for line in budget
+                if line["value"] or line["u"]
             ],
         )
     if "residual_px" in details:

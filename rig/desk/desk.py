@@ -8,8 +8,10 @@ from pathlib import Path
 
 from processing.errors import ConfigurationError, RigError
 from rig.desk.aligner import Aligner
+from rig.desk.calibrating import Calibrating
 from rig.desk.following import Following
 from rig.desk.jobs import MESSAGES_NAME, Job, start_session
+from rig.desk.sessions import LookingAgain
 from rig.measure import session_folder
 from rig.settings import Configuration, load_configuration
 
@@ -28,6 +30,8 @@ class Desk:
         self.following = Following(self.config.session.output)
         self.aligner: Aligner | None = None
         self.jobs: dict[str, Job] = {}
+        self.calibrating = Calibrating(self)
+        self.looking_again = LookingAgain()
         self._session: tuple[subprocess.Popen[bytes], Path] | None = None
         self._acting = ""
         self._lock = threading.Lock()
@@ -86,7 +90,7 @@ class Desk:
         if before is not None and before.running:
             raise ConfigurationError(f"rig {name} is running already; end it first")
         sets = [word for one in self.overridden(values) for word in ("--set", one)]
-        self.jobs[name] = Job([name, str(self.source), *words, *sets])
+        self.jobs[name] = Job([*name.split(), str(self.source), *words, *sets])
         return self.jobs[name]
 
     def start_session(self, values: Mapping[str, object], *, force: bool = False) -> Path:
@@ -157,6 +161,7 @@ class Desk:
         self.end_aligning()
         for job in self.jobs.values():
             job.end()
+        self.looking_again.close()
 
 
 def toml_value(value: object) -> str:

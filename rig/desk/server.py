@@ -8,6 +8,7 @@ from pathlib import Path
 
 import uvicorn
 from fastapi import FastAPI, Response
+from fastapi.responses import FileResponse
 from nicegui import ui
 from starlette.concurrency import run_in_threadpool
 
@@ -16,6 +17,7 @@ from rig.desk.desk import Desk
 from rig.desk.guard import LOOPBACK, Guard
 from rig.desk.look_now import picture_now
 from rig.desk.page import build_page
+from rig.desk.sessions import SERVED, served_file
 from rig.presentation import say
 
 _PORT = 8642
@@ -39,6 +41,11 @@ def open_desk(source: Path, overrides: tuple[str, ...] = (), *, port: int = 0, b
         size = (max(16, min(width, _MOST_PX)), max(16, min(height, _MOST_PX)))
         data = await run_in_threadpool(picture_now, desk, *size, max(1.0, min(zoom, 64.0)))
         return Response(data, media_type="image/png", headers={"Cache-Control": "no-store"})
+
+    @app.get(SERVED + "/{name:path}")
+    async def session_file(name: str) -> Response:
+        path = served_file(desk.config.session.output, name)
+        return Response(status_code=404) if path is None else FileResponse(path)
 
     @ui.page("/")
     def page() -> None:

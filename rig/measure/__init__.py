@@ -5,11 +5,13 @@ from rig.measure.plain_record import record_plainly, take_frames
 from rig.measure.preflight_alone import preflight_rig
 from rig.measure.resumption import resume_session
 from rig.measure.session import measure_session, session_folder, simulate_record
+from rig.measure.session_file import read_session
 
 __all__ = [
     "measure_plan",
     "measure_session",
     "preflight_rig",
+    "read_session",
     "record_plainly",
     "resume_session",
     "session_folder",

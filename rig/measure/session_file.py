@@ -58,6 +58,19 @@ class SessionState(BaseModel, frozen=True, extra="forbid"):
         return self.model_copy(update={"entries": (*kept, entry)})
 
 
+def read_session(folder: Path) -> SessionState:
+    """The session in a folder, whether it still runs or not; raises ConfigurationError if there is none."""
+    path = folder / STATE_NAME
+    try:
+        return SessionState.model_validate_json(path.read_bytes())
+    except FileNotFoundError:
+        raise ConfigurationError(
+            f"{folder}: contains no session to resume ({STATE_NAME} is missing)"
+        ) from None
+    except (OSError, ValidationError) as error:
+        raise ConfigurationError(f"{path}: cannot be read: {str(error).splitlines()[0]}") from None
+
+
 class SessionFile:
     """`session.json` of one folder: locked while the session runs, replaced as a whole at each change."""
 
@@ -82,16 +95,7 @@ class SessionFile:
     @classmethod
     def opened(cls, folder: Path) -> Self:
         """Open the file of an earlier session; raises ConfigurationError if it is missing or still in use."""
-        path = folder / STATE_NAME
-        try:
-            state = SessionState.model_validate_json(path.read_bytes())
-        except FileNotFoundError:
-            raise ConfigurationError(
-                f"{folder}: contains no session to resume ({STATE_NAME} is missing)"
-            ) from None
-        except (OSError, ValidationError) as error:
-            raise ConfigurationError(f"{path}: cannot be read: {str(error).splitlines()[0]}") from None
-        file = cls(folder, state)
+        file = cls(folder, read_session(folder))
         file._take_lock()
         return file
 

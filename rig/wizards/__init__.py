@@ -6,7 +6,7 @@ one more. `ask_in_terminal` does that at a keyboard. A `CalibrationWizard` then 
 function of `rig calibrate`, and `filed` says what to show of it.
 """
 
-from rig.wizards.calibration import CalibrationWizard, Filed, filed
+from rig.wizards.calibration import CalibrationWizard, Filed, filed, next_free
 from rig.wizards.configuration_file import refuse_existing, stated_keys, write_configuration
 from rig.wizards.draft import (
     Draft,
@@ -43,6 +43,7 @@ __all__ = [
     "filed",
     "keep_draft",
     "kept_draft",
+    "next_free",
     "place_for",
     "progress",
     "recorder_of",

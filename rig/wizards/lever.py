@@ -43,8 +43,8 @@ class LeverWizard:
             "How was it measured:",
             str,
             choices=(
-                Choice("geometry", "lengths: mirror to sensor, and the pixel pitch"),
-                Choice("tilt", "known tilts of the clamped pendulum: autocollimator, sine bar, level"),
+                Choice("geometry", "from lengths, mirror to sensor and pixel pitch"),
+                Choice("tilt", "known tilts of the clamped pendulum, by autocollimator, sine bar or level"),
                 Choice("shift", "the sensor is moved by known lengths on a stage"),
             ),
         )

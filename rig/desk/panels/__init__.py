@@ -4,7 +4,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from rig.desk.desk import Desk
-from rig.desk.panels import align, measure, preflight
+from rig.desk.panels import align, calibrate, measure, preflight, sessions
 from rig.desk.tab import Tab
 
 
@@ -20,4 +20,6 @@ PANELS = (
     Panel("Align", align.build, align.KEYS),
     Panel("Preflight", preflight.build, preflight.KEYS),
     Panel("Measure", measure.build, measure.KEYS),
+    Panel("Calibrate", calibrate.build, calibrate.KEYS),
+    Panel("Sessions", sessions.build, sessions.KEYS),
 )

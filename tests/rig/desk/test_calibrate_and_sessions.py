@@ -1,0 +1,152 @@
+"""The panels Calibrate and Sessions in a real browser: a lever typed in, a record made, old sessions."""
+
+import contextlib
+import os
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("nicegui", reason="rig desk is not installed: pip install '.[desk]'")
+
+from calibration import read_calibration
+from rig.desk.sessions import list_sessions, served_file
+from rig.measure.session_file import SessionFile
+from rig.settings import load_configuration
+from tests.rig.desk.desk_page import Page, desk_page
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(180)]
+OLDER = Path(__file__).resolve().parents[1] / "data" / "older" / "series"
+RIG = """
+[session]
+output = "runs"
+sample = "steel on K8"
+operator = "A. Person"
+[camera]
+driver = "simulated"
+frame_rate_hz = 50
+exposure_us = 100.0
+[view]
+file = false
+[simulation]
+max_duration_s = 4
+[simulation.sensor]
+width_px = 160
+[simulation.release]
+way = "by command"
+[simulation.fast]
+amplitude_arcsec = 0.0
+"""
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a rig at rest, a session of an older version, and one that was interrupted."""
+    place = tmp_path_factory.mktemp("desk")
+    (place / "rig.toml").write_text(RIG, encoding="utf-8")
+    shutil.copytree(OLDER, place / "runs" / "older")
+    config = load_configuration(place / "rig.toml").model_dump(mode="json")
+    broken = place / "runs" / "broken"
+    broken.mkdir()
+    SessionFile.made(broken, place / "rig.toml", 1, config).close()
+    return place
+
+
+@pytest.fixture(scope="module")
+def page(place: Path) -> Iterator[Page]:
+    with contextlib.chdir(place), desk_page(place / "rig.toml") as (_, page):
+        yield page
+
+
+def photograph(page: Page, name: str) -> None:
+    """Where somebody wants to look at the panels: a folder in RIG_DESK_PICTURES."""
+    if folder := os.environ.get("RIG_DESK_PICTURES"):
+        page.picture(Path(folder) / f"{name}.png")
+
+
+def test_a_lever_is_typed_in_and_a_resting_spot_is_recorded(page: Page, place: Path) -> None:
+    page.click("Calibrate")
+    page.wait_text("Calibration of the lever")
+    page.click("geometry")
+    page.wait_text("Mirror to sensor")
+    page.fill("answer", "1 yard")
+    page.click("Answer")
+    page.wait_text("has the unit yard; m is meant")
+    photograph(page, "calibrate-wrong")
+    page.fill("answer", "1 m ± 1 mm")
+    page.click("Answer")
+    page.wait_text("Distance of neighbouring pixels")
+    page.fill("answer", "4.8 um")
+    page.click("Answer")
+    page.wait_text("right angles")
+    page.click("yes")
+    page.click("File it")
+    page.wait_text("lever-001.toml")
+    page.wait_text("contribution, %")
+    photograph(page, "calibrate-lever")
+    found = read_calibration(place / "calibrations" / "lever-001.toml", "lever")
+    assert found.made_by == "A. Person"
+    assert found.values["arm_m"] == pytest.approx(1.0)
+    page.click("pointing")
+    page.wait_text("Clamp the pendulum")
+    page.click("Record 120 s now")
+    page.wait_text("calibrations/records/pointing-001.mcap")
+    page.click("File it")
+    page.wait_text("ALLAN DEVIATION OF X")
+    photograph(page, "calibrate-pointing")
+    assert read_calibration(place / "calibrations" / "pointing-001.toml", "pointing").sources
+
+
+def test_sessions_are_listed_reported_and_resumed(page: Page, place: Path) -> None:
+    page.click("Sessions")
+    page.wait_text("runs/older")
+    page.wait_text("interrupted")
+    page.click("Report")
+    page.wait_text("0 sessions are marked; mark one session in the list")
+    mark(page, "runs/broken")
+    page.click("Resume")
+    page.wait("document.body.innerText.includes('1 of 1')", 90.0)
+    mark(page, "runs/broken")
+    mark(page, "runs/older")
+    page.click("Fit again")
+    page.wait_text("rig fit: done", 90.0)
+    assert list((place / "runs" / "older").glob("fit-001/results.json"))
+    photograph(page, "sessions")
+
+
+def mark(page: Page, folder: str) -> None:
+    """Mark a session, or take its mark away."""
+    box = (
+        "[...document.querySelectorAll('.q-table tbody tr')]"
+        f".find(row => row.innerText.includes({folder!r})).querySelector('.q-checkbox')"
+    )
+    before = page.wait(f"{box}.getAttribute('aria-checked')")
+    page.ask(f"{box}.click()")
+    page.wait(f"{box}.getAttribute('aria-checked') !== {before!r}")
+
+
+def test_only_reports_below_the_folder_are_served(tmp_path: Path) -> None:
+    output = tmp_path / "runs"
+    (output / "a").mkdir(parents=True)
+    (output / "a" / "report.html").touch()
+    (output / "a" / "run-1.mcap").touch()
+    (tmp_path / "secret.html").touch()
+    (output / "link.html").symlink_to(tmp_path / "secret.html")
+    assert served_file(output, "a/report.html") == (output / "a" / "report.html").resolve()
+    for name in (
+        "a/run-1.mcap",
+        "../secret.html",
+        "link.html",
+        "a",
+        "none.html",
+        str(tmp_path / "secret.html"),
+    ):
+        assert served_file(output, name) is None
+
+
+def test_a_file_that_is_no_session_is_listed_with_what_is_wrong(tmp_path: Path) -> None:
+    (tmp_path / "odd").mkdir()
+    (tmp_path / "odd" / "session.json").write_text("{", encoding="utf-8")
+    (row,) = list_sessions(tmp_path, None)
+    assert "cannot be read" in row.state
