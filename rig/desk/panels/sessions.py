@@ -79,24 +79,24 @@ def build(desk: Desk, tab: Tab) -> None:
         ):
             ui.button(name, on_click=tab.act(do)).props(f'outline aria-label="{words}"').tooltip(words)
         ending = ui.button("End it", on_click=tab.act(end)).props("flat")
-    with ui.row().classes("full-width no-wrap items-start"):
-        with ui.column().classes("col-8 box"):
-            table = ui.table(
-                columns=[
-                    {"name": name, "label": name, "field": name, "align": "left", "sortable": True}
-                    for name in _COLUMNS
-                ],
-                rows=[],
-                row_key="folder",
-                selection="multiple",
-                pagination=15,
-            ).classes("full-width")
-            table.props('dense flat aria-label="sessions"')
-            none = ui.label(f"no session in {output} yet").classes("dim")
-        with ui.column().classes("col box"):
-            ui.label("what the commands say").classes("title")
-            links = ui.column()
-            words_of = ui.label().classes("events").style("white-space: pre-wrap; font-family: monospace")
+    with ui.column().classes("full-width box"):
+        table = ui.table(
+            columns=[
+                {"name": name, "label": name, "field": name, "align": "left", "sortable": True}
+                for name in _COLUMNS
+            ],
+            rows=[],
+            row_key="folder",
+            selection="multiple",
+            pagination=10,
+        ).classes("full-width")
+        table.props('dense flat aria-label="sessions"')
+        none = ui.label(f"no session in {output} yet").classes("dim")
+    with ui.column().classes("full-width box q-mt-sm"):
+        ui.label("what the commands say").classes("title")
+        links = ui.row()
+        words_of = ui.label().classes("full-width").props('role="log"')
+        words_of.style("white-space: pre; overflow: auto; max-height: 300px; font: 13px monospace")
     tab.key("o", tab.act(report))
     tab.key("v", tab.act(view))
     shown: list[tuple[str, str]] = []
