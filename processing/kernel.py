@@ -3,7 +3,8 @@
 numba compiles a kernel anew for each constant that another kernel hands to it, its cache does not notice a
 change in a kernel that is called from another file, and it refuses to compile where no cache can be written.
 Here a kernel is compiled for types only; a cache entry belongs to the code of the kernel and of all that it
-calls; and without a cache a kernel is compiled in every process.
+calls; and without a cache a kernel is compiled in every process. A kernel within another one becomes machine
+code only as a part of that one, where numba would optimize and assemble it by itself as well.
 """
 
 import hashlib
@@ -17,6 +18,7 @@ from typing import Any, TypeVar, overload
 
 import numpy as np
 from numba.core import config, event
+from numba.core.codegen import JITCodeLibrary
 from numba.core.caching import FunctionCache, IndexDataCacheFile, NullCache
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.registry import CPUDispatcher
@@ -86,25 +88,24 @@ class Kernel(CPUDispatcher):  # type: ignore[misc]
                 return super().compile(sig)
             if not self._cache_is_open:
                 self._cache, self._cache_is_open = cache_of(self.py_func, self.targetoptions), True
-            known = self.overloads.get(sig)
-            if known is None:
-                return super().compile(sig)
-            self.add_overload(known)
-            self._cache.save_overload(sig, known)
-            return known.entry_point
+            # one that is compiled as a part of another kernel cannot be called from Python
+            self.overloads.pop(sig, None)
+            return super().compile(sig)
 
     def get_call_template(self, args: Any, kws: Any) -> Any:
         """Called for a call within another kernel: compiles for types, not for the values of constants.
 
-        The code is not kept by itself, since it becomes a part of the caller's: keeping it would take a
-        third of the time that compiling takes.
+        It is neither made machine code nor kept by itself, since it becomes a part of the caller's.
         """
         types = tuple(unliteral(kind) for kind in args)
         named = {name: unliteral(kind) for name, kind in kws.items()}
+        generator = self.targetctx.codegen()
         cache, self._cache, self._within_another = self._cache, NullCache(), True
+        library, generator._library_class = generator._library_class, _PartLibrary
         try:
             return super().get_call_template(types, named)
         finally:
+            generator._library_class = library
             self._cache, self._within_another = cache, False
 
     def add_overload(self, cres: Any) -> None:
@@ -113,6 +114,24 @@ class Kernel(CPUDispatcher):  # type: ignore[misc]
             self.overloads[cres.signature.args] = cres
         else:
             super().add_overload(cres)
+
+
+class _PartLibrary(JITCodeLibrary):  # type: ignore[misc]
+    """Code that is linked into that of other kernels, which optimize it together with their own."""
+
+    @property
+    def codegen(self) -> Any:
+        return self
+
+    def set_env(self, name: str, environment: object) -> None:
+        """Code that is not loaded has none."""
+
+    def _optimize_final_module(self) -> None:
+        pass
+
+    def _finalize_final_module(self) -> None:
+        self._finalize_dynamic_globals()
+        self._finalized = True
 
 
 class _CacheFile(IndexDataCacheFile):  # type: ignore[misc]

@@ -210,7 +210,8 @@ def _lines(time_s: Vector, residual: Vector, weight: Vector, rates: Vector) -> M
     """Power, cosine and sine amplitude at each of the rates, (n, 3)."""
     out = np.empty((len(rates), 3))
     for k in range(len(rates)):
-        out[k] = line(rates[k], time_s, residual, weight)
+        # one by one: the assignment of a row would compile a text about its shape, which takes 4 s
+        out[k, 0], out[k, 1], out[k, 2] = line(rates[k], time_s, residual, weight)
     return out
 
 
