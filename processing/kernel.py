@@ -18,8 +18,8 @@ from typing import Any, TypeVar, overload
 
 import numpy as np
 from numba.core import config, event
-from numba.core.codegen import JITCodeLibrary
 from numba.core.caching import FunctionCache, IndexDataCacheFile, NullCache
+from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.registry import CPUDispatcher
 from numba.types import unliteral

@@ -27,7 +27,7 @@ class Optics:
         """Converts spots to deflections, on a sensor of (ny, nx) pixels."""
         return Deflector(self.lever, self.axes, sensor_shape, self.shutter)
 
-    def pipeline(self, sensor_shape: tuple[int, int], *, balance_beside: bool = False) -> Pipeline:
+    def pipeline(self, sensor_shape: tuple[int, int], *, beside: bool = False) -> Pipeline:
         """A new pipeline from frames to deflections and half-cycles."""
         return Pipeline(
             self.tracker(),
@@ -35,7 +35,7 @@ class Optics:
             self.axes,
             sensor_shape,
             shutter=self.shutter,
-            balance_beside=balance_beside,
+            beside=beside,
         )
 
     @property

@@ -12,7 +12,7 @@ from processing.balance import Balance, BalanceEstimator
 from processing.deflections import Deflections
 from processing.spot import Spot, SpotTracker
 from processing.swing import Swing, SwingDetector
-from rig.instrument.balance_thread import BalanceThread
+from rig.instrument.beside_thread import BesideThread
 
 
 class Block(NamedTuple):
@@ -42,9 +42,10 @@ class Pipeline:
         (ny, nx) of the whole sensor; its centre is the reference if the lever states none.
     shutter
         When the rows are exposed; each deflection gets the time of the rows that its spot lies on.
-    balance_beside
-        Estimate the balance in a thread of its own. Its estimates are the same, but come with a later block
-        than the one that completes them, the last ones with `finish_balance`.
+    beside
+        Fit the swings, and estimate the balance, in threads of their own. Their results are the same, but
+        come with a later block than the one that completes them, the last ones with `finish` and
+        `finish_balance`.
     """
 
     def __init__(
@@ -55,15 +56,17 @@ class Pipeline:
         sensor_shape: tuple[int, int],
         *,
         shutter: Shutter = GLOBAL,
-        balance_beside: bool = False,
+        beside: bool = False,
     ) -> None:
         self.tracker = tracker
         self._deflector = Deflector(lever, axes, sensor_shape, shutter)
         self._sensor_shape = sensor_shape
         self._detector = SwingDetector()
         estimator = BalanceEstimator()
-        self._beside = BalanceThread(estimator.update) if balance_beside else None
-        self._balance = self._beside or estimator
+        self._swings = BesideThread(self._detector.update, "swings") if beside else None
+        self._balances = BesideThread(estimator.update, "balance") if beside else None
+        self._detect = (self._swings or self._detector).update
+        self._balance = (self._balances or estimator).update
 
     def process(self, frames: Sequence[Frame], origins_px: Sequence[tuple[int, int]] | None = None) -> Block:
         """Track the spot in some consecutive frames, and continue with `measure`.
@@ -86,16 +89,17 @@ class Pipeline:
 
     def detect(self, spots: list[Spot], deflections: Deflections) -> Block:
         """Swings and balances from known deflections (replay without tracking)."""
-        swings = self._detector.update(deflections.times_ns, deflections.y, deflections.u_y)
-        return Block(spots, deflections, swings, self._balance.update(deflections))
+        swings = self._detect(deflections.times_ns, deflections.y, deflections.u_y)
+        return Block(spots, deflections, swings, self._balance(deflections))
 
     def finish(self) -> list[Swing]:
         """Swings that are completed by the end of the samples."""
-        return self._detector.finish()
+        waiting = [] if self._swings is None else self._swings.finish()
+        return waiting + self._detector.finish()
 
     def finish_balance(self) -> list[Balance]:
         """Wait for the balances that are still being estimated, and return them."""
-        return [] if self._beside is None else self._beside.finish()
+        return [] if self._balances is None else self._balances.finish()
 
 
 class Deflector:

@@ -54,9 +54,9 @@ class Recording:
         `begun` are the frames with which the record begins, `events` the events before them.
         """
         first, parts, stream, status = begun[0], self._parts, self._stream, self._status
-        # frames made on demand wait for the balance, so that a run of the simulated rig repeats exactly
+        # frames made on demand wait for both, so that a run of the simulated rig repeats exactly
         pipeline = parts.optics.pipeline(
-            (first.image.shape[0], first.image.shape[1]), balance_beside=stream.policy != "wait"
+            (first.image.shape[0], first.image.shape[1]), beside=stream.policy != "wait"
         )
         counts = FrameCounts(first, round(parts.full_frame_interval_s * 1e9), keep_windows=parts.keep_windows)
         end = EndOfRun(parts.end)

@@ -1,4 +1,4 @@
-"""The balance estimated beside the frames: the same values, and no frame waits for them."""
+"""Swings and balance estimated beside the frames: the same values, and no frame waits for them."""
 
 import threading
 
@@ -10,8 +10,9 @@ from processing.balance import Balance, BalanceEstimator
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import DataError
 from processing.spot import SensorModel, SpotTracker
+from processing.swing import SwingDetector
 from rig.instrument import Pipeline
-from rig.instrument.balance_thread import BalanceThread
+from rig.instrument.beside_thread import BesideThread
 
 ARCSEC_RAD = np.pi / 180 / 3600
 
@@ -31,17 +32,20 @@ def swinging(duration_s: float) -> list[Deflections]:
     return [whole[first : first + 40] for first in range(0, len(time_s), 40)]
 
 
-def test_the_same_balances_as_in_line() -> None:
+def test_the_same_swings_and_balances_as_in_line() -> None:
     blocks = swinging(40.0)
+    detector = SwingDetector()
+    swings = [swing for block in blocks for swing in detector.update(block.times_ns, block.y, block.u_y)]
+    swings += detector.finish()
+    assert len(swings) > 15
     estimator = BalanceEstimator()
     in_line = [balance for block in blocks for balance in estimator.update(block)]
     assert len(in_line) > 4
-    pipeline = Pipeline(
-        SpotTracker(SensorModel(39.2, 7.0, 255)), None, Axes(), (640, 320), balance_beside=True
-    )
-    beside = [balance for block in blocks for balance in pipeline.detect([], block).balances]
-    beside += pipeline.finish_balance()
+    pipeline = Pipeline(SpotTracker(SensorModel(39.2, 7.0, 255)), None, Axes(), (640, 320), beside=True)
+    found = [pipeline.detect([], block) for block in blocks]
+    beside = [balance for block in found for balance in block.balances] + pipeline.finish_balance()
     assert [repr(balance) for balance in beside] == [repr(balance) for balance in in_line]
+    assert [*(swing for block in found for swing in block.swings), *pipeline.finish()] == swings
 
 
 def test_samples_are_taken_while_an_estimate_is_being_made() -> None:
@@ -53,7 +57,7 @@ def test_samples_are_taken_while_an_estimate_is_being_made() -> None:
         seen.append(len(block))
         return []
 
-    beside = BalanceThread(slow)
+    beside = BesideThread(slow, "slow")
     blocks = swinging(4.0)
     for block in blocks:
         assert beside.update(block) == []
@@ -67,7 +71,7 @@ def test_an_error_is_raised_in_the_thread_that_asks() -> None:
     def failing(_: Deflections) -> list[Balance]:
         raise DataError("times, deflections and uncertainties must be of one length")
 
-    beside = BalanceThread(failing)
+    beside = BesideThread(failing, "failing")
     block = swinging(1.0)[0]
 
     def ask() -> None:
