@@ -8,6 +8,7 @@ from rig.archive.blinding import blind_runs
 from rig.archive.chosen import remark, show_runs
 from rig.archive.listing import Format, list_runs
 from rig.archive.plot import plot_runs
+from rig.archive.remote import is_remote, opened
 
 if TYPE_CHECKING:
     from rig.archive.differences import print_differences
@@ -23,7 +24,9 @@ __all__ = [
     "add_sessions",
     "blind_runs",
     "compare_groups",
+    "is_remote",
     "list_runs",
+    "opened",
     "plot_runs",
     "print_differences",
     "publish_runs",

@@ -23,9 +23,10 @@ from rig.analysis import (
     session_results,
 )
 from rig.archive.code_identity import code_identity
+from rig.archive.remote import is_remote, write_new
 from rig.archive.session_rows import now_utc, row_of_results
 from rig.archive.shelf import unreadable
-from rig.archive.store import refit_shelf
+from rig.archive.store import REFIT_SUFFIX, refit_shelf
 from rig.replay import analyse_replayed
 
 Level = Literal["swings", "spots", "pixels"]
@@ -47,9 +48,12 @@ class Recipe:
 
 
 class Task(NamedTuple):
-    """One record, to be made results of; `sha256` is the record's as the archive knows it."""
+    """One record, to be made results of; `sha256` is the record's as the archive knows it.
 
-    archive: Path
+    `archive` is a folder, or the URL of a remote archive, to which the results are sent at once.
+    """
+
+    archive: str
     record: Path
     sha256: str
     recipe: Recipe
@@ -106,7 +110,10 @@ def refit(task: Task) -> str:
         "results": results,
     }
     packed = zstandard.ZstdCompressor(level=6).compress(json.dumps(document).encode())
-    refit_shelf(task.archive).write(name, packed)
+    if is_remote(task.archive):
+        write_new(task.archive, f"refits/{name}{REFIT_SUFFIX}", packed)
+    else:
+        refit_shelf(Path(task.archive)).write(name, packed)
     return ""
 
 

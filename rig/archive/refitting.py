@@ -30,6 +30,7 @@ def refit_runs(
     where: str,
     level: Level,
     *,
+    sent_to: str = "",
     laws: Sequence[str] = (),
     settings: Sequence[str] = (),
     cluster: str = "",
@@ -39,14 +40,17 @@ def refit_runs(
     """Make results anew of runs that are named or meet a condition (neither: of all that can be read).
 
     What was made by the same code from the same record with the same settings is left as it is, so that an
-    interrupted command is simply started again. Returns the exit status: 1 where a record was given up.
+    interrupted command is simply started again. Each worker sends its results to `sent_to`, the URL of a
+    remote archive of which `archive` is a copy, and without one writes them into `archive`. Returns the exit
+    status: 1 where a record was given up.
 
     Raises ConfigurationError for a law or setting that does not exist, before anything is made.
     """
     chosen_laws(laws)
     recipe = Recipe(level, tuple(laws), tuple(settings), code_identity())
     runs = chosen_runs(archive, names, where or ("" if names else _READABLE))
-    tasks = [Task(archive.resolve(), path, sha256, recipe) for sha256, path in runs.items()]
+    place = sent_to or str(archive.resolve())
+    tasks = [Task(place, path, sha256, recipe) for sha256, path in runs.items()]
     store, quarantine = Archive(archive), archive / "quarantine"
     done, given_up = store.refits.names(), {path.stem for path in quarantine.glob("[!.]*.json")}
     pending = [task for task in tasks if recipe.name(task.sha256) not in done | given_up]

@@ -19,6 +19,7 @@ from rig.archive.columns import COLUMNS, OF_REFITS, SHORT_NAMES, Column
 from rig.archive.remarks import read_remarks
 from rig.archive.shelf import MANY, Shelf, as_parquet, digest_of, unreadable
 
+REFIT_SUFFIX = ".json.zst"
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
 
@@ -232,7 +233,7 @@ def reads_archive(function: Callable[Concatenate[Path, _P], _R]) -> Callable[Con
 
 def refit_shelf(archive: Path) -> Shelf:
     """Where results that were made anew lie."""
-    return Shelf(archive / "refits", archive / "merged", "refits", ".json.zst", _read_refit_row)
+    return Shelf(archive / "refits", archive / "merged", "refits", REFIT_SUFFIX, _read_refit_row)
 
 
 def _table(rows: Iterable[Mapping[str, Any]], columns: Mapping[str, Column] = COLUMNS) -> Any:

@@ -10,9 +10,12 @@ from processing.errors import ConfigurationError
 from rig.commands.arguments import Set
 
 Archive = Annotated[
-    Path, typer.Option("--archive", envvar="RIG_ARCHIVE", help="Folder of the archive; or RIG_ARCHIVE.")
+    str,
+    typer.Option(
+        "--archive", envvar="RIG_ARCHIVE", help="The archive: a folder, or s3://...; or RIG_ARCHIVE."
+    ),
 ]
-_PLACE = Path("archive")
+_PLACE = "archive"
 Names = Annotated[
     list[str] | None,
     typer.Argument(help="First characters of a run's or a session's hash.", show_default=False),
@@ -54,9 +57,10 @@ def add(
     archive: Archive = _PLACE,
 ) -> None:
     """Add sessions; those that are known already are left as they are."""
-    from rig.archive import add_sessions
+    from rig.archive import add_sessions, opened
 
-    print(add_sessions(archive, folders, read=read))
+    with opened(archive) as folder:
+        print(add_sessions(folder, folders, read=read))
 
 
 def list_(
@@ -70,9 +74,10 @@ def list_(
     archive: Archive = _PLACE,
 ) -> None:
     """List the runs that meet a condition."""
-    from rig.archive import list_runs
+    from rig.archive import list_runs, opened
 
-    list_runs(archive, condition, [columns] if columns.strip() else [], format_, output, refits=refits)
+    with opened(archive) as folder:
+        list_runs(folder, condition, [columns] if columns.strip() else [], format_, output, refits=refits)
 
 
 def plot(
@@ -85,9 +90,10 @@ def plot(
     archive: Archive = _PLACE,
 ) -> None:
     """Draw one column against another, with standard uncertainties."""
-    from rig.archive import plot_runs
+    from rig.archive import opened, plot_runs
 
-    print(plot_runs(archive, x, y, by, where, output, refits=refits))
+    with opened(archive) as folder:
+        print(plot_runs(folder, x, y, by, where, output, refits=refits))
 
 
 def show(
@@ -97,9 +103,10 @@ def show(
     archive: Archive = _PLACE,
 ) -> None:
     """Show all that is known of runs."""
-    from rig.archive import show_runs
+    from rig.archive import opened, show_runs
 
-    show_runs(archive, names)
+    with opened(archive) as folder:
+        show_runs(folder, names)
 
 
 def tag(
@@ -110,10 +117,11 @@ def tag(
     archive: Archive = _PLACE,
 ) -> None:
     """Tag runs."""
-    from rig.archive import remark
+    from rig.archive import opened, remark
 
-    said = {"remove" if remove else "add": text}
-    print(remark(archive, names or [], where, **said))
+    with opened(archive) as folder:
+        said = {"remove" if remove else "add": text}
+        print(remark(folder, names or [], where, **said))
 
 
 def note(
@@ -123,9 +131,10 @@ def note(
     archive: Archive = _PLACE,
 ) -> None:
     """Write a note on runs."""
-    from rig.archive import remark
+    from rig.archive import opened, remark
 
-    print(remark(archive, names or [], where, note=text))
+    with opened(archive) as folder:
+        print(remark(folder, names or [], where, note=text))
 
 
 def refit(
@@ -147,20 +156,22 @@ def refit(
     archive: Archive = _PLACE,
 ) -> None:
     """Make results anew of many records; what was made already is left as it is."""
-    from rig.archive import refit_runs
+    from rig.archive import is_remote, opened, refit_runs
 
-    raise typer.Exit(
-        refit_runs(
-            archive,
-            names or [],
-            where,
-            level,
-            laws=law or [],
-            settings=set_ or [],
-            cluster=cluster,
-            processes=processes,
+    with opened(archive) as folder:
+        raise typer.Exit(
+            refit_runs(
+                folder,
+                names or [],
+                where,
+                level,
+                laws=law or [],
+                settings=set_ or [],
+                sent_to=archive if is_remote(archive) else "",
+                cluster=cluster,
+                processes=processes,
+            )
         )
-    )
 
 
 def diff(
@@ -172,9 +183,10 @@ def diff(
     archive: Archive = _PLACE,
 ) -> None:
     """Name what moved between the last two versions of results, and why."""
-    from rig.archive import print_differences
+    from rig.archive import opened, print_differences
 
-    print_differences(archive, names or [], where, least_u)
+    with opened(archive) as folder:
+        print_differences(folder, names or [], where, least_u)
 
 
 def compare(
@@ -186,9 +198,10 @@ def compare(
     archive: Archive = _PLACE,
 ) -> None:
     """Compare what rigs or laboratories say of a parameter."""
-    from rig.archive import compare_groups
+    from rig.archive import compare_groups, opened
 
-    compare_groups(archive, column, by, where, output, refits=refits)
+    with opened(archive) as folder:
+        compare_groups(folder, column, by, where, output, refits=refits)
 
 
 def blind(
@@ -198,9 +211,10 @@ def blind(
     archive: Archive = _PLACE,
 ) -> None:
     """Hide values behind offsets until the analysis is frozen."""
-    from rig.archive import blind_runs
+    from rig.archive import blind_runs, opened
 
-    print(blind_runs(archive, columns or []))
+    with opened(archive) as folder:
+        print(blind_runs(folder, columns or []))
 
 
 def unblind(
@@ -210,9 +224,10 @@ def unblind(
     archive: Archive = _PLACE,
 ) -> None:
     """Show true values again, and record who asked for it."""
-    from rig.archive import unseal
+    from rig.archive import opened, unseal
 
-    print(unseal(archive, frozen))
+    with opened(archive) as folder:
+        print(unseal(folder, frozen))
 
 
 def view(
@@ -225,9 +240,10 @@ def view(
     archive: Archive = _PLACE,
 ) -> None:
     """Show runs laid over each other in the viewer."""
-    from rig.archive import view_runs
+    from rig.archive import opened, view_runs
 
-    view_runs(archive, names or [], where, mode, rrd)
+    with opened(archive) as folder:
+        view_runs(folder, names or [], where, mode, rrd)
 
 
 def publish(
@@ -244,10 +260,11 @@ def publish(
     archive: Archive = _PLACE,
 ) -> None:
     """Write runs with results and inputs as an RO-Crate."""
-    from rig.archive import Statement, publish_runs
+    from rig.archive import Statement, opened, publish_runs
 
-    statement = Statement(title, licence, author, citation)
-    print(publish_runs(archive, names or [], where, output, statement))
+    with opened(archive) as folder:
+        statement = Statement(title, licence, author, citation)
+        print(publish_runs(folder, names or [], where, output, statement))
 
 
 def thin(
@@ -264,18 +281,19 @@ def thin(
     archive: Archive = _PLACE,
 ) -> None:
     """Drop the pixels of old records that have results, or store them in fewer bytes; asks first."""
-    from rig.archive import thin_runs
+    from rig.archive import opened, thin_runs
 
-    raise typer.Exit(
-        thin_runs(
-            archive,
-            names or [],
-            where,
-            drop_after=drop_after,
-            recompress_after=recompress_after,
-            agreed=(lambda question: True) if yes else _agreed,
+    with opened(archive) as folder:
+        raise typer.Exit(
+            thin_runs(
+                folder,
+                names or [],
+                where,
+                drop_after=drop_after,
+                recompress_after=recompress_after,
+                agreed=(lambda question: True) if yes else _agreed,
+            )
         )
-    )
 
 
 def _agreed(question: str) -> bool:

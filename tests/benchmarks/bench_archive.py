@@ -1,18 +1,21 @@
 """An archive of many sessions: adding, listing, killed at random moments, two that add at once, refits.
 
 Run as ``python -m tests.benchmarks archive [--quick]``; `RIG_BENCH_SESSIONS` names another number of sessions
-than 10,000 (which take 4 GB while it runs).
+than 10,000 (which take 4 GB while it runs). The archive on S3 needs moto's server and s3fs, the cluster Dask.
 """
 
+import contextlib
+import importlib.util
 import os
 import random
 import resource
 import signal
+import socket
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,6 +27,7 @@ from acquisition.record.digest import sha256_of
 from rig.analysis import analyse_record
 from rig.archive import add_sessions, refit_runs
 from rig.archive.refits import Task, refit
+from rig.archive.remote import opened
 from rig.archive.store import Archive
 from tests.rig.archive.many_sessions import RUNS, make_sessions
 
@@ -67,6 +71,7 @@ def run(quick: bool = False) -> dict[str, Any]:
         results |= _killed(folder / "runs", folder / "killed", sessions, kills, start_s, results["add: s"])
         results |= _two_at_once(folder / "runs", folder / "two", sessions)
         results |= _refits(folder / "refitted", sessions=3 if quick else 40)
+        results |= cluster_on_s3(folder / "cluster", sessions=4 if quick else 20)
     table = Table("archive", "measured")
     for key, value in results.items():
         table.add_row(key, f"{value:,.4g}" if isinstance(value, float) else str(value))
@@ -177,6 +182,85 @@ def _refits(folder: Path, sessions: int) -> dict[str, Any]:
     return results
 
 
+def cluster_on_s3(folder: Path, sessions: int) -> dict[str, Any]:
+    """Refits by a Dask cluster of two processes, the archive on S3; some records kill their worker."""
+    if any(importlib.util.find_spec(name) is None for name in ("distributed", "s3fs", "moto")):
+        return {"cluster: not measured": "needs distributed, s3fs and moto"}
+    import fsspec
+
+    for _ in make_sessions(folder / "runs", sessions, templates=6, seed=3):
+        pass
+    records = sorted((folder / "runs").rglob("*.mcap"))
+    random.Random(4).shuffle(records)
+    hashes = [sha256_of(record) for record in records]
+    marks = folder / "marks"
+    marks.mkdir()
+    work = Killed(marks, frozenset(hashes[:3]), frozenset(hashes[3 : 3 + max(1, len(records) // 10)]))
+    s3, dask, url = _free_port(), f"tcp://127.0.0.1:{_free_port()}", "s3://laboratory/friction"
+    os.environ |= {"AWS_ACCESS_KEY_ID": "bench", "AWS_SECRET_ACCESS_KEY": "bench"}
+    os.environ |= {"AWS_ENDPOINT_URL": f"http://127.0.0.1:{s3}", "AWS_DEFAULT_REGION": "us-east-1"}
+    os.environ |= {"XDG_CACHE_HOME": str(folder / "cache"), "OPENBLAS_NUM_THREADS": "1"}
+    local = ("--host", "127.0.0.1", "--no-dashboard")
+    worker = ("dask", "worker", dask, *local, "--nworkers", "2", "--nthreads", "1")
+    commands = (
+        ("moto.server", "-H", "127.0.0.1", "-p", str(s3)),
+        ("dask", "scheduler", *local, "--port", dask.rpartition(":")[2]),
+        (*worker, "--local-directory", str(folder)),
+    )
+    with contextlib.ExitStack() as stack:
+        for command in commands:
+            quiet = subprocess.DEVNULL
+            process = subprocess.Popen([sys.executable, "-m", *command], stdout=quiet, stderr=quiet)
+            stack.callback(process.wait)
+            stack.callback(process.terminate)
+        system = fsspec.filesystem("s3")
+        _until(lambda: system.mkdir("laboratory") is None)
+        began_s = time.monotonic()
+        with opened(url) as archive:
+            add_sessions(archive, [folder / "runs"])
+        results: dict[str, Any] = {"cluster: runs": len(records), "cluster: add to S3, s": _since(began_s)}
+        began_s = time.monotonic()
+        with opened(url) as archive:
+            _until(lambda: _workers(dask) == 2)
+            refit_runs(archive, [], "", "swings", sent_to=url, cluster=dask, work=work)
+        results["cluster: refit with killed workers, s"] = _since(began_s)
+        done = {path.rpartition("/")[2] for path in system.find("laboratory/friction/refits")}
+        results["cluster: killed at random, poison"] = f"{len(work.once)}, {len(work.always)}"
+        results["cluster: killed in all"] = sum(len(mark.read_bytes()) for mark in marks.iterdir())
+        results["cluster: runs missing"] = len(records) - 3 - len(done)
+        results["cluster: in quarantine"] = len(system.find("laboratory/friction/quarantine"))
+        results["cluster: runs with two results"] = len(done) - len({name[:16] for name in done})
+    return results
+
+
+def _workers(address: str) -> int:
+    from distributed import Client
+
+    with Client(address, timeout="10s", set_as_default=False) as client:
+        return len(client.scheduler_info()["workers"])
+
+
+def _free_port() -> int:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port: int = server.getsockname()[1]
+        return port
+
+
+def _until(reached: Callable[[], bool], longest_s: float = 120.0) -> None:
+    """Wait for a server that is starting."""
+    end_s = time.monotonic() + longest_s
+    while time.monotonic() < end_s:
+        with contextlib.suppress(Exception):
+            if reached():
+                return
+        time.sleep(0.5)
+    raise TimeoutError("a server of the benchmark did not start")
+
+
+def _since(began_s: float) -> float:
+    return time.monotonic() - began_s
+
+
 @dataclass(frozen=True)
 class Killed:
     """Makes results anew, but ends its process with some records always and with some the first time."""
@@ -188,7 +272,8 @@ class Killed:
     def __call__(self, task: Task) -> str:
         mark = self.marks / task.sha256
         if task.sha256 in self.always or (task.sha256 in self.once and not mark.exists()):
-            mark.touch()
+            with mark.open("ab") as file:
+                file.write(b"x")
             os.kill(os.getpid(), signal.SIGKILL)
         return refit(task)
 

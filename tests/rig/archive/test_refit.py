@@ -95,7 +95,7 @@ def test_what_cannot_be_done_is_said_and_not_stored(
     assert changed.returncode == 1
     assert "has changed since it was added" in changed.stderr
     assert Archive(archive).refits.names() == set()
-    task = Task(archive, record, "0" * 64, Recipe("swings", (), (), "other"))
+    task = Task(str(archive), record, "0" * 64, Recipe("swings", (), (), "other"))
     assert "other code" in refit(task)
     with pytest.raises(ConfigurationError, match=r"no Dask scheduler answers|needs Dask"):
         list(on_cluster(refit, [task], "tcp://127.0.0.1:9"))
