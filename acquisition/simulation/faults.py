@@ -19,3 +19,7 @@ class FaultSettings(BaseModel, frozen=True, extra="forbid"):
     vibration_burst_hz: float = Field(default=17.0, gt=0)
     draught_at_s: float | None = Field(default=None, ge=0, description="an impulse on both modes")
     draught_arcsec: float = Field(default=3.0, description="amplitude that the impulse gives at rest")
+    interlock_opens_at_s: float | None = Field(
+        default=None, ge=0, description="of the simulated controller, since it first lit the laser"
+    )
+    interlock_open_for_s: float = Field(default=3.0, gt=0)

@@ -1,5 +1,7 @@
 """The command `rig balance`: measures the balance, advises a turn of a weight, learns from it, repeats."""
 
-from rig.balance.balancing import balance_rig, show_history
+from rig.balance.balancing import balance_rig, history_path, show_history
+from rig.balance.history import HEAD, Learned, learned
+from rig.balance.telling import InJsonLines
 
-__all__ = ["balance_rig", "show_history"]
+__all__ = ["HEAD", "InJsonLines", "Learned", "balance_rig", "history_path", "learned", "show_history"]

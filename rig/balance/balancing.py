@@ -9,10 +9,10 @@ from processing.errors import ConfigurationError, DataError
 from rig.balance import history
 from rig.balance.learned_turns import LearnedTurns
 from rig.balance.look import LooksView, look
-from rig.balance.screen import print_advice, print_faults
 from rig.balance.simulated_operator import SimulatedOperator
+from rig.balance.telling import OnTerminal, Teller
 from rig.devices import Devices
-from rig.instrument import WEIGHTS, advice_text, complete, height_of, turn_text
+from rig.instrument import WEIGHTS, advice_text, complete, height_of
 from rig.presentation import say
 from rig.settings import Configuration
 
@@ -39,20 +39,25 @@ def balance_rig(
     config: Configuration,
     path: Path | None,
     follow: int,
-    seed: int,
+    seed: int | None,
     rrd: Path | None = None,
     operator: SimulatedOperator | None = None,
+    teller: Teller | None = None,
 ) -> int:
     """Measure, advise and ask which weight was turned, until the operator ends it.
 
     With `follow` the advice is applied to the simulated rig, for at most so many turns, by `operator` if
-    given. All measurements are drawn into the configured live view and into `rrd`.
+    given; with a `seed` alone, what is stated as turned is turned there. All measurements are drawn into the
+    configured live view and into `rrd`, and told by `teller`, on the terminal by default.
     """
     config = complete(config)
     if follow and not config.simulated:
         raise ConfigurationError("--follow works with the simulated rig only: leave it out")
-    if follow and operator is None:
-        operator = SimulatedOperator(config, seed)
+    if seed is not None and not config.simulated:
+        raise ConfigurationError(f"--seed {seed} works with the simulated rig only: leave it out")
+    if operator is None and (follow or seed is not None):
+        operator = SimulatedOperator(config, 1 if seed is None else seed)
+    teller = OnTerminal() if teller is None else teller
     session = LearnedTurns(config, history_path(config, path))
     stated = config
 
@@ -62,27 +67,29 @@ def balance_rig(
     moves = looks = 0
     with (
         Devices(config, history_path(config, path).parent) as devices,
-        LooksView(config, rrd, advise) as view,
+        LooksView(config, rrd, advise, teller.way) as view,
     ):
         while True:
             if operator is not None:
                 config = config.model_copy(update={"simulation": operator.simulation})
             looks += 1
             try:
-                why = session.take(look(config, devices, _shower(config), view))
+                why = session.take(look(config, devices, _shower(config, teller), view))
             except DataError as error:
                 why = str(error)
             if why:
-                turn = _after_rejection(session, why)
+                turn = _after_rejection(session, why, teller)
                 ended = False
             else:
-                print_faults(session.faults, session.before)
                 advice = session.advice()
-                print_advice(advice, session.faults)
+                teller.found(session.faults, session.before, advice)
                 ended, turn = advice is None, advice if isinstance(advice, Turn) else None
-            if operator is None:
-                if not _ask(session, devices):
+            if operator is None or not follow:
+                stated_turn = _ask(session, devices, teller)
+                if stated_turn is None:
                     return 0 if ended else 1
+                if operator is not None and stated_turn.weight:
+                    operator.follow(stated_turn)
             elif why and not session.spot_is_gone and operator.swing_less():
                 continue
             elif turn is None or moves >= follow or looks > _LOOKS_A_TURN * follow:
@@ -94,38 +101,35 @@ def balance_rig(
                 moves += 1
 
 
-def _after_rejection(session: LearnedTurns, why: str) -> Turn | None:
+def _after_rejection(session: LearnedTurns, why: str, teller: Teller) -> Turn | None:
     """Say why a measurement was rejected and what helps; returns the turn back that may."""
-    say(f"this measurement is not used: {why}")
     turn = session.way_back()
+    hint = ""
     if not session.spot_is_gone:
-        say("let it swing by half as much, and measure again" + ("; if that does not help:" if turn else ""))
-    if turn is not None:
-        say(turn_text(turn, []))
+        hint = "let it swing by half as much, and measure again"
+        hint += "; if that does not help:" if turn else ""
+    teller.rejected(why, hint, turn)
     return turn
 
 
-def _shower(config: Configuration) -> Callable[[Balance], None]:
-    return lambda balance: print_faults(
-        find_faults(balance, height_of(config, balance), config.balance), [], live=True
-    )
+def _shower(config: Configuration, teller: Teller) -> Callable[[Balance], None]:
+    return lambda balance: teller.live(find_faults(balance, height_of(config, balance), config.balance))
 
 
-def _ask(session: LearnedTurns, devices: Devices) -> bool:
-    """Ask the operator what was turned; False to end."""
-    question = (
-        "turned (weight turns, e.g. x 1.5, or x 1.5 -0.75 in sequence; Enter: measure again;"
-        " f: forget the last turn learned; q: end)? "
-    )
+_NOTHING = Turn("", 0.0, "")
+
+
+def _ask(session: LearnedTurns, devices: Devices, teller: Teller) -> Turn | None:
+    """Ask the operator what was turned: a turn, one without a weight for none; None to end."""
     while True:
         try:
-            answer = input(question).split()
+            answer = teller.ask().split()
         except (EOFError, KeyboardInterrupt):
-            return False
+            return None
         if not answer:
-            return True
+            return _NOTHING
         if answer[0] == "q":
-            return False
+            return None
         if answer[0] == "f":
             session.forget()
             continue
@@ -134,8 +138,8 @@ def _ask(session: LearnedTurns, devices: Devices) -> bool:
             if weight not in WEIGHTS or not parts or not all(map(math.isfinite, parts)):
                 raise ValueError
         except ValueError:
-            say(f"enter a weight ({', '.join(WEIGHTS)}) and a number of turns, positive clockwise")
+            teller.wrong(f"enter a weight ({', '.join(WEIGHTS)}) and a number of turns, positive clockwise")
             continue
         session.turned(weight, parts)
         devices.audit("weight turned", weight=weight, turns=parts)
-        return True
+        return Turn(weight, parts[0], "", sum(parts[1:]))

@@ -94,29 +94,49 @@ def forget_last(path: Path) -> Pair | None:
     return pairs[-1]
 
 
+HEAD = ("when", "weight", "turns", "X arcsec", "Y arcsec", "height um", "used")
+
+
+class Learned(NamedTuple):
+    """What was learned: a row of text for each turn, under `HEAD`, and a line for each weight."""
+
+    rows: list[list[str]]
+    lines: list[str]
+
+
 def show(config: Configuration, path: Path) -> None:
     """Print what was learned, and from which entries nothing is."""
-    responses = WeightResponses(nominal_effects(config), config.balance)
+    found = learned(config, path)
     table = Table(box=None, pad_edge=False, header_style="bold")
-    for name in ("when", "weight", "turns", "X arcsec", "Y arcsec", "height um", "used"):
+    for name in HEAD:
         table.add_column(name)
+    for row in found.rows:
+        table.add_row(*row)
+    console = Console()
+    console.print(table, highlight=False)
+    for line in found.lines:
+        console.print(line, highlight=False)
+
+
+def learned(config: Configuration, path: Path) -> Learned:
+    """What the turns of a history have taught, for a complete configuration."""
+    responses = WeightResponses(nominal_effects(config), config.balance)
+    rows, lines = [], []
     for pair in read(path):
         why = refusal(config, responses, pair)
         change = pair.after - pair.before
         numbers = [f"{change[0]:+.1f}", f"{change[1]:+.1f}", f"{change[2] * 1e6:+.1f}"]
-        table.add_row(pair.utc, pair.weight, _turns(pair.parts), *numbers, why or "yes")
+        rows.append([pair.utc, pair.weight, _turns(pair.parts), *numbers, why or "yes"])
         if not why:
             responses.learn(pair.weight, pair.parts, pair.before, pair.after, np.nan_to_num(pair.u))
-    console = Console()
-    console.print(table, highlight=False)
     for name, count in responses.pairs.items():
         if count:
             (x, y, height), (u_x, u_y, u_height) = responses.effect(name)
-            console.print(
+            lines.append(
                 f"one turn of {name}: X {x:+.1f} ± {u_x:.1f}, Y {y:+.1f} ± {u_y:.1f} arcsec,"
-                f" height {height * 1e6:+.2f} ± {u_height * 1e6:.2f} um",
-                highlight=False,
+                f" height {height * 1e6:+.2f} ± {u_height * 1e6:.2f} um"
             )
+    return Learned(rows, lines)
 
 
 def _turns(parts: tuple[float, ...]) -> str:

@@ -7,6 +7,7 @@ from typing import Self
 
 from acquisition.frame import Frame
 from processing.balance import Balance
+from processing.deflections import Deflections
 from processing.errors import ConfigurationError, DataError, DeviceError
 from processing.spot import SpotFlag
 from rig.balance.learned_turns import Look
@@ -26,10 +27,17 @@ class LooksView:
     A context manager. The view is opened at the first frame, if a live view or a Rerun file is wanted.
     """
 
-    def __init__(self, config: Configuration, rrd: Path | None, advise: Callable[[Balance], str]) -> None:
+    def __init__(
+        self,
+        config: Configuration,
+        rrd: Path | None,
+        advise: Callable[[Balance], str],
+        way: Callable[[Deflections], None],
+    ) -> None:
         self._config = config
         self._rrd = rrd
         self._advise = advise
+        self._way = way
         self._view: Viewer | None = None
         self._shift_ns = 0
         self._shown_ns = 0
@@ -60,6 +68,7 @@ class LooksView:
 
     def block(self, frames: Sequence[Frame], block: Block) -> None:
         """Show processed frames."""
+        self._way(block.deflections)
         if self._view is not None and frames:
             self._view.block(self._shift_ns, frames, block)
             self._shown_ns = frames[-1].time_ns - self._shift_ns

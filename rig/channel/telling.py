@@ -177,6 +177,11 @@ class SessionTelling:
         """Whether somebody has asked within the last seconds."""
         return time.monotonic() - self._asked_s < _WATCHED_S
 
+    @property
+    def pictures(self) -> int:
+        """How many frames were kept for those who asked."""
+        return self._picture_number
+
     def picture(self, after: int = 0) -> LastFrame | None:
         """A frame with a number above `after`, and ask for the next; None if there is none yet."""
         self._picture_wanted = True

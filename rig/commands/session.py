@@ -34,7 +34,13 @@ def balance(
             help="Simulated rig: follow the advice automatically, for at most this many turns.", min=0
         ),
     ] = 0,
-    seed: Annotated[int, typer.Option(help="Simulated rig: random seed of its imbalance.")] = 1,
+    seed: Annotated[
+        int | None,
+        typer.Option(
+            help="Simulated rig: random seed of its imbalance, --follow has 1; what is stated as turned, is."
+        ),
+    ] = None,
+    json_lines: JsonLines = False,
     view: View = None,
     rrd: Annotated[Path | None, typer.Option(help="Write all looks into a Rerun file.")] = None,
     set_: Set = None,
@@ -46,14 +52,16 @@ def balance(
       rig balance mine.toml --view
       rig balance configs/demo.toml --follow 6
     """
-    from rig.balance import balance_rig, show_history
+    from rig.balance import InJsonLines, balance_rig, show_history
     from rig.settings import load_configuration
 
     overrides = [*(set_ or []), *([f'view.mode="{MODES[view]}"'] if view else [])]
     loaded = load_configuration(config, overrides)
     if history or forget_last:
         raise typer.Exit(show_history(loaded, history_file, forget=forget_last))
-    raise typer.Exit(balance_rig(loaded, history_file, follow, seed, rrd))
+    raise typer.Exit(
+        balance_rig(loaded, history_file, follow, seed, rrd, teller=InJsonLines() if json_lines else None)
+    )
 
 
 def desk(

@@ -27,6 +27,7 @@ from rig.control import (
 from rig.devices import audit
 from rig.devices.laser import LaserNow, laser_now, light
 from rig.devices.network_clock import wait_for_network_clock
+from rig.devices.simulated_interlock import SimulatedInterlock
 from rig.instrument import (
     camera_settings,
     check_full_scale,
@@ -143,11 +144,14 @@ class Devices:
         if config.laser.kind != "controller":
             # a laser that this program does not control is always on
             inputs.laser(config.simulation.optics.laser_w)
+        wired = inputs.laser if config.laser.kind == "controller" else _unwired
+        interlock = SimulatedInterlock(config.faults, wired)
         return simulated_controller(
             config.controller,
             limit_w,
             SimulatedOutputs(
-                laser=inputs.laser if config.laser.kind == "controller" else _unwired,
+                laser=interlock.laser,
+                interlock_closed=interlock.closed,
                 pulse=inputs.pulse,
                 magnet=inputs.magnet,
                 starter=inputs.starter,

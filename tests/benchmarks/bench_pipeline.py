@@ -10,6 +10,7 @@ import sys
 import tempfile
 import threading
 import time
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -25,11 +26,12 @@ from rig.devices.frame_stream import FrameStream
 from rig.devices.session_devices import OpenCamera
 from rig.instrument.kernels import prepare_kernels
 from rig.instrument.optics import Optics
+from rig.instrument.snapshot import Snapshot
 from rig.measure.end_of_run import EndLimits
 from rig.measure.record_file import RecordFile
 from rig.measure.recorder import Entry, Recorder
 from rig.measure.run import Run
-from rig.measure.run_parts import RunParts
+from rig.measure.run_parts import RunParts, Watcher
 from rig.settings.configuration import Configuration
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -112,7 +114,14 @@ def drawn_frames(
 
 
 def real_time(
-    width: int, height: int, bits: Literal[8, 12], rate_hz: float, duration_s: float
+    width: int,
+    height: int,
+    bits: Literal[8, 12],
+    rate_hz: float,
+    duration_s: float,
+    *,
+    watchers: Sequence[Watcher] = (),
+    show: Callable[[Snapshot], None] = lambda _: None,
 ) -> dict[str, Any]:
     """One run in real time: frames lost, latency from frame to record, share of one core.
 
@@ -149,13 +158,14 @@ def real_time(
                 optics=optics,
                 record=file,
                 end=EndLimits(0.0, 1e9),
+                watchers=watchers,
             )
         )
         Recorder._write = timed  # type: ignore[method-assign]
         before = resource.getrusage(resource.RUSAGE_SELF)
         began_s = time.monotonic()
         try:
-            outcome = run.execute()
+            outcome = run.execute(show)
         finally:
             Recorder._write = original  # type: ignore[method-assign]
         elapsed_s = time.monotonic() - began_s

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from rig.desk.desk import Desk
-from rig.desk.panels import align, calibrate, measure, preflight, sessions
+from rig.desk.panels import align, balance, calibrate, measure, preflight, sessions
 from rig.desk.tab import Tab
 
 
@@ -18,6 +18,7 @@ class Panel(NamedTuple):
 
 PANELS = (
     Panel("Align", align.build, align.KEYS),
+    Panel("Balance", balance.build, balance.KEYS),
     Panel("Preflight", preflight.build, preflight.KEYS),
     Panel("Measure", measure.build, measure.KEYS),
     Panel("Calibrate", calibrate.build, calibrate.KEYS),

@@ -1,0 +1,120 @@
+"""How `rig balance` tells what it found, and asks what was turned: on a terminal, or in JSON lines."""
+
+import math
+import sys
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+from processing.balance import Fault, Turn, Unreachable
+from processing.deflections import Deflections
+from rig.balance.screen import print_advice, print_faults
+from rig.instrument import turn_text
+from rig.presentation import print_json_line, say
+
+QUESTION = (
+    "turned (weight turns, e.g. x 1.5, or x 1.5 -0.75 in sequence; Enter: measure again;"
+    " f: forget the last turn learned; q: end)? "
+)
+_POINTS = 12
+
+
+class Teller(Protocol):
+    """What is told of a look: its way, its balances, faults with advice or why it is not used; a question."""
+
+    def way(self, at: Deflections) -> None:
+        """Where the spot was in some frames."""
+        ...
+
+    def live(self, faults: Sequence[Fault]) -> None:
+        """The balance while it is measured."""
+        ...
+
+    def found(
+        self, faults: Sequence[Fault], before: Sequence[Fault], advice: Turn | Unreachable | None
+    ) -> None:
+        """A sound measurement, the one before the last turn (or empty), and what to turn."""
+        ...
+
+    def rejected(self, why: str, hint: str, back: Turn | None) -> None:
+        """A measurement that is not used; `back` may help."""
+        ...
+
+    def ask(self) -> str:
+        """What was turned, as the operator states it; raises EOFError at the end."""
+        ...
+
+    def wrong(self, problem: str) -> None:
+        """An answer that is none."""
+        ...
+
+
+class OnTerminal:
+    """For a person at the terminal."""
+
+    def way(self, at: Deflections) -> None:
+        """Nothing: the live view shows it."""
+
+    def live(self, faults: Sequence[Fault]) -> None:
+        print_faults(faults, [], live=True)
+
+    def found(
+        self, faults: Sequence[Fault], before: Sequence[Fault], advice: Turn | Unreachable | None
+    ) -> None:
+        print_faults(faults, before)
+        print_advice(advice, faults)
+
+    def rejected(self, why: str, hint: str, back: Turn | None) -> None:
+        say(f"this measurement is not used: {why}")
+        if hint:
+            say(hint)
+        if back is not None:
+            say(turn_text(back, []))
+
+    def ask(self) -> str:
+        return input(QUESTION)
+
+    def wrong(self, problem: str) -> None:
+        say(problem)
+
+
+class InJsonLines:
+    """For a program: one object a line on stdout, answers line by line on stdin."""
+
+    def way(self, at: Deflections) -> None:
+        step = max(1, len(at) // _POINTS)
+        print_json_line("way", {"x": at.shown_x[::step].tolist(), "y": at.shown_y[::step].tolist()})
+
+    def live(self, faults: Sequence[Fault]) -> None:
+        print_json_line("live", {"faults": [_fault(one) for one in faults]})
+
+    def found(
+        self, faults: Sequence[Fault], before: Sequence[Fault], advice: Turn | Unreachable | None
+    ) -> None:
+        turn = advice if isinstance(advice, Turn) else None
+        told = {"faults": [_fault(one) for one in faults], "before": [_fault(one) for one in before]}
+        print_json_line("found", {**told, "text": turn_text(advice, faults), "turn": _turn(turn)})
+
+    def rejected(self, why: str, hint: str, back: Turn | None) -> None:
+        text = turn_text(back, []) if back is not None else ""
+        print_json_line("rejected", {"why": why, "hint": hint, "text": text, "turn": _turn(back)})
+
+    def ask(self) -> str:
+        print_json_line("ask", {"question": QUESTION})
+        answer = sys.stdin.readline()
+        if not answer:
+            raise EOFError
+        return answer
+
+    def wrong(self, problem: str) -> None:
+        print_json_line("wrong", {"problem": problem})
+
+
+def _fault(one: Fault) -> dict[str, Any]:
+    return {**one._asdict(), "ok": one.ok}
+
+
+def _turn(turn: Turn | None) -> dict[str, Any] | None:
+    if turn is None:
+        return None
+    swing = turn.swing_arcsec if math.isfinite(turn.swing_arcsec) else None
+    return {"weight": turn.weight, "parts": list(turn.parts), "why": turn.why, "swing_arcsec": swing}

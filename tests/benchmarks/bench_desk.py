@@ -1,0 +1,133 @@
+"""What the desk costs a session that records 500 frames/s: frames lost, share of a core, delay of the page.
+
+Run as ``python -m tests.benchmarks desk [--quick]`` from the repository. The same run from memory is made
+alone, then with a desk that asks for news and for ten pictures a second, in turns: the machine is noisy.
+"""
+
+import http.client
+import os
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+import urllib.parse
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rig.channel import Channel, SessionTelling
+from rig.instrument.snapshot import Snapshot
+from rig.measure.screen import RunDisplay
+from rig.settings import load_configuration
+from tests.benchmarks.bench_pipeline import real_time
+
+RATE_HZ, WIDTH, HEIGHT = 500.0, 640, 480
+PICTURES_HZ = 10.0
+
+
+def run(quick: bool = False) -> dict[str, Any]:
+    """All numbers of this topic."""
+    seconds, turns = (6.0, 1) if quick else (30.0, 3)
+    alone, watched = [], []
+    for _ in range(turns):
+        alone.append(measured(seconds, desk=False))
+        watched.append(measured(seconds, desk=True))
+    results = {
+        "frames": sum(one["frames"] for one in watched),
+        "lost with a desk": sum(one["dropped"] for one in watched),
+        "lost alone": sum(one["dropped"] for one in alone),
+        "cores alone": float(np.median([one["cores"] for one in alone])),
+        "cores with a desk": float(np.median([one["cores"] for one in watched])),
+        "pictures/s seen": float(np.median([one["pictures_hz"] for one in watched])),
+        "latency p99 alone, ms": float(np.median([one["latency_p99_ms"] for one in alone])),
+        "latency p99 with a desk, ms": float(np.median([one["latency_p99_ms"] for one in watched])),
+        "a picture at the desk, ms": float(np.median([one["picture_ms"] for one in watched])),
+        "cores of the desk itself": float(np.median([one["desk_cores"] for one in watched])),
+    }
+    results["share of a core"] = results["cores with a desk"] - results["cores alone"]
+    for name, value in results.items():
+        print(f"{name:<32} {value:.4g}")
+    return results
+
+
+def measured(seconds: float, *, desk: bool) -> dict[str, Any]:
+    """One run; with a `desk` in a process of its own, which asks for pictures as a browser does."""
+    with tempfile.TemporaryDirectory() as place, ExitStack() as stack:
+        folder = Path(place) / "session"
+        folder.mkdir()
+        source = Path(place) / "rig.toml"
+        source.write_text(
+            f'[session]\noutput = "{place}"\n[camera]\ndriver = "simulated"\n', encoding="utf-8"
+        )
+        config = load_configuration(source)
+        telling = SessionTelling(config)
+        telling.begin_run("benchmark", 255, None)
+        display = RunDisplay("benchmark", 2.0, config.deflection_unit)
+
+        def show(snapshot: Snapshot) -> None:
+            telling.state(display.values(snapshot), display.rows(snapshot))
+
+        stack.enter_context(Channel(folder, telling, {}))
+        looking = stack.enter_context(Desk(source)) if desk else None
+        found = real_time(WIDTH, HEIGHT, 8, RATE_HZ, seconds, watchers=[display, telling], show=show)
+        if looking is not None:
+            found |= {
+                "pictures_hz": telling.pictures / seconds,
+                "picture_ms": float(np.median(looking.took_ms)),
+                "desk_cores": looking.cores,
+            }
+        return found
+
+
+class Desk:
+    """`rig desk` in a process, and a thread that asks it for pictures."""
+
+    def __init__(self, source: Path) -> None:
+        self.took_ms: list[float] = []
+        self._source = source
+        self._ended = threading.Event()
+
+    def __enter__(self) -> "Desk":
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "rig", "desk", str(self._source), "--no-browser"],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            text=True,
+        )
+        assert self._process.stdout is not None
+        self._address = urllib.parse.urlsplit(self._process.stdout.readline().strip())
+        self._began = time.monotonic(), self._busy_s()
+        self._thread = threading.Thread(target=self._look, daemon=True)
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._ended.set()
+        self._thread.join()
+        self._process.kill()
+        self._process.communicate()
+
+    @property
+    def cores(self) -> float:
+        """What the desk itself took since it was opened."""
+        began_s, busy_s = self._began
+        return (self._busy_s() - busy_s) / (time.monotonic() - began_s)
+
+    def _busy_s(self) -> float:
+        words = Path(f"/proc/{self._process.pid}/stat").read_text().rpartition(")")[2].split()
+        return (int(words[11]) + int(words[12])) / os.sysconf("SC_CLK_TCK")
+
+    def _look(self) -> None:
+        key = urllib.parse.parse_qs(self._address.query)["key"][0]
+        headers = {"Cookie": f"rig_desk_{self._address.port}={key}"}
+        connection = http.client.HTTPConnection("127.0.0.1", self._address.port or 0, timeout=10)
+        due_s = time.monotonic()
+        while not self._ended.wait(max(0.0, due_s - time.monotonic())):
+            due_s = max(due_s + 1 / PICTURES_HZ, time.monotonic())
+            asked_s = time.monotonic()
+            connection.request("GET", "/picture?width=800&height=540", headers=headers)
+            connection.getresponse().read()
+            self.took_ms.append(1e3 * (time.monotonic() - asked_s))

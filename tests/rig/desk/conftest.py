@@ -1,0 +1,49 @@
+"""A desk of the simulated rig with controller and laser, in real time, and a tab that shows it."""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.rig.command_line import CONFIGS
+from tests.rig.desk.desk_page import DeskProcess, Page, desk_page
+
+RIG = f"""
+extends = "{(CONFIGS / "live.toml").as_posix()}"
+[session]
+output = "OUTPUT"
+max_duration_s = 60.0
+[camera]
+driver = "simulated"
+frame_rate_hz = 50
+[view]
+file = false
+[start]
+way = "at once"
+[simulation.sensor]
+width_px = 160
+height_px = 640
+[simulation.release]
+way = "let go"
+"""
+
+
+@pytest.fixture(scope="session")
+def desk_configuration(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+    """Writes a configuration with more tables, in a folder of its own, where its sessions go, too."""
+    pytest.importorskip("nicegui", reason="rig desk is not installed: pip install '.[desk]'")
+
+    def write(more: str = "") -> Path:
+        folder = tmp_path_factory.mktemp("desk")
+        path = folder / "rig.toml"
+        path.write_text(RIG.replace("OUTPUT", (folder / "runs").as_posix()) + more, encoding="utf-8")
+        return path
+
+    return write
+
+
+@pytest.fixture(scope="module")
+def shown(desk_configuration: Callable[[str], Path]) -> Iterator[tuple[DeskProcess, Page]]:
+    """A desk that is only looked at."""
+    with desk_page(desk_configuration("")) as opened:
+        yield opened

@@ -1,0 +1,77 @@
+"""A whole session at the desk of the simulated rig: align, check, measure; a trip; a desk that is killed."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from tests.rig.desk.desk_page import DeskProcess, desk_page
+
+INTERLOCK = """
+[laser]
+kind = "controller"
+max_power_w = 0.001
+power_w = 0.0009
+when_dark = "wait"
+[preflight]
+when = "never"
+[faults]
+interlock_opens_at_s = 8.0
+interlock_open_for_s = 1.5
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.realtime
+@pytest.mark.timeout(300)
+def test_a_session_from_align_to_report_with_a_trip_and_a_desk_that_is_killed(
+    desk_configuration: Callable[[str], Path],
+) -> None:
+    config = desk_configuration(INTERLOCK)
+    with desk_page(config) as (desk, page):
+        # align: the picture lives, the exposure changes and is kept
+        page.click("Live picture")
+        page.wait_text("exposure 100 us")
+        page.key("E")
+        page.wait_text("exposure 125 us")
+        page.click("Keep for runs")
+        page.wait_text("camera.exposure_us = 125")
+        # preflight gives the camera free and takes it itself
+        page.key("3")
+        page.click("Run preflight")
+        page.wait_text("saturation")
+        page.wait("/NO-GO|GO/.test(document.body.innerText)")
+        # measure
+        page.key("4")
+        page.fill("session.sample", 'steel "on" K8 – µ')
+        page.wait("![...document.querySelectorAll('button')].some(b => b.disabled && b.innerText == 'START')")
+        page.click("Start")
+        page.wait("parseFloat(document.getElementById('amplitude').innerText) > 50")
+        folder = next((config.parent / "runs").iterdir())
+        # the interlock opens: an alarm that stays until it is acknowledged
+        page.wait_text("THE INTERLOCK OF THE CONTROLLER OPENED")
+        page.wait_text("Acknowledge".upper())
+        desk.kill()
+        # the session goes on without the desk, and another one finds it
+        again = DeskProcess(config)
+        try:
+            page.open(again.address)
+            page.wait_text("THE INTERLOCK OF THE CONTROLLER OPENED")
+            page.wait("![...document.querySelectorAll('span')].some(s => s.innerText == 'this tab watches')")
+            page.key("a")
+            page.wait_text("laser lit: again")
+            page.wait("document.querySelector('.alarm').offsetParent === null")
+            page.key("x")
+            page.click("Stop it")
+            page.wait_text("report.html", 120.0)
+        finally:
+            again.end()
+    state = json.loads((folder / "session.json").read_text())
+    assert [entry["state"] for entry in state["entries"]] == ["stopped"]
+    assert state["configuration"]["session"]["sample"] == 'steel "on" K8 – µ'
+    assert state["configuration"]["camera"]["exposure_us"] == 125
+    audit = (folder / "audit.jsonl").read_text()
+    assert "interlock acknowledged" in audit
+    assert (folder / "report.html").exists()
+    assert not (folder / ".channel.json").exists()
