@@ -44,6 +44,7 @@ schema: $(VENV)/.installed
 # The pictures of README and docs, from a run of the demonstration.
 pictures: $(VENV)/.installed-test
 	$(BIN)/python docs/pictures/make_pictures.py $(ARGS)
+	$(BIN)/python docs/pictures/desk.py
 
 # The drawings of docs, and its gallery of troubles, from the simulated rig.
 drawings: $(VENV)/.installed

@@ -26,7 +26,8 @@ _SWINGS = 20_000
 _SWING_POINTS = 400
 _EVENTS = 500
 _PICTURE_INTERVAL_S = 0.1
-_WATCHED_S = 5.0
+_WATCHED_S = 60.0
+"""So long a desk may be away, and be opened again, before a run that waits for an acknowledgement ends."""
 
 
 class LastFrame(NamedTuple):
@@ -174,7 +175,7 @@ class SessionTelling:
 
     @property
     def watched(self) -> bool:
-        """Whether somebody has asked within the last seconds."""
+        """Whether somebody has asked within the last minute."""
         return time.monotonic() - self._asked_s < _WATCHED_S
 
     @property

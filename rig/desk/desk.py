@@ -16,6 +16,9 @@ from rig.measure import session_folder
 from rig.settings import Configuration, load_configuration
 
 
+_ENDS_WITHIN_S = 5.0
+
+
 class Desk:
     """The desk of one configuration file; `overrides` are as of --set, and hold for all that it starts.
 
@@ -117,7 +120,8 @@ class Desk:
         if self.following.running or self.session_state == "running":
             raise ConfigurationError(f"rig {who} needs the camera, which a session has; wait, or stop it")
         for name, job in self.jobs.items():
-            if job.running:
+            # what has told its result is about to end
+            if job.running and not ("preflight" in job.newest and job.wait(_ENDS_WITHIN_S)):
                 raise ConfigurationError(f"rig {who} needs the camera, which rig {name} has; end that first")
         self.end_aligning()
 
@@ -143,8 +147,8 @@ class Desk:
 
     @property
     def session_folder(self) -> Path | None:
-        """Folder of the running session, else of the last one that this desk has started."""
-        return self.following.folder or (self._session[1] if self._session is not None else None)
+        """Folder of the running session, else of the last one that this desk has seen or started."""
+        return self.following.last_folder or (self._session[1] if self._session is not None else None)
 
     def last_words(self) -> list[str]:
         """What the last session has printed, its last lines."""

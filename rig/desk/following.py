@@ -17,8 +17,8 @@ _EVENTS_KEPT = 300
 class Following:
     """A thread that asks the running session for news, and looks for one while there is none.
 
-    `news` is what it said last (empty without a session), `events` its events, `folder` where it is; `silent`
-    is True while it does not answer.
+    `news` is what it said last (empty without a session), `events` its events, `folder` where it is and
+    `last_folder` where the last one was; `silent` is True while it does not answer.
     """
 
     def __init__(self, output: Path) -> None:
@@ -26,6 +26,7 @@ class Following:
         self.news: dict[str, Any] = {}
         self.events: deque[dict[str, Any]] = deque(maxlen=_EVENTS_KEPT)
         self.folder: Path | None = None
+        self.last_folder: Path | None = None
         self.silent = False
         self._line: Line | None = None
         self._pictures: Line | None = None
@@ -86,7 +87,7 @@ class Following:
         for folder in running_sessions(self._output)[:1]:
             with suppress(NoSession):
                 self._line = Line(folder)
-                self._heard, self.folder = 0, folder
+                self._heard, self.folder, self.last_folder = 0, folder, folder
                 self.events.clear()
                 self._ask(self._line)
 

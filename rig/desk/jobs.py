@@ -74,6 +74,14 @@ class Job:
         """Its exit status; None while it runs."""
         return self._process.poll()
 
+    def wait(self, limit_s: float) -> bool:
+        """Whether it ends within the limit."""
+        try:
+            self._process.wait(limit_s)
+        except subprocess.TimeoutExpired:
+            return False
+        return True
+
     def answer(self, text: str) -> None:
         """A line to its standard input; what has ended hears nothing."""
         with suppress(OSError, ValueError):

@@ -107,6 +107,8 @@ def _state(desk: Desk) -> str:
         return "a session begins, or is fitted"
     if desk.session_state:
         return f"last session {desk.session_state}: {desk.session_folder}"
+    if desk.session_folder is not None:
+        return f"last session: {desk.session_folder}"
     running = [name for name, job in desk.jobs.items() if job.running]
     return f"rig {', '.join(running)} runs" if running else f"ready · {desk.source}"
 

@@ -147,7 +147,8 @@ class Recording:
         alarm, devices = self._status.light.alarm, self._parts.devices
         if not alarm or devices is None or self._stop:
             return
-        if self._parts.waits_in_darkness and not devices.permit.unacknowledged:
+        parts = self._parts
+        if parts.waits_in_darkness and (not devices.permit.unacknowledged or parts.somebody_watches()):
             return
         self._stop.failed(DeviceError(f"{alarm}; the run is ended, laser.when_dark = 'wait' would go on"))
 

@@ -40,6 +40,11 @@ def _not_noted(_record: Path, _reason: str) -> None:
     """Default of `RunParts.start_rejected`: does nothing."""
 
 
+def _nobody() -> bool:
+    """Default of `RunParts.somebody_watches`."""
+    return False
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunParts:
     """The parts of a run.
@@ -71,6 +76,8 @@ class RunParts:
     waits_in_darkness
         Go on, and light the laser again, if it went dark during the run for another reason than an
         interlock; otherwise the run ends.
+    somebody_watches
+        Whether somebody may acknowledge an interlock that opened; then the run waits for that, too.
     """
 
     stream: FrameStream
@@ -88,6 +95,7 @@ class RunParts:
     full_frame_interval_s: float = 10.0
     keep_windows: bool = True
     waits_in_darkness: bool = False
+    somebody_watches: Callable[[], bool] = _nobody
 
 
 @dataclass(frozen=True, slots=True)

@@ -154,6 +154,7 @@ def _execute(
         full_frame_interval_s=config.record.full_frame_interval_s,
         keep_windows=config.record.windows,
         waits_in_darkness=config.laser.when_dark == "wait",
+        somebody_watches=lambda: telling is not None and telling.watched,
     )
     prepare_kernels(optics.sensor, say)
     # only now: compiling takes time, and a laser may be lit only while frames are processed

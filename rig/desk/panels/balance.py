@@ -31,11 +31,11 @@ def build(desk: Desk, tab: Tab) -> None:
         found = desk.jobs.get("balance")
         return found if found is not None and found.running else None
 
-    def measure() -> None:
+    async def measure() -> None:
         running = job()
         if running is None:
             words = ["--seed", "1"] if desk.config.simulated else []
-            desk.start("balance", "--json", *words)
+            await run.io_bound(desk.start, "balance", "--json", *words)
         elif _asks(running):
             running.answer("")
 
@@ -52,7 +52,7 @@ def build(desk: Desk, tab: Tab) -> None:
                 raise ConfigurationError("wait for the end of the measurement")
             running.answer("f")
         else:
-            desk.start("balance", "--forget-last")
+            await run.io_bound(desk.start, "balance", "--forget-last")
         await history()
 
     def end() -> None:

@@ -19,8 +19,12 @@ KEYS = (("p", "preflight: run it"),)
 def build(desk: Desk, tab: Tab) -> None:
     """Build the panel."""
 
-    def start() -> None:
-        desk.start("preflight", "--json")
+    async def start() -> None:
+        await run.io_bound(desk.start, "preflight", "--json")
+
+    def end() -> None:
+        if "preflight" in desk.jobs:
+            desk.jobs["preflight"].end()
 
     async def plan() -> None:
         working.set_visibility(True)
@@ -38,6 +42,7 @@ def build(desk: Desk, tab: Tab) -> None:
                 button = ui.button("Run preflight", on_click=tab.act(start)).props(
                     'color="positive" aria-label="run preflight, key p"'
                 )
+                ending = ui.button("End", on_click=tab.act(end)).props("outline")
                 verdict = ui.label().classes("middle").props('role="status" aria-live="polite"')
             table = ui.html(sanitize=False).classes("full-width")
         with ui.column().classes("col box"):
@@ -62,6 +67,7 @@ def build(desk: Desk, tab: Tab) -> None:
                 phase = job.newest.get("state", {}).get("phase")
                 words = str(phase or "the camera is opened")
         button.set_enabled(job is None or not job.running)
+        ending.set_visibility(job is not None and job.running)
         against = [one for one in found if not one["ok"]]
         verdict.set_text(words if not found else "NO-GO" if against else "GO")
         verdict.classes(remove="go no", add="no" if against else "go")
