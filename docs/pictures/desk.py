@@ -1,6 +1,6 @@
 """Makes the pictures of the operator's desk beside this file, from the simulated rig; needs Chromium.
 
-    python docs/pictures/desk.py
+python docs/pictures/desk.py
 """
 
 import sys
@@ -55,7 +55,7 @@ def photograph(page: Page) -> None:
     page.key("3")
     page.click("Run preflight")
     page.click("Plan")
-    page.wait_text("half", 120.0)
+    page.wait_text("u(b)", 120.0)
     page.wait("document.querySelectorAll('.light').length > 8")
     save(page, "preflight")
     page.key("2")

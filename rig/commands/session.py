@@ -66,7 +66,9 @@ def balance(
 
 def desk(
     config: Config,
-    port: Annotated[int, typer.Option(help="Port of 127.0.0.1; 0: 8642, or any that is free.", min=0)] = 0,
+    port: Annotated[
+        int, typer.Option(help="Port of 127.0.0.1; 0: 8642, or any that is free.", min=0, max=65535)
+    ] = 0,
     browser: Annotated[bool, typer.Option(help="Open the page in the browser.")] = True,
     set_: Set = None,
 ) -> None:

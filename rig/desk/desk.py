@@ -15,7 +15,6 @@ from rig.desk.sessions import LookingAgain
 from rig.measure import session_folder
 from rig.settings import Configuration, load_configuration
 
-
 _ENDS_WITHIN_S = 5.0
 
 

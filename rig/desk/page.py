@@ -99,18 +99,18 @@ def build_page(desk: Desk) -> None:
 def _state(desk: Desk) -> str:
     following = desk.following
     if following.silent:
-        return f"{following.folder}: does not answer at the moment"
+        return f"{following.folder and following.folder.name}: does not answer at the moment"
     if following.folder is not None:
         phase = (following.news.get("state") or {}).get("phase") or "preparing"
         return f"{following.folder.name} · {following.news.get('run') or 'session'} · {phase}"
     if desk.session_state == "running":
         return "a session begins, or is fitted"
     if desk.session_state:
-        return f"last session {desk.session_state}: {desk.session_folder}"
+        return f"last session {desk.session_state}: {desk.session_folder and desk.session_folder.name}"
     if desk.session_folder is not None:
-        return f"last session: {desk.session_folder}"
+        return f"last session: {desk.session_folder.name}"
     running = [name for name, job in desk.jobs.items() if job.running]
-    return f"rig {', '.join(running)} runs" if running else f"ready · {desk.source}"
+    return f"rig {', '.join(running)} runs" if running else f"ready · {desk.source.name}"
 
 
 def _night() -> None:

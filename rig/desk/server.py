@@ -76,6 +76,8 @@ def _listening(port: int) -> socket.socket:
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             listening.bind((LOOPBACK, number))
+            # from now on a browser waits instead of being refused
+            listening.listen(64)
         except OSError as error:
             listening.close()
             if port:

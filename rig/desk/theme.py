@@ -15,8 +15,9 @@ body.night .bg-primary, body.night .q-header {{ background: var(--card) !importa
 body {{ background: var(--ground); color: var(--ink); font-size: 16px; }}
 .q-header {{ background: var(--card) !important; }}
 .q-page, .q-tab-panels, .q-tab-panel {{ background: var(--ground) !important; color: var(--ink); }}
-.q-tab-panel {{ padding: 10px; }}
-.nicegui-content {{ padding: 0; }}
+.q-tab-panel {{ padding: 6px 10px; }}
+.nicegui-content {{ padding: 0; gap: 4px; }} .box {{ gap: 6px; }} .q-tab-panel > * {{ gap: 8px; }}
+.q-tab-panel {{ gap: 8px; }}
 .box {{ background: var(--card); border-radius: 6px; padding: 10px 12px; }}
 .title {{ color: var(--dim); font-size: 13px; letter-spacing: .06em; text-transform: uppercase; }}
 .large {{ font-size: 76px; line-height: 1; font-variant-numeric: tabular-nums; font-weight: 600; }}

@@ -1,0 +1,136 @@
+"""A session answers who has its key, keeps a frame when one is wanted, and takes the orders it knows."""
+
+import http.client
+import json
+import stat
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from acquisition.frame import Frame
+from acquisition.record.events import Event, EventKind
+from processing.deflections import Deflections, DeflectionUnit
+from processing.errors import DeviceError, RigError
+from processing.spot import Spot
+from rig.channel import Channel, Line, NoSession, SessionTelling, running_sessions
+from rig.instrument import Block
+from rig.settings import Configuration
+
+SPOT = Spot(3.0, 2.0, 0.01, 0.01, 1.5, 1.4, 0.0, 100.0, 4.0, 1.0, 0)
+
+
+def refuse() -> str:
+    raise DeviceError("the brake: does not answer; see its cable")
+
+
+@pytest.fixture
+def told() -> SessionTelling:
+    telling = SessionTelling(Configuration(camera={"driver": "simulated"}))  # type: ignore[arg-type]
+    telling.begin_run("run 1", 255, None)
+    return telling
+
+
+@pytest.fixture
+def line(told: SessionTelling, tmp_path: Path) -> Iterator[Line]:
+    folder = tmp_path / "session"
+    folder.mkdir()
+    orders = {"stop": lambda: "stopping", "brake on": refuse}
+    with Channel(folder, told, orders, lambda: {"unacknowledged": "it opened"}), Line(folder) as opened:
+        yield opened
+
+
+def block(number: int, count: int = 16) -> tuple[list[Frame], Block]:
+    """Frames whose pixels are their number, and what was found in them."""
+    times_ns = np.arange(count, dtype=np.int64) * 10_000_000 + number * 1_000_000_000
+    zeros = np.zeros(count)
+    at = Deflections(times_ns, zeros, zeros + number, zeros, zeros, DeflectionUnit.PX)
+    frames = [
+        Frame(np.full((6, 8), number, np.uint8), k, int(time_ns), int(time_ns))
+        for k, time_ns in enumerate(times_ns)
+    ]
+    return frames, Block([SPOT] * count, at, [], [])
+
+
+def test_news_are_plain_values_and_events_come_once(told: SessionTelling, line: Line) -> None:
+    told.block(0, *block(1))
+    told.event(0, Event(2_000_000_000, EventKind.START, "first frame"))
+    told.state({"amplitude": float("nan"), "phase": "measuring"}, [("elapsed", "0:02")])
+    news = line.news()
+    assert news["run"] == "run 1"
+    assert news["state"] == {"amplitude": None, "phase": "measuring"}
+    assert news["unacknowledged"] == "it opened"
+    assert news["path"]["y"] == [1.0] * 16
+    (event,) = news["events"]
+    assert (event["kind"], event["elapsed_s"]) == ("start", 2.0)
+    assert line.news(event["number"])["events"] == []
+
+
+def test_a_frame_is_kept_only_when_somebody_has_asked(told: SessionTelling, line: Line) -> None:
+    told.block(0, *block(1))
+    assert told.pictures == 0
+    assert line.picture() is None
+    told.block(0, *block(2))
+    told.block(0, *block(3))
+    picture = line.picture()
+    assert picture is not None
+    assert told.pictures == 1
+    np.testing.assert_array_equal(picture.image, np.full((6, 8), 2, np.uint8))
+    assert picture.spot == SPOT
+    assert line.picture(picture.number) is None
+
+
+def test_a_frame_that_can_be_written_to_is_copied(told: SessionTelling, line: Line) -> None:
+    line.picture()
+    frames, found = block(2)
+    told.block(0, frames, found)
+    frames[-1].image[:] = 99
+    picture = line.picture()
+    assert picture is not None
+    assert picture.image.max() == 2
+
+
+def test_orders(line: Line) -> None:
+    assert line.order("stop") == "stopping"
+    with pytest.raises(RigError, match="does not answer; see its cable"):
+        line.order("brake on")
+    with pytest.raises(RigError, match="knows no such order"):
+        line.order("fly")
+
+
+@pytest.mark.parametrize("key", ["", "another"])
+@pytest.mark.parametrize(("method", "path"), [("GET", "/news"), ("GET", "/picture"), ("POST", "/order")])
+def test_without_the_key_nothing_is_told_and_nothing_done(
+    line: Line, key: str, method: str, path: str
+) -> None:
+    stated = json.loads((line.folder / ".channel.json").read_text())
+    connection = http.client.HTTPConnection("127.0.0.1", stated["port"], timeout=5)
+    connection.request(method, path, headers={"Authorization": key})
+    assert connection.getresponse().status == 403
+    connection.close()
+
+
+def test_the_key_is_this_users_own_and_goes_with_the_session(told: SessionTelling, tmp_path: Path) -> None:
+    path = tmp_path / ".channel.json"
+    with Channel(tmp_path, told, {}):
+        assert stat.S_IMODE(path.stat().st_mode) == 0o600
+    assert not path.exists()
+    with pytest.raises(NoSession, match="no session runs here"):
+        Line(tmp_path)
+
+
+def test_of_a_killed_session_only_the_file_is_left(told: SessionTelling, tmp_path: Path) -> None:
+    for name in ("killed", "runs"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "killed" / ".channel.json").write_text('{"port": 1, "key": "k", "pid": 1}')
+    with Channel(tmp_path / "runs", told, {}):
+        assert running_sessions(tmp_path) == [tmp_path / "runs"]
+    assert running_sessions(tmp_path) == []
+
+
+def test_a_session_that_nobody_can_watch_is_measured_all_the_same(
+    told: SessionTelling, tmp_path: Path
+) -> None:
+    with Channel(tmp_path / "missing", told, {}) as channel:
+        assert "nobody can watch" in channel.problem

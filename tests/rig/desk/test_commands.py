@@ -1,0 +1,75 @@
+"""The commands that the desk starts, in JSON lines: preflight alone, balance with answers."""
+
+import io
+import json
+import sys
+from typing import Any
+from unittest.mock import patch
+
+import pytest
+
+from rig.balance import InJsonLines
+from tests.rig.command_line import CONFIGS, SMALL, Done, rig, set_words
+
+SIMULATED = CONFIGS / "demo.toml"
+
+
+def lines(done: Done) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in done.stdout.splitlines()]
+
+
+def test_preflight_alone_judges_and_records_nothing(tmp_path: Any) -> None:
+    output = {"session.output": f'"{tmp_path.as_posix()}"'}
+    done = rig("preflight", SIMULATED, "--json", *set_words({**SMALL, **output}))
+    assert done.returncode == 0, done.stderr
+    (table,) = [line["table"] for line in lines(done) if line["kind"] == "preflight"]
+    named = {row["name"]: row for row in table}
+    assert {"spot found", "exposure", "saturation", "frame rate", "disk space"} <= named.keys()
+    assert all(row["ok"] for row in table)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_preflight_alone_says_no_go_with_a_remedy() -> None:
+    # the light is far too bright
+    done = rig("preflight", SIMULATED, *set_words({**SMALL, "simulation.optics.peak_dn": "2000"}))
+    assert done.returncode == 1
+    assert "no-go: " in done.stderr
+    assert "lower exposure_us" in done.stderr
+
+
+def test_balance_in_json_lines_tells_way_faults_and_advice_and_takes_answers(tmp_path: Any) -> None:
+    words = {**SMALL, "balance.seconds": "16"}
+    answers = io.StringIO("z 1\nx one\nq\n")
+    done = _balance_with(answers, words, str(tmp_path / "history.jsonl"))
+    told = lines(done)
+    kinds = [line["kind"] for line in told]
+    assert {"way", "live"} <= set(kinds)
+    assert kinds[-6:] == ["found", "ask", "wrong", "ask", "wrong", "ask"]
+    (found,) = [line for line in told if line["kind"] == "found"]
+    assert found["text"]
+    assert {"name", "value", "u_value", "unit", "limit", "meaning", "ok"} == set(found["faults"][0])
+
+
+def _balance_with(answers: io.StringIO, words: dict[str, str], history: str) -> Done:
+    """`rig balance --json`, whose standard input has these answers."""
+    read = InJsonLines.ask
+
+    def ask(self: InJsonLines) -> str:
+        with patch.object(sys, "stdin", answers):
+            return read(self)
+
+    with patch.object(InJsonLines, "ask", ask):
+        return rig(
+            "balance", SIMULATED, "--json", "--seed", "1", "--history-file", history, *set_words(words)
+        )
+
+
+def test_a_seed_is_for_the_simulated_rig_only() -> None:
+    done = rig("balance", SIMULATED, "--seed", "3", "--set", "camera.driver=usb3vision")
+    assert done.returncode == 2
+    assert "--seed 3 works with the simulated rig only" in done.stderr
+
+
+@pytest.mark.parametrize("words", [["--port", "70000"], ["--port", "x"]])
+def test_a_port_that_is_none_is_refused(words: list[str]) -> None:
+    assert rig("desk", SIMULATED, "--no-browser", *words).returncode == 2
