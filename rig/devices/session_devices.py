@@ -145,7 +145,9 @@ class Devices:
             # a laser that this program does not control is always on
             inputs.laser(config.simulation.optics.laser_w)
         wired = inputs.laser if config.laser.kind == "controller" else _unwired
-        interlock = SimulatedInterlock(config.faults, wired)
+        interlock = SimulatedInterlock(
+            config.faults.interlock_opens_at_s, config.faults.interlock_open_for_s, wired
+        )
         return simulated_controller(
             config.controller,
             limit_w,

@@ -3,19 +3,22 @@
 import time
 from collections.abc import Callable
 
-from acquisition.simulation.faults import FaultSettings
-
 
 class SimulatedInterlock:
-    """Closed, but for the stated time since the laser was first lit; `laser` passes its power in W on."""
+    """Closed, but for `open_for_s` from `opens_at_s` on (None: never), since the laser was first lit.
+
+    `laser` passes the laser's power in W on.
+    """
 
     def __init__(
         self,
-        faults: FaultSettings,
+        opens_at_s: float | None,
+        open_for_s: float,
         laser: Callable[[float], None],
         clock_s: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._faults, self._laser, self._clock_s = faults, laser, clock_s
+        self._opens_at_s, self._open_for_s = opens_at_s, open_for_s
+        self._laser, self._clock_s = laser, clock_s
         self._lit_s: float | None = None
 
     def laser(self, power_w: float) -> None:
@@ -26,7 +29,6 @@ class SimulatedInterlock:
 
     def closed(self) -> bool:
         """State of the loop."""
-        at_s = self._faults.interlock_opens_at_s
-        if at_s is None or self._lit_s is None:
+        if self._opens_at_s is None or self._lit_s is None:
             return True
-        return not 0 <= self._clock_s() - self._lit_s - at_s < self._faults.interlock_open_for_s
+        return not 0 <= self._clock_s() - self._lit_s - self._opens_at_s < self._open_for_s

@@ -9,6 +9,7 @@ import pytest
 from tests.rig.desk.desk_page import DeskProcess, Page
 from tests.rig.view.headless_browser import headless_browser
 
+pytestmark = pytest.mark.slow
 Shown = tuple[DeskProcess, Page]
 
 
