@@ -95,6 +95,8 @@ class RecordWriter:
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.path = path
+        self.hurried = False
+        """Compress pixels less, in less time; for an owner who sees that data come faster than they go."""
         self._offset_ns = epoch_offset_ns
         self._closed = False
         self._sequence = 0
@@ -308,13 +310,13 @@ class RecordWriter:
 
     def _added(self, builder: ChunkBuilder) -> None:
         if len(builder.data) >= _CHUNK_BYTES:
-            self._guarded(lambda: self._file.add_chunk(builder))
+            self._guarded(lambda: self._file.add_chunk(builder, hurried=self.hurried))
         self.flush_if_due()
 
     def _flush(self, wait: bool = True) -> None:
         self._file.raise_failure()
         self._file.add_chunk(self._numbers)
-        self._file.add_chunk(self._pixels)
+        self._file.add_chunk(self._pixels, hurried=self.hurried)
         self._file.sync(wait)
         self._flushed_s = self._clock()
 
