@@ -8,6 +8,7 @@ import typer
 
 from processing.errors import ConfigurationError
 from rig.commands.arguments import Set
+from rig.commands.outputs import new_file, new_folder
 
 Archive = Annotated[
     str,
@@ -69,7 +70,9 @@ def list_(
         str, typer.Option(help="Columns to show, separated by commas; docs/archive.md names all.")
     ] = "",
     format_: Annotated[Literal["table", "csv", "json", "parquet"], typer.Option("--format")] = "table",
-    output: Annotated[Path | None, typer.Option("-o", "--output", help="File to write.")] = None,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="File to write.", callback=new_file())
+    ] = None,
     refits: Refits = False,
     archive: Archive = _PLACE,
 ) -> None:
@@ -83,7 +86,16 @@ def list_(
 def plot(
     x: Annotated[str, typer.Argument(help="Column: humidity, began_utc, ...", show_default=False)],
     y: Annotated[str, typer.Argument(help="Column: c, period0_s, ...", show_default=False)],
-    output: Annotated[Path, typer.Option("-o", "--output", help="SVG or PNG to write.", show_default=False)],
+    output: Annotated[
+        Path,
+        typer.Option(
+            "-o",
+            "--output",
+            help="SVG or PNG to write.",
+            show_default=False,
+            callback=new_file(".svg", ".png"),
+        ),
+    ],
     by: Annotated[str, typer.Option(help="Column whose values have a colour each.")] = "",
     where: Where = "",
     refits: Refits = False,
@@ -193,7 +205,10 @@ def compare(
     column: Annotated[str, typer.Argument(help="Column: c, b, ...", show_default=False)],
     by: Annotated[str, typer.Option(help="Column whose values are the rigs or laboratories.")] = "host",
     where: Where = "",
-    output: Annotated[Path | None, typer.Option("-o", "--output", help="SVG or PNG to write.")] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", help="SVG or PNG to write.", callback=new_file(".svg", ".png")),
+    ] = None,
     refits: Refits = False,
     archive: Archive = _PLACE,
 ) -> None:
@@ -236,7 +251,10 @@ def view(
     mode: Annotated[
         Literal["spawn", "web"], typer.Option(help="A window, or a page for a browser.")
     ] = "spawn",
-    rrd: Annotated[Path | None, typer.Option(help="Rerun file to write instead of opening a viewer.")] = None,
+    rrd: Annotated[
+        Path | None,
+        typer.Option(help="Rerun file to write instead of opening a viewer.", callback=new_file(".rrd")),
+    ] = None,
     archive: Archive = _PLACE,
 ) -> None:
     """Show runs laid over each other in the viewer."""
@@ -247,7 +265,10 @@ def view(
 
 
 def publish(
-    output: Annotated[Path, typer.Option("-o", "--output", help="Folder to make.", show_default=False)],
+    output: Annotated[
+        Path,
+        typer.Option("-o", "--output", help="Folder to make.", show_default=False, callback=new_folder),
+    ],
     title: Annotated[str, typer.Option(help="Title of the publication.", show_default=False)],
     author: Annotated[
         list[str],

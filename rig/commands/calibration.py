@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from rig.commands.arguments import one_record
+from rig.commands.outputs import folder_without
 
 if TYPE_CHECKING:
     from rig.calibrate import Filing
@@ -27,7 +28,10 @@ Rig = Annotated[
         "--config", help="Configuration of the rig, to record what is asked for.", show_default=False
     ),
 ]
-Folder = Annotated[Path, typer.Option("-o", "--output", help="Folder for the calibration file.")]
+Folder = Annotated[
+    Path,
+    typer.Option("-o", "--output", help="Folder for the calibration file.", callback=folder_without()),
+]
 Days = Annotated[
     float, typer.Option("--valid-days", help="Number of days for which the calibration is valid.", min=0.01)
 ]

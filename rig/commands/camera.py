@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from rig.commands.arguments import MODES, Config, Set, View
+from rig.commands.outputs import new_file, old_folder
 
 if TYPE_CHECKING:
     from acquisition.camera import Camera, CameraInfo, CameraSettings
@@ -115,7 +116,9 @@ def set_features(
 
 def snap(
     config: Config,
-    output: Annotated[Path, typer.Option("-o", "--output", help="PNG file to write.")] = Path("snap.png"),
+    output: Annotated[
+        Path, typer.Option("-o", "--output", help="PNG file to write.", callback=new_file(".png"))
+    ] = Path("snap.png"),
     average: Average = 1,
     set_: Set = None,
 ) -> None:
@@ -134,12 +137,6 @@ def snap(
     from rig.instrument import beam_quality, optics_of
     from rig.settings import load_configuration
 
-    if output.suffix.lower() != ".png":
-        raise ConfigurationError(f"{output}: a frame is saved as PNG; name a file that ends in .png")
-    if output.exists():
-        raise ConfigurationError(f"{output}: exists already and is not written over; name another with -o")
-    if not output.parent.is_dir():
-        raise ConfigurationError(f"{output}: there is no folder {output.parent}")
     with _opened(config, set_) as (camera, info, _):
         camera.start()
         frames = [frame for frame in (camera.read(5.0) for _ in range(average)) if frame is not None]
@@ -236,11 +233,17 @@ def focus(
 
 def align(
     config: Config,
-    output: Annotated[Path, typer.Option("-o", "--output", help="Folder for pictures (key s).")] = Path("."),
+    output: Annotated[
+        Path, typer.Option("-o", "--output", help="Folder for pictures (key s).", callback=old_folder)
+    ] = Path("."),
     seconds: Annotated[float, typer.Option(help="Stop after this many seconds; 0: at q.", min=0)] = 0.0,
     rrd: Annotated[
         Path | None,
-        typer.Option(help="Also write the live picture into this Rerun file.", show_default=False),
+        typer.Option(
+            help="Also write the live picture into this Rerun file.",
+            show_default=False,
+            callback=new_file(".rrd"),
+        ),
     ] = None,
     view: View = None,
     set_: Set = None,
@@ -257,15 +260,12 @@ def align(
     """
     from contextlib import ExitStack
 
-    from processing.errors import ConfigurationError
     from rig.align import align_camera
     from rig.instrument import optics_of
     from rig.settings import load_configuration
     from rig.view import start_view
 
     loaded = load_configuration(config, set_ or [])
-    if not output.is_dir():
-        raise ConfigurationError(f"{output}: no such folder")
     lever = loaded.lever
     reference_px = None
     if lever is not None and lever.reference_x_px is not None and lever.reference_y_px is not None:
@@ -312,7 +312,9 @@ def expose(
 
 def dump(
     config: Config,
-    output: Annotated[Path, typer.Option("-o", "--output", help="ZIP file to write.")] = Path("camera.zip"),
+    output: Annotated[
+        Path, typer.Option("-o", "--output", help="ZIP file to write.", callback=new_file(".zip"))
+    ] = Path("camera.zip"),
     set_: Set = None,
 ) -> None:
     """Write how a USB3 Vision camera behaves into one file.
@@ -323,8 +325,6 @@ def dump(
 
     from processing.errors import ConfigurationError
 
-    if output.exists():
-        raise ConfigurationError(f"{output}: exists already and is not written over; name another with -o")
     with _opened(config, set_) as (camera, info, _):
         if not hasattr(camera, "dump"):
             raise ConfigurationError(

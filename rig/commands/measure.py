@@ -8,9 +8,11 @@ import typer
 
 from processing.errors import ConfigurationError
 from rig.commands.arguments import MODES, Config, JsonLines, Record, Set, View, one_record, records_in
+from rig.commands.outputs import folder_without, new_file
 
-Output = Annotated[
-    Path | None, typer.Option("-o", "--output", help="Folder for the files written; must not hold a run yet.")
+Rrd = Annotated[
+    Path | None,
+    typer.Option("--rrd", help="Write a Rerun file.", show_default=False, callback=new_file(".rrd")),
 ]
 
 
@@ -26,7 +28,15 @@ def run(
     config: Annotated[
         Path | None, typer.Argument(help="Configuration (TOML file).", show_default=False)
     ] = None,
-    output: Output = None,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "-o",
+            "--output",
+            help="Folder for the files written; must not hold a run yet.",
+            callback=folder_without("run-*.mcap", "results.json"),
+        ),
+    ] = None,
     runs: Annotated[int | None, typer.Option(help="Number of runs; default: session.runs.", min=1)] = None,
     set_: Set = None,
     view: View = None,
@@ -81,7 +91,15 @@ def run(
 
 def replay(
     record: Record,
-    output: Output = None,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "-o",
+            "--output",
+            help="Folder for results.json; must not hold one yet.",
+            callback=folder_without("results.json"),
+        ),
+    ] = None,
     speed: Annotated[str, typer.Option(metavar="1|10|max", help="Speed relative to real time.")] = "max",
     from_s: Annotated[float, typer.Option("--from", help="Begin this many seconds after the start.")] = 0.0,
     to_s: Annotated[
@@ -91,7 +109,7 @@ def replay(
         bool, typer.Option("--retrack", help="Track the spot again, in the recorded pixels.")
     ] = False,
     view: View = None,
-    rrd: Annotated[Path | None, typer.Option(help="Write a Rerun file.")] = None,
+    rrd: Rrd = None,
     set_: Set = None,
 ) -> None:
     """Process a record again and compare with what was recorded.
@@ -126,7 +144,7 @@ def view(
         list[Path], typer.Argument(help="Records (.mcap), their folders, or Rerun files (.rrd).")
     ],
     view: View = None,
-    rrd: Annotated[Path | None, typer.Option(help="Write a Rerun file instead of opening a window.")] = None,
+    rrd: Rrd = None,
     layout: Annotated[
         Literal["balancing", "measuring", "analysing"],
         typer.Option(help="Layout of the panels; analysing fits records that have no results yet."),
@@ -149,7 +167,16 @@ def view(
 
 def simulate(
     config: Config,
-    output: Annotated[Path, typer.Option("-o", "--output", help="Record to write (MCAP file).")],
+    output: Annotated[
+        Path,
+        typer.Option(
+            "-o",
+            "--output",
+            help="Record to write (MCAP file).",
+            show_default=False,
+            callback=new_file(".mcap", makes_folders=True),
+        ),
+    ],
     set_: Set = None,
 ) -> None:
     """Record one run of the simulated rig, without fitting it.

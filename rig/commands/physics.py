@@ -9,6 +9,7 @@ import typer
 
 from processing.errors import ConfigurationError
 from rig.commands.arguments import Set, one_record, records_in
+from rig.commands.outputs import folder_without
 
 
 def register(app: typer.Typer) -> None:
@@ -25,7 +26,13 @@ def fit(
         ),
     ],
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="Folder for results.json; must not hold one yet.")
+        Path | None,
+        typer.Option(
+            "-o",
+            "--output",
+            help="Folder for results.json; must not hold one yet.",
+            callback=folder_without("results.json"),
+        ),
     ] = None,
     config: Annotated[Path | None, typer.Option(help="CSV: configuration with [pendulum] and [fit].")] = None,
     time: Annotated[str | None, typer.Option(help="CSV: name or number of the column with the time.")] = None,
@@ -69,7 +76,6 @@ def fit(
             )
         if set_ and (config is None or envelope is not None):
             raise ConfigurationError(f"--set {set_[0]}: has no effect without --config")
-        _refuse_results(output)
         columns = Columns(time, tuple(position or ()), unit, time_unit)
         if envelope is not None:
             raise typer.Exit(fit_envelope_table(files[0], output, columns, envelope, frequency))
@@ -80,17 +86,8 @@ def fit(
     }  # fmt: skip
     if stated := next((name for name, value in of_tables.items() if value), ""):
         raise ConfigurationError(f"{stated}: has no effect on records, only on a table; leave it out")
-    _refuse_results(output)
     records = [record for path in files for record in records_in(path)]
     raise typer.Exit(fit_records(records, output, overrides=set_ or [], laws=law or []))
-
-
-def _refuse_results(output: Path | None) -> None:
-    """Raise ConfigurationError where the results could not be written, before anything is calculated."""
-    if output is not None and (output / "results.json").exists():
-        raise ConfigurationError(f"{output / 'results.json'}: exists already; choose another folder")
-    if output is not None and output.exists() and not output.is_dir():
-        raise ConfigurationError(f"{output}: is a file; name a folder for the results")
 
 
 def fit_records(
@@ -141,7 +138,10 @@ def plan(
         float | None,
         typer.Option(min=0.0, help="Drive of another ground, rad/s2/sqrt(Hz); default: what SOURCE says."),
     ] = None,
-    output: Annotated[Path | None, typer.Option("-o", "--output", help="Folder for the picture.")] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", help="Folder for the picture.", callback=folder_without("plan.*")),
+    ] = None,
     set_: Set = None,
     runs: Annotated[
         list[int] | None, typer.Option(min=1, help="Number of runs; may be repeated; default: 1.")

@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from rig.commands.arguments import Record, one_record, records_in
+from rig.commands.outputs import new_file
 
 
 def register(app: typer.Typer) -> None:
@@ -16,7 +17,12 @@ def register(app: typer.Typer) -> None:
 
 
 def info(record: Record) -> None:
-    """Print what a record contains, and how it was made."""
+    """Print what a record contains, and how it was made.
+
+    \b
+    Example:
+      rig info runs/first
+    """
     from rig.commands.record_screen import print_info
 
     for each in records_in(record):
@@ -34,10 +40,6 @@ def check(
 
     \b
     Example:
-      rig info runs/first
-
-    \b
-    Example:
       rig check runs/first
     """
     from rig.commands.record_screen import print_check
@@ -48,7 +50,13 @@ def check(
 def recover(
     record: Record,
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="File to write; default: NAME-recovered.mcap.")
+        Path | None,
+        typer.Option(
+            "-o",
+            "--output",
+            help="File to write; default: NAME-recovered.mcap.",
+            callback=new_file(".mcap"),
+        ),
     ] = None,
 ) -> None:
     """Save what is readable of a record that was cut short.

@@ -5,6 +5,8 @@ from typing import Annotated, Literal
 
 import typer
 
+from rig.commands.outputs import folder_without, new_file, new_page
+
 
 def register(app: typer.Typer) -> None:
     """Add the commands of this module."""
@@ -20,7 +22,12 @@ def report(
     ],
     output: Annotated[
         Path | None,
-        typer.Option("-o", "--output", help="HTML file to write; default: report.html in the folder."),
+        typer.Option(
+            "-o",
+            "--output",
+            help="HTML file to write; default: report.html in the folder, made anew.",
+            callback=new_page,
+        ),
     ] = None,
 ) -> None:
     """Write a report: HTML, figures as SVG and PNG, tables as CSV.
@@ -36,7 +43,13 @@ def report(
 
 def paper(
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="Folder for paper.html with figures and tables.")
+        Path | None,
+        typer.Option(
+            "-o",
+            "--output",
+            help="Folder for paper.html with figures and tables.",
+            callback=folder_without("paper.html", "paper"),
+        ),
     ] = None,
     b_exponent: Annotated[
         int, typer.Option(help="Power of ten of b, which the paper's Table 2 omits.", min=-6, max=-3)
@@ -68,6 +81,7 @@ def export(
     """
     from rig.export import export_session
 
+    (new_file(makes_folders=True) if format_ == "hdf5" else folder_without())(output)
     for path in export_session(source, format_, output):
         print(path)
 
@@ -75,7 +89,8 @@ def export(
 def compare(
     folders: Annotated[list[Path], typer.Argument(help="Folders of sessions.", show_default=False)],
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="HTML file to write, with a figure.")
+        Path | None,
+        typer.Option("-o", "--output", help="HTML file to write, with a figure.", callback=new_page),
     ] = None,
     against: Annotated[
         str, typer.Option(help="Also over temperature, humidity, pressure, dwell or age of every run.")

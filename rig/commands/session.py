@@ -7,6 +7,7 @@ import typer
 
 from processing.errors import ConfigurationError
 from rig.commands.arguments import MODES, Config, JsonLines, Set, View
+from rig.commands.outputs import appended_file, new_file
 
 
 def register(app: typer.Typer) -> None:
@@ -26,7 +27,11 @@ def balance(
         bool, typer.Option("--forget-last", help="Take the last turn out of the history, show it, and end.")
     ] = False,
     history_file: Annotated[
-        Path | None, typer.Option(help="File in which looks and turns are kept; earlier ones in it are used.")
+        Path | None,
+        typer.Option(
+            help="File in which looks and turns are kept; earlier ones in it are used.",
+            callback=appended_file,
+        ),
     ] = None,
     follow: Annotated[
         int,
@@ -42,7 +47,9 @@ def balance(
     ] = None,
     json_lines: JsonLines = False,
     view: View = None,
-    rrd: Annotated[Path | None, typer.Option(help="Write all looks into a Rerun file.")] = None,
+    rrd: Annotated[
+        Path | None, typer.Option(help="Write all looks into a Rerun file.", callback=new_file(".rrd"))
+    ] = None,
     set_: Set = None,
 ) -> None:
     """Balance: which weight to turn, which way and how far.

@@ -52,18 +52,19 @@ class ExportedRun:
     ended: str = ""
 
 
-def read_runs(source: Path) -> list[ExportedRun]:
-    """Read the runs of a folder with results.json, or one record (with the results next to it, if any)."""
+def runs_in(source: Path) -> list[tuple[Path, RunResults | None]]:
+    """Records with their results: of a folder with results.json, or one with those next to it, if any."""
     if source.is_dir():
-        return [_read_run(source / run.record, run) for run in read_results(source).runs]
+        return [(source / run.record, run) for run in read_results(source).runs]
     results = None
     if (source.parent / RESULTS_NAME).exists():
         runs = read_results(source.parent).runs
         results = next((run for run in runs if run.record == source.name), None)
-    return [_read_run(source, results)]
+    return [(source, results)]
 
 
-def _read_run(path: Path, results: RunResults | None) -> ExportedRun:
+def read_run(path: Path, results: RunResults | None) -> ExportedRun:
+    """Read a record; raises RecordError where the results were made from another one."""
     with RecordReader(path) as reader:
         provenance = {"record": path.name, "deflection_unit": reader.deflection_unit}
         for section, texts in reader.metadata.items():

@@ -5,8 +5,8 @@ from typing import Literal
 
 from processing.errors import RecordError
 from rig.export.nexus import write_nexus
-from rig.export.run import read_runs
-from rig.export.tables import write_csv, write_parquet
+from rig.export.run import read_run, runs_in
+from rig.export.tables import TABLES, table_path, write_csv, write_parquet
 from rig.presentation import say
 
 Format = Literal["csv", "parquet", "hdf5"]
@@ -21,14 +21,21 @@ def export_session(source: Path, kind: Format, output: Path) -> list[Path]:
 
     Raises RecordError for a source without records, a file that exists, a library that is missing.
     """
-    runs = read_runs(source)
+    found = runs_in(source)
+    suffix = "csv" if kind == "csv" else "parquet"
+    made = [table_path(output, path.stem, what, suffix) for path, _ in found for what in TABLES]
+    if len(set(made)) < len(made):
+        raise RecordError(f"{source}: has several records of one name; export them one by one")
+    for path in [output] if kind == "hdf5" else made:
+        if path.exists():
+            place = "name" if kind == "hdf5" else "folder"
+            raise RecordError(f"{path}: exists already and is not overwritten; choose another {place}")
+    runs = [read_run(path, results) for path, results in found]
     for run in runs:
         for note in run.notes:
             say(f"{run.name}: {note}" if source.is_dir() else note)
     try:
         if kind == "hdf5":
-            if output.exists():
-                raise RecordError(f"{output}: exists already and is not overwritten; choose another name")
             output.parent.mkdir(parents=True, exist_ok=True)
             write_nexus(output, runs)
             return [output]

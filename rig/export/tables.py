@@ -7,9 +7,10 @@ from pathlib import Path
 import pyarrow as pa
 from pyarrow import csv, parquet
 
-from processing.errors import RecordError
 from rig.export.run import ExportedRun, columns_of, flat_results, unit_of
 from rig.presentation import harmless_text
+
+TABLES = ("spots", "swings", "results")
 
 
 def write_csv(folder: Path, run: ExportedRun) -> list[Path]:
@@ -24,7 +25,7 @@ def write_csv(folder: Path, run: ExportedRun) -> list[Path]:
     head = "".join(f"# {' '.join(line.split())}\n" for line in lines)
     made = []
     for path, table in _tables(folder, run, "csv", harmless_text):
-        with path.open("wb") as file:
+        with path.open("xb") as file:
             file.write(head.encode())
             csv.write_csv(table, file)
         made.append(path)
@@ -55,11 +56,14 @@ def _tables(
             pa.field(key, pa.from_numpy_dtype(values.dtype), metadata={"unit": unit_of(key)})
             for key, values in columns.items()
         ]
-        yield _free(folder, run, name, suffix), pa.table(list(columns.values()), schema=pa.schema(fields))
+        yield (
+            table_path(folder, run.name, name, suffix),
+            pa.table(list(columns.values()), schema=pa.schema(fields)),
+        )
     if run.results:
         rows = flat_results(run.results)
         yield (
-            _free(folder, run, "results", suffix),
+            table_path(folder, run.name, "results", suffix),
             pa.table(
                 {
                     "name": [text_of(name) for name, _ in rows],
@@ -70,8 +74,6 @@ def _tables(
         )
 
 
-def _free(folder: Path, run: ExportedRun, what: str, suffix: str) -> Path:
-    path = folder / f"{run.name}-{what}.{suffix}"
-    if path.exists():
-        raise RecordError(f"{path}: exists already and is not overwritten; choose another folder")
-    return path
+def table_path(folder: Path, run: str, what: str, suffix: str) -> Path:
+    """The file of one of `TABLES` of a run."""
+    return folder / f"{run}-{what}.{suffix}"

@@ -9,7 +9,7 @@ from pathlib import Path
 from rich.console import Console
 
 from processing.angle import ARCSEC_RAD
-from processing.errors import ConfigurationError, DataError
+from processing.errors import DataError
 from processing.fit import Conditions, FitMethod, PlannedRun, planned_run
 from rig.analysis import AnalysedRun
 from rig.plan.expected import Expected
@@ -123,15 +123,11 @@ def print_plan(plan: Plan) -> None:
 
 
 def save_plan(plan: Plan, folder: Path) -> None:
-    """plan.csv, plan.png and plan.svg in a folder, which is made; existing files are never overwritten."""
+    """plan.csv, plan.png and plan.svg in a folder, which is made; none of them may exist."""
     from rig.plan.figure import plan_figure
     from rig.report import png, styled, svg
 
     folder.mkdir(parents=True, exist_ok=True)
-    if taken := sorted(folder.glob("plan.*")):
-        raise ConfigurationError(
-            f"{taken[0]} exists, and nothing is overwritten: name another folder with -o"
-        )
     with styled():
         drawing = plan_figure(plan)
         made = {".csv": plan_table(plan).csv().encode(), ".png": png(drawing), ".svg": svg(drawing)}

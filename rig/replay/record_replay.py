@@ -70,8 +70,6 @@ def replay_record(
         used: Sequence[str] = OF_TRACKING if retrack else OF_REPLAYS
         remedy = "frames stay as they were recorded" if retrack else "what the tracker takes needs --retrack"
         refuse_without_effect(overrides, used, remedy)
-        if output is not None and (output / RESULTS_NAME).exists():
-            raise ConfigurationError(f"{output}: holds {RESULTS_NAME} already; name another folder")
         if reader.truncated:
             say(reader.cut_notice)
         wants_view = mode != "none" or rrd is not None

@@ -111,7 +111,7 @@ def test_show_set_snap_focus_expose(tmp_path: Path) -> None:
     assert image.max() > 255
     assert "DN" in done.output
     again = run(app, ["camera", "snap", DEMO, "-o", str(png)])
-    assert "not written over" in str(again.exception)
+    assert "not overwritten" in str(again.exception)
     done = run(app, ["camera", "focus", DEMO, "--seconds", "0.5"])
     assert "sharpness" in done.output
     rrd = tmp_path / "align.rrd"

@@ -23,12 +23,12 @@ def said(*words: str | Path, cwd: Path, status: int = 2) -> str:
     [
         (("run", DEMO, "-o", ""), "an argument after -o is empty"),
         (("run", DEMO, "--output="), "an argument is empty"),
-        (("camera", "snap", DEMO, "-o", "a.jpg"), "a.jpg: a frame is saved as PNG"),
+        (("camera", "snap", DEMO, "-o", "a.jpg"), "a.jpg: name a file that ends in .png"),
         (("camera", "snap", DEMO, "-o", "none/a.png"), "none/a.png: there is no folder none"),
         (("camera", "show", DEMO, "--set", SENSOR), "sensor.full_scale_dn = 1023: the camera"),
         (("balance", DEMO, "--follow", "-1"), "greater than or equal to 0"),
-        (("balance", DEMO, "--rrd", "none/a.rrd"), "the Rerun file none/a.rrd: the folder none is not there"),
-        (("balance", DEMO, "--rrd", "."), "the Rerun file . is a folder"),
+        (("balance", DEMO, "--rrd", "none/a.rrd"), "none/a.rrd: there is no folder none"),
+        (("balance", DEMO, "--rrd", "."), ".: is a folder; name a file in it"),
         (("doctor", DEMO, "--set", "session.runs=1", "--set", "session.runs=2"), "is stated twice"),
         (("run", DEMO, "--runs", "2", "--set", "session.runs=3"), "session.runs is stated twice"),
         (("doctor", DEMO, "--set", "simulation.contact.period0_s=inf"), "should be a finite number"),
@@ -94,15 +94,6 @@ def test_a_changed_key_that_nothing_uses_is_refused(measured_series: Path, tmp_p
     assert "--set sesion: unknown key; did you mean session?" in said(
         "replay", record, "--set", "sesion.runs=1", cwd=tmp_path
     )
-
-
-def test_outputs_that_exist_are_refused_before_the_work(measured_series: Path, tmp_path: Path) -> None:
-    record = measured_series / "run-1.mcap"
-    for command in (("replay", record), ("fit", record)):
-        assert "results.json" in said(*command, "-o", measured_series, cwd=tmp_path)
-    (tmp_path / "old.rrd").touch()
-    for command in ("view", "replay"):
-        assert "old.rrd exists already" in said(command, record, "--rrd", "old.rrd", cwd=tmp_path)
 
 
 def test_folders_work_wherever_records_do(measured_series: Path, tmp_path: Path) -> None:

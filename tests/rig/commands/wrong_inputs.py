@@ -59,7 +59,7 @@ def wrong_words(folder: Path) -> Iterator[WrongWords]:
     """Every parameter of every command: unknown, missing, of another type, out of range, unreadable."""
     (folder / "noise").write_bytes(bytes(range(256)))
     (folder / "empty").mkdir()
-    for name, command in _commands(typer.main.get_command(app)):
+    for name, command in commands(typer.main.get_command(app)):
         arguments = [item for item in command.params if not item.opts[0].startswith("-")]
         needed = [item for item in command.params if item.required and item not in arguments]
         rest = [word for item in needed for word in (item.opts[0], "none/out.png")]
@@ -121,9 +121,9 @@ def _limit(field: FieldInfo, name: str) -> float | None:
     return next((float(getattr(item, name)) for item in field.metadata if hasattr(item, name)), None)
 
 
-def _commands(group: Any, above: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
+def commands(group: Any, above: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
     for name, command in group.commands.items():
         if hasattr(command, "commands"):
-            yield from _commands(command, (*above, name))
+            yield from commands(command, (*above, name))
         else:
             yield (*above, name), command

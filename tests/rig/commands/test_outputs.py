@@ -1,0 +1,86 @@
+"""What commands would write over, or cannot write, is refused before the work."""
+
+from pathlib import Path
+
+import pytest
+import typer
+
+from rig.cli import app
+from tests.rig.command_line import CONFIGS, rig
+from tests.rig.commands.wrong_inputs import commands
+
+DEMO = str(CONFIGS / "demo.toml")
+NEW_FILES = {
+    ("archive", "list"): ("out.csv", "-o"),
+    ("archive", "plot", "c", "b"): ("out.svg", "-o"),
+    ("archive", "compare", "c"): ("out.png", "-o"),
+    ("archive", "view"): ("out.rrd", "--rrd"),
+    ("archive", "publish", "--title", "t", "--author", "a"): ("out", "-o"),
+    ("camera", "snap", DEMO): ("out.png", "-o"),
+    ("camera", "dump", DEMO): ("out.zip", "-o"),
+    ("camera", "align", DEMO): ("out.rrd", "--rrd"),
+    ("replay", "no.mcap"): ("out.rrd", "--rrd"),
+    ("view", "no.mcap"): ("out.rrd", "--rrd"),
+    ("simulate", DEMO): ("out.mcap", "-o"),
+    ("recover", "no.mcap"): ("out.mcap", "-o"),
+    ("report", "no"): ("out.html", "-o"),
+    ("compare", "no", "nor"): ("out.html", "-o"),
+    ("export", "no", "--format", "hdf5"): ("out.h5", "-o"),
+    ("balance", DEMO): ("out.rrd", "--rrd"),
+}
+FOLDERS = {
+    ("run", DEMO): "run-1.mcap",
+    ("run", "--plan", "no.toml"): "results.json",
+    ("replay", "no.mcap"): "results.json",
+    ("fit", "no.mcap"): "results.json",
+    ("plan", "no.mcap"): "plan.svg",
+    ("paper",): "paper.html",
+    ("calibrate", "clock", "no.mcap"): "",
+    ("export", "no"): "",
+}
+
+
+@pytest.mark.parametrize("words", NEW_FILES)
+def test_a_file_that_exists_is_refused_before_anything_is_read(
+    words: tuple[str, ...], tmp_path: Path
+) -> None:
+    name, option = NEW_FILES[words]
+    (tmp_path / name).write_text("kept")
+    done = rig(*words, option, name, cwd=tmp_path)
+    assert done.returncode == 2
+    assert done.stderr == f"rig: {name}: exists already and is not overwritten; choose another name\n"
+    assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [(name, "kept")]
+
+
+@pytest.mark.parametrize("words", FOLDERS)
+def test_a_folder_that_is_a_file_or_holds_results_is_refused(words: tuple[str, ...], tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("kept")
+    for place in ("file", "file/deeper"):
+        done = rig(*words, "-o", place, cwd=tmp_path)
+        assert done.returncode == 2
+        assert done.stderr.startswith(f"rig: {place}: ")
+    if FOLDERS[words]:
+        (tmp_path / "out").mkdir()
+        (tmp_path / "out" / FOLDERS[words]).write_text("kept")
+        done = rig(*words, "-o", "out", cwd=tmp_path)
+        assert done.returncode == 2
+        assert done.stderr.startswith(f"rig: out/{FOLDERS[words]}: exists already and is not overwritten")
+
+
+def test_the_folder_of_a_page_is_not_written_into(tmp_path: Path) -> None:
+    (tmp_path / "page").mkdir()
+    (tmp_path / "page" / "mine.svg").touch()
+    for words in (("report", "no"), ("compare", "no", "nor")):
+        assert "page: the page's figures go there" in rig(*words, "-o", "page.html", cwd=tmp_path).stderr
+        assert "name a file that ends in .html" in rig(*words, "-o", "my.page", cwd=tmp_path).stderr
+
+
+def test_every_option_that_names_an_output_is_checked() -> None:
+    unchecked = [
+        (*name, item.opts[0])
+        for name, command in commands(typer.main.get_command(app))
+        for item in command.params
+        if {"-o", "--rrd", "--history-file"} & set(item.opts) and item.callback is None
+    ]
+    # which of two checks it needs depends on its --format
+    assert unchecked == [("export", "-o")]
