@@ -25,6 +25,7 @@ class LooksView:
     """The balancing layout, in which the measurements of a session follow each other in time.
 
     A context manager. The view is opened at the first frame, if a live view or a Rerun file is wanted.
+    At the end RecordError is raised where that file is not whole.
     """
 
     def __init__(
@@ -49,8 +50,9 @@ class LooksView:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         if self._view is not None:
-            for note in self._view.close().notes:
-                say(f"view: {note}")
+            self._view.close()
+            if error is None:
+                self._view.check_file()
 
     def begin(self, first: Frame, full_scale_dn: int) -> None:
         """Begin a measurement; the frames' clock may have been reset."""
@@ -93,7 +95,7 @@ def look(config: Configuration, devices: Devices, show: Callable[[Balance], None
             camera.camera,
             camera_settings(config),
             policy=frame_policy(config),
-            timeout_s=config.camera.timeout_s,
+            timeout_s=config.camera.patience_s,
             permit=devices.permit,
         )
         light = LightWatch(devices)

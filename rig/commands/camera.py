@@ -137,9 +137,11 @@ def snap(
     from rig.instrument import beam_quality, optics_of
     from rig.settings import load_configuration
 
+    loaded = load_configuration(config, set_ or [])
     with _opened(config, set_) as (camera, info, _):
         camera.start()
-        frames = [frame for frame in (camera.read(5.0) for _ in range(average)) if frame is not None]
+        reads = (camera.read(loaded.camera.patience_s) for _ in range(average))
+        frames = [frame for frame in reads if frame is not None]
         camera.stop()
         if len(frames) < average:
             raise ConfigurationError(f"the camera gave {len(frames)} frames, {average} were asked for")
@@ -151,7 +153,6 @@ def snap(
         for line in camera_picture.histogram_bars(image, info.full_scale_dn):
             typer.echo(line)
         typer.echo(_figures_line(camera_picture.figures(image, info.full_scale_dn)))
-        loaded = load_configuration(config, set_ or [])
         tracker = optics_of(loaded, info.full_scale_dn).tracker()
         spot = tracker.track(image)
         limits = loaded.preflight
@@ -270,9 +271,9 @@ def align(
     reference_px = None
     if lever is not None and lever.reference_x_px is not None and lever.reference_y_px is not None:
         reference_px = (lever.reference_x_px, lever.reference_y_px)
+    viewer = None
     with ExitStack() as stack:
         camera, info, applied = stack.enter_context(_opened(config, set_))
-        viewer = None
         if rrd is not None or view:
             viewer = start_view(loaded, rrd, MODES[view], "balancing", "aligning", info.full_scale_dn)
             stack.callback(viewer.close)
@@ -287,6 +288,8 @@ def align(
             viewer=viewer,
         ):
             typer.echo(str(path))
+    if viewer is not None:
+        viewer.check_file()
 
 
 def expose(

@@ -93,7 +93,7 @@ def check_camera(config: Configuration, devices: Devices) -> Iterator[Verdict]:
             begun_s = time.monotonic()
             count = frame_bytes = 0
             for _ in range(_FRAMES):
-                frame = camera.camera.read(config.camera.timeout_s)
+                frame = camera.camera.read(config.camera.patience_s)
                 if frame is None:
                     break
                 count += 1

@@ -26,6 +26,8 @@ from rig.posterior import Posterior
 NOT_ACCEPTED = "start not accepted"
 """How the reason of a stop begins if the start was rejected."""
 _BLOCK_FRAMES = 64
+_BLOCK_NS = 2_000_000_000
+"""A block is no longer than this, so that with a slow camera a run ends when it should."""
 
 
 class Recording:
@@ -73,9 +75,9 @@ class Recording:
         rejected = ""
         # frames from a source on demand are all processed; those of a live camera only until the stop
         while begun or not (stream.drained or (self._stop and stream.policy != "wait")):
-            taken = begun[:_BLOCK_FRAMES] or stream.take(_BLOCK_FRAMES, 0.1)
+            waiting = begun or stream.take(_BLOCK_FRAMES, 0.1)
             taken_ns = time.monotonic_ns()
-            begun = begun[_BLOCK_FRAMES:]
+            taken, begun = _block_and_rest(waiting)
             if not taken:
                 # record events without waiting for frames, so that a silent camera is noted immediately
                 new = self._device_events(counts.last_ns)
@@ -188,3 +190,10 @@ class Recording:
             ),
             swings,
         )
+
+
+def _block_and_rest(frames: list[Frame]) -> tuple[list[Frame], list[Frame]]:
+    """The frames to be processed together, one at least, and those that come after them."""
+    late = (n for n, frame in enumerate(frames) if frame.time_ns - frames[0].time_ns > _BLOCK_NS)
+    count = min(_BLOCK_FRAMES, next(late, len(frames)))
+    return frames[:count], frames[count:]

@@ -74,8 +74,7 @@ def measure_run(plan: RunPlan, devices: Devices) -> RunOutcome:
             if posterior is not None:
                 posterior.close()
             if view is not None:
-                for note in view.close().notes:
-                    say(f"view: {note}")
+                view.close()
 
 
 def _execute(
@@ -131,7 +130,7 @@ def _execute(
             camera.camera,
             camera_settings(config),
             policy=frame_policy(config),
-            timeout_s=config.camera.timeout_s,
+            timeout_s=config.camera.patience_s,
             permit=devices.permit,
             time_shift_ns=camera.time_shift_ns,
         ),

@@ -58,7 +58,7 @@ def replay_record(
     """Replay, compare and fit; writes results.json into `output` if given. Returns the exit status.
 
     Raises ConfigurationError for an invalid speed or invalid times, and RecordError for a file that
-    cannot be replayed, before anything is written.
+    cannot be replayed, before anything is written; RecordError at the end where the Rerun file is not whole.
     """
     pace = speed_of(speed)
     if not 0 <= from_s < to_s:
@@ -101,6 +101,8 @@ def replay_record(
         output.mkdir(parents=True, exist_ok=True)
         write_results(output / RESULTS_NAME, results)
         print(f"results      {output / RESULTS_NAME}")
+    if view is not None:
+        view.check_file()
     return 1 if run.results.problem and config.lever is not None and not partial else 0
 
 
@@ -134,8 +136,6 @@ def _view(
 
     def close() -> None:
         counts = view.close()
-        for note in counts.notes:
-            say(f"view: {note}")
         if counts.dropped:
             say(f"view: {counts.dropped} messages were dropped, because the viewer was too slow")
 

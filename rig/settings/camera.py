@@ -20,7 +20,9 @@ class CameraChoice(CameraSettings, frozen=True, extra="forbid"):
     driver: str = Field(description=f"one of {', '.join(DRIVERS)}; simulated invents its numbers")
     serial: str | None = Field(default=None, description="needed only if several cameras are plugged in")
     timeout_s: float = Field(
-        default=5.0, gt=0, description="the camera counts as stalled after this time without a frame"
+        default=5.0,
+        gt=0,
+        description="the camera counts as stalled after this time without a frame, or two frame times",
     )
 
     stamped: Stamped | None = Field(
@@ -34,6 +36,11 @@ class CameraChoice(CameraSettings, frozen=True, extra="forbid"):
         if driver not in DRIVERS:
             raise ValueError(unknown_driver())
         return driver
+
+    @property
+    def patience_s(self) -> float:
+        """Time without a frame after which the camera counts as stalled; a slow one gets two frame times."""
+        return max(self.timeout_s, 0.5 + 2 / self.frame_rate_hz if self.frame_rate_hz else 0.0)
 
     def driver_settings(self) -> BaseModel:
         """Section ``[camera.NAME]`` of the chosen driver; its serial number defaults to ``camera.serial``.

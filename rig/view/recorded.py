@@ -122,8 +122,7 @@ def write_rrd(
         viewer.state("\n".join(lines), time_s=0.0, run=names[0])
         if runs:
             viewer.fits(curves, report_text(runs), run=names[0])
-    if viewer.counts.notes:
-        raise RecordError(f"{rrd}: {viewer.counts.notes[0]}")
+    viewer.check_file()
 
 
 def _analysis_of(runs: Mapping[str, RunAnalysis]) -> list[Curve]:

@@ -26,7 +26,7 @@ from acquisition.frame import Frame
 from acquisition.record.events import Event
 from processing.balance import Balance
 from processing.deflections import DeflectionUnit
-from processing.errors import ConfigurationError
+from processing.errors import ConfigurationError, RecordError
 from processing.spot import Spot, SpotFlag
 from processing.swing import Swing
 from rig.instrument import Block, Snapshot
@@ -199,9 +199,10 @@ class Viewer:
                 on_ready=self._program.show if setup.rrd_path is None else lambda url: "",
             )
 
-        file = feed(setup._replace(rrd_path=str(rrd_path))) if rrd_path is not None else None
+        self._rrd_path = rrd_path
+        self._file = feed(setup._replace(rrd_path=str(rrd_path))) if rrd_path is not None else None
         self._live = feed(setup) if mode != "none" else None
-        self._feeds = [part for part in (file, self._live) if part is not None]
+        self._feeds = [part for part in (self._file, self._live) if part is not None]
 
     def __enter__(self) -> Self:
         self.start()
@@ -384,6 +385,23 @@ class Viewer:
             feed.wait(deadline_s)
         self._program.close()
         return self.counts
+
+    def check_file(self) -> None:
+        """After `close`: raises RecordError where the Rerun file is gone or lacks anything."""
+        if self._file is None or self._rrd_path is None:
+            return
+        dropped = sum(self._file.queue.dropped.values())
+        if not self._rrd_path.exists():
+            why = "it was removed while it was written"
+        elif dropped:
+            why = f"{dropped} values are not in it"
+        else:
+            why = ""
+        told = [note for note in self._notes if str(self._rrd_path) in note or "could not be drawn" in note]
+        why = "; ".join([why, *told[:1]] if why else told[:1])
+        if not why:
+            return
+        raise RecordError(f"the Rerun file {self._rrd_path} is not whole: {why}; make it again elsewhere")
 
     def _put(self, message: Message) -> None:
         for feed in self._feeds:

@@ -245,3 +245,21 @@ def test_the_demonstration_finds_the_truth(pair: str, tmp_path: Path) -> None:
         found = run["fits"]["exact"][name]
         assert found["value"] == pytest.approx(truth, rel=LIMITS[name]), name
         assert abs(found["value"] - truth) < 3 * found["standard_uncertainty"], name
+
+
+@pytest.mark.parametrize("real_time", [False, True])
+def test_a_slow_camera_ends_at_the_time_limit(tmp_path: Path, real_time: bool) -> None:
+    rate_hz, limit_s = (1.0, 2) if real_time else (0.1, 10)
+    words = set_words({
+        **SMALL,
+        "camera.frame_rate_hz": f"{rate_hz}",
+        "camera.timeout_s": "0.5",
+        "session.max_duration_s": f"{limit_s}",
+        "simulation.real_time": str(real_time).lower(),
+        "preflight.when": '"never"',
+    })  # fmt: skip
+    record = tmp_path / "slow.mcap"
+    assert rig("simulate", CONFIGS / "demo.toml", "-o", record, *words).returncode == 0
+    with RecordReader(record) as reader:
+        assert reader.events()[-1].text == f"time limit of {limit_s} s reached"
+        assert sum(map(len, reader.spot_blocks())) == rate_hz * limit_s + 1

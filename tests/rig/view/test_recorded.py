@@ -15,6 +15,7 @@ from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import ConfigurationError, RecordError
 from processing.spot import Spot, SpotFlag
 from processing.swing import Swing
+from rig.view import Viewer
 from rig.view.recorded import run_names, show_records, write_rrd
 from tests.rig.view import scene as view_scene
 from tests.rig.view.rrd_contents import column, entities, measured, scalars
@@ -175,6 +176,20 @@ def test_an_existing_rerun_file_is_not_overwritten(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match="exists already"):
         show_records([make_record(tmp_path / "run.mcap")], rrd=rrd)
     assert rrd.read_bytes() == b"kept"
+
+
+def test_a_rerun_file_that_is_gone_at_the_end_is_an_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rrd, close = tmp_path / "shown.rrd", Viewer.close
+
+    def close_and_remove(viewer: Viewer) -> None:
+        close(viewer)
+        rrd.unlink()
+
+    monkeypatch.setattr(Viewer, "close", close_and_remove)
+    with pytest.raises(RecordError, match=r"shown\.rrd is not whole: it was removed while it was written"):
+        write_rrd([make_record(tmp_path / "run.mcap")], rrd)
 
 
 def test_without_a_screen_nothing_opens(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

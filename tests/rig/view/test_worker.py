@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from processing.errors import ConfigurationError
+from processing.errors import ConfigurationError, RecordError
 from rig.rerun.ports import free_port
 from rig.view.viewer import Viewer
 from tests.rig.view import scene as view_scene
@@ -192,6 +192,8 @@ def test_a_full_disk_is_told_and_stops_nothing(tmp_path: Path) -> None:
     assert str(path) in counts.notes[0]
     assert counts.dropped > 0
     assert counts.sent + counts.dropped == 35_000
+    with pytest.raises(RecordError, match=r"run\.rrd is not whole: \d+ values are not in it.*No space left"):
+        viewer.check_file()
 
 
 def test_a_folder_that_is_missing_is_told(tmp_path: Path) -> None:
