@@ -3,7 +3,8 @@
 import logging
 import math
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from concurrent.futures import CancelledError
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
 from typing import NamedTuple, Self
@@ -25,7 +26,7 @@ from rig.control import (
     simulated_controller,
 )
 from rig.devices import audit
-from rig.devices.laser import LaserNow, laser_now, light
+from rig.devices.laser import LaserNow, laser_now, light, wait_for_command
 from rig.devices.network_clock import wait_for_network_clock
 from rig.devices.simulated_interlock import SimulatedInterlock
 from rig.instrument import (
@@ -36,6 +37,7 @@ from rig.instrument import (
     setting_differences,
     shift_to_light_ns,
 )
+from rig.presentation import say
 from rig.settings import Configuration
 
 _log = logging.getLogger(__name__)
@@ -72,6 +74,7 @@ class Devices:
         self.laser: LaserService | None = None
         self.sensor: EnvironmentService | None = None
         self.permit = LightPermit()
+        self._was_lit = False
         if config.controller.kind == "simulated":
             if not config.simulated or config.on_demand:
                 raise ConfigurationError(
@@ -91,7 +94,13 @@ class Devices:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._closing.close()
+        try:
+            if self._was_lit:
+                # a terminal that was closed hears nothing, and holds nothing up
+                with suppress(OSError):
+                    say(self._darkened())
+        finally:
+            self._closing.close()
 
     def _open(self) -> None:
         config = self._config
@@ -176,6 +185,7 @@ class Devices:
         if self._config.laser.kind != "none":
             # before it is lit, because a disk may hang
             self.audit("laser switched on", laser=self._config.laser.kind)
+            self._was_lit = True
         self.permit.begin()
         return light(self._config.laser, self.control, self.laser)
 
@@ -196,6 +206,21 @@ class Devices:
         if self.laser is not None:
             self.laser.off()
         self.permit.end()
+
+    def _darkened(self) -> str:
+        """Switch the laser off; says who confirms it, or that nobody does."""
+        commands = []
+        if self.control is not None:
+            commands.append(("controller", self.control.laser_off()))
+        if self.laser is not None:
+            commands.append(("laser", self.laser.off()))
+        for who, command in commands:
+            try:
+                wait_for_command(command)
+            except (DeviceError, CancelledError) as error:
+                why = str(error) or "its thread has ended"
+                return f"THE LASER MAY BE LIT: the {who} does not confirm that it is off ({why}); go and look"
+        return f"laser off, confirmed by the {' and the '.join(who for who, _ in commands)}"
 
     def darkness(self) -> str:
         """Why the laser does not emit although it should; empty if it emits, or if none is controlled."""

@@ -89,6 +89,7 @@ def test_a_run_whose_laser_goes_dark_ends_with_an_error_and_a_whole_record(
     assert done.returncode == 1
     assert (tmp_path / "told").read_text().split() == ["alarm", "failure"]
     assert "THE LASER IS DARK: THE CONTROLLER IS LOST" in done.stderr
+    assert "THE LASER MAY BE LIT: the controller does not confirm that it is off" in done.stderr
     entry = entry_of(tmp_path / "out")
     assert entry["state"] == "failed"
     assert "the laser is dark: the controller is lost" in entry["reason"]
@@ -106,7 +107,8 @@ def test_a_run_may_wait_for_its_light(
 
     monkeypatch.setattr(SimulatedBoard, "unplugged", unplugged)
     waiting = {**LIVE, "laser.when_dark": '"wait"', "session.max_duration_s": "20"}
-    rig("run", CONFIGS / "live.toml", "-o", tmp_path / "out", *set_words(waiting))
+    done = rig("run", CONFIGS / "live.toml", "-o", tmp_path / "out", *set_words(waiting))
+    assert "laser off, confirmed by the controller\n" in done.stderr
     kinds = [kind for kind, _ in events_of(tmp_path / "out")]
     assert kinds.index("laser dark") < kinds.index("laser lit")
     assert entry_of(tmp_path / "out")["state"] == "complete"
