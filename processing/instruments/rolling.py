@@ -66,11 +66,11 @@ def rolling_friction(
     digits = max(2, 1 - math.floor(math.log10(u))) if 0 < u < 1 else 2
     decrement = (
         f"the log decrement is {'constant' if constant else 'not constant'}: "
-        f"it goes as amplitude^({s - 1:+.{digits}f} ± {u:.2g})"
+        f"it goes as amplitude^({s - 1:+.{digits}f} ± {u:.{digits}f})"
     )
     speed = (
         f"the rolling-friction coefficient is {'independent' if independent else 'not independent'} "
-        f"of speed: it goes as amplitude^({s:.{digits}f} ± {u:.2g})"
+        f"of speed: it goes as amplitude^({s:.{digits}f} ± {u:.{digits}f})"
     )
     return RollingFriction(
         law, law.decrement(law.reference_rad), coefficient, constant, independent, (decrement, speed)

@@ -25,7 +25,14 @@ from rig.analysis.encoding import JsonObject
 from rig.analysis.fit_remarks import drive_text, remarks
 from rig.analysis.fit_tables import parameter_table, quality_table
 from rig.analysis.headline import budget_of, dominant_text
-from rig.analysis.instrument_results import DecrementTable, InstrumentResults, PeriodTable, SwingPlane
+from rig.analysis.instrument_results import (
+    DampingResults,
+    DecrementTable,
+    InstrumentResults,
+    InstrumentSeries,
+    PeriodTable,
+    SwingPlane,
+)
 from rig.analysis.law_results import ComparedLaws, MomentsWithoutLaw
 from rig.analysis.record_fit import (
     AnalysedRun,
@@ -75,6 +82,7 @@ __all__ = [
     "ComparedLaws",
     "Correlation",
     "Curves",
+    "DampingResults",
     "DecrementTable",
     "Determination",
     "Drag",
@@ -82,6 +90,7 @@ __all__ = [
     "Fit",
     "Ground",
     "InstrumentResults",
+    "InstrumentSeries",
     "JsonObject",
     "MomentsWithoutLaw",
     "MonteCarlo",

@@ -22,8 +22,8 @@ def reduce_series(runs: Sequence[Reduction]) -> InstrumentSeries | None:
     lines: list[str] = []
     found = InstrumentSeries(kind=description.kind)
     if places:
-        time_s = _over_places([place.time_s for place in places], "damping time", lines)
-        swings = _over_places([place.swings for place in places], "swings", lines)
+        time_s = _over_places([place.time_s for place in places], "damping time", " s", lines)
+        swings = _over_places([place.swings for place in places], "swings", "", lines)
         found = replace(found, time_s=time_s, swings=swings)
     reference = _reference(settings, glass)
     if reference is None:
@@ -49,11 +49,12 @@ def reduce_series(runs: Sequence[Reduction]) -> InstrumentSeries | None:
     return replace(found, text=tuple(lines))
 
 
-def _over_places(values: Sequence[Estimate], what: str, lines: list[str]) -> OverPlaces:
+def _over_places(values: Sequence[Estimate], what: str, unit: str, lines: list[str]) -> OverPlaces:
     mean = over_places(values)
+    places = f"{mean.number} place{'s' if mean.number > 1 else ''}"
     lines.append(
-        f"{what} over {mean.number} place{'s' if mean.number > 1 else ''}: {with_uncertainty(*mean.mean)}"
-        + (f", spread {mean.spread:.3g}" if mean.number > 1 else "")
+        f"{what} over {places}: {with_uncertainty(*mean.mean)}{unit}"
+        + (f", spread {mean.spread:.3g}{unit}" if mean.number > 1 else "")
     )
     return OverPlaces(*mean.mean, mean.number, mean.spread, mean.expanded_95)
 

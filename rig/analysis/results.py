@@ -111,11 +111,15 @@ class RunResults:
     def half_cycles_text(self, unit: str, before_amplitudes: str = ", ") -> str:
         """`33 half-cycles, 123.24 to 101.09 arcsec`, or that there are none.
 
-        `unit` is that of the record's deflections as shown, which files of schema 1 do not name.
+        `unit` is that of the record's deflections as shown, which files of schema 1 do not name. A pendulum
+        that swings by degrees has its amplitudes in them.
         """
         if not self.half_cycles or not isfinite(self.initial_amplitude):
             return f"{self.half_cycles or 'no'} half-cycles"
         first, last = self.initial_amplitude, self.final_amplitude
+        if self.instrument is not None and self.amplitude_unit == "arcsec":
+            text = f"{first / 3600:.4f} to {last / 3600:.4f} deg"
+            return f"{self.half_cycles} half-cycles{before_amplitudes}{text}"
         return f"{self.half_cycles} half-cycles{before_amplitudes}{first:.2f} to {last:.2f} {unit}"
 
     def verdicts(self) -> dict[str, Determination]:

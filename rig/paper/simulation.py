@@ -14,7 +14,7 @@ from acquisition.simulation.settings import (
 from acquisition.simulation.true_path import noisy, true_path, true_turning_points
 from processing.angle import ARCSEC_RAD
 from processing.contact import MATERIALS, ContactParameters, PendulumOnBall, pendulum_on_ball
-from processing.deflections import DeflectionUnit, slow_deflections
+from processing.deflections import slow_deflections
 from processing.fit import FitMethod, FitResult, Quantity, RigQuantities, fit_asymptotic, fit_exact
 from processing.swing import SwingDetector, TurningPoints, turning_points
 from rig.analysis import (
@@ -36,7 +36,7 @@ from rig.paper.printed import (
     RUNS,
     PrintedPair,
 )
-from rig.report import Motion
+from rig.report import Motion, ShownUnit
 from rig.settings import FitSettings
 
 NOISE_ARCSEC = 0.0027
@@ -91,7 +91,9 @@ def simulate_pair(pair: PrintedPair, b_exponent: int, seed: int) -> PairSeries:
         if shown is None:
             first_ns = next(swing.turn_time_ns for swing in swings if swing.flags == 0)
             time_s = np.asarray((seen.times_ns - first_ns) * 1e-9, dtype=np.float64)
-            shown = Motion(time_s, seen.x_rad / ARCSEC_RAD, seen.y_rad / ARCSEC_RAD, DeflectionUnit.RAD)
+            shown = Motion(
+                time_s, seen.x_rad / ARCSEC_RAD, seen.y_rad / ARCSEC_RAD, ShownUnit("arcsec", ARCSEC_RAD)
+            )
     assert shown is not None
     fits: dict[str, list[FitResult]] = {
         FitMethod.ASYMPTOTIC: [

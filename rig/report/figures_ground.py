@@ -45,7 +45,7 @@ def spectrum_figure(
             "The point is the drive that the fit finds at the pendulum's frequency (an arrow: its bound of "
             "95 %); NLNM and NHNM are Peterson's noise models of 1993."
         )
-    figure.subplots_adjust(left=0.09, right=0.985, bottom=0.17, top=0.96, wspace=0.26)
+    figure.subplots_adjust(left=0.12, right=0.985, bottom=0.17, top=0.96, wspace=0.26)
     return Drawing("spectrum", "What is left besides the swing", words, figure)
 
 

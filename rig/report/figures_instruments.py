@@ -1,14 +1,24 @@
-"""What users of other pendulums expect: decrement and period against amplitude, the plane that turns."""
+"""What users of other pendulums expect: damping, ten swings, decrement and period, the plane that turns."""
 
 import numpy as np
 
-from rig.analysis import DecrementTable, InstrumentResults, PeriodTable, SwingPlane
-from rig.report.drawing import DATA, EXACT, INK, SMOOTH, Drawing, canvas
+from processing.instruments import DEGREE_RAD
+from processing.swing import TurningPoints
+from rig.analysis import DampingResults, DecrementTable, InstrumentResults, PeriodTable, SwingPlane
+from rig.presentation import with_uncertainty
+from rig.report.drawing import DATA, EXACT, INK, SMOOTH, Array, Drawing, canvas
+
+_SEEN = 0.01
+"""Share of the drawn range from which on a bar is longer than its point."""
 
 
-def instrument_figures(values: InstrumentResults) -> list[Drawing]:
+def instrument_figures(values: InstrumentResults, points: TurningPoints) -> list[Drawing]:
     """Figures of what a run reports; those whose numbers are there."""
     drawings = []
+    if values.damping is not None:
+        drawings.append(_damping(values.damping, points))
+    if values.scale_hardness is not None and len(points) > 1:
+        drawings.append(_ten_swings(values, points))
     if values.decrement_against_amplitude is not None:
         drawings.append(_decrement(values.decrement_against_amplitude))
     if values.table is not None:
@@ -18,7 +28,66 @@ def instrument_figures(values: InstrumentResults) -> list[Drawing]:
     return drawings
 
 
+def _damping(found: DampingResults, points: TurningPoints) -> Drawing:
+    figure = canvas(3.0)
+    axes = figure.subplots()
+    figure.subplots_adjust(left=0.12, right=0.97, bottom=0.16, top=0.95)
+    amplitude = points.amplitude / DEGREE_RAD
+    inside = (amplitude <= found.start_amplitude_deg) & (amplitude >= found.end_amplitude_deg)
+    axes.plot(points.time_s[~inside], amplitude[~inside], "o", mfc="none", mec=DATA, label="turning points")
+    axes.plot(points.time_s[inside], amplitude[inside], "o", color=DATA, label="those that count")
+    for level in (found.start_amplitude_deg, found.end_amplitude_deg):
+        axes.axhline(level, color=EXACT, lw=0.9)
+        axes.annotate(
+            f"{level:g}°",
+            (0.995, level),
+            xycoords=("axes fraction", "data"),
+            ha="right",
+            va="bottom",
+            color=EXACT,
+        )
+    axes.set_yscale("log")
+    axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    axes.yaxis.set_minor_formatter(lambda value, _: f"{value:g}")
+    axes.set_xlabel("t / s")
+    axes.set_ylabel("amplitude / degrees")
+    axes.legend(loc="lower left")
+    return Drawing(
+        "kind-damping",
+        "Damping",
+        f"Amplitude on a logarithmic scale. From {found.start_amplitude_deg:g} to "
+        f"{found.end_amplitude_deg:g} degrees: {with_uncertainty(*found.time_s)} s, "
+        f"{with_uncertainty(*found.swings)} swings.",
+        figure,
+    )
+
+
+def _ten_swings(values: InstrumentResults, points: TurningPoints) -> Drawing:
+    figure = canvas(3.0)
+    axes = figure.subplots()
+    figure.subplots_adjust(left=0.12, right=0.97, bottom=0.16, top=0.95)
+    number = points.index - points.index[0]
+    angle = points.amplitude / DEGREE_RAD * np.where(number % 2, -1.0, 1.0)
+    axes.plot(points.time_s, angle, color=INK, lw=0.5)
+    axes.plot(points.time_s, angle, "o", color=DATA, ms=3.5)
+    if values.time_hardness_s is not None:
+        end = float(points.time_s[int(np.searchsorted(number, 10))])
+        axes.axvspan(float(points.time_s[0]), end, color=EXACT, alpha=0.12, lw=0)
+    axes.axhline(0, color=INK, lw=0.5)
+    axes.set_xlabel("t / s")
+    axes.set_ylabel("turning angle / degrees")
+    ten = (
+        ""
+        if values.time_hardness_s is None
+        else f"; shaded: ten single swings, {values.time_hardness_s.value:.4f} s"
+    )
+    return Drawing(
+        "kind-hardness", "Single swings", f"Turning points from the release on, on both sides{ten}.", figure
+    )
+
+
 def _decrement(table: DecrementTable) -> Drawing:
+    hidden = _hidden(table.log_decrement, table.u_log_decrement)
     figure = canvas(2.8)
     axes = figure.subplots()
     figure.subplots_adjust(left=0.12, right=0.97, bottom=0.17, top=0.95)
@@ -26,29 +95,45 @@ def _decrement(table: DecrementTable) -> Drawing:
         table.amplitude_deg,
         table.log_decrement,
         yerr=table.u_log_decrement,
-        fmt="o",
+        fmt=".",
+        ms=3,
         color=DATA,
         ecolor=INK,
-        elinewidth=0.6,
+        elinewidth=0.8,
+        capsize=0 if hidden else 2.5,
     )
     axes.set_xscale("log")
+    axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    axes.xaxis.set_minor_formatter(lambda value, _: f"{value:.2g}")
     axes.set_xlabel("amplitude / degrees")
     axes.set_ylabel("log decrement of a whole swing")
     return Drawing(
         "kind-decrement",
         "Log decrement against amplitude",
-        "Decrement of a whole swing, from turning points some swings apart; bars: one standard uncertainty.",
+        "Decrement of a whole swing, from turning points some swings apart. " + _bars(hidden),
         figure,
     )
 
 
 def _period(table: PeriodTable) -> Drawing:
+    hidden = _hidden(table.period_s, table.u_period_s)
     figure = canvas(3.2)
     axes = figure.subplots()
     figure.subplots_adjust(left=0.12, right=0.97, bottom=0.15, top=0.95)
     amplitude = table.amplitude_deg
     order = np.argsort(amplitude)
-    axes.plot(amplitude, table.period_s, "o", color=DATA, label="measured")
+    axes.errorbar(
+        amplitude,
+        table.period_s,
+        table.u_period_s,
+        fmt=".",
+        ms=3,
+        color=DATA,
+        ecolor=INK,
+        elinewidth=0.8,
+        capsize=0 if hidden else 2.5,
+        label="measured",
+    )
     axes.plot(amplitude[order], table.circular_law_s[order], color=EXACT, label="ideal pendulum")
     axes.plot(
         amplitude[order],
@@ -63,7 +148,8 @@ def _period(table: PeriodTable) -> Drawing:
     return Drawing(
         "kind-period",
         "Period against amplitude",
-        "Full periods beside the circular-error law with the fitted period at vanishing amplitude.",
+        "Full periods beside the circular-error law with the fitted period at vanishing amplitude. "
+        + _bars(hidden),
         figure,
     )
 
@@ -81,3 +167,12 @@ def _plane(table: SwingPlane) -> Drawing:
         "Direction of the swing plane from the slow axis, period by period.",
         figure,
     )
+
+
+def _hidden(values: Array, u: Array) -> bool:
+    """Whether bars are shorter than their points are large."""
+    return bool(np.max(u) < _SEEN * np.ptp(values))
+
+
+def _bars(hidden: bool) -> str:
+    return "Bars: one standard uncertainty" + (", shorter than the points are large." if hidden else ".")

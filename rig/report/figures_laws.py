@@ -7,7 +7,6 @@ from matplotlib.figure import Figure
 
 from processing.angle import ARCSEC_RAD
 from processing.contact import ContactParameters, PendulumOnBall, measured_losses, model_losses
-from processing.deflections import DeflectionUnit
 from processing.errors import DataError
 from processing.fit import FitMethod
 from processing.swing import TurningPoints
@@ -25,13 +24,14 @@ from rig.report.drawing import (
     span,
     thinned,
 )
+from rig.report.run_data import ShownUnit
 
 _DOTS = 700
 _BARS = 150
 _RINGS = 90
 
 
-def decay_figure(points: TurningPoints, curves: Curves | None, unit: DeflectionUnit) -> Drawing:
+def decay_figure(points: TurningPoints, curves: Curves | None, unit: ShownUnit) -> Drawing:
     """alpha(t), the paper's Fig. 12, with residuals below; data alone where nothing was fitted."""
     figure = canvas(4.2 if curves else 2.8)
     shown = thinned(len(points), _DOTS)

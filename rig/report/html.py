@@ -47,7 +47,7 @@ ul.notes { padding-left: 1.1rem; margin: .6rem 0; }
 ul.notes li { margin: .25rem 0; }
 .warn { border-left: 3px solid #d55e00; background: #fdf3ec; padding: .5rem .9rem; margin: .8rem 0; }
 table.facts td { white-space: normal; text-align: left; overflow-wrap: anywhere; }
-table.facts td:first-child { color: var(--soft); white-space: nowrap; vertical-align: top; }
+table.facts td:first-child { color: var(--soft); vertical-align: top; min-width: 8rem; max-width: 15rem; }
 .columns { columns: 2; column-gap: 2rem; }
 .columns table { width: 100%; font-size: .76rem; }
 @media (max-width: 44rem) { .columns { columns: 1; } }

@@ -5,7 +5,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from acquisition.record.reader import RecordReader
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import DataError, RecordError, RigError
 from processing.fit import measured_again
+from processing.instruments import DEGREE_RAD
 from processing.swing import ResidualSpectrum, TurningPoints, residual_spectrum
 from rig.analysis import (
     JsonObject,
@@ -33,14 +34,21 @@ Array = NDArray[np.float64]
 _LONG_LIST = 20
 
 
+class ShownUnit(NamedTuple):
+    """The unit in which deflections are shown, and its size in that in which they are stored."""
+
+    shown: str
+    shown_size: float
+
+
 @dataclass(frozen=True)
 class Motion:
-    """Deflection of every frame as shown, so in `unit.shown` (arcsec or px); NaN where the spot was lost."""
+    """Deflection of every frame as shown, so in `unit.shown`; NaN where the spot was lost."""
 
     time_s: Array
     x: Array
     y: Array
-    unit: DeflectionUnit
+    unit: ShownUnit
 
 
 @dataclass(frozen=True)
@@ -138,11 +146,14 @@ def _read_run(folder: Path, results: RunResults, number: int) -> RunData:
     if configuration is not None:
         provenance["configuration"] = _flat(json.loads(configuration))
     first_ns = stored.first_ns or (int(spots["time_ns"][0]) if len(spots) else 0)
+    unit = ShownUnit(deflections.unit.shown, deflections.unit.shown_size)
+    if results.instrument is not None and deflections.unit is DeflectionUnit.RAD:
+        unit = ShownUnit("deg", DEGREE_RAD)
     motion = Motion(
         (spots["time_ns"] - first_ns) * 1e-9 * rate,
-        deflections.shown_x,
-        deflections.shown_y,
-        deflections.unit,
+        deflections.x / unit.shown_size,
+        deflections.y / unit.shown_size,
+        unit,
     )
     if results.calibration:
         provenance["calibration"] = _flat(results.calibration)

@@ -1,6 +1,8 @@
 """`rig report`: a session's HTML page, its figures as SVG and PNG, its tables as CSV."""
 
+import re
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from acquisition.record import whole_file
@@ -8,6 +10,7 @@ from processing.contact.laws import PAPER
 from processing.errors import RecordError
 from processing.estimate import Estimate
 from processing.fit import FitMethod
+from processing.instruments import INSTRUMENTS
 from rig.analysis import (
     Budget,
     Curves,
@@ -30,9 +33,11 @@ from rig.report.figures_instruments import instrument_figures
 from rig.report.figures_place import place_figure
 from rig.report.run_data import ReportSource, RunData, read_source
 from rig.report.tables import run_tables
+from rig.report.tables_instruments import headline
 from rig.report.tables_uncertainty import budget_table, series_table
 
 _DEFAULT_PERIOD_S = 4.0
+_NOT_STATED = "not stated"
 
 
 def make_report(folder: Path, output: Path | None = None) -> Path:
@@ -87,8 +92,11 @@ def _title(source: ReportSource) -> tuple[str, str]:
     words += [word for word in (session.get("contact_history"), session.get("notes")) if word]
     if any(run.simulated for run in source.runs):
         title = f"SIMULATED: {title}"
-    what = "a pendulum on one ball" if source.runs[0].results.fits else "a pendulum"
-    return title, f"Free decay of {what}: " + ", ".join(words)
+    first = source.runs[0].results
+    what = "Free decay of a pendulum on one ball" if first.fits else "Free decay of a pendulum"
+    if first.instrument is not None:
+        what = INSTRUMENTS[first.instrument.kind].sentence.partition(":")[0]
+    return title, f"{what}: " + ", ".join(words)
 
 
 def _summary(source: ReportSource) -> list[str]:
@@ -112,6 +120,10 @@ def _summary(source: ReportSource) -> list[str]:
                 "note",
             )
         )
+    if run.instrument is not None:
+        found = headline(run.instrument, None if series is None else series.instrument)
+        body.append(html.key_values(found))
+        body.append(html.paragraph("Value ± standard uncertainty of the swings.", "note"))
     for data in source.runs:
         body.append(html.paragraph(_sentence(data)))
         if data.results.problem:
@@ -122,12 +134,24 @@ def _summary(source: ReportSource) -> list[str]:
 
 
 def _circumstances(source: ReportSource) -> list[tuple[str, str]]:
-    """When each run began and what surrounded it, and who measured."""
-    told = [("operator", source.runs[0].provenance.get("session", {}).get("operator", ""))]
+    """When each run began, how long it lasted and what surrounded it, who measured, and with what."""
+    first = source.runs[0]
+    told = []
+    if first.results.instrument is not None:
+        kind = INSTRUMENTS[first.results.instrument.kind]
+        told.append(("instrument", f"{kind.sentence.rstrip('.')} ({kind.kind})"))
+    told.append(("operator", first.provenance.get("session", {}).get("operator", "") or _NOT_STATED))
     for run in source.runs:
-        told.append((f"{run.title} began", run.provenance["file"].get("began", "")))
-        told.append((f"{run.title} in", _surroundings(run)))
+        began = run.provenance["file"].get("began", "")
+        told.append((f"{run.title} began", began and f"{began}, lasted {_lasted(run)}"))
+        told.append((f"{run.title} in", _surroundings(run) or _NOT_STATED))
+    told.append(("frames from", "the simulated rig" if first.simulated else "a camera"))
     return [(name, text) for name, text in told if text]
+
+
+def _lasted(run: RunData) -> str:
+    length_s = run.motion.time_s[-1] - run.motion.time_s[0] if len(run.motion.time_s) else 0.0
+    return f"{length_s / 60:.1f} min"
 
 
 def _surroundings(run: RunData) -> str:
@@ -177,11 +201,10 @@ def _key_results(
 
 def _sentence(run: RunData) -> str:
     results, unit = run.results, run.motion.unit.shown
-    length = run.motion.time_s[-1] - run.motion.time_s[0] if len(run.motion.time_s) else 0.0
     left_out = len(run.stored.left_out_flags)
     return (
         f"{run.title}: {results.half_cycles_text(unit, ' from ')} in "
-        f"{length / 60:.1f} min; {results.frames} frames, {results.dropped_frames} dropped; "
+        f"{_lasted(run)}; {results.frames} frames, {results.dropped_frames} dropped; "
         f"{left_out} half-cycle{'s' if left_out != 1 else ''} flagged and left out."
     )
 
@@ -191,7 +214,6 @@ def _notes(run: RunData) -> list[str]:
 
 
 def _series(series: Series, files: Path) -> list[str]:
-    body = [html.heading("Series", new_page=True)]
     tables = [series_table(series), budget_table(series.budget, "series-budget")]
     tables = [table for table in tables if table.rows]
     apart = [
@@ -202,6 +224,11 @@ def _series(series: Series, files: Path) -> list[str]:
     if FitMethod.EXACT in series.fits and not apart:
         apart = ["No run disagrees with the others."]
     apart += series.problems
+    if series.instrument is not None:
+        apart += series.instrument.text
+    if not (tables or apart):
+        return []
+    body = [html.heading("Series", new_page=True)]
     if tables:
         body.append(html.table(tables[0]))
     body.append(html.notes(apart))
@@ -231,7 +258,7 @@ def _run(run: RunData, files: Path, *, alone: bool) -> list[str]:
         body.append(html.notes(_notes(run)))
     if run.results.instrument is not None:
         body.append(html.notes(run.results.instrument.text))
-    body += take("kind-decrement", "kind-period", "kind-plane")
+    body += take("kind-damping", "kind-hardness", "kind-decrement", "kind-period", "kind-plane")
     body += take("instrument", "parameters")
     body.append(html.side_by_side(take("quality", "hertz")))
     body += take("conditions")
@@ -263,7 +290,11 @@ def _drawings(run: RunData, curves: Curves | None) -> list[Drawing]:
     if run.results.position_errors is not None:
         drawings.append(place_figure(run.results.position_errors))
     if run.results.instrument is not None:
-        drawings += instrument_figures(run.results.instrument)
+        # figures of the paper have its numbers, which mean nothing here
+        drawings = [
+            replace(each, title=re.sub(r"^Fig\. \d+: (.)", _capital, each.title)) for each in drawings
+        ]
+        drawings += instrument_figures(run.results.instrument, points)
     if run.results.laws is not None and run.results.laws.without_law is not None:
         drawings.append(figures_laws.moments_figure(run.results.laws, run.results.laws.without_law))
     pendulum = run.results.pendulum
@@ -283,6 +314,10 @@ def _drawings(run: RunData, curves: Curves | None) -> list[Drawing]:
                 figures_ground.spectrum_figure(run.spectrum, unit.shown, unit.shown_size, fit.ground)
             )
     return drawings
+
+
+def _capital(found: re.Match[str]) -> str:
+    return found[1].upper()
 
 
 def _period(run: RunData) -> float:

@@ -1,9 +1,6 @@
 """Tables of a run: its fits and what follows from them. Every number comes from results.json."""
 
 import math
-from collections.abc import Iterator, Mapping
-
-from pydantic import JsonValue
 
 from processing.estimate import Estimate
 from processing.fit import FitMethod
@@ -11,7 +8,6 @@ from rig.analysis import (
     Curves,
     ExpectedDrag,
     RunResults,
-    encoded,
     law_table,
     moments_table,
     parameter_table,
@@ -20,6 +16,7 @@ from rig.analysis import (
 )
 from rig.presentation import Cell, Table, Verdict, plain, quantity, with_uncertainty
 from rig.report.run_data import RunData
+from rig.report.tables_instruments import instrument_table
 from rig.report.tables_uncertainty import budget_table, identifiability_table, monte_carlo_table
 
 
@@ -61,44 +58,6 @@ def _judged(item: Verdict) -> str:
     if not item.ok:
         return "NOT OK"
     return "warning" if item.remedy else "ok"
-
-
-def instrument_table(results: RunResults) -> Table:
-    """What is reported of another kind of pendulum: every number with its name of results.json."""
-    rows: list[list[Cell]] = []
-    shown = []
-    for name, value, u in _numbers({} if results.instrument is None else encoded(results.instrument)):
-        rows.append([name, value, u])
-        text = value if isinstance(value, str) else with_uncertainty(value, u)
-        shown.append([name.replace("_", " ").replace(".", ": "), text])
-    return Table(
-        "instrument", "What this kind of pendulum reports",
-        ("quantity", "value", "standard_uncertainty"), rows, ("", ""), shown,
-    )  # fmt: skip
-
-
-def _numbers(tree: Mapping[str, JsonValue], above: str = "") -> Iterator[tuple[str, float | str, float]]:
-    """Every number with its dotted name and its standard uncertainty, NaN where it has none."""
-    for key, value in tree.items():
-        name = f"{above}{key}"
-        if isinstance(value, dict) and "value" in value:
-            yield name, _float(value["value"]), _float(value.get("standard_uncertainty"))
-        elif isinstance(value, dict):
-            yield from _numbers(value, f"{name}.")
-        elif isinstance(value, list) and len(value) <= _SHORT_LIST:
-            yield from _numbers({str(place): item for place, item in enumerate(value, start=1)}, f"{name}.")
-        elif isinstance(value, bool | str):
-            yield name, str(value), math.nan
-        elif isinstance(value, int | float):
-            yield name, float(value), math.nan
-
-
-def _float(value: JsonValue) -> float:
-    return float(value) if isinstance(value, int | float) else math.nan
-
-
-_SHORT_LIST = 12
-"""Longer lists (a value for every half-cycle) stay in results.json."""
 
 
 def hertz_table(results: RunResults) -> Table:

@@ -13,6 +13,7 @@ from processing.instruments.descriptions import INSTRUMENTS
 from rig.cli import app
 from rig.commands.physics import fit_records
 from rig.measure.session import measure_session, simulate_record
+from rig.presentation import with_uncertainty
 from rig.settings.configuration import load_configuration
 
 CONFIGS = Path(__file__).resolve().parents[3] / "configs"
@@ -52,7 +53,29 @@ def test_koenig_from_frames(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     assert [item["verdict"] for item in found["environment"]] == ["within", "within"]
     series = results["series"]["instrument"]
     assert series["ratio"]["value"] == pytest.approx(found["damping"]["time_s"]["value"] / 250.0)
-    assert "damping time" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "damping time over 1 place: " in said
+    assert "half-cycles, 5.99" in said
+    assert " deg, " in said
+    check_report_of_a_damping(tmp_path / "koenig", found)
+
+
+def check_report_of_a_damping(folder: Path, found: dict[str, Any]) -> None:
+    """The result stands first, in its units; circumstances, a table and a figure of its own, nothing raw."""
+    page = (folder / "report.html").read_text()
+    first = page.partition('<div class="key">')[2].partition("</div></div>")[0]
+    assert "ratio of damping times, sample to reference" in first
+    damping = found["damping"]["time_s"]
+    shown = with_uncertainty(damping["value"], damping["standard_uncertainty"])
+    assert f"damping time, 6° to 3° / s</span><b>{shown}</b>" in first
+    for stated in ("UTC, lasted 0.", "<td>operator</td>", "48 % humidity", "the simulated rig"):
+        assert stated in page
+    assert "<td>temperature</td><td>23.4</td><td>°C</td><td>21 to 25 wanted: within</td>" in page
+    assert "Fig. " not in page
+    assert (folder / "report" / "run-1" / "kind-damping.svg").exists()
+    table = (folder / "report" / "run-1" / "instrument.csv").read_text()
+    assert f"damping.time_s,{damping['value']}" in table
+    assert "text" not in table
 
 
 def test_koenig_series_with_its_glass_plate(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
