@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from pydantic import BaseModel, Field, ValidationError
+from pydantic_core import ErrorDetails
 
 from processing.errors import ConfigurationError, RecordError
 
@@ -91,10 +92,9 @@ def parse_calibration(data: bytes, name: str, kind: Kind | None = None) -> Calib
     except (UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
         raise ConfigurationError(f"{name}: is not TOML: {error}") from None
     except ValidationError as error:
-        fault = error.errors()[0]
-        place = ".".join(str(part) for part in fault["loc"])
-        said = "is missing" if fault["type"] == "missing" else fault["msg"].removeprefix("Value error, ")
-        raise ConfigurationError(f"{name}: is not a calibration file ({place}: {said})") from None
+        raise ConfigurationError(
+            f"{name}: is not a calibration file ({_in_words(error.errors()[0])}); rig calibrate makes one"
+        ) from None
     for field in ("made_at", "valid_until", "measured_at"):
         if getattr(found, field).tzinfo is None:
             raise ConfigurationError(
@@ -103,6 +103,33 @@ def parse_calibration(data: bytes, name: str, kind: Kind | None = None) -> Calib
     if kind is not None and found.kind != kind:
         raise ConfigurationError(f"{name}: is a calibration of {found.kind}, {kind} is wanted")
     return found
+
+
+def _in_words(fault: ErrorDetails) -> str:
+    """The key at fault, its value, and what should stand there."""
+    place, kind = ".".join(str(part) for part in fault["loc"]), fault["type"]
+    if kind == "missing":
+        return f"{place} is missing"
+    if kind == "extra_forbidden":
+        return f"{place}: no such key"
+    shown = repr(fault["input"])
+    shown = shown if len(shown) <= _LONGEST else f"{shown[: _LONGEST - 3]}..."
+    wanted = next((words for start, words in _WANTED.items() if kind.startswith(start)), None)
+    return f"{place} = {shown}: should be {wanted or fault['msg'].removeprefix('Input should be ')}"
+
+
+_LONGEST = 60
+_WANTED = {
+    "date": "a time with its offset from UTC, such as 2026-01-31T12:00:00Z",
+    "dict": "a table",
+    "int": "a whole number",
+    "less_than": "a version that this program knows; a later one wrote the file",
+    "model": "a table",
+    "string_pattern": "the 64 hexadecimal digits of a SHA-256",
+    "string": "text, in quotes",
+    "tuple": "a list",
+}
+"""What is wanted, by the beginning of pydantic's kind of fault."""
 
 
 def toml_text(calibration: CalibrationFile) -> str:

@@ -4,6 +4,8 @@ A message names the item, the value received and what to do. Modules raise the m
 command line prints any `RigError` as one line and sets the exit status.
 """
 
+import sys
+
 
 class RigError(Exception):
     """Base class of all errors that are reported to the user."""
@@ -11,6 +13,14 @@ class RigError(Exception):
 
 class ConfigurationError(RigError):
     """A setting is unknown, missing, of the wrong unit or out of range (exit status 2)."""
+
+
+class MissingPackage(ConfigurationError):
+    """A Python package is not installed that only a part of the program needs."""
+
+    def __init__(self, what: str, *packages: str) -> None:
+        names = " ".join(packages)
+        super().__init__(f"{what} needs {' and '.join(packages)}: {sys.executable} -m pip install {names}")
 
 
 class DeviceError(RigError):

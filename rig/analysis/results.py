@@ -114,7 +114,7 @@ class RunResults:
         `unit` is that of the record's deflections as shown, which files of schema 1 do not name. A pendulum
         that swings by degrees has its amplitudes in them.
         """
-        if not self.half_cycles or not isfinite(self.initial_amplitude):
+        if not self.half_cycles or not isfinite(self.initial_amplitude + self.final_amplitude):
             return f"{self.half_cycles or 'no'} half-cycles"
         first, last = self.initial_amplitude, self.final_amplitude
         if self.instrument is not None and self.amplitude_unit == "arcsec":

@@ -11,8 +11,9 @@ from rig.analysis.results import EnvelopeResults, TableResults
 from rig.analysis.results_file import RESULTS_NAME, write_results
 from rig.analysis.screen import print_run
 from rig.analysis.table_fit import AnalysedTable, Columns, FoundDecay, analyse_envelope, analyse_table
+from rig.instrument import fill_from_files
 from rig.presentation import with_uncertainty
-from rig.settings import load_configuration
+from rig.settings import OF_TABLES, load_configuration, refuse_without_effect
 
 ENVELOPES = ("amplitude", "power")
 
@@ -25,7 +26,10 @@ def fit_trajectory(
     overrides: Sequence[str],
 ) -> int:
     """Analyse a table, print what is known of every decay, write results.json. Returns the exit status."""
-    config = load_configuration(config_path, overrides, needs_camera=False) if config_path else None
+    config = None
+    if config_path:
+        config = fill_from_files(load_configuration(config_path, overrides, needs_camera=False))
+        refuse_without_effect(overrides, OF_TABLES, "a table holds neither frames nor spots")
     table = analyse_table(path, config, columns)
     _print(path, table)
     _write(output, table.results)

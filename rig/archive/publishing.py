@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 from acquisition.record.digest import sha256_of
 from acquisition.record.identity import measured_sha256_of
 from acquisition.record.reader import RecordReader
-from processing.errors import ConfigurationError, RecordError
+from processing.errors import ConfigurationError, MissingPackage, RecordError
 from rig.analysis import read_results, results_path, write_results
 from rig.archive.blind import sealed
 from rig.archive.chosen import chosen_runs
@@ -50,9 +50,7 @@ def publish_runs(archive: Path, names: Sequence[str], where: str, output: Path, 
     try:
         from rocrate.rocrate import ROCrate
     except ImportError:
-        raise ConfigurationError(
-            "rig archive publish needs rocrate: pip install 'optical-pendulum-rig[publish]'"
-        ) from None
+        raise MissingPackage("rig archive publish", "rocrate") from None
     if not re.fullmatch(r"[A-Za-z0-9.+-]+", statement.licence):
         raise ConfigurationError(f"--licence {statement.licence!r}: is no name of SPDX, such as CC-BY-4.0")
     if not statement.title.strip() or not statement.authors:

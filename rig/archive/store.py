@@ -13,7 +13,7 @@ from typing import Any, Concatenate, ParamSpec, TypeVar
 
 import zstandard
 
-from processing.errors import ConfigurationError, RecordError
+from processing.errors import MissingPackage, RecordError
 from rig.archive.blind import Seal, offsets, sealed
 from rig.archive.columns import COLUMNS, OF_REFITS, SHORT_NAMES, Column
 from rig.archive.remarks import read_remarks
@@ -208,9 +208,7 @@ def duckdb_module() -> Any:
     try:
         import duckdb
     except ImportError:
-        raise ConfigurationError(
-            "rig archive needs DuckDB and pyarrow: pip install 'optical-pendulum-rig[archive]'"
-        ) from None
+        raise MissingPackage("rig archive", "duckdb", "pyarrow") from None
     return duckdb
 
 

@@ -12,7 +12,7 @@ from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import get_context
 from typing import Any, TypeVar
 
-from processing.errors import ConfigurationError
+from processing.errors import ConfigurationError, MissingPackage
 
 T = TypeVar("T")
 Work = Callable[[T], str]
@@ -94,9 +94,7 @@ def on_cluster(work: Work[T], tasks: Sequence[T], address: str) -> Iterator[tupl
         from distributed import Client
         from distributed.scheduler import KilledWorker
     except ImportError:
-        raise ConfigurationError(
-            "--cluster needs Dask: pip install 'optical-pendulum-rig[cluster]'"
-        ) from None
+        raise MissingPackage("--cluster", "distributed") from None
     try:
         client = Client(address, timeout="10s", set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from processing.errors import ConfigurationError
+from processing.errors import MissingPackage
 from rig.commands.arguments import MODES, Config, JsonLines, Set, View
 from rig.commands.outputs import appended_file, new_file
 
@@ -79,7 +79,7 @@ def desk(
     browser: Annotated[bool, typer.Option(help="Open the page in the browser.")] = True,
     set_: Set = None,
 ) -> None:
-    """Open the operator's desk: a page in the browser to run the rig from.
+    """Open a page in the browser to run the rig from.
 
     \b
     Example:
@@ -90,9 +90,7 @@ def desk(
     except ModuleNotFoundError as error:
         if (error.name or "").partition(".")[0] not in ("nicegui", "fastapi", "starlette", "uvicorn"):
             raise
-        raise ConfigurationError(
-            f"rig desk needs {error.name}: pip install 'optical-pendulum-rig[desk]'"
-        ) from None
+        raise MissingPackage("rig desk", "nicegui") from None
     raise typer.Exit(open_desk(config, tuple(set_ or ()), port=port, browser=browser))
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from processing.errors import ConfigurationError
+from processing.errors import MissingPackage
 from rig.export.run import ExportedRun, columns_of, unit_of
 
 _NEXUS_UNITS = {"px": "pixel"}
@@ -26,9 +26,7 @@ def write_nexus(path: Path, runs: Sequence[ExportedRun]) -> None:
     try:
         import h5py
     except ImportError:
-        raise ConfigurationError(
-            "HDF5 needs h5py: pip install 'optical-pendulum-rig[export]', or take --format parquet"
-        ) from None
+        raise MissingPackage("--format hdf5", "h5py") from None
     with h5py.File(path, "x") as file:
         file.attrs["NX_class"] = "NXroot"
         file.attrs["default"] = item_name(runs[0].name)

@@ -10,7 +10,7 @@ from rig.instrument.balance import (
     turn_text,
 )
 from rig.instrument.beam_verdict import beam_quality
-from rig.instrument.calibration import judge_calibration
+from rig.instrument.calibration import fill_from_files, judge_calibration
 from rig.instrument.complete_configuration import complete
 from rig.instrument.configured_camera import (
     camera_settings,
@@ -52,6 +52,7 @@ __all__ = [
     "check_materials",
     "complete",
     "configuration_attachments",
+    "fill_from_files",
     "frame_policy",
     "frame_shape",
     "height_of",

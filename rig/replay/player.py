@@ -16,6 +16,8 @@ HELP: Final = "space pause  → frame  h half-cycle  + - 10 s  g go to  q end"
 SEEK_S: Final = 10.0
 _TICK_S = 0.05
 _LATEST_S = 0.5
+_SEEN_S = 2.0
+"""After so long it is known how fast a replay goes."""
 MOST_FRAMES = {False: 10_000, True: 64}
 """Frames processed between two checks of the keys: with recorded spots, and tracked again."""
 
@@ -68,6 +70,7 @@ class Player:
         self._last_sequence = -1
         self.paused = False
         self.ended_by_user = False
+        self._begun = False
         self._forget()
 
     def play(self) -> None:
@@ -126,6 +129,10 @@ class Player:
                 self._amplitude = swing.amplitude / block.deflections.unit.shown_size
                 self._period_s = 2.0 * swing.half_period_s
         self._draw(step)
+        if not self._begun:
+            # the first frames wait for what is loaded and compiled, and say nothing of the others
+            self._begun = True
+            self._resume()
         return step
 
     def _draw(self, step: Step) -> None:
@@ -205,7 +212,7 @@ class Player:
         replay = self._replay
         position_s = replay.position_s
         gone_s, host_s = position_s - self._base_s, self._clock() - self._base_clock_s
-        known = gone_s > 0 and host_s > 0 and not self.paused
+        known = gone_s > 0 and host_s > _SEEN_S and not self.paused
         remaining_s = (replay.length_s - position_s) * host_s / gone_s if known else math.nan
         snapshot = Snapshot(
             phase="paused" if self.paused else "replaying",

@@ -13,7 +13,7 @@ from rig.settings.configuration import (
     load_configuration,
     validate_configuration,
 )
-from rig.settings.effect import OF_FITS, OF_REPLAYS, OF_TRACKING, refuse_without_effect
+from rig.settings.effect import OF_FITS, OF_REPLAYS, OF_TABLES, OF_TRACKING, refuse_without_effect
 from rig.settings.instrument import InstrumentSettings
 from rig.settings.night_plan import PlannedSeries, load_plan
 from rig.settings.phases import PreflightSettings
@@ -24,6 +24,7 @@ from rig.settings.wording import in_words, validated
 __all__ = [
     "OF_FITS",
     "OF_REPLAYS",
+    "OF_TABLES",
     "OF_TRACKING",
     "BalanceSettings",
     "Configuration",

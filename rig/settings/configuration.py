@@ -242,7 +242,10 @@ def validate_configuration(
     if config is not None:
         return config
     stated = {f"{override.partition('=')[0].strip()}." for override in overrides}
-    lines = [f"{'--set ' if _is_of(dotted(place), stated) else source + ': '}{line}" for place, line in told]
+    lines = [
+        f"{'--set ' if _is_of(dotted(place) or line, stated) else source + ': '}{line}"
+        for place, line in told
+    ]
     raise ConfigurationError("\n".join(lines))
 
 
@@ -267,7 +270,12 @@ def keys_with_faults(
 
 
 def _is_of(place: str, stated: set[str]) -> bool:
-    """Whether a fault is that of a key that --set states, or inside or around it."""
+    """Whether a fault is that of a key that --set states, or inside or around it.
+
+    The place of a fault between several keys is its line, in which they stand.
+    """
+    if " " in place:
+        return any(key.rstrip(".") in place for key in stated)
     return any(key.startswith(f"{place}.") or f"{place}.".startswith(key) for key in stated)
 
 

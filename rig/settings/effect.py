@@ -18,6 +18,16 @@ OF_FITS = (
     "timebase",
 )
 """What the fits of a record take from its configuration: keys, or how they begin."""
+OF_TABLES = (
+    *OF_FITS,
+    "axes",
+    "calibration.axes",
+    "calibration.clock",
+    "calibration.lever",
+    "calibration.shutter",
+    "lever",
+    "shutter",
+)
 OF_REPLAYS = (*OF_FITS, "axes", "lever", "shutter", "view")
 OF_TRACKING = (*OF_REPLAYS, "sensor")
 

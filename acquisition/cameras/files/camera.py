@@ -60,7 +60,10 @@ class FilesCamera:
         if self._info is not None:
             return self._info
         path = self._settings.path
-        source = open_source(path)
+        try:
+            source = open_source(path)
+        except DeviceError as error:
+            raise DeviceError(f"camera.files.path: {error}") from None
         if source.lossy:
             _log.warning("%s: codec %s loses detail; spot positions suffer from it", path, source.lossy)
         self._times = frame_times(self._settings, source.count, source.names, source.hint)

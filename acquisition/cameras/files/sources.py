@@ -64,7 +64,7 @@ def open_source(path: Path) -> Source:
     if path.is_dir():
         return FolderSource(path)
     if not path.exists():
-        raise DeviceError(f"{path}: no such file or folder; check camera.files.path")
+        raise DeviceError(f"{path}: no such file or folder of frames; name another")
     if path.suffix.lower() == ".npy":
         return StackSource(path)
     if path.suffix.lower() in _STACKS:
@@ -96,8 +96,7 @@ class FolderSource:
         self.lossy = ""
         if not self.names:
             raise DeviceError(
-                f"{path}: holds no image ({', '.join(IMAGES)}) among its {len(inside)} files; "
-                "check camera.files.path"
+                f"{path}: holds no image ({', '.join(IMAGES)}) among its {len(inside)} files; name another"
             )
 
     def read(self, index: int) -> Stored:

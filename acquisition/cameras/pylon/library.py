@@ -4,7 +4,7 @@ import warnings
 from typing import Any
 
 from acquisition.camera import PluggedCamera
-from processing.errors import DeviceError
+from processing.errors import DeviceError, MissingPackage
 
 
 def load_pylon() -> Any:
@@ -15,9 +15,7 @@ def load_pylon() -> Any:
             warnings.simplefilter("ignore")
             from pypylon import pylon
     except ImportError:
-        raise DeviceError(
-            "camera.driver = 'pylon' needs the package pypylon: pip install 'optical-pendulum-rig[pylon]'"
-        ) from None
+        raise DeviceError(str(MissingPackage("camera.driver = 'pylon'", "pypylon"))) from None
     return pylon
 
 

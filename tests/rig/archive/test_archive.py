@@ -256,5 +256,5 @@ def test_without_duckdb_one_line_says_what_to_install(
     done = rig("archive", "add", tmp_path, "--archive", tmp_path / "archive")
     assert done.returncode == 2
     assert done.stderr == (
-        "rig: rig archive needs DuckDB and pyarrow: pip install 'optical-pendulum-rig[archive]'\n"
+        f"rig: rig archive needs duckdb and pyarrow: {sys.executable} -m pip install duckdb pyarrow\n"
     )

@@ -66,5 +66,5 @@ def test_without_rocrate_one_line_says_what_to_install(
     done = rig("archive", "publish", "--where", "true", "-o", tmp_path / "crate", *SAID, "--archive", archive)
     assert done.returncode == 2
     assert done.stderr == (
-        "rig: rig archive publish needs rocrate: pip install 'optical-pendulum-rig[publish]'\n"
+        f"rig: rig archive publish needs rocrate: {sys.executable} -m pip install rocrate\n"
     )

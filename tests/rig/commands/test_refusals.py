@@ -35,6 +35,14 @@ def said(*words: str | Path, cwd: Path, status: int = 2) -> str:
         (("doctor", DEMO, "--set", "simulation.contact.mass_kg=406"), "should be less than 100 kg"),
         (("doctor", DEMO, "--set", "simulation.contact.gravity_m_per_s2=981"), "should be less than 30 m/s²"),
         (("doctor", DEMO, "--set", "environment.pressure_pa=1013"), "should be greater than 10000 Pa"),
+        (
+            ("doctor", DEMO, "--set", 'session.stop_when=["u(z)/z<1"]'),
+            "--set session.stop_when: no parameter z",
+        ),
+        (
+            ("doctor", DEMO, "--set", "session.final_amplitude_arcsec=300"),
+            "--set session.final_amplitude_arcsec = 300 must be below",
+        ),
         (("doctor", DEMO, "--set", "session=3"), "session = 3: should be a table with keys of its own"),
         (("info", "."), ".: holds no record (run-1.mcap, ...)"),
         (
@@ -81,6 +89,28 @@ def test_every_fault_of_a_plan_and_of_a_calibrations_file_is_said(tmp_path: Path
     )
 
 
+def test_files_of_calibrations_are_refused_in_our_words(tmp_path: Path) -> None:
+    (tmp_path / "frames.toml").write_text('darks = "none"\n[[level]]\nframes = "none"\n')
+    assert said("calibrate", "sensor", "frames.toml", cwd=tmp_path, status=1) == (
+        "rig: none: no such folder or file of frames; the list names it relative to itself\n"
+    )
+    older = Path(__file__).resolve().parents[1] / "data" / "older" / "calibrations"
+    good = next(older.glob("lever*.toml")).read_text()
+    for wrong, message in (
+        ("schema_version = 99", "schema_version = 99: should be a version that this program knows"),
+        ("made_at = 'soon'", "made_at = 'soon': should be a time with its offset from UTC"),
+        ('kind = "leaver"', "kind = 'leaver': should be 'lever', 'axes'"),
+        ("methud = 1", "methud: no such key"),
+        ("sources = 3", "sources = 3: should be a list"),
+    ):
+        key = wrong.partition(" ")[0]
+        kept = [line for line in good.partition("\n[")[0].splitlines() if not line.startswith(f"{key} =")]
+        (tmp_path / "lever.toml").write_text("\n".join([*kept, wrong, ""]))
+        answer = said("doctor", DEMO, "--set", "calibration.lever=lever.toml", cwd=tmp_path)
+        assert f"lever.toml: is not a calibration file ({message}" in answer
+        assert "rig calibrate makes one" in answer
+
+
 def test_a_changed_key_that_nothing_uses_is_refused(measured_series: Path, tmp_path: Path) -> None:
     record = measured_series / "run-1.mcap"
     noise = ("--set", "sensor.read_noise_e=40")
@@ -90,6 +120,12 @@ def test_a_changed_key_that_nothing_uses_is_refused(measured_series: Path, tmp_p
     )
     assert "--set lever.arm_m: has no effect here" in said(
         "fit", record, "--set", "lever.arm_m=2", "-o", "fit", cwd=tmp_path
+    )
+    table = ("fit", "table.csv", "--config", DEMO, "--set", "session.runs=2")
+    (tmp_path / "table.csv").write_text("t,y\n0,1\n")
+    assert "--set session.runs: has no effect here; a table holds" in said(*table, cwd=tmp_path)
+    assert "lever.toml: cannot read the calibration" in said(
+        *table[:-1], "calibration.lever=lever.toml", cwd=tmp_path
     )
     assert "--set sesion: unknown key; did you mean session?" in said(
         "replay", record, "--set", "sesion.runs=1", cwd=tmp_path
