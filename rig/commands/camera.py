@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from rig.commands.arguments import MODES, Config, Set, View
-from rig.commands.outputs import new_file, old_folder
+from rig.commands.outputs import new_file, new_folder, old_folder
 
 if TYPE_CHECKING:
     from acquisition.camera import Camera, CameraInfo, CameraSettings
@@ -162,7 +162,15 @@ def snap(
 
 def record(
     config: Config,
-    output: Annotated[Path, typer.Option("-o", "--output", help="Record to write (MCAP file).")],
+    output: Annotated[
+        Path,
+        typer.Option(
+            "-o",
+            "--output",
+            help="Record to write (MCAP file).",
+            callback=new_file(".mcap", makes_folders=True),
+        ),
+    ],
     seconds: Annotated[float, typer.Option(help="Length of the record.", min=1)] = 20.0,
     set_: Set = None,
 ) -> None:
@@ -174,18 +182,18 @@ def record(
     Example:
       rig camera record mine.toml -o clamped.mcap --seconds 120
     """
-    from processing.errors import ConfigurationError
     from rig.measure import record_plainly
     from rig.settings import load_configuration
 
-    if output.suffix != ".mcap":
-        raise ConfigurationError(f"{output}: a record is an MCAP file; name one that ends in .mcap")
     typer.echo(record_plainly(load_configuration(config, set_ or []), config, output, seconds))
 
 
 def frames(
     config: Config,
-    output: Annotated[Path, typer.Option("-o", "--output", help="Folder to make, for the PNG files.")],
+    output: Annotated[
+        Path,
+        typer.Option("-o", "--output", help="Folder to make, for the PNG files.", callback=new_folder),
+    ],
     number: Annotated[int, typer.Option("-n", "--number", help="Number of frames.", min=1, max=64)] = 2,
     set_: Set = None,
 ) -> None:

@@ -48,7 +48,7 @@ def take_frames(config: Configuration, folder: Path, count: int) -> Path:
     with Devices(config).camera(config) as opened:
         opened.camera.start()
         try:
-            frames = [opened.camera.read(config.camera.timeout_s) for _ in range(count)]
+            frames = [opened.camera.read(config.camera.patience_s) for _ in range(count)]
         finally:
             opened.camera.stop()
     images = [frame.image for frame in frames if frame is not None]
