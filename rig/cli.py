@@ -127,6 +127,9 @@ def _say(error: Exception) -> int:
         return 2
     if isinstance(error, RigError):
         text, status = str(error), 2 if isinstance(error, ConfigurationError) else 1
+    elif isinstance(error, OSError) and error.strerror:
+        # what no command foresaw: a disk that fills up, a folder that is taken away
+        text, status = f"{error.filename or 'a file or device'}: {error.strerror} (--debug shows where)", 1
     elif hasattr(error, "format_message"):
         # wrong usage, reported by typer
         text, status = error.format_message().replace("Input should be", "should be"), 2

@@ -34,7 +34,7 @@ def test_a_run_is_planned_from_a_record(
     assert by_last[15.0]["duration_s"] > by_last[60.0]["duration_s"]
     assert by_last[15.0]["u_b"] < by_last[60.0]["u_b"]
     assert (folder / "plan.png").stat().st_size > 10_000
-    with pytest.raises(ConfigurationError, match=r"plan\.csv exists, and nothing is overwritten"):
+    with pytest.raises(FileExistsError, match=r"plan\.csv"):
         plan(record, [124.0], [15.0], None, folder, None)
 
 
