@@ -8,6 +8,7 @@ from rig.analysis import (
     Curves,
     ExpectedDrag,
     RunResults,
+    encoded,
     law_table,
     moments_table,
     parameter_table,
@@ -134,7 +135,10 @@ def drag_table(results: RunResults) -> Table:
     note = ""
     if drag.of_air is not None:
         numbers = {name: value for name, value in encoded(drag.of_air).items() if name != "assumed"}
-        rows += [[f"of_air_{name}", _float(value)] for name, value in numbers.items()]
+        rows += [
+            [f"of_air_{name}", value if isinstance(value, int | float) else math.nan]
+            for name, value in numbers.items()
+        ]
         note = "What air gives is its order of magnitude, of a bar in the pendulum's place" + (
             f"; assumed: {', '.join(drag.of_air.assumed)}." if drag.of_air.assumed else "."
         )

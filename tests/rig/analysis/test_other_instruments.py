@@ -68,7 +68,7 @@ def check_report_of_a_damping(folder: Path, found: dict[str, Any]) -> None:
     damping = found["damping"]["time_s"]
     shown = with_uncertainty(damping["value"], damping["standard_uncertainty"])
     assert f"damping time, 6° to 3° / s</span><b>{shown}</b>" in first
-    for stated in ("UTC, lasted 0.", "<td>operator</td>", "48 % humidity", "the simulated rig"):
+    for stated in ("UTC, lasted 0.", "<td>operator</td>", "humidity 48", "the simulated rig"):
         assert stated in page
     assert "<td>temperature</td><td>23.4</td><td>°C</td><td>21 to 25 wanted: within</td>" in page
     assert "Fig. " not in page
