@@ -82,9 +82,11 @@ def _of_record(path: Path) -> Row:
             contents, texts = reader.contents, reader.metadata
             row |= {"state": "whole", "sha256": identity_of(reader) or row["sha256"]}
             thinning = thinning_of(reader)
-            row["windows"] = "recorded" if reader.counts.get(WINDOW.topic) else "none"
             if thinning is not None:
                 row["windows"] = thinning.get("windows")
+            elif not reader.truncated:
+                # one that was cut lacks the counts
+                row["windows"] = "recorded" if reader.counts.get(WINDOW.topic) else "none"
             if reader.truncated:
                 row |= {"state": "cut", "flaw": "it has no ending; rig recover makes a complete file of it"}
             elif contents.damage or not data_crc_matches(reader.file, contents):

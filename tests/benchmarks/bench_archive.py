@@ -1,7 +1,8 @@
 """An archive of many sessions: adding, listing, killed at random moments, two that add at once, refits.
 
 Run as ``python -m tests.benchmarks archive [--quick]``; `RIG_BENCH_SESSIONS` names another number of sessions
-than 10,000 (which take 4 GB while it runs). The archive on S3 needs moto's server and s3fs, the cluster Dask.
+than 10,000 (which take 4 GB while it runs), `RIG_BENCH_REFITS` that of the sessions, of three runs each, that
+are fitted anew. The archive on S3 needs moto's server and s3fs, the cluster Dask.
 """
 
 import contextlib
@@ -70,7 +71,8 @@ def run(quick: bool = False) -> dict[str, Any]:
         start_s = results["add again: s"]
         results |= _killed(folder / "runs", folder / "killed", sessions, kills, start_s, results["add: s"])
         results |= _two_at_once(folder / "runs", folder / "two", sessions)
-        results |= _refits(folder / "refitted", sessions=3 if quick else 40)
+        refitted = int(os.environ.get("RIG_BENCH_REFITS", "3" if quick else "40"))
+        results |= _refits(folder / "refitted", sessions=refitted)
         results |= cluster_on_s3(folder / "cluster", sessions=4 if quick else 20)
     table = Table("archive", "measured")
     for key, value in results.items():

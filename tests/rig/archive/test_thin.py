@@ -94,6 +94,7 @@ def test_windows_go_by_rule_and_the_record_stays_the_same_measurement(
         assert json.loads(reader.attachments[attached[-1]])["runs"][0]["sha256"] == measured
     # the same run of the same session, with its results and its tag
     changed = {"recorded": "dropped"}
+    assert {row[3] for row in listed} == {"recorded", "none", None}
     assert rows(archive) == [
         (*row[:3], changed[str(row[3])] if row[0] == measured else row[3], *row[4:]) for row in listed
     ]
