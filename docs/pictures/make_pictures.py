@@ -21,10 +21,23 @@ import numpy as np
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parents[1]))
 
+from rig.instrument import complete  # noqa: E402
+from rig.plan import expected_of, plan_expected  # noqa: E402
+from rig.plan.figure import plan_figure  # noqa: E402
+from rig.report import png, styled  # noqa: E402
 from rig.rerun import LayoutName  # noqa: E402
 from rig.rerun.layout import TIMELINE  # noqa: E402
+from rig.settings import load_configuration  # noqa: E402
 from rig.view.recorded import write_rrd  # noqa: E402
-from tests.rig.drawn_pictures import CONFIGURATION, DRAWN, RESULT_FIGURES, drawn_now  # noqa: E402
+from tests.rig.drawn_pictures import (  # noqa: E402
+    CONFIGURATION,
+    DRAWN,
+    PLANNED,
+    PLANNED_FROM_ARCSEC,
+    PLANNED_RUNS,
+    RESULT_FIGURES,
+    drawn_now,
+)
 from tests.rig.view.headless_viewer import headless_viewer, software_vulkan  # noqa: E402
 
 BAR_PX = 36
@@ -43,6 +56,7 @@ def main(session: Path) -> None:
             write_rrd([session / "run-1.mcap"], rrd, layout=layout)
             photograph(rrd, HERE / f"rerun-{layout}.png", MOMENT_S[layout])
     gather_figures(session / "report" / "run-1", HERE / "result.png")
+    draw_plan(HERE / "plan.png")
     DRAWN.write_text(json.dumps(drawn_now(), indent=2) + "\n", encoding="utf-8")
 
 
@@ -55,6 +69,16 @@ def photograph(rrd: Path, picture: Path, at_s: float) -> None:
         window = shown.picture(picture)
     # without the viewer's own bar, whose warnings are about this way of drawing
     save(window[BAR_PX:, :, ::-1], picture)
+
+
+def draw_plan(picture: Path) -> None:
+    """Save what runs of the basement's rig will tell."""
+    expected = expected_of(complete(load_configuration(PLANNED)))
+    lasts = [60.0, 30.0, 15.0, 8.0, 4.0, 2.0]
+    plan = plan_expected(expected, PLANNED_FROM_ARCSEC, lasts, counts=PLANNED_RUNS)
+    with styled():
+        picture.write_bytes(png(plan_figure(plan)))
+    print(f"{picture.name}: {picture.stat().st_size / 1000:.0f} kB")
 
 
 def gather_figures(report: Path, picture: Path) -> None:

@@ -10,14 +10,20 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from rig.report import draw_run
+from rig.instrument import complete
+from rig.plan import expected_of, plan_expected
+from rig.plan.figure import plan_figure
+from rig.report import draw_run, styled
 from rig.rerun import LayoutName
+from rig.settings import load_configuration
 
 ROOT = Path(__file__).resolve().parents[2]
 PICTURES = ROOT / "docs" / "pictures"
 DRAWN = PICTURES / "drawn.json"
 """The hashes at the time when the pictures were made."""
 CONFIGURATION = ROOT / "configs" / "demo.toml"
+PLANNED = ROOT / "configs" / "basement.toml"
+PLANNED_FROM_ARCSEC, PLANNED_RUNS = (300.0, 124.0), (1, 3)
 RESULT_FIGURES = (("fig12-decay", "fig13-period"), ("table4-loops", "losses"))
 _REFERENCES = ROOT / "tests" / "rig" / "view" / "data"
 _RESULTS = ROOT / "tests" / "rig" / "data" / "older" / "series"
@@ -37,9 +43,18 @@ def drawn_now() -> dict[str, str]:
     wanted = [name for row in RESULT_FIGURES for name in row]
     return {
         **views,
+        "plan.png": _sha256_of(_described(_small_plan())),
         "result.png": _sha256_of([_described(figures[name]) for name in wanted]),
         CONFIGURATION.name: _sha256_of(tomllib.loads(CONFIGURATION.read_text(encoding="utf-8"))),
     }
+
+
+def _small_plan() -> Figure:
+    """As many curves as the picture has, of fewer runs."""
+    expected = expected_of(complete(load_configuration(PLANNED)))
+    plan = plan_expected(expected, PLANNED_FROM_ARCSEC, [60.0, 30.0], counts=PLANNED_RUNS)
+    with styled():
+        return plan_figure(plan).figure
 
 
 def _described(figure: Figure) -> list[Any]:
