@@ -1,22 +1,29 @@
 """Runs that end by `session.stop_when` still cover, and a plan says what runs scatter.
 
 Run as ``python -m tests.benchmarks.bench_enough [--quick] [--seeds N] [PART...]`` from the repository; its
-parts are stopping, plans and frames.
+parts are stopping, plans, frames and share, which takes five minutes by the clock.
 The half-cycles come from the tests' own integration of a driven pendulum, and from the simulated rig in the
 basement world; neither shares a formula with the fit.
 """
 
 import argparse
 import json
+import os
+import subprocess
 import sys
+import tempfile
+import time
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import replace
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from acquisition.simulation.disturbances import FrameNoise, Pointing
 from acquisition.simulation.true_path import true_path, true_turning_points
+from processing.contact import ContactParameters
 from processing.contact.laws import PAPER
 from processing.deflections import DeflectionUnit, slow_deflections
 from processing.errors import RigError
@@ -74,7 +81,7 @@ def stopped(points: TurningPoints, case: Stopping) -> FitResult | None:
 def stopping(case: Stopping, seeds: int) -> dict[str, Any]:
     """Shares of runs whose one-u intervals hold the truth, and where they ended."""
     parameters, pendulum = paper_pair(case.flat)
-    inside, ends, errors = [], [], []
+    inside, ends, errors, runs = [], [], [], []
     unended = failed = 0
     for seed in range(seeds):
         points = driven_decay(parameters, pendulum, q=case.q, noise_arcsec=NOISE_ARCSEC, seed=9000 + seed)
@@ -87,14 +94,11 @@ def stopping(case: Stopping, seeds: int) -> dict[str, Any]:
             unended += 1
             continue
         ends.append(fit.half_cycles)
-        row, error = [], []
-        for name in PAPER.names():
-            (low, high), (value, u) = fit.interval(name, 0.6827), fit.estimate(name)
-            true = getattr(parameters, name)
-            row.append(low <= true <= high)
-            error.append((value - true) / u)
-        inside.append(row)
-        errors.append(error)
+        runs.append(points)
+        inside.append(holds(fit, parameters))
+        errors.append([pull(fit, name, getattr(parameters, name)) for name in PAPER.names()])
+    length = int(np.median(ends))
+    fixed = [fit_exact(points.first(length), paper_pair(case.flat)[1], averaged=False) for points in runs]
     return {
         "pair": case.flat,
         "when": list(case.when),
@@ -103,8 +107,23 @@ def stopping(case: Stopping, seeds: int) -> dict[str, Any]:
         "reached_the_last_amplitude": unended,
         "half_cycles": np.percentile(ends, [5, 50, 95]).tolist(),
         "one_u": by_name(np.mean(inside, axis=0)),
+        "one_u_at_a_fixed_length": by_name(np.mean([holds(fit, parameters) for fit in fixed], axis=0)),
         "mean_error_over_u": by_name(np.mean(errors, axis=0)),
     }
+
+
+def holds(fit: FitResult, parameters: ContactParameters) -> list[bool]:
+    """Whether the interval of one u holds the truth, by parameter."""
+    found = []
+    for name in PAPER.names():
+        low, high = fit.interval(name, 0.6827)
+        found.append(low <= getattr(parameters, name) <= high)
+    return found
+
+
+def pull(fit: FitResult, name: str, true: float) -> float:
+    value, u = fit.estimate(name)
+    return (value - true) / u
 
 
 def plans(pair: str, runs: int) -> dict[str, Any]:
@@ -186,6 +205,64 @@ def frames(runs: int, *wanted: str) -> dict[str, Any]:
     }
 
 
+def share(seconds: float) -> dict[str, float]:
+    """Processor time of the process that fits beside a run in real time, over the time since it began.
+
+    It begins after 40 half-cycles; what it takes until its first fit stands apart.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        wanted = [f"session.max_duration_s={seconds}", "simulation.real_time=true", "view.file=false"]
+        words = [word for one in wanted for word in ("--set", one)]
+        command = [
+            sys.executable,
+            "-m",
+            "rig",
+            "run",
+            str(CONFIGS / "demo.toml"),
+            "-o",
+            f"{folder}/run",
+            *words,
+        ]
+        run = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        seen: list[tuple[float, float]] = []
+        while run.poll() is None:
+            child = [pid for pid in children(run.pid) if "rig.posterior" in command_of(pid)]
+            with suppress(OSError):
+                if child:
+                    seen.append((time.monotonic(), cpu_s(child[0])))
+            time.sleep(1.0)
+    time_s, used_s = np.array(seen).T
+    # what loads libraries and kernels is over when the process first waits
+    begun = int(np.argmax(np.diff(used_s) < 0.05)) + 1
+    return {
+        "seconds": float(time_s[-1] - time_s[begun]),
+        "start_cpu_s": float(used_s[begun]),
+        "share": float((used_s[-1] - used_s[begun]) / (time_s[-1] - time_s[begun])),
+        "share_with_start": float(used_s[-1] / (time_s[-1] - time_s[0])),
+    }
+
+
+def children(pid: int) -> list[int]:
+    return [int(word) for word in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()] + [
+        int(word)
+        for task in Path(f"/proc/{pid}/task").iterdir()
+        if task.name != str(pid)
+        for word in (task / "children").read_text().split()
+    ]
+
+
+def command_of(pid: int) -> str:
+    with suppress(OSError):
+        return Path(f"/proc/{pid}/cmdline").read_bytes().replace(b"\0", b" ").decode()
+    return ""
+
+
+def cpu_s(pid: int) -> float:
+    """User and system time of a process so far."""
+    words = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(words[11]) + int(words[12])) / os.sysconf("SC_CLK_TCK")
+
+
 def by_name(values: Any) -> dict[str, float]:
     return dict(zip(PAPER.names(), np.asarray(values, dtype=np.float64).tolist(), strict=True))
 
@@ -206,6 +283,7 @@ def run(quick: bool = False, seeds: int = 200, only: tuple[str, ...] = ()) -> di
                 f"{found['half_cycles']} half-cycles (5, 50, 95 %)"
             )
             print("  within 1 u   ", words(found["one_u"]))
+            print("  fixed length ", words(found["one_u_at_a_fixed_length"]))
             print("  mean error/u ", words(found["mean_error_over_u"]), flush=True)
     if not only or "plans" in only:
         for pair in PLANNED:
@@ -227,6 +305,9 @@ def run(quick: bool = False, seeds: int = 200, only: tuple[str, ...] = ()) -> di
             print("  scatter/planned", words(found["scatter_over_planned"]))
             print("  stated/planned ", words(found["stated_over_planned"]))
             print("  drive/model, 16, 50, 84 %", found["drive_over_model"], flush=True)
+    if "share" in only:
+        out["share"] = share(30.0 if quick else 300.0)
+        print("process that fits beside a run in real time:", out["share"], flush=True)
     return out
 
 

@@ -1,7 +1,7 @@
 """Which law is named: true laws in the basement, three laws fitted to each, over many seeds.
 
-Run as ``python -m tests.benchmarks.bench_laws [--seeds N] [CASE...]`` from the repository. The paper's three
-pairs move as the simulated rig has them, on a basement's ground. Rolling with memory and Dahl's friction move
+Run as ``python -m tests.benchmarks.bench_laws [--seeds N] [--first N] [CASE...]`` from the repository. The
+paper's three pairs move as the simulated rig has them, on a basement's ground. Rolling with memory and Dahl's friction move
 as the tests' own integrations of springs with sliders and of his equation have them: at rest, and walking in
 amplitude and phase as the basement's drive at the swing's frequency lets them.
 """
@@ -101,13 +101,13 @@ def false_friends(seeds: int) -> dict[str, Any]:
     return result
 
 
-def run(quick: bool = False, seeds: int = 40, only: tuple[str, ...] = ()) -> dict[str, Any]:
+def run(quick: bool = False, seeds: int = 40, only: tuple[str, ...] = (), first: int = 0) -> dict[str, Any]:
     """Counts of the verdicts for every true law."""
     seeds = 3 if quick else seeds
     result: dict[str, Any] = {}
     for name, points, pendulum in cases(only):
         began_s = process_time()
-        found = Counter(named(points(seed), pendulum) for seed in range(seeds))
+        found = Counter(named(points(seed), pendulum) for seed in range(first, first + seeds))
         result[name] = {**found, "cpu_s": process_time() - began_s}
         print(name, result[name], flush=True)
     if not only or "friends" in only:
@@ -119,6 +119,8 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--seeds", type=int, default=40)
+    parser.add_argument("--first", type=int, default=0, help="first seed")
     parser.add_argument("only", nargs="*")
     arguments = parser.parse_args()
-    print(json.dumps(run(arguments.quick, arguments.seeds, tuple(arguments.only)), indent=1))
+    found = run(arguments.quick, arguments.seeds, tuple(arguments.only), arguments.first)
+    print(json.dumps(found, indent=1))
