@@ -17,12 +17,12 @@ TITLES: Final[dict[Panel, tuple[str, str]]] = {
     "period": ("amplitude / {unit}", "period / s"),
     "period_residuals": ("amplitude / {unit}", "residual / ms"),
     "loops": ("angle / {unit}", "moment / µN m"),
-    "friction": ("angle / {unit}", "friction / nN m"),
+    "friction": ("angle / {unit}", "friction over angle / (nN m/{unit})"),
     "elastic": ("angle / {unit}", "elastic moment / nN m"),
 }
 TRIMMED: Final = frozenset({"period", "period_residuals"})
 """Panels whose values become very uncertain at small amplitudes: these few points do not set the axes."""
-RISING: Final = frozenset({"period", "loops", "friction"})
+RISING: Final = frozenset({"period", "loops"})
 """Panels whose curves rise to the right: their legend is in the lower right corner, not the upper."""
 COINCIDING: Final = frozenset({"decay", "period", "friction", "elastic"})
 """Panels in which a good fit covers its data: curves drawn first are wider, so that they remain visible."""

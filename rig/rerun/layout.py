@@ -169,8 +169,8 @@ class _Views:
         """What the contact's moments are without a law, if that was asked for."""
         if not self._moments:
             return []
-        titles = {"friction": "No law: friction", "elastic": "No law: elastic moment"}
-        return [rrb.Tabs(*(self.plane(panel, f"{title} / nN m") for panel, title in titles.items()))]
+        titles = {"friction": "No law: friction over angle", "elastic": "Elastic moment"}
+        return [rrb.Tabs(*(self.plane(panel, title) for panel, title in titles.items()))]
 
     def trajectory(self) -> rrb.View:
         return self._lissajous(EQUAL, f"Trajectory / {self._unit}, equal scales")

@@ -128,8 +128,9 @@ class Curve(NamedTuple):
 
     Axes of the panels: ``decay`` time in s, amplitude; ``residuals`` time in s, residual of the amplitude;
     ``period`` amplitude, period in s; ``period_residuals`` amplitude, residual in ms; ``loops`` angle, moment
-    in µN m; ``friction`` and ``elastic`` angle, moment without a law in nN m. Amplitudes and angles are in
-    the unit of the setup. NaN interrupts a line. `u_y` is drawn as error bars of one standard uncertainty.
+    in µN m; without a law, ``friction`` angle, friction over angle in nN m per unit, ``elastic`` angle,
+    elastic moment in nN m. Amplitudes and angles are in the unit of the setup. NaN interrupts a line.
+    `u_y` is drawn as error bars of one standard uncertainty.
     """
 
     panel: Panel

@@ -141,12 +141,17 @@ def _moments(run: RunAnalysis) -> list[Curve]:
         return []
     free, size = laws.without_law, run.unit.shown_size
     drawn: list[Curve] = []
-    panels: dict[Panel, str] = {"friction": "friction_n_m", "elastic": "elastic_n_m"}
-    for panel, name in panels.items():
-        at, u = free.phi_rad / size, 1e9 * getattr(free, f"u_{name}")
-        drawn.append(Curve(panel, "no law", at, 1e9 * getattr(free, name), u, "points"))
+    at = free.phi_rad / size
+    # friction over the angle changes little, so that bands and laws can be seen
+    panels: dict[Panel, tuple[str, Floats]] = {
+        "friction": ("friction_n_m", 1e9 / at),
+        "elastic": ("elastic_n_m", np.full_like(at, 1e9)),
+    }
+    for panel, (name, scale) in panels.items():
+        u = scale * getattr(free, f"u_{name}")
+        drawn.append(Curve(panel, "no law", at, scale * getattr(free, name), u, "points"))
         drawn += [
-            Curve(panel, law, at, 1e9 * getattr(moments, name))
+            Curve(panel, law, at, scale * getattr(moments, name))
             for law, moments in free.laws.items()
             if not laws.laws[law].excluded
         ]

@@ -14,7 +14,7 @@ import time
 import uuid
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -30,7 +30,7 @@ from processing.errors import ConfigurationError, RecordError
 from processing.spot import Spot, SpotFlag
 from processing.swing import Swing
 from rig.instrument import Block, Snapshot
-from rig.presentation import balance_numbers, quantity
+from rig.presentation import Quantity, balance_numbers, quantity
 from rig.rerun import (
     BalanceNumbers,
     Curve,
@@ -57,6 +57,12 @@ from rig.view.viewer_program import ViewerProgram
 logger = logging.getLogger(__name__)
 
 _STATE_INTERVAL_S = 0.5
+
+
+def _in_panel(key: str) -> Quantity:
+    """A parameter as its panel shows it: the viewer's axes have no powers of ten, and c is some 10⁻⁸."""
+    shown = quantity(key)
+    return replace(shown, symbol="10⁹ c", factor=1e9 * shown.factor) if key == "c" else shown
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,7 +173,7 @@ class Viewer:
         self._image_interval_s = image_interval_s
         self._full_scale_dn = full_scale_dn
         self._advise = advise
-        self._parameters = {key: quantity(key) for key in parameters}
+        self._parameters = {key: _in_panel(key) for key in parameters}
         self._estimated_from = 0
         self._next_image_s = 0.0
         self._next_state_s = 0.0

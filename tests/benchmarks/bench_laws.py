@@ -1,9 +1,9 @@
 """Which law is named: true laws in the basement, three laws fitted to each, over many seeds.
 
 Run as ``python -m tests.benchmarks.bench_laws [--seeds N] [--first N] [CASE...]`` from the repository. The
-paper's three pairs move as the simulated rig has them, on a basement's ground. Rolling with memory and Dahl's friction move
-as the tests' own integrations of springs with sliders and of his equation have them: at rest, and walking in
-amplitude and phase as the basement's drive at the swing's frequency lets them.
+paper's three pairs move as the simulated rig has them, on a basement's ground. Rolling with memory and Dahl's
+friction move as the tests' own integrations of springs with sliders and of his equation have them: at rest,
+and walking in amplitude and phase as the basement's drive at the swing's frequency lets them.
 """
 
 import argparse

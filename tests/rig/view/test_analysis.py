@@ -70,8 +70,8 @@ def test_moments_without_a_law_have_panels_where_laws_were_compared(
     assert [(curve.panel, curve.name) for curve in curves] == [
         ("friction", "no law"), ("friction", "paper"), ("elastic", "no law"), ("elastic", "paper")
     ]  # fmt: skip
-    np.testing.assert_allclose(curves[0].y, 1.1e6 * phi)
-    np.testing.assert_allclose(curves[0].u_y, 1e5 * phi)
+    np.testing.assert_allclose(curves[0].y, 1.1e6 * ARCSEC_RAD)
+    np.testing.assert_allclose(curves[2].u_y, 1e5 * phi)
     monkeypatch.setattr("rig.view.recorded.run_analysis", lambda _: run)
     write_rrd([measured_series / "run-1.mcap"], tmp_path / "moments.rrd", layout="analysing")
     drawn = entities(tmp_path / "moments.rrd")
