@@ -45,7 +45,9 @@ def open_desk(source: Path, overrides: tuple[str, ...] = (), *, port: int = 0, b
     @app.get(SERVED + "/{name:path}")
     async def session_file(name: str) -> Response:
         path = served_file(desk.config.session.output, name)
-        return Response(status_code=404) if path is None else FileResponse(path)
+        # a session may come from anywhere: its page runs no script, and is no part of the desk's
+        sandbox = {"Content-Security-Policy": "sandbox allow-popups allow-downloads"}
+        return Response(status_code=404) if path is None else FileResponse(path, headers=sandbox)
 
     @ui.page("/")
     def page() -> None:

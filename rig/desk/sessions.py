@@ -13,6 +13,7 @@ SERVED = "/sessions"
 """Where the server has the files of the sessions' folder."""
 _SHOWN = frozenset({".html", ".svg", ".png", ".csv", ".json"})
 _MOST = 500
+_IN_RERUN = ("view", "replay")
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,16 +64,20 @@ def served_file(output: Path, name: str) -> Path | None:
 
 
 class LookingAgain:
-    """Commands about closed sessions; they need no camera, and one of each name runs at a time."""
+    """Commands about closed sessions; they need no camera.
+
+    One of each name runs at a time, and one of those that show something in Rerun, whose port is one.
+    """
 
     def __init__(self) -> None:
         self.jobs: dict[str, Job] = {}
 
     def start(self, name: str, words: Sequence[str]) -> None:
         """Start a command; raises ConfigurationError while the last one of this name runs."""
-        before = self.jobs.get(name)
-        if before is not None and before.running:
-            raise ConfigurationError(f"rig {name} still runs; wait, or end it")
+        for other in _IN_RERUN if name in _IN_RERUN else (name,):
+            before = self.jobs.get(other)
+            if before is not None and before.running:
+                raise ConfigurationError(f"rig {other} still runs; wait, or end it")
         self.jobs[name] = Job([name, *words])
 
     def end(self, name: str) -> None:

@@ -138,7 +138,7 @@ def _ladder(values: Mapping[str, Any]) -> Iterator[Question]:
     yield Question(
         "setting",
         f"Standard uncertainty of one setting, in {unit}:",
-        lambda text: _plain("u_reference", number(least=0.0)(text)),
+        lambda text: _plain("u_reference", number(unit, least=0.0)(text)),
     )
     yield Question(
         "factor",
@@ -160,7 +160,7 @@ def _ladder(values: Mapping[str, Any]) -> Iterator[Question]:
         yield Question(
             f"reading {count}",
             f"Step {count}: set it. Reading in {unit}{' (Enter: no further step)' if done else ''}:",
-            optional(number()) if done else number(),
+            optional(number(unit)) if done else number(unit),
             do=do if count == 1 else "",
             suggested="" if done else None,
         )

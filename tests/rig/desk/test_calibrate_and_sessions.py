@@ -108,7 +108,10 @@ def test_sessions_are_listed_reported_and_resumed(page: Page, place: Path) -> No
     page.click("Resume")
     page.wait_text("1 of 1")
     page.wait_text("last session")
-    assert page.ask("fetch('/sessions/broken/report.html').then(r => r.status)") == 200
+    policy = page.ask(
+        "fetch('/sessions/broken/report.html').then(r => r.headers.get('content-security-policy'))"
+    )
+    assert "sandbox" in policy, "a report that came from elsewhere runs no script at the desk"
     assert page.ask("fetch('/sessions/broken/run-1.mcap').then(r => r.status)") == 404
     page.click("Compare")
     page.wait_text("1 sessions are marked; mark at least 2 sessions")
@@ -117,6 +120,10 @@ def test_sessions_are_listed_reported_and_resumed(page: Page, place: Path) -> No
     page.wait_text("rig compare: ")
     photograph(page, "sessions")
     assert page.wait("!document.body.innerText.includes('rig compare: runs')")
+    photograph(page, "sessions-compared")
+    page.browser.open(str(page.ask("location.origin")) + "/sessions/broken/report.html")
+    page.wait("document.images.length > 0 && [...document.images].every(image => image.naturalWidth > 0)")
+    photograph(page, "report")
 
 
 def mark(page: Page, folder: str) -> None:
