@@ -136,7 +136,7 @@ def _view(
 
     def close() -> None:
         counts = view.close()
-        if counts.dropped:
+        if counts.dropped and not any("no longer written" in note for note in counts.notes):
             say(f"view: {counts.dropped} messages were dropped, because the viewer was too slow")
 
     stack.callback(close)

@@ -10,6 +10,7 @@ hangs cannot damage the file.
 import logging
 import math
 import os
+import shutil
 import time
 import uuid
 from collections import Counter
@@ -57,6 +58,8 @@ from rig.view.viewer_program import ViewerProgram
 logger = logging.getLogger(__name__)
 
 _STATE_INTERVAL_S = 0.5
+_FULL_BYTES = 1 << 20
+"""With less than this a disk is called full."""
 
 
 def _in_panel(key: str) -> Quantity:
@@ -400,13 +403,15 @@ class Viewer:
         if not self._rrd_path.exists():
             why = "it was removed while it was written"
         elif dropped:
-            why = f"{dropped} values are not in it"
+            full = shutil.disk_usage(self._rrd_path.parent).free < _FULL_BYTES
+            why = f"{dropped} values are not in it{', the disk is full' if full else ''}"
         else:
-            why = ""
-        told = [note for note in self._notes if str(self._rrd_path) in note or "could not be drawn" in note]
-        why = "; ".join([why, *told[:1]] if why else told[:1])
-        if not why:
-            return
+            told = [
+                note for note in self._notes if str(self._rrd_path) in note or "could not be drawn" in note
+            ]
+            if not told:
+                return
+            why = told[0]
         raise RecordError(f"the Rerun file {self._rrd_path} is not whole: {why}; make it again elsewhere")
 
     def _put(self, message: Message) -> None:
