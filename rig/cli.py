@@ -119,6 +119,25 @@ def _completed(words: list[str]) -> list[str]:
     return found
 
 
+def _of_usage(text: str, words: list[str]) -> str:
+    """What typer says of a wrong call, with the value that was given and without the names of its parts."""
+    text = (
+        text.removeprefix("Invalid value: ")
+        .replace("Input should be", "should be")
+        .replace("Value error, ", "")
+    )
+    text = re.sub(r", unable to parse string as an? \w+", "", text)
+    found = re.match(r"Invalid value for ([^:]*): (.*)", text, re.DOTALL)
+    if found is None:
+        return text
+    names = re.findall(r"'(-[^']*)'", found[1])
+    for word, following in pairwise([*words, ""]):
+        option, equals, value = word.partition("=")
+        if option in names:
+            return f"{option} {value if equals else following}: {found[2].rstrip('.')}"
+    return text
+
+
 def _say(error: Exception) -> int:
     """Print a line on stderr for an error, or for each fault of a file; returns the exit status."""
     if type(error).__name__ == "NoArgsIsHelpError":
@@ -132,7 +151,7 @@ def _say(error: Exception) -> int:
         text, status = f"{error.filename or 'a file or device'}: {error.strerror} (--debug shows where)", 1
     elif hasattr(error, "format_message"):
         # wrong usage, reported by typer
-        text, status = error.format_message().replace("Input should be", "should be"), 2
+        text, status = _of_usage(error.format_message(), sys.argv), 2
     else:
         text, status = f"{type(error).__name__}: {error} (--debug shows where)", 1
     for line in text.splitlines() if isinstance(error, ConfigurationError) else [text]:

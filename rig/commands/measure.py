@@ -63,9 +63,9 @@ def run(
     from rig.settings import load_configuration
 
     if resume is not None:
-        if config is not None or output is not None or set_:
+        if config is not None or output is not None or set_ or runs is not None or view or plan:
             raise typer.BadParameter(
-                "--resume takes its configuration from DIR: leave out CONFIG, --output and --set"
+                "--resume takes its configuration from DIR: leave out CONFIG and options but --force, --json"
             )
         raise typer.Exit(resume_session(resume, force=force, json_lines=json_lines))
     if plan is not None:

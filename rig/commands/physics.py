@@ -87,6 +87,9 @@ def fit(
     if stated := next((name for name, value in of_tables.items() if value), ""):
         raise ConfigurationError(f"{stated}: has no effect on records, only on a table; leave it out")
     records = [record for path in files for record in records_in(path)]
+    same = [record for record in records if sum(record.resolve() == other.resolve() for other in records) > 1]
+    if same:
+        raise ConfigurationError(f"{same[0]}: named twice; a run counts once in a series")
     raise typer.Exit(fit_records(records, output, overrides=set_ or [], laws=law or []))
 
 
