@@ -163,6 +163,8 @@ def view(
         raise ConfigurationError(f"--view {view} --rrd {rrd}: written or shown, not both; leave one out")
     found = [record for path in records for record in records_in(path)]
     show_records(found, mode="web" if view == "web" else "spawn", rrd=rrd, layout=layout)
+    if rrd is not None:
+        print(f"Rerun file   {rrd}")
 
 
 def simulate(
