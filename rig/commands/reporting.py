@@ -107,3 +107,5 @@ def compare(
     from rig.report import compare as compare_sessions
 
     print_tables(compare_sessions(folders, output, against))
+    if output is not None:
+        print(f"page         {output}, figure and tables in {output.with_suffix('')}")
