@@ -10,8 +10,9 @@ from acquisition.camera import CameraSettings
 from acquisition.frame_queue import FrameQueue
 from processing.errors import DeviceError, RigError
 from rig.align import Look, take_look
-from rig.devices import find_exposure, watch_latest
-from rig.instrument import camera_settings, check_full_scale, make_camera, optics_of, setting_differences
+from rig.desk.lit_camera import LitCamera
+from rig.devices import Devices, find_exposure, watch_latest
+from rig.instrument import complete, optics_of, prepare_kernels
 from rig.settings import Configuration
 
 _LOOK_S = 0.1
@@ -21,14 +22,14 @@ EXPOSE = "expose"
 
 
 class Aligner:
-    """A thread that has the camera open and looks at its newest frame, ten times a second.
+    """A thread that has camera and laser, and looks at the newest frame, ten times a second.
 
     `look` is the last look (None before the first), `focus` its sharpness over time (seconds, 1/px), `note`
-    what the last wish has led to, `problem` why it has ended.
+    what the last wish has led to, `darkness` why the laser is dark, `problem` why it has ended.
     """
 
     def __init__(self, config: Configuration) -> None:
-        self._config = config
+        self._config = complete(config)
         self._wishes: queue.Queue[CameraSettings | str] = queue.Queue()
         self._ended = threading.Event()
         self.look: Look | None = None
@@ -37,6 +38,7 @@ class Aligner:
         self.applied = CameraSettings()
         self.note = ""
         self.problem = ""
+        self.darkness = ""
         self._thread = threading.Thread(target=self._run, name="align", daemon=True)
 
     def start(self) -> None:
@@ -62,17 +64,21 @@ class Aligner:
             # any error of a driver ends the picture, and is shown in its place
             self.problem = str(error) or type(error).__name__
 
+    def _say(self, text: str) -> None:
+        self.note = text
+
     def _watch(self) -> None:
         config = self._config
-        camera = make_camera(config)
         begun_s = time.monotonic()
-        with contextlib.closing(camera):
-            info = camera.open()
-            asked = camera_settings(config)
-            self.applied = camera.configure(asked)
-            check_full_scale(config, info, self.applied)
-            self.note = "; ".join(setting_differences(asked, self.applied))
-            tracker = optics_of(config, info.full_scale_dn).tracker()
+        with Devices(config) as devices, devices.camera(config) as opened:
+            info = opened.info
+            self.applied = opened.applied or CameraSettings()
+            optics = optics_of(config, info.full_scale_dn)
+            # compiled while it is dark: a laser may be lit only while frames are looked at
+            prepare_kernels(optics.sensor, self._say)
+            camera = LitCamera(opened.camera, info, devices.permit)
+            self.note = "; ".join((*opened.notes, devices.light()))
+            tracker = optics.tracker()
             lever = config.lever
             reference_px = None
             if lever is not None and lever.reference_x_px is not None and lever.reference_y_px is not None:
@@ -84,6 +90,7 @@ class Aligner:
                         look = take_look(frame.image, info.full_scale_dn, tracker, reference_px, self.applied)
                         self.focus.append((time.monotonic() - begun_s, look.figures.sharpness_per_px))
                         self.look, self.number = look, self.number + 1
+                        self.darkness = devices.darkness()
                         if self._ended.is_set() or not self._wishes.empty():
                             break
                     else:
@@ -102,4 +109,4 @@ class Aligner:
                         self.note = "nothing has changed: the camera's limit" if same else ""
                     except (DeviceError, RigError) as error:
                         self.note = str(error)
-                    tracker = optics_of(config, info.full_scale_dn).tracker()
+                    tracker = optics.tracker()

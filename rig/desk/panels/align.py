@@ -120,7 +120,7 @@ def build(desk: Desk, tab: Tab) -> None:
         begin.set_visibility(aligner is None)
         end.set_visibility(aligner is not None)
         kept.set_text(_kept(desk))
-        note.set_text("" if aligner is None else aligner.problem or aligner.note)
+        note.set_text("" if aligner is None else aligner.problem or aligner.darkness or aligner.note)
         if aligner is not None and aligner.focus:
             focus.set_content(
                 drawings.curve(list(aligner.focus), (380, 130), "sharpness over time", "s", "1/px")
