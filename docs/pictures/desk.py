@@ -33,7 +33,7 @@ height_px = 640
 [simulation.release]
 way = "let go"
 """
-SHOWN_FROM_HALF_CYCLES = 60
+SHOWN_FROM_HALF_CYCLES = 44
 
 
 def main() -> None:
@@ -59,7 +59,7 @@ def photograph(page: Page) -> None:
     page.wait("document.querySelectorAll('.light').length > 8")
     save(page, "preflight")
     page.key("2")
-    page.click("Measure")
+    page.key("m")
     page.wait("document.querySelector('polygon') !== null", 120.0)
     save(page, "balance")
     page.click("End")
