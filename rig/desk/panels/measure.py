@@ -114,7 +114,7 @@ def build(desk: Desk, tab: Tab) -> None:
                 LivePicture(tab, _SIZE, lambda: desk.following.running)
             with ui.column().classes("col-4 box"):
                 state = ui.html(sanitize=False).classes("full-width")
-            with ui.column().classes("col-4 box"):
+            with ui.column().classes("col box"):
                 ui.label("events").classes("title")
                 events = ui.html(sanitize=False).classes("events").props('role="log" aria-label="events"')
     tab.key("s", tab.act(start))
