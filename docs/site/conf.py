@@ -47,6 +47,7 @@ CONTENTS = {
     "Concepts": ["docs/concepts", "docs/laws", "docs/instruments"],
     "How to": [
         "docs/session",
+        "docs/desk",
         "docs/cameras",
         "docs/calibration",
         "docs/controller",
