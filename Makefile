@@ -53,7 +53,7 @@ drawings: $(VENV)/.installed
 
 # The documents as a site in build/site, without a network; a link that leads nowhere is an error.
 docs: $(VENV)/.installed-test
-	$(BIN)/python -m sphinx -W --keep-going -q -c docs/site -b html . build/site
+	$(BIN)/python -m sphinx -E -W --keep-going -q -c docs/site -b html . build/site
 	$(BIN)/python docs/site/check_links.py build/site
 
 bench: $(VENV)/.installed-test
