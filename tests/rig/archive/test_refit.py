@@ -97,7 +97,7 @@ def test_what_cannot_be_done_is_said_and_not_stored(
     assert Archive(archive).refits.names() == set()
     task = Task(str(archive), record, "0" * 64, Recipe("swings", (), (), "other"))
     assert "other code" in refit(task)
-    with pytest.raises(ConfigurationError, match=r"no Dask scheduler answers|needs Dask"):
+    with pytest.raises(ConfigurationError, match=r"no Dask scheduler answers|needs distributed"):
         list(on_cluster(refit, [task], "tcp://127.0.0.1:9"))
 
 

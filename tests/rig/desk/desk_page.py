@@ -62,10 +62,11 @@ class Page:
 
     def fill(self, key: str, text: str) -> None:
         """Type into the field of a key of the configuration."""
-        self.ask(
-            f"(() => {{ const f = document.querySelector('[data-key=\"{key}\"]'); f.focus(); f.select() }})()"
-        )
+        field = f"document.querySelector('[data-key=\"{key}\"]')"
+        # a panel that is just opening takes no focus yet
+        self.wait(f"({field}.focus(), {field}.select(), document.activeElement === {field})")
         self.browser.call("Input.insertText", text=text)
+        self.wait(f"{field}.value === {text!r}")
 
     def key(self, key: str) -> None:
         """Press a key where no field has the focus."""

@@ -8,8 +8,9 @@ from pathlib import Path
 import pytest
 
 from processing.errors import DeviceError
+from rig.channel import SessionTelling
 from rig.devices import Devices
-from rig.measure.session import acknowledge_interlock
+from rig.measure.session_orders import acknowledge_interlock
 from rig.settings import Configuration
 
 
@@ -23,15 +24,16 @@ class Terminal(StringIO):
 def test_an_interlock_is_acknowledged_by_a_person_and_that_is_kept(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    devices = Devices(Configuration(camera={"driver": "simulated"}, session={"operator": "Ada"}), tmp_path)
+    config = Configuration(camera={"driver": "simulated"}, session={"operator": "Ada"})
+    devices, telling = Devices(config, tmp_path), SessionTelling(config)
     devices.permit.begin()
     devices.permit.interlock_opened("the controller")
     monkeypatch.setattr(sys, "stderr", Terminal())
     monkeypatch.setattr(sys, "stdin", Terminal("no\nyes\n"))
     with pytest.raises(DeviceError, match="nobody has allowed light again"):
-        acknowledge_interlock(devices)
+        acknowledge_interlock(devices, telling)
     assert not (tmp_path / "audit.jsonl").exists()
-    acknowledge_interlock(devices)
+    acknowledge_interlock(devices, telling)
     assert not devices.permit.unacknowledged
     line = json.loads((tmp_path / "audit.jsonl").read_text())
     assert (line["what"], line["operator"]) == ("interlock acknowledged", "Ada")

@@ -137,7 +137,7 @@ def test_a_folder_that_holds_a_run_is_never_written_over(short_session: Path) ->
     before = {path: path.stat().st_mtime_ns for path in short_session.iterdir()}
     done = rig("run", CONFIGS / "demo.toml", "-o", short_session)
     assert done.returncode == 2
-    assert "never overwritten" in done.stderr
+    assert "run-1.mcap: exists already and is not overwritten" in done.stderr
     assert done.stderr.count("\n") == 1
     assert {path: path.stat().st_mtime_ns for path in short_session.iterdir()} == before
 

@@ -135,7 +135,7 @@ def look_at_the_balance() -> None:
     """Some periods of swinging."""
     config = complete(configuration(balance__seconds=9.1))
     with Devices(config) as devices:
-        look(config, devices, lambda _: None, LooksView(config, None, lambda _: ""))
+        look(config, devices, lambda _: None, LooksView(config, None, lambda _: "", lambda _: None))
 
 
 def talk_to_the_controller() -> None:
