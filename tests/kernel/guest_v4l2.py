@@ -27,7 +27,7 @@ from tests.kernel.boot import MARK
 
 SET_INPUT = 3 << 30 | 4 << 16 | ord("V") << 8 | 39  # VIDIOC_S_INPUT
 WEBCAM, HDMI = 0, 3
-COLOUR_SQUARES, NO_TEXT = 4, 2
+COLOUR_BARS, COLOUR_SQUARES, NO_TEXT = 1, 4, 2
 SMALL = CameraSettings(width_px=320, height_px=180)
 
 
@@ -296,6 +296,7 @@ def unplugged(reading: str) -> dict[str, Any]:
 
 def mosaic() -> dict[str, Any]:
     """The same picture in several mosaics: a colour's plane is the same in all of them."""
+    control("Test Pattern", COLOUR_BARS)
     means: dict[str, dict[str, list[float]]] = {}
     shapes = set()
     for fourcc in ("RGGB", "GRBG", "GBRG", "BA81", "RG10", "BA12"):
