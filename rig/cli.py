@@ -105,7 +105,7 @@ def main() -> None:
 
 
 def _completed(words: list[str]) -> list[str]:
-    """The words with `--view` alone said in full; raises ConfigurationError for an empty one.
+    """The words, with `--view` alone said in full; raises ConfigurationError for an empty one.
 
     Conditions of the archive may be empty.
     """
@@ -115,8 +115,13 @@ def _completed(words: list[str]) -> list[str]:
             before = f" after {found[-1]}" if found[-1].startswith("-") else ""
             if before or "archive" not in words[1:]:
                 raise ConfigurationError(f"an argument{before} is empty; state a value, or leave it out")
-        found += [word, "window"] if word == "--view" and following not in ("window", "web") else [word]
+        found += [word, "window"] if word == "--view" and not _is_way_to_view(following) else [word]
     return found
+
+
+def _is_way_to_view(word: str) -> bool:
+    """Whether a word behind `--view` is meant as its value, right or wrong: no option, no file."""
+    return word in ("window", "web") or (word.isalpha() and not os.path.lexists(word))
 
 
 def _of_usage(text: str, words: list[str]) -> str:

@@ -134,12 +134,12 @@ def find_cameras() -> tuple[list[PluggedCamera], list[str]]:
     """Connected cameras, and one line for each driver that cannot search for them."""
     cameras: list[PluggedCamera] = []
     notes: list[str] = []
-    for driver in DRIVERS.values():
+    for name, driver in DRIVERS.items():
         if driver.find:
             try:
                 cameras += _load(driver.find)()
             except DeviceError as error:
-                notes.append(str(error))
+                notes.append(f"{name} cameras were not looked for: {error}")
     return cameras, notes
 
 

@@ -2,7 +2,7 @@
 
     python docs/notebooks/fill.py
 
-It needs runs/first of the tutorial, and no Jupyter. A test runs the same cells.
+It needs runs/tutorial of the tutorial, and no Jupyter. A test runs the same cells.
 """
 
 import base64

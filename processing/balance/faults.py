@@ -92,7 +92,7 @@ def find_faults(balance: Balance, height: tuple[float, float], limits: BalanceLi
             "the start pushes sideways: release along Y",
         ),
         Fault(
-            "leakage (width)", b.width_ratio, b.u_width_ratio, "", limits.width_ratio,
+            "leakage", b.width_ratio, b.u_width_ratio, "", limits.width_ratio,
             "the slow mode leaks into X: the axes of inertia lie askew to the contact",
         ),
         Fault(

@@ -69,15 +69,16 @@ def read_results(source: Path) -> SessionResults:
     try:
         tree = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
+        missing = f"holds no {RESULTS_NAME}" if source.is_dir() else "no such folder or results file"
         raise RecordError(
-            f"{source}: holds no {RESULTS_NAME}; rig run makes one, and rig fit from records"
+            f"{source}: {missing}; rig run makes {RESULTS_NAME}, and rig fit from records"
         ) from None
     except OSError as error:
         raise RecordError(f"{path}: cannot be read: {error.strerror or error}") from None
     except UnicodeDecodeError:
         raise RecordError(f"{path}: is no results file; name {RESULTS_NAME} or its folder") from None
     except (ValueError, RecursionError) as error:
-        raise RecordError(f"{path}: cannot be read: {error}; {_REMEDY}") from None
+        raise RecordError(f"{path}: is not JSON ({error}); {_REMEDY}") from None
     return decoded(tree, path)
 
 

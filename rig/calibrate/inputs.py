@@ -138,7 +138,7 @@ def frames_of(path: Path) -> tuple[list[Image], int]:
 
 
 def _read(path: Path, model: type[_Model]) -> _Model:
-    found, told = validated(model, read_toml(path, "file of a calibration"))
+    found, told = validated(model, read_toml(path, "file; docs/calibration.md shows one"))
     if found is None:
         said = "; ".join(line for _, line in told)
         raise ConfigurationError(f"{path}: {said}; docs/calibration.md shows such a file")

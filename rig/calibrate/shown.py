@@ -28,22 +28,7 @@ def _values(found: CalibrationFile) -> Table:
 def _of_kind(found: CalibrationFile) -> Iterator[Table]:
     details = found.details
     if budget := details.get("budget"):
-        yield _table(
-            "budget",
-            "budget of the scale, largest contribution first",
-            ("input", "value", "u", "effect, %", "contribution, %"),
-            [
-                (
-                    line["name"],
-                    line["value"],
-                    line["u"],
-                    100.0 * line["effect"],
-                    100.0 * line["contribution"],
-                )
-                for line in budget
-                if line["value"] or line["u"]
-            ],
-        )
+        yield _budget([line for line in budget if line["value"] or line["u"]])
     if "residual_px" in details:
         yield _steps(details)
     if "signal_dn" in details:
@@ -51,6 +36,27 @@ def _of_kind(found: CalibrationFile) -> Iterator[Table]:
     for axis in ("x", "y"):
         if isinstance(details.get(axis), Mapping) and "allan_tau_s" in details[axis]:
             yield _allan(axis, details[axis])
+
+
+def _budget(lines: Sequence[Mapping[str, Any]]) -> Table:
+    """What each input adds to the uncertainty of the scale; and by how much it moves it, where one does."""
+    moved = any(line["effect"] for line in lines)
+    head = ["input", "value", "u", *(["effect, %"] if moved else []), "contribution, %"]
+    note = "Largest contribution first: standard uncertainty of the scale by that of the input."
+    if moved:
+        note += " Effect: change of the scale against the same lever with this input 0."
+    return _table(
+        "budget",
+        "budget of the scale",
+        head,
+        [
+            [line["name"], line["value"], line["u"]]
+            + ([100.0 * line["effect"]] if moved else [])
+            + [100.0 * line["contribution"]]
+            for line in lines
+        ],
+        note,
+    )
 
 
 def _steps(details: Mapping[str, Any]) -> Table:
@@ -96,6 +102,8 @@ def _allan(axis: str, details: Mapping[str, Any]) -> Table:
     return _table(f"allan_{axis}", f"Allan deviation of {axis}", ("averaged, s", "px", "u, px"), rows)
 
 
-def _table(name: str, title: str, head: Sequence[str], rows: Sequence[Sequence[Any]]) -> Table:
+def _table(
+    name: str, title: str, head: Sequence[str], rows: Sequence[Sequence[Any]], note: str = ""
+) -> Table:
     shown = [[f"{cell:.4g}" if isinstance(cell, float) else str(cell) for cell in row] for row in rows]
-    return Table(name, title, tuple(head), [tuple(row) for row in rows], head=tuple(head), shown=shown)
+    return Table(name, title, tuple(head), [tuple(row) for row in rows], tuple(head), shown, note)

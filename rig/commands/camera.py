@@ -49,7 +49,7 @@ def devices() -> None:
         if camera.problem:
             typer.echo(f"          {camera.problem}")
     if not cameras:
-        typer.echo("no camera is plugged in")
+        typer.echo("no camera is plugged in; camera.driver = 'simulated' and 'files' need none")
     for port in list_serial_ports():
         usb = f"USB {port.vendor:04x}:{port.product:04x}" if port.vendor >= 0 else ""
         words = [port.device, port.description, usb, port.serial and f"serial {port.serial}"]

@@ -57,4 +57,4 @@ def next_steps(file: Path, *, lever: bool, simulated: bool) -> list[str]:
         steps.append(f"rig camera expose {file}, then rig camera align {file}: the light on the sensor")
         if not lever:
             steps.append(f"rig calibrate lever --config {file}: px to radians, asked step by step")
-    return ["next:", *(f"  {step}" for step in [*steps, f"rig run {file} -o runs/first: measure"])]
+    return ["next:", *(f"  {step}" for step in [*steps, f"rig run {file} -o runs/{file.stem}: measure"])]

@@ -168,15 +168,22 @@ def plan(
       rig plan runs/first/run-1.mcap --first 124 --last 2 -o plans
       rig plan configs/basement.toml --runs 1 --runs 3
     """
-    from rig.plan import plan_expected, plan_runs, planned_expectation, print_plan, save_plan
-
     firsts, lasts = first or [300.0, 124.0, 60.0], last or [30.0, 15.0, 8.0, 4.0, 2.0]
     counts = runs or [1]
+    if min(lasts) >= max(firsts):
+        raise ConfigurationError(
+            f"--last {min(lasts):g}: should be below the first amplitude, {max(firsts):g} arcsec; name a "
+            "smaller one, or a larger --first"
+        )
+    if contact is not None and not contact.exists():
+        raise ConfigurationError(f"--contact {contact}: no such file; name the results.json of a session")
+
+    from rig.plan import plan_expected, plan_runs, planned_expectation, print_plan, save_plan
+
     if source.suffix.lower() == ".toml":
         expected = planned_expectation(source, set_ or [], noise, contact)
         planned = plan_expected(expected, firsts, lasts, ground, counts)
     else:
-        from processing.errors import ConfigurationError
         from rig.analysis import analyse_record
 
         if noise is not None or contact is not None:

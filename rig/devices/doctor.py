@@ -2,15 +2,14 @@
 
 import os
 import shutil
-import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import cast
+from typing import Literal, cast
 
 from rich.console import Console
 
-from acquisition.camera import FrameTimeout
+from acquisition.camera import CameraStatus, FrameTimeout
 from acquisition.cameras.usb3vision.settings import Usb3VisionSettings
 from acquisition.frame_losses import FrameLosses
 from processing.errors import RigError
@@ -22,6 +21,8 @@ from rig.presentation import Verdict, print_json_line, print_verdicts
 from rig.settings import Configuration
 
 _FRAMES = 60
+_MOST_RATE_ERROR = 0.1
+"""Of a rate by the host's clock over so few frames; preflight judges the camera's own more sharply."""
 _GOVERNOR = Path("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor")
 _CLOCK_SOURCE = Path("/sys/devices/system/clocksource/clocksource0/current_clocksource")
 _STEADY_CLOCKS = {"tsc", "kvm-clock", "hyperv_clocksource_tsc_page", "arch_sys_counter", "hpet"}
@@ -30,7 +31,7 @@ _STEADY_CLOCKS = {"tsc", "kvm-clock", "hyperv_clocksource_tsc_page", "arch_sys_c
 def examine(config: Configuration, *, json_lines: bool = False) -> int:
     """Print all checks; returns exit status 1 if one fails, else 0."""
     checks = []
-    for check in _checks(complete(config)):
+    for check in _checks(config):
         checks.append(check)
         if json_lines:
             print_json_line("check", asdict(check))
@@ -39,8 +40,9 @@ def examine(config: Configuration, *, json_lines: bool = False) -> int:
     return 0 if all(check.ok for check in checks) else 1
 
 
-def _checks(config: Configuration) -> Iterator[Verdict]:
-    yield from check_settings(config)
+def _checks(stated: Configuration) -> Iterator[Verdict]:
+    config = complete(stated)
+    yield from check_settings(config, stated)
     devices = Devices(config)
     yield from check_controller(devices.make_controller(), config.controller, config.laser)
     yield from check_laser(config.laser, config.controller)
@@ -53,28 +55,39 @@ def _checks(config: Configuration) -> Iterator[Verdict]:
     yield check_governor(_read(_GOVERNOR), os.cpu_count() or 1)
 
 
-def check_settings(config: Configuration) -> Iterator[Verdict]:
-    """Check that the configuration contains what a fit needs."""
+def check_settings(config: Configuration, stated: Configuration) -> Iterator[Verdict]:
+    """Check that the configuration contains what a fit needs; `stated` is the one before it was completed."""
     try:
         check_materials(config)
-        pendulum = config.pendulum is not None
+        pendulum = _origin("pendulum", config, stated)
         yield Verdict(
             "pendulum",
-            pendulum,
-            "stated" if pendulum else "not stated: nothing can be fitted",
+            bool(pendulum),
+            pendulum or "not stated: nothing can be fitted",
             "" if pendulum else "state mass_kg and ball_radius_m under [pendulum]",
         )
     except RigError as error:
         yield Verdict("pendulum", False, str(error), "correct the material")
-    lever = config.lever is not None
+    lever = _origin("lever", config, stated)
     yield Verdict(
         "light lever",
-        lever,
-        "stated" if lever else "no calibration: amplitudes will be in px",
+        bool(lever),
+        lever or "no calibration: amplitudes will be in px",
         "" if lever else "state arm_m and pixel_pitch_m under [lever]",
     )
-    known = config.sensor is not None
-    yield Verdict("sensor's noise", True, "stated" if known else "not stated: a typical sensor is assumed")
+    noise = _origin("sensor", config, stated)
+    yield Verdict("sensor's noise", True, noise or "not stated: a typical sensor is assumed")
+
+
+def _origin(
+    section: Literal["pendulum", "lever", "sensor"], config: Configuration, stated: Configuration
+) -> str:
+    """Where a section of the complete configuration is from; empty where there is none."""
+    if getattr(config, section) is None:
+        return ""
+    if getattr(stated, section) is not None:
+        return "stated"
+    return "from its calibration" if getattr(stated.calibration, section, None) else "the simulated rig's own"
 
 
 def check_camera(config: Configuration, devices: Devices) -> Iterator[Verdict]:
@@ -90,30 +103,54 @@ def check_camera(config: Configuration, devices: Devices) -> Iterator[Verdict]:
                 "request only what the camera supports" if camera.notes else "",
             )
             camera.camera.start()
-            begun_s = time.monotonic()
-            count = frame_bytes = 0
+            arrivals, frame_bytes = [], 0
             for _ in range(_FRAMES):
                 frame = camera.camera.read(config.camera.patience_s)
                 if frame is None:
                     break
-                count += 1
+                arrivals.append((frame.sequence, frame.host_time_ns))
                 frame_bytes = frame.image.nbytes
-            seconds = time.monotonic() - begun_s
             status = camera.camera.status
             camera.camera.stop()
-            enough = count == _FRAMES and status.dropped == 0
-            yield Verdict(
-                "frames",
-                enough,
-                f"{count} in {seconds:.2f} s, lost: {FrameLosses.of(status)}",
-                "" if enough else "another port or cable; a lower frame_rate_hz; a smaller region",
-            )
+            asked_hz = None if config.camera.trigger else config.camera.frame_rate_hz
+            yield check_frames(arrivals, status, asked_hz, on_demand=config.on_demand)
             if config.camera.driver == "usb3vision" and frame_bytes:
                 yield from check_usb_memory(frame_bytes)
     except FrameTimeout as error:
         yield Verdict("frames", False, str(error), "is it triggered from outside? see its cable and power")
     except RigError as error:
         yield Verdict("camera", False, str(error), "see camera.driver and camera.serial, its cable and power")
+
+
+def check_frames(
+    arrivals: Sequence[tuple[int, int]], status: CameraStatus, asked_hz: float | None, *, on_demand: bool
+) -> Verdict:
+    """Check that all frames came, and at the rate that was asked for.
+
+    Parameters
+    ----------
+    arrivals
+        Number of each frame, and the host's clock when it arrived, in ns.
+    asked_hz
+        None where none was asked for, or something else starts the exposures.
+    on_demand
+        Frames are made when they are read, and have no rate.
+    """
+    lost = f"lost: {FrameLosses.of(status)}"
+    enough = len(arrivals) == _FRAMES and status.dropped == 0
+    remedy = "" if enough else "another port or cable; a lower frame_rate_hz; a smaller region"
+    if on_demand:
+        return Verdict("frames", enough, f"{len(arrivals)}, made on demand: no rate to judge, {lost}", remedy)
+    numbers, times_ns = zip(*arrivals, strict=True) if arrivals else ((0,), (0,))
+    span_s = (times_ns[-1] - times_ns[0]) * 1e-9
+    rate_hz = (numbers[-1] - numbers[0]) / span_s if span_s > 0 else 0.0
+    found = f"{len(arrivals)} at {rate_hz:.3g} frames/s, {lost}"
+    if enough and asked_hz is not None and abs(rate_hz / asked_hz - 1) > _MOST_RATE_ERROR:
+        slow = "exposure too long, or the bus too slow: a shorter exposure, a smaller region, another port"
+        fast = "the camera does not keep the rate: see what it says with rig camera show"
+        found += f"; {asked_hz:g} were asked for"
+        return Verdict("frames", False, found, slow if rate_hz < asked_hz else fast)
+    return Verdict("frames", enough, found, remedy)
 
 
 def check_disk(output: Path) -> Verdict:

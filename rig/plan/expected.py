@@ -64,17 +64,20 @@ def planned_expectation(
     `noise_arcsec` is the noise of one frame, `contact` a results.json whose first fitted run has the contact.
     """
     config = complete(load_configuration(source, overrides))
+    # a file that cannot be used is refused before the work
+    known = None if contact is None else _contact_of(contact)
     expected = expected_of(config, None if noise_arcsec is None else noise_arcsec * ARCSEC_RAD)
-    if contact is None:
-        return expected
-    known = read_results(contact)
-    runs = known.runs if isinstance(known, SessionResults) else ()
-    for run in runs:
+    return expected if known is None else expected._replace(values=known)
+
+
+def _contact_of(results: Path) -> dict[str, float]:
+    """The contact's values by key, of the first fitted run of a results file."""
+    found = read_results(results)
+    for run in found.runs if isinstance(found, SessionResults) else ():
         if FitMethod.EXACT in run.fits:
-            found = run.fits[FitMethod.EXACT].parameters
-            values = {name: found[name].value for name in PAPER.names()}
-            return expected._replace(values=values)
-    raise DataError(f"{contact}: no run in it has a fit of the contact; name another, or leave --contact out")
+            parameters = run.fits[FitMethod.EXACT].parameters
+            return {name: parameters[name].value for name in PAPER.names()}
+    raise DataError(f"{results}: no run in it has a fit of the contact; name another, or leave --contact out")
 
 
 def _frame_rate_hz(config: Configuration) -> float:

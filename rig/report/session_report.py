@@ -134,17 +134,21 @@ def _summary(source: ReportSource) -> list[str]:
 
 
 def _circumstances(source: ReportSource) -> list[tuple[str, str]]:
-    """When each run began, how long it lasted and what surrounded it, who measured, and with what."""
+    """Who measured, when each run began and how long it lasted, what surrounded it, and with what."""
     first = source.runs[0]
     told = []
     if first.results.instrument is not None:
         kind = INSTRUMENTS[first.results.instrument.kind]
         told.append(("instrument", f"{kind.sentence.rstrip('.')} ({kind.kind})"))
     told.append(("operator", first.provenance.get("session", {}).get("operator", "") or _NOT_STATED))
-    for run in source.runs:
+    around = [_surroundings(run) for run in source.runs]
+    alike = len(set(around)) == 1
+    for run, surroundings in zip(source.runs, around, strict=True):
         began = run.provenance["file"].get("began", "")
-        told.append((f"{run.title} began", began and f"{began}, lasted {_lasted(run)}"))
-        told.append((f"{run.title} in", _surroundings(run) or _NOT_STATED))
+        text = f"{began and f'began {began}, '}lasted {_lasted(run)}"
+        told.append((run.title, text if alike else f"{text}; {surroundings or f'air {_NOT_STATED}'}"))
+    if alike:
+        told.append(("surroundings", around[0] or _NOT_STATED))
     told.append(("frames from", "the simulated rig" if first.simulated else "a camera"))
     return [(name, text) for name, text in told if text]
 

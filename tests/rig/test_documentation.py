@@ -139,7 +139,7 @@ def test_a_rig_is_built_as_it_is_written(tmp_path: Path, measured_series: Path) 
 def test_the_notebook_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """With a short session in the place of the tutorial's; the outputs it keeps are from that."""
     path = ROOT / "docs" / "notebooks" / "own-law.ipynb"
-    shutil.copytree(ROOT / "tests" / "rig" / "data" / "older" / "series", tmp_path / "runs" / "first")
+    shutil.copytree(ROOT / "tests" / "rig" / "data" / "older" / "series", tmp_path / "runs" / "tutorial")
     (tmp_path / "docs" / "notebooks").mkdir(parents=True)
     monkeypatch.chdir(tmp_path / "docs" / "notebooks")
     ran = runpy.run_path(str(path.parent / "fill.py"))["run_cells"](path)
@@ -227,7 +227,7 @@ def test_the_commands_of_the_tutorial(tmp_path: Path, measured_series: Path) -> 
         else:
             done = rig(*words, cwd=tmp_path)
             assert done.returncode == 0, f"{line}: {done.stderr[-500:]}"
-    assert (tmp_path / "runs" / "first.rrd").stat().st_size > 0
+    assert (tmp_path / "runs" / "tutorial.rrd").stat().st_size > 0
 
 
 @pytest.mark.slow

@@ -27,6 +27,13 @@ def said(*words: str | Path, cwd: Path, status: int = 2) -> str:
         (("camera", "snap", DEMO, "-o", "none/a.png"), "none/a.png: there is no folder none"),
         (("camera", "show", DEMO, "--set", SENSOR), "sensor.full_scale_dn = 1023: the camera"),
         (("balance", DEMO, "--follow", "-1"), "--follow -1: should be greater than or equal to 0"),
+        (("plan", DEMO, "--last", "400"), "--last 400: should be below the first amplitude, 300 arcsec"),
+        (("plan", DEMO, "--contact", "no.json"), "--contact no.json: no such file"),
+        (("run", DEMO, "--view", "tv"), "--view tv: 'tv' is not one of 'window', 'web'"),
+        (
+            ("calibrate", "lever", "no.toml"),
+            "no.toml: cannot be read: no such file; docs/calibration.md shows",
+        ),
         (("plan", DEMO, "--first=ten"), "--first ten: should be a valid number\n"),
         (("export", ".", "-o", "x", "--format", "xml"), "--format xml: 'xml' is not one of 'csv', 'parquet'"),
         (("run",), "rig: Missing argument 'CONFIG'"),

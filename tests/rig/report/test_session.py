@@ -200,5 +200,6 @@ def test_what_was_simulated_is_called_so(measured_series: Path) -> None:
 
 def test_the_report_says_when_and_by_whom(measured_series: Path) -> None:
     text = parsed(measured_series / "report.html").text
-    assert re.search(r"Run 1 began20\d\d-\d\d-\d\d \d\d:\d\d:\d\d UTC", text)
+    assert re.search(r"Run 1began 20\d\d-\d\d-\d\d \d\d:\d\d:\d\d UTC", text)
     assert "operatordemonstration" in text
+    assert text.count("surroundings") == 1, "what surrounds both runs alike is said once"

@@ -128,7 +128,7 @@ def test_the_command_writes_a_file_that_runs(tmp_path: Path) -> None:
     done = rig("init", "mine.toml", cwd=tmp_path, typed="\n".join(SIMULATED) + "\n")
     assert done.returncode == 0, done.stderr
     assert done.stdout == "mine.toml\n"
-    assert "rig run mine.toml -o runs/first" in done.stderr
+    assert "rig run mine.toml -o runs/mine" in done.stderr
     config = load_configuration(tmp_path / "mine.toml")
     assert config.simulated
     assert config.session.operator == "a person"
