@@ -129,6 +129,8 @@ def _of_usage(text: str, words: list[str]) -> str:
     text = (
         text.removeprefix("Invalid value: ")
         .replace("Input should be", "should be")
+        .replace("a valid number", "a number")
+        .replace("a valid integer", "a whole number")
         .replace("Value error, ", "")
     )
     text = re.sub(r", unable to parse string as an? \w+", "", text)

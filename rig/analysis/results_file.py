@@ -14,6 +14,7 @@ from processing.errors import RecordError
 from rig.analysis.encoding import JsonObject, with_entries_beside
 from rig.analysis.results import SCHEMA, EnvelopeResults, RunResults, SessionResults, TableResults
 from rig.presentation import plain_values
+from rig.settings import wanted
 
 RESULTS_NAME = "results.json"
 _REMEDY = "rig fit makes it anew from the record"
@@ -69,9 +70,9 @@ def read_results(source: Path) -> SessionResults:
     try:
         tree = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        missing = f"holds no {RESULTS_NAME}" if source.is_dir() else "no such folder or results file"
+        missing = f"holds no {RESULTS_NAME}" if source.is_dir() else "no such folder or results file (results.json)"
         raise RecordError(
-            f"{source}: {missing}; rig run makes {RESULTS_NAME}, and rig fit from records"
+            f"{source}: {missing}; rig run makes one, and rig fit from records"
         ) from None
     except OSError as error:
         raise RecordError(f"{path}: cannot be read: {error.strerror or error}") from None
@@ -113,9 +114,8 @@ def _one_line(fault: ErrorDetails) -> str:
             key += f".{part}" if key else part
     if fault["type"] in ("missing", "missing_argument"):
         return f"{key} is missing"
-    wanted = fault["msg"].removeprefix("Input should be ")
     shown = json.dumps(fault["input"], default=str)
-    return f"{key} is {shown if len(shown) <= 40 else shown[:37] + '...'}, not {wanted}"
+    return f"{key} is {shown if len(shown) <= 40 else shown[:37] + '...'}, not {wanted(fault)}"
 
 
 def recorded_results(record: Path, sha256: str) -> tuple[str, RunResults | None]:

@@ -19,7 +19,7 @@ from rig.settings.night_plan import PlannedSeries, load_plan
 from rig.settings.phases import PreflightSettings
 from rig.settings.stop_conditions import StopCondition
 from rig.settings.toml_file import read_toml
-from rig.settings.wording import in_words, validated
+from rig.settings.wording import in_words, validated, wanted
 
 __all__ = [
     "OF_FITS",
@@ -47,4 +47,5 @@ __all__ = [
     "toml_value",
     "validate_configuration",
     "validated",
+    "wanted",
 ]

@@ -36,6 +36,9 @@ def in_words(root: type, fault: ErrorDetails) -> str:
         return f"{path} = {fault['input']!r}: should be a number, with a point: {pointed}"
     of_value = fault["type"].startswith("value_error")
     expected = fault["msg"].removeprefix("Value error, ") if of_value else f"should be {wanted(fault)}"
+    if of_value and isinstance(fault["input"], Mapping):
+        # of a whole section, whose message names keys and values itself
+        return f"{path}: {expected.removeprefix(f'{path}: ')}"
     return f"{path} = {_shown(fault['input'])}: {expected}"
 
 
@@ -65,10 +68,13 @@ _WANTED = {
     "bool_type": "true or false",
     "dataclass_type": "a table with keys of its own",
     "dict_type": "a table with keys of its own",
+    "float_parsing": "a number",
     "float_type": "a number",
     "finite_number": "a finite number",
-    "int_from_float": "a valid integer",
-    "int_type": "a valid integer",
+    "list_type": "a list in brackets",
+    "int_from_float": "a whole number",
+    "int_parsing": "a whole number",
+    "int_type": "a whole number",
     "is_instance_of": "a table with keys of its own",
     "model_attributes_type": "a table with keys of its own",
     "model_type": "a table with keys of its own",
@@ -131,7 +137,8 @@ def not_numbers(root: type, tree: Mapping[str, Any], place: _Place = ()) -> Iter
                     yield from not_numbers(inner, table, here if name is None else (*here, name))
         elif isinstance(value, bool | str) and _is_number(field, value):
             shown = str(value).lower() if isinstance(value, bool) else f'"{value}"'
-            yield here, f"{dotted(here)} = {shown}: should be a number, without quotes"
+            quoted = "" if isinstance(value, bool) else ", without quotes"
+            yield here, f"{dotted(here)} = {shown}: should be a number{quoted}"
         elif isinstance(value, float) and not math.isfinite(value) and not key.endswith("_dof"):
             yield here, f"{dotted(here)} = {value}: should be a finite number"
 

@@ -81,13 +81,13 @@ def test_the_first_version_is_read(measured_series: Path, tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("keys", "value", "words"),
     [
-        (("runs", 0, "half_cycles"), "many", r'runs\[0\]\.half_cycles is "many", not a valid integer'),
+        (("runs", 0, "half_cycles"), "many", r'runs\[0\]\.half_cycles is "many", not a whole number'),
         (
             ("runs", 0, "fits", "exact", "b"),
             {"value": 1.0},
             r"fits\.exact\.\S*\.standard_uncertainty is missing",
         ),
-        (("runs", 1, "fits", "exact", "b", "value"), [1], r"b\.value is \[1\], not a valid number"),
+        (("runs", 1, "fits", "exact", "b", "value"), [1], r"b\.value is \[1\], not a number"),
         (
             ("runs", 1, "fits", "exact", "b", "value"),
             1e308,

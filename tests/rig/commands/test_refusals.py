@@ -34,7 +34,7 @@ def said(*words: str | Path, cwd: Path, status: int = 2) -> str:
             ("calibrate", "lever", "no.toml"),
             "no.toml: cannot be read: no such file; docs/calibration.md shows",
         ),
-        (("plan", DEMO, "--first=ten"), "--first ten: should be a valid number\n"),
+        (("plan", DEMO, "--first=ten"), "--first ten: should be a number\n"),
         (("export", ".", "-o", "x", "--format", "xml"), "--format xml: 'xml' is not one of 'csv', 'parquet'"),
         (("run",), "rig: Missing argument 'CONFIG'"),
         (("run", "--resume", ".", "--runs", "2"), "--resume takes its configuration from DIR"),

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from acquisition.record.reader import RecordReader
-from processing.errors import ConfigurationError, DataError
+from processing.errors import ConfigurationError
 from processing.fit import Conditions
 from rig.analysis import SessionResults, read_results
 from rig.commands.physics import plan
@@ -39,7 +39,7 @@ def test_a_run_is_planned_from_a_record(
 
 
 def test_amplitudes_that_make_no_run_are_named(measured_series: Path) -> None:
-    with pytest.raises(DataError, match="every last amplitude must lie below every first one"):
+    with pytest.raises(ConfigurationError, match="should be below the first amplitude, 10 arcsec"):
         plan(measured_series / "run-1.mcap", [10.0], [60.0], None, None, None)
 
 

@@ -185,7 +185,7 @@ def test_results_without_their_record_are_one_line(measured_series: Path, tmp_pa
 
 def test_results_that_are_no_json_are_one_line(tmp_path: Path) -> None:
     (tmp_path / "results.json").write_text("{")
-    with pytest.raises(RecordError, match="cannot be read"):
+    with pytest.raises(RecordError, match="is not JSON"):
         make_report(tmp_path)
 
 
