@@ -70,10 +70,10 @@ def read_results(source: Path) -> SessionResults:
     try:
         tree = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        missing = f"holds no {RESULTS_NAME}" if source.is_dir() else "no such folder or results file (results.json)"
-        raise RecordError(
-            f"{source}: {missing}; rig run makes one, and rig fit from records"
-        ) from None
+        missing = (
+            f"holds no {RESULTS_NAME}" if source.is_dir() else "no such folder or results file (results.json)"
+        )
+        raise RecordError(f"{source}: {missing}; rig run makes one, and rig fit from records") from None
     except OSError as error:
         raise RecordError(f"{path}: cannot be read: {error.strerror or error}") from None
     except UnicodeDecodeError:
