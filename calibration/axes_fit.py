@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,15 @@ uncertainties would hide that there are no two fixed directions."""
 
 
 @dataclass(frozen=True, slots=True)
+class PartDirections:
+    """Directions of a mode in the windows minus its mean one, `off_rad`, at the windows' middles `at_s`."""
+
+    at_s: tuple[float, ...]
+    off_rad: tuple[float, ...]
+    u_off_rad: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class AxesFit:
     """Directions of the axes, fitted to both modes.
 
@@ -33,7 +42,8 @@ class AxesFit:
     uncertainty is inf with fewer than three windows). `windows` is the number of time windows in which the
     directions were fitted, `chi2_per_dof` describes the scatter of their directions. `signs_known` is False
     if the slow direction was assumed to point upward, `handedness_known` if `mirrored` was taken from the
-    configuration: a free swing determines neither. `notes` are remarks for the user.
+    configuration: a free swing determines neither. `notes` are remarks for the user. `slow_parts` and
+    `fast_parts` are what the mean direction leaves over in the windows.
     """
 
     axes: Axes
@@ -48,6 +58,19 @@ class AxesFit:
     signs_known: bool
     handedness_known: bool
     notes: tuple[str, ...]
+    slow_parts: PartDirections
+    fast_parts: PartDirections
+
+
+class _Combined(NamedTuple):
+    """A mode's direction over all windows: the angle from the upward vertical towards +x."""
+
+    angle_rad: float
+    u_angle_rad: float
+    rotation_rad_per_s: float
+    u_rotation_rad_per_s: float
+    chi2: float
+    parts: PartDirections
 
 
 def fit_axes(
@@ -109,7 +132,7 @@ def fit_axes(
             )
     first_window = windows[0]
     slow = _with_side(first_window.slow, slow_began) if slow_began else _upward(first_window.slow)
-    slow_angle, u_slow, rotation, u_rotation, slow_chi2 = _combined(
+    slow_angle, u_slow, rotation, u_rotation, slow_chi2, slow_parts = _combined(
         windows, slow, [w.slow for w in windows], [w.u_slow_rad for w in windows]
     )
     usable = [w for w in windows if w.u_fast_rad < 0.2]
@@ -126,7 +149,7 @@ def fit_axes(
         mirrored = bool(cross < 0)
     else:
         fast = _to_the_right(usable[0].fast, slow, mirrored)
-    fast_angle, u_fast, fast_rotation, u_fast_rotation, fast_chi2 = _combined(
+    fast_angle, u_fast, fast_rotation, u_fast_rotation, fast_chi2, fast_parts = _combined(
         usable, fast, [w.fast for w in usable], [w.u_fast_rad for w in usable]
     )
     non_orthogonality = _wrapped(fast_angle + (math.pi if mirrored else 0.0) - slow_angle - 0.5 * math.pi)
@@ -169,6 +192,8 @@ def fit_axes(
         signs_known=slow_began is not None,
         handedness_known=fast_began is not None,
         notes=tuple(notes),
+        slow_parts=slow_parts,
+        fast_parts=fast_parts,
     )
 
 
@@ -192,12 +217,8 @@ def _frequencies(t: Floats, x: Floats, y: Floats) -> tuple[float, float]:
 
 def _combined(
     windows: list[WindowDirections], reference: Floats, vectors: list[Floats], u: list[float]
-) -> tuple[float, float, float, float, float]:
-    """Weighted mean of the windows' directions.
-
-    Returns the angle from the upward vertical towards +x and its uncertainty, the rate of rotation and its
-    uncertainty, and the chi-square of the angles about their mean. `reference` has the direction's sign.
-    """
+) -> _Combined:
+    """Weighted mean of the windows' directions; `reference` has the direction's sign."""
     base = math.atan2(reference[0], -reference[1])
     # the sign of a window's vector is arbitrary: differences of angle are taken modulo pi
     turned = np.array([_modulo_pi(math.atan2(v[0], -v[1]) - base) for v in vectors])
@@ -214,7 +235,10 @@ def _combined(
         spread = float(weight @ t**2)
         rate = float(weight @ (t * (turned - mean))) / spread
         u_rate = 1.0 / math.sqrt(spread)
-    return _wrapped(base + mean), u_mean, rate, u_rate, total
+    parts = PartDirections(
+        tuple(w.middle_s for w in windows), tuple((turned - mean).tolist()), tuple(float(one) for one in u)
+    )
+    return _Combined(_wrapped(base + mean), u_mean, rate, u_rate, total, parts)
 
 
 def _refuse_what_does_not_stay(

@@ -18,6 +18,8 @@ _U_RESPONSE = 0.01
 """How much the sensor's response and the light may differ from one end of the spot's path to the other."""
 _STEPS = 24
 """Into how many parts the row time at which the rows take a whole exposure is divided for a first look."""
+_PARTS = 12
+"""Into how many parts the path is divided to show what the fit leaves over."""
 _LEAST_RAMP = 0.03
 """Smallest part of the light that has to be missing at one end; less could be dust."""
 
@@ -28,7 +30,9 @@ class PulsedShutterFit:
 
     `u_row_time_s` includes a response of the sensor that varies by one per cent along the path. `ramp` is the
     part of the light that the last row on the path misses compared with the first one, `scatter` the relative
-    standard deviation of the brightness about the fit, `path_px` how many rows the spot crosses.
+    standard deviation of the brightness about the fit, `path_px` how many rows the spot crosses. Of parts of
+    the path `rows_px` are the middles, `off` how much brighter than the fit the spot was there, relative, and
+    `u_off` its standard uncertainty from the scatter.
     """
 
     row_time_s: float
@@ -36,6 +40,9 @@ class PulsedShutterFit:
     path_px: float
     ramp: float
     scatter: float
+    rows_px: tuple[float, ...]
+    off: tuple[float, ...]
+    u_off: tuple[float, ...]
 
 
 def fit_row_time_of_pulses(
@@ -82,10 +89,13 @@ def fit_row_time_of_pulses(
         part: Floats = np.maximum(ends_s - np.maximum(delay_s, opens_s), 0.0) / pulse_s
         return part
 
-    def misfit(row_time_s: float) -> float:
+    def fitted(row_time_s: float) -> Floats:
         design = drift * seen(row_time_s)[:, None]
         values, *_ = np.linalg.lstsq(design, light, rcond=None)
-        return float(np.mean((light - design @ values) ** 2))
+        return np.asarray(design @ values, dtype=np.float64)
+
+    def misfit(row_time_s: float) -> float:
+        return float(np.mean((light - fitted(row_time_s)) ** 2))
 
     step_s = max(exposure_s, delay_s + pulse_s) / rows / _STEPS
     nearest_s = step_s * min(np.arange(-2 * _STEPS, 2 * _STEPS + 1), key=lambda step: misfit(step_s * step))
@@ -107,10 +117,32 @@ def fit_row_time_of_pulses(
     near_s = 1e-3 * abs(row_time_s)
     curvature = (misfit(row_time_s + near_s) + misfit(row_time_s - near_s) - 2.0 * least) / near_s**2
     u_scatter_s = float(np.sqrt(2.0 * least / (len(light) * curvature)))
+    rows_px, off, u_off = _along_path(y_px, light - fitted(row_time_s), float(np.mean(light)))
     return PulsedShutterFit(
         row_time_s=row_time_s,
         u_row_time_s=float(np.hypot(u_scatter_s, _U_RESPONSE * abs(row_time_s) / ramp)),
         path_px=path_px,
         ramp=ramp,
         scatter=float(np.sqrt(least)) / float(np.mean(light)),
+        rows_px=rows_px,
+        off=off,
+        u_off=u_off,
     )
+
+
+def _along_path(
+    y_px: Floats, off: Floats, whole: float
+) -> tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]:
+    """Means of `off` over `whole` in equal parts of the path, with their standard uncertainties."""
+    edges = np.linspace(y_px.min(), y_px.max(), _PARTS + 1)
+    part = np.clip(np.searchsorted(edges, y_px, side="right") - 1, 0, _PARTS - 1)
+    rows = []
+    for number in range(_PARTS):
+        inside = off[part == number] / whole
+        if len(inside) > 1:
+            middle_px = 0.5 * (edges[number] + edges[number + 1])
+            rows.append(
+                (float(middle_px), float(inside.mean()), float(inside.std(ddof=1) / len(inside) ** 0.5))
+            )
+    middles_px, means, u_means = zip(*rows, strict=True)
+    return middles_px, means, u_means

@@ -62,7 +62,8 @@ class ShutterFit:
     `harmonic_px` is the amplitude of the second harmonic that it makes at the largest amplitude,
     `amplitude_px`. `chi2_per_dof` compares the stretches with each other; the uncertainty includes their
     scatter. `even_per_px` is the other part of the second harmonic, relative to the squared amplitude: it
-    comes from the geometry and says nothing about times.
+    comes from the geometry and says nothing about times. The row time of each stretch alone, its standard
+    uncertainty and the middle of the stretch are `of_stretches_s`, `u_of_stretches_s` and `stretches_at_s`.
     """
 
     row_time_s: float
@@ -72,6 +73,9 @@ class ShutterFit:
     even_per_px: float
     chi2_per_dof: float
     stretches: int
+    stretches_at_s: tuple[float, ...]
+    of_stretches_s: tuple[float, ...]
+    u_of_stretches_s: tuple[float, ...]
 
 
 def fit_row_time(times_s: Floats, y_px: Floats) -> ShutterFit:
@@ -108,8 +112,8 @@ def fit_row_time(times_s: Floats, y_px: Floats) -> ShutterFit:
     for begin_s in times_s[0] + length_s * np.arange(stretches):
         inside = slice(*np.searchsorted(times_s, [begin_s, begin_s + length_s]))
         if inside.stop - inside.start >= _FEWEST_FRAMES:
-            found.append(_harmonics(times_s[inside], y_px[inside], period_s))
-    table = np.array(found).reshape(-1, 4)
+            found.append((*_harmonics(times_s[inside], y_px[inside], period_s), begin_s + 0.5 * length_s))
+    table = np.array(found).reshape(-1, 5)
     if len(table):
         table = table[table[:, 3] > _SMALL_PART * table[:, 3].max()]
     if len(table) < _FEWEST_STRETCHES:
@@ -117,7 +121,7 @@ def fit_row_time(times_s: Floats, y_px: Floats) -> ShutterFit:
             f"row time: {len(table)} stretches of {_PERIODS:g} periods ({period_s:.3g} s) have a swing, "
             f"{_FEWEST_STRETCHES} are needed; record for longer"
         )
-    odd, u_odd, even, amplitude_px = table.T
+    odd, u_odd, even, amplitude_px, at_s = table.T
     weight = u_odd**-2.0
     mean = float(np.average(odd, weights=weight))
     chi2 = float(np.sum(((odd - mean) / u_odd) ** 2)) / (len(odd) - 1)
@@ -132,6 +136,9 @@ def fit_row_time(times_s: Floats, y_px: Floats) -> ShutterFit:
         even_per_px=float(np.average(even, weights=weight)),
         chi2_per_dof=chi2,
         stretches=len(odd),
+        stretches_at_s=tuple(at_s.tolist()),
+        of_stretches_s=tuple((2.0 * odd / rate).tolist()),
+        u_of_stretches_s=tuple((2.0 * u_odd / rate).tolist()),
     )
 
 

@@ -44,6 +44,59 @@ class Look(NamedTuple):
         """The verdict on the beam in words; empty where it was not judged."""
         return "" if self.beam is None else self.beam.line
 
+    def rows(self) -> list[tuple[str, str]]:
+        """The figures as a table, one row for each kind; those of the spot only where there is one."""
+        seen, spot, applied = self.figures, self.spot, self.applied
+        height_px, width_px = self.image.shape
+        exposure, gain = applied.exposure_us, applied.gain_db
+        rows = [
+            ("peak", f"{seen.peak:.1%}, background {seen.background:.1%}"),
+            ("saturated", f"{seen.saturated_px} px" if seen.saturated_px else "none"),
+            ("sharpness", f"{seen.sharpness_per_px:.4f} /px"),
+        ]
+        if self.found:
+            rows += [
+                ("spot", f"{spot.x_px:.2f}, {spot.y_px:.2f} px"),
+                ("off the crosshair", "{:+.1f}, {:+.1f} px".format(*self._off_px)),
+                ("nearest edge", f"{self._edge_px:.0f} px"),
+                (
+                    "sigma",
+                    f"{spot.sigma_x_px:.2f} × {spot.sigma_y_px:.2f} px, ellipticity {self._ellipticity:.2f}",
+                ),
+                ("fit", f"chi2/dof {spot.chi2_per_dof:.2f}, {', '.join(self._doubts) or 'a clean spot'}"),
+            ]
+        else:
+            rows.append(("spot", "none found"))
+        offset_px = (applied.offset_x_px, applied.offset_y_px)
+        begins = "" if None in offset_px else f" from ({offset_px[0]}, {offset_px[1]})"
+        exposed = "unknown" if exposure is None else f"{exposure:.6g} us"
+        rows += [
+            ("region", f"{width_px} × {height_px} px{begins}"),
+            ("exposure", f"{exposed}, gain {'unknown' if gain is None else f'{gain:.3g} dB'}"),
+        ]
+        return [*rows, ("beam", self.beam_line.removeprefix("beam quality: "))] if self.beam_line else rows
+
+    @property
+    def _off_px(self) -> tuple[float, float]:
+        return self.spot.x_px - self.middle_px[0], self.spot.y_px - self.middle_px[1]
+
+    @property
+    def _edge_px(self) -> float:
+        height_px, width_px = self.image.shape
+        spot = self.spot
+        return float(min(spot.x_px, spot.y_px, width_px - 1 - spot.x_px, height_px - 1 - spot.y_px))
+
+    @property
+    def _ellipticity(self) -> float:
+        spot = self.spot
+        return max(spot.sigma_x_px, spot.sigma_y_px) / min(spot.sigma_x_px, spot.sigma_y_px)
+
+    @property
+    def _doubts(self) -> list[str]:
+        return [
+            flag.name.lower().replace("_", " ") for flag in SpotFlag if self.spot.flags & flag and flag.name
+        ]
+
     def lines(self) -> list[str]:
         """The figures in words, one line for each kind."""
         seen, spot = self.figures, self.spot
@@ -59,17 +112,13 @@ class Look(NamedTuple):
         region += f"  gain {'unknown' if gain is None else f'{gain:.3g} dB'}"
         if not self.found:
             return [light, "no spot", "", region]
-        off_x_px, off_y_px = spot.x_px - self.middle_px[0], spot.y_px - self.middle_px[1]
-        edge_px = min(spot.x_px, spot.y_px, width_px - 1 - spot.x_px, height_px - 1 - spot.y_px)
+        off_x_px, off_y_px = self._off_px
         place = f"spot {spot.x_px:.2f}, {spot.y_px:.2f} px  "
-        place += (
-            f"from the crosshair {off_x_px:+.1f}, {off_y_px:+.1f} px  to the nearest edge {edge_px:.0f} px"
-        )
-        ratio = max(spot.sigma_x_px, spot.sigma_y_px) / min(spot.sigma_x_px, spot.sigma_y_px)
-        shape = f"sigma {spot.sigma_x_px:.2f} x {spot.sigma_y_px:.2f} px  ellipticity {ratio:.2f}"
+        place += f"from the crosshair {off_x_px:+.1f}, {off_y_px:+.1f} px"
+        place += f"  to the nearest edge {self._edge_px:.0f} px"
+        shape = f"sigma {spot.sigma_x_px:.2f} x {spot.sigma_y_px:.2f} px  ellipticity {self._ellipticity:.2f}"
         shape += f"  chi2/dof {spot.chi2_per_dof:.2f}"
-        doubts = [flag.name.lower().replace("_", " ") for flag in SpotFlag if spot.flags & flag and flag.name]
-        return [light, place, shape + (f"  {', '.join(doubts)}" if doubts else "  a clean spot"), region]
+        return [light, place, f"{shape}  {', '.join(self._doubts) or 'a clean spot'}", region]
 
 
 def middle_of(image: Image, reference_px: tuple[float, float] | None) -> tuple[float, float]:

@@ -1,6 +1,5 @@
 """The command `rig balance`: measures the balance, advises a turn of a weight, learns from it, repeats."""
 
-import math
 from collections.abc import Callable
 from pathlib import Path
 
@@ -116,6 +115,7 @@ def _shower(config: Configuration, teller: Teller) -> Callable[[Balance], None]:
     return lambda balance: teller.live(find_faults(balance, height_of(config, balance), config.balance))
 
 
+_MOST_TURNS = 1000.0
 _NOTHING = Turn("", 0.0, "")
 
 
@@ -135,10 +135,13 @@ def _ask(session: LearnedTurns, devices: Devices, teller: Teller) -> Turn | None
             continue
         try:
             weight, parts = answer[0].lower(), [float(word) for word in answer[1:]]
-            if weight not in WEIGHTS or not parts or not all(map(math.isfinite, parts)):
+            if weight not in WEIGHTS or not parts or not all(abs(part) <= _MOST_TURNS for part in parts):
                 raise ValueError
         except ValueError:
-            teller.wrong(f"enter a weight ({', '.join(WEIGHTS)}) and a number of turns, positive clockwise")
+            teller.wrong(
+                f"{' '.join(answer)!r}: should be a weight ({', '.join(WEIGHTS)}) and its turns, up to "
+                f"{_MOST_TURNS:g}, with a point, positive clockwise: {WEIGHTS[0]} -0.5"
+            )
             continue
         session.turned(weight, parts)
         devices.audit("weight turned", weight=weight, turns=parts)

@@ -7,12 +7,13 @@ from rig.calibrate.inputs import LadderFile, TransferFile
 from rig.calibrate.lever import calibrate_lever, check_known_angle
 from rig.calibrate.pointing import calibrate_pointing
 from rig.calibrate.sensor import calibrate_sensor
-from rig.calibrate.shown import calibration_tables
+from rig.calibrate.shown import Residuals, calibration_residuals, calibration_tables
 from rig.calibrate.shutter import calibrate_shutter
 
 __all__ = [
     "Filing",
     "LadderFile",
+    "Residuals",
     "TransferFile",
     "calibrate_axes",
     "calibrate_clock",
@@ -20,6 +21,7 @@ __all__ = [
     "calibrate_pointing",
     "calibrate_sensor",
     "calibrate_shutter",
+    "calibration_residuals",
     "calibration_tables",
     "check_known_angle",
 ]

@@ -4,13 +4,21 @@ import math
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from acquisition.record.reader import RecordReader
-from calibration import FRAME_JITTER_LIMIT_S, relate_clocks, unwrap_counter
+from calibration import FRAME_JITTER_LIMIT_S, ClockRelation, relate_clocks, unwrap_counter
 from processing.errors import DataError
+from processing.robust import robust_scatter
 from rig.calibrate.filing import Filing, details_of, file_calibration
 from rig.devices import ntp_state
 from rig.instrument import recorded_configuration
+
+_PARTS = 24
+_FEWEST_IN_PART = 10
+_OF_MEDIAN = math.sqrt(math.pi / 2.0)
+"""Standard uncertainty of a median over that of a mean, of normal deviates."""
+_ROUNDING_S = 1e-9 / math.sqrt(12.0)
 
 
 def calibrate_clock(record: Path, filing: Filing, counter_bits: int | None) -> Path:
@@ -48,10 +56,35 @@ def calibrate_clock(record: Path, filing: Filing, counter_bits: int | None) -> P
         "drift_ppm": relation.drift_ppm,
         "u_drift_ppm": relation.u_drift_ppm,
         **details_of(relation, "rate", "u_rate", "device_reference_ns", "host_reference_ns"),
+        **off_line(relation, device, table["host_time_ns"].astype(np.int64), table["sequence"]),
     }
     details["frame_jitter_limit_s"] = FRAME_JITTER_LIMIT_S
     details["ntp"] = ntp.text
     details["ntp_synchronised"] = ntp.synchronised
     return file_calibration(
         "clock", filing, "camera against host, robust line", values, details, [record], notes, began
+    )
+
+
+def off_line(
+    relation: ClockRelation,
+    device_ns: NDArray[np.int64],
+    host_ns: NDArray[np.int64],
+    sequence: NDArray[np.integer],
+) -> dict[str, list[float]]:
+    """Arrivals minus the line and its jumps: medians over equal parts of the record.
+
+    Medians, because single frames arrive much later than the others.
+    """
+    off_s = 1e-9 * (host_ns - relation.host_ns(device_ns)).astype(np.float64)
+    for jump in relation.jumps:
+        off_s[sequence >= jump.frame] -= jump.step_s
+    at_s = 1e-9 * (device_ns - device_ns[0])
+    count = max(1, min(_PARTS, len(off_s) // _FEWEST_IN_PART))
+    rows = []
+    for at, off in zip(np.array_split(at_s, count), np.array_split(off_s, count), strict=True):
+        u_s = _OF_MEDIAN * robust_scatter(off) / math.sqrt(len(off))
+        rows.append((float(at.mean()), float(np.median(off)), max(u_s, _ROUNDING_S)))
+    return dict(
+        zip(("parts_at_s", "off_line_s", "u_off_line_s"), map(list, zip(*rows, strict=True)), strict=True)
     )

@@ -12,16 +12,26 @@ import numpy as np
 
 from acquisition.record.digest import sha256_of
 from calibration import CalibrationFile, Kind, Source, write_calibration
+from processing.errors import ConfigurationError
 from rig.instrument import versions
+
+_SHORTEST_DAYS, _LONGEST_DAYS = 0.01, 36_525.0
 
 
 @dataclass(frozen=True, slots=True)
 class Filing:
-    """Folder, author and validity of a calibration."""
+    """Folder, author and validity of a calibration; raises ConfigurationError for an impossible validity."""
 
     folder: Path
     valid_days: float = 90.0
     made_by: str = ""
+
+    def __post_init__(self) -> None:
+        # a NaN is in no range
+        if not _SHORTEST_DAYS <= self.valid_days <= _LONGEST_DAYS:
+            raise ConfigurationError(
+                f"valid for {self.valid_days:g} days: should be from {_SHORTEST_DAYS:g} to {_LONGEST_DAYS:g}"
+            )
 
 
 def file_calibration(

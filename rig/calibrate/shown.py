@@ -1,6 +1,7 @@
-"""A calibration file as tables: its values, the budget of its uncertainty, and what the fit left over."""
+"""A calibration file as tables and points to draw: its values, its budget, and what the fit left over."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from calibration import CalibrationFile
@@ -9,6 +10,23 @@ from rig.presentation import Table
 
 _ROUNDING_DN2 = 1.0 / 12.0
 """Variance of a number that is rounded to integers, uniform over one."""
+
+
+@dataclass(frozen=True, slots=True)
+class Residuals:
+    """What a fit leaves over: `y` against `x`, with the standard uncertainty `u` of each (0: not known)."""
+
+    title: str
+    x_name: str
+    y_name: str
+    x: Sequence[float]
+    y: Sequence[float]
+    u: Sequence[float]
+
+
+def calibration_residuals(found: CalibrationFile) -> list[Residuals]:
+    """What the fit of a calibration has left over, for drawing; none of a lever from lengths."""
+    return [one for one in _left_over(found) if len(one.x)]
 
 
 def calibration_tables(found: CalibrationFile) -> list[Table]:
@@ -33,6 +51,11 @@ def _of_kind(found: CalibrationFile) -> Iterator[Table]:
         yield _steps(details)
     if "signal_dn" in details:
         yield _transfer(found.values, details)
+    if found.kind in ("axes", "clock", "shutter"):
+        yield from (_residual_table(one) for one in _left_over(found))
+    if jumps := details.get("jumps"):
+        rows = [(jump["frame"], 1e6 * jump["step_s"]) for jump in jumps]
+        yield _table("jumps", "jumps of the clock", ("from frame", "step, us"), rows)
     for axis in ("x", "y"):
         if isinstance(details.get(axis), Mapping) and "allan_tau_s" in details[axis]:
             yield _allan(axis, details[axis])
@@ -59,10 +82,95 @@ def _budget(lines: Sequence[Mapping[str, Any]]) -> Table:
     )
 
 
+def _left_over(found: CalibrationFile) -> Iterator[Residuals]:
+    details = found.details
+    if "residual_px" in details:
+        unit, size = _unit_of_steps(details)
+        for place, axis in enumerate("xy"):
+            off_px = [row[place] for row in details["residual_px"]]
+            reference = [value / size for value in details["reference"]]
+            yield Residuals(
+                f"residuals of the steps, {axis}",
+                f"reference, {unit}",
+                "px",
+                reference,
+                off_px,
+                _unknown(off_px),
+            )
+    if "signal_dn" in details:
+        off_dn2 = [off for *_, off, _ in _off_transfer(found.values, details)]
+        yield Residuals(
+            "residuals of the levels",
+            "signal, DN",
+            "off the line, DN²",
+            details["signal_dn"],
+            off_dn2,
+            details["u_variance_dn2"],
+        )
+    for mode in ("slow", "fast"):
+        if parts := details.get(f"{mode}_parts"):
+            yield Residuals(
+                f"direction of the {mode} mode",
+                "at, s",
+                "off the mean, mrad",
+                parts["at_s"],
+                _times(1e3, parts["off_rad"]),
+                _times(1e3, parts["u_off_rad"]),
+            )
+    if "off_line_s" in details:
+        yield Residuals(
+            "arrivals of frames",
+            "at, s",
+            "off the line, us",
+            details["parts_at_s"],
+            _times(1e6, details["off_line_s"]),
+            _times(1e6, details["u_off_line_s"]),
+        )
+    if "of_stretches_s" in details:
+        mean_s = details["fitted_row_time_s"]
+        yield Residuals(
+            "row time by stretch",
+            "at, s",
+            "off the mean, us",
+            details["stretches_at_s"],
+            _times(1e6, [value - mean_s for value in details["of_stretches_s"]]),
+            _times(1e6, details["u_of_stretches_s"]),
+        )
+    if "rows_px" in details:
+        yield Residuals(
+            "brightness by row",
+            "row, px",
+            "off the fit, %",
+            details["rows_px"],
+            _times(100.0, details["off"]),
+            _times(100.0, details["u_off"]),
+        )
+
+
+def _residual_table(found: Residuals) -> Table:
+    return _table(
+        "residuals",
+        found.title,
+        (found.x_name, found.y_name, "u"),
+        list(zip(found.x, found.y, found.u, strict=True)),
+    )
+
+
+def _times(factor: float, values: Sequence[float]) -> list[float]:
+    return [factor * value for value in values]
+
+
+def _unknown(values: Sequence[float]) -> list[float]:
+    return [0.0] * len(values)
+
+
+def _unit_of_steps(details: Mapping[str, Any]) -> tuple[str, float]:
+    return ("arcsec", ARCSEC_RAD) if details["kind"] == "tilt" else ("mm", 1e-3)
+
+
 def _steps(details: Mapping[str, Any]) -> Table:
     """The steps of a ladder: what the line leaves over, and how the scale would change without the step."""
-    tilts = details["kind"] == "tilt"
-    unit, size = ("arcsec", ARCSEC_RAD) if tilts else ("mm", 1e-3)
+    unit, size = _unit_of_steps(details)
     return _table(
         "residuals",
         "residuals of the steps",
@@ -78,19 +186,26 @@ def _steps(details: Mapping[str, Any]) -> Table:
 
 def _transfer(values: Mapping[str, Any], details: Mapping[str, Any]) -> Table:
     """The levels: variance against that of the fitted line, read noise and shot noise."""
-    gain = values["gain_e_per_dn"]
-    dark_dn2 = (values["read_noise_e"] / gain) ** 2 + _ROUNDING_DN2
     return _table(
         "residuals",
         "residuals of the levels",
         ("signal, DN", "variance, DN²", "off the line, DN²", "off the line, u"),
-        [
-            (signal, variance, rest := variance - dark_dn2 - signal / gain, rest / u)
-            for signal, variance, u in zip(
-                details["signal_dn"], details["variance_dn2"], details["u_variance_dn2"], strict=True
-            )
-        ],
+        _off_transfer(values, details),
     )
+
+
+def _off_transfer(
+    values: Mapping[str, Any], details: Mapping[str, Any]
+) -> list[tuple[float, float, float, float]]:
+    """Signal, variance, and how far that is off the line, also over its standard uncertainty."""
+    gain = values["gain_e_per_dn"]
+    dark_dn2 = (values["read_noise_e"] / gain) ** 2 + _ROUNDING_DN2
+    return [
+        (signal, variance, rest := variance - dark_dn2 - signal / gain, rest / u)
+        for signal, variance, u in zip(
+            details["signal_dn"], details["variance_dn2"], details["u_variance_dn2"], strict=True
+        )
+    ]
 
 
 def _allan(axis: str, details: Mapping[str, Any]) -> Table:

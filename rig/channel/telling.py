@@ -97,25 +97,32 @@ class SessionTelling:
         """Keep references to deflections and half-cycles, and the newest frame if it is wanted."""
         size = self._unit.shown_size
         with self._lock:
-            if len(block.deflections):
-                path = self._path
-                path.append(block.deflections)
-                newest_ns = block.deflections.times_ns[-1]
-                while newest_ns - path[0].times_ns[-1] > _PATH_S * 1e9:
-                    path.popleft()
             for swing in block.swings:
                 if not swing.flags:
                     self._swings.append(((swing.turn_time_ns - start_ns) * 1e-9, swing.amplitude / size))
             if block.balances:
                 self._balance = block.balances[-1]
+        self.before_record(frames, block.spots, block.deflections)
+
+    def before_record(self, frames: Sequence[Frame], spots: Sequence[Spot], deflections: Deflections) -> None:
+        """Keep the trajectory, and the newest frame if it is wanted; also of frames that are not recorded."""
+        if len(deflections):
+            with self._lock:
+                path, newest_ns = self._path, deflections.times_ns[-1]
+                if path and deflections.times_ns[0] <= path[-1].times_ns[-1]:
+                    # the record begins with frames that were seen while its beginning was waited for
+                    path.clear()
+                path.append(deflections)
+                while newest_ns - path[0].times_ns[-1] > _PATH_S * 1e9:
+                    path.popleft()
         now_s = time.monotonic()
-        if self._picture_wanted and frames and block.spots and now_s - self._picture_s >= _PICTURE_INTERVAL_S:
+        if self._picture_wanted and frames and spots and now_s - self._picture_s >= _PICTURE_INTERVAL_S:
             self._picture_wanted, self._picture_s = False, now_s
             self._picture_number += 1
             image = frames[-1].image
             # a camera's frames are read-only and never written to again; anything else is copied
             held = image.copy() if image.flags.writeable else image
-            self._frame = LastFrame(held, block.spots[-1], self._picture_number)
+            self._frame = LastFrame(held, spots[-1], self._picture_number)
 
     def event(self, start_ns: int, event: Event) -> None:
         """Keep an event."""

@@ -11,9 +11,6 @@ from rig.commands.outputs import folder_without
 if TYPE_CHECKING:
     from rig.calibrate import Filing
 
-Ladder = Annotated[
-    Path, typer.Argument(help="Steps or geometry of the lever (TOML file).", show_default=False)
-]
 AskedLadder = Annotated[
     Path | None,
     typer.Argument(help="Steps or geometry of the lever (TOML file); without it, asked.", show_default=False),
@@ -33,7 +30,7 @@ Folder = Annotated[
     typer.Option("-o", "--output", help="Folder for the calibration file.", callback=folder_without()),
 ]
 Days = Annotated[
-    float, typer.Option("--valid-days", help="Number of days for which the calibration is valid.", min=0.01)
+    float, typer.Option("--valid-days", help="Number of days for which the calibration is valid.")
 ]
 By = Annotated[str, typer.Option("--by", help="Who made the calibration; default: the user's name.")]
 Side = Annotated[
@@ -207,17 +204,22 @@ def pointing(
 
 
 def check(
-    ladder: Ladder,
+    ladder: Annotated[
+        Path | None,
+        typer.Argument(help="Known tilts (TOML file); without it, asked.", show_default=False),
+    ] = None,
     lever: Annotated[
-        Path, typer.Option(help="Calibration file of the lever to be checked.", show_default=False)
-    ],
+        Path | None,
+        typer.Option(help="Calibration file of the lever to be checked.", show_default=False),
+    ] = None,
     output: Folder = _FOLDER,
     valid_days: Days = _DAYS,
     by: By = "",
+    config: Rig = None,
 ) -> None:
     """Check the lever against known tilts.
 
-    Before and after a series.
+    Before and after a series. Without a file it asks step by step.
 
     \b
     Example:
@@ -225,7 +227,15 @@ def check(
     """
     from rig.calibrate import check_known_angle
 
-    _say(check_known_angle(ladder, lever, _filing(output, valid_days, by)))
+    filing = _filing(output, valid_days, by)
+    if ladder is None:
+        if lever is not None:
+            raise typer.BadParameter(f"{lever}: without a file of tilts it is asked; leave the option out")
+        _say(_asked("check", config, filing))
+        return
+    if lever is None:
+        raise typer.BadParameter(f"is missing: which lever shall {ladder} check?", param_hint="--lever")
+    _say(check_known_angle(ladder, lever, filing))
 
 
 def _filing(folder: Path, valid_days: float, by: str) -> "Filing":

@@ -4,6 +4,8 @@ import html
 import math
 from collections.abc import Sequence
 
+from rig.calibrate import Residuals
+
 Points = Sequence[tuple[float, float]]
 _MARGIN = 34
 
@@ -46,6 +48,33 @@ def curve(points: Points, size: tuple[int, int], label: str, x_name: str, y_name
         f"<text x='{width - 6}' y='{height - 4}' text-anchor='end'>{high_x:.4g} {html.escape(x_name)}</text>",
     ]
     return _svg(size, "".join(parts), label)
+
+
+def residuals(left: Residuals, size: tuple[int, int]) -> str:
+    """Points with their standard uncertainties about the line of zero."""
+    width, height = size
+    low_x, high_x = min(left.x), max(max(left.x), min(left.x) + 1e-9)
+    most = max((abs(y) + u for y, u in zip(left.y, left.u, strict=True)), default=0.0) or 1.0
+    middle = (height - 16) / 2
+
+    def down(y: float) -> float:
+        return middle - y / most * (middle - 14)
+
+    parts = [f"<line x1='{_MARGIN}' y1='{middle}' x2='{width}' y2='{middle}' stroke='var(--dim)'/>"]
+    for x, y, u in zip(left.x, left.y, left.u, strict=True):
+        across = _MARGIN + 8 + (x - low_x) / (high_x - low_x) * (width - _MARGIN - 20)
+        parts.append(
+            f"<line x1='{across:.1f}' y1='{down(y + u):.1f}' x2='{across:.1f}' y2='{down(y - u):.1f}' "
+            "stroke='var(--line)' stroke-width='1.5'/>"
+            f"<circle cx='{across:.1f}' cy='{down(y):.1f}' r='3' fill='var(--line)'/>"
+        )
+    x_name = html.escape(left.x_name)
+    parts += [
+        f"<text x='2' y='12'>±{most:.3g}: {html.escape(left.y_name)}</text>",
+        f"<text x='{_MARGIN}' y='{height - 2}'>{low_x:.4g}</text>",
+        f"<text x='{width - 6}' y='{height - 2}' text-anchor='end'>{high_x:.4g}: {x_name}</text>",
+    ]
+    return _svg(size, "".join(parts), f"{left.title}, {left.y_name} against {left.x_name}")
 
 
 def trajectory(

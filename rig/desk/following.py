@@ -47,6 +47,11 @@ class Following:
     def running(self) -> bool:
         return self.folder is not None
 
+    @property
+    def has_picture(self) -> bool:
+        """Whether the running session has shown a frame."""
+        return self._last_picture is not None
+
     def look_now(self, folder: Path | None = None) -> None:
         """Look for a session at once; `folder`: one that was just started in another place."""
         if folder is not None:

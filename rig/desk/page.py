@@ -9,7 +9,7 @@ from nicegui.events import KeyEventArguments
 from rig.desk.desk import Desk
 from rig.desk.panels import PANELS
 from rig.desk.tab import Tab
-from rig.desk.theme import SOUND, STYLE
+from rig.desk.theme import NIGHT, SCRIPT, STYLE
 
 _LOOK_S = 0.25
 
@@ -18,11 +18,12 @@ def build_page(desk: Desk) -> None:
     """Build the page for one tab of a browser."""
     tab = Tab(desk)
     ui.add_css(STYLE)
-    ui.add_head_html(f"<script>{SOUND}</script>")
+    ui.add_head_html(f"<script>{SCRIPT}</script>")
+    ui.add_body_html(NIGHT)
     if not desk.somebody_acts:
         desk.take(tab.name)
     ui.context.client.on_delete(lambda: desk.leave(tab.name))
-    with ui.header().classes("items-center q-py-xs no-wrap"):
+    with ui.header().classes("items-center no-wrap"):
         ui.label("rig desk").classes("text-weight-bold")
         simulated = ui.label("SIMULATED").classes("no")
         simulated.set_visibility(desk.config.simulated)
@@ -32,10 +33,11 @@ def build_page(desk: Desk) -> None:
         take = ui.button("Take over", on_click=lambda: desk.take(tab.name)).props("dense outline")
         ui.button("Night", on_click=_night).props('dense flat aria-label="red night theme, key n"')
         ui.button("Keys", on_click=lambda: tab.press("?")).props('dense flat aria-label="keys, key ?"')
-    alarm = ui.label().classes("alarm").props('role="alert" aria-live="assertive"')
-    acknowledge = ui.button("Acknowledge: nobody is in the beam's way, light is allowed again (key a)")
-    acknowledge.props('color="negative" size="lg"').classes("full-width")
-    instruction = ui.label().classes("instruction").props('role="alert"')
+    with ui.element("div").classes("cries"):
+        alarm = ui.label().classes("alarm").props('role="alert" aria-live="assertive"')
+        acknowledge = ui.button("Acknowledge: nobody is in the beam's way, light is allowed again (key a)")
+        acknowledge.props('color="negative" size="lg"').classes("full-width")
+        instruction = ui.label().classes("instruction").props('role="alert"')
     with ui.tabs().props("dense align=left").classes("full-width") as tabs:
         for number, panel in enumerate(PANELS, start=1):
             ui.tab(panel.name).props(f'aria-label="{panel.name}, key {number}"')
@@ -114,7 +116,7 @@ def _state(desk: Desk) -> str:
 
 
 def _night() -> None:
-    ui.run_javascript("document.body.classList.toggle('night')")
+    ui.run_javascript("window.rigNight(!document.documentElement.classList.contains('night'))")
 
 
 def _keys() -> ui.dialog:

@@ -7,13 +7,15 @@ from pathlib import Path
 
 from processing.errors import ConfigurationError, RigError
 from rig.desk.jobs import Job
-from rig.measure import read_session
+from rig.measure import SessionState, read_session
 
 SERVED = "/sessions"
 """Where the server has the files of the sessions' folder."""
 _SHOWN = frozenset({".html", ".svg", ".png", ".csv", ".json"})
 _MOST = 500
 _IN_RERUN = ("view", "replay")
+INTERRUPTED = "interrupted"
+"""State of a session that was killed: its missing runs can be made."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,15 +46,26 @@ def _row(folder: Path, running: Path | None) -> SessionRow:
     begun = min((entry.begun_utc for entry in session.entries if entry.begun_utc), default="")
     made = len(session.complete)
     stated = session.configuration.get("session", {})
-    if running is not None and running.resolve() == folder.resolve():
-        state = "running"
-    elif made < session.runs_wanted:
-        state = "interrupted"
-    else:
-        state = "complete"
+    runs_now = running is not None and running.resolve() == folder.resolve()
+    state = "running" if runs_now else state_of(session)
     sample = str(stated.get("sample", ""))
     runs = f"{made} of {session.runs_wanted}"
     return SessionRow(folder, begun.replace("T", " ").partition("+")[0], sample, runs, state, report)
+
+
+def state_of(session: SessionState) -> str:
+    """How a session that does not run has ended: complete, stopped, failed, interrupted, no run made.
+
+    One that was killed is interrupted: a run of it is still noted as being recorded, or its next run did not
+    begin.
+    """
+    if len(session.complete) >= session.runs_wanted:
+        return "complete"
+    if not session.entries:
+        return "no run made"
+    states = [entry.state for entry in session.entries]
+    ended = "recording" not in states and states[-1] in ("stopped", "failed")
+    return states[-1] if ended else INTERRUPTED
 
 
 def served_file(output: Path, name: str) -> Path | None:

@@ -17,7 +17,8 @@ class Tab:
 
     def __init__(self, desk: Desk) -> None:
         self._desk = desk
-        self.name = context.client.id
+        self._client = context.client
+        self.name = self._client.id
         self.shown = ""
         self.building = ""
         self.keys: dict[str, dict[str, Handler]] = {}
@@ -63,11 +64,16 @@ class Tab:
         if do is None:
             return False
         done = do()
-        if inspect.iscoroutine(done):
-            task = asyncio.ensure_future(done)
+        if inspect.isawaitable(done):
+            task = asyncio.ensure_future(self._within(done))
             _running.add(task)
             task.add_done_callback(_running.discard)
         return True
+
+    async def _within(self, done: Awaitable[None]) -> None:
+        """Await it as a part of this tab: a task of its own does not know where its messages belong."""
+        with self._client:
+            await done
 
 
 _running: set["asyncio.Future[None]"] = set()

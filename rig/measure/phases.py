@@ -19,7 +19,7 @@ from rig.instrument import Optics, Snapshot
 from rig.measure.end_of_run import StopRequest
 from rig.measure.phase_wait import PhaseWait, Stopped
 from rig.measure.preflight import device_checks, frame_checks
-from rig.measure.recent_frames import RecentFrames
+from rig.measure.recent_frames import RecentFrames, Watch
 from rig.presentation import Verdict, failures
 from rig.settings import Configuration
 
@@ -40,7 +40,7 @@ class PhasesBeforeRecord:
 
     `verdicts` is the preflight table, `starter_pulse_s` the pulse of the next attempt. With `force` a
     failed preflight is recorded and the run continues. `folder` is the folder of the record, whose free
-    disk space is checked.
+    disk space is checked. `watch` is shown the frames meanwhile.
     """
 
     def __init__(
@@ -53,6 +53,7 @@ class PhasesBeforeRecord:
         *,
         force: bool = False,
         show_table: Callable[[Sequence[Verdict]], None] = lambda _: None,
+        watch: Watch | None = None,
     ) -> None:
         self._config = config
         self._devices = devices
@@ -61,6 +62,7 @@ class PhasesBeforeRecord:
         self._folder = folder
         self._force = force
         self._show_table = show_table
+        self._watch = watch
         self._unit = optics.unit
         self.verdicts: list[Verdict] = []
         self.starter_pulse_s = config.start.starter_pulse_s
@@ -79,7 +81,7 @@ class PhasesBeforeRecord:
         window_s = max(config.phases.rest_window_s, config.phases.warm_up_window_s, _preflight_s(config))
         # the preflight needs whole frames too
         kept_s = max(config.start.pretrigger_s, _preflight_s(config))
-        frames = RecentFrames(stream, self._optics, kept_s, window_s)
+        frames = RecentFrames(stream, self._optics, kept_s, window_s, self._watch)
         self._wait = PhaseWait(frames, report, stop)
         self._attempt += 1
         try:

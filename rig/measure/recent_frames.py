@@ -1,6 +1,7 @@
 """Keeps the last seconds of frames before a record begins, and tracks the spots in them."""
 
 from collections import deque
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -13,13 +14,15 @@ from rig.measure.preflight import Look
 
 _BLOCK_FRAMES = 16
 _RING_BYTES = 256 * 1024 * 1024
+Watch = Callable[[Sequence[Frame], Sequence[Spot], Deflections], None]
 
 
 class RecentFrames:
     """Takes frames, tracks the spot, and keeps the deflections of the last `window_s` seconds.
 
     The frames themselves are kept for `frames_s` seconds (fewer if they would need more than 256 MiB),
-    because a release is detected only afterwards, and the record must begin before it.
+    because a release is detected only afterwards, and the record must begin before it. `watch` is shown every
+    block of frames, with its spots and deflections.
     """
 
     def __init__(
@@ -28,8 +31,10 @@ class RecentFrames:
         optics: Optics,
         frames_s: float,
         window_s: float,
+        watch: Watch | None = None,
     ) -> None:
         self._stream = stream
+        self._watch = watch
         self._optics = optics
         self._tracker = optics.tracker()
         self._deflector: Deflector | None = None
@@ -54,6 +59,8 @@ class RecentFrames:
         found_ns = times_ns[deflections.found]
         self._found_ns = int(found_ns[-1]) if len(found_ns) else self._found_ns or int(times_ns[0])
         self._frames.extend(block)
+        if self._watch is not None:
+            self._watch(block, spots, deflections)
         self.seen += len(block)
         newest_ns = block[-1].time_ns
         most = max(8, _RING_BYTES // max(block[0].image.nbytes, 1))

@@ -124,6 +124,7 @@ def _execute(
             record.parent,
             force=plan.force,
             show_table=show_table,
+            watch=None if telling is None else telling.before_record,
         )
     parts = RunParts(
         stream=FrameStream(

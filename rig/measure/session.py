@@ -178,6 +178,9 @@ def _make_runs(
         interrupt = outcome.interrupt
         stopped = interrupt is not None and reason == reason_of(interrupt)
         state: RunState = "failed" if outcome.failure is not None else "stopped" if stopped else "complete"
+        if stopped and not record.exists():
+            # the user has ended it before it began
+            state = "stopped"
         file.note(number, record.name, state, str(outcome.failure or reason))
         if outcome.failure is not None:
             failed = True

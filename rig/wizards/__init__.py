@@ -23,6 +23,7 @@ from rig.wizards.kinds import KINDS, calibration_wizard
 from rig.wizards.question import Choice, Question, Recording, Wizard
 from rig.wizards.recording import place_for, recorder_of
 from rig.wizards.terminal import ask_in_terminal
+from rig.wizards.typed import number
 
 __all__ = [
     "KINDS",
@@ -44,6 +45,7 @@ __all__ = [
     "keep_draft",
     "kept_draft",
     "next_free",
+    "number",
     "place_for",
     "progress",
     "recorder_of",

@@ -9,7 +9,7 @@ from typing import Any, Protocol
 
 from calibration import CalibrationFile, read_calibration
 from processing.errors import ConfigurationError, RecordError
-from rig.calibrate import Filing, calibration_tables
+from rig.calibrate import Filing, Residuals, calibration_residuals, calibration_tables
 from rig.presentation import Table
 from rig.settings import toml_value
 from rig.wizards.question import Question
@@ -38,19 +38,25 @@ class CalibrationWizard(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Filed:
-    """A calibration that was made: its file, content, tables, and the lines for the configuration."""
+    """A calibration that was made: its file, content, tables, and the lines for the configuration.
+
+    `residuals` are what its fit has left over.
+    """
 
     path: Path
     calibration: CalibrationFile
     tables: Sequence[Table]
+    residuals: Sequence[Residuals]
     configuration: str
 
 
 def filed(path: Path) -> Filed:
     """What to show of a new calibration file."""
     found = read_calibration(path)
-    state = f"[calibration]\n{found.kind} = {toml_value(path.as_posix())}"
-    return Filed(path, found, calibration_tables(found), state)
+    name = toml_value(path.as_posix())
+    stated = f"checks = [{name}]" if found.kind == "check" else f"{found.kind} = {name}"
+    state = f"[calibration]\n{stated}"
+    return Filed(path, found, calibration_tables(found), calibration_residuals(found), state)
 
 
 def write_table(folder: Path, stem: str, tree: Mapping[str, Any]) -> Path:

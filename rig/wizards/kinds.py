@@ -3,11 +3,12 @@
 from processing.errors import ConfigurationError
 from rig.settings import Configuration
 from rig.wizards.calibration import CalibrationWizard
+from rig.wizards.check import CheckWizard
 from rig.wizards.lever import LeverWizard
 from rig.wizards.of_records import AxesWizard, ClockWizard, PointingWizard, ShutterWizard
 from rig.wizards.sensor import SensorWizard
 
-KINDS = ("lever", "axes", "sensor", "clock", "shutter", "pointing")
+KINDS = ("lever", "axes", "sensor", "clock", "shutter", "pointing", "check")
 
 
 def calibration_wizard(kind: str, config: Configuration | None = None) -> CalibrationWizard:
@@ -21,6 +22,8 @@ def calibration_wizard(kind: str, config: Configuration | None = None) -> Calibr
     }
     if kind == "sensor":
         return SensorWizard(_full_scale_dn(config))
+    if kind == "check":
+        return CheckWizard(None if config is None else config.calibration.lever)
     if kind not in plain:
         raise ConfigurationError(f"{kind!r}: no such calibration; there are {', '.join(KINDS)}")
     return plain[kind]()

@@ -51,7 +51,7 @@ class LeverWizard:
         if values["way"] == "geometry":
             yield from _geometry(values)
         else:
-            yield from _ladder(values)
+            yield from ladder_questions(values, values["way"])
 
     def file(self, values: Mapping[str, Any], filing: Filing) -> Path:
         """See `CalibrationWizard`."""
@@ -69,7 +69,12 @@ def lever_table(values: Mapping[str, Any]) -> dict[str, Any]:
             for key, value in found.items()
         }
         return {"geometry": {key.removeprefix("geometry."): value for key, value in stated.items()}}
-    tree: dict[str, Any] = {"kind": values["way"], "unit": values["unit"]}
+    return ladder_table(values, values["way"])
+
+
+def ladder_table(values: Mapping[str, Any], way: str) -> dict[str, Any]:
+    """What the answers to `ladder_questions` state, as the file has it."""
+    tree: dict[str, Any] = {"kind": way, "unit": values["unit"]}
     for name in ("scale", "setting", "factor"):
         tree |= values[name]
     if values.get("binning", 1) != 1:
@@ -114,8 +119,8 @@ def _geometry(values: Mapping[str, Any]) -> Iterator[Question]:
         )
 
 
-def _ladder(values: Mapping[str, Any]) -> Iterator[Question]:
-    way = values["way"]
+def ladder_questions(values: Mapping[str, Any], way: str) -> Iterator[Question]:
+    """The questions of a ladder of known tilts or shifts (`way`)."""
     tilts = way == "tilt"
     yield Question(
         "unit",

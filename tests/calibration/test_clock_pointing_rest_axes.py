@@ -119,6 +119,11 @@ def test_handedness_and_sign_are_said_to_be_assumed() -> None:
     assert told.handedness_known
     assert told.axes.mirrored == rig.settings.axes.mirrored
     assert told.notes == ()
+    for parts in (told.slow_parts, told.fast_parts):
+        off, weight = np.array(parts.off_rad), np.array(parts.u_off_rad) ** -2.0
+        assert len(off) == told.windows
+        assert abs(np.sum(weight * off)) < 1e-6 * np.sum(weight) ** 0.5
+        assert np.sum(weight * off**2) < 4 * max(len(off) - 1, 1)
 
 
 @pytest.mark.parametrize(

@@ -35,6 +35,10 @@ def test_the_row_time_is_that_of_the_run(row_time_us: float, delay_s: float, pul
     assert found.row_time_s == pytest.approx(1e-6 * row_time_us, rel=0.005)
     assert 0.5 * 0.005 < found.scatter < 2 * 0.005
     assert found.u_row_time_s < 0.1e-6 * abs(row_time_us)
+    pulls = np.array(found.off) / np.array(found.u_off)
+    assert np.abs(pulls).max() < 4.5
+    assert found.rows_px[0] < 100
+    assert found.rows_px[-1] > 380
 
 
 def test_a_pulse_that_all_rows_see_says_nothing() -> None:

@@ -5,12 +5,13 @@ from nicegui import run, ui
 from nicegui.events import MouseEventArguments
 
 from acquisition.camera import CameraSettings
+from processing.errors import ConfigurationError
 from rig.desk import drawings
-from rig.desk.aligner import EXPOSE
+from rig.desk.aligner import EXPOSE, Aligner
 from rig.desk.desk import Desk
 from rig.desk.look_now import look_now
 from rig.desk.panels.fields import as_typed, number_field
-from rig.desk.panels.live_picture import LivePicture
+from rig.desk.panels.live_picture import LivePicture, no_frame_yet
 from rig.desk.tab import Tab
 
 KEYS = (
@@ -31,7 +32,7 @@ def build(desk: Desk, tab: Tab) -> None:
         """A rectangle drawn over the whole frame becomes the camera's region."""
         if not tab.acts or desk.aligner is None or picture.zoom != 1:
             return
-        if event.type == "mousedown":
+        if event.type == "pointerdown":
             corner[:] = [(event.image_x, event.image_y)]
         elif corner:
             x, y = corner[0]
@@ -41,27 +42,39 @@ def build(desk: Desk, tab: Tab) -> None:
                 f"<rect x='{left}' y='{top}' width='{width}' height='{height}' fill='none' "
                 "stroke='white' stroke-width='2'/>"
             )
-            if event.type == "mouseup":
+            if event.type == "pointerup":
                 corner.clear()
                 if min(width, height) > 8:
                     _ask_region(desk, left, top, width, height)
                 else:
                     picture.element.content = ""
 
+    def aligner() -> Aligner:
+        if desk.aligner is None:
+            raise ConfigurationError("there is no live picture: press Live picture first")
+        return desk.aligner
+
     def wish(wanted: CameraSettings | str) -> None:
-        if desk.aligner is not None:
-            desk.aligner.wish(wanted)
+        aligner().wish(wanted)
 
     def turned(exposure: float = 1.0, gain_db: float = 0.0) -> None:
-        applied = CameraSettings() if desk.aligner is None else desk.aligner.applied
-        if exposure != 1.0 and applied.exposure_us is not None:
+        applied = aligner().applied
+        if exposure != 1.0:
+            if applied.exposure_us is None:
+                raise ConfigurationError("this camera does not say its exposure; type one, and Set")
             wish(CameraSettings(exposure_us=applied.exposure_us * exposure))
-        if gain_db and applied.gain_db is not None:
+        if gain_db:
+            if applied.gain_db is None:
+                raise ConfigurationError("this camera does not say its gain; type one, and Set")
             wish(CameraSettings(gain_db=applied.gain_db + gain_db))
 
-    def typed(key: str, field: ui.input) -> None:
-        if field.value and not desk.fault(f"camera.{key}", as_typed(field.value, True)):
-            wish(CameraSettings.model_validate({key: as_typed(field.value, True)}))
+    def typed(name: str, field: ui.input) -> None:
+        key, value = f"camera.{name}", as_typed(field.value, True)
+        if value == "":
+            raise ConfigurationError(f"{key}: nothing is typed; type a number, then Set")
+        if fault := desk.fault(key, value):
+            raise ConfigurationError(fault)
+        wish(CameraSettings.model_validate({name: value}))
 
     async def whole() -> None:
         for name in ("width_px", "height_px", "offset_x_px", "offset_y_px"):
@@ -77,17 +90,15 @@ def build(desk: Desk, tab: Tab) -> None:
 
     def keep() -> None:
         """What was set at the camera holds for what this desk starts."""
-        if desk.aligner is None:
-            return
-        applied = desk.aligner.applied.model_dump(exclude_none=True)
+        applied = aligner().applied.model_dump(exclude_none=True)
         names = ("exposure_us", "gain_db", "width_px", "height_px", "offset_x_px", "offset_y_px")
         own = {f"camera.{name}": applied[name] for name in names if name in applied}
         desk.checked(own)
         desk.kept.update(own)
 
-    with ui.row().classes("full-width no-wrap items-start"):
-        with ui.column().classes("col-8 box"):
-            picture = LivePicture(tab, _SIZE, lambda: _seen(desk), mouse)
+    with ui.element("div").classes("two"):
+        with ui.column().classes("box"):
+            picture = LivePicture(tab, _SIZE, lambda: _seen(desk), lambda: _why_none(desk), mouse)
             with ui.row():
                 begin = ui.button("Live picture", on_click=tab.act(start)).props('color="positive"')
                 end = ui.button("Stop", on_click=tab.act(stop)).props("outline")
@@ -95,15 +106,17 @@ def build(desk: Desk, tab: Tab) -> None:
                 ui.button("Whole sensor", on_click=tab.act(whole)).props("outline")
                 ui.button("Keep for runs", on_click=tab.act(keep)).props("outline")
             kept = ui.label().classes("dim")
-        with ui.column().classes("col box"):
-            figures = ui.label().style("white-space: pre-line").props('aria-live="off"')
+        with ui.column().classes("box"):
+            figures = ui.html(sanitize=False).classes("full-width").props('aria-live="off"')
             note = ui.label().classes("caution").props('role="status"')
             with ui.row().classes("items-center no-wrap"):
                 exposure = number_field(desk, "camera.exposure_us", "exposure / us", None)
+                exposure.props("hide-bottom-space")
                 ui.button("Set", on_click=tab.act(lambda: typed("exposure_us", exposure))).props("outline")
                 ui.button("Auto", on_click=tab.act(lambda: wish(EXPOSE))).props("outline")
             with ui.row().classes("items-center no-wrap"):
                 gain = number_field(desk, "camera.gain_db", "gain / dB", None)
+                gain.props("hide-bottom-space")
                 ui.button("Set", on_click=tab.act(lambda: typed("gain_db", gain))).props("outline")
             ui.label("histogram").classes("title")
             histogram = ui.html(sanitize=False).classes("full-width")
@@ -116,23 +129,23 @@ def build(desk: Desk, tab: Tab) -> None:
     tab.key("G", tab.act(lambda: turned(gain_db=_STEP_DB)))
 
     def refresh() -> None:
-        aligner = desk.aligner
-        begin.set_visibility(aligner is None)
-        end.set_visibility(aligner is not None)
+        now = desk.aligner
+        begin.set_visibility(now is None)
+        end.set_visibility(now is not None)
         kept.set_text(_kept(desk))
-        note.set_text("" if aligner is None else aligner.problem or aligner.darkness or aligner.note)
-        if aligner is not None and aligner.focus:
-            focus.set_content(
-                drawings.curve(list(aligner.focus), (380, 130), "sharpness over time", "s", "1/px")
-            )
+        note.set_text("" if now is None else now.problem or now.darkness or now.note)
+        sharpness = [] if now is None else list(now.focus)
+        if sharpness:
+            focus.set_content(drawings.curve(sharpness, (380, 100), "sharpness over time", "s", "1/px"))
         look = look_now(desk)
         if look is None:
-            figures.set_text("no picture: start it here, or a session")
+            figures.set_content("")
+            histogram.set_content("")
             return
-        figures.set_text("\n".join([*filter(None, look.lines()), look.beam_line]))
+        figures.set_content(drawings.table(look.rows(), "figures of the picture"))
         counts = np.histogram(look.image, _BARS, (0, look.full_scale_dn + 1))[0].tolist()
         histogram.set_content(
-            drawings.bars(counts, (380, 110), "histogram of the frame", f"{look.full_scale_dn} DN")
+            drawings.bars(counts, (380, 90), "histogram of the frame", f"{look.full_scale_dn} DN")
         )
 
     tab.every(0.3, refresh)
@@ -141,6 +154,18 @@ def build(desk: Desk, tab: Tab) -> None:
 
 def _seen(desk: Desk) -> bool:
     return desk.following.running or desk.aligner is not None
+
+
+def _why_none(desk: Desk) -> str:
+    """Why there is no picture; empty if there is one."""
+    now = desk.aligner
+    if now is not None:
+        if now.problem:
+            return f"the live picture has ended: {now.problem}"
+        return "" if now.look is not None else f"the first frame is waited for. {now.note}"
+    if desk.following.running:
+        return no_frame_yet(desk.following)
+    return "No live picture yet. Press Live picture: it lights the laser, and shows what the camera sees."
 
 
 def _ask_region(desk: Desk, left: float, top: float, width: float, height: float) -> None:

@@ -78,8 +78,8 @@ def build(desk: Desk, tab: Tab) -> None:
         nonlocal stretch
         stretch = (stretch + 1) % len(_STRETCHES)
 
-    with ui.row().classes("full-width no-wrap items-stretch"):
-        with ui.column().classes("col-4 box"):
+    with ui.element("div").classes("three even"):
+        with ui.column().classes("box"):
             with ui.row():
                 begin = ui.button("Measure", on_click=tab.act(measure)).props(
                     'color="positive" aria-label="measure the balance, key m"'
@@ -87,16 +87,20 @@ def build(desk: Desk, tab: Tab) -> None:
                 ui.button("End", on_click=tab.act(end)).props("outline")
                 ui.button("Stretch", on_click=stretched).props("outline")
             way = ui.html(sanitize=False).classes("full-width")
-        with ui.column().classes("col-4 box"):
+        with ui.column().classes("box"):
             ui.label("what to turn").classes("title")
             advice = ui.label().classes("middle").props('role="status" aria-live="polite"')
             pendulum = ui.html(sanitize=False).classes("full-width")
             with ui.row().classes("items-center no-wrap full-width"):
-                weight = ui.select(list(WEIGHTS), value=WEIGHTS[0], label="weight").props("dense outlined")
-                turns = ui.input("turns, clockwise positive").props('dense outlined data-key="turns"')
+                weight = (
+                    ui.select(list(WEIGHTS), value=WEIGHTS[0], label="weight")
+                    .props("dense outlined")
+                    .style("min-width: 90px")
+                )
+                turns = ui.input("turns, + clockwise").props('dense outlined data-key="turns"')
                 ui.button("Turned", on_click=tab.act(turned)).props('color="positive"')
             wrong = ui.label().classes("no").props('role="alert"')
-        with ui.column().classes("col box"):
+        with ui.column().classes("box"):
             ui.label("faults").classes("title")
             faults = ui.html(sanitize=False).classes("full-width")
     with ui.column().classes("full-width box"):

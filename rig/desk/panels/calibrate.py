@@ -4,13 +4,13 @@ from functools import partial
 
 from nicegui import run, ui
 
-from processing.errors import RigError
+from processing.errors import ConfigurationError, RigError
 from rig.calibrate import Filing
 from rig.desk import drawings
 from rig.desk.calibrating import FOLDER, Calibrating
 from rig.desk.desk import Desk
 from rig.desk.tab import Tab
-from rig.wizards import KINDS, Progress, Question
+from rig.wizards import KINDS, Progress, Question, number
 
 KEYS = (("r", "calibrate: record what is asked for"), ("<", "calibrate: one question back"))
 _DAYS = 90.0
@@ -42,9 +42,8 @@ def build(desk: Desk, tab: Tab) -> None:
     async def file() -> None:
         working.set_visibility(True)
         try:
-            await run.io_bound(
-                calibrating.file, kind, Filing(FOLDER, float(days.value or _DAYS), str(by.value or ""))
-            )
+            filing = Filing(FOLDER, _days(days.value), str(by.value or ""))
+            await run.io_bound(calibrating.file, kind, filing)
         finally:
             working.set_visibility(False)
             refresh()
@@ -53,21 +52,23 @@ def build(desk: Desk, tab: Tab) -> None:
         kinds = {name: ui.button(name, on_click=partial(choose, name)) for name in KINDS}
     for name, button in kinds.items():
         button.props(f'dense aria-label="calibrate {name}"')
-    with ui.row().classes("full-width no-wrap items-start"):
-        with ui.column().classes("col-6 box"):
+    with ui.element("div").classes("two half"):
+        with ui.column().classes("box"):
             title = ui.label().classes("middle")
             asked = ui.column().classes("full-width")
             going = ui.label().classes("dim").props('role="status" aria-live="polite"')
             wrong = ui.label().classes("no").props('role="alert"')
             with ui.row().classes("full-width items-center") as last:
                 by = ui.input("made by", value=desk.config.session.operator).props("dense outlined")
-                days = ui.number("valid for / days", value=_DAYS, min=0.01).props("dense outlined")
+                days = ui.input("valid for / days", value=f"{_DAYS:g}").props(
+                    'dense outlined data-key="days"'
+                )
                 ui.button("File it", on_click=tab.act(file)).props('color="positive" size="lg"')
                 working = ui.spinner()
                 working.set_visibility(False)
             ui.button("Back", on_click=tab.act(back)).props('outline aria-label="one question back, key <"')
             given = ui.html(sanitize=False).classes("full-width")
-        with ui.column().classes("col box"):
+        with ui.column().classes("box"):
             ui.label("what came out").classes("title")
             result = ui.html(sanitize=False).classes("full-width")
 
@@ -135,6 +136,14 @@ def build(desk: Desk, tab: Tab) -> None:
     refresh()
 
 
+def _days(text: str | None) -> float:
+    """Days of validity as typed; raises ConfigurationError for what is no number."""
+    try:
+        return number()((text or "").strip())
+    except ConfigurationError as error:
+        raise ConfigurationError(f"valid for / days: {error}") from None
+
+
 def _given(calibrating: Calibrating, kind: str, found: Progress) -> str:
     answers = dict(calibrating.draft(kind).answers)
     rows = [[question.text, answers[question.name]] for question in reversed(found.asked)]
@@ -156,6 +165,9 @@ def _result(calibrating: Calibrating, kind: str) -> str:
             "where it is filed",
         )
     ]
+    for left in made.residuals:
+        parts.append(f"<div class='title'>{drawings.escaped(left.title)}</div>")
+        parts.append(drawings.residuals(left, (480, 150)))
     for table in made.tables:
         parts.append(f"<div class='title'>{drawings.escaped(table.title)}</div>")
         parts.append(drawings.table([list(table.head), *(list(row) for row in table.shown)], table.title))

@@ -10,12 +10,12 @@ from processing.errors import ConfigurationError
 from rig.desk import drawings
 from rig.desk.desk import Desk
 from rig.desk.panels.fields import number_field, stated, text_field
-from rig.desk.panels.live_picture import LivePicture
+from rig.desk.panels.live_picture import LivePicture, no_frame_yet
 from rig.desk.tab import Tab
 from rig.presentation import quantity
 
 KEYS = (("s", "measure: start a session"), ("b", "measure: brake on or off"), ("x", "measure: stop"))
-_SIZE = (420, 260)
+_SIZE = (420, 240)
 _RELEASE = {
     "at once": "recorded from the first frame on, whether it moves or not",
     "by hand": "comes to rest, is checked; then you are asked to release it by hand",
@@ -85,9 +85,11 @@ def build(desk: Desk, tab: Tab) -> None:
         "session.max_duration_s": (longest, True),
     }
     with ui.column().classes("full-width") as during:
-        with ui.row().classes("full-width no-wrap items-stretch"):
-            with ui.column().classes("col-5 box"):
-                ui.label("amplitude").classes("title")
+        with ui.element("div").classes("three"):
+            with ui.column().classes("box"):
+                with ui.row().classes("items-baseline"):
+                    ui.label("amplitude").classes("title")
+                    doing = ui.label().classes("caution").props('role="status" aria-live="polite"')
                 amplitude = ui.label().classes("large").props('role="status" aria-live="off" id="amplitude"')
                 ui.label("time left").classes("title")
                 left = ui.label().classes("middle")
@@ -101,20 +103,20 @@ def build(desk: Desk, tab: Tab) -> None:
                     brakes = ui.button("Brake", on_click=tab.act(brake)).props(
                         'outline size="lg" aria-label="brake on or off, key b"'
                     )
-            with ui.column().classes("col box"):
+            with ui.column().classes("box"):
                 ui.label("what the run has told").classes("title")
                 learned = ui.html(sanitize=False).classes("full-width")
                 ui.label("decay").classes("title")
                 decay = ui.html(sanitize=False).classes("full-width")
-            with ui.column().classes("col box"):
+            with ui.column().classes("box"):
                 ui.label("trajectory").classes("title")
                 way = ui.html(sanitize=False).classes("full-width")
-        with ui.row().classes("full-width no-wrap items-stretch"):
-            with ui.column().classes("col-4 box"):
-                LivePicture(tab, _SIZE, lambda: desk.following.running)
-            with ui.column().classes("col-4 box"):
+        with ui.element("div").classes("three"):
+            with ui.column().classes("box"):
+                LivePicture(tab, _SIZE, lambda: desk.following.running, lambda: no_frame_yet(desk.following))
+            with ui.column().classes("box"):
                 state = ui.html(sanitize=False).classes("full-width")
-            with ui.column().classes("col box"):
+            with ui.column().classes("box"):
                 ui.label("events").classes("title")
                 events = ui.html(sanitize=False).classes("events").props('role="log" aria-label="events"')
     tab.key("s", tab.act(start))
@@ -132,6 +134,8 @@ def build(desk: Desk, tab: Tab) -> None:
             return
         told = news.get("state") or {}
         unit = str(news.get("unit") or "")
+        phase = str(told.get("phase") or "")
+        doing.set_text("" if phase == "measuring" else f"nothing is recorded yet: {phase or 'preparing'}")
         amplitude.set_text(_number(told.get("amplitude"), ".2f", unit))
         left.set_text(_left(told))
         progress.set_value(_done(news))
@@ -140,9 +144,9 @@ def build(desk: Desk, tab: Tab) -> None:
         brakes.set_visibility(news.get("controller") is not None)
         learned.set_content(drawings.table(_estimates(told), "parameters so far"))
         swings = [(float(t), float(a)) for t, a in news.get("swings") or []]
-        decay.set_content(drawings.curve(swings, (420, 150), "amplitude over time", "s", unit))
+        decay.set_content(drawings.curve(swings, (420, 130), "amplitude over time", "s", unit))
         path = news.get("path") or {"x": [], "y": []}
-        way.set_content(drawings.trajectory(path["x"], path["y"], unit, (300, 300)))
+        way.set_content(drawings.trajectory(path["x"], path["y"], unit, (300, 270)))
         state.set_content(drawings.table([list(row) for row in news.get("rows") or []], "state of the run"))
         events.set_content("".join(map(_event, reversed(desk.following.events))))
 

@@ -36,8 +36,8 @@ def build(desk: Desk, tab: Tab) -> None:
         finally:
             working.set_visibility(False)
 
-    with ui.row().classes("full-width no-wrap items-start"):
-        with ui.column().classes("col-8 box"):
+    with ui.element("div").classes("two"):
+        with ui.column().classes("box"):
             with ui.row().classes("items-center"):
                 button = ui.button("Run preflight", on_click=tab.act(start)).props(
                     'color="positive" aria-label="run preflight, key p"'
@@ -45,7 +45,7 @@ def build(desk: Desk, tab: Tab) -> None:
                 ending = ui.button("End", on_click=tab.act(end)).props("outline")
                 verdict = ui.label().classes("middle").props('role="status" aria-live="polite"')
             table = ui.html(sanitize=False).classes("full-width")
-        with ui.column().classes("col box"):
+        with ui.column().classes("box"):
             ui.label("what a run will tell").classes("title")
             ui.button("Plan", on_click=plan).props("outline")
             working = ui.spinner()
@@ -89,11 +89,11 @@ def lights(verdicts: Sequence[Mapping[str, Any]]) -> str:
         )  # fmt: skip
         why = "; ".join(html.escape(str(one[key])) for key in ("reason", "remedy") if one[key])
         rows.append(
-            f"<tr><td class='{judged[0]}'><span class='light' style='background: currentcolor'></span>"
+            f"<tr><td class='{judged[0]} judged'><span class='light' style='background: currentcolor'></span>"
             f"{judged[1]}</td><th scope='row'>{html.escape(str(one['name']))}</th>"
             f"<td>{html.escape(str(one['measured']))}</td>"
-            f"<td class='dim'>{html.escape(str(one['limit']))}</td>"
-            f"<td>{why}</td></tr>"
+            f"<td class='dim'>{html.escape(str(one['limit']))}</td></tr>"
+            + (f"<tr><td></td><td></td><td colspan='2' class='{judged[0]}'>{why}</td></tr>" if why else "")
         )
     return f"<table class='rows' aria-label='preflight'>{''.join(rows)}</table>"
 

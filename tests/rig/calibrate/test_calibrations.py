@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from acquisition.record.reader import RecordReader
+from calibration import relate_clocks
 from calibration.store import read_calibration, write_calibration
 from processing.errors import ConfigurationError, RigError
 from rig.analysis.record_fit import analyse_record
@@ -17,14 +18,17 @@ from rig.calibrate import (
     calibrate_lever,
     calibrate_pointing,
     calibrate_sensor,
+    calibration_residuals,
     check_known_angle,
 )
+from rig.calibrate.clock import off_line
 from rig.calibrate.filing import Filing
 from rig.instrument import complete
 from rig.instrument.calibration import calibration_attachments, fill_from_files, judge_calibration
 from rig.measure.session import simulate_record
 from rig.settings.configuration import Configuration, validate_configuration
 from tests.calibration.simulated_sensor import random_sensor, transfer_frames
+from tests.rig.command_line import rig
 
 GEOMETRY = "[geometry]\narm_m = 1.0\nu_arm_m = 0.001\npixel_pitch_m = 4.8e-6\n"
 ARCSEC_PX = 4.8481368e-6 * 2 * 1.0 / 4.8e-6
@@ -241,3 +245,23 @@ def test_a_clock_from_a_record_in_real_time_fills_the_timebase(tmp_path: Path) -
     assert timebase.camera_rate == pytest.approx(1 / (1 + 30e-6), abs=4 * timebase.u_camera_rate)
     assert found.details["ntp"]
     assert found.details["frame_jitter_limit_s"] == 15e-6
+    (left,) = calibration_residuals(found)
+    assert left.y_name == "off the line, us"
+    assert max(abs(y) / u for y, u in zip(left.y, left.u, strict=True)) < 8
+    asked = rig("calibrate", "clock", cwd=tmp_path, typed=f"{record}\n\n")
+    assert asked.returncode == 0, asked.stderr
+    assert "arrivals of frames" in asked.stdout
+    assert read_calibration(tmp_path / "calibrations" / "clock-001.toml").values == found.values
+
+
+def test_jumps_of_the_clock_are_no_part_of_what_the_line_leaves_over() -> None:
+    rng = np.random.default_rng(4)
+    sequence = np.arange(3000, dtype=np.int64)
+    device_ns = sequence * 20_000_000
+    late_ns = rng.normal(0.0, 20_000.0, 3000) + 5e6 * (sequence >= 1700)
+    host_ns = device_ns + 7_000_000_000 + np.rint(2e-5 * device_ns + late_ns).astype(np.int64)
+    relation = relate_clocks(device_ns, host_ns, sequence)
+    assert [jump.frame for jump in relation.jumps] == [1700]
+    found = off_line(relation, device_ns, host_ns, sequence)
+    pulls = np.array(found["off_line_s"]) / np.array(found["u_off_line_s"])
+    assert 0.5 < np.sqrt(np.mean(pulls**2)) < 1.6

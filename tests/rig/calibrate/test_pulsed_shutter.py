@@ -12,7 +12,7 @@ from calibration import read_calibration
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import DataError
 from processing.spot import Spot
-from rig.calibrate import Filing, calibrate_shutter
+from rig.calibrate import Filing, calibrate_shutter, calibration_residuals
 from rig.instrument import configuration_attachments, session_metadata
 from rig.settings import validate_configuration
 
@@ -56,6 +56,7 @@ def test_the_brightness_along_the_rows_gives_the_row_time(tmp_path: Path) -> Non
     assert found.values["row_time_s"] == pytest.approx(1e-6 * ROW_TIME_US, rel=0.01)
     assert found.values["first_row"] == "top"
     assert found.values["u_row_time_s"] < 0.04e-6 * ROW_TIME_US
+    assert [one.title for one in calibration_residuals(found)] == ["brightness by row"]
 
 
 def test_without_the_exposure_it_is_refused(tmp_path: Path) -> None:

@@ -12,6 +12,7 @@ from rig.measure.session import simulate_record
 from rig.replay.replay import Replay
 from rig.settings.configuration import load_configuration
 from tests.rig.calibrate.rolling_measurement import compare
+from tests.rig.command_line import rig
 
 DEMO = Path(__file__).resolve().parents[3] / "configs" / "demo.toml"
 ROW_TIME_S = 15e-6
@@ -43,6 +44,10 @@ def test_a_record_gives_the_row_time_and_is_corrected_with_it(tmp_path: Path) ->
     record = tmp_path / "run.mcap"
     assert simulate_record(config, DEMO, record) == 0
     values = read_calibration(calibrate_shutter(record, Filing(tmp_path / "calibrations"))).values
+    asked = rig("calibrate", "shutter", cwd=tmp_path, typed=f"{record}\n")
+    assert asked.returncode == 0, asked.stderr
+    assert "row time by stretch" in asked.stdout
+    assert read_calibration(tmp_path / "calibrations" / "shutter-002.toml").values == values
     assert abs(values["row_time_s"] / ROW_TIME_S - 1.0) < 0.03
     assert values["first_row"] == "bottom"
     with RecordReader(record) as reader:

@@ -81,6 +81,17 @@ def test_a_frame_is_kept_only_when_somebody_has_asked(told: SessionTelling, line
     assert line.picture(picture.number) is None
 
 
+def test_what_is_seen_before_the_record_is_told_and_not_drawn_twice(told: SessionTelling, line: Line) -> None:
+    frames, found = block(1)
+    line.picture()
+    told.before_record(frames, found.spots, found.deflections)
+    assert line.picture() is not None
+    assert line.news()["path"]["y"] == [1.0] * 16
+    # the record begins with the same frames
+    told.block(0, frames, found)
+    assert line.news()["path"]["y"] == [1.0] * 16
+
+
 def test_a_frame_that_can_be_written_to_is_copied(told: SessionTelling, line: Line) -> None:
     line.picture()
     frames, found = block(2)

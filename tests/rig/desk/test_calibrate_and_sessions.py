@@ -5,6 +5,7 @@ import os
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -49,7 +50,9 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     config = load_configuration(place / "rig.toml").model_dump(mode="json")
     broken = place / "runs" / "broken"
     broken.mkdir()
-    SessionFile.made(broken, place / "rig.toml", 1, config).close()
+    killed = SessionFile.made(broken, place / "rig.toml", 1, config)
+    killed.note(1, "run-1.mcap", "recording")
+    killed.close()
     return place
 
 
@@ -154,6 +157,33 @@ def test_only_reports_below_the_folder_are_served(tmp_path: Path) -> None:
         str(tmp_path / "secret.html"),
     ):
         assert served_file(output, name) is None
+
+
+@pytest.mark.parametrize(
+    ("states", "shown"),
+    [
+        ([], "no run made"),
+        (["recording"], "interrupted"),
+        (["stopped"], "stopped"),
+        (["complete", "stopped"], "stopped"),
+        (["complete", "failed"], "failed"),
+        (["complete"], "interrupted"),
+        (["interrupted"], "interrupted"),
+        (["stopped", "recording"], "interrupted"),
+        (["complete", "complete"], "complete"),
+    ],
+)
+def test_only_what_was_killed_is_called_interrupted(tmp_path: Path, states: list[Any], shown: str) -> None:
+    folder = tmp_path / "session"
+    folder.mkdir()
+    file = SessionFile.made(folder, tmp_path / "rig.toml", 2, {})
+    for number, state in enumerate(states, 1):
+        file.note(number, f"run-{number}.mcap", state)
+    file.close()
+    (row,) = list_sessions(tmp_path, None)
+    assert row.state == shown
+    (row,) = list_sessions(tmp_path, folder)
+    assert row.state == "running"
 
 
 def test_a_file_that_is_no_session_is_listed_with_what_is_wrong(tmp_path: Path) -> None:

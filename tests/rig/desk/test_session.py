@@ -32,9 +32,9 @@ def test_a_session_from_align_to_report_with_a_trip_and_a_desk_that_is_killed(
     with desk_page(config) as (desk, page):
         # align: the picture lives, the exposure changes and is kept
         page.click("Live picture")
-        page.wait_text("exposure 100 us")
+        page.wait_text("100 us, gain")
         page.key("E")
-        page.wait_text("exposure 125 us")
+        page.wait_text("125 us, gain")
         page.click("Keep for runs")
         page.wait_text("camera.exposure_us = 125")
         # preflight gives the camera free and takes it itself

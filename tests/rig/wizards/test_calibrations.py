@@ -198,6 +198,38 @@ def test_axes_from_a_record_with_the_sides_that_were_stated(resting_rig: Path, t
     found = [read_calibration(tmp_path / name / "axes-001.toml") for name in ("calibrations", "by-option")]
     assert found[0].values == found[1].values
     assert found[0].details["signs_known"]
+    assert "direction of the slow mode" in done.stdout
+
+
+@pytest.mark.parametrize(("factor", "moved"), [(1.0, False), (1.02, True)])
+def test_a_lever_is_checked_against_known_tilts(tmp_path: Path, factor: float, moved: bool) -> None:
+    rig("calibrate", "lever", cwd=tmp_path, typed=typed("geometry", "1 m ± 1 mm", "4.8 um", ""))
+    lever = tmp_path / "calibrations/lever-001.toml"
+    wizard, draft = calibration_wizard("check"), Draft()
+    with pytest.raises(ConfigurationError, match=r"none\.toml: cannot read the calibration"):
+        answered(wizard, draft, "none.toml")
+    answers = [str(lever), *LADDER[1:]]
+    for reading in READINGS:
+        answers += [f"{reading:g}", f"160.0 {320.0 - factor * reading * ARCSEC_PX:.4f} 0.01"]
+    done = rig("calibrate", "check", cwd=tmp_path, typed=typed(*answers, "", ""))
+    assert done.returncode == 0, done.stderr
+    made = filed(tmp_path / "calibrations/check-001.toml")
+    assert made.calibration.details["moved"] is moved
+    assert made.calibration.details["ratio"] == pytest.approx(factor, rel=2e-3)
+    assert ("calibrate again" in done.stdout) is moved
+    assert made.configuration.splitlines()[-1].startswith("checks = [")
+    ladder = tmp_path / "calibrations/check-ladder-001.toml"
+    again = rig("calibrate", "check", ladder, "--lever", lever, "-o", tmp_path / "again", cwd=tmp_path)
+    assert again.returncode == 0, again.stderr
+    assert read_calibration(tmp_path / "again/check-001.toml").details == made.calibration.details
+
+
+def test_a_check_needs_both_its_files_or_asks_for_both(tmp_path: Path) -> None:
+    (tmp_path / "a.toml").touch()
+    for words, said in ((["a.toml"], "--lever"), (["--lever", "a.toml"], "leave the option out")):
+        done = rig("calibrate", "check", *words, cwd=tmp_path)
+        assert done.returncode == 2
+        assert said in done.stderr
 
 
 @pytest.mark.parametrize(("bits", "taken"), [("", None), ("32", 32), ("8", ""), ("32.5", ""), ("many", "")])
