@@ -82,7 +82,10 @@ def fit_asymptotic(
     period, period_model, _ = fit_period(points, periods, reference, rho, printed_curvature, loss)
     for name, solution in (("Eq. 5", decay), ("Eq. 6", period)):
         if not solution.converged:
-            raise DataError(f"the fit of {name} did not converge ({solution.message})")
+            raise DataError(
+                f"the fit of {name} did not converge over {len(points)} half-cycles: they are too few, or no "
+                "decay that it describes; fit a longer run, or see which are disturbed"
+            )
 
     b, p, c, *rest = decay.values.tolist()
     t0, n, kappa = period.values.tolist()

@@ -1,5 +1,6 @@
 """`rig calibrate`."""
 
+from math import isinf
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -295,8 +296,11 @@ def _say(path: Path) -> None:
     made = filed(path)
     found = made.calibration
     print(f"{found.kind}: {found.method}, valid until {found.valid_until:%Y-%m-%d}")
-    for name, value in {**found.values, **found.details}.items():
-        if isinstance(value, bool | str):
+    said = {**found.values, **found.details}
+    for name, value in said.items():
+        if any(isinstance(said.get(key), float) and isinf(said[key]) for key in (name, f"u_{name}")):
+            print(f"  {name:24} not determined")
+        elif isinstance(value, bool | str):
             print(f"  {name:24} {value}")
         elif isinstance(value, int | float):
             print(f"  {name:24} {value:.6g}")

@@ -19,7 +19,9 @@ def print_info(path: Path) -> None:
     print(f"{path}: {_size(info.size_bytes)}, {state}")
     print(f"schema {info.schema_version}, written by {info.library}")
     if info.start_ns:
-        print(f"{utc_text(info.start_ns)} to {utc_text(info.end_ns)}, {info.duration_s:.1f} s")
+        simulated = info.metadata.get("camera", {}).get("driver") == "simulated"
+        when = " of simulated time" if simulated else ""
+        print(f"{utc_text(info.start_ns)} to {utc_text(info.end_ns)}, {info.duration_s:.1f} s{when}")
     for topic, count in info.messages.items():
         print(f"  {topic:<20} {count}")
     if info.losses is not None:

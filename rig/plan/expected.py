@@ -26,11 +26,12 @@ _FULL_SCALE_DN = 255.0
 
 
 class Expected(NamedTuple):
-    """The contact's values by key, the pendulum, and what makes its turning points scatter."""
+    """The contact's values by key, the pendulum, what makes its turning points scatter, the time limit."""
 
     values: dict[str, float]
     pendulum: PendulumOnBall
     conditions: Conditions
+    longest_s: float = math.inf
 
 
 def expected_of(config: Configuration, frame_noise_rad: float | None = None) -> Expected:
@@ -53,7 +54,7 @@ def expected_of(config: Configuration, frame_noise_rad: float | None = None) -> 
     noise_rad = _frame_noise_rad(config) if frame_noise_rad is None else frame_noise_rad
     u_rad, u_time_s = _of_turning_points(config, noise_rad)
     conditions = Conditions(u_rad, u_time_s * _AMPLITUDE_RAD, _drive(config, pendulum))
-    return Expected(values, pendulum, conditions)
+    return Expected(values, pendulum, conditions, config.session.max_duration_s)
 
 
 def planned_expectation(

@@ -18,12 +18,16 @@ from rig.presentation import Cell, Table, print_tables, quantity
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """Planned runs, and series of `counts` of each; `values` are the parameters they are planned for."""
+    """Planned runs, and series of `counts` of each; `values` are the parameters they are planned for.
+
+    Runs that last longer than `longest_s` are planned to their last amplitude all the same.
+    """
 
     conditions: Conditions
     values: Mapping[str, float]
     runs: tuple[PlannedRun, ...]
     counts: tuple[int, ...] = (1,)
+    longest_s: float = math.inf
 
     def relative(self, run: PlannedRun) -> dict[str, float]:
         """Uncertainty over value, by parameter."""
@@ -66,7 +70,7 @@ def plan_expected(
     DataError
         No pair of amplitudes makes a run.
     """
-    values, pendulum, conditions = expected
+    values, pendulum, conditions, longest_s = expected
     if ground_rad_per_s2_rthz is not None:
         conditions = conditions.on_ground(ground_rad_per_s2_rthz)
     runs = []
@@ -82,7 +86,7 @@ def plan_expected(
                     problem = str(error)
     if not runs:
         raise DataError(f"no such run: {problem}")
-    return Plan(conditions, values, tuple(runs), tuple(sorted(set(counts))))
+    return Plan(conditions, values, tuple(runs), tuple(sorted(set(counts))), longest_s)
 
 
 def plan_table(plan: Plan) -> Table:
@@ -97,10 +101,14 @@ def plan_table(plan: Plan) -> Table:
         u = [times * run.u[name] for name in names]
         rows.append([first, last, run.duration_s, run.half_cycles, count, all_s, *u])
         drowned = "" if run.complete else " (the ground ends it earlier)"
+        drowned += "" if run.duration_s <= plan.longest_s else " *"
         shown.append(
             [f"{first:g} to {last:g}″{drowned}", f"{count}", f"{all_s / 60:.1f}"]
             + [f"{100 * times * relative[name]:.2g} %" for name in names]
         )
+    too_long = ""
+    if any(run.duration_s > plan.longest_s for run in plan.runs):
+        too_long = f" * session.max_duration_s = {plan.longest_s:g} would end it earlier: raise it for this."
     return Table(
         "plan",
         "What runs will tell",
@@ -113,7 +121,7 @@ def plan_table(plan: Plan) -> Table:
         shown,
         "Standard uncertainty over value, from the swings alone; minutes of all runs. Measurement of an "
         f"amplitude {plan.conditions.u_amplitude_rad / ARCSEC_RAD:.2g}″, ground "
-        f"{plan.conditions.ground_rad_per_s2_rthz:.1e} rad/s²/√Hz.",
+        f"{plan.conditions.ground_rad_per_s2_rthz:.1e} rad/s²/√Hz.{too_long}",
     )
 
 

@@ -24,8 +24,8 @@ class Comparison:
     """Differences between replay and record, in units of the recorded standard uncertainties.
 
     A spot or half-cycle counts as changed if any bit differs, or if it exists in one of them only.
-    `largest_spot_frame` (a frame number) and `largest_swing_s` (time from the record's first frame)
-    locate the largest changes.
+    `swings_flagged` are the replayed ones that fits leave out. `largest_spot_frame` (a frame number) and
+    `largest_swing_s` (time from the record's first frame) locate the largest changes.
     """
 
     spots: int
@@ -39,6 +39,7 @@ class Comparison:
     swings_changed: int
     largest_swing_change_u: float
     largest_swing_s: float
+    swings_flagged: int = 0
 
     @property
     def identical(self) -> bool:
@@ -125,6 +126,7 @@ class ReplayComparison:
             swings_changed=sum(not _equal(old, new) for old, new in pairs) + unpaired,
             largest_swing_change_u=largest,
             largest_swing_s=largest_s,
+            swings_flagged=sum(swing.flags != 0 for swing in replayed),
         )
 
 

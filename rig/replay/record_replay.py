@@ -93,7 +93,9 @@ def replay_record(
         run = _analysed(reader, config, result)
         if partial:
             part = f"replayed from {replay.begun_s:.2f} s to {replay.position_s:.2f} s of the record"
-            run = replace(run, results=replace(run.results, warnings=(part, *run.results.warnings)))
+            # the record's end is not that of the part
+            found = replace(run.results, ended=None, warnings=(part, *run.results.warnings))
+            run = replace(run, results=found)
     _say_differences(record, replay, result, run, partial=partial)
     results = session_results([run], output or record.parent)
     print_results(results, [])

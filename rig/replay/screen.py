@@ -89,8 +89,10 @@ def print_comparison(comparison: Comparison, *, partial: bool) -> None:
     """Print one line if nothing differs, else a short table of spots and half-cycles."""
     console = Console()
     if comparison.identical:
+        flagged = comparison.swings_flagged
+        apart = f" ({flagged} flagged, which no fit takes)" if flagged else ""
         console.print(
-            f"{comparison.spots} spots and {comparison.swings_replayed} half-cycles, "
+            f"{comparison.spots} spots and {comparison.swings_replayed} half-cycles{apart}, "
             "equal bit for bit to the recorded ones",
             highlight=False,
             soft_wrap=True,

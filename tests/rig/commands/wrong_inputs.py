@@ -13,7 +13,7 @@ from rig.settings.configuration import Configuration
 from rig.settings.wording import section_fields, section_of
 
 _MEANT = "tin"
-_TABLES = {"config", "ladder", "frames", "lever", "plan"}
+_TABLES = {"config", "file", "ladder", "frames", "lever", "plan"}
 """Arguments that name a TOML file."""
 
 

@@ -92,8 +92,11 @@ def test_a_plan_of_a_configuration_has_series_of_runs(
     measured_series: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     source, folder = CONFIGS / "basement.toml", tmp_path / "plan"
-    plan(source, [124.0], [15.0], None, folder, None, [3, 1], 0.02, measured_series / "results.json")
-    assert "124 to 15″" in capsys.readouterr().out
+    limit = ["session.max_duration_s=60"]
+    plan(source, [124.0], [15.0], None, folder, limit, [3, 1], 0.02, measured_series / "results.json")
+    said = capsys.readouterr().out
+    assert "124 to 15″ *" in said
+    assert "session.max_duration_s = 60 would end it earlier" in " ".join(said.split())
     head, *rows = (line.split(",") for line in (folder / "plan.csv").read_text().splitlines())
     one, three = (dict(zip(head, map(float, row), strict=True)) for row in rows)
     assert (one["runs"], three["runs"]) == (1, 3)
