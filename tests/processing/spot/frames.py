@@ -40,16 +40,16 @@ def light(
 def tilted_light(
     shape: tuple[int, int], x: float, y: float, sigmas: tuple[float, float], angle: float, peak: float
 ) -> NDArray[np.float64]:
-    """A tilted spot's light, averaged over 8 x 8 points of each pixel."""
-    fine = 8
+    """A tilted spot's light, integrated over each pixel by 3 x 3 Gauss points (exact to 1e-8 from sigma 5 px)."""
+    points, weights = np.polynomial.legendre.leggauss(3)
     ny, nx = shape
-    v, u = np.mgrid[0 : ny * fine, 0 : nx * fine]
-    u = (u + 0.5) / fine - 0.5 - x
-    v = (v + 0.5) / fine - 0.5 - y
+    u = (np.arange(nx)[:, np.newaxis] + 0.5 * points).ravel() - x
+    v = ((np.arange(ny)[:, np.newaxis] + 0.5 * points).ravel() - y)[:, np.newaxis]
     along = math.cos(angle) * u + math.sin(angle) * v
     across = -math.sin(angle) * u + math.cos(angle) * v
     density = np.exp(-0.5 * (along / sigmas[0]) ** 2 - 0.5 * (across / sigmas[1]) ** 2)
-    return peak * density.reshape(ny, fine, nx, fine).mean(axis=(1, 3))
+    of_pixels = density.reshape(ny, 3, nx, 3)
+    return peak * np.einsum("iajb,a,b->ij", of_pixels, weights / 2, weights / 2)
 
 
 def exposed(

@@ -93,7 +93,7 @@ def measure(
     assert config.lever is not None
     assert config.axes is not None
     assert config.timebase is not None
-    motion = true_path(rig.settings, 2400.0, rate_hz)
+    motion = true_path(rig.settings, 1200.0, rate_hz)
     times_s = motion.times_ns * 1e-9
     x_px, y_px = spots_of(rig, motion.x_rad, motion.y_rad, times_s)
     u_px = np.full(len(times_s), rig.noise_px)
