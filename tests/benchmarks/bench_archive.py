@@ -1,8 +1,8 @@
 """An archive of many sessions: adding, listing, killed at random moments, two that add at once, refits.
 
 Run as ``python -m tests.benchmarks archive [--quick]``; `RIG_BENCH_SESSIONS` names another number of sessions
-than 10,000 (which take 4 GB while it runs), `RIG_BENCH_REFITS` that of the sessions, of three runs each, that
-are fitted anew. The archive on S3 needs moto's server and s3fs, the cluster Dask.
+than 10,000 (which take 4 GB and more than an hour), `RIG_BENCH_REFITS` that of the sessions, of three runs
+each, that are fitted anew. The archive on S3 needs moto's server and s3fs, the cluster Dask.
 """
 
 import contextlib
@@ -20,9 +20,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-
-from rich.console import Console
-from rich.table import Table
 
 from acquisition.record.digest import sha256_of
 from rig.analysis import analyse_record
@@ -49,35 +46,43 @@ def run(quick: bool = False) -> dict[str, Any]:
     """All numbers; `quick` takes 200 sessions and 10 kills."""
     sessions = int(os.environ.get("RIG_BENCH_SESSIONS", "200" if quick else "10000"))
     kills = 10 if quick else KILLS
-    results: dict[str, Any] = {"sessions": sessions, "runs": sessions * RUNS}
+    results: dict[str, Any] = {}
+
+    def tell(**measured: Any) -> None:
+        """Each number as soon as it is known: all together take an hour and more."""
+        results.update(measured)
+        for key, value in measured.items():
+            print(f"  {key}: {f'{value:,.4g}' if isinstance(value, float) else value}", flush=True)
+
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         began_s = time.process_time()
         made = sum(1 for _ in make_sessions(folder / "runs", sessions, templates=8 if quick else 24))
         assert made == sessions
-        results["generated, CPU s"] = time.process_time() - began_s
-        archive = folder / "archive"
-        for what in ("add", "add again"):
-            began_s = time.monotonic()
-            peak_mib, spent_s = _taken("add", folder / "runs", "--archive", archive)
-            results |= {f"{what}: CPU s": spent_s, f"{what}: s": time.monotonic() - began_s}
-            results[f"{what}: MiB resident"] = peak_mib
-        _taken("list", "limit 1", "--archive", archive)  # compiles bytecode
-        peak_mib, results["list: CPU s"] = _taken("list", _LISTED, "--archive", archive)
-        results["list: MiB resident"] = peak_mib
-        results["catalogue MB"] = _size(archive / "sessions") / 1e6
-        results["merged MB"] = _size(archive / "merged") / 1e6
-        # before that no command has read anything yet
-        start_s = results["add again: s"]
-        results |= _killed(folder / "runs", folder / "killed", sessions, kills, start_s, results["add: s"])
-        results |= _two_at_once(folder / "runs", folder / "two", sessions)
+        generated_s = time.process_time() - began_s
+        tell(**{"sessions": sessions, "runs": sessions * RUNS, "generated, CPU s": generated_s})
+        tell(**_added_and_listed(folder / "runs", folder / "archive"))
+        tell(**_killed(folder / "runs", folder / "killed", sessions, kills))
+        tell(**_two_at_once(folder / "runs", folder / "two", sessions))
         refitted = int(os.environ.get("RIG_BENCH_REFITS", "3" if quick else "40"))
-        results |= _refits(folder / "refitted", sessions=refitted)
-        results |= cluster_on_s3(folder / "cluster", sessions=4 if quick else 20)
-    table = Table("archive", "measured")
-    for key, value in results.items():
-        table.add_row(key, f"{value:,.4g}" if isinstance(value, float) else str(value))
-    Console().print(table)
+        tell(**_refits(folder / "refitted", sessions=refitted))
+        tell(**cluster_on_s3(folder / "cluster", sessions=4 if quick else 20))
+    return results
+
+
+def _added_and_listed(runs: Path, archive: Path) -> dict[str, Any]:
+    """Added to a new archive, again to the full one, and listed with a filter."""
+    results: dict[str, Any] = {}
+    for what in ("add", "add again"):
+        began_s = time.monotonic()
+        peak_mib, spent_s = _taken("add", runs, "--archive", archive)
+        results |= {f"{what}: CPU s": spent_s, f"{what}: s": time.monotonic() - began_s}
+        results[f"{what}: MiB resident"] = peak_mib
+    _taken("list", "limit 1", "--archive", archive)  # compiles bytecode
+    peak_mib, results["list: CPU s"] = _taken("list", _LISTED, "--archive", archive)
+    results["list: MiB resident"] = peak_mib
+    results["catalogue MB"] = _size(archive / "sessions") / 1e6
+    results["merged MB"] = _size(archive / "merged") / 1e6
     return results
 
 
@@ -103,10 +108,8 @@ def _size(folder: Path) -> int:
     return sum(path.stat().st_size for path in folder.iterdir()) if folder.is_dir() else 0
 
 
-def _killed(
-    runs: Path, archive: Path, sessions: int, kills: int, start_s: float, whole_s: float
-) -> dict[str, Any]:
-    """`add` killed at random moments and started again: what is listed must never fail, nor be lost."""
+def _killed(runs: Path, archive: Path, sessions: int, kills: int) -> dict[str, Any]:
+    """`add` killed after random numbers of sessions and started again: nothing listed is ever lost again."""
     moments = random.Random(1)
     before = broken = further = 0
     for _ in range(kills):
@@ -115,12 +118,14 @@ def _killed(
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
         )
-        try:
-            # the whole work in all, so that it is killed at every stage of it
-            process.wait(start_s + moments.uniform(0.0, 2 * whole_s / kills))
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
+        # the whole work in all, so that it is killed at every stage of it, also while it merges
+        enough = _count(archive / "sessions") + moments.randint(0, 2 * sessions // kills)
+        while process.poll() is None and _count(archive / "sessions") < enough:
+            time.sleep(0.02)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(moments.uniform(0.0, 0.3))
+        process.kill()
+        process.wait()
         found = _listed(archive)
         broken += found < before
         further += found > before
@@ -132,6 +137,10 @@ def _killed(
         "killed: listed less than before, or nothing": broken,
         "killed: runs missing at the end": sessions * RUNS - _listed(archive),
     }
+
+
+def _count(folder: Path) -> int:
+    return len(os.listdir(folder)) if folder.is_dir() else 0
 
 
 def _two_at_once(runs: Path, archive: Path, sessions: int) -> dict[str, Any]:

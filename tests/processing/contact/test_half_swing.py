@@ -46,7 +46,7 @@ def integrated(
     out = [(amplitude_rad, 0.0)]
     x, time = 1.0, 0.0
     # left to itself the integrator takes steps over which its interpolation finds events to 1e-10
-    options = {"method": "DOP853", "rtol": 1e-13, "atol": 1e-16, "max_step": 0.02}
+    options = {"method": "DOP853", "rtol": 1e-13, "atol": 1e-16, "max_step": 0.05}
     for _ in range(half_cycles):
         first = solve_ivp(motion, (0, 10), [x, -0.0], events=crossing, **options)
         speed = first.y_events[0][0][1]

@@ -40,7 +40,7 @@ def light(
 def tilted_light(
     shape: tuple[int, int], x: float, y: float, sigmas: tuple[float, float], angle: float, peak: float
 ) -> NDArray[np.float64]:
-    """A tilted spot's light, integrated over each pixel by 3 x 3 Gauss points (exact to 1e-8 from sigma 5 px)."""
+    """A tilted spot's light, integrated over each pixel by 3 x 3 Gauss points: 1e-8 at sigma 5 px."""
     points, weights = np.polynomial.legendre.leggauss(3)
     ny, nx = shape
     u = (np.arange(nx)[:, np.newaxis] + 0.5 * points).ravel() - x
