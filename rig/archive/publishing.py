@@ -9,7 +9,7 @@ import shutil
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from acquisition.record.digest import sha256_of
 from acquisition.record.identity import measured_sha256_of
@@ -18,6 +18,7 @@ from processing.errors import ConfigurationError, MissingPackage, RecordError
 from rig.analysis import read_results, results_path, write_results
 from rig.archive.blind import sealed
 from rig.archive.chosen import chosen_runs
+from rig.archive.thinning import thin_copy
 
 _INPUTS = ("configuration.", "calibration/", "record.md")
 _MEDIA_TYPES = {
@@ -26,6 +27,10 @@ _MEDIA_TYPES = {
     ".toml": "application/toml",
     ".md": "text/markdown",
 }
+
+
+Pixels = Literal["kept", "recompressed", "dropped"]
+"""What becomes of the windows of pixels in published copies."""
 
 
 class Statement(NamedTuple):
@@ -37,15 +42,23 @@ class Statement(NamedTuple):
     citation: str = ""
 
 
-def publish_runs(archive: Path, names: Sequence[str], where: str, output: Path, statement: Statement) -> str:
+def publish_runs(
+    archive: Path,
+    names: Sequence[str],
+    where: str,
+    output: Path,
+    statement: Statement,
+    pixels: Pixels = "kept",
+) -> str:
     """Write runs that are named or meet a condition as an RO-Crate into a new folder; says what it holds.
 
     One folder a session, with its records, their results, and configuration and calibrations as the records
     hold them. The folder appears when everything in it is proved: each record has the hash that the archive
-    knows, and every file is described.
+    knows, and every file is described. Pixels that are recompressed or dropped are so in the copies alone, as
+    `rig archive thin` does it: the copy states the hash of the record as it was measured.
 
     Raises ConfigurationError without the package rocrate, for no runs, or what is stated wrongly; RecordError
-    where a record is not here or has changed.
+    where a record is not here, has changed, or must not be thinned.
     """
     try:
         from rocrate.rocrate import ROCrate
@@ -70,7 +83,12 @@ def publish_runs(archive: Path, names: Sequence[str], where: str, output: Path, 
         for sha256, record in runs.items():
             by_folder.setdefault(record.parent, {})[record] = sha256
         for number, (folder, records) in enumerate(sorted(by_folder.items()), 1):
-            _copy_session(folder, records, beside / f"session-{number}-{folder.name}")
+            target = beside / f"session-{number}-{folder.name}"
+            _copy_session(folder, records, target)
+            if pixels != "kept":
+                for record, sha256 in records.items():
+                    copy, rule = target / record.name, f"{pixels} in a publication"
+                    thin_copy(archive, record, copy, sha256, pixels, rule)
         _describe(ROCrate(), beside, statement)
         _check(ROCrate(beside), beside)
         beside.rename(output)

@@ -26,6 +26,10 @@ from rig.archive.store import Archive, reads_archive
 from rig.presentation import say
 
 
+class _NoSmaller(RecordError):
+    """Recompressing gains nothing."""
+
+
 class _Due(NamedTuple):
     """A record that is to be thinned, and the results that its pixels have given."""
 
@@ -146,6 +150,20 @@ def _due(archive: Path, record: Path, sha256: str, rule: tuple[Thinning, str]) -
     return _Due(record, sha256, *rule, source, results)
 
 
+def thin_copy(archive: Path, record: Path, copy: Path, sha256: str, thinning: Thinning, rule: str) -> None:
+    """Thin a copy of a record, with the record's results.
+
+    One that has no windows, or would be no smaller, stays as it is. Raises RecordError where the record must
+    not be thinned.
+    """
+    found = _due(archive, record, sha256, (thinning, rule))
+    if isinstance(found, _Due):
+        with contextlib.suppress(_NoSmaller):
+            _replace(found._replace(record=copy))
+    elif found:
+        raise RecordError(found)
+
+
 def _results(archive: Path, record: Path, sha256: str) -> tuple[str, RunResults | None]:
     """The newest results of a record that hold a fit: those beside it, else those that `refit` made."""
     name, found = recorded_results(record, sha256)
@@ -186,7 +204,7 @@ def _replace(item: _Due) -> Thinned:
         if done.measured_sha256 != item.sha256:
             raise RecordError("it has changed while it was thinned")
         if item.thinning == "recompressed" and done.bytes >= done.source_bytes:
-            raise RecordError("thinned it would be no smaller")
+            raise _NoSmaller("thinned it would be no smaller")
         shutil.copymode(path, beside)
         os.replace(beside, path)
     finally:

@@ -278,6 +278,10 @@ def publish(
     where: Where = "",
     licence: Annotated[str, typer.Option(help="Name of the licence as SPDX has it.")] = "CC-BY-4.0",
     citation: Annotated[str, typer.Option(help="What to cite; default: authors and title.")] = "",
+    pixels: Annotated[
+        Literal["kept", "recompressed", "dropped"],
+        typer.Option(help="Windows of pixels in the copies; the records stay as they are."),
+    ] = "kept",
     archive: Archive = _PLACE,
 ) -> None:
     """Write runs with results and inputs as an RO-Crate."""
@@ -285,7 +289,7 @@ def publish(
 
     with opened(archive) as folder:
         statement = Statement(title, licence, author, citation)
-        print(publish_runs(folder, names or [], where, output, statement))
+        print(publish_runs(folder, names or [], where, output, statement, pixels))
 
 
 def thin(
