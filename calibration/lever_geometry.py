@@ -28,7 +28,7 @@ class LeverGeometry(BaseModel, frozen=True, extra="forbid"):
     which the beam hits the mirror, `beam_reach_m` the horizontal distance of the mirror in front of it.
     """
 
-    arm_m: float = Field(gt=0, description="mirror to sensor, along the beam at rest")
+    arm_m: float = Field(gt=0, lt=100, description="mirror to sensor, along the beam at rest")
     u_arm_m: float = Field(default=0.0, ge=0)
     pixel_pitch_m: float = Field(gt=0, lt=1e-3)
     u_pixel_pitch_m: float = Field(default=0.0, ge=0)

@@ -23,7 +23,7 @@ class Lever(BaseModel, frozen=True, extra="forbid"):
     of a calibrated arm or pitch have degrees of freedom if they follow from the scatter of the steps.
     """
 
-    arm_m: float = Field(gt=0, description="mirror to sensor, along the beam")
+    arm_m: float = Field(gt=0, lt=100, description="mirror to sensor, along the beam")
     u_arm_m: float = Field(default=0.0, ge=0)
     arm_dof: float | None = Field(
         default=None, gt=2, description="degrees of freedom of u_arm_m; None: it is known"

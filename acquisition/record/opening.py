@@ -20,7 +20,7 @@ def open_mcap(path: Path) -> RecordFile:
         file = RecordFile(path)
         head = file.read(len(MAGIC) + 1)
     except FileNotFoundError:
-        raise RecordError(f"{path}: no such record") from None
+        raise RecordError(f"{path}: no such record{_instead_of(path)}") from None
     except OSError as error:
         raise RecordError(f"{path}: cannot be read: {error.strerror or error}") from None
     except ValueError as error:
@@ -32,6 +32,12 @@ def open_mcap(path: Path) -> RecordFile:
         what = "is empty" if not head else "is not an MCAP file"
         raise RecordError(f"{path}: {what}; a record is made by rig run")
     return file
+
+
+def _instead_of(path: Path) -> str:
+    """What the folder of a missing record has."""
+    there = sorted(other.name for other in path.parent.glob("*.mcap"))[:5]
+    return f"; {path.parent} has {', '.join(there)}" if there else ""
 
 
 def _is_magic(head: bytes) -> bool:

@@ -91,7 +91,13 @@ def show_runs(archive: Path, names: Sequence[str]) -> None:
         print_tables(
             [
                 Table(
-                    run[:8], f"{row['folder']}/{row['record']}", (), (), ("", ""), texts, f"added: {versions}"
+                    run[:8],
+                    str(Path(row["folder"]) / row["record"]),
+                    (),
+                    (),
+                    ("", ""),
+                    texts,
+                    f"added: {versions}",
                 )
             ]
         )

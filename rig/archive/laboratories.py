@@ -49,7 +49,8 @@ def compare_groups(
             groups.setdefault(str(label), []).append(numbers)
     if len(groups) < 2:
         raise ConfigurationError(
-            f"{column}: {len(groups)} of {by} determined it in {len(rows)} runs; two are needed to compare"
+            f"--by {by}: {len(rows)} runs of {', '.join(groups) or 'none'} have a value of {column} with its "
+            "uncertainty; a comparison needs two groups, name another column"
         )
     values = {label: _of_group(column, groups[label]) for label in sorted(groups)}
     try:

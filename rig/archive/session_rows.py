@@ -45,33 +45,37 @@ def session_rows(folder: Path) -> SessionRows:
             flaws.append(str(error))
     rows = []
     for path in sorted({*folder.glob("*.mcap"), *by_record}):
-        row, said = _row(folder, path, by_record.get(path))
+        row, stale = _row(folder, path, by_record.get(path))
+        if stale:
+            flaws.append(
+                f"{source}: its results of {path} are of an earlier record of that name (other hash) and are "
+                "left out; rig fit makes new ones"
+            )
+            if path.parent != folder:
+                # a session of the folder in which that record lies
+                continue
         row |= {"results": source.name if path in by_record else None, "results_sha256": results_sha256}
         rows.append(row)
         if row["flaw"]:
             flaws.append(f"{path}: {row['state']}: {row['flaw']}")
-        flaws += [f"{path}: {text}" for text in said]
     session = hashlib.sha256("".join(sorted({row["sha256"] for row in rows})).encode()).hexdigest()
     for row in rows:
         row["session"] = session
     return SessionRows(session, results_sha256, rows, flaws)
 
 
-def _row(folder: Path, path: Path, run: RunResults | None) -> tuple[Row, list[str]]:
+def _row(folder: Path, path: Path, run: RunResults | None) -> tuple[Row, bool]:
+    """The row of a record, and whether its results are of another one and left out."""
     inside = path.is_relative_to(folder)
     row: Row = {"run": path.stem, "record": str(path.relative_to(folder) if inside else path), "flaw": ""}
-    said = []
+    stale = False
     if run is not None and not path.exists():
         row |= {"sha256": run.sha256, "record_bytes": run.record_bytes, "state": "missing"}
         row["flaw"] = "results name a record that is not there"
     else:
         row |= _of_record(path)
-        if run is not None and run.sha256 and run.sha256 != row["sha256"]:
-            said.append(
-                "the results are of another record (other hash) and are left out; rig fit makes new ones"
-            )
-            run = None
-    return (row if run is None else row | row_of_results(run)), said
+        stale = run is not None and bool(run.sha256) and run.sha256 != row["sha256"]
+    return (row if run is None or stale else row | row_of_results(run)), stale
 
 
 def _of_record(path: Path) -> Row:

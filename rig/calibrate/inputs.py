@@ -53,7 +53,7 @@ class LadderFile(BaseModel, frozen=True, extra="forbid"):
     u_reference: float = Field(default=0.0, ge=0)
     u_reference_relative: float = Field(default=0.0, ge=0)
     pixel_pitch_m: float | None = Field(default=None, gt=0, lt=1e-3)
-    arm_m: float | None = Field(default=None, gt=0)
+    arm_m: float | None = Field(default=None, gt=0, lt=100)
     u_arm_m: float = Field(default=0.0, ge=0)
     binning: int = Field(default=1, ge=1, le=16)
     step: tuple[Step, ...] = ()

@@ -31,7 +31,7 @@ def fill_from_files(config: Configuration) -> Configuration:
         path: Path | None = getattr(config.calibration, kind)
         if path is None:
             continue
-        found = parse_calibration(_read(path), str(path), kind)
+        found = parse_calibration(_read(path, kind), str(path), kind)
         tree = {"camera": {"driver": config.camera.driver}, section: _section_values(found)}
         values = getattr(validate_configuration(tree, str(path)), section)
         if isinstance(values, Lever):
@@ -43,9 +43,10 @@ def fill_from_files(config: Configuration) -> Configuration:
                 "leave one of them out"
             )
         update[section] = values
-    for path in (config.calibration.pointing, *config.calibration.checks):
-        if path is not None:
-            parse_calibration(_read(path), str(path))
+    if config.calibration.pointing is not None:
+        parse_calibration(_read(config.calibration.pointing, "pointing"), str(config.calibration.pointing))
+    for path in config.calibration.checks:
+        parse_calibration(_read(path, "checks"), str(path))
     return config.model_copy(update=update)
 
 
@@ -165,8 +166,12 @@ def _checks(
     return [_entry(check, data, began) | {"found": check.details} for check, data in found], warnings
 
 
-def _read(path: Path) -> bytes:
+def _read(path: Path, key: str = "") -> bytes:
     try:
         return path.read_bytes()
+    except FileNotFoundError:
+        where = "" if path.is_absolute() else f" in {Path.cwd()}, where the command was given"
+        said = f"calibration.{key} = {str(path)!r}" if key else str(path)
+        raise ConfigurationError(f"{said}: no such file{where}; rig calibrate makes one") from None
     except OSError as error:
         raise ConfigurationError(f"{path}: cannot read the calibration: {error.strerror or error}") from None

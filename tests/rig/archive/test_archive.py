@@ -122,7 +122,8 @@ def test_damaged_missing_and_unreadable_records_are_listed_as_such(sessions: Pat
     (series / "run-2.mcap").write_bytes(b"no record")
     (sessions / "deeper" / "uncalibrated" / "run-1.mcap").unlink()
     done = rig("archive", "add", sessions, "--archive", archive)
-    assert "run-1.mcap: the results are of another record" in done.stderr
+    flawed = f"{series / 'results.json'}: its results of {series / 'run-1.mcap'} are of an earlier record"
+    assert flawed in done.stderr
     found = {(row["run"], row["state"], row["b"], bool(row["flaw"])) for row in rows(archive)}
     assert found == {
         ("run-1", "damaged", None, True),
@@ -130,7 +131,23 @@ def test_damaged_missing_and_unreadable_records_are_listed_as_such(sessions: Pat
         ("run-1", "missing", None, True),
     }
     (series / "results.json").write_text("{")
-    assert "results.json: cannot be read" in rig("archive", "add", series, "--archive", archive).stderr
+    assert "results.json: is not JSON" in rig("archive", "add", series, "--archive", archive).stderr
+
+
+def test_results_of_a_record_that_was_replaced_hide_nothing_of_the_new_one(
+    sessions: Path, tmp_path: Path
+) -> None:
+    """A folder of results, made by rig fit -o, whose record was removed and measured anew elsewhere."""
+    series = sessions / "series"
+    tree = json.loads((series / "results.json").read_text())
+    tree["runs"] = [tree["runs"][0] | {"record": str(series / "run-1.mcap"), "sha256": "0" * 64}]
+    (sessions / "fit").mkdir()
+    (sessions / "fit" / "results.json").write_text(json.dumps(tree))
+    done = rig("archive", "add", sessions, "--archive", tmp_path / "archive")
+    assert f"{sessions / 'fit' / 'results.json'}: its results of {series / 'run-1.mcap'}" in done.stderr
+    (row,) = (row for row in rows(tmp_path / "archive") if row["folder"] == str(series) and row["b"])
+    assert row["run"] == "run-1"
+    assert not [row for row in rows(tmp_path / "archive") if "fit" in Path(row["folder"]).name]
 
 
 def test_a_merged_catalogue_says_the_same_and_is_made_anew(sessions: Path, tmp_path: Path) -> None:
