@@ -3,14 +3,17 @@
 python docs/pictures/desk.py
 """
 
+import os
 import sys
 import tempfile
+from contextlib import chdir
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parents[1]))
 
 from tests.rig.desk.desk_page import Page, desk_page  # noqa: E402
+from tests.rig.view.headless_browser import headless_browser  # noqa: E402
 
 CONFIGURATION = """
 extends = "{base}"
@@ -27,6 +30,9 @@ file = false
 way = "at once"
 [balance]
 seconds = 20.0
+[simulation.axes]
+rest_slow_arcsec = 6.0
+rest_fast_arcsec = -25.0
 [simulation.sensor]
 width_px = 320
 height_px = 640
@@ -42,7 +48,9 @@ def main() -> None:
         config = Path(place) / "rig.toml"
         base = HERE.parents[1] / "configs" / "live.toml"
         config.write_text(CONFIGURATION.format(base=base.as_posix(), output=Path(place).as_posix()))
-        with desk_page(config) as (_, page):
+        # the calibration is filed in the folder in which the desk was opened
+        os.environ["PYTHONPATH"] = str(HERE.parents[1])
+        with chdir(place), headless_browser() as browser, desk_page(browser, config) as (_, page):
             photograph(page)
 
 
@@ -52,6 +60,7 @@ def photograph(page: Page) -> None:
     page.wait_text("clean spot")
     page.wait("document.querySelectorAll('rect').length > 30")
     save(page, "align")
+    page.click("Stop")
     page.key("3")
     page.click("Run preflight")
     page.click("Plan")
@@ -60,8 +69,7 @@ def photograph(page: Page) -> None:
     save(page, "preflight")
     page.key("2")
     page.key("m")
-    page.wait("document.querySelector('[aria-label=\"faults of the balance\"]') !== null", 120.0)
-    page.wait_text("go", 120.0)
+    page.wait("document.querySelector('svg[aria-label^=\"turn weight\"]') !== null", 120.0)
     save(page, "balance")
     page.click("End")
     page.key("4")
@@ -73,6 +81,33 @@ def photograph(page: Page) -> None:
     page.key("x")
     page.click("Stop it")
     page.wait_text("report.html", 200.0)
+    page.key("6")
+    page.wait_text("stopped")
+    page.ask("document.querySelector('.q-table tbody .q-checkbox').click()")
+    page.click("Fit again")
+    page.wait_text("rig fit: done", 200.0)
+    save(page, "sessions")
+    page.key("5")
+    for answer in ("tilt", "arcsec"):
+        page.click(answer)
+    for answer in ("4.8 um", "0.05", "1e-3", *ladder(), ""):
+        answered = page.ask("document.querySelectorAll('[aria-label=\"answers so far\"] tr').length")
+        page.fill("answer", answer)
+        page.click("Answer")
+        page.wait(f"document.querySelectorAll('[aria-label=\"answers so far\"] tr').length > {answered}")
+    page.fill("answer", "1")
+    page.click("Answer")
+    page.click("File it")
+    page.wait_text("lever-001.toml")
+    save(page, "calibrate")
+
+
+def ladder() -> list[str]:
+    """Readings of an autocollimator in arcsec, and where the spot was, some hundredths of a px off."""
+    answers = []
+    for reading, off_px in ((-60, 0.02), (-30, -0.03), (0, 0.01), (30, 0.04), (60, -0.02), (0, -0.01)):
+        answers += [f"{reading}", f"160.01 {320 - 2.0201 * reading + off_px:.2f} 0.02"]
+    return answers
 
 
 def save(page: Page, panel: str) -> None:

@@ -40,6 +40,7 @@ class Channel:
         self._path = folder / CHANNEL_NAME
         self._telling, self._orders, self._extra = telling, orders, extra
         self._server: http.server.ThreadingHTTPServer | None = None
+        self._over = threading.Event()
         self.problem = ""
 
     def __enter__(self) -> Self:
@@ -47,7 +48,13 @@ class Channel:
         kind = type(
             "_Session",
             (_Handler,),
-            {"key": key, "telling": self._telling, "orders": self._orders, "extra": (self._extra,)},
+            {
+                "key": key,
+                "telling": self._telling,
+                "orders": self._orders,
+                "extra": (self._extra,),
+                "over": self._over,
+            },
         )
         try:
             self._server = _Server((LOOPBACK, 0), cast(type[_Handler], kind))
@@ -67,6 +74,8 @@ class Channel:
     ) -> None:
         if self._server is None:
             return
+        # who is connected already would be answered for as long as the process fits what was measured
+        self._over.set()
         with contextlib.suppress(OSError):
             self._path.unlink()
         self._server.shutdown()
@@ -89,6 +98,7 @@ class _Handler(http.server.BaseHTTPRequestHandler):
     telling: ClassVar[SessionTelling]
     orders: ClassVar[Orders]
     extra: ClassVar[tuple[Callable[[], Mapping[str, Any]]]]
+    over: ClassVar[threading.Event]
 
     def do_GET(self) -> None:
         address = urllib.parse.urlsplit(self.path)
@@ -134,6 +144,10 @@ class _Handler(http.server.BaseHTTPRequestHandler):
         """Requests are not logged."""
 
     def _may_ask(self) -> bool:
+        if self.over.is_set():
+            self.close_connection = True
+            self.send_error(http.HTTPStatus.GONE)
+            return False
         if hmac.compare_digest(self.headers.get("Authorization", "").encode(), self.key.encode()):
             return True
         self.close_connection = True

@@ -5,6 +5,7 @@ import queue
 import threading
 import time
 from collections import deque
+from collections.abc import Callable
 
 from acquisition.camera import CameraSettings
 from acquisition.frame_queue import FrameQueue
@@ -19,6 +20,7 @@ _LOOK_S = 0.1
 _FOCUS_POINTS = 600
 EXPOSE = "expose"
 """A wish for the exposure at which the peak is right."""
+Wish = CameraSettings | str | Callable[[CameraSettings], CameraSettings]
 
 
 class Aligner:
@@ -30,7 +32,7 @@ class Aligner:
 
     def __init__(self, config: Configuration) -> None:
         self._config = complete(config)
-        self._wishes: queue.Queue[CameraSettings | str] = queue.Queue()
+        self._wishes: queue.Queue[Wish] = queue.Queue()
         self._ended = threading.Event()
         self.look: Look | None = None
         self.number = 0
@@ -44,8 +46,12 @@ class Aligner:
     def start(self) -> None:
         self._thread.start()
 
-    def wish(self, wish: CameraSettings | str) -> None:
-        """Ask the camera for settings, or for the right exposure (`EXPOSE`); `note` tells what came of it."""
+    def wish(self, wish: Wish) -> None:
+        """Ask the camera for settings, or for the right exposure (`EXPOSE`); `note` tells what came of it.
+
+        A function makes the settings from those that hold when its turn comes: a key may be pressed several
+        times before the camera has followed once.
+        """
         self._wishes.put(wish)
 
     def close(self) -> None:
@@ -104,7 +110,8 @@ class Aligner:
                         if isinstance(wish, str):
                             self.applied = find_exposure(camera, info, before).applied
                         else:
-                            self.applied = camera.configure(wish)
+                            wanted = wish if isinstance(wish, CameraSettings) else wish(before)
+                            self.applied = camera.configure(wanted)
                         same = self.applied == before
                         self.note = "nothing has changed: the camera's limit" if same else ""
                     except (DeviceError, RigError) as error:

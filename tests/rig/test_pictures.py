@@ -4,7 +4,9 @@ import json
 
 from tests.rig.drawn_pictures import CONFIGURATION, DRAWN, PICTURES, drawn_now
 
-OTHERS = {"desk-align.png", "desk-balance.png", "desk-measure.png", "desk-preflight.png"}
+OTHERS = {
+    f"desk-{panel}.png" for panel in ("align", "balance", "preflight", "measure", "calibrate", "sessions")
+}
 """Pages of the desk: docs/pictures/desk.py photographs them."""
 
 

@@ -7,7 +7,7 @@ from nicegui.events import MouseEventArguments
 from acquisition.camera import CameraSettings
 from processing.errors import ConfigurationError
 from rig.desk import drawings
-from rig.desk.aligner import EXPOSE, Aligner
+from rig.desk.aligner import EXPOSE, Aligner, Wish
 from rig.desk.desk import Desk
 from rig.desk.look_now import look_now
 from rig.desk.panels.fields import as_typed, number_field
@@ -54,19 +54,19 @@ def build(desk: Desk, tab: Tab) -> None:
             raise ConfigurationError("there is no live picture: press Live picture first")
         return desk.aligner
 
-    def wish(wanted: CameraSettings | str) -> None:
+    def wish(wanted: Wish) -> None:
         aligner().wish(wanted)
 
     def turned(exposure: float = 1.0, gain_db: float = 0.0) -> None:
-        applied = aligner().applied
-        if exposure != 1.0:
-            if applied.exposure_us is None:
-                raise ConfigurationError("this camera does not say its exposure; type one, and Set")
-            wish(CameraSettings(exposure_us=applied.exposure_us * exposure))
-        if gain_db:
-            if applied.gain_db is None:
-                raise ConfigurationError("this camera does not say its gain; type one, and Set")
-            wish(CameraSettings(gain_db=applied.gain_db + gain_db))
+        def wanted(applied: CameraSettings) -> CameraSettings:
+            stated = applied.exposure_us if exposure != 1.0 else applied.gain_db
+            if stated is None:
+                raise ConfigurationError("this camera does not say what it has set; type a value, then Set")
+            if exposure != 1.0:
+                return CameraSettings(exposure_us=stated * exposure)
+            return CameraSettings(gain_db=stated + gain_db)
+
+        wish(wanted)
 
     def typed(name: str, field: ui.input) -> None:
         key, value = f"camera.{name}", as_typed(field.value, True)

@@ -168,10 +168,13 @@ def drawing(turn: Mapping[str, Any] | None) -> str:
     said = ""
     if turn is not None:
         clock = ", then ".join(
-            f"{abs(part):.2f} {'clockwise' if part > 0 else 'counter-clockwise'}" for part in turn["parts"]
+            f"{abs(part):.2f} {'clockwise' if part > 0 else 'anticlockwise'}" for part in turn["parts"]
         )
         said = f"turn weight {turn['weight']}: {clock}"
-        parts.append(f"<text x='4' y='182' style='fill: var(--warn); font-size: 15px'>{clock}</text>")
+        parts.append(
+            f"<text x='4' y='182' style='fill: var(--warn); font-size: 13px'>"
+            f"{clock}, looking at the screw</text>"
+        )
     return (
         "<svg viewBox='0 0 330 190' width='100%' style='max-height:210px' role='img' "
         f"aria-label='{said or 'the pendulum and its weights'}'>{''.join(parts)}</svg>"

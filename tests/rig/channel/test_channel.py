@@ -102,6 +102,19 @@ def test_a_frame_that_can_be_written_to_is_copied(told: SessionTelling, line: Li
     assert picture.image.max() == 2
 
 
+def test_who_is_connected_is_not_answered_after_its_end(told: SessionTelling, tmp_path: Path) -> None:
+    taken: list[str] = []
+    with Channel(tmp_path, told, {"stop": lambda: str(taken.append("stop"))}):
+        line = Line(tmp_path)
+        assert line.news()["run"] == "run 1"
+    with line:
+        with pytest.raises(NoSession, match="refused to answer"):
+            line.order("stop")
+        assert taken == []
+        with pytest.raises(NoSession):
+            line.news()
+
+
 def test_orders(line: Line) -> None:
     assert line.order("stop") == "stopping"
     with pytest.raises(RigError, match="does not answer; see its cable"):

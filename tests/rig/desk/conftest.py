@@ -7,6 +7,7 @@ import pytest
 
 from tests.rig.command_line import CONFIGS
 from tests.rig.desk.desk_page import DeskProcess, Page, desk_page
+from tests.rig.view.headless_browser import HeadlessBrowser, headless_browser
 
 RIG = f"""
 extends = "{(CONFIGS / "live.toml").as_posix()}"
@@ -42,8 +43,27 @@ def desk_configuration(tmp_path_factory: pytest.TempPathFactory) -> Callable[[st
     return write
 
 
+@pytest.fixture(scope="session")
+def browser() -> Iterator[HeadlessBrowser]:
+    """One browser for all tests of the desk; each page is a tab of its own."""
+    with headless_browser() as opened:
+        yield opened
+
+
 @pytest.fixture(scope="module")
-def shown(desk_configuration: Callable[[str], Path]) -> Iterator[tuple[DeskProcess, Page]]:
-    """A desk that is only looked at."""
-    with desk_page(desk_configuration("")) as opened:
+def desk_file(desk_configuration: Callable[[str], Path]) -> Path:
+    """The configuration of `shown`."""
+    return desk_configuration("")
+
+
+@pytest.fixture(scope="module")
+def desk_output(desk_file: Path) -> Path:
+    """Where `shown` looks for sessions."""
+    return desk_file.parent / "runs"
+
+
+@pytest.fixture(scope="module")
+def shown(desk_file: Path, browser: HeadlessBrowser) -> Iterator[tuple[DeskProcess, Page]]:
+    """A desk with its page, on which nothing is measured."""
+    with desk_page(browser, desk_file) as opened:
         yield opened

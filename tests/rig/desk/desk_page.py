@@ -6,13 +6,13 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import cv2
 
-from tests.rig.view.headless_browser import HeadlessBrowser, headless_browser
+from tests.rig.view.headless_browser import HeadlessBrowser
 
 LIMIT_S = 50.0
 SIZE = {"width": 1280, "height": 800, "deviceScaleFactor": 1, "mobile": False}
@@ -76,6 +76,31 @@ class Page:
                 "Input.dispatchKeyEvent", type=kind, key=key, text=key if kind == "keyDown" else ""
             )
 
+    def drag(self, element: str, begin: tuple[float, float], end: tuple[float, float]) -> None:
+        """Draw with the mouse over an element, from one place in it to another, in parts of its size."""
+        x, y, width, height = self.ask(
+            "(r => [r.x, r.y, r.width, r.height])"
+            f"(document.querySelector({element!r}).getBoundingClientRect())"
+        )
+        for kind, place in (("mousePressed", begin), ("mouseMoved", end), ("mouseReleased", end)):
+            self.browser.call(
+                "Input.dispatchMouseEvent",
+                type=kind,
+                x=x + place[0] * width,
+                y=y + place[1] * height,
+                button="left",
+                buttons=0 if kind == "mouseReleased" else 1,
+                clickCount=1,
+            )
+
+    def wait_while(self, script: str, doing: Callable[[], None], limit_s: float = LIMIT_S) -> None:
+        """Until an expression is true, doing something again and again meanwhile."""
+        deadline_s = time.monotonic() + limit_s
+        while not self.ask(script):
+            doing()
+            assert time.monotonic() < deadline_s, f"never came true: {script}\n{self.text()}"
+            time.sleep(0.1)
+
     def picture(self, path: Path) -> None:
         """Photograph the page."""
         cv2.imwrite(str(path), self.browser.picture()[..., ::-1])
@@ -108,15 +133,15 @@ class DeskProcess:
 
 
 @contextlib.contextmanager
-def desk_page(config: Path, *words: str) -> Iterator[tuple[DeskProcess, Page]]:
-    """A desk and one tab that shows it."""
-    with headless_browser() as browser:
-        desk = DeskProcess(config, *words)
-        try:
-            page = Page(browser)
+def desk_page(browser: HeadlessBrowser, config: Path, *words: str) -> Iterator[tuple[DeskProcess, Page]]:
+    """A desk, and a tab of the browser that shows it."""
+    desk = DeskProcess(config, *words)
+    try:
+        with browser.another() as tab:
+            page = Page(tab)
             page.open(desk.address)
             yield desk, page
-        finally:
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                desk.end()
-            desk.kill()
+    finally:
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            desk.end()
+        desk.kill()

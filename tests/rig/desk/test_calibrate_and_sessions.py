@@ -16,6 +16,7 @@ from rig.desk.sessions import list_sessions, served_file
 from rig.measure.session_file import SessionFile
 from rig.settings import load_configuration
 from tests.rig.desk.desk_page import Page, desk_page
+from tests.rig.view.headless_browser import HeadlessBrowser
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(180)]
 OLDER = Path(__file__).resolve().parents[1] / "data" / "older" / "series"
@@ -57,8 +58,8 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def page(place: Path) -> Iterator[Page]:
-    with contextlib.chdir(place), desk_page(place / "rig.toml") as (_, page):
+def page(place: Path, browser: HeadlessBrowser) -> Iterator[Page]:
+    with contextlib.chdir(place), desk_page(browser, place / "rig.toml") as (_, page):
         yield page
 
 
@@ -84,12 +85,24 @@ def test_a_lever_is_typed_in_and_a_resting_spot_is_recorded(page: Page, place: P
     page.click("Answer")
     page.wait_text("right angles")
     page.click("yes")
+    for typed, said in (
+        ("soon", "should be a number"),
+        ("1e9", "should be from 0.01"),
+        ("7,5", "a point: 7.5"),
+    ):
+        page.fill("days", typed)
+        page.click("File it")
+        page.wait_text(said)
+        assert "lever-001.toml" not in page.text()
+        page.click("close")
+    page.fill("days", "30")
     page.click("File it")
     page.wait_text("lever-001.toml")
     page.wait_text("contribution, %")
     photograph(page, "calibrate-lever")
     found = read_calibration(place / "calibrations" / "lever-001.toml", "lever")
     assert found.made_by == "A. Person"
+    assert (found.valid_until - found.measured_at).days == 30
     assert found.values["arm_m"] == pytest.approx(1.0)
     page.click("pointing")
     page.wait_text("Clamp the pendulum")

@@ -39,12 +39,15 @@ def test_preflight_alone_says_no_go_with_a_remedy() -> None:
 
 def test_balance_in_json_lines_tells_way_faults_and_advice_and_takes_answers(tmp_path: Any) -> None:
     words = {**SMALL, "balance.seconds": "16"}
-    answers = io.StringIO("z 1\nx one\nq\n")
+    wrong = ["z 1", "x one", "x", "x 1,5", "x nan", "x 1e9", "x 1 turn"]
+    answers = io.StringIO("".join(f"{line}\n" for line in [*wrong, "q"]))
     done = _balance_with(answers, words, str(tmp_path / "history.jsonl"))
     told = lines(done)
     kinds = [line["kind"] for line in told]
     assert {"way", "live"} <= set(kinds)
-    assert kinds[-6:] == ["found", "ask", "wrong", "ask", "wrong", "ask"]
+    assert kinds[-2 * len(wrong) - 2 :] == ["found", "ask", *(["wrong", "ask"] * len(wrong))]
+    for line, typed in zip((line for line in told if line["kind"] == "wrong"), wrong, strict=True):
+        assert line["problem"].startswith(f"{typed!r}: should be a weight (")
     (found,) = [line for line in told if line["kind"] == "found"]
     assert found["text"]
     assert {"name", "value", "u_value", "unit", "limit", "meaning", "ok"} == set(found["faults"][0])

@@ -1,13 +1,20 @@
-"""The desk in a browser: who may enter and act, what is said of bad input, which keys work."""
+"""The desk in a browser: who may enter and act, what is said of bad input, what keys and mouse do."""
 
 import http.client
 import urllib.parse
 from http import HTTPStatus
+from pathlib import Path
 
+import numpy as np
 import pytest
 
+from acquisition.frame import Frame
+from processing.deflections import Deflections, DeflectionUnit
+from processing.errors import DeviceError
+from processing.spot import Spot
+from rig.channel import Channel, SessionTelling
+from rig.settings import Configuration
 from tests.rig.desk.desk_page import DeskProcess, Page
-from tests.rig.view.headless_browser import headless_browser
 
 pytestmark = pytest.mark.slow
 Shown = tuple[DeskProcess, Page]
@@ -73,39 +80,153 @@ def test_keys_choose_the_panel_but_not_while_something_is_typed(shown: Shown) ->
     page.fill("session.notes", "")
 
 
-@pytest.mark.parametrize(
-    ("key", "typed", "said"),
-    [
-        ("session.runs", "0", "should be greater than or equal to 1"),
-        ("session.runs", "three", "session.runs = 'three'"),
-        ("session.initial_amplitude_arcsec", "1", "must be below"),
-        ("session.final_amplitude_arcsec", "-2", "should be greater than 0"),
-        ("session.max_duration_s", "1,5", "with a point: 1.5"),
-    ],
-)
-def test_bad_input_is_named_at_its_field_and_starts_nothing(
-    shown: Shown, key: str, typed: str, said: str
-) -> None:
+NO_NUMBERS = {
+    "camera.exposure_us": ("bright", "-1", "0", "1e400", "nan", "1,5", "100 us"),
+    "camera.gain_db": ("none", "1e400", "nan", "0,5", "3 dB"),
+    "session.runs": ("0", "three", "1.5", "1e15", "nan"),
+    "session.initial_amplitude_arcsec": ("1", "much", "inf", "124 arcsec"),
+    "session.final_amplitude_arcsec": ("-2", "1e9", "2,5"),
+    "session.max_duration_s": ("1,5", "0", "nan", "1 h"),
+}
+
+
+@pytest.mark.parametrize("key", NO_NUMBERS)
+def test_bad_input_is_named_at_its_field_and_starts_nothing(shown: Shown, key: str) -> None:
     _, page = shown
-    page.key("4")
-    page.wait_text("AT MOST / S".lower())
-    before = page.ask(f"document.querySelector('[data-key=\"{key}\"]').value")
-    page.fill(key, typed)
-    page.wait(
-        f"document.querySelector('[data-key=\"{key}\"]').closest('.q-field').innerText.includes({said!r})"
-    )
-    page.click("Start")
+    of_camera = key.startswith("camera")
+    page.key("1" if of_camera else "4")
+    field = f"document.querySelector('[data-key=\"{key}\"]')"
+    page.wait(f"{field}.offsetParent !== null")
+    before = page.ask(f"{field}.value")
+    told = f"({field}.closest('.q-field').querySelector('.q-field__messages')?.innerText ?? '')"
+    for typed in NO_NUMBERS[key]:
+        page.fill(key, typed)
+        line = page.wait(f"{told}.includes({f'{key} = '!r}) && /should|must/.test({told}) && {told}")
+        assert "\n" not in line
+    if of_camera:
+        page.ask(f"{field}.closest('.q-field').parentElement.querySelector('button').click()")
+    else:
+        page.click("Start")
     page.wait("document.querySelector('.q-notification') !== null")
+    assert key in page.ask("document.querySelector('.q-notification').innerText")
     page.click("close")
     page.fill(key, before)
-    page.wait("document.querySelectorAll('.q-field--error').length === 0")
+    page.wait("document.querySelectorAll('.q-field--error, .q-notification').length === 0")
     assert "session begins" not in page.text()
+
+
+def test_keys_say_what_is_missing_and_an_empty_page_says_what_to_do(shown: Shown) -> None:
+    _, page = shown
+    page.key("1")
+    page.wait_text("No live picture yet. Press Live picture")
+    page.key("E")
+    page.wait_text("there is no live picture: press Live picture first")
+    page.click("close")
+
+
+def test_at_night_the_page_gives_red_light_only_also_after_it_is_opened_again(shown: Shown) -> None:
+    _, page = shown
+    is_night = "document.documentElement.classList.contains('night')"
+    page.key("n")
+    page.wait(is_night)
+    page.ask("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
+    red, green, blue = page.browser.picture().reshape(-1, 3).max(axis=0)
+    assert (green, blue) == (0, 0)
+    assert red > 200
+    page.ask("location.reload()")
+    page.wait(f"document.querySelector('.q-tab') !== null && {is_night}")
+    # the tab that was left behind acts for a moment
+    page.wait("!document.body.innerText.includes('this tab watches')")
+    page.key("n")
+    page.wait(f"!{is_night}")
+
+
+def test_a_session_is_shown_before_its_record_begins_and_cries_are_seen_and_heard(
+    shown: Shown, desk_output: Path
+) -> None:
+    _, page = shown
+    taken, now = [], {"controller": "laser on, interlock closed"}
+    telling = SessionTelling(Configuration(camera={"driver": "simulated"}))  # type: ignore[arg-type]
+    telling.begin_run("run 1", 255, None)
+    frame = Frame(np.full((64, 32), 40, np.uint8), 1, 1, 1)
+    spot = Spot(16.0, 32.0, 0.01, 0.01, 2.0, 2.0, 0.0, 100.0, 4.0, 1.0, 0)
+    empty = np.zeros(0)
+    none = Deflections(np.zeros(0, np.int64), empty, empty, empty, empty, DeflectionUnit.PX)
+
+    def brake_on() -> str:
+        taken.append("on")
+        now["controller"] = "laser on, brake, interlock closed"
+        return "the brake is on"
+
+    def brake_off() -> str:
+        raise DeviceError("the brake: does not answer; see its cable")
+
+    folder = desk_output / "of-another"
+    folder.mkdir(parents=True)
+    page.key("4")
+    with Channel(folder, telling, {"brake on": brake_on, "brake off": brake_off}, lambda: now):
+        telling.state({"phase": "rest: spread 3 px"}, [])
+        page.wait_text("nothing is recorded yet: rest: spread 3 px")
+        page.wait_text("no frame yet: rest: spread 3 px")
+        page.wait_while(
+            "!document.body.innerText.includes('no frame yet')",
+            lambda: telling.before_record([frame], [spot], none),
+        )
+        telling.state({"phase": "release", "instruction": "release by hand now"}, [])
+        page.wait_text("RELEASE BY HAND NOW")
+        page.key("b")
+        page.wait_text("the brake is on")
+        page.wait_text("laser on, brake")
+        page.key("b")
+        page.wait_text("the brake: does not answer; see its cable")
+        page.click("close")
+        assert taken == ["on"]
+        telling.state({"phase": "measuring", "alarm": "the laser is dark"}, [])
+        page.wait_text("THE LASER IS DARK")
+        colour = "getComputedStyle(document.querySelector('.alarm')).backgroundColor"
+        assert page.ask(colour) == "rgb(213, 94, 0)"
+        page.wait("window.rigBeep && window.rigAudio.state === 'running'")
+        telling.state({"phase": "measuring", "alarm": ""}, [])
+        page.wait("document.querySelector('.alarm').offsetParent === null && !window.rigBeep")
+        assert "nothing is recorded yet" not in page.text()
+    page.wait("document.getElementById('amplitude').offsetParent === null")
+
+
+def test_exposure_region_and_focus_are_set_and_seen(shown: Shown) -> None:
+    _, page = shown
+    page.key("1")
+    page.click("Live picture")
+    page.wait_text("160 × 640 px")
+    page.wait("document.querySelector('[aria-label=\"sharpness over time\"] polyline') !== null")
+    for _ in range(4):
+        page.key("E")
+    page.wait_text("244.141 us")
+    page.wait("!document.body.innerText.includes('saturated\\tnone')")
+    pixels = page.browser.picture().reshape(-1, 3)
+    assert np.any(np.all(pixels == (213, 94, 0), axis=1)), "saturated pixels are drawn in their colour"
+    page.key("G")
+    page.wait_text("gain 1 dB")
+    page.drag(".picture img", (0.45, 0.3), (0.55, 0.7))
+    region = page.wait(
+        "(document.body.innerText.match(/region\\s+(\\d+ × \\d+) px from/) ?? [])[1] != '160 × 640' && "
+        "document.body.innerText.match(/region\\s+(\\d+) × (\\d+) px from \\((\\d+), (\\d+)\\)/).slice(1)"
+    )
+    width_px, height_px, left_px, top_px = map(int, region)
+    # 640 rows fill the height of the picture, whose sides are as 800 to 540
+    assert height_px == pytest.approx(0.4 * 640, abs=6)
+    assert width_px == pytest.approx(0.1 * 800 * 640 / 540, abs=6)
+    assert top_px == pytest.approx(0.3 * 640, abs=6)
+    assert left_px == pytest.approx(0.5 * (160 - width_px), abs=6)
+    page.click("Whole sensor")
+    page.wait_text("160 × 640 px")
+    page.click("Stop")
+    page.wait_text("No live picture yet")
 
 
 def test_a_second_tab_watches_until_it_takes_over(shown: Shown) -> None:
     desk, page = shown
     page.wait("!document.body.innerText.includes('this tab watches')")
-    with headless_browser() as browser:
+    with page.browser.another() as browser:
         second = Page(browser)
         second.open(desk.address)
         second.wait_text("this tab watches")
@@ -126,6 +247,6 @@ def test_everything_that_can_be_pressed_or_filled_has_a_name(shown: Shown) -> No
         "!(e.innerText || e.ariaLabel || e.labels?.[0]?.innerText || e.closest('label')?.innerText)"
         ").map(e => e.outerHTML)"
     )
-    for key in "1234":
+    for key in "123456":
         page.key(key)
         assert page.ask(nameless) == []

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from tests.rig.desk.desk_page import DeskProcess, desk_page
+from tests.rig.view.headless_browser import HeadlessBrowser
 
 INTERLOCK = """
 [laser]
@@ -26,10 +27,10 @@ interlock_open_for_s = 1.5
 @pytest.mark.realtime
 @pytest.mark.timeout(300)
 def test_a_session_from_align_to_report_with_a_trip_and_a_desk_that_is_killed(
-    desk_configuration: Callable[[str], Path],
+    desk_configuration: Callable[[str], Path], browser: HeadlessBrowser
 ) -> None:
     config = desk_configuration(INTERLOCK)
-    with desk_page(config) as (desk, page):
+    with desk_page(browser, config) as (desk, page):
         # align: the picture lives, the exposure changes and is kept
         page.click("Live picture")
         page.wait_text("100 us, gain")

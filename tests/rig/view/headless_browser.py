@@ -11,6 +11,7 @@ import subprocess
 import tempfile
 import time
 from collections.abc import Callable, Iterator
+from itertools import count
 from pathlib import Path
 from typing import IO, Any
 
@@ -43,16 +44,28 @@ REDIRECTED = 'exec "$0" "$@" 3<&0 4>&1 0</dev/null 1>&2'
 class HeadlessBrowser:
     """One page of a browser; `requested`: every address it asked for, but for those its policy forbade."""
 
-    def __init__(self, orders: IO[bytes], answers: IO[bytes]) -> None:
+    def __init__(
+        self, orders: IO[bytes], answers: IO[bytes], beside: "HeadlessBrowser | None" = None
+    ) -> None:
         self._orders = orders
         self._answers = answers
-        self._unread = bytearray()
-        self._number = 0
+        self._unread = bytearray() if beside is None else beside._unread
+        self._numbers = count(1) if beside is None else beside._numbers
         self._session: str | None = None
         self._requests: dict[str, str] = {}
-        target = self.call("Target.createTarget", url="about:blank")["targetId"]
-        self._session = self.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
+        self._target = self.call("Target.createTarget", url="about:blank")["targetId"]
+        self._session = self.call("Target.attachToTarget", targetId=self._target, flatten=True)["sessionId"]
         self.call("Network.enable")
+
+    @contextlib.contextmanager
+    def another(self) -> Iterator["HeadlessBrowser"]:
+        """A second page of the same browser, until the context ends."""
+        page = HeadlessBrowser(self._orders, self._answers, self)
+        try:
+            yield page
+        finally:
+            page._session = None
+            page.call("Target.closeTarget", targetId=page._target)
 
     @property
     def requested(self) -> list[str]:
@@ -71,8 +84,8 @@ class HeadlessBrowser:
 
     def call(self, method: str, **parameters: Any) -> dict[str, Any]:
         """One call of the DevTools protocol."""
-        self._number += 1
-        order: dict[str, Any] = {"id": self._number, "method": method, "params": parameters}
+        number = next(self._numbers)
+        order: dict[str, Any] = {"id": number, "method": method, "params": parameters}
         if self._session is not None:
             order["sessionId"] = self._session
         self._orders.write(json.dumps(order).encode() + b"\0")
@@ -80,11 +93,13 @@ class HeadlessBrowser:
         while True:
             answer = json.loads(self._next_answer())
             event, told = answer.get("method"), answer.get("params", {})
+            if answer.get("sessionId") != self._session:
+                event = None
             if event == "Network.requestWillBeSent":
                 self._requests[told["requestId"]] = told["request"]["url"]
             elif event == "Network.loadingFailed" and told.get("blockedReason") == "csp":
                 self._requests.pop(told["requestId"], None)
-            if answer.get("id") == self._number:
+            if answer.get("id") == number:
                 if "error" in answer:
                     raise RuntimeError(f"{method}: {answer['error']['message']}")
                 result: dict[str, Any] = answer["result"]
