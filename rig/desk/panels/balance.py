@@ -171,10 +171,7 @@ def drawing(turn: Mapping[str, Any] | None) -> str:
             f"{abs(part):.2f} {'clockwise' if part > 0 else 'anticlockwise'}" for part in turn["parts"]
         )
         said = f"turn weight {turn['weight']}: {clock}"
-        parts.append(
-            f"<text x='4' y='182' style='fill: var(--warn); font-size: 13px'>"
-            f"{clock}, looking at the screw</text>"
-        )
+        parts.append("<text x='4' y='184'>the arrow: as one looks at the weight's screw</text>")
     return (
         "<svg viewBox='0 0 330 190' width='100%' style='max-height:210px' role='img' "
         f"aria-label='{said or 'the pendulum and its weights'}'>{''.join(parts)}</svg>"
