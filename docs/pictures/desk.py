@@ -18,7 +18,7 @@ from tests.rig.view.headless_browser import headless_browser  # noqa: E402
 CONFIGURATION = """
 extends = "{base}"
 [session]
-output = "{output}"
+output = "runs"
 initial_amplitude_arcsec = 124.0
 max_duration_s = 400.0
 [camera]
@@ -47,8 +47,8 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as place:
         config = Path(place) / "rig.toml"
         base = HERE.parents[1] / "configs" / "live.toml"
-        config.write_text(CONFIGURATION.format(base=base.as_posix(), output=Path(place).as_posix()))
-        # the calibration is filed in the folder in which the desk was opened
+        config.write_text(CONFIGURATION.format(base=base.as_posix()))
+        # sessions and calibrations are filed in the folder in which the desk was opened
         os.environ["PYTHONPATH"] = str(HERE.parents[1])
         with chdir(place), headless_browser() as browser, desk_page(browser, config) as (_, page):
             photograph(page)
@@ -88,15 +88,11 @@ def photograph(page: Page) -> None:
     page.wait_text("rig fit: done", 200.0)
     save(page, "sessions")
     page.key("5")
-    for answer in ("tilt", "arcsec"):
-        page.click(answer)
-    for answer in ("4.8 um", "0.05", "1e-3", *ladder(), ""):
-        answered = page.ask("document.querySelectorAll('[aria-label=\"answers so far\"] tr').length")
-        page.fill("answer", answer)
-        page.click("Answer")
-        page.wait(f"document.querySelectorAll('[aria-label=\"answers so far\"] tr').length > {answered}")
-    page.fill("answer", "1")
-    page.click("Answer")
+    for count, answer in enumerate(("tilt", "arcsec", "4.8 um", "0.05", "1e-3", *ladder(), "", "1"), 1):
+        if count > 2:
+            page.fill("answer", answer)
+        page.click("Answer" if count > 2 else answer)
+        page.wait(f"document.querySelectorAll('[aria-label=\"answers so far\"] tr').length == {count}")
     page.click("File it")
     page.wait_text("lever-001.toml")
     save(page, "calibrate")

@@ -119,8 +119,9 @@ class Desk:
         if self.following.running or self.session_state == "running":
             raise ConfigurationError(f"rig {who} needs the camera, which a session has; wait, or stop it")
         for name, job in self.jobs.items():
-            # what has told its result is about to end
-            if job.running and not ("preflight" in job.newest and job.wait(_ENDS_WITHIN_S)):
+            # what has told its result, or was asked to end, is about to end
+            about_to = job.ending or "preflight" in job.newest
+            if job.running and not (about_to and job.wait(_ENDS_WITHIN_S)):
                 raise ConfigurationError(f"rig {who} needs the camera, which rig {name} has; end that first")
         self.end_aligning()
 

@@ -43,6 +43,7 @@ class Job:
     """A command that ends with the desk, because its pipes do; it answers in JSON lines.
 
     `lines` are the last objects it has printed, `said` its other words; `count` numbers the objects.
+    `ending`: it was asked to end, and will in a moment.
     """
 
     def __init__(self, words: list[str]) -> None:
@@ -58,6 +59,7 @@ class Job:
             **own_group(),
         )
         self.name = words[0]
+        self.ending = False
         self.lines: deque[dict[str, Any]] = deque(maxlen=_LAST_LINES)
         self.newest: dict[str, dict[str, Any]] = {}
         self.said: deque[str] = deque(maxlen=_LAST_LINES)
@@ -91,23 +93,29 @@ class Job:
 
     def end(self) -> None:
         """As Ctrl-C: it switches off what it has switched on."""
+        self.ending = True
         with suppress(OSError):
             self._process.terminate()
 
     def _read(self) -> None:
         assert self._process.stdout is not None
-        for line in self._process.stdout:
-            try:
-                found = json.loads(line)
-            except ValueError:
-                self.said.append(line.rstrip())
-                continue
-            if isinstance(found, dict):
-                self.lines.append(found)
-                self.newest[str(found.get("kind"))] = found
-                self.count += 1
+        with self._process.stdout as lines:
+            for line in lines:
+                try:
+                    found = json.loads(line)
+                except ValueError:
+                    self.said.append(line.rstrip())
+                    continue
+                if isinstance(found, dict):
+                    self.lines.append(found)
+                    self.newest[str(found.get("kind"))] = found
+                    self.count += 1
+        with suppress(OSError):
+            if self._process.stdin is not None:
+                self._process.stdin.close()
 
     def _listen(self) -> None:
         assert self._process.stderr is not None
-        for line in self._process.stderr:
-            self.said.append(line.rstrip())
+        with self._process.stderr as lines:
+            for line in lines:
+                self.said.append(line.rstrip())

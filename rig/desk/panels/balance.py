@@ -60,6 +60,7 @@ def build(desk: Desk, tab: Tab) -> None:
         if running is not None:
             if _asks(running):
                 running.answer("q")
+                running.ending = True
             else:
                 running.end()
 

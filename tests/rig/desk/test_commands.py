@@ -2,12 +2,15 @@
 
 import io
 import json
+import os
 import sys
+from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
 import pytest
 
+from processing.errors import ConfigurationError
 from rig.balance import InJsonLines
 from tests.rig.command_line import CONFIGS, SMALL, Done, rig, set_words
 
@@ -65,6 +68,25 @@ def _balance_with(answers: io.StringIO, words: dict[str, str], history: str) -> 
         return rig(
             "balance", SIMULATED, "--json", "--seed", "1", "--history-file", history, *set_words(words)
         )
+
+
+def test_what_was_asked_to_end_is_waited_for_before_the_camera_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("nicegui", reason="rig desk is not installed: pip install '.[desk]'")
+    from rig.desk import jobs
+    from rig.desk.desk import Desk
+
+    sleeping = [sys.executable, "-c", "import time; time.sleep(60)"]
+    monkeypatch.setattr(jobs, "_command", lambda _: (sleeping, dict(os.environ)))
+    desk = Desk(SIMULATED, (f'session.output="{tmp_path.as_posix()}"',))
+    desk.jobs["balance"] = jobs.Job(["balance"])
+    with pytest.raises(ConfigurationError, match="which rig balance has; end that first"):
+        desk.needs_camera("run")
+    desk.jobs["balance"].end()
+    desk.needs_camera("run")
+    assert not desk.jobs["balance"].running
+    desk.close()
 
 
 def test_a_seed_is_for_the_simulated_rig_only() -> None:
