@@ -102,6 +102,11 @@ class SimulatedCamera:
                 f"{CAMERA_NAME}: frame_rate_hz = {new.frame_rate_hz:g} is out of range; "
                 "at most 100000 are possible"
             )
+        if (new.exposure_us or 0.0) * (new.frame_rate_hz or 0.0) > 1e6:
+            raise DeviceError(
+                f"{CAMERA_NAME}: exposure_us = {new.exposure_us:g} is longer than a frame at "
+                f"frame_rate_hz = {new.frame_rate_hz:g}; at most {1e6 / (new.frame_rate_hz or 1.0):.6g} fit"
+            )
         self._applied = new
         return new
 

@@ -202,20 +202,29 @@ def monte_carlo(
     DataError
         A fitted parameter that the data do not determine at all.
     """
-    values = draw_fitted(found, rng, draws)
-    inputs = {name: quantity.draw(rng, draws) for name, quantity in rig.inputs().items()}
-    reported = reported_quantities(found, values, inputs, rig)
-    if against is None:
-        against = budgets(found, rig)
-    out = {}
-    for name in _quantities(found):
-        sample = reported[name]
-        lower, upper = np.quantile(sample, [0.025, 0.975])
-        u = float(np.std(sample, ddof=1))
-        budget = against[name]
-        tolerance = 0.5 * 10 ** floor(log10(u)) if u > 0 and isfinite(u) else 0.0
-        worst = max(abs(budget.value - budget.expanded - lower), abs(budget.value + budget.expanded - upper))
-        out[name] = Propagated(
-            name, float(np.mean(sample)), u, float(lower), float(upper), bool(worst <= tolerance or u == 0)
-        )
+    # draws of what the data hardly determine overflow: their spread is then infinite or NaN, and stated so
+    with np.errstate(over="ignore", invalid="ignore"):
+        values = draw_fitted(found, rng, draws)
+        inputs = {name: quantity.draw(rng, draws) for name, quantity in rig.inputs().items()}
+        reported = reported_quantities(found, values, inputs, rig)
+        if against is None:
+            against = budgets(found, rig)
+        out = {}
+        for name in _quantities(found):
+            sample = reported[name]
+            lower, upper = np.quantile(sample, [0.025, 0.975])
+            u = float(np.std(sample, ddof=1))
+            budget = against[name]
+            tolerance = 0.5 * 10 ** floor(log10(u)) if u > 0 and isfinite(u) else 0.0
+            worst = max(
+                abs(budget.value - budget.expanded - lower), abs(budget.value + budget.expanded - upper)
+            )
+            out[name] = Propagated(
+                name,
+                float(np.mean(sample)),
+                u,
+                float(lower),
+                float(upper),
+                bool(worst <= tolerance or u == 0),
+            )
     return out

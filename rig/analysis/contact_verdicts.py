@@ -341,13 +341,15 @@ def _work(
     if rig is not None:
         rng = np.random.default_rng(seed)
         found = fitted_contact(exact)
-        values = draw_fitted(found, rng, DRAWS)
-        inputs = {name: quantity.draw(rng, DRAWS) for name, quantity in rig.inputs().items()}
-        reported = reported_quantities(found, values, inputs, rig)
-        without_drag = {name: sample for name, sample in reported.items() if name != "drag_s"}
-        moment = inputs["mass_kg"] * inputs["gravity_m_per_s2"] * inputs["ball_radius_m"]
-        u_dissipated = float(np.std(work_per_cycle_j(amplitude_rad, without_drag, inputs), ddof=1))
-        u_adhesive = float(np.std(4 * moment * reported["c"] * amplitude_rad, ddof=1))
+        # draws of what the data hardly determine overflow: their spread is then stated as infinite or NaN
+        with np.errstate(over="ignore", invalid="ignore"):
+            values = draw_fitted(found, rng, DRAWS)
+            inputs = {name: quantity.draw(rng, DRAWS) for name, quantity in rig.inputs().items()}
+            reported = reported_quantities(found, values, inputs, rig)
+            without_drag = {name: sample for name, sample in reported.items() if name != "drag_s"}
+            moment = inputs["mass_kg"] * inputs["gravity_m_per_s2"] * inputs["ball_radius_m"]
+            u_dissipated = float(np.std(work_per_cycle_j(amplitude_rad, without_drag, inputs), ddof=1))
+            u_adhesive = float(np.std(4 * moment * reported["c"] * amplitude_rad, ddof=1))
     return Work(
         amplitude_arcsec,
         Estimate(work.dissipated_j, u_dissipated),

@@ -8,6 +8,7 @@ import numpy as np
 from acquisition.record.events import Event, EventKind
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import ENVIRONMENT
+from processing.spot import SpotFlag
 from rig.analysis.beam import Beam
 from rig.analysis.contact_results import Ground
 from rig.presentation import Verdict
@@ -49,6 +50,7 @@ def run_conditions(
             "see who lost them: camera, bus or computer",
         ),
         *([] if beam is None else [beam.verdict(limits.max_poor_fit_fraction)]),
+        *([] if beam is None else [_saturation(beam, frames, limits.max_saturated_fraction)]),
         *_steps(reader.events()),
         *_temperature(reader),
         *_ground(ground, half_cycles),
@@ -64,6 +66,21 @@ def _fraction(name: str, count: int, of: int, most: float, remedy: str) -> Verdi
         "" if ok else "too many",
         "" if ok else remedy,
         measured=f"{count} of {of} ({100 * part:.2g} %)",
+        limit=f"{100 * most:g} %",
+    )
+
+
+def _saturation(beam: Beam, frames: int, most: float) -> Verdict:
+    """A warning: spots without their brightest pixels have larger uncertainties, which say so."""
+    count = beam.flags.get(SpotFlag.SATURATED.name or "", 0)
+    part = count / frames if frames else 0.0
+    too_many = part > most
+    return Verdict(
+        "saturation",
+        True,
+        "pixels at full scale are lost to the fit" if too_many else "",
+        "lower exposure_us or the laser's power" if too_many else "",
+        measured=f"{count} of {frames} spots ({100 * part:.2g} %)",
         limit=f"{100 * most:g} %",
     )
 

@@ -4,6 +4,8 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+
 from processing.decay_summary import DecayMean
 from processing.errors import ConfigurationError
 from processing.swing import turning_points
@@ -72,6 +74,9 @@ def _print(path: Path, table: AnalysedTable) -> None:
     )
     if trajectory.skipped_rows:
         print(f"  {trajectory.skipped_rows} rows without the right number of columns were left out")
+    for name, position in zip(trajectory.names, trajectory.positions, strict=True):
+        if gaps := int(np.isnan(position).sum()):
+            print(f"  {gaps} values of {name} are no numbers and are missing from the fit")
     print(f"  noise of a sample {table.noise:.3g} {trajectory.unit}, from the scatter about a smooth curve")
     for part in table.passed_over:
         print(

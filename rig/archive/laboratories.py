@@ -49,8 +49,8 @@ def compare_groups(
             groups.setdefault(str(label), []).append(numbers)
     if len(groups) < 2:
         raise ConfigurationError(
-            f"--by {by}: {len(rows)} runs of {', '.join(groups) or 'none'} have a value of {column} with its "
-            "uncertainty; a comparison needs two groups, name another column"
+            f"--by {by}: {len(groups)} of its groups has {column} with its uncertainty, in {len(rows)} runs; "
+            "a comparison needs two: take another column"
         )
     values = {label: _of_group(column, groups[label]) for label in sorted(groups)}
     try:

@@ -10,9 +10,10 @@ from typing import Any, Literal
 
 from acquisition.record import whole_file
 from processing.errors import ConfigurationError, RecordError
+from rig.archive.blind import sealed
 from rig.archive.columns import SHOWN
 from rig.archive.store import Archive, duckdb_module, reads_archive
-from rig.presentation import NOT_KNOWN, Cell, Table, plain, plain_values, print_tables, with_uncertainty
+from rig.presentation import NOT_KNOWN, Cell, Table, plain, plain_values, print_tables, say, with_uncertainty
 
 Format = Literal["table", "csv", "json", "parquet"]
 _SHORTENED = 8
@@ -41,6 +42,8 @@ def list_runs(
     wanted = ", ".join(columns) if columns else f"left(sha256, {_SHORTENED}) as id, {', '.join(shown)}"
     if not columns and kind == "table":
         wanted += ", u_b, u_p, u_c, u_n"
+    if sealed(archive) is not None:
+        say("BLIND: a hidden offset is on the parameters; rig archive unblind")
     connection = Archive(archive).connection(refits=refits)
     found = selected(connection, wanted, condition, "refits" if refits else "runs")
     names = list(found.columns)

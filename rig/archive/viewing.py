@@ -23,3 +23,5 @@ def view_runs(
     if not 0 < len(records) <= _MOST:
         raise ConfigurationError(f"{len(records)} runs are meant; 1 to {_MOST} can be seen over each other")
     show_records(records, mode=mode, rrd=rrd)
+    if rrd is not None:
+        print(f"Rerun file   {rrd}")

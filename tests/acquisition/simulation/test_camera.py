@@ -227,6 +227,7 @@ def test_laser_fades_and_comes_back() -> None:
         (CameraSettings(height_px=64, offset_y_px=1), "64"),
         (CameraSettings(gain_db=60.0), "48"),
         (CameraSettings(frame_rate_hz=1e6), "100000"),
+        (CameraSettings(exposure_us=20_000.0, frame_rate_hz=100.0), "at most 10000 fit"),
     ],
 )
 def test_settings_out_of_range_name_the_range(settings: CameraSettings, named: str) -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from acquisition.record.reader import RecordReader
+from rig.analysis.beam import Beam
 from rig.analysis.contact_results import Ground
 from rig.analysis.run_conditions import run_conditions
 from rig.settings import PreflightSettings
@@ -28,6 +29,15 @@ def test_losses_are_held_against_the_limits_of_the_preflight(
         found = run_conditions(reader, frames, lost, dropped, PreflightSettings())
     assert {verdict.name for verdict in found if not verdict.ok} == against
     assert {"light", "rest position", "ambient light"} <= {verdict.name for verdict in found}
+
+
+def test_spots_at_full_scale_are_warned_of(measured_series: Path) -> None:
+    with RecordReader(measured_series / "run-1.mcap") as reader:
+        for saturated, warned in ((10, False), (11, True)):
+            beam = Beam(model="upright", flags={"SATURATED": saturated})
+            found = run_conditions(reader, 1000, 0, 0, PreflightSettings(), beam=beam)
+            (verdict,) = (verdict for verdict in found if verdict.name == "saturation")
+            assert (verdict.ok, "exposure_us" in verdict.remedy) == (True, warned)
 
 
 def test_a_run_that_loses_spots_says_so_and_fails(tmp_path: Path) -> None:

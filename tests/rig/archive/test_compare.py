@@ -62,7 +62,7 @@ def test_rigs_are_compared_and_the_one_that_is_off_is_named(archive: Path, tmp_p
     for column, by, said in (
         ("host", "host", "no uncertainty"),
         ("c", "colour", "is no column"),
-        ("b", "host", "0 of"),
+        ("b", "host", "0 of its groups"),
     ):
         with pytest.raises(ConfigurationError, match=said):
             compare_groups(archive, column, by, "", None)
