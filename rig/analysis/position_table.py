@@ -21,7 +21,7 @@ _EXACT = 2**53
 """Largest whole number of ns that a floating-point number holds."""
 _DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+(?:[eE][+-]?\d+)?")
 _WHOLE = re.compile(r"[+-]?\d+")
-_ANGLES_RAD = {
+ANGLES_RAD = {
     "rad": 1.0,
     "mrad": 1e-3,
     "urad": 1e-6,
@@ -93,7 +93,7 @@ def read_trajectory(
         positions=tuple(table.T),
         names=tuple(header[column] if header else f"column {column + 1}" for column in p_columns),
         unit=unit or "unit",
-        scale_rad=_ANGLES_RAD.get(unit),
+        scale_rad=ANGLES_RAD.get(unit),
         skipped_rows=skipped,
     )
 

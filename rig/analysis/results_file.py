@@ -79,7 +79,7 @@ def read_results(source: Path) -> SessionResults:
     except UnicodeDecodeError:
         raise RecordError(f"{path}: is no results file; name {RESULTS_NAME} or its folder") from None
     except (ValueError, RecursionError) as error:
-        raise RecordError(f"{path}: is not JSON ({error}); {_REMEDY}") from None
+        raise RecordError(f"{path}: cannot be read: it is not JSON ({error}); {_REMEDY}") from None
     return decoded(tree, path)
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from processing.estimate import Estimate
 from processing.separate_decays import separate_decays
 from processing.swing import Swing, SwingDetector, estimate_noise, turning_points
 from rig.analysis.passing_deflections import PassingDeflections
-from rig.analysis.position_table import Trajectory, read_trajectory
+from rig.analysis.position_table import ANGLES_RAD, Trajectory, read_trajectory
 from rig.analysis.record_fit import analyse_swings
 from rig.analysis.results import EnvelopeResults, RunResults, TableDecay, TableResults
 from rig.analysis.surroundings import stated_surroundings
@@ -216,7 +217,9 @@ def _values(results: RunResults) -> dict[str, Any]:
 
 def _why_no_laws(trajectory: Trajectory, config: Configuration | None) -> str:
     if trajectory.scale_rad is None:
-        return f"the unit {trajectory.unit!r} is no angle; the contact's laws need one (--unit arcsec)"
+        near = get_close_matches(trajectory.unit, ANGLES_RAD, n=1)
+        hint = f"did you mean {near[0]}?" if near else f"--unit takes {', '.join(ANGLES_RAD)}"
+        return f"the unit {trajectory.unit!r} is no angle, which the contact's laws need; {hint}"
     if config is None:
         return "no pendulum is known; --config FILE with [pendulum] gives mass and ball"
     return ""

@@ -31,6 +31,7 @@ def calibrate_shutter(record: Path, filing: Filing) -> Path:
         config = recorded_configuration(reader)
         stated = reader.metadata.get("camera_settings", {}).get("exposure_us", "")
         rows = frame_shape(reader)[0]
+        is_global = reader.metadata.get("camera", {}).get("shutter") == "Global"
     found: ShutterFit | PulsedShutterFit
     if config.laser.pulse_us:
         found, method = (
@@ -41,12 +42,13 @@ def calibrate_shutter(record: Path, filing: Filing) -> Path:
         rolls = True
     else:
         found, method = fit_row_time(times_s, y_px), "second harmonic of a swing across the rows"
-        rolls = abs(found.row_time_s) > _SIGNIFICANT * found.u_row_time_s
-        notes = [
-            _of_harmonic(found)
-            if rolls
-            else "all rows are exposed at once, as far as this run can tell (a global shutter)"
-        ]
+        rolls = abs(found.row_time_s) > _SIGNIFICANT * found.u_row_time_s and not is_global
+        if rolls:
+            notes = [_of_harmonic(found)]
+        elif is_global:
+            notes = ["the camera says that its shutter is global: what was fitted is no time of a row"]
+        else:
+            notes = ["all rows are exposed at once, as far as this run can tell (a global shutter)"]
     values = {
         "row_time_s": abs(found.row_time_s) if rolls else 0.0,
         "u_row_time_s": found.u_row_time_s,

@@ -1,6 +1,6 @@
 """`rig calibrate`."""
 
-from math import isinf
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -297,8 +297,9 @@ def _say(path: Path) -> None:
     found = made.calibration
     print(f"{found.kind}: {found.method}, valid until {found.valid_until:%Y-%m-%d}")
     said = {**found.values, **found.details}
+    open_ends = {name for name, value in said.items() if isinstance(value, float) and not isfinite(value)}
     for name, value in said.items():
-        if any(isinstance(said.get(key), float) and isinf(said[key]) for key in (name, f"u_{name}")):
+        if {name, f"u_{name}"} & open_ends and not name.endswith("_dof"):
             print(f"  {name:24} not determined")
         elif isinstance(value, bool | str):
             print(f"  {name:24} {value}")

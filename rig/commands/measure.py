@@ -59,6 +59,9 @@ def run(
       rig run mine.toml --runs 3 --set session.sample="steel on K8"
       rig run --resume runs/first
     """
+    if config is None and resume is None and plan is None:
+        raise typer.BadParameter("Missing argument 'CONFIG'.")
+
     from rig.measure import measure_plan, measure_session, resume_session
     from rig.settings import load_configuration
 
@@ -74,8 +77,7 @@ def run(
                 "--plan names its configurations: leave out CONFIG, --set, --runs and --view"
             )
         raise typer.Exit(measure_plan(plan, output, force=force, json_lines=json_lines))
-    if config is None:
-        raise typer.BadParameter("Missing argument 'CONFIG'.")
+    assert config is not None
 
     overrides = list(set_ or [])
     if runs is not None:

@@ -218,7 +218,7 @@ def load_configuration(
 
 def read_toml_tree(path: Path, seen: tuple[Path, ...] = ()) -> dict[str, Any]:
     """Tables of a configuration file, merged over those of the file that it extends."""
-    tree = read_toml(path, "configuration file")
+    tree = read_toml(path, "configuration file; rig init writes one")
     if path.resolve() in seen:
         raise ConfigurationError(f"{path}: extends itself; remove one of the 'extends' lines")
     base = tree.pop("extends", None)

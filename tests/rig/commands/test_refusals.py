@@ -36,7 +36,12 @@ def said(*words: str | Path, cwd: Path, status: int = 2) -> str:
         ),
         (("plan", DEMO, "--first=ten"), "--first ten: should be a number\n"),
         (("export", ".", "-o", "x", "--format", "xml"), "--format xml: 'xml' is not one of 'csv', 'parquet'"),
-        (("run",), "rig: Missing argument 'CONFIG'"),
+        (("run",), "rig: Missing argument 'CONFIG'; --help says what is needed"),
+        (("doctor", "my", "rig.toml"), "extra argument (rig.toml); a name with spaces stands in quotes"),
+        (
+            ("doctor", DEMO, "--set", "lever={arm_m=1000, pixel_pitch_m=5e-6}"),
+            "lever.arm_m = 1000: should be less",
+        ),
         (("run", "--resume", ".", "--runs", "2"), "--resume takes its configuration from DIR"),
         (("fit", "a.mcap", "a.mcap"), "a.mcap: named twice; a run counts once"),
         (("balance", DEMO, "--rrd", "none/a.rrd"), "none/a.rrd: there is no folder none"),
