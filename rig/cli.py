@@ -87,7 +87,7 @@ def main() -> None:
     try:
         sys.argv = _completed(sys.argv)
         with terminated_by_signals():
-            status = app(standalone_mode=False)
+            status = app(prog_name="rig", standalone_mode=False)
     except (typer.Abort, KeyboardInterrupt) as ended:
         # typer turns KeyboardInterrupt into Abort
         interrupt = ended.__cause__ if isinstance(ended, typer.Abort) else ended

@@ -131,7 +131,7 @@ def test_damaged_missing_and_unreadable_records_are_listed_as_such(sessions: Pat
         ("run-1", "missing", None, True),
     }
     (series / "results.json").write_text("{")
-    assert "results.json: is not JSON" in rig("archive", "add", series, "--archive", archive).stderr
+    assert "results.json: cannot be read" in rig("archive", "add", series, "--archive", archive).stderr
 
 
 def test_results_of_a_record_that_was_replaced_hide_nothing_of_the_new_one(
