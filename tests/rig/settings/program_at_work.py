@@ -149,7 +149,7 @@ def talk_to_the_controller() -> None:
         service.starter_pulse(0.05).result(5.0)
     with pytest.raises(RigError):
         Controller(ControllerSettings(kind="serial", port=NOWHERE), 1e-3).open()
-    Devices(configuration(controller__kind='"simulated"')).make_controller()
+    Devices(configuration(controller__kind='"simulated"', simulation__real_time="true")).make_controller()
 
 
 def pulse_the_laser() -> None:
