@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -71,18 +72,15 @@ def _fraction(name: str, count: int, of: int, most: float, remedy: str) -> Verdi
 
 
 def _saturation(beam: Beam, frames: int, most: float) -> Verdict:
-    """A warning: spots without their brightest pixels have larger uncertainties, which say so."""
-    count = beam.flags.get(SpotFlag.SATURATED.name or "", 0)
-    part = count / frames if frames else 0.0
-    too_many = part > most
-    return Verdict(
+    """A warning: the flanks of such spots alone are fitted, which only of a Gaussian beam say where it is."""
+    found = _fraction(
         "saturation",
-        True,
-        "pixels at full scale are lost to the fit" if too_many else "",
-        "lower exposure_us or the laser's power" if too_many else "",
-        measured=f"{count} of {frames} spots ({100 * part:.2g} %)",
-        limit=f"{100 * most:g} %",
+        beam.flags.get(SpotFlag.SATURATED.name or "", 0),
+        frames,
+        most,
+        "lower exposure_us or the laser's power",
     )
+    return replace(found, ok=True, reason="" if found.ok else "pixels at full scale are lost to the fit")
 
 
 def _steps(events: Sequence[Event]) -> list[Verdict]:

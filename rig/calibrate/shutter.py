@@ -14,6 +14,8 @@ from rig.calibrate.spots import whole_spots
 from rig.instrument import frame_shape, recorded_configuration
 from rig.settings import Configuration
 
+_SHORTEST_ROW_S = 0.5e-6
+"""Sensors with a rolling shutter read a row in a microsecond and more."""
 _SIGNIFICANT = 4.0
 
 
@@ -42,7 +44,10 @@ def calibrate_shutter(record: Path, filing: Filing) -> Path:
         rolls = True
     else:
         found, method = fit_row_time(times_s, y_px), "second harmonic of a swing across the rows"
-        rolls = abs(found.row_time_s) > _SIGNIFICANT * found.u_row_time_s and not is_global
+        row_time_s = abs(found.row_time_s)
+        # a camera's word is taken where the swing says nearly the same, not against the swing
+        is_global = is_global and row_time_s < _SHORTEST_ROW_S
+        rolls = row_time_s > _SIGNIFICANT * found.u_row_time_s and not is_global
         if rolls:
             notes = [_of_harmonic(found)]
         elif is_global:

@@ -3,9 +3,11 @@
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from acquisition.record.reader import RecordReader
 from calibration import read_calibration
+from calibration.shutter import ShutterFit
 from rig.calibrate import Filing, calibrate_shutter
 from rig.instrument import recorded_configuration
 from rig.measure.session import simulate_record
@@ -63,3 +65,34 @@ def test_a_record_gives_the_row_time_and_is_corrected_with_it(tmp_path: Path) ->
     assert corrected.shutter is not None
     late_ns = np.rint(1e9 * values["row_time_s"] * (319 - spots["y_px"]))
     assert np.array_equal(times_ns - spots["time_ns"], late_ns)
+
+
+@pytest.mark.parametrize(
+    ("row_time_s", "filed_s", "said"), [(15e-9, 0.0, "no time of a row"), (-10e-6, 10e-6, "from the second")]
+)
+def test_a_global_shutter_is_believed_only_where_the_swing_agrees(
+    measured_series: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    row_time_s: float,
+    filed_s: float,
+    said: str,
+) -> None:
+    """The record's camera says "Global"; in the second case it is wrong."""
+
+    fitted = ShutterFit(
+        row_time_s=row_time_s,
+        u_row_time_s=abs(row_time_s) / 10,
+        amplitude_px=100.0,
+        harmonic_px=0.01,
+        even_per_px=0.0,
+        chi2_per_dof=1.0,
+        stretches=6,
+        stretches_at_s=tuple(map(float, range(6))),
+        of_stretches_s=(row_time_s,) * 6,
+        u_of_stretches_s=(abs(row_time_s) / 4,) * 6,
+    )
+    monkeypatch.setattr("rig.calibrate.shutter.fit_row_time", lambda *_: fitted)
+    found = read_calibration(calibrate_shutter(measured_series / "run-1.mcap", Filing(tmp_path)))
+    assert found.values["row_time_s"] == filed_s
+    assert any(said in note for note in found.notes) == (filed_s == 0.0)
