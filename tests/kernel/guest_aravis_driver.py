@@ -5,8 +5,6 @@ import sys
 from itertools import pairwise
 from typing import Any
 
-import numpy as np
-
 from acquisition.camera import CameraLost, CameraSettings, FrameTimeout
 from acquisition.cameras.aravis.camera import AravisCamera
 from processing.errors import DeviceError
@@ -34,7 +32,7 @@ def main() -> None:
         said["starts"].append(
             {
                 "numbers": [frame.sequence for frame in frames],
-                "equal": all(np.array_equal(frame.image, twin.pixels(frame.sequence)) for frame in frames),
+                "blocks": [twin.block_of(frame.image) for frame in frames],
                 "times_rise": all(a.device_time_ns < b.device_time_ns for a, b in pairwise(frames)),
                 "dropped": status.dropped,
             }

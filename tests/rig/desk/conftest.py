@@ -13,7 +13,7 @@ RIG = f"""
 extends = "{(CONFIGS / "live.toml").as_posix()}"
 [session]
 output = "OUTPUT"
-max_duration_s = 60.0
+max_duration_s = 600.0
 [camera]
 driver = "simulated"
 frame_rate_hz = 50
