@@ -36,25 +36,30 @@ LONGER_S = {"kernel": 1500, "slow": 300, "realtime": 300}
 
 
 def pytest_xdist_auto_num_workers() -> int:
-    """One worker more than processors (`-n auto`): the one with what measures real time mostly waits."""
-    return (os.cpu_count() or 1) + 1
+    """Two workers more than processors (`-n auto`): the three with what measures real time mostly wait."""
+    return (os.cpu_count() or 1) + 2
 
 
 class FileByFile(LoadScopeScheduling):
-    """A file's tests run in one worker, since they share fixtures; all of real time in the same one."""
+    """A file's tests run in one worker, since they share fixtures; what measures real time, in three."""
 
     def _split_scope(self, nodeid: str) -> str:
         path = nodeid.partition("::")[0]
-        return "realtime" if measures_real_time(self.config.rootpath / path) else path
+        if not measures_real_time(self.config.rootpath / path):
+            return path
+        groups = (group for folder, group in REAL_TIME_GROUPS.items() if path.startswith(f"tests/{folder}/"))
+        return f"{next(groups, 'sessions')} in real time"
 
 
+REAL_TIME_GROUPS = {"acquisition": "cameras", "rig/control": "devices", "rig/devices": "devices"}
+"""What waits together, by folder; the others are sessions."""
 WHOLE_SESSIONS = {"measured_series", "short_session"}
 """Fixtures for which the first test that wants them may wait as long as a slow one."""
 
 
 @cache
 def measures_real_time(path: Path) -> bool:
-    """Two such tests at once would disturb each other."""
+    """Many such tests at once would disturb each other."""
     return "mark.realtime" in path.read_text(encoding="utf-8")
 
 

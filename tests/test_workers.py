@@ -1,4 +1,4 @@
-"""What runs in which worker of pytest-xdist: a file in one, all that measures real time in the same one."""
+"""What runs in which worker of pytest-xdist: a file in one, all that measures real time in three."""
 
 import os
 import subprocess
@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parent
+DEVICE = "tests/rig/control/test_device"
 TESTS = """
 import os, pathlib, time, pytest
 pytestmark = {mark}
@@ -24,10 +25,12 @@ def test_files_stay_together_and_those_of_real_time_too(tmp_path: Path) -> None:
     (tmp_path / "conftest.py").write_text((ROOT / "conftest.py").read_text(encoding="utf-8"))
     (tmp_path / "pytest.ini").write_text("[pytest]\nmarkers = realtime\n")
     said = tmp_path / "said"
-    for name in ("a", "b", "real", "true"):
-        mark = "pytest.mark.realtime" if name in ("real", "true") else "[]"
-        (tmp_path / f"test_{name}.py").write_text(TESTS.format(mark=mark, said=said, name=name))
-    options = ["-n", "3", "--no-loadscope-reorder", "-q"]
+    (tmp_path / "tests" / "rig" / "control").mkdir(parents=True)
+    for name in ("a", "b", "real", "true", DEVICE):
+        mark = "[]" if name in ("a", "b") else "pytest.mark.realtime"
+        path = tmp_path / (f"{name}.py" if "/" in name else f"test_{name}.py")
+        path.write_text(TESTS.format(mark=mark, said=said, name=name))
+    options = ["-n", "4", "--no-loadscope-reorder", "-q"]
     environment = {key: value for key, value in os.environ.items() if not key.startswith("PYTEST_")}
     done = subprocess.run(
         [sys.executable, "-m", "pytest", *options],
@@ -42,6 +45,12 @@ def test_files_stay_together_and_those_of_real_time_too(tmp_path: Path) -> None:
     for line in said.read_text().splitlines():
         name, worker = line.split()
         workers.setdefault(name, set()).add(worker)
-    assert {name: len(seen) for name, seen in workers.items()} == {"a": 1, "b": 1, "real": 1, "true": 1}
+    assert {name: len(seen) for name, seen in workers.items()} == {
+        "a": 1,
+        "b": 1,
+        "real": 1,
+        "true": 1,
+        DEVICE: 1,
+    }
     assert workers["real"] == workers["true"]
-    assert not workers["real"] & (workers["a"] | workers["b"])
+    assert not workers["real"] & (workers["a"] | workers["b"] | workers[DEVICE])

@@ -12,7 +12,7 @@ from acquisition.frame_queue import FrameQueue
 from processing.errors import DeviceError, RigError
 from rig.align import Look, take_look
 from rig.desk.lit_camera import LitCamera
-from rig.devices import Devices, find_exposure, watch_latest
+from rig.devices import Devices, LightWatch, find_exposure, watch_latest
 from rig.instrument import complete, optics_of, prepare_kernels
 from rig.settings import Configuration
 
@@ -20,6 +20,8 @@ _LOOK_S = 0.1
 _FOCUS_POINTS = 600
 EXPOSE = "expose"
 """A wish for the exposure at which the peak is right."""
+RELIGHT = "light again"
+"""A wish for light after an interlock has opened, made by a person who has looked."""
 Wish = CameraSettings | str | Callable[[CameraSettings], CameraSettings]
 
 
@@ -27,7 +29,8 @@ class Aligner:
     """A thread that has camera and laser, and looks at the newest frame, ten times a second.
 
     `look` is the last look (None before the first), `focus` its sharpness over time (seconds, 1/px), `note`
-    what the last wish has led to, `darkness` why the laser is dark, `problem` why it has ended.
+    what the last wish has led to, `darkness` why the laser is dark, `unacknowledged` the interlock that has
+    opened, `problem` why it has ended.
     """
 
     def __init__(self, config: Configuration) -> None:
@@ -41,13 +44,16 @@ class Aligner:
         self.note = ""
         self.problem = ""
         self.darkness = ""
+        self.unacknowledged = ""
         self._thread = threading.Thread(target=self._run, name="align", daemon=True)
 
     def start(self) -> None:
         self._thread.start()
 
     def wish(self, wish: Wish) -> None:
-        """Ask the camera for settings, or for the right exposure (`EXPOSE`); `note` tells what came of it.
+        """Ask for settings of the camera, the right exposure (`EXPOSE`) or light (`RELIGHT`).
+
+        `note` tells what came of it.
 
         A function makes the settings from those that hold when its turn comes: a key may be pressed several
         times before the camera has followed once.
@@ -84,6 +90,7 @@ class Aligner:
             prepare_kernels(optics.sensor, self._say)
             camera = LitCamera(opened.camera, info, devices.permit)
             self.note = "; ".join((*opened.notes, devices.light()))
+            light, relighting = LightWatch(devices), False
             tracker = optics.tracker()
             lever = config.lever
             reference_px = None
@@ -96,7 +103,12 @@ class Aligner:
                         look = take_look(frame.image, info.full_scale_dn, tracker, reference_px, self.applied)
                         self.focus.append((time.monotonic() - begun_s, look.figures.sharpness_per_px))
                         self.look, self.number = look, self.number + 1
+                        light.look()
+                        if relighting:
+                            light.relight()
                         self.darkness = devices.darkness()
+                        relighting = relighting and bool(self.darkness)
+                        self.unacknowledged = devices.permit.unacknowledged
                         if self._ended.is_set() or not self._wishes.empty():
                             break
                     else:
@@ -107,11 +119,16 @@ class Aligner:
                     wish = self._wishes.get()
                     before = self.applied
                     try:
-                        if isinstance(wish, str):
-                            self.applied = find_exposure(camera, info, before).applied
+                        if wish == RELIGHT:
+                            devices.acknowledge()
+                            self.unacknowledged, relighting = "", True
+                            continue
+                        if callable(wish):
+                            wish = wish(before)
+                        if isinstance(wish, CameraSettings):
+                            self.applied = camera.configure(wish)
                         else:
-                            wanted = wish if isinstance(wish, CameraSettings) else wish(before)
-                            self.applied = camera.configure(wanted)
+                            self.applied = find_exposure(camera, info, before).applied
                         same = self.applied == before
                         self.note = "nothing has changed: the camera's limit" if same else ""
                     except (DeviceError, RigError) as error:

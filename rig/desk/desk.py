@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from processing.errors import ConfigurationError, RigError
-from rig.desk.aligner import Aligner
+from rig.desk.aligner import RELIGHT, Aligner
 from rig.desk.calibrating import Calibrating
 from rig.desk.following import Following
 from rig.desk.jobs import MESSAGES_NAME, Job, start_session
@@ -136,6 +136,19 @@ class Desk:
         if self.aligner is not None:
             self.aligner.close()
             self.aligner = None
+
+    @property
+    def unacknowledged(self) -> str:
+        """The interlock that has opened, in a session or under the live picture; empty if none."""
+        told = str(self.following.news.get("unacknowledged") or "")
+        return told or (self.aligner.unacknowledged if self.aligner is not None else "")
+
+    def acknowledge(self) -> str:
+        """Somebody has looked that nobody is in the beam's way; raises RigError if no interlock waits."""
+        if self.aligner is not None and (opened := self.aligner.unacknowledged):
+            self.aligner.wish(RELIGHT)
+            return f"{opened}: acknowledged"
+        return self.following.order("acknowledge")
 
     @property
     def session_state(self) -> str:

@@ -60,7 +60,7 @@ def build_page(desk: Desk) -> None:
     for number, panel in enumerate(PANELS, start=1):
         tab.key(str(number), partial(show, panel.name))
     tab.key("n", _night)
-    confirm = tab.act(lambda: ui.notify(desk.following.order("acknowledge")))
+    confirm = tab.act(lambda: ui.notify(desk.acknowledge()))
     acknowledge.on_click(confirm)
     tab.key("a", confirm)
     tab.key("?", _keys().open)
@@ -82,7 +82,7 @@ def build_page(desk: Desk) -> None:
         news = desk.following.news
         told = news.get("state") or {}
         state.set_text(_state(desk))
-        cry, waits = str(told.get("alarm") or ""), str(news.get("unacknowledged") or "")
+        cry, waits = str(told.get("alarm") or ""), desk.unacknowledged
         cry = cry or waits
         alarm.set_text(cry.upper())
         alarm.set_visibility(bool(cry))

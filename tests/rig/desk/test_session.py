@@ -25,6 +25,21 @@ interlock_open_for_s = 1.5
 
 @pytest.mark.slow
 @pytest.mark.realtime
+def test_an_interlock_that_opens_under_the_live_picture_cries_until_it_is_acknowledged(
+    desk_configuration: Callable[[str], Path], browser: HeadlessBrowser
+) -> None:
+    config = desk_configuration(INTERLOCK.replace("8.0", "4.0"))
+    with desk_page(browser, config) as (_, page):
+        page.click("Live picture")
+        page.wait_text("THE INTERLOCK OF THE CONTROLLER OPENED")
+        page.wait_text("none found")
+        page.key("a")
+        page.wait("document.querySelector('.alarm').offsetParent === null")
+        page.wait_text("nearest edge")
+
+
+@pytest.mark.slow
+@pytest.mark.realtime
 @pytest.mark.timeout(300)
 def test_a_session_from_align_to_report_with_a_trip_and_a_desk_that_is_killed(
     desk_configuration: Callable[[str], Path], browser: HeadlessBrowser
