@@ -4,8 +4,17 @@ A session answers on a loopback port of its own, which the file `.channel.json` 
 key that opens it. It only ever answers: nothing waits for a reader, and without one nothing is prepared.
 """
 
-from rig.channel.line import Line, NoSession, Picture, running_sessions
+from rig.channel.line import Line, NoSession, Picture, SessionBusy, running_sessions
 from rig.channel.server import Channel, Orders
 from rig.channel.telling import SessionTelling
 
-__all__ = ["Channel", "Line", "NoSession", "Orders", "Picture", "SessionTelling", "running_sessions"]
+__all__ = [
+    "Channel",
+    "Line",
+    "NoSession",
+    "Orders",
+    "Picture",
+    "SessionBusy",
+    "SessionTelling",
+    "running_sessions",
+]

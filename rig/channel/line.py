@@ -23,6 +23,10 @@ class NoSession(RigError):
     """No session runs in this folder, or it does not answer."""
 
 
+class SessionBusy(NoSession):
+    """A session is connected, or its connection is being made, but it does not answer in time."""
+
+
 class Picture(NamedTuple):
     """A frame (ny, nx) in DN, and the spot in it."""
 
@@ -34,7 +38,7 @@ class Picture(NamedTuple):
 class Line:
     """Connected to the session that runs in a folder. May be used from any thread, by one at a time.
 
-    Raises NoSession, as every method does, where nobody answers.
+    Raises NoSession, as every method does, where nobody answers; SessionBusy if somebody may do so later.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -91,7 +95,8 @@ class Line:
                 data = answer.read()
             except (OSError, http.client.HTTPException) as error:
                 connection.close()
-                raise NoSession(f"{self.folder}: its session does not answer: {error}") from None
+                why = f"{self.folder}: its session does not answer: {error}"
+                raise (SessionBusy if isinstance(error, TimeoutError) else NoSession)(why) from None
         if answer.status not in (http.HTTPStatus.OK, http.HTTPStatus.NO_CONTENT):
             raise NoSession(f"{self.folder}: its session refused to answer ({answer.status})")
         return answer.status, answer.getheader("About") or "", data

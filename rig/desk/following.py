@@ -7,7 +7,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from rig.channel import Line, NoSession, Picture, running_sessions
+from rig.channel import Line, NoSession, Picture, SessionBusy, running_sessions
 
 _LOOK_S = 0.2
 _SEARCH_S = 1.0
@@ -18,7 +18,7 @@ class Following:
     """A thread that asks the running session for news, and looks for one while there is none.
 
     `news` is what it said last (empty without a session), `events` its events, `folder` where it is and
-    `last_folder` where the last one was; `silent` is True while it does not answer.
+    `last_folder` where the last one was; `silent` is True while it is there and does not answer.
     """
 
     def __init__(self, output: Path) -> None:
@@ -99,11 +99,12 @@ class Following:
     def _ask(self, line: Line) -> None:
         try:
             news = line.news(self._heard)
-        except NoSession:
-            # busy for a moment, or gone
+        except NoSession as why:
             if not self.silent:
                 self.silent, self._silent_s = True, time.monotonic()
-            if time.monotonic() - self._silent_s > _SEARCH_S or not _is_there(line):
+            # one that is busy, or was stopped, is still there, and may be given orders
+            is_busy = isinstance(why, SessionBusy) or time.monotonic() - self._silent_s < _SEARCH_S
+            if not is_busy or not _is_there(line):
                 line.close()
                 self._line, self.folder, self.silent = None, None, False
                 self.news = {}

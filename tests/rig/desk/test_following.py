@@ -1,0 +1,85 @@
+"""A session that is busy, or stopped, is still there; one that was killed is not."""
+
+import json
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from processing.errors import RigError
+from rig.channel import Channel, SessionTelling, line
+from rig.channel.server import CHANNEL_NAME
+from rig.desk.following import Following
+from rig.settings import Configuration
+
+pytestmark = pytest.mark.realtime
+
+
+@pytest.fixture
+def following(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Following]:
+    """One that follows a session in `session` which answers."""
+    monkeypatch.setattr(line, "_ANSWER_S", 0.2)
+    folder = tmp_path / "session"
+    folder.mkdir()
+    told = SessionTelling(Configuration(camera={"driver": "simulated"}))  # type: ignore[arg-type]
+    follower = Following(tmp_path)
+    with Channel(folder, told, {}):
+        follower.start()
+        until(lambda: follower.folder == folder)
+    until(lambda: not follower.running)
+    yield follower
+    follower.stop()
+
+
+def until(state: Callable[[], bool]) -> None:
+    deadline_s = time.monotonic() + 30
+    while not state():
+        assert time.monotonic() < deadline_s
+        time.sleep(0.02)
+
+
+def test_a_session_that_does_not_answer_is_not_given_up(following: Following, tmp_path: Path) -> None:
+    folder = tmp_path / "session"
+    told = SessionTelling(Configuration(camera={"driver": "simulated"}))  # type: ignore[arg-type]
+    busy, asked = threading.Event(), 0
+
+    def extra() -> dict[str, object]:
+        nonlocal asked
+        asked += 1
+        if busy.is_set():
+            time.sleep(0.5)
+        return {}
+
+    with Channel(folder, told, {"stop": lambda: "stopping"}, extra):
+        following.look_now()
+        until(lambda: following.running)
+        busy.set()
+        until(lambda: following.silent)
+        before = asked
+        # it is asked again, and again, for longer than the second after which one that is gone is forgotten
+        until(lambda: asked > before + 8)
+        assert following.folder == folder
+        assert following.silent
+        assert following.order("stop") == "stopping"
+        busy.clear()
+        until(lambda: not following.silent)
+    until(lambda: not following.running)
+
+
+def test_a_session_that_was_killed_is_given_up_although_its_file_is_there(
+    following: Following, tmp_path: Path
+) -> None:
+    folder = tmp_path / "session"
+    told = SessionTelling(Configuration(camera={"driver": "simulated"}))  # type: ignore[arg-type]
+    with socket.create_server(("127.0.0.1", 0)) as gone:
+        port = gone.getsockname()[1]
+    with Channel(folder, told, {}):
+        following.look_now()
+        until(lambda: following.running)
+    (folder / CHANNEL_NAME).write_text(json.dumps({"port": port, "key": "key", "pid": 1}))
+    until(lambda: not following.running)
+    with pytest.raises(RigError, match="no session runs"):
+        following.order("stop")
