@@ -20,8 +20,6 @@ _LOOK_S = 0.1
 _FOCUS_POINTS = 600
 EXPOSE = "expose"
 """A wish for the exposure at which the peak is right."""
-RELIGHT = "light again"
-"""A wish for light after an interlock has opened, made by a person who has looked."""
 Wish = CameraSettings | str | Callable[[CameraSettings], CameraSettings]
 
 
@@ -29,8 +27,7 @@ class Aligner:
     """A thread that has camera and laser, and looks at the newest frame, ten times a second.
 
     `look` is the last look (None before the first), `focus` its sharpness over time (seconds, 1/px), `note`
-    what the last wish has led to, `darkness` why the laser is dark, `unacknowledged` the interlock that has
-    opened, `problem` why it has ended.
+    what the last wish has led to, `darkness` why the laser is dark, `problem` why it has ended.
     """
 
     def __init__(self, config: Configuration) -> None:
@@ -44,16 +41,15 @@ class Aligner:
         self.note = ""
         self.problem = ""
         self.darkness = ""
-        self.unacknowledged = ""
+        self._devices: Devices | None = None
+        self._relighting = False
         self._thread = threading.Thread(target=self._run, name="align", daemon=True)
 
     def start(self) -> None:
         self._thread.start()
 
     def wish(self, wish: Wish) -> None:
-        """Ask for settings of the camera, the right exposure (`EXPOSE`) or light (`RELIGHT`).
-
-        `note` tells what came of it.
+        """Ask the camera for settings, or for the right exposure (`EXPOSE`); `note` tells what came of it.
 
         A function makes the settings from those that hold when its turn comes: a key may be pressed several
         times before the camera has followed once.
@@ -66,6 +62,21 @@ class Aligner:
         self._thread.join(10.0)
 
     @property
+    def unacknowledged(self) -> str:
+        """The interlock that has opened since the laser was lit, and that nobody has acknowledged."""
+        devices = self._devices
+        return "" if devices is None else devices.permit.unacknowledged
+
+    def acknowledge(self) -> str:
+        """Light the laser again after an interlock has opened; raises DeviceError while it is open."""
+        devices = self._devices
+        if devices is None:
+            return "no interlock waits for an acknowledgement"
+        said = devices.acknowledge()
+        self._relighting = True
+        return said
+
+    @property
     def running(self) -> bool:
         return self._thread.is_alive()
 
@@ -75,6 +86,8 @@ class Aligner:
         except Exception as error:
             # any error of a driver ends the picture, and is shown in its place
             self.problem = str(error) or type(error).__name__
+        finally:
+            self._devices = None
 
     def _say(self, text: str) -> None:
         self.note = text
@@ -83,6 +96,7 @@ class Aligner:
         config = self._config
         begun_s = time.monotonic()
         with Devices(config) as devices, devices.camera(config) as opened:
+            self._devices = devices
             info = opened.info
             self.applied = opened.applied or CameraSettings()
             optics = optics_of(config, info.full_scale_dn)
@@ -90,7 +104,7 @@ class Aligner:
             prepare_kernels(optics.sensor, self._say)
             camera = LitCamera(opened.camera, info, devices.permit)
             self.note = "; ".join((*opened.notes, devices.light()))
-            light, relighting = LightWatch(devices), False
+            light = LightWatch(devices)
             tracker = optics.tracker()
             lever = config.lever
             reference_px = None
@@ -104,11 +118,10 @@ class Aligner:
                         self.focus.append((time.monotonic() - begun_s, look.figures.sharpness_per_px))
                         self.look, self.number = look, self.number + 1
                         light.look()
-                        if relighting:
+                        if self._relighting:
                             light.relight()
                         self.darkness = devices.darkness()
-                        relighting = relighting and bool(self.darkness)
-                        self.unacknowledged = devices.permit.unacknowledged
+                        self._relighting = self._relighting and bool(self.darkness)
                         if self._ended.is_set() or not self._wishes.empty():
                             break
                     else:
@@ -119,10 +132,6 @@ class Aligner:
                     wish = self._wishes.get()
                     before = self.applied
                     try:
-                        if wish == RELIGHT:
-                            devices.acknowledge()
-                            self.unacknowledged, relighting = "", True
-                            continue
                         if callable(wish):
                             wish = wish(before)
                         if isinstance(wish, CameraSettings):

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from processing.errors import ConfigurationError, RigError
-from rig.desk.aligner import RELIGHT, Aligner
+from rig.desk.aligner import Aligner
 from rig.desk.calibrating import Calibrating
 from rig.desk.following import Following
 from rig.desk.jobs import MESSAGES_NAME, Job, start_session
@@ -144,11 +144,8 @@ class Desk:
         return told or (self.aligner.unacknowledged if self.aligner is not None else "")
 
     def acknowledge(self) -> str:
-        """Somebody has looked that nobody is in the beam's way; raises RigError if no interlock waits."""
-        if self.aligner is not None and (opened := self.aligner.unacknowledged):
-            self.aligner.wish(RELIGHT)
-            return f"{opened}: acknowledged"
-        return self.following.order("acknowledge")
+        """Somebody has looked that nobody is in the beam's way; raises RigError if that cannot be."""
+        return self.following.order("acknowledge") if self.aligner is None else self.aligner.acknowledge()
 
     @property
     def session_state(self) -> str:

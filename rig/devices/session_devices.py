@@ -189,10 +189,29 @@ class Devices:
         self.permit.begin()
         return light(self._config.laser, self.control, self.laser)
 
-    def acknowledge(self) -> None:
-        """Allow light again after an interlock has opened; to be called when a person has said so."""
-        self.audit("interlock acknowledged", opened=self.permit.unacknowledged)
+    def acknowledge(self) -> str:
+        """Allow light again after an interlock has opened; to be called when a person has said so.
+
+        Returns what was done. Raises DeviceError while the interlock is open: who closes it later may be in
+        the beam's way.
+        """
+        opened, still = self.permit.unacknowledged, self._open_interlock()
+        if not opened:
+            return "no interlock waits for an acknowledgement"
+        if still:
+            raise DeviceError(f"{still} is still open: close it, then acknowledge")
+        self.audit("interlock acknowledged", opened=opened)
         self.permit.acknowledge()
+        return f"{opened}: acknowledged"
+
+    def _open_interlock(self) -> str:
+        """The interlock that is open now; empty if none is. Never blocks."""
+        status = None if self.control is None else self.control.snapshot.status
+        if status is not None and not status.interlock_closed:
+            return "the controller's interlock"
+        state = None if self.laser is None else self.laser.snapshot.state
+        own = self._config.laser.interlock == "own"
+        return "the laser's interlock" if own and state is not None and not state.interlock_closed else ""
 
     def audit(self, what: str, **details: object) -> None:
         """Add what a person did, or had done, to the audit log."""
@@ -236,8 +255,8 @@ class Devices:
             snapshot = self.control.snapshot
             if snapshot.status is None:
                 return f"the controller is {snapshot.state}: {snapshot.last_error}".rstrip(": ")
-            if not snapshot.status.interlock_closed:
-                return "the controller's interlock is open"
+            if interlock := self._open_interlock():
+                return f"{interlock} is open"
             if snapshot.status.trip != "NONE":
                 return f"the controller has tripped: {snapshot.status.trip}"
         return laser.words

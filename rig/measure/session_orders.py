@@ -19,13 +19,6 @@ def orders(devices: Devices) -> Orders:
         _thread.interrupt_main()
         return "stopping: the record is being closed"
 
-    def acknowledge() -> str:
-        opened = devices.permit.unacknowledged
-        if not opened:
-            return "no interlock waits for an acknowledgement"
-        devices.acknowledge()
-        return f"{opened}: acknowledged"
-
     def brake(on: bool) -> str:
         wait_for_command(devices.required_control("the brake").brake(on))
         devices.audit("brake switched", on=on)
@@ -33,7 +26,7 @@ def orders(devices: Devices) -> Orders:
 
     return {
         "stop": stop,
-        "acknowledge": acknowledge,
+        "acknowledge": devices.acknowledge,
         "brake on": lambda: brake(True),
         "brake off": lambda: brake(False),
     }

@@ -33,8 +33,8 @@ def test_an_interlock_that_opens_under_the_live_picture_cries_until_it_is_acknow
         page.click("Live picture")
         page.wait_text("THE INTERLOCK OF THE CONTROLLER OPENED")
         page.wait_text("none found")
-        page.key("a")
-        page.wait("document.querySelector('.alarm').offsetParent === null")
+        # refused while the interlock is open
+        page.wait_while("document.querySelector('.alarm').offsetParent === null", lambda: page.key("a"))
         page.wait_text("nearest edge")
 
 

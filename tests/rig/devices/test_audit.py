@@ -9,9 +9,12 @@ import pytest
 
 from processing.errors import DeviceError
 from rig.channel import SessionTelling
+from rig.control.simulated import SimulatedBoard
 from rig.devices import Devices
 from rig.measure.session_orders import acknowledge_interlock
-from rig.settings import Configuration
+from rig.settings import Configuration, load_configuration
+from tests.rig.command_line import CONFIGS
+from tests.rig.control.test_service import until
 
 
 class Terminal(StringIO):
@@ -39,6 +42,28 @@ def test_an_interlock_is_acknowledged_by_a_person_and_that_is_kept(
     assert (line["what"], line["operator"]) == ("interlock acknowledged", "Ada")
     assert line["opened"] == "the interlock of the controller opened"
     assert line["utc"].endswith("+00:00")
+
+
+def test_an_interlock_is_not_acknowledged_while_it_is_open(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    closed = True
+    monkeypatch.setattr(SimulatedBoard, "interlock_closed", lambda _: closed)
+    config = load_configuration(
+        CONFIGS / "live.toml", ("camera.driver=simulated", "laser.kind=controller", "laser.max_power_w=0.001")
+    )
+    with Devices(config, tmp_path) as devices:
+        assert devices.acknowledge() == "no interlock waits for an acknowledgement"
+        devices.permit.begin()
+        closed = False
+        until(lambda: bool(devices.permit.unacknowledged))
+        with pytest.raises(DeviceError, match="the controller's interlock is still open: close it"):
+            devices.acknowledge()
+        closed = True
+        control = devices.required_control("this test")
+        until(lambda: control.snapshot.status is not None and control.snapshot.status.interlock_closed)
+        assert devices.acknowledge() == "the interlock of the controller opened: acknowledged"
+    assert len((tmp_path / "audit.jsonl").read_text().splitlines()) == 1
 
 
 def test_a_log_that_leads_elsewhere_is_not_followed(
