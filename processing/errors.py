@@ -12,7 +12,10 @@ class RigError(Exception):
 
 
 class ConfigurationError(RigError):
-    """A setting is unknown, missing, of the wrong unit or out of range (exit status 2)."""
+    """What was asked cannot be begun as it is stated (exit status 2; any other error: 1).
+
+    A setting is unknown, missing, of the wrong unit or out of range; a file is not there, or exists already.
+    """
 
 
 class MissingPackage(ConfigurationError):

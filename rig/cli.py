@@ -74,7 +74,8 @@ class _PresentStderr(logging.Handler):
 def main() -> None:
     """Entry point of the ``rig`` script.
 
-    Exit status 2 for wrong usage, 1 for a failed measurement, 130 after Ctrl-C, SIGTERM or SIGHUP.
+    Exit status 2 for what was not begun (wrong usage, no such file), 1 for what failed, 130 after Ctrl-C,
+    SIGTERM or SIGHUP.
     """
     # Matrices here have a few columns: OpenBLAS's threads only spin, at the expense of the frames', and
     # make the last digits depend on the number of cores.
@@ -129,6 +130,8 @@ def _of_usage(text: str, words: list[str]) -> str:
     text = (
         text.removeprefix("Invalid value: ")
         .replace("Input should be", "should be")
+        .replace("greater than or equal to", "at least")
+        .replace("less than or equal to", "at most")
         .replace("a valid number", "a number")
         .replace("a valid integer", "a whole number")
         .replace("Value error, ", "")

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from processing.errors import RecordError
+from processing.errors import ConfigurationError
 from rig.archive.store import Archive, duckdb_module
 from rig.presentation import say
 
@@ -23,7 +23,7 @@ def add_sessions(archive: Path, sources: Sequence[Path], *, read: bool = False) 
     A session is known by the SHA-256 of its records: added again it changes nothing, with new results or
     records it becomes a new version. Flaws of records are said on stderr and listed as their `state`.
 
-    Raises RecordError for a folder without sessions, ConfigurationError without DuckDB.
+    Raises ConfigurationError for a folder without sessions, and without DuckDB.
     """
     duckdb_module()
     # reading results takes seconds to import, which `list` must not wait for
@@ -36,7 +36,7 @@ def add_sessions(archive: Path, sources: Sequence[Path], *, read: bool = False) 
     for source in sources:
         folders = list(session_folders(source, archive))
         if not folders:
-            raise RecordError(f"{source}: holds no session (no record, no results.json) in any folder")
+            raise ConfigurationError(f"{source}: holds no session (no record, no results.json) in any folder")
         for folder in folders:
             files = _files(folder)
             if (str(folder), files) in unchanged:

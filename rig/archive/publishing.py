@@ -76,7 +76,7 @@ def publish_runs(
     if not runs:
         raise ConfigurationError("no run is meant: name one, or state a condition that one meets")
     if os.path.lexists(output):
-        raise RecordError(f"{output}: exists already and is not overwritten; choose another name")
+        raise ConfigurationError(f"{output}: exists already and is not overwritten; choose another name")
     beside = output.with_name(f".{output.name}.{secrets.token_hex(4)}")
     try:
         by_folder: dict[Path, dict[Path, str]] = {}

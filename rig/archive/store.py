@@ -13,7 +13,7 @@ from typing import Any, Concatenate, ParamSpec, TypeVar
 
 import zstandard
 
-from processing.errors import MissingPackage, RecordError
+from processing.errors import ConfigurationError, MissingPackage
 from rig.archive.blind import Seal, offsets, sealed
 from rig.archive.columns import COLUMNS, OF_REFITS, SHORT_NAMES, Column
 from rig.archive.remarks import read_remarks
@@ -62,11 +62,11 @@ class Archive:
 
         With `refits` the table of that name has a row for each result that was made anew.
 
-        Raises RecordError where nothing was added yet, or a file is damaged.
+        Raises ConfigurationError where nothing was added yet, RecordError where a file is damaged.
         """
         there = self.versions()
         if not there:
-            raise RecordError(
+            raise ConfigurationError(
                 f"{self.folder}: holds no sessions; rig archive add --archive {self.folder} DIR"
             )
         duckdb = duckdb_module()

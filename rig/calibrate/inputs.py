@@ -123,8 +123,6 @@ def frames_of(path: Path) -> tuple[list[Image], int]:
         if not images:
             raise DataError(f"{path}: contains no whole frames")
         return images, full_scale
-    if not path.exists():
-        raise DataError(f"{path}: no such folder or file of frames; the list names it relative to itself")
     source = open_source(path)
     try:
         stored = [source.read(index) for index in range(min(source.count, _MOST_FRAMES))]

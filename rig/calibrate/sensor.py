@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from calibration import photon_transfer
-from processing.errors import DataError
+from processing.errors import ConfigurationError, DataError
 from rig.calibrate.filing import Filing, details_of, file_calibration
 from rig.calibrate.inputs import frames_of, read_transfer
 
@@ -12,6 +12,13 @@ def calibrate_sensor(frames: Path, filing: Filing) -> Path:
     """Photon transfer from pairs of dark and of uniformly lit frames: see `read_transfer`."""
     table = read_transfer(frames)
     place = frames.parent
+    named = {"darks": table.darks, **{f"level.{n}.frames": item.frames for n, item in enumerate(table.level)}}
+    missing = [f"{key} = '{name}'" for key, name in named.items() if not (place / name).exists()]
+    if missing:
+        raise ConfigurationError(
+            f"{frames}: {', '.join(missing)}: no such record, folder or file of frames in {place.resolve()}, "
+            "where this list lies"
+        )
     darks, full_scale = frames_of(place / table.darks)
     pairs, sources = [], [frames, place / table.darks]
     for level in table.level:

@@ -8,6 +8,7 @@ import typer
 
 from processing.errors import ConfigurationError
 from rig.commands.arguments import Set
+from rig.commands.inputs import there
 from rig.commands.outputs import new_file, new_folder
 
 Archive = Annotated[
@@ -50,7 +51,8 @@ def register(app: typer.Typer) -> None:
 
 def add(
     folders: Annotated[
-        list[Path], typer.Argument(help="Folders; the sessions in and below them.", show_default=False)
+        list[Path],
+        typer.Argument(help="Folders; the sessions in and below them.", show_default=False, callback=there),
     ],
     read: Annotated[
         bool, typer.Option("--read", help="Read also what looks as it was, to find damage.")

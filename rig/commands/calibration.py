@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from rig.commands.arguments import one_record
+from rig.commands.inputs import one_record, recorded, there
 from rig.commands.outputs import folder_without
 
 if TYPE_CHECKING:
@@ -14,16 +14,27 @@ if TYPE_CHECKING:
 
 AskedLadder = Annotated[
     Path | None,
-    typer.Argument(help="Steps or geometry of the lever (TOML file); without it, asked.", show_default=False),
+    typer.Argument(
+        help="Steps or geometry of the lever (TOML file); without it, asked.",
+        show_default=False,
+        callback=there,
+    ),
 ]
 AskedRecord = Annotated[
     Path | None,
-    typer.Argument(help="Record (MCAP file), or a folder with one; without it, asked.", show_default=False),
+    typer.Argument(
+        help="Record (MCAP file), or a folder with one; without it, asked.",
+        show_default=False,
+        callback=recorded,
+    ),
 ]
 Rig = Annotated[
     Path | None,
     typer.Option(
-        "--config", help="Configuration of the rig, to record what is asked for.", show_default=False
+        "--config",
+        help="Configuration of the rig, to record what is asked for.",
+        show_default=False,
+        callback=there,
     ),
 ]
 Folder = Annotated[
@@ -108,7 +119,9 @@ def sensor(
     frames: Annotated[
         Path | None,
         typer.Argument(
-            help="List of dark and evenly lit frames (TOML file); without it, asked.", show_default=False
+            help="List of dark and evenly lit frames (TOML file); without it, asked.",
+            show_default=False,
+            callback=there,
         ),
     ] = None,
     output: Folder = _FOLDER,
@@ -207,11 +220,13 @@ def pointing(
 def check(
     ladder: Annotated[
         Path | None,
-        typer.Argument(help="Known tilts (TOML file); without it, asked.", show_default=False),
+        typer.Argument(
+            help="Known tilts (TOML file); without it, asked.", show_default=False, callback=there
+        ),
     ] = None,
     lever: Annotated[
         Path | None,
-        typer.Option(help="Calibration file of the lever to be checked.", show_default=False),
+        typer.Option(help="Calibration file of the lever to be checked.", show_default=False, callback=there),
     ] = None,
     output: Folder = _FOLDER,
     valid_days: Days = _DAYS,

@@ -7,7 +7,8 @@ from typing import Annotated, Literal
 import typer
 
 from processing.errors import ConfigurationError
-from rig.commands.arguments import MODES, Config, JsonLines, Record, Set, View, one_record, records_in
+from rig.commands.arguments import MODES, Config, JsonLines, Record, Set, View
+from rig.commands.inputs import one_record, recorded, records_in, there
 from rig.commands.outputs import folder_without, new_file
 
 Rrd = Annotated[
@@ -26,7 +27,7 @@ def register(app: typer.Typer) -> None:
 
 def run(
     config: Annotated[
-        Path | None, typer.Argument(help="Configuration (TOML file).", show_default=False)
+        Path | None, typer.Argument(help="Configuration (TOML file).", show_default=False, callback=there)
     ] = None,
     output: Annotated[
         Path | None,
@@ -42,11 +43,15 @@ def run(
     view: View = None,
     resume: Annotated[
         Path | None,
-        typer.Option(metavar="DIR", help="Continue the interrupted session in DIR, without CONFIG."),
+        typer.Option(
+            metavar="DIR", help="Continue the interrupted session in DIR, without CONFIG.", callback=there
+        ),
     ] = None,
     plan: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Measure the series of a plan (TOML file), without CONFIG."),
+        typer.Option(
+            metavar="FILE", help="Measure the series of a plan (TOML file), without CONFIG.", callback=there
+        ),
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Measure even if a preflight check fails.")] = False,
     json_lines: JsonLines = False,
@@ -62,20 +67,21 @@ def run(
     if config is None and resume is None and plan is None:
         raise typer.BadParameter("Missing argument 'CONFIG'.")
 
-    from rig.measure import measure_plan, measure_session, resume_session
-    from rig.settings import load_configuration
-
     if resume is not None:
         if config is not None or output is not None or set_ or runs is not None or view or plan:
             raise typer.BadParameter(
                 "--resume takes its configuration from DIR: leave out CONFIG and options but --force, --json"
             )
+        from rig.measure import resume_session
+
         raise typer.Exit(resume_session(resume, force=force, json_lines=json_lines))
     if plan is not None:
         if config is not None or set_ or runs is not None or view:
             raise typer.BadParameter(
                 "--plan names its configurations: leave out CONFIG, --set, --runs and --view"
             )
+        from rig.measure import measure_plan
+
         raise typer.Exit(measure_plan(plan, output, force=force, json_lines=json_lines))
     assert config is not None
 
@@ -84,11 +90,12 @@ def run(
         overrides.append(f"session.runs={runs}")
     if view:
         overrides.append(f'view.mode="{MODES[view]}"')
-    raise typer.Exit(
-        measure_session(
-            load_configuration(config, overrides), config, output, force=force, json_lines=json_lines
-        )
-    )
+    from rig.settings import load_configuration
+
+    loaded = load_configuration(config, overrides)
+    from rig.measure import measure_session  # after the faults of the configuration, as it takes a second
+
+    raise typer.Exit(measure_session(loaded, config, output, force=force, json_lines=json_lines))
 
 
 def replay(
@@ -143,7 +150,8 @@ def replay(
 
 def view(
     records: Annotated[
-        list[Path], typer.Argument(help="Records (.mcap), their folders, or Rerun files (.rrd).")
+        list[Path],
+        typer.Argument(help="Records (.mcap), their folders, or Rerun files (.rrd).", callback=recorded),
     ],
     view: View = None,
     rrd: Rrd = None,

@@ -8,7 +8,8 @@ from typing import Annotated
 import typer
 
 from processing.errors import ConfigurationError
-from rig.commands.arguments import Set, one_record, records_in
+from rig.commands.arguments import Set
+from rig.commands.inputs import one_record, recorded, records_in, there
 from rig.commands.outputs import folder_without
 
 
@@ -22,7 +23,9 @@ def fit(
     files: Annotated[
         list[Path],
         typer.Argument(
-            help="Records (.mcap), their folders, or one table of positions (CSV).", show_default=False
+            help="Records (.mcap), their folders, or one table of positions (CSV).",
+            show_default=False,
+            callback=recorded,
         ),
     ],
     output: Annotated[
@@ -34,7 +37,9 @@ def fit(
             callback=folder_without("results.json"),
         ),
     ] = None,
-    config: Annotated[Path | None, typer.Option(help="CSV: configuration with [pendulum] and [fit].")] = None,
+    config: Annotated[
+        Path | None, typer.Option(help="CSV: configuration with [pendulum] and [fit].", callback=there)
+    ] = None,
     time: Annotated[str | None, typer.Option(help="CSV: name or number of the column with the time.")] = None,
     time_unit: Annotated[
         str, typer.Option(help="CSV: unit of the time: ns (also absolute), us, ms, s, min, h.")
@@ -128,7 +133,9 @@ def plan(
     source: Annotated[
         Path,
         typer.Argument(
-            help="A run of this rig (.mcap) or its folder, or its configuration (TOML).", show_default=False
+            help="A run of this rig (.mcap) or its folder, or its configuration (TOML).",
+            show_default=False,
+            callback=recorded,
         ),
     ],
     first: Annotated[
@@ -155,7 +162,7 @@ def plan(
     ] = None,
     contact: Annotated[
         Path | None,
-        typer.Option(help="Configuration: results.json with the contact that is expected."),
+        typer.Option(help="Configuration: results.json with the contact that is expected.", callback=there),
     ] = None,
 ) -> None:
     """Show what runs to come will tell of the contact.
@@ -175,8 +182,6 @@ def plan(
             f"--last {min(lasts):g}: should be below the first amplitude, {max(firsts):g} arcsec; name a "
             "smaller one, or a larger --first"
         )
-    if contact is not None and not contact.exists():
-        raise ConfigurationError(f"--contact {contact}: no such file; name the results.json of a session")
 
     from rig.plan import plan_expected, plan_runs, planned_expectation, print_plan, save_plan
 

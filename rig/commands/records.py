@@ -5,7 +5,8 @@ from typing import Annotated
 
 import typer
 
-from rig.commands.arguments import Record, one_record, records_in
+from rig.commands.arguments import Record
+from rig.commands.inputs import one_record, records_in, there
 from rig.commands.outputs import new_file
 
 
@@ -33,7 +34,10 @@ def check(
     record: Record,
     results: Annotated[
         Path | None,
-        typer.Option(help="results.json that names the record's hash; default: the one beside the record."),
+        typer.Option(
+            help="results.json that names the record's hash; default: the one beside the record.",
+            callback=there,
+        ),
     ] = None,
 ) -> None:
     """Verify a record: checksums, gaps, times, hash.

@@ -5,6 +5,8 @@ from typing import Annotated, Literal
 
 import typer
 
+from processing.errors import ConfigurationError
+from rig.commands.inputs import with_results
 from rig.commands.outputs import folder_without, new_file, new_page
 
 
@@ -18,7 +20,10 @@ def register(app: typer.Typer) -> None:
 
 def report(
     folder: Annotated[
-        Path, typer.Argument(help="Folder of a session, or a results file.", show_default=False)
+        Path,
+        typer.Argument(
+            help="Folder of a session, or a results file.", show_default=False, callback=with_results
+        ),
     ],
     output: Annotated[
         Path | None,
@@ -63,7 +68,10 @@ def paper(
 
 def export(
     source: Annotated[
-        Path, typer.Argument(help="Folder of a session, or one record (.mcap).", show_default=False)
+        Path,
+        typer.Argument(
+            help="Folder of a session, or one record (.mcap).", show_default=False, callback=with_results
+        ),
     ],
     output: Annotated[
         Path,
@@ -87,7 +95,9 @@ def export(
 
 
 def compare(
-    folders: Annotated[list[Path], typer.Argument(help="Folders of sessions.", show_default=False)],
+    folders: Annotated[
+        list[Path], typer.Argument(help="Folders of sessions.", show_default=False, callback=with_results)
+    ],
     output: Annotated[
         Path | None,
         typer.Option("-o", "--output", help="HTML file to write, with a figure.", callback=new_page),
@@ -103,6 +113,9 @@ def compare(
       rig compare runs/glass runs/silicon -o comparison.html
       rig compare runs/glass runs/silicon --against humidity -o humidity.html
     """
+    if len(folders) < 2 and not against:
+        raise ConfigurationError(f"{folders[0]}: a comparison needs two sessions or more; name another")
+
     from rig.presentation import print_tables
     from rig.report import compare as compare_sessions
 

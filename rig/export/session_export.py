@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Literal
 
-from processing.errors import RecordError
+from processing.errors import ConfigurationError, RecordError
 from rig.export.nexus import write_nexus
 from rig.export.run import read_run, runs_in
 from rig.export.tables import TABLES, table_path, write_csv, write_parquet
@@ -19,17 +19,17 @@ def export_session(source: Path, kind: Format, output: Path) -> list[Path]:
     files a run. HDF5: `output` is the file, one
     NXentry a run. Nothing that exists is written over.
 
-    Raises RecordError for a source without records, a file that exists, a library that is missing.
+    Raises RecordError for a source without records, ConfigurationError for a file that exists.
     """
     found = runs_in(source)
     suffix = "csv" if kind == "csv" else "parquet"
     made = [table_path(output, path.stem, what, suffix) for path, _ in found for what in TABLES]
     if len(set(made)) < len(made):
-        raise RecordError(f"{source}: has several records of one name; export them one by one")
+        raise ConfigurationError(f"{source}: has several records of one name; export them one by one")
     for path in [output] if kind == "hdf5" else made:
         if path.exists():
             place = "name" if kind == "hdf5" else "folder"
-            raise RecordError(f"{path}: exists already and is not overwritten; choose another {place}")
+            raise ConfigurationError(f"{path}: exists already and is not overwritten; choose another {place}")
     runs = [read_run(path, results) for path, results in found]
     for run in runs:
         for note in run.notes:

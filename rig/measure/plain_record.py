@@ -44,7 +44,7 @@ def take_frames(config: Configuration, folder: Path, count: int) -> Path:
     Raises ConfigurationError for a folder that exists, DataError if the camera gives too few frames.
     """
     if folder.exists():
-        raise ConfigurationError(f"{folder}: exists already and is not written over; name another folder")
+        raise ConfigurationError(f"{folder}: exists already and is not overwritten; choose another folder")
     with Devices(config).camera(config) as opened:
         opened.camera.start()
         try:

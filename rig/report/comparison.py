@@ -8,7 +8,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from processing.contact.laws import PAPER
-from processing.errors import RecordError
+from processing.errors import ConfigurationError, RecordError
 from processing.estimate import Estimate
 from processing.fit import Combined, Comparison, FitMethod, FittedContact, SeriesResult, compare_series
 from rig.analysis import (
@@ -44,12 +44,10 @@ def compare(folders: Sequence[Path], output: Path | None, against: str = "") -> 
     quantity of the surroundings over which every run's parameters are tabulated and drawn, too; a single
     session is enough for that.
 
-    Raises RecordError for fewer than two folders, or one without fits, ConfigurationError for an unknown
-    `against`.
+    Raises RecordError for a folder without fits, ConfigurationError for one that is named twice and for an
+    unknown `against`.
     """
     over = chosen_surrounding(against) if against else ""
-    if len(folders) < (1 if over else 2):
-        raise RecordError(f"{len(folders)} folder: a comparison needs at least two sessions")
     sessions = [read_results(folder) for folder in folders]
     labels = [
         _label(folder, folders) + _of_origin(found) for folder, found in zip(folders, sessions, strict=True)
@@ -87,7 +85,7 @@ def compare(folders: Sequence[Path], output: Path | None, against: str = "") -> 
 def _label(folder: Path, folders: Sequence[Path]) -> str:
     """The folder's own name, or its whole path where two share the name."""
     if sum(other.resolve() == folder.resolve() for other in folders) > 1:
-        raise RecordError(f"{folder}: named twice; a comparison needs different sessions")
+        raise ConfigurationError(f"{folder}: named twice; a comparison needs different sessions")
     name = folder.resolve().name
     return name if sum(other.resolve().name == name for other in folders) == 1 else str(folder)
 

@@ -52,6 +52,9 @@ def wanted(fault: ErrorDetails) -> str:
         return f"a list of {f'{least} entries or more' if most is None else f'at most {most} entries'}"
     text = fault["msg"].removeprefix("Input should be ").partition(", unable to")[0]
     if kind.startswith(("greater_than", "less_than")):
+        text = text.replace("greater than or equal to", "at least").replace(
+            "less than or equal to", "at most"
+        )
         unit = _UNIT.search(str(fault["loc"][-1]) if fault["loc"] else "")
         text += f" {_UNITS[unit[1]]}" if unit else ""
     return text
@@ -79,6 +82,7 @@ _WANTED = {
     "model_attributes_type": "a table with keys of its own",
     "model_type": "a table with keys of its own",
     "path_type": "the name of a file, in quotes",
+    "string_pattern_mismatch": "a name of letters, digits, points, hyphens and underlines",
     "string_type": "text, in quotes",
     "tuple_type": "a list in brackets",
     **dict.fromkeys(

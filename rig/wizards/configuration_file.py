@@ -71,6 +71,6 @@ def refuse_existing(path: Path) -> None:
     if path.suffix != ".toml":
         raise ConfigurationError(f"{path}: a configuration is a TOML file; name one that ends in .toml")
     if path.exists():
-        raise ConfigurationError(f"{path}: exists already and is not written over; name another file")
+        raise ConfigurationError(f"{path}: exists already and is not overwritten; choose another name")
     if not path.parent.is_dir():
         raise ConfigurationError(f"{path}: there is no folder {path.parent}")

@@ -252,7 +252,7 @@ def test_a_plot_has_a_bar_for_each_run_that_has_both_columns(sessions: Path, tmp
 
 def test_a_condition_reads_runs_and_nothing_else(sessions: Path, tmp_path: Path) -> None:
     archive = tmp_path / "archive"
-    with pytest.raises(RecordError, match="holds no sessions"):
+    with pytest.raises(ConfigurationError, match="holds no sessions"):
         list_runs(archive, "", [], "table", None)
     add_sessions(archive, [sessions])
     for condition, said in {
@@ -262,7 +262,7 @@ def test_a_condition_reads_runs_and_nothing_else(sessions: Path, tmp_path: Path)
     }.items():
         with pytest.raises(ConfigurationError, match=said):
             list_runs(archive, condition, [], "table", None)
-    with pytest.raises(RecordError, match="holds no session"):
+    with pytest.raises(ConfigurationError, match="holds no session"):
         add_sessions(archive, [archive])
 
 

@@ -40,21 +40,34 @@ FOLDERS = {
 }
 
 
+def empty_inputs(words: tuple[str, ...], folder: Path) -> list[str]:
+    """Make the records, plans and results that a call names, empty: there, and not to be read."""
+    names = [word for word in words if word.startswith("no")]
+    for name in names:
+        path = folder / name if "." in name else folder / name / "results.json"
+        path.parent.mkdir(exist_ok=True)
+        path.touch()
+    return names
+
+
 @pytest.mark.parametrize("words", NEW_FILES)
 def test_a_file_that_exists_is_refused_before_anything_is_read(
     words: tuple[str, ...], tmp_path: Path
 ) -> None:
     name, option = NEW_FILES[words]
     (tmp_path / name).write_text("kept")
+    inputs = empty_inputs(words, tmp_path)
     done = rig(*words, option, name, cwd=tmp_path)
     assert done.returncode == 2
     assert done.stderr == f"rig: {name}: exists already and is not overwritten; choose another name\n"
-    assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [(name, "kept")]
+    assert (tmp_path / name).read_text() == "kept"
+    assert {path.name for path in tmp_path.iterdir()} == {name, *inputs}
 
 
 @pytest.mark.parametrize("words", FOLDERS)
 def test_a_folder_that_is_a_file_or_holds_results_is_refused(words: tuple[str, ...], tmp_path: Path) -> None:
     (tmp_path / "file").write_text("kept")
+    empty_inputs(words, tmp_path)
     for place in ("file", "file/deeper"):
         done = rig(*words, "-o", place, cwd=tmp_path)
         assert done.returncode == 2
@@ -71,8 +84,20 @@ def test_the_folder_of_a_page_is_not_written_into(tmp_path: Path) -> None:
     (tmp_path / "page").mkdir()
     (tmp_path / "page" / "mine.svg").touch()
     for words in (("report", "no"), ("compare", "no", "nor")):
+        empty_inputs(words, tmp_path)
         assert "page: the page's figures go there" in rig(*words, "-o", "page.html", cwd=tmp_path).stderr
         assert "name a file that ends in .html" in rig(*words, "-o", "my.page", cwd=tmp_path).stderr
+
+
+def test_every_path_that_a_command_reads_is_looked_for_first() -> None:
+    written = {("init", "file")}
+    unchecked = {
+        (*name, item.name)
+        for name, command in commands(typer.main.get_command(app))
+        for item in command.params
+        if item.type_descriptor.annotation in (Path, Path | None, list[Path]) and item.callback is None
+    }
+    assert unchecked == {*written, ("export", "output")}
 
 
 def test_every_option_that_names_an_output_is_checked() -> None:

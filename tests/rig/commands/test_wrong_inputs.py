@@ -13,6 +13,7 @@ from tests.rig.commands.wrong_inputs import WrongKey, WrongWords, wrong_keys, wr
 
 FOREIGN = re.compile(
     r"Input should|validation error|pydantic|\[type=|NoneType|Traceback|--debug shows|Errno|instance of"
+    r"|or equal to|String should|match pattern"
 )
 
 

@@ -81,9 +81,8 @@ def wrong_words(folder: Path) -> Iterator[WrongWords]:
                 yield WrongWords("range", (*name, *given, *rest, item.opts[0], f"{item.min - 1:g}"), 2)
         first = arguments[0] if arguments else None
         if first is not None and first.type_descriptor.annotation in (Path, list[Path], Path | None):
-            status = 2 if first.name in _TABLES else 1
             more = given[1:]
-            for file in ("none/x.mcap", "noise"):
+            for file, status in (("none/x.mcap", 2), ("noise", 2 if first.name in _TABLES else 1)):
                 words = [file] if name != ("compare",) else [file, "empty"]
                 yield WrongWords("unreadable", (*name, *words, *more, *rest), status)
 

@@ -133,10 +133,10 @@ def test_texts_are_no_formulas(measured_series: Path, tmp_path: Path) -> None:
 
 def test_nothing_is_written_over(measured_series: Path, tmp_path: Path) -> None:
     export_session(measured_series, "hdf5", tmp_path / "a.h5")
-    with pytest.raises(RecordError, match="exists already and is not overwritten"):
+    with pytest.raises(ConfigurationError, match="exists already and is not overwritten"):
         export_session(measured_series, "hdf5", tmp_path / "a.h5")
     export_session(measured_series, "csv", tmp_path / "a")
-    with pytest.raises(RecordError, match="exists already and is not overwritten"):
+    with pytest.raises(ConfigurationError, match="exists already and is not overwritten"):
         export_session(measured_series, "csv", tmp_path / "a")
 
 

@@ -145,13 +145,13 @@ def test_a_folder_that_holds_a_run_is_never_written_over(short_session: Path) ->
 @pytest.mark.parametrize(
     ("words", "status", "message"),
     [
-        (("run", "nowhere.toml"), 2, "no such configuration file"),
+        (("run", "nowhere.toml"), 2, "no such file; rig init writes a configuration"),
         (("run",), 2, "Missing argument"),
         (("rnu",), 2, "Did you mean"),
         (("run", CONFIGS / "demo.toml", "--set", "session.rnus=3"), 2, "did you mean runs?"),
         (("replay", CONFIGS / "demo.toml"), 1, "is not an MCAP file"),
-        (("fit", "nowhere.mcap"), 1, "no such record"),
-        (("fit", "nowhere.csv"), 1, "no such file"),
+        (("fit", "nowhere.mcap"), 2, "no such record"),
+        (("fit", "nowhere.csv"), 2, "no such file"),
     ],
 )
 def test_wrong_usage_is_one_line(

@@ -7,8 +7,9 @@ from typing import Any
 
 import pytest
 
-from processing.errors import RecordError
+from processing.errors import ConfigurationError, RecordError
 from rig.report.comparison import compare
+from tests.rig.command_line import rig
 
 
 def session(folder: Path, changed: str = "", by: float = 0.0) -> Path:
@@ -81,8 +82,7 @@ def test_a_measured_series_takes_part(measured_series: Path, tmp_path: Path) -> 
 
 def test_bad_input_is_one_line(tmp_path: Path) -> None:
     one = session(tmp_path / "one")
-    with pytest.raises(RecordError, match="at least two sessions"):
-        compare([one], None)
+    assert "a comparison needs two sessions or more" in rig("compare", one).stderr
     unfitted = tmp_path / "unfitted"
     unfitted.mkdir()
     tree = {"runs": [{"record": "run-1.mcap", "problem": "no [pendulum]"}], "series": {}}
@@ -94,7 +94,7 @@ def test_bad_input_is_one_line(tmp_path: Path) -> None:
 def test_a_session_is_not_compared_with_itself(tmp_path: Path) -> None:
     """Two columns under one name would be one."""
     folder = session(tmp_path / "dry")
-    with pytest.raises(RecordError, match="named twice"):
+    with pytest.raises(ConfigurationError, match="named twice"):
         compare([folder, folder / ".." / "dry"], None)
 
 

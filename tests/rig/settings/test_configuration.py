@@ -59,7 +59,7 @@ def test_overrides_take_any_dotted_path() -> None:
         ("materials.tin.poisson_ratio=2", r"materials\.tin\.youngs_modulus_pa: is missing; state a value"),
         (
             "sensor={gain_e_per_dn=1, read_noise_e=-1, full_scale_dn=255}",
-            r"sensor\.read_noise_e = -1: should be greater than or equal to 0",
+            r"sensor\.read_noise_e = -1: should be at least 0",
         ),
         (
             "sensor={gain_e_per_dn=1, read_noise_e=1, full_scale_dn=255, predestal_dn=3}",
@@ -103,7 +103,7 @@ def test_every_fault_has_a_line_and_unknown_keys_come_first() -> None:
         load_configuration(CONFIGS / "demo.toml", slips)
     assert str(caught.value).split("\n") == [
         "--set pendulum.mas_kg: unknown key; did you mean mass_kg?",
-        "--set session.runs = 0: should be greater than or equal to 1",
+        "--set session.runs = 0: should be at least 1",
         f"{CONFIGS / 'demo.toml'}: pendulum.mass_kg: is missing; state a value",
         "--set pendulum.ball_radius_m = true: should be a number",
     ]

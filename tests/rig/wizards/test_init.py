@@ -81,7 +81,7 @@ def test_every_answer_is_held_against_the_models() -> None:
             "406": "less than 100 kg",
             "406 m": "has the unit m; kg is meant",
             "1e999": "finite",
-            "0.4 ± -1": "u_mass_kg = -1.0: should be greater than or equal to 0",
+            "0.4 ± -1": "u_mass_kg = -1.0: should be at least 0",
         },
         2: {"2 m": "pendulum.ball_radius_m = 2.0: should be less than 1 m"},
         3: {"hard steel": "a name of letters", "a.b": "a name of letters"},
@@ -136,7 +136,7 @@ def test_the_command_writes_a_file_that_runs(tmp_path: Path) -> None:
     assert rig("doctor", "mine.toml", cwd=tmp_path).returncode == 0
     again = rig("init", "mine.toml", cwd=tmp_path)
     assert (again.returncode, again.stdout) == (2, "")
-    assert again.stderr == "rig: mine.toml: exists already and is not written over; name another file\n"
+    assert again.stderr == "rig: mine.toml: exists already and is not overwritten; choose another name\n"
 
 
 @pytest.mark.parametrize(

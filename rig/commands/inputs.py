@@ -1,0 +1,96 @@
+"""What commands are given to read: what is not there is refused before anything heavy is imported.
+
+`there`, `recorded` and `with_results` are callbacks of parameters, for one path or several; they return what
+they got, or raise ConfigurationError.
+"""
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TypeVar
+
+from processing.errors import ConfigurationError
+
+_Given = TypeVar("_Given", Path, list[Path], Path | None)
+_KINDS = {"": "file or folder", ".mcap": "record", ".toml": "file", ".rrd": "Rerun file"}
+_MOST_NAMED = 5
+
+
+def there(given: _Given) -> _Given:
+    """For files and folders that must be there; whether they are what is wanted, their readers say."""
+    for path in _paths(given):
+        try:
+            path.stat()
+        except (FileNotFoundError, NotADirectoryError):
+            kind = _KINDS.get(path.suffix.lower(), "file")
+            raise ConfigurationError(f"{path}: no such {kind}{_instead_of(path)}") from None
+        except (OSError, ValueError):
+            continue  # not to be seen, or no name at all: the reader's own words are better
+    return given
+
+
+def recorded(given: _Given) -> _Given:
+    """The same, for records and folders that must hold one."""
+    for path in _paths(there(given)):
+        records_in(path)
+    return given
+
+
+def with_results(given: _Given) -> _Given:
+    """The same, for folders of sessions, which must hold results, and for files."""
+    for path in _paths(there(given)):
+        if path.is_dir() and not any(path.glob("results*.json")):
+            raise ConfigurationError(
+                f"{path}: holds no results.json; rig run makes one, and rig fit from records"
+            )
+    return given
+
+
+def records_in(path: Path) -> list[Path]:
+    """The record itself, or those of a session's folder in their order; a repaired copy for its original.
+
+    Raises ConfigurationError for a folder without records.
+    """
+    if not path.is_dir():
+        return [path]
+    runs = sorted(
+        (int(found[1]), file)
+        for file in path.glob("run-*.mcap")
+        if (found := re.fullmatch(r"run-(\d+)", file.stem))
+    )
+    repaired = [file.with_name(f"{file.stem}-recovered{file.suffix}") for _, file in runs]
+    records = [copy if copy.exists() else file for (_, file), copy in zip(runs, repaired, strict=True)]
+    records = records or sorted(path.glob("*.mcap"))
+    if records:
+        return records
+    raise ConfigurationError(f"{path}: holds no record (run-1.mcap, ...); name one, or a session's folder")
+
+
+def one_record(path: Path) -> Path:
+    """The record itself, or the only one of a folder; raises ConfigurationError for none or several."""
+    records = records_in(path)
+    if len(records) > 1:
+        names = ", ".join(record.name for record in records)
+        raise ConfigurationError(f"{path}: holds {len(records)} records; name one of them: {names}")
+    return records[0]
+
+
+def _paths(given: Path | list[Path] | None) -> Sequence[Path]:
+    return given if isinstance(given, list) else [] if given is None else [given]
+
+
+def _instead_of(path: Path) -> str:
+    """What the folder of a missing file has of its kind, and how such a file is made."""
+    how = {
+        "": "; a name with spaces stands in quotes",
+        ".toml": "; rig init writes a configuration",
+    }.get(path.suffix.lower(), "")
+    if not path.parent.is_dir():
+        return f"; there is no folder {path.parent}{how}"
+    try:
+        beside = [other for other in path.parent.iterdir() if other.suffix == path.suffix]
+    except OSError:
+        return how
+    names = sorted(other.name for other in beside if path.suffix or other.is_dir())
+    shown = ", ".join([*names[:_MOST_NAMED], *(["..."] if len(names) > _MOST_NAMED else [])])
+    return (f"; {path.parent} has {shown}" if names else "") + how
