@@ -127,7 +127,7 @@ def law_table(compared: ComparedLaws) -> Table:
         if law.problem:
             shown.append([name, law.title, *[""] * 5, law.problem])
             continue
-        left = "noise" if law.residuals_are_noise else "no noise"
+        left = "as noise" if law.residuals_are_noise else "more than noise"
         verdict = "excluded" if law.excluded else "remains"
         ground = f"{law.ground_rad_per_s2_rthz:.1e}"
         shown.append(
@@ -146,12 +146,12 @@ def law_table(compared: ComparedLaws) -> Table:
             "problem",
         ),
         rows,
-        ("law", "", "BIC", "AIC", "ln odds", "drive", "waveform", "leaves"),
+        ("law", "", "BIC", "AIC", "ln odds", "drive", "waveform", "residuals; verdict"),
         shown,
         "BIC and AIC: distance from the best law; ln odds: against it by the evidence. BIC above 10 "
         "with ln odds above 5 excludes one. Drive of the ground that the law needs, "
         "in rad/s²/√Hz: what the law lacks, a stronger drive must explain. Waveform: chance of a third "
-        "harmonic so far from the law's.",
+        "harmonic so far from the law's. Residuals: what the fit leaves, as large as noise or larger.",
     )
 
 

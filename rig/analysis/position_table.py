@@ -21,6 +21,11 @@ _EXACT = 2**53
 """Largest whole number of ns that a floating-point number holds."""
 _DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+(?:[eE][+-]?\d+)?")
 _WHOLE = re.compile(r"[+-]?\d+")
+_SORT = "sort the rows or name the time column with --time"
+_NO_COMMAS = (
+    "its commas seem to be decimal commas as well as separators, which cannot be told apart: save it with "
+    "semicolons or tabs between the columns, or with decimal points"
+)
 ANGLES_RAD = {
     "rad": 1.0,
     "mrad": 1e-3,
@@ -37,7 +42,7 @@ class Trajectory:
     """Time in integer ns from the first sample, positions in the user's unit.
 
     `scale_rad` is the unit in rad, None where the unit is no angle (volts, px, mm): decay and
-    period can then be had, contact parameters not.
+    period can then be had, contact parameters not. `time_unit` is that of the table's times.
     """
 
     times_ns: NDArray[np.int64]
@@ -46,10 +51,11 @@ class Trajectory:
     unit: str
     scale_rad: float | None
     skipped_rows: int
+    time_unit: str = "s"
 
 
 def read_trajectory(
-    path: Path, time: str | None, positions: list[str], unit: str, time_unit: str = "s"
+    path: Path, time: str | None, positions: list[str], unit: str, time_unit: str = ""
 ) -> Trajectory:
     """Read a table: tab, comma, semicolon or space separated, .gz too, header lines allowed.
 
@@ -64,7 +70,8 @@ def read_trajectory(
     unit
         An angle (rad, mrad, urad, nrad, arcsec, arcmin, deg) or any other word.
     time_unit
-        ns, us, ms, s, min or h. Times may be absolute: they are read to the ns however large they are.
+        ns, us, ms, s, min or h; empty: the one with which the column's name ends (time_ms), else s. Times may
+        be absolute: they are read to the ns however large they are.
 
     Raises
     ------
@@ -73,20 +80,22 @@ def read_trajectory(
     ConfigurationError
         A column or a unit of time that there is not.
     """
-    if time_unit not in TIME_UNITS_NS:
+    if time_unit and time_unit not in TIME_UNITS_NS:
         raise ConfigurationError(
             f"--time-unit {time_unit!r} is no unit of time; take one of {', '.join(TIME_UNITS_NS)}"
         )
     header, rows, skipped = _table(path)
     width = len(rows[0])
     t_column = _column(path, header, width, time, default=0)
+    time_unit = time_unit or (_unit_in_name(header[t_column]) if header else "") or "s"
     p_columns = [_column(path, header, width, name, default=1) for name in positions] or [
         _column(path, header, width, None, default=1)
     ]
     if len(p_columns) > 2:
         raise ConfigurationError(f"--position was given {len(p_columns)} times; one or two columns are used")
     table = np.array([[_value(row[column]) for column in p_columns] for row in rows], dtype=np.float64)
-    times_ns, good = _times_ns(path, [row[t_column] for row in rows], time_unit)
+    remedy = _SORT if not _split_at_decimal_commas(header, rows) else _NO_COMMAS
+    times_ns, good = _times_ns(path, [row[t_column] for row in rows], time_unit, remedy)
     table = table[good]
     return Trajectory(
         times_ns=times_ns,
@@ -95,11 +104,20 @@ def read_trajectory(
         unit=unit or "unit",
         scale_rad=ANGLES_RAD.get(unit),
         skipped_rows=skipped,
+        time_unit=time_unit,
     )
 
 
-def _times_ns(path: Path, cells: list[str], unit: str) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Times from the first one in ns, and which of the rows have one."""
+def _unit_in_name(name: str) -> str:
+    """The unit of time with which a name ends (time_ms, t [ms], t/ms, t (ms)); empty where it has none."""
+    found = re.search(r"(?:_|[\s/(\[])(ns|us|ms|s|min|h)[)\]]?$", name.strip())
+    return found[1] if found else ""
+
+
+def _times_ns(
+    path: Path, cells: list[str], unit: str, remedy: str
+) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """Times from the first one in ns, and which of the rows have one; `remedy` where they do not increase."""
     times = np.array([_value(cell) for cell in cells])
     good = np.isfinite(times)
     times = times[good]
@@ -126,7 +144,7 @@ def _times_ns(path: Path, cells: list[str], unit: str) -> tuple[NDArray[np.int64
         row = int(backwards[0])
         raise DataError(
             f"{path}: time does not increase after {times[row]:.16g} {unit} (row {row + 1}): "
-            f"{times[row + 1]:.16g} {unit} follows; sort the rows or name the time column with --time"
+            f"{times[row + 1]:.16g} {unit} follows; {remedy}"
         )
     return times_ns, good
 
@@ -167,6 +185,14 @@ def _table(path: Path) -> tuple[list[str], list[list[str]], int]:
     if len(rows[0]) < 2:
         raise DataError(f"{path}: has one column; time and position are needed")
     return (header if len(header) == len(rows[0]) else []), rows, skipped
+
+
+def _split_at_decimal_commas(header: list[str], rows: list[list[str]]) -> bool:
+    """Whether a table is likely one whose numbers were split at their decimal commas.
+
+    Then it has two columns for each name, so that no header fits, and nowhere a decimal point.
+    """
+    return not header and len(rows[0]) >= 4 and not any("." in cell for row in rows[:50] for cell in row)
 
 
 def _cells(line: str) -> list[str]:

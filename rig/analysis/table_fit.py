@@ -56,7 +56,7 @@ class Columns:
     time: str | None = None
     positions: tuple[str, ...] = ()
     unit: str = ""
-    time_unit: str = "s"
+    time_unit: str = ""
 
     def read(self, path: Path) -> Trajectory:
         """The table."""

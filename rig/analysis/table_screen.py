@@ -1,6 +1,7 @@
 """`rig fit` on a table, on the terminal."""
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -8,7 +9,7 @@ import numpy as np
 
 from processing.decay_summary import DecayMean
 from processing.errors import ConfigurationError
-from processing.swing import turning_points
+from processing.swing import SwingFlag, turning_points
 from rig.analysis.results import EnvelopeResults, TableResults
 from rig.analysis.results_file import RESULTS_NAME, write_results
 from rig.analysis.screen import print_run
@@ -18,6 +19,13 @@ from rig.presentation import with_uncertainty
 from rig.settings import OF_TABLES, load_configuration, refuse_without_effect
 
 ENVELOPES = ("amplitude", "power")
+_FLAGS = {
+    SwingFlag.GAP: "with a gap",
+    SwingFlag.VIBRATION: "disturbed",
+    SwingFlag.LOW_AMPLITUDE: "too small",
+    SwingFlag.START: "of a release or kick",
+    SwingFlag.INFERRED: "outside the sensor",
+}
 
 
 def fit_trajectory(
@@ -70,6 +78,7 @@ def _print(path: Path, table: AnalysedTable) -> None:
     trajectory = table.trajectory
     print(
         f"{path}: {len(trajectory.times_ns)} samples, {', '.join(trajectory.names)} in {trajectory.unit}, "
+        f"{'' if trajectory.time_unit == 's' else f'time in {trajectory.time_unit}, '}"
         f"{len(table.decays)} {'decay' if len(table.decays) == 1 else 'decays'}"
     )
     if trajectory.skipped_rows:
@@ -102,10 +111,17 @@ def _print_decay(number: int, decay: FoundDecay) -> None:
         lines.append(f"quality factor {with_uncertainty(q, u_q)}")
     head = (
         f"decay {number}, {results.began_s:.4g} to {results.ended_s:.4g} s: {summary.half_cycles} "
-        f"half-cycles ({flagged} more flagged and left out), amplitude {results.initial_amplitude:.4g} to "
+        f"half-cycles ({flagged} more flagged and left out{_reasons(decay)}), "
+        f"amplitude {results.initial_amplitude:.4g} to "
         f"{results.final_amplitude:.4g} {results.amplitude_unit}"
     )
     print_run(results, head, lines)
+
+
+def _reasons(decay: FoundDecay) -> str:
+    """Which flags the half-cycles have that are left out, the most frequent first."""
+    counts = Counter(name for swing in decay.swings for flag, name in _FLAGS.items() if swing.flags & flag)
+    return "".join(f"{', ' if k else ': '}{n} {name}" for k, (name, n) in enumerate(counts.most_common()))
 
 
 def _mean_text(mean: DecayMean, unit: str) -> str:

@@ -1,11 +1,12 @@
 """Runs as a user names them: by the first characters of a hash, or by a condition."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 from processing.errors import ConfigurationError
+from rig.archive.columns import IS_SIMULATED
 from rig.archive.listing import selected
 from rig.archive.remarks import write_remark
 from rig.archive.store import Archive, reads_archive
@@ -50,6 +51,13 @@ def chosen_runs(archive: Path, names: Sequence[str], where: str) -> dict[str, Pa
     return found
 
 
+def simulated_among(archive: Path, runs: Iterable[str]) -> int:
+    """How many of these runs, by their SHA-256, come from the simulated rig."""
+    connection = Archive(archive).connection()
+    question = f"select count(*) from runs where {IS_SIMULATED} and list_contains($1, sha256)"
+    return int(connection.execute(question, [list(runs)]).fetchone()[0])
+
+
 def named(connection: Any, name: str) -> list[str]:
     """The SHA-256 of the run, or of the session's runs, that a name begins.
 
@@ -87,12 +95,15 @@ def show_runs(archive: Path, names: Sequence[str]) -> None:
         older = connection.execute(
             "select added_utc, results from versions where sha256 = ? order by added_utc", [run]
         ).fetchall()
+        simulated = connection.execute(f"select {IS_SIMULATED} from runs where sha256 = ?", [run]).fetchone()[
+            0
+        ]
         versions = "; ".join(f"{added:%Y-%m-%d %H:%M} {results or 'not fitted'}" for added, results in older)
         print_tables(
             [
                 Table(
                     run[:8],
-                    str(Path(row["folder"]) / row["record"]),
+                    f"{'SIMULATED: ' if simulated else ''}{Path(row['folder']) / row['record']}",
                     (),
                     (),
                     ("", ""),

@@ -122,3 +122,5 @@ SHOWN: Final = (
     "state",
 )
 """What `list` shows unless told."""
+IS_SIMULATED: Final = "coalesce(camera = 'simulated rig', false)"
+"""Whether the numbers of a run were invented, in SQL."""

@@ -11,7 +11,7 @@ from typing import Any, Literal
 from acquisition.record import whole_file
 from processing.errors import ConfigurationError, RecordError
 from rig.archive.blind import sealed
-from rig.archive.columns import SHOWN
+from rig.archive.columns import IS_SIMULATED, SHOWN
 from rig.archive.store import Archive, duckdb_module, reads_archive
 from rig.presentation import NOT_KNOWN, Cell, Table, plain, plain_values, print_tables, say, with_uncertainty
 
@@ -41,7 +41,12 @@ def list_runs(
     shown = (*SHOWN[:2], "level", "made_utc", *SHOWN[5:-1], "newest") if refits else SHOWN
     wanted = ", ".join(columns) if columns else f"left(sha256, {_SHORTENED}) as id, {', '.join(shown)}"
     if not columns and kind == "table":
-        wanted += ", u_b, u_p, u_c, u_n"
+        invented = (
+            f"case when {IS_SIMULATED} then 'SIMULATED: ' else '' end || coalesce(sample, '') as sample"
+        )
+        wanted = wanted.replace(" sample,", f" {invented},") + ", u_b, u_p, u_c, u_n"
+    elif not columns:
+        wanted += ", camera"
     if sealed(archive) is not None:
         say("BLIND: a hidden offset is on the parameters; rig archive unblind")
     connection = Archive(archive).connection(refits=refits)
@@ -79,10 +84,13 @@ def selected(connection: Any, wanted: str, condition: str, table: str = "runs") 
             raise ConfigurationError(f"condition {condition!r}: is more than one; leave out the semicolon")
         return connection.sql(query)
     except duckdb.Error as error:
-        said = str(error).splitlines()[0]
-        raise ConfigurationError(
-            f"condition {condition!r}: {said}; docs/archive.md names the columns"
-        ) from None
+        said = str(error).splitlines()[0].removeprefix("Binder Error: ")
+        at_fault = f"condition {condition!r}"
+        try:
+            connection.sql(f"select {wanted} from {table} limit 0")
+        except duckdb.Error:
+            at_fault = f"columns {wanted!r}"
+        raise ConfigurationError(f"{at_fault}: {said}; docs/archive.md names the columns") from None
 
 
 def _table(names: Sequence[str], rows: Sequence[Sequence[Any]]) -> Table:

@@ -17,7 +17,7 @@ from acquisition.record.reader import RecordReader
 from processing.errors import ConfigurationError, MissingPackage, RecordError
 from rig.analysis import read_results, results_path, write_results
 from rig.archive.blind import sealed
-from rig.archive.chosen import chosen_runs
+from rig.archive.chosen import chosen_runs, simulated_among
 from rig.archive.thinning import thin_copy
 
 _INPUTS = ("configuration.", "calibration/", "record.md")
@@ -68,6 +68,12 @@ def publish_runs(
         raise ConfigurationError(f"--licence {statement.licence!r}: is no name of SPDX, such as CC-BY-4.0")
     if not statement.title.strip() or not statement.authors:
         raise ConfigurationError("a publication needs a title and an author: --title TEXT --author NAME")
+    for author in statement.authors:
+        if "orcid" in author.lower() and not _has_orcid(author):
+            raise ConfigurationError(
+                f"--author {author!r}: is no ORCID; copy it from the person's page, as "
+                "https://orcid.org/0000-0002-1825-0097"
+            )
     if sealed(archive) is not None:
         raise ConfigurationError(
             f"{archive}: is blind, and a publication holds true values; unblind it first"
@@ -89,7 +95,7 @@ def publish_runs(
                 for record, sha256 in records.items():
                     copy, rule = target / record.name, f"{pixels} in a publication"
                     thin_copy(archive, record, copy, sha256, pixels, rule)
-        _describe(ROCrate(), beside, statement)
+        _describe(ROCrate(), beside, statement, simulated_among(archive, runs), len(runs))
         _check(ROCrate(beside), beside)
         beside.rename(output)
     except OSError as error:
@@ -132,14 +138,15 @@ def _copy_inputs(record: Path, target: Path) -> None:
                 (target / name).write_bytes(data)
 
 
-def _describe(crate: Any, folder: Path, statement: Statement) -> None:
-    """Name every file, and state title, licence, authors and what to cite."""
+def _describe(crate: Any, folder: Path, statement: Statement, simulated: int, runs: int) -> None:
+    """Name every file, and state title, licence, authors, what to cite, and how many runs are simulated."""
     from rocrate.model.contextentity import ContextEntity
     from rocrate.model.person import Person
 
-    crate.name = statement.title
+    invented = f"SIMULATED ({simulated} of {runs} runs): " if simulated else ""
+    crate.name = f"{invented}{statement.title}"
     crate.description = (
-        f"{statement.title}: records (MCAP) of an optical pendulum, results of their analysis (JSON), "
+        f"{crate.name}: records (MCAP) of an optical pendulum, results of their analysis (JSON), "
         "configuration and calibrations. rig archive add reads the folder."
     )
     crate.datePublished = datetime.datetime.now(datetime.UTC).date().isoformat()
@@ -170,6 +177,17 @@ def _identifier(author: str, place: int) -> str:
     """The address of a person (ORCID) where one is stated."""
     found = re.search(r"https?://\S+", author)
     return found[0] if found else f"#author-{place}"
+
+
+def _has_orcid(author: str) -> bool:
+    """Whether the address is that of an ORCID whose last character checks the others (ISO 7064, 11-2)."""
+    found = re.search(r"https?://orcid\.org/(\d{4})-(\d{4})-(\d{4})-(\d{3})([\dX])$", author.strip())
+    if found is None:
+        return False
+    total = 0
+    for digit in "".join(found.groups()[:4]):
+        total = 2 * (total + int(digit))
+    return found[5] == "0123456789X"[(12 - total % 11) % 11]
 
 
 def _check(crate: Any, folder: Path) -> None:

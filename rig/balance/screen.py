@@ -28,7 +28,7 @@ def print_faults(faults: Sequence[Fault], before: Sequence[Fault], *, live: bool
         row = ["go" if fault.ok else "NO", fault.name, _number(fault)]
         if before:
             row.append(_number(before[k]))
-        table.add_row(*row, f"{fault.limit:g}", "" if fault.ok else fault.meaning)
+        table.add_row(*row, f"{fault.limit:g} {fault.unit}".rstrip(), "" if fault.ok else fault.meaning)
     Console().print(table, highlight=False)
 
 

@@ -71,7 +71,9 @@ def show(config: Config, set_: Set = None) -> None:
         typer.echo(f"{info.driver}: {info.vendor} {info.model} serial {info.serial or 'unknown'}")
         typer.echo(f"sensor {info.width_px} x {info.height_px} px, full scale {info.full_scale_dn} DN")
         for name, value in applied.model_dump(exclude={"features"}).items():
-            typer.echo(f"camera.{name} = {'unknown' if value is None else value}")
+            typer.echo(
+                f"camera.{name}: not told by this camera" if value is None else f"camera.{name} = {value}"
+            )
         features = getattr(camera, "features", None)
         for line in feature_lines(features.readings()) if features is not None else ():
             typer.echo(line)
@@ -150,6 +152,7 @@ def snap(
         if not done:
             raise ConfigurationError(f"{output}: can't be written as PNG")
         output.write_bytes(png.tobytes())
+        typer.echo("pixels in each range of grey values (bars: logarithmic)")
         for line in camera_picture.histogram_bars(image, info.full_scale_dn):
             typer.echo(line)
         typer.echo(_figures_line(camera_picture.figures(image, info.full_scale_dn)))
@@ -317,7 +320,10 @@ def expose(
 
     with _opened(config, set_) as (camera, info, applied):
         found = find_exposure(camera, info, applied, target)
-        typer.echo(f"peak {found.peak:.1%} of full scale; for the configuration:")
+        typer.echo(
+            f"peak {found.peak:.1%} of full scale; for the configuration, above its first section, or below "
+            "[camera] without 'camera.':"
+        )
         typer.echo(f"camera.exposure_us = {found.exposure_us:.6g}")
 
 

@@ -42,8 +42,13 @@ def fit(
     ] = None,
     time: Annotated[str | None, typer.Option(help="CSV: name or number of the column with the time.")] = None,
     time_unit: Annotated[
-        str, typer.Option(help="CSV: unit of the time: ns (also absolute), us, ms, s, min, h.")
-    ] = "s",
+        str,
+        typer.Option(
+            help="CSV: unit of the time: ns (also absolute), us, ms, s, min, h; default: as its name ends "
+            "(time_ms), else s.",
+            show_default=False,
+        ),
+    ] = "",
     position: Annotated[
         list[str] | None,
         typer.Option(help="CSV: name or number of the column with the position; twice for two axes."),

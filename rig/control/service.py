@@ -176,7 +176,7 @@ class ControlService(DeviceThread):
         self._snapshot = replace(
             self._snapshot, state=ControlState.OPEN, identity=identity, reconnects=reconnects, last_error=""
         )
-        self._say(f"{identity.serial} open, firmware {identity.firmware}")
+        self._say(f"{identity.serial} is connected, firmware {identity.firmware}")
 
     def _light(self, controller: Controller) -> None:
         if refusal := self._permit.refusal:

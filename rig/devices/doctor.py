@@ -175,7 +175,12 @@ def check_clock(source: str) -> Verdict:
     if not source:
         return Verdict("clock", True, "this system does not report its clock source")
     ok = source in _STEADY_CLOCKS
-    return Verdict("clock", ok, source, "" if ok else "boot with clocksource=tsc where the processor has it")
+    return Verdict(
+        "clock",
+        ok,
+        f"the computer's time is from {source}",
+        "" if ok else "boot with clocksource=tsc where the processor has it",
+    )
 
 
 def check_governor(governor: str, processors: int) -> Verdict:

@@ -61,9 +61,7 @@ def beam_quality(
     same = [spot for spot in found if spot.flags & SpotFlag.LEARNED == learned]
     poor = float(np.mean([bool(spot.flags & SpotFlag.POOR_FIT) for spot in same]))
     chi2 = float(np.median([spot.chi2_per_dof for spot in same]))
-    words = (
-        f"{model or 'model not chosen yet'}, chi2/dof {chi2:.2f}, POOR_FIT in {100 * poor:.3g} % of frames"
-    )
+    words = f"{model or 'one Gaussian so far'}, chi2/dof {chi2:.2f}, POOR_FIT in {100 * poor:.3g} % of frames"
     if shape is not None:
         words += f", off a Gaussian by {100 * shape.departure:.2g} % of its peak"
     edge = float(np.mean([bool(spot.flags & SpotFlag.EDGE) for spot in found]))

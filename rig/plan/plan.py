@@ -103,7 +103,7 @@ def plan_table(plan: Plan) -> Table:
         drowned = "" if run.complete else " (the ground ends it earlier)"
         drowned += "" if run.duration_s <= plan.longest_s else " *"
         shown.append(
-            [f"{first:g} to {last:g}″{drowned}", f"{count}", f"{all_s / 60:.1f}"]
+            [f"{first:g} to {last:g}{drowned}", f"{count}", f"{all_s / 60:.1f}"]
             + [f"{100 * times * relative[name]:.2g} %" for name in names]
         )
     too_long = ""
@@ -117,10 +117,10 @@ def plan_table(plan: Plan) -> Table:
             *(f"u_{name}" for name in names),
         ),
         rows,
-        ("amplitudes", "runs", "min", *(f"u({quantity(name).symbol})" for name in names)),
+        ("amplitudes, arcsec", "runs", "min", *(f"u({quantity(name).symbol})" for name in names)),
         shown,
-        "Standard uncertainty over value, from the swings alone; minutes of all runs. Measurement of an "
-        f"amplitude {plan.conditions.u_amplitude_rad / ARCSEC_RAD:.2g}″, ground "
+        "Standard uncertainty over value, from the swings alone; minutes of all runs. The amplitude of "
+        f"one half-cycle is measured to {plan.conditions.u_amplitude_rad / ARCSEC_RAD:.2g} arcsec, ground "
         f"{plan.conditions.ground_rad_per_s2_rthz:.1e} rad/s²/√Hz.{too_long}",
     )
 

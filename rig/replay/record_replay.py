@@ -105,6 +105,8 @@ def replay_record(
         print(f"results      {output / RESULTS_NAME}")
     if view is not None:
         view.check_file()
+    if rrd is not None:
+        print(f"Rerun file   {rrd}")
     return 1 if run.results.problem and config.lever is not None and not partial else 0
 
 

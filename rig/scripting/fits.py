@@ -66,7 +66,7 @@ def fit_table(
     configuration: str | Path | None = None,
     time: str | None = None,
     positions: Sequence[str] = (),
-    time_unit: str = "s",
+    time_unit: str = "",
 ) -> TableResults:
     """Determine decay and period from a table of positions of any instrument, and fit the contact laws.
 
@@ -82,7 +82,8 @@ def fit_table(
     time, positions
         Columns by name or by number from 1; by default the first column is the time, the second the position.
     time_unit
-        ns, us, ms, s, min or h; times may be absolute.
+        ns, us, ms, s, min or h; empty: the one with which the column's name ends (time_ms), else s. Times may
+        be absolute.
 
     Returns
     -------

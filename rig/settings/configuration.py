@@ -226,6 +226,10 @@ def read_toml_tree(path: Path, seen: tuple[Path, ...] = ()) -> dict[str, Any]:
         return tree
     if not isinstance(base, str):
         raise ConfigurationError(f"{path}: extends = {base!r} must be the name of a file")
+    if not (path.parent / base).exists():
+        raise ConfigurationError(
+            f"{path}: extends = {base!r}: no such file in {path.parent.resolve()}, the folder of this one"
+        )
     return _merged(read_toml_tree(path.parent / base, (*seen, path.resolve())), tree)
 
 

@@ -21,6 +21,11 @@ def in_words(root: type, fault: ErrorDetails) -> str:
     """One line for a fault that pydantic found in the tables of `root`."""
     path = dotted(fault["loc"])
     if is_unknown_key(fault):
+        section = str(fault["loc"][-1])
+        if isinstance(fault["input"], Mapping) and section in section_fields(root):
+            # the dotted path of a key, as --set takes it and as commands print it, below a section's head
+            key = next(iter(fault["input"]), "")
+            return f"{path}.{key}: unknown key; below [{section}] it is {key}, without '{section}.'"
         known = _known_keys(root, fault["loc"][:-1])
         near = difflib.get_close_matches(str(fault["loc"][-1]), known, n=1, cutoff=0.5)
         hint = f"did you mean {near[0]}?" if near else f"known here: {', '.join(sorted(known))}"

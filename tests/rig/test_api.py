@@ -18,11 +18,9 @@ OLDER = Path(__file__).parent / "data" / "older"
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder with a session in runs/first, and a table."""
+    """A folder with a session in runs/first."""
     shutil.copytree(OLDER / "series", tmp_path / "runs" / "first")
     shutil.copytree(OLDER / "calibrations", tmp_path / "calibrations")
-    for name in ("decay.csv", "session.toml"):
-        shutil.copy(OLDER / name, tmp_path)
     monkeypatch.chdir(tmp_path)
     return tmp_path
 

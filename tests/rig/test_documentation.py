@@ -105,7 +105,7 @@ def test_the_files_of_calibrations_are_read_as_they_are_shown(tmp_path: Path) ->
     done = rig("calibrate", "check", "tilts.toml", "--lever", levers[0], cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "calibrate again" not in done.stdout
-    assert len(read_transfer(tmp_path / "transfer.toml").level) == 3
+    assert len(read_transfer(tmp_path / "transfer.toml").level) == 5
 
 
 @pytest.mark.slow

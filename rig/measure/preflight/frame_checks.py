@@ -100,7 +100,11 @@ def noise_and_vibration(
     lines = sorted([*x.lines, *y.lines], key=lambda line: -line.amplitude)
     strongest = lines[0].amplitude / unit.shown_size if lines else 0.0
     named = f" ({lines[0].name})" if lines and lines[0].name else ""
-    words = f"{strongest:.3f} {unit.shown} at {lines[0].frequency_hz:.1f} Hz{named}" if lines else "no line"
+    words = (
+        f"{strongest:.3f} {unit.shown} at {lines[0].frequency_hz:.1f} Hz{named}"
+        if lines
+        else "none stands out"
+    )
     quiet, still = noise <= limits.max_noise_arcsec, strongest <= limits.max_vibration_arcsec
     verdicts = [
         Verdict(

@@ -33,6 +33,10 @@ def test_a_crate_is_described_proved_and_read_again(archive: Path, tmp_path: Pat
         item["@id"]: item for item in json.loads((crate / "ro-crate-metadata.json").read_text())["@graph"]
     }
     root = tree["./"]
+    assert root["name"].startswith("SIMULATED (1 of 1 runs): ")
+    other = [word if word != crate else tmp_path / "other" for word in words]
+    wrong = rig(*other, "--author", "Ada https://orcid.org/0000-0000-0000-0002")
+    assert (wrong.returncode, "is no ORCID" in wrong.stderr) == (2, True)
     assert root["license"]["@id"] == "https://spdx.org/licenses/CC-BY-4.0"
     assert root["author"][0]["@id"] == "https://orcid.org/0000-0000-0000-0001"
     files = {path.relative_to(crate).as_posix() for path in crate.rglob("*") if path.is_file()}

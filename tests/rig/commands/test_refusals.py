@@ -102,6 +102,17 @@ def test_what_toml_does_not_say_is_said(tmp_path: Path, text: str, message: str)
         assert message in said(*command, cwd=tmp_path)
 
 
+def test_a_dotted_key_below_its_section_and_a_missing_base_are_said(tmp_path: Path) -> None:
+    (tmp_path / "mine.toml").write_text(f'extends = "{DEMO}"\n[camera]\ncamera.exposure_us = 100\n')
+    assert "camera.camera.exposure_us: unknown key; below [camera] it is exposure_us, without" in said(
+        "doctor", "mine.toml", cwd=tmp_path
+    )
+    (tmp_path / "mine.toml").write_text('extends = "demo.toml"\n')
+    assert said("doctor", "mine.toml", cwd=tmp_path) == (
+        f"rig: mine.toml: extends = 'demo.toml': no such file in {tmp_path}, the folder of this one\n"
+    )
+
+
 def test_every_fault_of_a_plan_and_of_a_calibrations_file_is_said(tmp_path: Path) -> None:
     (tmp_path / "plan.toml").write_text('[[series]]\nname = "a"\nruns = 0\nconfg = "a.toml"\n')
     assert said("run", "--plan", "plan.toml", cwd=tmp_path) == (

@@ -26,7 +26,7 @@ def test_a_run_is_planned_from_a_record(
     record, folder = measured_series / "run-1.mcap", tmp_path / "plan"
     plan(record, [124.0], [60.0, 15.0], None, folder, None)
     said = " ".join(capsys.readouterr().out.split())
-    assert "124 to 15″" in said
+    assert "124 to 15" in said
     assert "u(γ)" in said
     head, longer, shorter = (line.split(",") for line in (folder / "plan.csv").read_text().splitlines())
     assert head[:4] == ["first_arcsec", "last_arcsec", "duration_s", "half_cycles"]
@@ -95,7 +95,7 @@ def test_a_plan_of_a_configuration_has_series_of_runs(
     limit = ["session.max_duration_s=60"]
     plan(source, [124.0], [15.0], None, folder, limit, [3, 1], 0.02, measured_series / "results.json")
     said = capsys.readouterr().out
-    assert "124 to 15″ *" in said
+    assert "124 to 15 *" in said
     assert "session.max_duration_s = 60 would end it earlier" in " ".join(said.split())
     head, *rows = (line.split(",") for line in (folder / "plan.csv").read_text().splitlines())
     one, three = (dict(zip(head, map(float, row), strict=True)) for row in rows)

@@ -118,7 +118,7 @@ def test_a_file_may_begin_with_a_byte_order_mark(tmp_path: Path) -> None:
     ("text", "message"),
     [
         ("[session\n", "is not TOML"),
-        ('extends = "none.toml"\n', "no such configuration file"),
+        ('extends = "none.toml"\n', "extends = 'none.toml': no such file in "),
         ("extends = 3\n", "must be the name of a file"),
         ('extends = "self.toml"\n', "extends itself"),
     ],
