@@ -136,10 +136,10 @@ def snap(
 
     from processing.errors import ConfigurationError
     from rig.devices import picture as camera_picture
-    from rig.instrument import beam_quality, optics_of
+    from rig.instrument import beam_quality, complete, optics_of
     from rig.settings import load_configuration
 
-    loaded = load_configuration(config, set_ or [])
+    loaded = complete(load_configuration(config, set_ or []))
     with _opened(config, set_) as (camera, info, _):
         camera.start()
         reads = (camera.read(loaded.camera.patience_s) for _ in range(average))
@@ -273,11 +273,11 @@ def align(
     from contextlib import ExitStack
 
     from rig.align import align_camera
-    from rig.instrument import optics_of
+    from rig.instrument import complete, optics_of
     from rig.settings import load_configuration
     from rig.view import start_view
 
-    loaded = load_configuration(config, set_ or [])
+    loaded = complete(load_configuration(config, set_ or []))
     lever = loaded.lever
     reference_px = None
     if lever is not None and lever.reference_x_px is not None and lever.reference_y_px is not None:

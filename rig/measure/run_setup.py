@@ -91,6 +91,7 @@ def _execute(
         plan.title,
         final_amplitude,
         optics.unit,
+        longest_s=config.session.max_duration_s,
         stop_when=config.stop_conditions if posterior is not None else (),
         json_lines=plan.json_lines,
         simulated=config.simulated,

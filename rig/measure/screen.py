@@ -37,7 +37,8 @@ _NO_FORECAST = Forecast(math.nan, math.nan)
 class RunDisplay:
     """Displays one run: as a watcher it only collects values, the main thread draws the screen.
 
-    The progress bar is linear in the logarithm of the amplitude, which decreases roughly evenly with time.
+    The progress bar is linear in the logarithm of the amplitude, which decreases roughly evenly with time, or
+    in the time of a run that its limit will end.
     """
 
     def __init__(
@@ -46,6 +47,7 @@ class RunDisplay:
         final_amplitude_arcsec: float,
         unit: DeflectionUnit,
         *,
+        longest_s: float = math.inf,
         stop_when: Sequence[StopCondition] = (),
         json_lines: bool = False,
         simulated: bool = False,
@@ -55,7 +57,7 @@ class RunDisplay:
         self._simulated = simulated
         # the final amplitude is configured in arcsec, hence unknown for a run in px
         self._final = final_amplitude_arcsec if unit is DeflectionUnit.RAD else math.nan
-        self._unit = unit
+        self._unit, self._longest_s = unit, longest_s
         self._stop_when = stop_when
         self._json = json_lines
         self._initial = math.nan
@@ -163,7 +165,14 @@ class RunDisplay:
         """The state of the run for programs; the amplitude is in `amplitude_unit`."""
         losses = snapshot.losses._asdict()
         estimates = estimates_tree(snapshot.estimates)
-        own = {"done": self._fraction(snapshot), **self._numbers()}
+        left_s, u_s = self._left(snapshot)
+        own = {
+            "done": self._fraction(snapshot),
+            "remaining_s": left_s,
+            "u_remaining_s": u_s,
+            "at_most_s": self._at_most_s(snapshot),
+            **self._numbers(),
+        }
         return {**asdict(snapshot), "losses": losses, "estimates": estimates, **own}
 
     def rows(self, snapshot: Snapshot) -> list[tuple[str, str]]:
@@ -173,7 +182,7 @@ class RunDisplay:
         losses = f"{snapshot.dropped_frames} frames dropped{who}, {snapshot.lost_spots} spots lost"
         rows = [
             ("elapsed", f"{_clock(snapshot.elapsed_s)}, {snapshot.half_cycles} half-cycles"),
-            ("to the end" if math.isnan(self._final) else f"to {self._final:g} {unit}", self._prediction()),
+            self._prediction(snapshot),
             ("amplitude", _number(snapshot.amplitude, ".3f", unit)),
             ("period", _number(snapshot.period_s, ".5f", "s")),
             *estimate_rows(snapshot, self._stop_when),
@@ -204,14 +213,30 @@ class RunDisplay:
         x, y = balance.rest_x / balance.unit.shown_size, balance.rest_y / balance.unit.shown_size
         return f"X {x:+.3f}, Y {y:+.3f} {balance.unit.shown}"
 
-    def _prediction(self) -> str:
-        if math.isnan(self._final):
-            return "unknown: no lever"
-        left_s, u_s = self._forecast
+    def _at_most_s(self, snapshot: Snapshot) -> float:
+        """Time to the limit of the run's duration."""
+        return max(self._longest_s - snapshot.elapsed_s, 0.0)
+
+    def _left(self, snapshot: Snapshot) -> Forecast:
+        """Time to the end that comes first, of the amplitude or the time; NaN if it is too early to say."""
+        limit_s = self._at_most_s(snapshot)
+        # without a lever no amplitude ends the run
+        is_limit = math.isnan(self._final) or self._forecast.remaining_s > limit_s
+        return Forecast(limit_s, 0.0) if is_limit and math.isfinite(limit_s) else self._forecast
+
+    def _prediction(self, snapshot: Snapshot) -> tuple[str, str]:
+        """The row of the end: to which one, and how long it takes."""
+        left_s, u_s = self._left(snapshot)
+        unit = self._unit.shown
+        aim = "to the end" if math.isnan(self._final) else f"to {self._final:g} {unit}"
         if math.isnan(left_s):
-            return "too early to say"
+            limit_s = self._at_most_s(snapshot)
+            most = f", at most {_clock(limit_s)}" if math.isfinite(limit_s) else ""
+            return aim, f"{'unknown: no lever' if math.isnan(self._final) else 'too early to say'}{most}"
         end = time.strftime("%H:%M", time.localtime(time.time() + left_s))
-        return f"{_clock(left_s)} ± {_clock(u_s)}, in real time at {end}"
+        if u_s == 0:
+            return "to the limit of time", f"{_clock(left_s)}, in real time at {end}"
+        return aim, f"{_clock(left_s)} ± {_clock(u_s)}, in real time at {end}"
 
     def _predicted(self) -> Forecast:
         table = np.array(list(self._swings))
@@ -231,8 +256,6 @@ class RunDisplay:
             "amplitude_unit": self._unit.shown,
             "frames_hz": self._rates.frames_hz,
             "record_bytes_per_s": self._rates.bytes_per_s,
-            "remaining_s": self._forecast.remaining_s,
-            "u_remaining_s": self._forecast.u_remaining_s,
         }
         if balance is not None:
             found["transverse_ratio"] = balance.transverse_ratio
@@ -242,10 +265,11 @@ class RunDisplay:
         return found
 
     def _fraction(self, snapshot: Snapshot) -> float:
+        of_time = min(snapshot.elapsed_s / self._longest_s, 1.0)
         if not self._initial > self._final or math.isnan(snapshot.amplitude):
-            return 0.0
+            return of_time
         done = math.log(self._initial / max(snapshot.amplitude, self._final))
-        return max(0.0, min(1.0, done / math.log(self._initial / self._final)))
+        return max(of_time, min(1.0, done / math.log(self._initial / self._final)))
 
     def _plain(self, snapshot: Snapshot) -> str:
         amplitude = (

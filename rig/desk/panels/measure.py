@@ -159,15 +159,19 @@ def _number(value: Any, shape: str, unit: str) -> str:
 
 
 def _left(told: Mapping[str, Any]) -> str:
-    seconds, u = told.get("remaining_s"), told.get("u_remaining_s")
+    seconds, u, at_most = (told.get(key) for key in ("remaining_s", "u_remaining_s", "at_most_s"))
     if seconds is None:
-        return "too early to say"
-    minutes, rest = divmod(max(float(seconds), 0.0), 60.0)
-    return f"{int(minutes)}:{rest:02.0f} min" + ("" if u is None else f" ± {float(u):.0f} s")
+        return "too early to say" + ("" if at_most is None else f", at most {_minutes(at_most)}")
+    return _minutes(seconds) + (f" ± {float(u):.0f} s" if u else "")
+
+
+def _minutes(seconds: float) -> str:
+    minutes, rest = divmod(round(max(seconds, 0.0)), 60)
+    return f"{minutes}:{rest:02d} min"
 
 
 def _done(news: Mapping[str, Any]) -> float:
-    """The part of the decay that is over, in the logarithm of the amplitude."""
+    """The part of the run that is over."""
     rows = (news.get("state") or {}).get("done")
     return 0.0 if rows is None else round(float(rows), 3)
 

@@ -1,6 +1,7 @@
 """`rig devices` and `rig camera` with the simulated rig."""
 
 import json
+import re
 import zipfile
 from dataclasses import replace
 from pathlib import Path
@@ -120,6 +121,18 @@ def test_show_set_snap_focus_expose(tmp_path: Path) -> None:
     assert rrd.stat().st_size > 10_000
     done = run(app, ["camera", "expose", DEMO])
     assert "camera.exposure_us = " in done.output
+
+
+@pytest.mark.parametrize("command", ["align", "snap"])
+def test_the_noise_that_judges_a_picture_is_that_of_the_sensor(command: str, tmp_path: Path) -> None:
+    noisy = ["--set", "simulation.sensor.read_noise_e=40"]
+    more = (
+        ["-o", str(tmp_path), "--seconds", "0.5"] if command == "align" else ["-o", str(tmp_path / "a.png")]
+    )
+    done = CliRunner().invoke(app, ["camera", command, DEMO, *more, *noisy])
+    told = re.findall(r"chi2/dof ([0-9.]+)", done.output)
+    assert [float(chi2) for chi2 in told] == pytest.approx([1.0] * len(told), abs=0.15)
+    assert told
 
 
 def test_checks_name_the_rule_and_the_port() -> None:

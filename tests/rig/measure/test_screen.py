@@ -12,6 +12,7 @@ from acquisition.frame_losses import FrameLosses
 from processing.angle import ARCSEC_RAD
 from processing.balance import Balance
 from processing.deflections import DeflectionUnit, no_deflections
+from processing.swing import Swing
 from rig.instrument.pipeline import Block
 from rig.instrument.snapshot import Snapshot
 from rig.measure.screen import RunDisplay
@@ -53,6 +54,43 @@ def test_without_a_lever_the_screen_says_px_and_knows_no_end() -> None:
     assert "unknown: no lever" in shown
     assert "arcsec" not in shown
     assert "to 2" not in shown
+
+
+def decaying(output: io.StringIO, longest_s: float) -> RunDisplay:
+    """A display that has seen a minute of a decay from 124 arcsec, by 1 % a half-cycle."""
+    console = Console(file=output, width=118, height=40)
+    shown = RunDisplay("run 1", 2.0, DeflectionUnit.RAD, longest_s=longest_s, console=console)
+    swings = [
+        Swing(n, n * 2_000_000_000, 1e-6, 124 * 0.99**n * ARCSEC_RAD, 1e-9, 2.0, 1e-6, 0.0, 1, 0)
+        for n in range(30)
+    ]
+    shown.block(0, [], Block([], no_deflections(DeflectionUnit.RAD), swings, []))
+    return shown
+
+
+@pytest.mark.parametrize(("longest_s", "is_limit"), [(100.0, True), (7200.0, False)])
+def test_the_time_left_is_to_the_end_that_comes_first(longest_s: float, is_limit: bool) -> None:
+    output = io.StringIO()
+    shown = decaying(output, longest_s)
+    seen = Snapshot(phase="measuring", elapsed_s=60.0, amplitude=92.6)
+    shown.show(seen)
+    values = shown.values(seen)
+    assert values["at_most_s"] == longest_s - 60.0
+    Console(file=output, width=118, height=40).print(shown.screen(seen))
+    if is_limit:
+        assert (values["remaining_s"], values["u_remaining_s"], values["done"]) == (40.0, 0.0, 0.6)
+        assert "to the limit of time" in output.getvalue()
+    else:
+        assert values["u_remaining_s"] > 0
+        assert 300 < values["remaining_s"] < 1500
+        assert "to 2 arcsec" in output.getvalue()
+
+
+def test_before_the_amplitude_tells_the_end_the_limit_is_said() -> None:
+    output = io.StringIO()
+    shown = RunDisplay("run 1", 2.0, DeflectionUnit.RAD, longest_s=300.0, console=Console(file=output))
+    Console(file=output, width=118).print(shown.screen(Snapshot(phase="measuring", elapsed_s=60.0)))
+    assert "too early to say, at most 4:00" in output.getvalue()
 
 
 def test_the_screen_shows_the_balance_in_its_own_unit() -> None:
