@@ -3,7 +3,7 @@
 import datetime
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from math import nan
 from pathlib import Path
 from typing import Any, Literal
@@ -16,6 +16,7 @@ from rig.archive.store import Archive, duckdb_module, reads_archive
 from rig.presentation import NOT_KNOWN, Cell, Table, plain, plain_values, print_tables, say, with_uncertainty
 
 Format = Literal["table", "csv", "json", "parquet"]
+_DOUBT = " ?"
 _SHORTENED = 8
 """Characters of a hash that name a run on the screen."""
 
@@ -32,7 +33,8 @@ def list_runs(
 ) -> None:
     """Print the runs that meet a condition of SQL (empty: all), or write them to a new file.
 
-    `columns` are expressions of SQL; without any those of `SHOWN`, with the run's name before them.
+    `columns` are expressions of SQL; without any those of `SHOWN`, with the run's name before them, and with
+    uncertainties and verdicts of the parameters.
 
     Raises ConfigurationError for a condition that is no plain one.
     """
@@ -44,9 +46,11 @@ def list_runs(
         invented = (
             f"case when {IS_SIMULATED} then 'SIMULATED: ' else '' end || coalesce(sample, '') as sample"
         )
-        wanted = wanted.replace(" sample,", f" {invented},") + ", u_b, u_p, u_c, u_n"
+        wanted = wanted.replace(" sample,", f" {invented},")
     elif not columns:
         wanted += ", camera"
+    if not columns:
+        wanted += "".join(f", u_{name}, verdict_{name}" for name in ("b", "p", "c", "n"))
     if sealed(archive) is not None:
         say("BLIND: a hidden offset is on the parameters; rig archive unblind")
     connection = Archive(archive).connection(refits=refits)
@@ -94,23 +98,29 @@ def selected(connection: Any, wanted: str, condition: str, table: str = "runs") 
 
 
 def _table(names: Sequence[str], rows: Sequence[Sequence[Any]]) -> Table:
-    """Values with their uncertainties in one cell for the screen, each in its own for the file."""
-    beside = {name: names.index(f"u_{name}") for name in names if f"u_{name}" in names}
-    hidden = set(beside.values())
+    """For the screen values with uncertainty and doubt in one cell, for the file each in its own."""
+    at = {name: place for place, name in enumerate(names)}
+    hidden = {at[other] for name in names for other in (f"u_{name}", f"verdict_{name}") if other in at}
     shown_places = [place for place in range(len(names)) if place not in hidden]
-    shown = [[_shown(names[place], row, place, beside) for place in shown_places] for row in rows]
+    shown = [[_shown(names[place], row, at) for place in shown_places] for row in rows]
     head = [names[place] for place in shown_places]
     cells = [[_cell(value) for value in row] for row in rows]
-    return Table("runs", "", names, cells, head, shown, f"{len(rows)} run{'s' if len(rows) != 1 else ''}")
+    told = f"{len(rows)} run{'s' if len(rows) != 1 else ''}"
+    if any(cell.endswith(_DOUBT) for line in shown for cell in line):
+        told += (
+            f"; {_DOUBT.strip()}: the run's data do not determine it, its report says between which bounds"
+        )
+    return Table("runs", "", names, cells, head, shown, told)
 
 
-def _shown(name: str, row: Sequence[Any], place: int, beside: dict[str, int]) -> str:
-    value = row[place]
+def _shown(name: str, row: Sequence[Any], at: Mapping[str, int]) -> str:
+    value = row[at[name]]
     if value is None:
         return NOT_KNOWN
-    if name in beside:
-        u = row[beside[name]]
-        return with_uncertainty(value, nan if u is None else u)
+    if f"u_{name}" in at:
+        u, verdict = row[at[f"u_{name}"]], row[at[f"verdict_{name}"]] if f"verdict_{name}" in at else None
+        text = with_uncertainty(value, nan if u is None else u)
+        return text if verdict in (None, "determined") else f"{text}{_DOUBT}"
     if isinstance(value, datetime.datetime):
         return f"{value:%Y-%m-%d %H:%M}"
     if isinstance(value, list):
