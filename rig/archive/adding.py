@@ -33,6 +33,7 @@ def add_sessions(archive: Path, sources: Sequence[Path], *, read: bool = False) 
     known = store.versions()
     unchanged = set() if read else store.known_files(computer)
     added = runs = before = 0
+    seen: set[str] = set()
     for source in sources:
         folders = list(session_folders(source, archive))
         if not folders:
@@ -58,10 +59,13 @@ def add_sessions(archive: Path, sources: Sequence[Path], *, read: bool = False) 
                 continue
             known.add(name)
             added, runs = added + 1, runs + len(found.rows)
+            seen.update(row["sha256"] for row in found.rows)
             if added % 256 == 0:
                 store.merge_many()
     store.merge()
-    return f"{added} sessions added ({runs} runs), {before} known already"
+    again = runs - len(seen)
+    twice = f", {again} of them in more than one session and listed once" if again else ""
+    return f"{added} sessions added ({runs} runs{twice}), {before} known already"
 
 
 def _state(row: "Row") -> str:

@@ -2,6 +2,8 @@
 
 import subprocess
 import sys
+import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 
@@ -14,18 +16,21 @@ from processing.kernel import at_compilation
 from processing.spot import SensorModel, SpotTracker
 
 _SIDE_PX, _SIGMA_PX = 64, 4.0
-_COMPILING = "compiling the numerical kernels (half a minute"
+_COMPILING = "compiling the numerical kernels (half a minute on a machine that does nothing else"
+STILL_S = 20.0
 
 
 def prepare_kernels(sensor: SensorModel, say: Callable[[str], None]) -> None:
     """Track a synthetic spot and detect synthetic swings once, which compiles the kernels.
 
     This takes half a minute after an installation, when a second process compiles those of the swings, and
-    less than a second afterwards (from the cache). `say` is called with one line if something is compiled.
+    less than a second afterwards (from the cache). `say` is called with a line if something is compiled, and
+    with another whenever it goes on for `STILL_S`.
     """
-    with ExitStack() as until_both_have_ended:
+    with ExitStack() as until_all_is_done, ExitStack() as until_both_have_ended:
 
         def announce(kept: bool) -> None:
+            until_all_is_done.enter_context(_going_on(say))
             if kept:
                 say(f"{_COMPILING}, only once after an installation)")
                 until_both_have_ended.enter_context(_compiling_swings())
@@ -56,6 +61,24 @@ def _compiling_swings() -> Iterator[None]:
     finally:
         process.kill()
         process.wait()
+
+
+@contextmanager
+def _going_on(say: Callable[[str], None]) -> Iterator[None]:
+    """Says again and again that it still goes on."""
+    begun_s, ended = time.monotonic(), threading.Event()
+
+    def tell() -> None:
+        while not ended.wait(STILL_S):
+            say(f"still compiling, {time.monotonic() - begun_s:.0f} s so far")
+
+    thread = threading.Thread(target=tell, name="compilation", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
 
 
 def _track(sensor: SensorModel) -> None:

@@ -88,6 +88,9 @@ def test_only_what_is_new_is_added_and_a_run_is_listed_once(sessions: Path, tmp_
     shutil.copytree(sessions / "series", tmp_path / "copy")
     add_sessions(archive, [tmp_path / "copy"])
     assert len(rows(archive)) == 3
+    told = add_sessions(tmp_path / "both", [sessions / "series", tmp_path / "copy"])
+    assert "(4 runs, 2 of them in more than one session" in told
+    assert len(rows(tmp_path / "both")) == 2
     # new results are a new version, and the one that is listed
     series = sessions / "series"
     changed = json.loads((series / "results.json").read_text())

@@ -3,8 +3,14 @@
 import json
 import subprocess
 import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 import pytest
+
+from processing.spot import SensorModel
+from rig.instrument import kernels
 
 # A process of its own: here other tests have compiled things already.
 PROGRAM = """
@@ -66,3 +72,26 @@ def test_nothing_is_compiled_while_frames_come(full_scale_dn: int) -> None:
     assert swings > 15
     assert known > 10
     assert late == []
+
+
+def test_a_long_compilation_says_that_it_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    told = threading.Event()
+    said: list[str] = []
+
+    def say(text: str) -> None:
+        said.append(text)
+        if text.startswith("still compiling, "):
+            told.set()
+
+    @contextmanager
+    def compiling(call: Callable[[bool], None]) -> Iterator[None]:
+        call(False)
+        yield
+
+    monkeypatch.setattr(kernels, "STILL_S", 0.01)
+    monkeypatch.setattr(kernels, "at_compilation", compiling)
+    monkeypatch.setattr(kernels, "compile_tracker", lambda _: told.wait(30.0))
+    kernels.prepare_kernels(SensorModel(gain_e_per_dn=40.0, read_noise_e=7.0, full_scale_dn=255.0), say)
+    assert told.is_set()
+    assert "compiling" in said[0]
+    assert not [thread for thread in threading.enumerate() if thread.name == "compilation"]
