@@ -26,6 +26,8 @@ _NO_COMMAS = (
     "its commas seem to be decimal commas as well as separators, which cannot be told apart: save it with "
     "semicolons or tabs between the columns, or with decimal points"
 )
+NOT_STATED = "unit"
+"""Stands for the unit of positions where none is stated."""
 ANGLES_RAD = {
     "rad": 1.0,
     "mrad": 1e-3,
@@ -42,7 +44,8 @@ class Trajectory:
     """Time in integer ns from the first sample, positions in the user's unit.
 
     `scale_rad` is the unit in rad, None where the unit is no angle (volts, px, mm): decay and
-    period can then be had, contact parameters not. `time_unit` is that of the table's times.
+    period can then be had, contact parameters not. `time_unit` is that of the table's times,
+    `time_name` their column.
     """
 
     times_ns: NDArray[np.int64]
@@ -52,6 +55,7 @@ class Trajectory:
     scale_rad: float | None
     skipped_rows: int
     time_unit: str = "s"
+    time_name: str = ""
 
 
 def read_trajectory(
@@ -101,10 +105,11 @@ def read_trajectory(
         times_ns=times_ns,
         positions=tuple(table.T),
         names=tuple(header[column] if header else f"column {column + 1}" for column in p_columns),
-        unit=unit or "unit",
+        unit=unit or NOT_STATED,
         scale_rad=ANGLES_RAD.get(unit),
         skipped_rows=skipped,
         time_unit=time_unit,
+        time_name=header[t_column] if header else f"column {t_column + 1}",
     )
 
 

@@ -18,7 +18,7 @@ from processing.estimate import Estimate
 from processing.separate_decays import separate_decays
 from processing.swing import Swing, SwingDetector, estimate_noise, turning_points
 from rig.analysis.passing_deflections import PassingDeflections
-from rig.analysis.position_table import ANGLES_RAD, Trajectory, read_trajectory
+from rig.analysis.position_table import ANGLES_RAD, NOT_STATED, Trajectory, read_trajectory
 from rig.analysis.record_fit import analyse_swings
 from rig.analysis.results import EnvelopeResults, RunResults, TableDecay, TableResults
 from rig.analysis.surroundings import stated_surroundings
@@ -82,7 +82,9 @@ def analyse_table(path: Path, config: Configuration | None, columns: Columns) ->
         most = max((len(turning_points(part)) for part in parts), default=0)
         raise DataError(
             f"{path}: {most} usable half-cycles ({len(swings) - most} more are flagged or of other decays), "
-            f"at least {_USABLE} are needed: the samples hold no free decay, or too little of one"
+            f"at least {_USABLE} are needed: the samples hold no free decay, or too little of one. "
+            f"Time is {trajectory.time_name}, position {' and '.join(trajectory.names)}; --time and "
+            "--position choose others"
         )
     decays = [_analyse(path, part, trajectory, deflection, noise, config) for part in usable]
     longest = max(decays, key=lambda decay: decay.summary.half_cycles)
@@ -217,6 +219,10 @@ def _values(results: RunResults) -> dict[str, Any]:
 
 def _why_no_laws(trajectory: Trajectory, config: Configuration | None) -> str:
     if trajectory.scale_rad is None:
+        if trajectory.unit == NOT_STATED:
+            return (
+                f"the unit of the position is not stated; --unit takes {', '.join(ANGLES_RAD)}, or any word"
+            )
         near = get_close_matches(trajectory.unit, ANGLES_RAD, n=1)
         hint = f"did you mean {near[0]}?" if near else f"--unit takes {', '.join(ANGLES_RAD)}"
         return f"the unit {trajectory.unit!r} is no angle, which the contact's laws need; {hint}"

@@ -18,6 +18,8 @@ from rig.instrument import fill_from_files
 from rig.presentation import with_uncertainty
 from rig.settings import OF_TABLES, load_configuration, refuse_without_effect
 
+_TOO_QUIET = 0.01
+"""Chi-square per degree of freedom that no scatter by the stated noise gives."""
 ENVELOPES = ("amplitude", "power")
 _FLAGS = {
     SwingFlag.GAP: "with a gap",
@@ -109,6 +111,11 @@ def _print_decay(number: int, decay: FoundDecay) -> None:
         q = math.pi / summary.decrement.value
         u_q = q * summary.decrement.u / summary.decrement.value
         lines.append(f"quality factor {with_uncertainty(q, u_q)}")
+    if summary.period_s.chi2_per_dof < _TOO_QUIET and summary.decrement.chi2_per_dof < _TOO_QUIET:
+        lines.append(
+            "the half-cycles scatter far less than the noise of a sample says, which few samples a swing "
+            "make too large: the uncertainties are upper limits"
+        )
     head = (
         f"decay {number}, {results.began_s:.4g} to {results.ended_s:.4g} s: {summary.half_cycles} "
         f"half-cycles ({flagged} more flagged and left out{_reasons(decay)}), "

@@ -34,7 +34,7 @@ def add_sessions(archive: Path, sources: Sequence[Path], *, read: bool = False) 
     unchanged = set() if read else store.known_files(computer)
     added = runs = before = 0
     seen: set[str] = set()
-    for source in sources:
+    for source in {source.resolve(): source for source in sources}.values():
         folders = list(session_folders(source, archive))
         if not folders:
             raise ConfigurationError(f"{source}: holds no session (no record, no results.json) in any folder")

@@ -122,9 +122,10 @@ def digest_of(names: Iterable[str]) -> str:
 def unreadable(path: Path, error: object, command: str = "add") -> RecordError:
     """That a derived file is damaged, and what makes it anew."""
     text = (str(error).splitlines() or [type(error).__name__])[0]
-    return RecordError(
-        f"{path}: cannot be read: {text}; delete the file that is named, rig archive {command} makes it anew"
-    )
+    # of the archive itself nobody shall be told to delete it: tags and notes follow from nothing else
+    derived = re.findall(r"[\w.-]+\.(?:parquet|json\.zst)", f"{path.name} {text}")
+    remedy = f"delete {derived[-1]}, rig archive {command} makes it anew" if derived else "see --debug"
+    return RecordError(f"{path}: cannot be read: {text}; {remedy}")
 
 
 def as_parquet(table: Any, *, few_rows: bool = False) -> bytes:

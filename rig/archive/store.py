@@ -213,7 +213,7 @@ def duckdb_module() -> Any:
 
 
 def reads_archive(function: Callable[Concatenate[Path, _P], _R]) -> Callable[Concatenate[Path, _P], _R]:
-    """A function of an archive's folder that raises RecordError where DuckDB finds a fault as it reads rows.
+    """A function of an archive's folder that raises RecordError where DuckDB finds a damaged file.
 
     A query's rows are read when they are fetched, after the query itself was found sound.
     """
@@ -223,6 +223,12 @@ def reads_archive(function: Callable[Concatenate[Path, _P], _R]) -> Callable[Con
         duckdb = duckdb_module()
         try:
             return function(archive, *args, **kwargs)
+        except (duckdb.ConversionException, duckdb.OutOfRangeException) as error:
+            # as '45 %' is no number: found when the rows are read
+            said = str(error).splitlines()[0].partition(": ")[2]
+            raise ConfigurationError(
+                f"condition or columns: {said}; docs/archive.md names the columns and their units"
+            ) from None
         except duckdb.Error as error:
             raise unreadable(archive, error) from None
 

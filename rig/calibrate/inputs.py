@@ -136,7 +136,17 @@ def frames_of(path: Path) -> tuple[list[Image], int]:
 
 
 def _read(path: Path, model: type[_Model]) -> _Model:
-    found, told = validated(model, read_toml(path, "file; docs/calibration.md shows one"))
+    if path.suffix.lower() == ".mcap":
+        raise ConfigurationError(
+            f"{path}: is a record; here a list of what was measured (TOML) is wanted, see docs/calibration.md"
+        )
+    tree = read_toml(path, "file; docs/calibration.md shows one")
+    if {"camera", "session"} & set(tree):
+        raise ConfigurationError(
+            f"{path}: is a configuration of the rig, which stands after --config; here a list of what was "
+            "measured is wanted, docs/calibration.md shows one"
+        )
+    found, told = validated(model, tree)
     if found is None:
         said = "; ".join(line for _, line in told)
         raise ConfigurationError(f"{path}: {said}; docs/calibration.md shows such a file")

@@ -1,5 +1,6 @@
 """`rig archive`: a catalogue of the runs of many sessions."""
 
+import re
 import sys
 from pathlib import Path
 from typing import Annotated, Literal
@@ -133,6 +134,8 @@ def tag(
     """Tag runs."""
     from rig.archive import opened, remark
 
+    if names and re.fullmatch(r"[0-9a-f]{8,64}", text):
+        raise ConfigurationError(f"{text}: the tag comes first: rig archive tag {names[0]} {text}")
     with opened(archive) as folder:
         said = {"remove" if remove else "add": text}
         print(remark(folder, names or [], where, **said))

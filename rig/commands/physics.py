@@ -78,6 +78,10 @@ def fit(
       rig fit decay.csv --unit arcsec --config mine.toml
     """
     if len(files) == 1 and files[0].suffix.lower() != ".mcap" and not files[0].is_dir():
+        if files[0].suffix.lower() in (".json", ".toml"):
+            raise ConfigurationError(
+                f"{files[0]}: is no table; name a record (.mcap), or the table before --config CONFIG"
+            )
         from rig.analysis import Columns, fit_envelope_table, fit_trajectory
 
         if law:
@@ -122,7 +126,13 @@ def fit_records(
     )
 
     compared = chosen_laws(["paper", *laws]) if laws else ()
-    runs = [analyse_record(path, overrides) for path in paths]
+    runs, seen = [], dict[str, Path]()
+    for path in paths:
+        runs.append(analyse_record(path, overrides))
+        if (other := seen.setdefault(runs[-1].results.sha256, path)) is not path:
+            raise ConfigurationError(
+                f"{path}: holds the run of {other} (same hash), which counts once in a series"
+            )
     if compared:
         runs = [replace(run, results=replace(run.results, laws=laws_of(run, compared))) for run in runs]
     folder = output or paths[0].parent

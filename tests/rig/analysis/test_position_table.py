@@ -68,3 +68,20 @@ def test_missing_file_and_missing_column(tmp_path: Path) -> None:
     path = write(tmp_path / "t.csv", "time,volts\n0,1\n1,2\n")
     with pytest.raises(ConfigurationError, match=r"no column 'angle'; columns: time, volts"):
         read_trajectory(path, "time", ["angle"], "")
+
+
+def test_a_time_has_the_unit_of_its_name_unless_one_is_stated(tmp_path: Path) -> None:
+    for name, unit in {"time_ms": "ms", "t [ms]": "ms", "t/us": "us", "Zeit": "s", "items": "s"}.items():
+        (tmp_path / "table.csv").write_text(f"{name},x\n0,1\n50,2\n100,3\n")
+        found = read_trajectory(tmp_path / "table.csv", None, [], "mm")
+        assert found.time_unit == unit
+        assert found.times_ns[1] == 50 * {"us": 1_000, "ms": 1_000_000, "s": 1_000_000_000}[unit]
+    (tmp_path / "table.csv").write_text("time_ms,x\n0,1\n50,2\n")
+    stated = read_trajectory(tmp_path / "table.csv", None, [], "mm", "s")
+    assert stated.times_ns[1] == 50_000_000_000
+
+
+def test_commas_for_both_are_said(tmp_path: Path) -> None:
+    (tmp_path / "table.csv").write_text("time,x\n0,05,9,98\n0,10,9,7\n0,15,9,2\n")
+    with pytest.raises(DataError, match="decimal commas as well as separators"):
+        read_trajectory(tmp_path / "table.csv", None, [], "mm")

@@ -264,6 +264,7 @@ def test_a_condition_reads_runs_and_nothing_else(sessions: Path, tmp_path: Path)
     add_sessions(archive, [sessions])
     for condition, said in {
         "b > 0; drop view runs": "more than one",
+        "temperature_c < '45 %'": "condition or columns: Could not convert string '45 %'",
         "hardness > 3": "docs/archive.md names the columns",
         f"exists(from read_text('{sessions}/series/session.json'))": "disabled",
     }.items():

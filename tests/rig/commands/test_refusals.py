@@ -61,6 +61,9 @@ def said(*words: str | Path, cwd: Path, status: int = 2) -> str:
             "--set session.final_amplitude_arcsec = 300 must be below",
         ),
         (("doctor", DEMO, "--set", "session=3"), "session = 3: should be a table with keys of its own"),
+        (("calibrate", "lever", "run-1.mcap"), "run-1.mcap: is a record; here a list"),
+        (("fit", DEMO), f"{DEMO}: is no table; name a record"),
+        (("archive", "tag", "09dd9188", "good"), "the tag comes first: rig archive tag good 09dd9188"),
         (("info", "."), ".: holds no record (run-1.mcap, ...)"),
         (("doctor", DEMO, "rig.toml"), "extra argument (rig.toml); a name with spaces stands in quotes"),
         (("compare", ".", "."), ".: holds no results.json; rig run makes one"),
@@ -120,6 +123,9 @@ def test_every_fault_of_a_plan_and_of_a_calibrations_file_is_said(tmp_path: Path
         "state a value; series.0.runs = 0: should be at least 1\n"
     )
     (tmp_path / "frames.toml").write_text("darks = 3\n")
+    assert "is a configuration of the rig, which stands after --config" in said(
+        "calibrate", "lever", DEMO, cwd=tmp_path
+    )
     assert said("calibrate", "sensor", "frames.toml", cwd=tmp_path) == (
         "rig: frames.toml: darks = 3: should be the name of a file, in quotes; level: is missing; "
         "state a value; docs/calibration.md shows such a file\n"
