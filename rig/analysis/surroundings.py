@@ -8,7 +8,8 @@ from math import isfinite, nan
 import numpy as np
 
 from acquisition.record.reader import RecordReader
-from acquisition.record.topics import ENVIRONMENT
+from acquisition.record.topics import ENVIRONMENT, SPOT
+from acquisition.record.utc import utc
 from processing.air import humid_air
 from processing.contact import PendulumOnBall, bar_of, expected_drag_s
 from rig.analysis.contact_results import ExpectedDrag
@@ -68,12 +69,14 @@ def _read(reader: RecordReader, stated: Mapping[str, float]) -> dict[str, float]
 
 
 def _since(reader: RecordReader, times: Mapping[str, str]) -> dict[str, float]:
-    began_ns = reader.contents.start_ns
-    return {
-        name: (reader.utc(began_ns) - datetime.fromisoformat(text)).total_seconds()
-        for name, text in times.items()
-        if text and began_ns
-    }
+    stated = {name: datetime.fromisoformat(text) for name, text in times.items() if text}
+    first = next(iter(reader.messages(SPOT.topic)), None) if stated else None
+    # the log time is UTC already
+    return (
+        {}
+        if first is None
+        else {name: (utc(first.log_time_ns) - since).total_seconds() for name, since in stated.items()}
+    )
 
 
 def _number(text: str) -> float:

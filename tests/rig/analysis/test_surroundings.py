@@ -17,8 +17,10 @@ from tests.rig.command_line import CONFIGS
 
 
 def test_dwell_and_age_are_counted_to_the_first_frame(measured_series: Path) -> None:
-    with RecordReader(measured_series / "run-1.mcap") as reader:
-        began = reader.utc(reader.contents.start_ns)
+    record = measured_series / "run-1.mcap"
+    with RecordReader(record) as reader:
+        began = reader.utc(int(reader.spots()["time_ns"][0]))
+        assert abs(began.timestamp() - record.stat().st_mtime) < 86400
         made, cleaned = began - timedelta(hours=2), began - timedelta(days=1)
         stated = [
             f"session.contact_made={made.isoformat()}",
