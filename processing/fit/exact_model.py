@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from processing.contact import OneHalfSwing, PendulumOnBall, tabulated_half_swing
+from processing.contact import HalfSwings, OneHalfSwing, PendulumOnBall, tabulated_half_swing
 from processing.contact.laws import DRAG, PAPER, Law
 from processing.fit.ground import AT_REST, Noise
 from processing.fit.ground_filter import GAINS, drive_filter
@@ -63,7 +63,9 @@ class ExactModel:
         self._variance = np.array([self._u, points.u_time_s]) ** 2
         self._noise = AT_REST
         self._gains: Array | None = None
-        self._tabulated: tuple[bytes, OneHalfSwing] | None = None
+        # kept for the last parameters: searches begin and end where others have been; copies share them
+        self._tabulated: dict[bytes, OneHalfSwing] = {}
+        self._swung: dict[bytes, HalfSwings] = {}
 
     def curve(self, columns: Array) -> tuple[Array, Array, Array, Array]:
         """Amplitude (in units of the reference), time (s), and the derivatives of both by the columns.
@@ -76,11 +78,19 @@ class ExactModel:
             nothing = np.full((len(self._x), len(columns)), np.nan)
             return nothing[:, 0], nothing[:, 0], nothing, nothing
         period0_s, first_time_s = parameters[-2:]
-        found = self.law.half_swing_map(parameters[:-2], self._index)
+        found = self._half_swings(parameters[:-2])
         amplitude_jacobian = found.amplitude_gradient @ matrix[:-2]
         time_jacobian = period0_s * (found.time_gradient @ matrix[:-2])
         time_jacobian += found.time[:, None] * matrix[-2] + matrix[-1]
         return found.amplitude, first_time_s + period0_s * found.time, amplitude_jacobian, time_jacobian
+
+    def _half_swings(self, parameters: Array) -> HalfSwings:
+        """The law's map at the indices of the points."""
+        key = parameters.tobytes()
+        if key not in self._swung:
+            self._swung.clear()
+            self._swung[key] = self.law.half_swing_map(parameters, self._index)
+        return self._swung[key]
 
     def __call__(self, columns: Array) -> tuple[Array, Array]:
         """Residuals divided by their standard uncertainties, and their derivatives by the columns."""
@@ -154,7 +164,7 @@ class ExactModel:
         if not np.all(np.isfinite(parameters)):
             return None
         key = parameters[:-3].tobytes()
-        if self._tabulated is None or self._tabulated[0] != key:
+        if key not in self._tabulated:
             highest, lowest = 1.05 * float(self._x.max()), 0.9 * float(self._x.min())
             count = int(1.1 * self._index[-1]) + 20
             while True:
@@ -163,8 +173,9 @@ class ExactModel:
                 if reached < count or count > 4 * self._index[-1] or table.amplitude[-1] < lowest:
                     break
                 count *= 2
-            self._tabulated = key, table
-        table = self._tabulated[1]
+            self._tabulated.clear()
+            self._tabulated[key] = table
+        table = self._tabulated[key]
         return table if len(table.amplitude) > 1 else None
 
     def by_amplitudes(self, columns: Array, errors: Array) -> Array:
