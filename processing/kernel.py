@@ -102,9 +102,11 @@ class Kernel(CPUDispatcher):  # type: ignore[misc]
         generator = self.targetctx.codegen()
         cache, self._cache, self._within_another = self._cache, NullCache(), True
         library, generator._library_class = generator._library_class, _PartLibrary
+        self.targetoptions["no_cpython_wrapper"] = True  # Python does not call it
         try:
             return super().get_call_template(types, named)
         finally:
+            del self.targetoptions["no_cpython_wrapper"]
             generator._library_class = library
             self._cache, self._within_another = cache, False
 
