@@ -42,11 +42,14 @@ def compare_groups(
     total = f"u_total_{column}" if f"u_total_{column}" in COLUMNS else "null"
     connection = Archive(archive).connection(refits=refits)
     table = "refits" if refits else "runs"
-    rows = selected(connection, f"{by}, {column}, u_{column}, {total}", where, table).fetchall()
+    verdict = f"verdict_{column}" if f"verdict_{column}" in COLUMNS else "null"
+    rows = selected(connection, f"{by}, {column}, u_{column}, {total}, {verdict}", where, table).fetchall()
     groups: dict[str, list[Any]] = {}
-    for label, *numbers in rows:
+    doubtful = 0
+    for label, *numbers, said in rows:
         if label is not None and numbers[0] is not None and (numbers[1] or 0.0) > 0:
             groups.setdefault(str(label), []).append(numbers)
+            doubtful += said not in (None, "determined")
     if len(groups) < 2:
         raise ConfigurationError(
             f"--by {by}: {len(groups)} of its groups has {column} with its uncertainty, in {len(rows)} runs; "
@@ -58,12 +61,22 @@ def compare_groups(
     except DataError as error:
         raise ConfigurationError(str(error)) from None
     blind = "BLIND: a hidden offset is on the values; rig archive unblind. " if sealed(archive) else ""
-    left_out = len(rows) - sum(map(len, groups.values()))
+    used = sum(map(len, groups.values()))
+    note = f"Distance from the reference with U = 2 u; {_counted(len(rows) - used)} no {column}"
+    if doubtful:
+        note += (
+            f", and {doubtful} of the {used} that are used do not determine it alone: they count with their "
+            f"large uncertainty, --where \"verdict_{column} = 'determined'\" leaves them out"
+        )
     print_tables(
-        [_degrees_table(column, by, groups, values, found, left_out), _means_table(column, found, blind)]
+        [_degrees_table(column, by, groups, values, found, f"{note}."), _means_table(column, found, blind)]
     )
     if output is not None:
         write_output(output, _drawn(column, values, found, output.suffix, blind))
+
+
+def _counted(runs: int) -> str:
+    return "1 run has" if runs == 1 else f"{runs} runs have"
 
 
 def _of_group(column: str, rows: Sequence[Any]) -> Estimate:
@@ -80,7 +93,7 @@ def _degrees_table(
     groups: dict[str, list[Any]],
     values: dict[str, Estimate],
     found: KeyComparison,
-    left_out: int,
+    note: str,
 ) -> Table:
     rows: list[list[Cell]] = []
     shown = []
@@ -96,7 +109,6 @@ def _degrees_table(
                 "differs" if degree.differs else "",
             ]
         )
-    note = f"Distance from the reference with U = 2 u; {left_out} runs do not determine {column}."
     head = (by, "runs", column, "distance", "U", "")
     return Table(
         "degrees", f"{column} by {by}", (by, "runs", column, f"u_{column}", "d", "U"), rows, head, shown, note

@@ -126,13 +126,8 @@ def fit_records(
     )
 
     compared = chosen_laws(["paper", *laws]) if laws else ()
-    runs, seen = [], dict[str, Path]()
-    for path in paths:
-        runs.append(analyse_record(path, overrides))
-        if (other := seen.setdefault(runs[-1].results.sha256, path)) is not path:
-            raise ConfigurationError(
-                f"{path}: holds the run of {other} (same hash), which counts once in a series"
-            )
+    refuse_copies(paths)
+    runs = [analyse_record(path, overrides) for path in paths]
     if compared:
         runs = [replace(run, results=replace(run.results, laws=laws_of(run, compared))) for run in runs]
     folder = output or paths[0].parent
@@ -142,6 +137,19 @@ def fit_records(
     write_results(target, results)
     print_results(results, [("results", target)])
     return 1 if any(run.problem for run in results.runs) else 0
+
+
+def refuse_copies(paths: Sequence[Path]) -> None:
+    """Raise ConfigurationError where two records are the same run: one was copied, or thinned."""
+    from acquisition.record.identity import measured_sha256_of
+
+    first: dict[str, Path] = {}
+    for path in paths if len(paths) > 1 else ():
+        other = first.setdefault(measured_sha256_of(path), path)
+        if other is not path:
+            raise ConfigurationError(
+                f"{path}: holds the run of {other} (same hash), which counts once in a series"
+            )
 
 
 def plan(
