@@ -19,8 +19,9 @@ _LOOKS_A_TURN = 5
 
 
 def history_path(config: Configuration, stated: Path | None) -> Path:
-    """The file in which turns are kept."""
-    return stated or config.session.output / "balance-history.jsonl"
+    """The file in which turns are kept; turns of simulated weights teach nothing of the real ones."""
+    name = "balance-history-simulated.jsonl" if config.simulated else "balance-history.jsonl"
+    return stated or config.session.output / name
 
 
 def show_history(config: Configuration, stated: Path | None, *, forget: bool) -> int:
@@ -45,16 +46,17 @@ def balance_rig(
 ) -> int:
     """Measure, advise and ask which weight was turned, until the operator ends it.
 
-    With `follow` the advice is applied to the simulated rig, for at most so many turns, by `operator` if
-    given; with a `seed` alone, what is stated as turned is turned there. All measurements are drawn into the
-    configured live view and into `rrd`, and told by `teller`, on the terminal by default.
+    What is stated as turned is turned at the simulated rig, by `operator` if given, else by one whose weights
+    are drawn with `seed`; with `follow` the advice is applied there, for at most so many turns. All
+    measurements are drawn into the configured live view and into `rrd`, and told by `teller`, on the terminal
+    by default.
     """
     config = complete(config)
     if follow and not config.simulated:
         raise ConfigurationError("--follow works with the simulated rig only: leave it out")
     if seed is not None and not config.simulated:
         raise ConfigurationError(f"--seed {seed} works with the simulated rig only: leave it out")
-    if operator is None and (follow or seed is not None):
+    if operator is None and config.simulated:
         operator = SimulatedOperator(config, 1 if seed is None else seed)
     teller = OnTerminal() if teller is None else teller
     session = LearnedTurns(config, history_path(config, path))

@@ -42,7 +42,7 @@ def balance(
     seed: Annotated[
         int | None,
         typer.Option(
-            help="Simulated rig: random seed of its imbalance, --follow has 1; what is stated as turned, is."
+            help="Simulated rig, where what is stated as turned is turned: random seed of its imbalance (1)."
         ),
     ] = None,
     json_lines: JsonLines = False,

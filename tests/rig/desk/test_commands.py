@@ -56,6 +56,16 @@ def test_balance_in_json_lines_tells_way_faults_and_advice_and_takes_answers(tmp
     assert {"name", "value", "u_value", "unit", "limit", "meaning", "ok"} == set(found["faults"][0])
 
 
+def test_a_turn_that_is_stated_is_made_at_the_simulated_rig(tmp_path: Path) -> None:
+    words = set_words({**SMALL, "balance.seconds": "16", "session.output": f"'{tmp_path.as_posix()}'"})
+    done = rig("balance", SIMULATED, *words, typed="x 0.1\nq\n")
+    assert done.returncode == 0, done.stderr
+    # apart from what real weights teach
+    history = tmp_path / "balance-history-simulated.jsonl"
+    (learned,) = [line for line in map(json.loads, history.read_text().splitlines()) if "before" in line]
+    assert abs(learned["after"][0] - learned["before"][0]) > 0.5, learned
+
+
 def _balance_with(answers: io.StringIO, words: dict[str, str], history: str) -> Done:
     """`rig balance --json`, whose standard input has these answers."""
     read = InJsonLines.ask
