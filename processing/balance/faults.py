@@ -119,6 +119,7 @@ def implausible(
     if abs(height_m) > _MOST_HEIGHT * ball_radius_m:
         return (
             f"a mass centre {height_m * 1e6:+.0f} um from the contact of a ball of"
-            f" {ball_radius_m * 1e6:.0f} um cannot be: the period that was found is not the pendulum's"
+            f" {ball_radius_m * 1e6:.0f} um cannot be: the period that was found is not the pendulum's,"
+            " or balance.inertia_kg_m2 is not its inertia"
         )
     return ""

@@ -92,7 +92,10 @@ def _of_record(path: Path) -> Row:
                 # one that was cut lacks the counts
                 row["windows"] = "recorded" if reader.counts.get(WINDOW.topic) else "none"
             if reader.truncated:
-                row |= {"state": "cut", "flaw": "it has no ending; rig recover makes a complete file of it"}
+                row |= {
+                    "state": "cut",
+                    "flaw": "it has no ending: it is being measured, or was cut (rig recover completes it)",
+                }
             elif contents.damage or not data_crc_matches(reader.file, contents):
                 row |= {"state": "damaged", "flaw": "; ".join(contents.damage) or "its bytes have changed"}
             if contents.start_ns:

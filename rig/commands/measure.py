@@ -171,6 +171,11 @@ def view(
 
     if rrd is not None and view:
         raise ConfigurationError(f"--view {view} --rrd {rrd}: written or shown, not both; leave one out")
+    made = [path for path in records if path.suffix == ".rrd"]
+    if rrd is not None and made:
+        raise ConfigurationError(
+            f"{made[0]}: is a Rerun file already, --rrd makes one of records; leave it out"
+        )
     found = [record for path in records for record in records_in(path)]
     show_records(found, mode="web" if view == "web" else "spawn", rrd=rrd, layout=layout)
     if rrd is not None:

@@ -79,7 +79,7 @@ class PendulumSettings(Section, frozen=True):
 
     mass_kg: float = Field(gt=0, lt=100)
     u_mass_kg: float = Field(default=0.0, ge=0)
-    ball_radius_m: float = Field(gt=0, lt=1)
+    ball_radius_m: float = Field(gt=1e-5, lt=1)
     u_ball_radius_m: float = Field(default=0.0, ge=0)
     ball_material: str = "steel"
     flat_material: str = "glass_k8"
@@ -246,10 +246,12 @@ def validate_configuration(
     if config is not None:
         return config
     stated = {f"{override.partition('=')[0].strip()}." for override in overrides}
-    lines = [
-        f"{'--set ' if _is_of(dotted(place) or line, stated) else source + ': '}{line}"
-        for place, line in told
-    ]
+    lines = []
+    for place, line in told:
+        at_fault = "--set " if _is_of(dotted(place) or line, stated) else f"{source}: "
+        beside = [key.rstrip(".") for key in sorted(stated) if place and key.startswith(f"{place[0]}.")]
+        why = f" (--set {beside[0]} states this section)" if ": is missing" in line and beside else ""
+        lines.append(f"{at_fault}{line}{why}")
     raise ConfigurationError("\n".join(lines))
 
 

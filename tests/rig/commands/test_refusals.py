@@ -61,6 +61,10 @@ def said(*words: str | Path, cwd: Path, status: int = 2) -> str:
             "--set session.final_amplitude_arcsec = 300 must be below",
         ),
         (("doctor", DEMO, "--set", "session=3"), "session = 3: should be a table with keys of its own"),
+        (
+            ("doctor", DEMO, "--set", "sensor.read_noise_e=9"),
+            "sensor.gain_e_per_dn: is missing; state a value (--set sensor.read_noise_e states this section)",
+        ),
         (("calibrate", "lever", "run-1.mcap"), "run-1.mcap: is a record; here a list"),
         (("fit", DEMO), f"{DEMO}: is no table; name a record"),
         (("archive", "tag", "09dd9188", "good"), "the tag comes first: rig archive tag good 09dd9188"),

@@ -101,10 +101,11 @@ def test_every_fault_has_a_line_and_unknown_keys_come_first() -> None:
     slips = ["pendulum.mas_kg=3", "pendulum.ball_radius_m=true", "session.runs=0"]
     with pytest.raises(ConfigurationError) as caught:
         load_configuration(CONFIGS / "demo.toml", slips)
+    why = " (--set pendulum.ball_radius_m states this section)"
     assert str(caught.value).split("\n") == [
         "--set pendulum.mas_kg: unknown key; did you mean mass_kg?",
         "--set session.runs = 0: should be at least 1",
-        f"{CONFIGS / 'demo.toml'}: pendulum.mass_kg: is missing; state a value",
+        f"{CONFIGS / 'demo.toml'}: pendulum.mass_kg: is missing; state a value{why}",
         "--set pendulum.ball_radius_m = true: should be a number",
     ]
 
