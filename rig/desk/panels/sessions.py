@@ -93,7 +93,8 @@ def build(desk: Desk, tab: Tab) -> None:
             selection="multiple",
             pagination=10,
         ).classes("full-width")
-        table.props('dense flat aria-label="sessions"')
+        table.props('dense flat aria-label="sessions" rows-per-page-label="sessions a page:"')
+        table.props(""":selected-rows-label="n => n + ' marked'" """)
         none = ui.label(f"no session in {output} yet").classes("dim")
     with ui.column().classes("full-width box q-mt-sm"):
         ui.label("what the commands say").classes("title")
