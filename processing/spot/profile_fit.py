@@ -232,11 +232,12 @@ def fit_profile(
     failed = (False, 0.0, 0.0, 0.0, 0.0, math.nan, math.nan)
     for _ in range(_PASSES):
         start_x, start_y = centre[0] - p[CENTRE_X], centre[1] - p[CENTRE_Y]
+        reach_y, reach_x = spline.shape
+        # compared before they are made whole numbers, which NaN has not
+        if not (1.0 <= start_x < reach_x - nx - 1 and 1.0 <= start_y < reach_y - ny - 1):
+            return failed
         floor_x, floor_y = math.floor(start_x), math.floor(start_y)
         base_x, base_y = int(floor_x) - 1, int(floor_y) - 1
-        reach_y, reach_x = spline.shape
-        if base_x < 0 or base_y < 0 or base_x + nx + 3 > reach_x or base_y + ny + 3 > reach_y:
-            return failed
         spline_weights(start_x - floor_x, weights[0], weights[1])
         spline_weights(start_y - floor_y, weights[2], weights[3])
         chi2, kept, saturated = score_profile(

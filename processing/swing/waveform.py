@@ -263,16 +263,17 @@ def tabulate(shape: Vector, wanted: NDArray[np.int64], table: Table, turn: Matri
 
 @kernel
 def locate(s: float) -> tuple[int, float]:
-    """First of the two nodes around phase `s`, position between them (0 to 1); node -1 outside the table."""
-    if s >= 0.0:
+    """First of the two nodes around phase `s`, position between them (0 to 1); node -1 outside the table.
+
+    A phase that is NaN or infinite, of a fit that runs away, has no whole number and lies outside, too.
+    """
+    if 0.0 <= s < (NODES_AFTER - 1) * STEP:
         cell = int(s / STEP)
-        if cell >= NODES_AFTER - 1:
-            return -1, 0.0
         return NODES_BEFORE + cell, s / STEP - cell
-    cell = int(-s / STEP)
-    if cell >= NODES_BEFORE - 1:
-        return -1, 0.0
-    return cell, -s / STEP - cell
+    if 0.0 < -s < (NODES_BEFORE - 1) * STEP:
+        cell = int(-s / STEP)
+        return cell, -s / STEP - cell
+    return -1, 0.0
 
 
 @kernel

@@ -20,6 +20,7 @@ from processing.swing.waveform import (
     STIFF,
     N,
     P,
+    locate,
     tabulate,
     zero_phases,
 )
@@ -109,3 +110,25 @@ def test_zero_phases_of_the_undamped() -> None:
     table, turn = table_of(np.zeros(SHAPES + 1))
     assert zero_phases(table) == pytest.approx((-math.pi / 2.0, math.pi / 2.0), abs=1e-4)
     assert turn[:, 0] == pytest.approx((math.pi, 1.0))
+
+
+@pytest.mark.parametrize(
+    ("phase", "node"),
+    [
+        (0.0, NODES_BEFORE),
+        (STEP * (NODES_AFTER - 1) - 1e-9, NODES_BEFORE + NODES_AFTER - 2),
+        (STEP * (NODES_AFTER - 1), -1),
+        (-1e-9, 0),
+        (-STEP * (NODES_BEFORE - 1) + 1e-9, NODES_BEFORE - 2),
+        (-STEP * (NODES_BEFORE - 1), -1),
+        (math.nan, -1),
+        (math.inf, -1),
+        (-math.inf, -1),
+        (1e300, -1),
+        (-1e300, -1),
+    ],
+)
+def test_a_phase_lies_between_two_nodes_or_outside_the_table(phase: float, node: int) -> None:
+    found, place = locate(phase)
+    assert found == node
+    assert 0.0 <= place < 1.0
