@@ -26,6 +26,9 @@ def in_words(root: type, fault: ErrorDetails) -> str:
             # the dotted path of a key, as --set takes it and as commands print it, below a section's head
             key = next(iter(fault["input"]), "")
             return f"{path}.{key}: unknown key; below [{section}] it is {key}, without '{section}.'"
+        inside = _sections_with(root, section) if len(fault["loc"]) == 1 else []
+        if inside:
+            return f"{path}: unknown key; did you mean {' or '.join(f'{name}.{section}' for name in inside)}?"
         known = _known_keys(root, fault["loc"][:-1])
         near = difflib.get_close_matches(str(fault["loc"][-1]), known, n=1, cutoff=0.5)
         hint = f"did you mean {near[0]}?" if near else f"known here: {', '.join(sorted(known))}"
@@ -195,6 +198,12 @@ def _field(root: type, place: _Place) -> FieldInfo | None:
         field = None if section is None else section_fields(section).get(str(part))
         section = None if field is None else section_of(field)
     return field
+
+
+def _sections_with(root: type, key: str) -> list[str]:
+    """Names of the sections that have this key."""
+    inner = {name: section_of(field) for name, field in section_fields(root).items()}
+    return [name for name, section in inner.items() if section and key in section_fields(section)]
 
 
 def _known_keys(root: type, place: _Place) -> list[str]:

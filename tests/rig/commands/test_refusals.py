@@ -68,6 +68,10 @@ def said(*words: str | Path, cwd: Path, status: int = 2) -> str:
         (("calibrate", "lever", "run-1.mcap"), "run-1.mcap: is a record; here a list"),
         (("fit", DEMO), f"{DEMO}: is no table; name a record"),
         (("archive", "tag", "09dd9188", "good"), "the tag comes first: rig archive tag good 09dd9188"),
+        (
+            ("doctor", DEMO, "--set", "max_duration_s=3"),
+            "unknown key; did you mean session.max_duration_s or",
+        ),
         (("info", "."), ".: holds no record (run-1.mcap, ...)"),
         (("doctor", DEMO, "rig.toml"), "extra argument (rig.toml); a name with spaces stands in quotes"),
         (("compare", ".", "."), ".: holds no results.json; rig run makes one"),
