@@ -88,8 +88,11 @@ class Kernel(CPUDispatcher):  # type: ignore[misc]
                 return super().compile(sig)
             if not self._cache_is_open:
                 self._cache, self._cache_is_open = cache_of(self.py_func, self.targetoptions), True
-            # one that is compiled as a part of another kernel cannot be called from Python
-            self.overloads.pop(sig, None)
+            # one that is compiled as a part of another kernel cannot be called from Python; any other comes
+            # from a thread that had the lock before
+            known = self.overloads.get(sig)
+            if known is not None and isinstance(known.library, _PartLibrary):
+                del self.overloads[sig]
             return super().compile(sig)
 
     def get_call_template(self, args: Any, kws: Any) -> Any:

@@ -8,13 +8,17 @@ import stat
 import subprocess
 import sys
 import tempfile
+import threading
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import ModuleType
 
+import numpy as np
 import pytest
+from numpy.typing import NDArray
 
-from processing.kernel import at_compilation, cache_of
+from processing.kernel import at_compilation, cache_of, kernel
 from tests.rig.long_record import make_long_record
 
 ROOT = Path(__file__).parents[2]
@@ -248,3 +252,23 @@ def test_a_run_is_recorded_where_no_cache_can_be_written(sources: Path) -> None:
     assert "at every start: no cache can be written" in run_as_nobody(sources, "-m", "rig", *words)
     assert (sources / "records" / "run.mcap").exists()
     assert not list(sources.rglob("*.nbi"))
+
+
+def test_threads_that_first_call_a_kernel_at_the_same_time_get_the_same_code() -> None:
+    @kernel
+    def total(values: NDArray[np.float64]) -> float:
+        found = 0.0
+        for value in values:
+            found += value
+        return found
+
+    together = threading.Barrier(3)
+
+    def call() -> float:
+        together.wait(30.0)
+        return float(total(np.ones(4)))
+
+    with ThreadPoolExecutor(3) as threads:
+        done = [threads.submit(call) for _ in range(3)]
+        assert [one.result(60.0) for one in done] == [4.0, 4.0, 4.0]
+    assert sum((total.stats.cache_misses + total.stats.cache_hits).values()) == 1
