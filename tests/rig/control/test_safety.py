@@ -94,7 +94,7 @@ def test_cable_pulled_while_the_program_lives(make_board: Callable[..., Firmware
         assert dark(board)
         said = " / ".join(service.take_events())
         assert "no reply" in said or "no session" in said
-        assert said.count("TEST0001 open") == 2
+        assert said.count("TEST0001 is connected") == 2
 
 
 def test_a_hung_board_goes_dark_before_it_listens_again(board: FirmwareBoard) -> None:
