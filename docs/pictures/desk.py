@@ -20,7 +20,7 @@ extends = "{base}"
 [session]
 output = "runs"
 initial_amplitude_arcsec = 124.0
-max_duration_s = 400.0
+max_duration_s = 2400.0
 [camera]
 driver = "simulated"
 frame_rate_hz = 50

@@ -1,5 +1,6 @@
 """A measurement session: preflight checks, runs, recording, end of a run, display on the terminal."""
 
+from rig.measure.estimates_text import estimate_texts
 from rig.measure.night import measure_plan
 from rig.measure.plain_record import record_plainly, take_frames
 from rig.measure.preflight_alone import preflight_rig
@@ -9,6 +10,7 @@ from rig.measure.session_file import SessionState, read_session
 
 __all__ = [
     "SessionState",
+    "estimate_texts",
     "measure_plan",
     "measure_session",
     "preflight_rig",

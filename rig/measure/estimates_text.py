@@ -38,10 +38,17 @@ def _pairs(keys: list[str]) -> list[list[str]]:
     return [keys[first : first + 2] for first in range(0, len(keys), 2)]
 
 
-def _text(key: str, one: Estimate) -> str:
+def estimate_texts(key: str, one: Estimate) -> tuple[str, str]:
+    """Value with its uncertainty in the parameter's shown unit, and how large the uncertainty is beside it.
+
+    A value that its uncertainty hides is not shown.
+    """
     relative = one.standard_uncertainty / abs(one.value) if one.value else float("inf")
     if not relative < _SHOWN_FROM:
-        return "not yet seen"
-    shown = quantity(key)
-    value = shown.text(one.value, one.standard_uncertainty)
-    return f"{value} {shown.unit}".rstrip() + f" ({100 * relative:.2g} %)"
+        return "not yet seen", ""
+    return quantity(key).text(one.value, one.standard_uncertainty), f"{100 * relative:.2g} %"
+
+
+def _text(key: str, one: Estimate) -> str:
+    value, relative = estimate_texts(key, one)
+    return f"{value} {quantity(key).unit}".rstrip() + f" ({relative})" if relative else value

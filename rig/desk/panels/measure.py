@@ -7,11 +7,13 @@ from typing import Any
 from nicegui import run, ui
 
 from processing.errors import ConfigurationError
+from processing.estimate import Estimate
 from rig.desk import drawings
 from rig.desk.desk import Desk
 from rig.desk.panels.fields import number_field, stated, text_field
 from rig.desk.panels.live_picture import LivePicture, no_frame_yet
 from rig.desk.tab import Tab
+from rig.measure import estimate_texts
 from rig.presentation import quantity
 
 KEYS = (("s", "measure: start a session"), ("b", "measure: brake on or off"), ("x", "measure: stop"))
@@ -189,11 +191,8 @@ def _estimates(told: Mapping[str, Any]) -> list[list[str]]:
     rows = []
     for key, one in (told.get("estimates") or {}).items():
         value, u = one["value"], one["standard_uncertainty"]
-        if value is None or u is None:
-            continue
-        shown = quantity(key)
-        relative = f"{100 * u / abs(value):.2g} %" if value else ""
-        rows.append([shown.label, shown.text(value, u), relative])
+        if value is not None and u is not None:
+            rows.append([quantity(key).label, *estimate_texts(key, Estimate(value, u))])
     return rows or [["", "nothing yet: the first fit comes after some swings"]]
 
 

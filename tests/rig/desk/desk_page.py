@@ -102,7 +102,8 @@ class Page:
             time.sleep(0.1)
 
     def picture(self, path: Path) -> None:
-        """Photograph the page."""
+        """Photograph the page, once what it was told last is drawn."""
+        self.ask("new Promise(drawn => requestAnimationFrame(() => requestAnimationFrame(drawn)))")
         cv2.imwrite(str(path), self.browser.picture()[..., ::-1])
 
 

@@ -12,9 +12,11 @@ from acquisition.frame_losses import FrameLosses
 from processing.angle import ARCSEC_RAD
 from processing.balance import Balance
 from processing.deflections import DeflectionUnit, no_deflections
+from processing.estimate import Estimate
 from processing.swing import Swing
 from rig.instrument.pipeline import Block
 from rig.instrument.snapshot import Snapshot
+from rig.measure.estimates_text import estimate_texts
 from rig.measure.screen import RunDisplay
 from rig.view.state_text import state_text
 
@@ -138,3 +140,10 @@ def test_the_view_says_how_old_frames_are() -> None:
     assert "lost: 3 by the bus, 1 by this computer" in state_text(SEEN, DeflectionUnit.RAD)
     assert math.isnan(Snapshot().frame_age_s)
     assert "old" not in state_text(Snapshot(), DeflectionUnit.RAD)
+
+
+def test_a_value_that_its_uncertainty_hides_is_not_shown() -> None:
+    assert estimate_texts("c", Estimate(-0.9e-8, 2.2e-8)) == ("not yet seen", "")
+    value, relative = estimate_texts("p", Estimate(0.932, 0.013))
+    assert value.startswith("0.932")
+    assert relative == "1.4 %"
