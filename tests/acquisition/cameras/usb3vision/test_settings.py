@@ -16,8 +16,7 @@ pytestmark = pytest.mark.realtime
 
 
 @pytest.mark.parametrize("name", [name for name in layout.FORMATS if name.startswith("Mono")])
-def test_every_format_gives_the_cameras_pixels(name: str) -> None:
-    device = VisionDevice()
+def test_every_format_gives_the_cameras_pixels(device: VisionDevice, name: str) -> None:
     camera = camera_on(device, transfer_bytes=1 << 16)  # frames of several transfers
     camera.open()
     camera.features.set("PixelFormat", name)
