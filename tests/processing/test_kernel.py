@@ -245,15 +245,6 @@ def test_a_record_is_shown_where_no_cache_can_be_written(sources: Path) -> None:
     assert "full_scale_dn" in run_as_nobody(sources, "-m", "rig", "info", "records/run.mcap")
 
 
-@pytest.mark.slow
-@pytest.mark.timeout(1200)  # it compiles all kernels of a run
-def test_a_run_is_recorded_where_no_cache_can_be_written(sources: Path) -> None:
-    words = ["simulate", "configs/demo.toml", "-o", "records/run.mcap", "--set", "session.max_duration_s=2"]
-    assert "at every start: no cache can be written" in run_as_nobody(sources, "-m", "rig", *words)
-    assert (sources / "records" / "run.mcap").exists()
-    assert not list(sources.rglob("*.nbi"))
-
-
 def test_threads_that_first_call_a_kernel_at_the_same_time_get_the_same_code() -> None:
     @kernel
     def total(values: NDArray[np.float64]) -> float:

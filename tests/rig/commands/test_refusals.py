@@ -1,10 +1,12 @@
 """Slips on the command line and in files are refused in one line, before anything is done."""
 
+import shutil
 from pathlib import Path
 
 import pytest
 
 from tests.rig.command_line import CONFIGS, rig
+from tests.rig.long_record import make_long_record
 
 DEMO = CONFIGS / "demo.toml"
 SENSOR = "sensor={gain_e_per_dn=1, read_noise_e=1, full_scale_dn=1023}"
@@ -208,3 +210,13 @@ def test_a_group_alone_prints_its_help_and_every_command_has_a_whole_sentence(
     assert not [line for line in alone.stderr.splitlines()[1:] if line.endswith("...")]
     commands = alone.stderr.partition("\nCommands:\n")[2].split("\n")
     assert "Example" in rig(*group, commands[0].split()[0], "--help", cwd=tmp_path).stdout
+
+
+def test_a_copied_record_is_no_second_run(tmp_path: Path) -> None:
+    record = make_long_record(tmp_path / "run-1.mcap", 100)
+    shutil.copy(record, tmp_path / "run-2.mcap")
+    for words in (("fit", record, "run-2.mcap"), ("fit", ".")):
+        message = said(*words, "-o", "fit", cwd=tmp_path)
+        assert "run-2.mcap: holds the run of" in message
+        assert "run-1.mcap (same hash), which counts once in a series" in message
+        assert not (tmp_path / "fit").exists()
