@@ -50,7 +50,8 @@ def print_check(path: Path, results: Path | None) -> int:
     for finding in findings:
         print(f"{finding.severity}: {finding.text}")
     errors = sum(finding.severity == "error" for finding in findings)
-    print(f"{path}: {'is sound' if not errors else f'{errors} errors'}")
+    found = "is sound" if not errors else "1 error" if errors == 1 else f"{errors} errors"
+    print(f"{path}: {found}")
     return 1 if errors else 0
 
 
