@@ -1,0 +1,183 @@
+"""Units: the one table of them, the one way to read them, and the factors between them.
+
+A unit is a text such as ``m``, ``mJ/m^2``, ``rad/s^2/sqrt(Hz)`` or ``µm``: symbols with prefixes, joined by a
+space, ``·`` or ``*`` (times) and ``/`` (by the next one alone), with powers as ``^2`` or ``²``. A name ends
+in its unit: ``rotation_rad_per_s`` is in rad/s.
+"""
+
+import math
+import re
+from collections.abc import Mapping
+from fractions import Fraction
+from functools import cache
+from typing import Final, NamedTuple
+
+from processing.angle import ARCSEC_RAD
+from processing.errors import ConfigurationError
+
+Powers = Mapping[str, Fraction]
+
+
+class Size(NamedTuple):
+    """A unit as a number of SI units: `factor` times the product of base units to their `powers`.
+
+    Angles, pixels, grey values and levels in dB are base units of their own: none is taken for another.
+    """
+
+    factor: float
+    powers: Powers
+
+
+def _of(factor: float, **powers: int) -> Size:
+    return Size(factor, {name: Fraction(power) for name, power in powers.items()})
+
+
+_PREFIXABLE: Final[Mapping[str, Size]] = {
+    "m": _of(1.0, m=1),
+    "g": _of(1e-3, kg=1),
+    "s": _of(1.0, s=1),
+    "A": _of(1.0, A=1),
+    "V": _of(1.0, kg=1, m=2, s=-3, A=-1),
+    "Hz": _of(1.0, s=-1),
+    "N": _of(1.0, kg=1, m=1, s=-2),
+    "Pa": _of(1.0, kg=1, m=-1, s=-2),
+    "J": _of(1.0, kg=1, m=2, s=-2),
+    "W": _of(1.0, kg=1, m=2, s=-3),
+    "rad": _of(1.0, rad=1),
+}
+_OTHERS: Final[Mapping[str, Size]] = {
+    "1": _of(1.0),
+    "%": _of(1e-2),
+    "ppm": _of(1e-6),
+    "min": _of(60.0, s=1),
+    "h": _of(3600.0, s=1),
+    "d": _of(86400.0, s=1),
+    "deg": _of(math.pi / 180.0, rad=1),
+    "arcmin": _of(60.0 * ARCSEC_RAD, rad=1),
+    "arcsec": _of(ARCSEC_RAD, rad=1),
+    "mas": _of(1e-3 * ARCSEC_RAD, rad=1),
+    "°C": _of(1.0, celsius=1),
+    "px": _of(1.0, px=1),
+    "DN": _of(1.0, DN=1),
+    "e": _of(1.0, electron=1),
+    "dB": _of(1.0, dB=1),
+}
+_SPELLINGS: Final[Mapping[str, str]] = {
+    "°": "deg", "degrees": "deg", "degree": "deg", "degC": "°C", "″": "arcsec", '"': "arcsec", "′": "arcmin",
+    "'": "arcmin", "percent": "%", "sec": "s", "seconds": "s", "second": "s", "msec": "ms", "usec": "us",
+    "milliseconds": "ms", "microseconds": "us", "nanoseconds": "ns", "minutes": "min", "hours": "h",
+    "days": "d", "radians": "rad", "pixel": "px", "pixels": "px", "count": "DN",
+    "counts": "DN",
+}  # fmt: skip
+_PREFIXES: Final[Mapping[str, float]] = {
+    "G": 1e9, "M": 1e6, "k": 1e3, "h": 1e2, "c": 1e-2, "m": 1e-3, "u": 1e-6, "µ": 1e-6, "μ": 1e-6, "n": 1e-9,
+    "p": 1e-12, "f": 1e-15,
+}  # fmt: skip
+_SUPERSCRIPTS: Final = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
+_TOKEN: Final = re.compile(
+    r"\s*(?:(sqrt\(|√\(|\(|\))"  # bracket
+    r"|()(?:\^|\*\*)(-?[\d.]+)"  # power
+    r"|([/*·])"  # operator
+    r"|([^\s/*·^()√⁻⁰¹²³⁴-⁹]+)([⁻⁰¹²³⁴-⁹]*))"  # symbol, its power
+)
+
+_IN_NAMES: Final[Mapping[str, str]] = {
+    "m": "m", "m2": "m^2", "kg": "kg", "s": "s", "s2": "s^2", "ms": "ms", "us": "us", "ns": "ns", "a": "A",
+    "hz": "Hz", "rthz": "sqrt(Hz)", "n": "N", "pa": "Pa", "j": "J", "w": "W", "rad": "rad", "deg": "deg",
+    "arcsec": "arcsec", "min": "min", "percent": "%", "c": "°C", "px": "px", "dn": "DN", "e": "e", "db": "dB",
+    "ppm": "ppm",
+}  # fmt: skip
+_PRODUCTS_IN_NAMES: Final = (["n", "m"], ["pa", "s"])
+
+
+@cache
+def size(unit: str) -> Size:
+    """The unit in SI units. Raises ConfigurationError for a text that is none."""
+    tokens = [match for match in _TOKEN.finditer(unit.strip()) if match[0].strip()]
+    if not any(match[5] for match in tokens) or "".join(match[0] for match in tokens).split() != unit.split():
+        raise ConfigurationError(f"{unit!r} is no unit that is known here")
+    if unit.count("(") != unit.count(")"):
+        raise ConfigurationError(f"{unit!r} is no unit: a bracket is missing")
+    return _product(unit, [match.groups("") for match in tokens])[0]
+
+
+def is_unit(text: str) -> bool:
+    """Whether `size` knows it."""
+    try:
+        size(text)
+    except ConfigurationError:
+        return False
+    return True
+
+
+def conversion(unit: str, into: str) -> float:
+    """What a number in `unit` is multiplied by to be in the unit `into`.
+
+    Raises ConfigurationError where one of them is no unit, or they are units of different things.
+    """
+    if unit == into:
+        return 1.0
+    one, other = size(unit), size(into)
+    if one.powers != other.powers:
+        raise ConfigurationError(f"{unit} is not a unit of the same thing as {into}")
+    return one.factor / other.factor
+
+
+def units_like(unit: str, among: tuple[str, ...]) -> tuple[str, ...]:
+    """Those of several units that measure the same thing as `unit`."""
+    return tuple(other for other in among if size(other).powers == size(unit).powers)
+
+
+def unit_of_name(name: str) -> str:
+    """The unit that a name ends in: ``rad/s`` of ``rotation_rad_per_s``; empty where it has none.
+
+    A name that is nothing but a unit (``m``, ``u_c``) is that of a quantity without one.
+    """
+    quantity, *below = name.split("_per_")
+    words = quantity.split("_")
+    count = 2 if words[-2:] in _PRODUCTS_IN_NAMES else 1
+    units = [_IN_NAMES.get(word) for word in (*words[-count:], *"_".join(below).split("_")) if word]
+    is_letter = words[-1] == "n" and count == 1  # an exponent; newtons stand alone in no name
+    if words[:-count] in ([], ["u"]) or None in units or is_letter:
+        return ""
+    return "/".join([" ".join(map(str, units[:count])), *map(str, units[count:])])
+
+
+def _product(unit: str, tokens: list[tuple[str, ...]]) -> tuple[Size, list[tuple[str, ...]]]:
+    """The product that the tokens begin with, up to a closing bracket, and what follows it."""
+    factor, powers, sign = 1.0, dict[str, Fraction](), 1
+    while tokens:
+        (bracket, _, _, operator, symbol, raised), *tokens = tokens
+        if bracket == ")":
+            break
+        if operator:
+            sign = -1 if operator == "/" else 1
+            continue
+        power = Fraction(sign)
+        if bracket:
+            one, tokens = _product(unit, tokens)
+            power *= Fraction(1, 2) if bracket != "(" else 1
+        elif symbol:
+            one = _symbol(symbol, unit)
+        else:
+            raise ConfigurationError(f"{unit!r} is no unit: its power stands alone")
+        if tokens and tokens[0][2]:
+            raised, tokens = tokens[0][2], tokens[1:]
+        if raised:
+            power *= Fraction(raised.translate(_SUPERSCRIPTS))
+        factor *= one.factor ** float(power)
+        for name, own in one.powers.items():
+            powers[name] = powers.get(name, Fraction(0)) + own * power
+        sign = 1
+    return Size(factor, {name: power for name, power in powers.items() if power}), tokens
+
+
+def _symbol(symbol: str, unit: str) -> Size:
+    symbol = _SPELLINGS.get(symbol, symbol)
+    found = _OTHERS.get(symbol) or _PREFIXABLE.get(symbol)
+    if found is not None:
+        return found
+    prefix, rest = _PREFIXES.get(symbol[:1]), _PREFIXABLE.get(symbol[1:])
+    if prefix is None or rest is None:
+        raise ConfigurationError(f"{unit!r} is no unit that is known here")
+    return Size(prefix * rest.factor, rest.powers)

@@ -1,0 +1,130 @@
+"""Units against those of pint, which shares no table with ours."""
+
+import math
+
+import pytest
+
+from processing.errors import ConfigurationError
+from processing.units import conversion, is_unit, size, unit_of_name, units_like
+
+IN_PINT = {"px": "pixel", "DN": "count", "°C": "delta_degC", "%": "percent", "e": "elementary_charge"}
+
+
+@pytest.mark.parametrize(
+    ("unit", "into"),
+    [
+        ("mm", "m"),
+        ("um", "m"),
+        ("µm", "m"),
+        ("nm", "m"),
+        ("g", "kg"),
+        ("mg", "kg"),
+        ("GPa", "Pa"),
+        ("hPa", "Pa"),
+        ("mPa s", "Pa s"),
+        ("mJ/m^2", "J/m^2"),
+        ("fJ", "J"),
+        ("N m", "J"),
+        ("W", "kg m^2/s^3"),
+        ("ms", "s"),
+        ("us", "s"),
+        ("min", "s"),
+        ("h", "min"),
+        ("d", "h"),
+        ("arcsec", "rad"),
+        ("arcmin", "arcsec"),
+        ("deg", "rad"),
+        ("mrad", "arcsec"),
+        ("deg/min", "rad/s"),
+        ("arcsec/min", "rad/s"),
+        ("mrad/s^2/sqrt(Hz)", "rad/s^2/sqrt(Hz)"),
+        ("%", "1"),
+        ("ppm", "%"),
+        ("m/s^2/sqrt(Hz)", "m/s**2/Hz^0.5"),
+        ("kHz", "1/s"),
+        ("m/(s s)", "m/s^2"),
+    ],
+)
+def test_a_factor_is_that_of_pint(unit: str, into: str) -> None:
+    pint = pytest.importorskip("pint", reason="pint is not installed")
+    registry = pint.UnitRegistry()
+
+    def theirs(text: str) -> str:
+        return IN_PINT.get(text, text.replace("sqrt(Hz)", "Hz^0.5"))
+
+    expected = registry.Quantity(1.0, theirs(unit)).to(theirs(into)).magnitude
+    assert conversion(unit, into) == pytest.approx(expected, rel=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("unit", "into"),
+    [
+        ("m", "s"),
+        ("px", "rad"),
+        ("px", "arcsec"),
+        ("DN", "px"),
+        ("dB", "1"),
+        ("°C", "1"),
+        ("rad", "1"),
+        ("N m", "m"),
+    ],
+)
+def test_what_is_not_the_same_thing_is_refused(unit: str, into: str) -> None:
+    with pytest.raises(ConfigurationError, match="not a unit of the same thing"):
+        conversion(unit, into)
+
+
+@pytest.mark.parametrize(
+    "text", ["", "furlong", "m^", "m/(s", "m)", "rad^-p", "5", "m,s", "km2", "mm.", "kmin", "/"]
+)
+def test_what_is_no_unit_is_refused(text: str) -> None:
+    assert not is_unit(text)
+    with pytest.raises(ConfigurationError, match="is no unit"):
+        size(text)
+
+
+def test_spellings_of_one_unit() -> None:
+    assert conversion("J/m²", "J/m^2") == 1.0
+    assert size("rad·s⁻¹") == size("rad/s") == size("rad s^-1")
+    assert conversion("°", "rad") == math.pi / 180
+    assert size("μs") == size("µs") == size("us") == size("usec")
+
+
+def test_units_of_the_same_thing() -> None:
+    assert units_like("rad", ("m", "arcsec", "deg", "s")) == ("arcsec", "deg")
+
+
+@pytest.mark.parametrize(
+    ("name", "unit"),
+    [
+        ("rotation_rad_per_s", "rad/s"),
+        ("air_viscosity_pa_s", "Pa s"),
+        ("friction_n_m", "N m"),
+        ("gravity_m_per_s2", "m/s^2"),
+        ("surface_energy_eq2_j_per_m2", "J/m^2"),
+        ("temperature_c", "°C"),
+        ("density_rad_per_s2_rthz", "rad/s^2/sqrt(Hz)"),
+        ("u_x_px", "px"),
+        ("gain_e_per_dn", "e/DN"),
+        ("max_power_w", "W"),
+        ("humidity_percent", "%"),
+        ("time_ns", "ns"),
+        ("contact_radius_m", "m"),
+        ("rate_deg_per_min", "deg/min"),
+        ("n", ""),
+        ("u_n", ""),
+        ("c", ""),
+        ("u_c", ""),
+        ("m", ""),
+        ("p_time", ""),
+        ("drift_x_per_s", ""),
+        ("camera_rate", ""),
+        ("index", ""),
+        ("value_n", ""),
+        ("lines_per_mm", ""),
+        ("", ""),
+    ],
+)
+def test_the_unit_that_a_name_ends_in(name: str, unit: str) -> None:
+    assert unit_of_name(name) == unit
+    assert not unit or is_unit(unit)
