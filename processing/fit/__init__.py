@@ -2,8 +2,8 @@
 
 from processing.fit.apparatus import Quantity, RigQuantities
 from processing.fit.asymptotic import fit_asymptotic
-from processing.fit.determination import Determination, Verdict, identifiability, strong_correlations
-from processing.fit.drag import DragVerdict, drag_verdict
+from processing.fit.determination import Determination, identifiability, strong_correlations
+from processing.fit.drag import DragFinding, DragVerdict, drag_verdict
 from processing.fit.errors_of_place import PlaceErrors, place_errors, with_place_errors
 from processing.fit.exact import fit_exact
 from processing.fit.ground import GROUND_SEEN, Ground, density_of_step
@@ -44,6 +44,7 @@ __all__ = [
     "Conditions",
     "Degree",
     "Determination",
+    "DragFinding",
     "DragVerdict",
     "FitMethod",
     "FitResult",
@@ -59,7 +60,6 @@ __all__ = [
     "Quantity",
     "RigQuantities",
     "SeriesResult",
-    "Verdict",
     "WithoutLaw",
     "average_curves",
     "budgets",

@@ -7,7 +7,6 @@ interval ends where chi2 has risen by the amount that corresponds to the coverag
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,14 +14,12 @@ from scipy.special import stdtrit
 
 from processing.contact import PendulumOnBall
 from processing.errors import DataError
-from processing.estimate import WELL_DETERMINED
+from processing.estimate import WELL_DETERMINED, Determinacy
 from processing.fit.exact_model import ExactModel
 from processing.fit.result import FitResult
 from processing.fit_method import FitMethod
 from processing.least_squares import solve
 from processing.swing import TurningPoints
-
-Verdict = Literal["determined", "interval", "upper bound", "lower bound", "undetermined"]
 
 STRONG_CORRELATION = 0.99
 
@@ -38,20 +35,20 @@ class Determination:
     name: str
     value: float
     standard_uncertainty: float
-    verdict: Verdict
+    verdict: Determinacy
     lower: float
     upper: float
     profiled: bool
 
     @property
     def text(self) -> str:
-        if self.verdict == "determined":
+        if self.verdict is Determinacy.DETERMINED:
             return f"{self.name} = {self.value:.5g} +- {self.standard_uncertainty:.2g}"
-        if self.verdict == "interval":
+        if self.verdict is Determinacy.INTERVAL:
             return f"{self.name} between {self.lower:.2g} and {self.upper:.2g} (95 %)"
-        if self.verdict == "upper bound":
+        if self.verdict is Determinacy.UPPER_BOUND:
             return f"{self.name} below {self.upper:.2g} (95 %)"
-        if self.verdict == "lower bound":
+        if self.verdict is Determinacy.LOWER_BOUND:
             return f"{self.name} above {self.lower:.2g} (95 %)"
         return f"{self.name} is not determined by these data"
 
@@ -260,20 +257,19 @@ def _determination(
     value, u = result.estimate(name)
     if u <= WELL_DETERMINED * abs(value):
         lower, upper = result.interval(name)
-        return Determination(name, value, u, "determined", lower, upper, False)
+        return Determination(name, value, u, Determinacy.DETERMINED, lower, upper, False)
     found = profile_likelihood(points, pendulum, result, name)
     lower, upper = found.lower, found.upper
     not_negative = result.law.parameter(name).lower == 0
-    verdict: Verdict
     if np.isnan(lower) and np.isnan(upper):
-        verdict = "undetermined"
+        verdict = Determinacy.UNDETERMINED
     elif np.isnan(upper):
-        verdict = "lower bound"
+        verdict = Determinacy.LOWER_BOUND
     elif np.isnan(lower) or (lower <= 0 and not_negative):
-        verdict = "upper bound"
+        verdict = Determinacy.UPPER_BOUND
         lower = 0.0 if not_negative else lower
     else:
-        verdict = "interval"
+        verdict = Determinacy.INTERVAL
     return Determination(name, value, u, verdict, lower, upper, True)
 
 

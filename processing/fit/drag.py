@@ -1,6 +1,8 @@
 """Test for a linear drag: comparison of the fits with and without it."""
 
 from dataclasses import dataclass
+from enum import StrEnum
+from typing import Self
 
 from scipy.special import fdtrc
 
@@ -17,6 +19,31 @@ from processing.swing import TurningPoints
 
 SIGNIFICANT = 0.003
 """Significance level of the test: the two-sided probability of three standard deviations."""
+
+
+class DragFinding(StrEnum):
+    """What the comparison of the fits says of a linear drag."""
+
+    SEEN = "seen"
+    NEGATIVE = "negative"
+    """The data ask for one that would drive the pendulum: the model lacks something else."""
+    UNSEEN = "unseen"
+
+    @classmethod
+    def of(cls, drag_s: Estimate, p_value: float, *, significant: bool) -> Self:
+        """From the numbers, which results of every version hold."""
+        if significant:
+            return cls("seen")
+        return cls("negative" if drag_s.value < 0 and p_value < SIGNIFICANT else "unseen")
+
+    @property
+    def text(self) -> str:
+        """The finding in words."""
+        return {
+            DragFinding.SEEN: "a linear drag is in the data",
+            DragFinding.NEGATIVE: "the data ask for a negative drag",
+            DragFinding.UNSEEN: "no linear drag is seen",
+        }[self]
 
 
 @dataclass(frozen=True)
@@ -51,17 +78,21 @@ class DragVerdict:
         return self.with_drag if self.significant else self.without
 
     @property
+    def finding(self) -> DragFinding:
+        return DragFinding.of(self.drag_s, self.p_value, significant=self.significant)
+
+    @property
     def text(self) -> str:
         numbers = (
             f"drag {self.drag_s.value:.3g} +- {self.drag_s.standard_uncertainty:.2g} s, "
             f"F = {self.f_statistic:.3g} (p = {self.p_value:.2g}), AIC {self.aic_difference:+.3g}"
         )
-        if self.significant:
-            moved = f"with it b moves by {self.shift_b:+.2%} and c by {self.shift_c:+.2%}"
-            return f"a linear drag is in the data: {numbers}; {moved}"
-        if self.drag_s.value < 0 and self.p_value < SIGNIFICANT:
-            return f"the data ask for a negative drag: the model lacks something else: {numbers}"
-        return f"no linear drag is seen: {numbers}"
+        match self.finding:
+            case DragFinding.SEEN:
+                numbers += f"; with it b moves by {self.shift_b:+.2%} and c by {self.shift_c:+.2%}"
+            case DragFinding.NEGATIVE:
+                numbers = f"the model lacks something else: {numbers}"
+        return f"{self.finding.text}: {numbers}"
 
 
 def drag_verdict(

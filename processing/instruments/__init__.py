@@ -4,7 +4,7 @@ scipy is imported inside functions: the settings import the table of instruments
 scipy.optimize would slow down the start of every command.
 """
 
-from processing.instruments.checks import Check, check
+from processing.instruments.checks import Check, Compliance, check
 from processing.instruments.circular import circular_error
 from processing.instruments.crossings import inferred_swings, joined_swings
 from processing.instruments.damping_fit import Damping, damping, over_places, ratio
@@ -21,6 +21,7 @@ __all__ = [
     "DEGREE_RAD",
     "INSTRUMENTS",
     "Check",
+    "Compliance",
     "Damping",
     "Description",
     "FrictionLaw",

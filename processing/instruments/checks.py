@@ -1,23 +1,30 @@
 """Acceptance test of an instrument: measured values compared with the limits of a standard."""
 
 import math
-from typing import Literal, NamedTuple
+from enum import StrEnum
+from typing import NamedTuple
 
 from processing.estimate import Estimate
 from processing.instruments.descriptions import Limits
 
-Verdict = Literal["within", "outside", "undecided"]
+
+class Compliance(StrEnum):
+    """Of a value against its limits. `UNDECIDED`: a limit is within two standard uncertainties of it."""
+
+    WITHIN = "within"
+    OUTSIDE = "outside"
+    UNDECIDED = "undecided"
 
 
 class Check(NamedTuple):
-    """A value compared with its limits. `undecided`: a limit is within two standard uncertainties of it."""
+    """A value compared with its limits."""
 
     name: str
     measured: Estimate
     lowest: float
     highest: float
     unit: str
-    verdict: Verdict
+    verdict: Compliance
     text: str
 
 
@@ -27,12 +34,12 @@ def check(name: str, measured: Estimate, limits: Limits, unit: str) -> Check:
     low, high = limits.lowest, limits.highest
     inside = low <= value <= high
     near = min(abs(value - low), abs(value - high) if math.isfinite(high) else math.inf)
-    verdict: Verdict = "undecided" if near < 2 * u else "within" if inside else "outside"
+    verdict = Compliance.UNDECIDED if near < 2 * u else Compliance.WITHIN if inside else Compliance.OUTSIDE
     if math.isinf(high):
         wanted = f"at least {low:g} {unit}"
     else:
         wanted = f"{limits.value:g} ± {limits.tolerance:g} {unit}"
-    word = "too close to the limit to decide" if verdict == "undecided" else verdict
+    word = "too close to the limit to decide" if verdict is Compliance.UNDECIDED else verdict
     return Check(
         name, measured, low, high, unit, verdict, f"{name} {value:.5g} {unit}, {wanted} wanted: {word}"
     )

@@ -10,8 +10,8 @@ from typing import Annotated, Literal
 
 from processing.contact import DRAG, ContactParameters
 from processing.contact.laws import PAPER
-from processing.estimate import Estimate
-from processing.fit import FitMethod, Verdict
+from processing.estimate import Determinacy, Estimate
+from processing.fit import DragFinding, FitMethod
 from rig.analysis.encoding import (
     Entries,
     LeftOut,
@@ -205,13 +205,18 @@ class Drag:
     with_drag: Mapping[str, Value] = field(default_factory=dict)
     of_air: Annotated[ExpectedDrag | None, LeftOut] = None
 
+    @property
+    def finding(self) -> DragFinding:
+        """What the numbers say of it."""
+        return DragFinding.of(self.drag_s, self.p_value, significant=self.significant)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Determination:
     """What the data say of one parameter: a value, an interval, a bound or nothing."""
 
     name: str
-    verdict: Verdict
+    verdict: Determinacy
     value: Number
     standard_uncertainty: Number = nan
     lower_95: Number

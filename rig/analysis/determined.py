@@ -2,8 +2,7 @@
 
 from collections.abc import Mapping
 
-from processing.estimate import WELL_DETERMINED
-from processing.fit import Verdict
+from processing.estimate import WELL_DETERMINED, Determinacy
 from rig.analysis.contact_results import Determination
 from rig.analysis.results import CombinedParameter
 from rig.presentation import law_parameters, plain, quantity
@@ -17,7 +16,7 @@ def determined_text(name: str, value: float, u: float, verdicts: Mapping[str, De
     shown = quantity(name)
     is_energy = name.startswith("surface_energy")
     verdict = verdicts.get("c" if is_energy else name)
-    if verdict is None or verdict.verdict == "determined":
+    if verdict is None or verdict.verdict is Determinacy.DETERMINED:
         return shown.text(value, u)
     per_parameter = value / verdict.value if is_energy else 1.0
     return bound_text(verdict, shown.factor * per_parameter)
@@ -28,9 +27,11 @@ def series_verdicts(combined: Mapping[str, CombinedParameter]) -> dict[str, Dete
     found = {}
     for name, item in combined.items():
         low, high = item.value - item.expanded_uncertainty_95, item.value + item.expanded_uncertainty_95
-        kind: Verdict = "determined"
+        kind = Determinacy.DETERMINED
         if item.standard_uncertainty > WELL_DETERMINED * abs(item.value):
-            kind = "upper bound" if low <= 0 and law_parameters()[name].lower == 0 else "interval"
+            kind = Determinacy.INTERVAL
+            if low <= 0 and law_parameters()[name].lower == 0:
+                kind = Determinacy.UPPER_BOUND
         found[name] = Determination(name=name, verdict=kind, value=item.value, lower_95=low, upper_95=high)
     return found
 
@@ -38,10 +39,10 @@ def series_verdicts(combined: Mapping[str, CombinedParameter]) -> dict[str, Dete
 def bound_text(verdict: Determination, scale: float = 1.0) -> str:
     """`low … high` or a bound, 95 %."""
     low, high = verdict.lower_95 * scale, verdict.upper_95 * scale
-    if verdict.verdict in ("interval", "determined"):
+    if verdict.verdict in (Determinacy.INTERVAL, Determinacy.DETERMINED):
         return f"{plain(low, 3)} … {plain(high, 3)} (95 %)"
-    if verdict.verdict == "upper bound":
+    if verdict.verdict is Determinacy.UPPER_BOUND:
         return f"< {plain(high, 2)} (95 %)"
-    if verdict.verdict == "lower bound":
+    if verdict.verdict is Determinacy.LOWER_BOUND:
         return f"> {plain(low, 2)} (95 %)"
     return "not determined"

@@ -1,6 +1,6 @@
 """What is said about a run's fits beyond their numbers, the same on the terminal and in reports."""
 
-from processing.estimate import Estimate
+from processing.estimate import Determinacy, Estimate
 from processing.fit import FitMethod
 from rig.analysis.contact_results import BaseMotion, Drag, Ground
 from rig.analysis.headline import headline
@@ -22,7 +22,7 @@ def remarks(run: RunResults) -> list[str]:
         pairs = run.strong_correlations
         names = ", ".join(f"{quantity(a).symbol} and {quantity(b).symbol} ({r:+.3f})" for a, b, r in pairs)
         lines.append(f"Hardly told apart by the data (correlation): {names}.".replace("-", "−"))
-    lines += [f"{item.text}." for item in run.identifiability if item.verdict != "determined"]
+    lines += [f"{item.text}." for item in run.identifiability if item.verdict is not Determinacy.DETERMINED]
     return [*lines, *run.notes]
 
 
@@ -70,10 +70,9 @@ def _cost(ground: Ground) -> str:
 
 
 def _drag_sentence(drag: Drag) -> str:
-    head = "A linear drag is in the data" if drag.significant else drag.text.split(":")[0].capitalize()
     numbers = (
-        f"{head}: {quantity('drag_s').text(*drag.drag_s)} s, F = {plain(drag.f_statistic, 3)} (chance "
-        f"{plain(drag.p_value, 2)}), AIC {drag.aic_difference:+.1f}"
+        f"{drag.finding.text.capitalize()}: {quantity('drag_s').text(*drag.drag_s)} s, "
+        f"F = {plain(drag.f_statistic, 3)} (chance {plain(drag.p_value, 2)}), AIC {drag.aic_difference:+.1f}"
     )
     if drag.significant:
         numbers += (

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 
+from processing.estimate import Determinacy
 from rig.analysis.contact_results import Budget, Determination
 from rig.presentation import SOURCES, quantity
 
@@ -16,7 +17,7 @@ def budget_of(
     """The budget of a quantity that the data determine, if the apparatus has a part in it; else None."""
     item = budget.get(name)
     verdict = verdicts.get("c" if name == SURFACE_ENERGY else name)
-    if item is None or (verdict is not None and verdict.verdict != "determined"):
+    if item is None or (verdict is not None and verdict.verdict is not Determinacy.DETERMINED):
         return None
     return item if any(line.type == "B" and line.share > 0 for line in item.sources) else None
 

@@ -1,9 +1,9 @@
 """What results.json holds of pendulums that are not described by the contact's laws."""
 
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Annotated
 
-from processing.instruments import Check
+from processing.instruments import Check, Compliance
 from rig.analysis.encoding import Floats, LeftOut, Number, Value
 
 
@@ -17,7 +17,7 @@ class CheckedValue:
     lowest: Number
     highest: Number
     unit: str
-    verdict: Literal["within", "outside", "undecided"]
+    verdict: Compliance
     text: str
 
     @classmethod

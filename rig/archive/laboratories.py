@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from processing.errors import ConfigurationError, DataError
-from processing.estimate import Estimate
+from processing.estimate import Determinacy, Estimate
 from processing.fit import KeyComparison, combine, compare_laboratories
 from rig.archive.blind import sealed
 from rig.archive.columns import COLUMNS, SHORT_NAMES
@@ -49,7 +49,7 @@ def compare_groups(
     for label, *numbers, said in rows:
         if label is not None and numbers[0] is not None and (numbers[1] or 0.0) > 0:
             groups.setdefault(str(label), []).append(numbers)
-            doubtful += said not in (None, "determined")
+            doubtful += said not in (None, Determinacy.DETERMINED)
     if len(groups) < 2:
         raise ConfigurationError(
             f"--by {by}: {len(groups)} of its groups has {column} with its uncertainty, in {len(rows)} runs; "

@@ -10,6 +10,7 @@ from typing import Any, Literal
 
 from acquisition.record import whole_file
 from processing.errors import ConfigurationError, RecordError
+from processing.estimate import Determinacy
 from rig.archive.blind import sealed
 from rig.archive.columns import IS_SIMULATED, SHOWN
 from rig.archive.store import Archive, duckdb_module, reads_archive
@@ -120,7 +121,7 @@ def _shown(name: str, row: Sequence[Any], at: Mapping[str, int]) -> str:
     if f"u_{name}" in at:
         u, verdict = row[at[f"u_{name}"]], row[at[f"verdict_{name}"]] if f"verdict_{name}" in at else None
         text = with_uncertainty(value, nan if u is None else u)
-        return text if verdict in (None, "determined") else f"{text}{_DOUBT}"
+        return text if verdict in (None, Determinacy.DETERMINED) else f"{text}{_DOUBT}"
     if isinstance(value, datetime.datetime):
         return f"{value:%Y-%m-%d %H:%M}"
     if isinstance(value, list):

@@ -143,7 +143,7 @@ def _of_results(run: RunResults) -> Iterator[tuple[str, Any]]:
             yield from _estimate(name, fit.estimate(name))
         yield from _estimate("mean_period_s", fit.mean_period_s)
     for name, item in run.verdicts().items():
-        yield f"verdict_{name}", str(item.verdict)
+        yield f"verdict_{name}", item.verdict.value
     for name, budget in run.budget.items():
         yield f"u_total_{name}", _number(budget.standard_uncertainty)
     if run.surface_energy_j_per_m2 is not None:

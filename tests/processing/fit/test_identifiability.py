@@ -9,7 +9,7 @@ from processing.contact.laws import PAPER
 from processing.errors import DataError
 from processing.fit.asymptotic import fit_asymptotic
 from processing.fit.determination import _Held, identifiability, profile_likelihood, strong_correlations
-from processing.fit.drag import drag_verdict
+from processing.fit.drag import DragFinding, drag_verdict
 from processing.fit.exact import fit_exact
 from processing.fit.exact_model import ExactModel
 from tests.processing.fit.decays import decay, paper_pair
@@ -25,12 +25,12 @@ def test_drag_is_seen_where_it_is_and_not_where_it_is_not(flat: str) -> None:
         assert verdict.preferred.has_drag == verdict.significant
         assert abs(verdict.drag_s.value - drag_s) < 4 * verdict.drag_s.standard_uncertainty
         if drag_s:
-            assert verdict.text.startswith("a linear drag is in the data")
+            assert verdict.finding is DragFinding.SEEN
             # what leaving it out would have done; b absorbs the drag
             assert verdict.shift_b < -0.2
             assert verdict.aic_difference < -100
         else:
-            assert verdict.text.startswith("no linear drag is seen")
+            assert verdict.finding is DragFinding.UNSEEN
             assert verdict.p_value > 0.003
 
 

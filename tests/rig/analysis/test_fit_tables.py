@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from processing.estimate import Estimate
+from processing.estimate import Determinacy, Estimate
 from rig.analysis import (
     Determination,
     Fit,
@@ -42,7 +42,12 @@ _RUN = RunResults(
     ),
     identifiability=(
         Determination(
-            name="c", verdict="upper bound", value=1e-9, lower_95=0.0, upper_95=6.1e-8, text="c below 6.1e-8"
+            name="c",
+            verdict=Determinacy.UPPER_BOUND,
+            value=1e-9,
+            lower_95=0.0,
+            upper_95=6.1e-8,
+            text="c below 6.1e-8",
         ),
     ),
 )

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+from processing.estimate import Determinacy
 from rig.analysis.contact_results import Budget, BudgetSource, Determination
 from rig.analysis.headline import SURFACE_ENERGY, headline
 
@@ -32,6 +33,6 @@ def test_the_headline_names_what_dominates() -> None:
 def test_there_is_none_without_the_apparatus_or_where_the_data_set_a_bound() -> None:
     alone = replace(BUDGET, sources=(source("swings", "A", 1.0), source("mass_kg", "B", 0.0)))
     assert headline({SURFACE_ENERGY: alone}, {}) == ""
-    bound = Determination(name="c", verdict="upper bound", value=1e-9, lower_95=0.0, upper_95=2e-9)
+    bound = Determination(name="c", verdict=Determinacy.UPPER_BOUND, value=1e-9, lower_95=0.0, upper_95=2e-9)
     assert headline({SURFACE_ENERGY: BUDGET}, {"c": bound}) == ""
     assert headline({}, {}) == ""

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from processing.estimate import Determinacy
 from rig.analysis.determined import bound_text, determined_text, series_verdicts
 from rig.analysis.results import CombinedParameter, Determination
 from rig.presentation.numbers import plain, rounded, with_uncertainty
@@ -85,9 +86,11 @@ def test_a_plain_number_keeps_its_digits(value: float, digits: int) -> None:
 
 
 def test_what_is_not_determined_is_a_bound_or_an_interval() -> None:
-    verdict = Determination(name="c", verdict="upper bound", value=1e-9, lower_95=0.0, upper_95=2.34e-8)
+    verdict = Determination(
+        name="c", verdict=Determinacy.UPPER_BOUND, value=1e-9, lower_95=0.0, upper_95=2.34e-8
+    )
     assert bound_text(verdict) == "< 2.3 × 10⁻⁸ (95 %)"
-    assert bound_text(replace(verdict, verdict="undetermined")) == "not determined"
+    assert bound_text(replace(verdict, verdict=Determinacy.UNDETERMINED)) == "not determined"
     energy = determined_text("surface_energy_table2_j_per_m2", 2.75e-3, 1e-3, {"c": verdict})
     assert energy == "< 64 (95 %)"  # 2.34e-8 times 2.75e-3/1e-9 J/m^2
 
