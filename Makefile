@@ -10,7 +10,7 @@ INSTALL = $(PIP) install --quiet
 export PYTHONDONTWRITEBYTECODE =
 
 .DELETE_ON_ERROR:
-.PHONY: demo test test-quick test-kernel bench lint format schema pictures drawings docs pins clean
+.PHONY: demo test test-quick test-kernel mutants bench lint format schema pictures drawings docs pins clean
 
 demo: $(VENV)/.installed
 	$(BIN)/rig run configs/demo.toml $(ARGS)
@@ -26,6 +26,10 @@ test-quick: $(VENV)/.installed-test
 
 test-kernel: $(VENV)/.installed-test
 	$(BIN)/python -m pytest -n 2 -m kernel tests/kernel -rs $(ARGS)
+
+# Single mutations of the sources, which the tests of their room should notice: ARGS="--seed 7 -n 100 rig/control".
+mutants: $(VENV)/.installed-test
+	$(BIN)/python -m tests.mutants $(ARGS)
 
 lint: $(VENV)/.installed-test
 	$(BIN)/ruff format --check .

@@ -333,3 +333,28 @@ def test_a_length_that_claims_the_world_takes_no_memory(tmp_path: Path, whole: b
         reader.spots()
         reader.events()
         assert any("head has changed" in damage.what for damage in reader.damages)
+
+
+def test_a_cut_file_is_listed_without_unpacking_its_chunks(
+    tmp_path: Path, whole: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A day's record has 200,000: where head and message index of one agree, its times are proved by them."""
+
+    def unpacked(*_: object) -> None:
+        raise AssertionError("a chunk was unpacked")
+
+    path = tmp_path / "run.mcap"
+    path.write_bytes(whole)
+    with path.open("rb") as file:
+        expected = list(read_contents(file).chunks)
+    path.write_bytes(whole[:-37])
+    monkeypatch.setattr("acquisition.record.chunk_times.open_chunk", unpacked)
+    with path.open("rb") as file:
+        contents = read_contents(file)
+    assert list(contents.chunks) == expected
+    assert contents.damage == []
+    # where they contradict each other, it is
+    changed = flipped(whole[:-37], expected[1].offset + 9, 3)
+    path.write_bytes(changed)
+    with path.open("rb") as file, pytest.raises(AssertionError, match="unpacked"):
+        read_contents(file)

@@ -37,6 +37,31 @@ def test_order_does_not_matter_and_equal_x_are_allowed() -> None:
     assert np.all(np.isfinite(super_smooth(np.repeat(x, 2), np.repeat(y, 2))))
 
 
+def test_both_ends_are_treated_alike() -> None:
+    """A decay read backwards is the same curve, read backwards."""
+    rng = np.random.default_rng(6)
+    for count in (8, 31, 200):
+        x = np.sort(rng.uniform(0, 1, count))
+        y, u = rng.standard_normal(count), rng.uniform(0.5, 2, count)
+        backwards = super_smooth(-x[::-1], y[::-1].copy(), u[::-1])[::-1]
+        np.testing.assert_allclose(super_smooth(x, y, u), backwards, rtol=1e-9)
+
+
+def test_the_smallest_span_follows_a_bend_that_a_line_cannot() -> None:
+    """Without noise the nearest neighbours win: seven of a hundred points, at the ends as in the middle."""
+    x = np.linspace(0, 1, 100)
+    bend = np.sin(10 * x)
+    # the lines through 7 points, twice, leave out terms of the second order
+    assert np.max(np.abs(super_smooth(x, bend) - bend)) < 0.05
+    # one point hardly moves what lies beyond two smallest spans of it, though the choice of span may
+    moved = bend.copy()
+    moved[50] += 0.1
+    change = np.abs(super_smooth(x, moved) - super_smooth(x, bend))
+    assert 0.005 < change[50] < 0.05
+    assert np.max(change[:40]) < 1e-3
+    assert np.max(change[61:]) < 1e-3
+
+
 def test_bass_makes_it_smoother() -> None:
     rng = np.random.default_rng(2)
     x = np.linspace(0, 1, 200)

@@ -276,3 +276,24 @@ def test_a_wrong_row_time_moves_the_parameters_by_what_the_budget_says(points: T
         assert line.contribution == pytest.approx(abs(line.sensitivity) * u_s)
     assert by_row_time(points, rig().pendulum(), exact, rig()) is None
     assert "row_time_s" not in {line.source for line in budgets(fitted_contact(exact), rig())["b"].lines}
+
+
+@pytest.mark.parametrize(
+    ("quantity", "kurtosis", "furthest"),
+    [
+        (Quantity(3.0, 0.2, "rectangular"), 1.8, 3**0.5),
+        (Quantity(3.0, 0.2), 3.0, np.inf),
+        (Quantity(3.0, 0.2, dof=20.0), 3.0 + 6 / 16, np.inf),
+    ],
+)
+def test_inputs_are_drawn_from_their_distribution(
+    quantity: Quantity, kurtosis: float, furthest: float
+) -> None:
+    """A scale's last place is never off by more than half of it, a mean of few readings may be."""
+    deviation = (quantity.draw(np.random.default_rng(1), 100_000) - 3.0) / 0.2
+    assert np.mean(deviation) == pytest.approx(0, abs=0.015)
+    widening = 20 / 18 if quantity.dof < np.inf else 1.0
+    assert np.var(deviation) == pytest.approx(widening, rel=0.02)
+    assert np.mean(deviation**4) / np.var(deviation) ** 2 == pytest.approx(kurtosis, rel=0.06)
+    assert np.max(np.abs(deviation)) <= furthest
+    assert np.max(np.abs(deviation)) > 0.99 * min(furthest, 4)

@@ -188,6 +188,31 @@ def test_rolling_support_adds_to_the_circular_error() -> None:
     assert found.factor.value - 1 == pytest.approx(4 * epsilon, rel=0.01)
 
 
+def test_the_factor_of_the_circular_error_scatters_as_it_claims() -> None:
+    """Swings of up to 170 degrees, for which the factor's and the period's errors are of one size."""
+    amplitude = np.radians(np.linspace(170, 20, 16))
+    square = 0.5 * (amplitude[1:] ** 2 + amplitude[:-1] ** 2)
+    time_s = np.concatenate(([0.0], np.cumsum(1 + ideal_excess(np.sqrt(square)))))
+    rng, u = np.random.default_rng(9), np.linspace(0.01, 0.03, 16)
+    found = []
+    for _ in range(400):
+        noisy = time_s + u * rng.standard_normal(16)
+        points = TurningPoints(np.arange(16), noisy, u, amplitude, np.full(16, 1e-3))
+        found.append(circular_error(points))
+    for values, truth in (
+        (np.array([each.factor for each in found]), 1.0),
+        (np.array([each.period0_s for each in found]), 2.0),
+    ):
+        claimed = np.sqrt(np.mean(values[:, 1] ** 2))
+        # where chi-square falls short of its degrees of freedom the uncertainty is not made smaller
+        assert 0.92 < claimed / np.std(values[:, 0]) < 1.25
+        assert np.mean(values[:, 0]) == pytest.approx(truth, abs=4 * claimed / 20)
+    assert np.mean([each.chi2_per_dof for each in found]) == pytest.approx(1, abs=0.08)
+    flat = found[0].period0_s.value * (1 + found[0].amplitude_rad ** 2 / 16)
+    assert found[0].sixteenth_s == pytest.approx(flat)
+    assert "follows the circular-error law" in found[0].sentence
+
+
 def test_mendeleevs_observation() -> None:
     """An edge that yields: the period falls faster than the law says, and the report says so."""
     found = circular_error(points_of(simulation("knife_edge"), 0.5, seed=4))

@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from processing.spot import SensorModel, Spot, SpotFlag, SpotModel, SpotTracker
-from tests.processing.spot.frames import LIT_EIGHT_BIT, errors_px, exposed, light
+from tests.processing.spot.frames import LIT_EIGHT_BIT, errors_px, exposed, light, tilted_light
 
 SHAPE = (96, 110)
 WARM_DN = 5.0
@@ -90,3 +90,51 @@ def test_a_learned_profile_leaves_them_out_too() -> None:
     assert tracker.model is SpotModel.LEARNED
     ratio = np.std(errors[1:], axis=0) / np.mean(claimed[1:], axis=0)
     assert np.all(ratio < 1.2)
+
+
+@pytest.mark.parametrize("angle", [0.7, -0.7])
+def test_a_hot_pixel_does_not_move_a_tilted_beam(angle: float) -> None:
+    """Filled in is the light of the beam as it is turned: on its long axis much, beside it little."""
+    beam = tilted_light(SHAPE, 55.3, 48.6, (7.0, 3.0), angle, 150)
+    y, x = np.indices(SHAPE)
+    along = math.cos(angle) * (x - 55.3) + math.sin(angle) * (y - 48.6)
+    across = math.cos(angle) * (y - 48.6) - math.sin(angle) * (x - 55.3)
+    # on one side only, so that wrong values would pull
+    extra = np.where((along > 2) & (along < 12) & (abs(across) < 2) & ((x + y) % 3 == 0), 60.0, 0.0)
+    tracker = SpotTracker(sensors(extra)[1])
+    for _ in range(5):
+        spot = tracker.track(np.rint(beam + 6 + extra).astype(np.uint8))
+    assert spot.flags == 0
+    assert math.hypot(spot.x_px - 55.3, spot.y_px - 48.6) < spot.u_x_px
+    assert spot.amplitude_dn == pytest.approx(150, rel=0.01)
+
+
+def test_a_hot_pixel_beside_two_spots_moves_neither() -> None:
+    """The second surface's reflection is light, too: without it in the filling, its flank would pull."""
+    rng = np.random.default_rng(7)
+    pair = light(SHAPE, 50.2, 48.4, 3, 120) + light(SHAPE, 62.7, 48.9, 3, 50)
+    y, x = np.indices(SHAPE)
+    extra = np.where((x > 60) & (abs(y - 49) < 5) & ((x + 2 * y) % 4 == 0), 40.0, 0.0)
+    plain, mapped = (SpotTracker(sensor) for sensor in sensors(extra))
+    for _ in range(30):
+        image = exposed(pair, rng, sensor=LIT_EIGHT_BIT)
+        first = plain.track(image)
+        second = mapped.track(np.where(extra > 0, 255, image).astype(np.uint8))
+    assert first.flags == second.flags == SpotFlag.MULTIPLE
+    assert abs(first.x_px - second.x_px) < first.u_x_px
+
+
+def test_a_map_of_pixels_elsewhere_changes_nothing() -> None:
+    """Neither where a whole frame is searched nor in the window of a record that holds none of them."""
+    rng = np.random.default_rng(8)
+    extra = np.zeros(SHAPE)
+    extra[[2, 90, 90], [3, 100, 5]] = 1.0
+    trackers = [SpotTracker(sensor) for sensor in sensors(extra)]
+    for k in range(5):
+        image = exposed(light(SHAPE, *place(k), 4, 150), rng, sensor=LIT_EIGHT_BIT)
+        plain, mapped = (tracker.track(image) for tracker in trackers)
+        assert abs(plain.x_px - mapped.x_px) < 0.01 * plain.u_x_px
+    window = image[20:80, 25:90].copy()
+    cut = [SpotTracker(sensor).track(window, (25, 20), SHAPE) for sensor in sensors(extra)]
+    assert abs(cut[0].x_px - cut[1].x_px) < 0.01 * cut[0].u_x_px
+    assert cut[0].x_px == pytest.approx(place(4)[0], abs=0.1)
