@@ -1,14 +1,15 @@
 """Serial devices of the rig: controller, laser driver, environment sensor."""
 
-from rig.control.controller import Controller
+from rig.control.controller import Controller, Trip
 from rig.control.environment import EnvironmentService
 from rig.control.laser_service import LONGEST_JOB_S, LaserService
 from rig.control.lasers import LASERS, LaserSettings, LaserState, laser_unit, make_laser
-from rig.control.light_permit import LightPermit, Stage
+from rig.control.light_permit import Interlock, LightPermit, Stage
 from rig.control.ports import check_controller, check_environment, check_laser, list_serial_ports
 from rig.control.service import ControlService, ControlState
 from rig.control.settings import ControllerSettings, EnvironmentSettings
 from rig.control.simulated import SimulatedOutputs, simulated_controller
+from rig.control.states import DevicesNow, LaserNow, Light
 
 __all__ = [
     "LASERS",
@@ -17,14 +18,19 @@ __all__ = [
     "ControlState",
     "Controller",
     "ControllerSettings",
+    "DevicesNow",
     "EnvironmentService",
     "EnvironmentSettings",
+    "Interlock",
+    "LaserNow",
     "LaserService",
     "LaserSettings",
     "LaserState",
+    "Light",
     "LightPermit",
     "SimulatedOutputs",
     "Stage",
+    "Trip",
     "check_controller",
     "check_environment",
     "check_laser",

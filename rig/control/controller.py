@@ -5,6 +5,7 @@ import math
 import secrets
 from collections.abc import Callable
 from dataclasses import dataclass
+from enum import StrEnum
 
 from processing.errors import DeviceError
 from rig.control.link import ControllerReset, Link, Refused
@@ -25,6 +26,16 @@ class PowerLimit(DeviceError):
     """The requested laser power exceeds a limit."""
 
 
+class Trip(StrEnum):
+    """Why the board switched its outputs off by itself, in the words of its protocol."""
+
+    NONE = "NONE"
+    WATCHDOG = "WATCHDOG"
+    INTERLOCK = "INTERLOCK"
+    OUTPUT = "OUTPUT"
+    """The laser's output did not follow what it was set to."""
+
+
 @dataclass(frozen=True, slots=True)
 class ControllerIdentity:
     """Identity of the controller, and the power limit stored on it."""
@@ -38,8 +49,8 @@ class ControllerIdentity:
 class ControllerStatus:
     """The board's outputs and inputs in its last reply to a heartbeat.
 
-    `trip` is the reason for which the board switched its outputs off by itself: NONE, WATCHDOG or INTERLOCK.
-    `errors_waiting` is the number of entries in its error queue.
+    `trip` is the reason for which the board switched its outputs off by itself, `errors_waiting` the number
+    of entries in its error queue.
     """
 
     uptime_ms: int
@@ -50,7 +61,7 @@ class ControllerStatus:
     starter_on: bool
     clamp_closed: bool
     brake_on: bool
-    trip: str
+    trip: Trip
     errors_waiting: int
 
 
@@ -284,7 +295,7 @@ def _status(values: str) -> ControllerStatus:
             starter_on=_is_one(starter),
             clamp_closed=_is_one(clamp),
             brake_on=_is_one(brake),
-            trip=trip,
+            trip=Trip(trip),
             errors_waiting=int(errors),
         )
     except ValueError:

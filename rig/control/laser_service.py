@@ -9,7 +9,7 @@ from typing import TypeVar
 from processing.errors import DeviceError
 from rig.control.device_thread import DeviceThread
 from rig.control.lasers.laser import ON_WITHIN_S, Laser, LaserIdentity, LaserState
-from rig.control.light_permit import LightPermit
+from rig.control.light_permit import Interlock, LightPermit
 from rig.control.link import ReplyTimeout
 from rig.control.serial_port import PortLost
 
@@ -121,7 +121,7 @@ class LaserService(DeviceThread):
         if before is not None and before.interlock_closed and not state.interlock_closed:
             self._say("interlock opened")
             if self._own_interlock:
-                self._permit.interlock_opened("the laser")
+                self._permit.interlock_opened(Interlock.LASER)
         if state.fault and (before is None or before.fault != state.fault):
             self._say(state.fault)
 

@@ -14,6 +14,22 @@ class Stage(StrEnum):
     RECORDER = "the writing of the record"
 
 
+class Interlock(StrEnum):
+    """Whose interlock it is."""
+
+    CONTROLLER = "controller"
+    LASER = "laser"
+
+    @property
+    def text(self) -> str:
+        return f"the {self.value}'s interlock"
+
+    @property
+    def opened_text(self) -> str:
+        """That it opened, as people are told."""
+        return f"the interlock of the {self.value} opened"
+
+
 LONGEST_PAUSE_S: Final = {Stage.CAMERA: 5.0, Stage.PROCESSING: 5.0, Stage.RECORDER: 30.0}
 """A stage that pauses for longer has stalled. A slow disk is allowed more: frames wait for it in memory,
 and once they cannot, the processing stalls too."""
@@ -32,7 +48,7 @@ class LightPermit:
         self._moved_s: dict[Stage, float] = {}
         self._begun = False
         self._withdrawn = ""
-        self._unacknowledged = ""
+        self._unacknowledged: Interlock | None = None
 
     def begin(self) -> None:
         """A laser is about to be lit: from now on camera and processing must move."""
@@ -56,24 +72,25 @@ class LightPermit:
         """Refuse the light for good, for example after an interrupt; the first reason is kept."""
         self._withdrawn = self._withdrawn or why
 
-    def interlock_opened(self, whose: str) -> None:
+    def interlock_opened(self, whose: Interlock) -> None:
         """Refuse the light until `acknowledge`, because an interlock opened while light was permitted."""
         if self._begun:
-            self._unacknowledged = f"the interlock of {whose} opened"
+            self._unacknowledged = whose
 
     def acknowledge(self) -> None:
         """Someone has looked, and allows light again."""
-        self._unacknowledged = ""
+        self._unacknowledged = None
 
     @property
-    def unacknowledged(self) -> str:
-        """The interlock that opened and was not acknowledged; empty if none."""
+    def unacknowledged(self) -> Interlock | None:
+        """The interlock that opened and was not acknowledged."""
         return self._unacknowledged
 
     @property
     def refusal(self) -> str:
         """Why no laser may be lit; empty while it may."""
-        return self._withdrawn or self._unacknowledged or self.stalled
+        waits = self._unacknowledged
+        return self._withdrawn or ("" if waits is None else waits.opened_text) or self.stalled
 
     @property
     def paused_s(self) -> float:

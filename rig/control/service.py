@@ -12,9 +12,9 @@ from enum import StrEnum
 from typing import TypeVar
 
 from processing.errors import DeviceError
-from rig.control.controller import Controller, ControllerIdentity, ControllerStatus, Environment
+from rig.control.controller import Controller, ControllerIdentity, ControllerStatus, Environment, Trip
 from rig.control.device_thread import DeviceThread
-from rig.control.light_permit import LightPermit
+from rig.control.light_permit import Interlock, LightPermit
 from rig.control.link import ControllerReset, ReplyTimeout
 from rig.control.serial_port import PortLost
 from rig.control.settings import ControllerSettings
@@ -212,8 +212,8 @@ class ControlService(DeviceThread):
         happened = controller.take_events()
         for event in happened:
             self._say(f"{event.name} {event.detail}".rstrip())
-        if not status.interlock_closed or any(event.detail == "INTERLOCK" for event in happened):
-            self._permit.interlock_opened("the controller")
+        if not status.interlock_closed or any(event.detail == Trip.INTERLOCK for event in happened):
+            self._permit.interlock_opened(Interlock.CONTROLLER)
         if status.errors_waiting:
             code, text = controller.next_error()
             self._say(f"error {code}: {text}")

@@ -11,6 +11,7 @@ from acquisition.camera import CameraSettings
 from acquisition.frame_queue import FrameQueue
 from processing.errors import DeviceError, RigError
 from rig.align import Look, take_look
+from rig.control import Interlock
 from rig.desk.lit_camera import LitCamera
 from rig.devices import Devices, LightWatch, find_exposure, watch_latest
 from rig.instrument import complete, optics_of, prepare_kernels
@@ -62,10 +63,10 @@ class Aligner:
         self._thread.join(10.0)
 
     @property
-    def unacknowledged(self) -> str:
+    def unacknowledged(self) -> Interlock | None:
         """The interlock that has opened since the laser was lit, and that nobody has acknowledged."""
         devices = self._devices
-        return "" if devices is None else devices.permit.unacknowledged
+        return None if devices is None else devices.permit.unacknowledged
 
     def acknowledge(self) -> str:
         """Light the laser again after an interlock has opened; raises DeviceError while it is open."""

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from processing.errors import ConfigurationError, RigError
+from rig.control import Interlock
 from rig.desk.aligner import Aligner
 from rig.desk.calibrating import Calibrating
 from rig.desk.following import Following
@@ -138,10 +139,10 @@ class Desk:
             self.aligner = None
 
     @property
-    def unacknowledged(self) -> str:
-        """The interlock that has opened, in a session or under the live picture; empty if none."""
-        told = str(self.following.news.get("unacknowledged") or "")
-        return told or (self.aligner.unacknowledged if self.aligner is not None else "")
+    def unacknowledged(self) -> Interlock | None:
+        """The interlock that has opened, in a session or under the live picture."""
+        told = self.following.unacknowledged
+        return told or (None if self.aligner is None else self.aligner.unacknowledged)
 
     def acknowledge(self) -> str:
         """Somebody has looked that nobody is in the beam's way; raises RigError if that cannot be."""

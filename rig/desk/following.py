@@ -7,11 +7,15 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from pydantic import TypeAdapter
+
 from rig.channel import Line, NoSession, Picture, SessionBusy, running_sessions
+from rig.control import DevicesNow, Interlock
 
 _LOOK_S = 0.2
 _SEARCH_S = 1.0
 _EVENTS_KEPT = 300
+_DEVICES = TypeAdapter(DevicesNow)
 
 
 class Following:
@@ -46,6 +50,17 @@ class Following:
     @property
     def running(self) -> bool:
         return self.folder is not None
+
+    @property
+    def devices(self) -> DevicesNow:
+        """Laser and controller of the running session."""
+        return _DEVICES.validate_python(self.news.get("devices") or {})
+
+    @property
+    def unacknowledged(self) -> Interlock | None:
+        """The interlock that has opened in the running session, and that nobody has acknowledged."""
+        told = self.news.get("unacknowledged")
+        return None if told is None else Interlock(told)
 
     @property
     def has_picture(self) -> bool:

@@ -83,7 +83,7 @@ def build_page(desk: Desk) -> None:
         told = news.get("state") or {}
         state.set_text(_state(desk))
         cry, waits = str(told.get("alarm") or ""), desk.unacknowledged
-        cry = cry or waits
+        cry = cry or ("" if waits is None else waits.opened_text)
         alarm.set_text(cry.upper())
         alarm.set_visibility(bool(cry))
         acknowledge.set_visibility(bool(waits))

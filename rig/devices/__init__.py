@@ -7,7 +7,7 @@ from rig.devices.clock_watch import MOST_PPM, wrong_rate
 from rig.devices.doctor import examine
 from rig.devices.frame_stream import FrameStream
 from rig.devices.host_clock import kernel_clock, ntp_state
-from rig.devices.laser import STAYS_LIT, WIRE_IT, LaserNow, goes_dark_by_itself, wait_for_command
+from rig.devices.laser import STAYS_LIT, WIRE_IT, goes_dark_by_itself, wait_for_command
 from rig.devices.latest_frames import watch_latest
 from rig.devices.light_watch import LightWatch
 from rig.devices.picture import PictureFigures
@@ -19,7 +19,6 @@ __all__ = [
     "WIRE_IT",
     "Devices",
     "FrameStream",
-    "LaserNow",
     "LightWatch",
     "OpenCamera",
     "PictureFigures",

@@ -7,22 +7,23 @@ switch it off at the end of their thread, also after an error.
 import time
 from collections.abc import Callable
 from concurrent.futures import Future
-from typing import Any, NamedTuple
+from typing import Any
 
 from processing.errors import ConfigurationError, DeviceError
-from rig.control import LONGEST_JOB_S, ControlService, LaserService, LaserSettings, LaserState
+from rig.control import (
+    LONGEST_JOB_S,
+    ControlService,
+    LaserNow,
+    LaserService,
+    LaserSettings,
+    LaserState,
+    Light,
+)
 
 _COMMAND_S = 5.0
 _ANSWERS_WITHIN_S = 5.0
 STAYS_LIT = "it stays lit when this program is killed"
 WIRE_IT = "wire its interlock through the controller's enable relay and set laser.interlock = 'controller'"
-
-
-class LaserNow(NamedTuple):
-    """Whether the laser is on, and its state as text; `on` is False if it does not answer."""
-
-    on: bool
-    words: str
 
 
 def goes_dark_by_itself(settings: LaserSettings) -> bool:
@@ -80,17 +81,14 @@ def laser_now(
     if settings.kind == "controller":
         status = control.snapshot.status if control is not None else None
         if status is None:
-            return LaserNow(False, "the controller does not answer")
-        return LaserNow(
-            status.laser_on, f"on, {status.laser_power_w * 1e3:g} mW" if status.laser_on else "off"
-        )
+            return LaserNow(Light.CONTROLLER_SILENT)
+        return LaserNow(Light.ON, status.laser_power_w) if status.laser_on else LaserNow(Light.OFF)
     state = laser.snapshot.state if laser is not None else None
     if state is None:
-        return LaserNow(False, "does not answer")
-    measured = f", {state.power_w * 1e3:.3g} mW" if state.power_w else ""
-    measured += f", {state.current_a * 1e3:.4g} mA" if state.current_a else ""
-    dark = "off" if state.interlock_closed else "off, its interlock is open"
-    return LaserNow(state.on, f"on{measured}" if state.on else dark)
+        return LaserNow(Light.SILENT)
+    if state.on:
+        return LaserNow(Light.ON, power_w=state.power_w, current_a=state.current_a)
+    return LaserNow(Light.OFF if state.interlock_closed else Light.INTERLOCK_OPEN)
 
 
 def wait_for_command(command: "Future[Any]", patience_s: float = _COMMAND_S) -> None:

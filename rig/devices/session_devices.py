@@ -18,15 +18,19 @@ from rig.control import (
     Controller,
     ControlService,
     ControlState,
+    DevicesNow,
     EnvironmentService,
+    Interlock,
+    LaserNow,
     LaserService,
     LightPermit,
     SimulatedOutputs,
+    Trip,
     make_laser,
     simulated_controller,
 )
 from rig.devices import audit
-from rig.devices.laser import LaserNow, laser_now, light, wait_for_command
+from rig.devices.laser import laser_now, light, wait_for_command
 from rig.devices.network_clock import wait_for_network_clock
 from rig.devices.simulated_interlock import SimulatedInterlock
 from rig.instrument import (
@@ -178,10 +182,8 @@ class Devices:
         be called when the first frame is due. Raises DeviceError if an interlock opened earlier and nobody
         has acknowledged it.
         """
-        if self.permit.unacknowledged:
-            raise DeviceError(
-                f"the laser stays off: {self.permit.unacknowledged}, which was not acknowledged"
-            )
+        if opened := self.permit.unacknowledged:
+            raise DeviceError(f"the laser stays off: {opened.opened_text}, which was not acknowledged")
         if self._config.laser.kind != "none":
             # before it is lit, because a disk may hang
             self.audit("laser switched on", laser=self._config.laser.kind)
@@ -196,22 +198,22 @@ class Devices:
         the beam's way.
         """
         opened, still = self.permit.unacknowledged, self._open_interlock()
-        if not opened:
+        if opened is None:
             return "no interlock waits for an acknowledgement"
         if still:
-            raise DeviceError(f"{still} is still open: close it, then acknowledge")
-        self.audit("interlock acknowledged", opened=opened)
+            raise DeviceError(f"{still.text} is still open: close it, then acknowledge")
+        self.audit("interlock acknowledged", opened=opened.opened_text)
         self.permit.acknowledge()
-        return f"{opened}: acknowledged"
+        return f"{opened.opened_text}: acknowledged"
 
-    def _open_interlock(self) -> str:
-        """The interlock that is open now; empty if none is. Never blocks."""
+    def _open_interlock(self) -> Interlock | None:
+        """The interlock that is open now. Never blocks."""
         status = None if self.control is None else self.control.snapshot.status
         if status is not None and not status.interlock_closed:
-            return "the controller's interlock"
+            return Interlock.CONTROLLER
         state = None if self.laser is None else self.laser.snapshot.state
         own = self._config.laser.interlock == "own"
-        return "the laser's interlock" if own and state is not None and not state.interlock_closed else ""
+        return Interlock.LASER if own and state is not None and not state.interlock_closed else None
 
     def audit(self, what: str, **details: object) -> None:
         """Add what a person did, or had done, to the audit log."""
@@ -256,10 +258,10 @@ class Devices:
             if snapshot.status is None:
                 return f"the controller is {snapshot.state}: {snapshot.last_error}".rstrip(": ")
             if interlock := self._open_interlock():
-                return f"{interlock} is open"
-            if snapshot.status.trip != "NONE":
+                return f"{interlock.text} is open"
+            if snapshot.status.trip is not Trip.NONE:
                 return f"the controller has tripped: {snapshot.status.trip}"
-        return laser.words
+        return laser.text
 
     def laser_now(self) -> LaserNow | None:
         """State of the laser; None if this program controls none. Never blocks."""
@@ -296,28 +298,13 @@ class Devices:
             return air.temperature_c, air.humidity_percent, air.pressure_pa
         return math.nan, math.nan, math.nan
 
-    def describe(self) -> str:
-        """State of laser and controller in a few words; empty without them."""
-        laser = self.laser_now()
-        words = [] if laser is None else ["laser on" if laser.on else f"laser {laser.words}"]
+    def now(self) -> DevicesNow:
+        """State of laser and controller. Never blocks."""
         if self.control is None:
-            return ", ".join(words)
+            return DevicesNow(self.laser_now())
         snapshot = self.control.snapshot
-        if snapshot.state is not ControlState.OPEN or snapshot.status is None:
-            return str(snapshot.state)
-        status = snapshot.status
-        words += [
-            name
-            for name, on in (
-                ("magnet", status.magnet_on),
-                ("starter", status.starter_on),
-                ("clamp", status.clamp_closed),
-                ("brake", status.brake_on),
-            )
-            if on
-        ]
-        words.append("interlock closed" if status.interlock_closed else "INTERLOCK OPEN")
-        return ", ".join(words)
+        status = snapshot.status if snapshot.state is ControlState.OPEN else None
+        return DevicesNow(self.laser_now(), snapshot.state, status)
 
 
 def _unwired(_: float) -> None:

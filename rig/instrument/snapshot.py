@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 from acquisition.frame_losses import FrameLosses
 from processing.estimate import Estimate
+from rig.control import DevicesNow
 
 
 @dataclass(frozen=True, slots=True)
@@ -14,8 +15,9 @@ class Snapshot:
 
     `frame_age_s` is the time between the arrival of the oldest frame of the last block and the start of
     its processing; it grows if processing is too slow. `losses` are the dropped frames by cause, as
-    counted by the camera. `instruction` is a request to the operator, `controller` the controller's state,
-    `beam` what is fitted to the spot, `alarm` what is wrong with light or disk, empty if nothing is.
+    counted by the camera. `instruction` is a request to the operator, `devices` the state of laser and
+    controller, `beam` what is fitted to the spot, `alarm` what is wrong with light or disk, empty if nothing
+    is.
     `estimates` are the contact's parameters by key, from the first `estimated_from` half-cycles; empty before
     there are enough.
     """
@@ -37,7 +39,7 @@ class Snapshot:
     temperature_c: float = math.nan
     humidity_percent: float = math.nan
     pressure_pa: float = math.nan
-    controller: str = ""
+    devices: DevicesNow | None = None
     instruction: str = ""
     alarm: str = ""
     beam: str = ""

@@ -215,7 +215,7 @@ class PhasesBeforeRecord:
                 frames.window_bytes(),
                 shutil.disk_usage(self._folder).free,
             ),
-            device_checks.controller(self._devices.describe(), config.controller.kind != "none"),
+            device_checks.controller(self._devices.now(), config.controller.kind != "none"),
             device_checks.laser(self._devices.laser_now(), goes_dark_by_itself(config.laser)),
             device_checks.air(self._devices.environment(), config.environment_sensor.kind != "none", limits),
         ]

@@ -128,6 +128,6 @@ class RunStatus:
             temperature_c=temperature_c,
             humidity_percent=humidity_percent,
             pressure_pa=pressure_pa,
-            controller=self._devices.describe(),
+            devices=self._devices.now(),
             alarm=self.light.alarm or snapshot.alarm,
         )

@@ -167,6 +167,7 @@ class RunDisplay:
         estimates = estimates_tree(snapshot.estimates)
         left_s, u_s = self._left(snapshot)
         own = {
+            "controller": _devices(snapshot),
             "done": self._fraction(snapshot),
             "remaining_s": left_s,
             "u_remaining_s": u_s,
@@ -195,8 +196,8 @@ class RunDisplay:
             ("disk", _number(snapshot.disk_free_bytes / 1e9, ".1f", "GB free")),
             ("environment", _air(snapshot)),
         ]
-        if snapshot.controller:
-            rows.append(("controller", snapshot.controller))
+        if devices := _devices(snapshot):
+            rows.append(("controller", devices))
         return rows
 
     def _transverse(self, balance: Balance | None) -> str:
@@ -295,6 +296,10 @@ def _number(value: float, shape: str, unit: str) -> str:
 
 def _age(snapshot: Snapshot) -> str:
     return "age -" if math.isnan(snapshot.frame_age_s) else f"age {snapshot.frame_age_s * 1e3:.0f} ms"
+
+
+def _devices(snapshot: Snapshot) -> str:
+    return "" if snapshot.devices is None else snapshot.devices.text
 
 
 def _air(snapshot: Snapshot) -> str:

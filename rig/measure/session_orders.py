@@ -3,6 +3,7 @@
 import _thread
 import sys
 import time
+from dataclasses import asdict
 from typing import Any
 
 from processing.errors import DeviceError
@@ -34,11 +35,9 @@ def orders(devices: Devices) -> Orders:
 
 def devices_now(devices: Devices) -> dict[str, Any]:
     """State of laser, controller and interlock as plain values; never blocks."""
-    laser = devices.laser_now()
     return {
-        "laser": None if laser is None else laser._asdict(),
+        "devices": asdict(devices.now()),
         "darkness": devices.darkness(),
-        "controller": None if devices.control is None else devices.describe(),
         "unacknowledged": devices.permit.unacknowledged,
     }
 
@@ -48,9 +47,10 @@ def acknowledge_interlock(devices: Devices, telling: SessionTelling) -> None:
 
     Raises DeviceError without a yes.
     """
-    opened = devices.permit.unacknowledged
-    if not opened:
+    interlock = devices.permit.unacknowledged
+    if interlock is None:
         return
+    opened = interlock.opened_text
     if sys.stdin.isatty() and sys.stderr.isatty():
         answer = input(f"{opened}. Look that nobody is in the beam's way. Light the laser again? [y/N] ")
         if answer.strip().lower() in {"y", "yes"}:

@@ -8,6 +8,7 @@ from nicegui import run, ui
 
 from processing.errors import ConfigurationError
 from processing.estimate import Estimate
+from rig.control import DevicesNow
 from rig.desk import drawings
 from rig.desk.desk import Desk
 from rig.desk.panels.fields import number_field, stated, text_field
@@ -45,7 +46,8 @@ def build(desk: Desk, tab: Tab) -> None:
             ui.notify(await run.io_bound(desk.following.order, "stop"))
 
     async def brake() -> None:
-        is_on = "brake" in str(desk.following.news.get("controller") or "")
+        status = desk.following.devices.status
+        is_on = status is not None and status.brake_on
         ui.notify(await run.io_bound(desk.following.order, "brake off" if is_on else "brake on"))
 
     with ui.dialog() as sure, ui.card():
@@ -141,9 +143,10 @@ def build(desk: Desk, tab: Tab) -> None:
         amplitude.set_text(_number(told.get("amplitude"), ".2f", unit))
         left.set_text(_left(told))
         progress.set_value(_done(news))
-        laser.set_text(_light(news))
+        devices = desk.following.devices
+        laser.set_text(str(news.get("darkness") or "") or _light(devices))
         laser.classes(remove="go no", add="no" if news.get("darkness") else "go")
-        brakes.set_visibility(news.get("controller") is not None)
+        brakes.set_visibility(devices.controller is not None)
         learned.set_content(drawings.table(_estimates(told), "parameters so far"))
         swings = [(float(t), float(a)) for t, a in news.get("swings") or []]
         decay.set_content(drawings.curve(swings, (420, 130), "amplitude over time", "s", unit))
@@ -178,13 +181,10 @@ def _done(news: Mapping[str, Any]) -> float:
     return 0.0 if rows is None else round(float(rows), 3)
 
 
-def _light(news: Mapping[str, Any]) -> str:
-    if news.get("darkness"):
-        return str(news["darkness"])
-    laser, controller = news.get("laser"), news.get("controller")
-    if laser is None and controller is None:
-        return "no laser is controlled"
-    return str(controller or f"laser {laser['words'] if laser else ''}")
+def _light(devices: DevicesNow) -> str:
+    if devices.controller is not None:
+        return devices.text
+    return "no laser is controlled" if devices.laser is None else f"laser {devices.laser.text}"
 
 
 def _estimates(told: Mapping[str, Any]) -> list[list[str]]:

@@ -4,7 +4,8 @@ import math
 from collections.abc import Sequence
 
 from calibration import Axes, Shutter
-from rig.devices import STAYS_LIT, WIRE_IT, LaserNow
+from rig.control import DevicesNow, LaserNow
+from rig.devices import STAYS_LIT, WIRE_IT
 from rig.presentation import Verdict, with_uncertainty
 from rig.settings import PreflightSettings
 
@@ -34,17 +35,17 @@ def air(environment: tuple[float, float, float], expected: bool, limits: Preflig
     )
 
 
-def controller(words: str, wanted: bool) -> Verdict:
-    """Check that the controller answers and its interlock is closed; `words` is from `Devices.describe`."""
+def controller(now: DevicesNow, wanted: bool) -> Verdict:
+    """Check that the controller answers and its interlock is closed."""
     if not wanted:
         return Verdict("controller", True, measured="none is configured", limit="answers", made=False)
-    ok = "interlock closed" in words
+    ok = now.interlock_closed
     return Verdict(
         "controller",
         ok,
         "" if ok else "it does not answer, or its interlock is open",
         "" if ok else "see rig doctor; close the cover",
-        measured=words,
+        measured=now.text,
         limit="answers, interlock closed",
     )
 
@@ -56,11 +57,11 @@ def laser(now: LaserNow | None, goes_dark_by_itself: bool) -> Verdict:
     if not now.on:
         remedy = "see rig doctor; close the interlock, turn its key"
         return Verdict(
-            "laser", False, "there is no light to measure with", remedy, measured=now.words, limit="lit"
+            "laser", False, "there is no light to measure with", remedy, measured=now.text, limit="lit"
         )
     if goes_dark_by_itself:
-        return Verdict("laser", True, measured=now.words, limit="lit")
-    return Verdict("laser", True, STAYS_LIT, WIRE_IT, measured=now.words, limit="lit")
+        return Verdict("laser", True, measured=now.text, limit="lit")
+    return Verdict("laser", True, STAYS_LIT, WIRE_IT, measured=now.text, limit="lit")
 
 
 def shutter(kind: str, known: Shutter | None, axes: Axes | None, *, pulsed: bool = False) -> Verdict:

@@ -15,6 +15,7 @@ from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import DeviceError, RigError
 from processing.spot import Spot
 from rig.channel import Channel, Line, NoSession, SessionTelling, running_sessions
+from rig.control import Interlock
 from rig.instrument import Block
 from rig.settings import Configuration
 
@@ -37,7 +38,7 @@ def line(told: SessionTelling, tmp_path: Path) -> Iterator[Line]:
     folder = tmp_path / "session"
     folder.mkdir()
     orders = {"stop": lambda: "stopping", "brake on": refuse}
-    with Channel(folder, told, orders, lambda: {"unacknowledged": "it opened"}), Line(folder) as opened:
+    with Channel(folder, told, orders, lambda: {"unacknowledged": Interlock.LASER}), Line(folder) as opened:
         yield opened
 
 
@@ -60,7 +61,7 @@ def test_news_are_plain_values_and_events_come_once(told: SessionTelling, line: 
     news = line.news()
     assert news["run"] == "run 1"
     assert news["state"] == {"amplitude": None, "phase": "measuring"}
-    assert news["unacknowledged"] == "it opened"
+    assert news["unacknowledged"] == "laser"
     assert news["path"]["y"] == [1.0] * 16
     (event,) = news["events"]
     assert (event["kind"], event["elapsed_s"]) == ("start", 2.0)

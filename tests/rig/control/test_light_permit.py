@@ -2,7 +2,7 @@
 
 import pytest
 
-from rig.control.light_permit import LONGEST_PAUSE_S, LightPermit, Stage
+from rig.control.light_permit import LONGEST_PAUSE_S, Interlock, LightPermit, Stage
 
 
 class Clock:
@@ -67,10 +67,10 @@ def test_what_was_withdrawn_never_comes_back(permit: LightPermit) -> None:
 
 
 def test_an_interlock_needs_an_acknowledgement_once_light_was_allowed(permit: LightPermit) -> None:
-    permit.interlock_opened("the controller")
+    permit.interlock_opened(Interlock.CONTROLLER)
     assert permit.refusal == ""
     permit.begin()
-    permit.interlock_opened("the controller")
+    permit.interlock_opened(Interlock.CONTROLLER)
     permit.begin()
     assert permit.refusal == "the interlock of the controller opened"
     permit.acknowledge()

@@ -2,6 +2,7 @@
 
 import http.client
 import urllib.parse
+from dataclasses import asdict, replace
 from http import HTTPStatus
 from pathlib import Path
 
@@ -13,7 +14,9 @@ from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import DeviceError
 from processing.spot import Spot
 from rig.channel import Channel, SessionTelling
+from rig.control import ControlState, DevicesNow, LaserNow, Light
 from rig.settings import Configuration
+from tests.rig.control.test_states import status
 from tests.rig.desk.desk_page import DeskProcess, Page
 
 pytestmark = pytest.mark.slow
@@ -145,7 +148,9 @@ def test_a_session_is_shown_before_its_record_begins_and_cries_are_seen_and_hear
     shown: Shown, desk_output: Path
 ) -> None:
     _, page = shown
-    taken, now = [], {"controller": "laser on, interlock closed"}
+    taken = []
+    lit = DevicesNow(LaserNow(Light.ON), ControlState.OPEN, status())
+    now = {"devices": asdict(lit)}
     telling = SessionTelling(Configuration(camera={"driver": "simulated"}))  # type: ignore[arg-type]
     telling.begin_run("run 1", 255, None)
     frame = Frame(np.full((64, 32), 40, np.uint8), 1, 1, 1)
@@ -155,7 +160,7 @@ def test_a_session_is_shown_before_its_record_begins_and_cries_are_seen_and_hear
 
     def brake_on() -> str:
         taken.append("on")
-        now["controller"] = "laser on, brake, interlock closed"
+        now["devices"] = asdict(replace(lit, status=status(brake_on=True)))
         return "the brake is on"
 
     def brake_off() -> str:

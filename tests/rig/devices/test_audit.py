@@ -9,6 +9,7 @@ import pytest
 
 from processing.errors import DeviceError
 from rig.channel import SessionTelling
+from rig.control import Interlock
 from rig.control.simulated import SimulatedBoard
 from rig.devices import Devices
 from rig.measure.session_orders import acknowledge_interlock
@@ -30,7 +31,7 @@ def test_an_interlock_is_acknowledged_by_a_person_and_that_is_kept(
     config = Configuration(camera={"driver": "simulated"}, session={"operator": "Ada"})
     devices, telling = Devices(config, tmp_path), SessionTelling(config)
     devices.permit.begin()
-    devices.permit.interlock_opened("the controller")
+    devices.permit.interlock_opened(Interlock.CONTROLLER)
     monkeypatch.setattr(sys, "stderr", Terminal())
     monkeypatch.setattr(sys, "stdin", Terminal("no\nyes\n"))
     with pytest.raises(DeviceError, match="nobody has allowed light again"):

@@ -13,8 +13,8 @@ from typing import Any
 import pytest
 
 from processing.errors import DeviceError
+from rig.control import LaserNow, Light
 from rig.control.controller import InterlockOpen
-from rig.devices.laser import LaserNow
 from rig.devices.session_devices import Devices
 from rig.measure.preflight import device_checks
 from rig.settings.configuration import Configuration, validate_configuration
@@ -64,7 +64,7 @@ def test_lit_in_a_session_and_dark_after_it(family: tuple[str, Instrument]) -> N
         now = devices.laser_now()
         assert now is not None
         assert now.on
-        assert devices.describe() == "laser on"
+        assert devices.now().text == "laser on"
         # lit already: nothing is done to it
         assert devices.light() == ""
     assert not instrument.on
@@ -100,7 +100,7 @@ def test_an_open_interlock_lights_nothing(family: tuple[str, Instrument]) -> Non
             devices.light()
         now = devices.laser_now()
         assert now is not None
-        assert now.words == "off, its interlock is open"
+        assert now.light is Light.INTERLOCK_OPEN
     assert instrument.highest_lit == 0.0
 
 
@@ -225,13 +225,13 @@ def test_without_the_relay_sigterm_darkens_it_and_sigkill_does_not(
 
 def test_preflight_says_how_the_laser_stands() -> None:
     assert device_checks.laser(None, True).ok
-    dark = device_checks.laser(LaserNow(False, "off"), True)
+    dark = device_checks.laser(LaserNow(Light.OFF), True)
     assert not dark.ok
     assert dark.remedy
-    well = device_checks.laser(LaserNow(True, "on, 0.5 mW"), True)
+    well = device_checks.laser(LaserNow(Light.ON, 0.5e-3), True)
     assert well.ok
     assert not well.remedy
-    warning = device_checks.laser(LaserNow(True, "on, 0.5 mW"), False)
+    warning = device_checks.laser(LaserNow(Light.ON, 0.5e-3), False)
     assert warning.ok
     assert "killed" in warning.reason
     assert "relay" in warning.remedy

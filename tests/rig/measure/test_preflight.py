@@ -14,13 +14,14 @@ from calibration.pointing import stability
 from processing.angle import ARCSEC_RAD
 from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import Spot, SpotFlag
-from rig.devices.laser import LaserNow
+from rig.control import ControlState, DevicesNow, LaserNow, Light
 from rig.measure.preflight import Look, device_checks, frame_checks
 from rig.presentation import failures
 from rig.presentation.verdict import Verdict
 from rig.presentation.verdict_table import print_verdicts
 from rig.settings import PendulumSettings
 from rig.settings.phases import PreflightSettings
+from tests.rig.control.test_states import opened
 
 LIMITS = PreflightSettings()
 NAMES = ("noise floor", "vibration", "spot found", "laser", "disk space")
@@ -109,7 +110,7 @@ def test_what_was_not_checked_and_what_is_a_warning_is_not_called_go() -> None:
     verdicts = [
         *frame_checks.stillness(SWINGING, LIMITS),
         frame_checks.spot_found(spots(100), LIMITS),
-        device_checks.laser(LaserNow(True, "on, 0.5 mW"), goes_dark_by_itself=False),
+        device_checks.laser(LaserNow(Light.ON, 0.5e-3), goes_dark_by_itself=False),
         frame_checks.disk(1, 5000.0, 500.0, 3600.0),
     ]
     text = StringIO()
@@ -232,9 +233,9 @@ def test_air_and_controller() -> None:
     assert device_checks.air(nothing, False, LIMITS).ok
     assert_no(device_checks.air(nothing, True, LIMITS))
     assert_no(device_checks.air((60.0, 40.0, 1e5), True, LIMITS))
-    assert device_checks.controller("laser on, interlock closed", True).ok
-    assert_no(device_checks.controller("lost", True))
-    assert device_checks.controller("", False).ok
+    assert device_checks.controller(opened(), True).ok
+    assert_no(device_checks.controller(DevicesNow(controller=ControlState.LOST), True))
+    assert device_checks.controller(DevicesNow(), False).ok
 
 
 def test_what_stands_against_a_run_is_one_line() -> None:

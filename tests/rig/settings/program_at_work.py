@@ -19,12 +19,15 @@ from rig.control import (
     Controller,
     ControllerSettings,
     ControlService,
+    DevicesNow,
     EnvironmentService,
     EnvironmentSettings,
+    LaserNow,
+    Light,
     simulated_controller,
 )
 from rig.control.settings import SerialFaults
-from rig.devices import Devices, FrameStream, LaserNow, OpenCamera
+from rig.devices import Devices, FrameStream, OpenCamera
 from rig.instrument import camera_settings, complete, make_camera, optics_of
 from rig.instrument.light_times import shift_to_light_ns
 from rig.measure.end_of_run import EndLimits
@@ -73,11 +76,11 @@ class _Stubs:
 
     control = _Obedient()
 
-    def describe(self) -> str:
-        return ""
+    def now(self) -> DevicesNow:
+        return DevicesNow()
 
     def laser_now(self) -> LaserNow:
-        return LaserNow(True, "on")
+        return LaserNow(Light.ON)
 
     def darkness(self) -> str:
         return ""
