@@ -29,7 +29,13 @@ from rig.analysis.settled import points_in_true_time, settled_swings
 from rig.analysis.stored_position_errors import PositionErrors
 from rig.analysis.stored_turning_points import StoredTurningPoints
 from rig.analysis.surroundings import Surroundings, doubts_of, expected_drag, recorded_surroundings
-from rig.instrument import inputs_sha256, judge_calibration, pendulum_on_ball, recorded_configuration
+from rig.instrument import (
+    earlier_schema,
+    inputs_sha256,
+    judge_calibration,
+    pendulum_on_ball,
+    recorded_configuration,
+)
 from rig.settings import OF_FITS, Configuration, refuse_without_effect
 
 
@@ -38,7 +44,8 @@ class AnalysedRun:
     """The results of one run, and what a series of runs needs beyond them.
 
     `points` are the turning points that were fitted. `reduction` is there for a pendulum that is not
-    described by the contact's laws, `rig` where the contact radius is calculated after Hertz.
+    described by the contact's laws, `rig` where the contact radius is calculated after Hertz,
+    `earlier_schema` what `earlier_schema` of `rig.instrument` says of its configuration.
     """
 
     record: Path
@@ -48,6 +55,7 @@ class AnalysedRun:
     rig: RigQuantities | None = None
     reduction: Reduction | None = None
     lost_spots: int = 0
+    earlier_schema: str = ""
 
 
 def analyse_record(path: Path, overrides: Sequence[str] = ()) -> AnalysedRun:
@@ -57,6 +65,7 @@ def analyse_record(path: Path, overrides: Sequence[str] = ()) -> AnalysedRun:
         refuse_without_effect(overrides, OF_FITS, "rig replay takes the recorded motion again")
         blocks = _RecordedDeflections(reader)
         run = analyse_run(reader, config, reader.swings(), blocks, reader.deflection_unit, blocks.beam)
+        run = replace(run, earlier_schema=earlier_schema(reader))
         return with_dropped_frames(run, blocks.following - run.results.frames, reader, config)
 
 

@@ -10,11 +10,11 @@ from pydantic import TypeAdapter, ValidationError
 from pydantic_core import ErrorDetails
 
 from acquisition.record import whole_file
-from processing.errors import RecordError
+from processing.errors import ConfigurationError, RecordError
 from rig.analysis.encoding import JsonObject, with_entries_beside
 from rig.analysis.results import SCHEMA, EnvelopeResults, RunResults, SessionResults, TableResults
 from rig.presentation import plain_values
-from rig.settings import wanted
+from rig.settings import migrated, wanted
 
 RESULTS_NAME = "results.json"
 _REMEDY = "rig fit makes it anew from the record"
@@ -87,21 +87,30 @@ def decoded(tree: Any, path: Path) -> SessionResults:
     """Results from what `encoded` gives of them; RecordError names the file and the key at fault."""
     if not isinstance(tree, dict) or not isinstance(tree.get("runs"), list) or not tree["runs"]:
         raise RecordError(f"{path}: names no runs; it was not made from records of rig run")
-    version = tree.setdefault("schema", 1)
-    if isinstance(version, int) and version > SCHEMA:
-        raise RecordError(
-            f"{path}: schema {version} was written by a later version; this one reads up to {SCHEMA}"
-        )
-    if version == 1:
-        for run in filter(lambda run: isinstance(run, dict), tree["runs"]):
-            # in whichever unit the record has
-            for end in ("initial", "final"):
-                run.setdefault(f"{end}_amplitude", run.get(f"{end}_amplitude_arcsec"))
     try:
-        found: SessionResults = _codec(SessionResults).validate_python(tree)
+        today, _ = migrated(tree, str(path), _STEPS)
+        found: SessionResults = _codec(SessionResults).validate_python(today)
+    except ConfigurationError as error:
+        raise RecordError(str(error)) from None
     except ValidationError as error:
         raise RecordError(f"{path}: {_one_line(error.errors()[0])}; {_REMEDY}") from None
     return found
+
+
+def _with_amplitudes(tree: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Schema 1 had amplitudes under one name only, in whichever unit the record has."""
+    ends = ("initial", "final")
+    runs = [
+        {f"{end}_amplitude": run.get(f"{end}_amplitude_arcsec") for end in ends} | run
+        if isinstance(run, dict)
+        else run
+        for run in tree["runs"]
+    ]
+    return {**tree, "runs": runs}
+
+
+_STEPS = (_with_amplitudes,)
+"""The first makes schema 2 from schema 1, and so on."""
 
 
 def _one_line(fault: ErrorDetails) -> str:

@@ -22,7 +22,6 @@ class SerialFaults(BaseModel, frozen=True, extra="forbid"):
     delay_s: float = Field(default=0.0, ge=0, le=10)
     reset_at_s: float | None = Field(default=None, ge=0)
     unplug_at_s: float | None = Field(default=None, ge=0)
-    seed: int = 0
 
 
 class ControllerSettings(BaseModel, frozen=True, extra="forbid"):

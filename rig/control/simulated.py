@@ -77,7 +77,7 @@ class SimulatedBoard:
         self.open_lines = 0
         self.begun_s = time.monotonic()
         self._outputs = outputs
-        self._random = random.Random(faults.seed)
+        self._random = random.Random(0)
         self._thread: threading.Thread | None = None
         self._reset_done = False
         self._enabled = False

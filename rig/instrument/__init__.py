@@ -27,6 +27,7 @@ from rig.instrument.pipeline import Block, Deflector, Pipeline
 from rig.instrument.provenance import (
     CONFIGURATION_NAME,
     configuration_attachments,
+    earlier_schema,
     frame_shape,
     inputs_sha256,
     recorded_configuration,
@@ -52,6 +53,7 @@ __all__ = [
     "check_materials",
     "complete",
     "configuration_attachments",
+    "earlier_schema",
     "fill_from_files",
     "frame_policy",
     "frame_shape",

@@ -9,15 +9,23 @@ import socket
 import subprocess
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from pydantic import ValidationError
 
 from acquisition.camera import CameraInfo
 from acquisition.frame import Frame
 from acquisition.record.reader import RecordReader
-from processing.errors import RecordError
+from processing.errors import ConfigurationError, RecordError
 from rig.instrument.calibration import calibration_attachments
-from rig.settings import Configuration, apply_overrides, in_words, validate_configuration
+from rig.settings import (
+    Configuration,
+    apply_overrides,
+    in_words,
+    migrated,
+    stored_configuration,
+    validate_configuration,
+)
 
 CONFIGURATION_NAME = "configuration.json"
 SOURCE_NAME = "configuration.toml"
@@ -123,13 +131,17 @@ def session_metadata(config: Configuration, info: CameraInfo, first: Frame) -> d
 
 def configuration_attachments(config: Configuration, source: Path) -> dict[str, bytes]:
     """Files to attach to a record: the complete configuration, the user's original file, calibrations."""
-    attachments = {CONFIGURATION_NAME: config.model_dump_json(indent=1).encode()}
+    attachments = {CONFIGURATION_NAME: _stored(config)}
     if source.is_file() and source.suffix == ".toml":
         attachments[SOURCE_NAME] = source.read_bytes()
     description = record_description()
     if description:
         attachments[RECORD_DESCRIPTION] = description
     return {**attachments, **calibration_attachments(config)}
+
+
+def _stored(config: Configuration) -> bytes:
+    return json.dumps(stored_configuration(config), indent=1, ensure_ascii=False).encode()
 
 
 def inputs_sha256(reader: RecordReader) -> dict[str, str]:
@@ -149,7 +161,29 @@ def frame_shape(reader: RecordReader) -> tuple[int, int]:
 
 
 def recorded_configuration(reader: RecordReader, overrides: Sequence[str] = ()) -> Configuration:
-    """The configuration that a record was made with, with ``KEY=VALUE`` overrides applied."""
+    """The configuration that a record was made with, with ``KEY=VALUE`` overrides applied.
+
+    One of an earlier schema is read in today's keys, as `earlier_schema` says.
+    """
+    tree, _ = _migrated(reader)
+    try:
+        config = Configuration.model_validate(tree)
+    except ValidationError as error:
+        said = in_words(Configuration, error.errors()[0])
+        raise RecordError(f"{reader.path}: its configuration is of another version ({said})") from None
+    if not overrides:
+        return config
+    tree = config.model_dump(mode="json", exclude_none=True)
+    apply_overrides(tree, overrides)
+    return validate_configuration(tree, str(reader.path), overrides)
+
+
+def earlier_schema(reader: RecordReader) -> str:
+    """One line for a record whose configuration had other keys than it is read with; empty otherwise."""
+    return _migrated(reader)[1]
+
+
+def _migrated(reader: RecordReader) -> tuple[dict[str, Any], str]:
     attachment = reader.attachments.get(CONFIGURATION_NAME)
     if attachment is None:
         if CONFIGURATION_NAME in reader.contents.attachment_places or reader.contents.damage:
@@ -159,12 +193,6 @@ def recorded_configuration(reader: RecordReader, overrides: Sequence[str] = ()) 
             )
         raise RecordError(f"{reader.path}: contains no configuration; it was not made by rig run")
     try:
-        config = Configuration.model_validate_json(attachment)
-    except ValidationError as error:
-        said = in_words(Configuration, error.errors()[0])
-        raise RecordError(f"{reader.path}: its configuration is of another version ({said})") from None
-    if not overrides:
-        return config
-    tree = config.model_dump(mode="json", exclude_none=True)
-    apply_overrides(tree, overrides)
-    return validate_configuration(tree, str(reader.path), overrides)
+        return migrated(json.loads(attachment), f"{reader.path}: its configuration")
+    except ConfigurationError as error:
+        raise RecordError(str(error)) from None

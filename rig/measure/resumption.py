@@ -14,7 +14,7 @@ from rig.measure.recording import NOT_ACCEPTED
 from rig.measure.session import Patience, make_runs, no_patience, report
 from rig.measure.session_file import STATE_NAME, RunEntry, RunState, SessionFile
 from rig.presentation import say
-from rig.settings import Configuration, validate_configuration
+from rig.settings import Configuration, migrated, validate_configuration
 
 
 def resume_session(folder: Path, *, force: bool = False, json_lines: bool = False) -> int:
@@ -24,7 +24,10 @@ def resume_session(folder: Path, *, force: bool = False, json_lines: bool = Fals
     numbers. Returns the exit status like `measure_session`.
     """
     with closing(SessionFile.opened(folder)) as file:
-        config = validate_configuration(file.state.configuration, str(folder / STATE_NAME))
+        tree, note = migrated(file.state.configuration, f"{folder / STATE_NAME}: its configuration")
+        if note:
+            say(note)
+        config = validate_configuration(tree, str(folder / STATE_NAME))
         with announced(config.session, folder) as told:
             told.status = go_on(file, config, told.notices, force=force, json_lines=json_lines)
     return told.status

@@ -27,7 +27,7 @@ from rig.measure.run_setup import RunPlan, measure_run
 from rig.measure.session_file import RunState, SessionFile
 from rig.measure.session_orders import acknowledge_interlock, devices_now, orders
 from rig.presentation import failures, print_json_line, say
-from rig.settings import Configuration
+from rig.settings import Configuration, stored_configuration
 from rig.terminal import Terminated, reason_of
 
 Patience = Callable[[str], bool]
@@ -78,7 +78,7 @@ def make_session(
     """
     with ExitStack() as closing:
         with Devices(config, folder) as devices:
-            file = SessionFile.made(folder, source, config.session.runs, config.model_dump(mode="json"))
+            file = SessionFile.made(folder, source, config.session.runs, stored_configuration(config))
             closing.callback(file.close)
             made = make_runs(
                 config, source, file, devices, notices, patience, force=force, json_lines=json_lines

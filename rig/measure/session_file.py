@@ -18,6 +18,7 @@ except ImportError:  # pragma: no cover
     fcntl = None  # type: ignore[assignment]
 
 STATE_NAME = "session.json"
+_SCHEMA = 1
 RunState = Literal["recording", "complete", "stopped", "rejected", "failed", "interrupted"]
 
 
@@ -36,7 +37,7 @@ class RunEntry(BaseModel, frozen=True, extra="forbid"):
 class SessionState(BaseModel, frozen=True, extra="forbid"):
     """The whole file. `configuration` is complete, so that a session can be resumed without other files."""
 
-    schema_version: int = 1
+    schema_version: int = _SCHEMA
     source: str
     runs_wanted: int
     configuration: dict[str, Any]
@@ -62,13 +63,19 @@ def read_session(folder: Path) -> SessionState:
     """The session in a folder, whether it still runs or not; raises ConfigurationError if there is none."""
     path = folder / STATE_NAME
     try:
-        return SessionState.model_validate_json(path.read_bytes())
+        state = SessionState.model_validate_json(path.read_bytes())
     except FileNotFoundError:
         raise ConfigurationError(
             f"{folder}: contains no session to resume ({STATE_NAME} is missing)"
         ) from None
     except (OSError, ValidationError) as error:
         raise ConfigurationError(f"{path}: cannot be read: {str(error).splitlines()[0]}") from None
+    if state.schema_version > _SCHEMA:
+        raise ConfigurationError(
+            f"{path}: schema {state.schema_version} was written by a later version; "
+            f"this one reads up to {_SCHEMA}"
+        )
+    return state
 
 
 class SessionFile:

@@ -20,7 +20,7 @@ from rig.analysis import (
     with_dropped_frames,
     write_results,
 )
-from rig.instrument import recorded_configuration
+from rig.instrument import earlier_schema, recorded_configuration
 from rig.presentation import Keys, say
 from rig.replay.comparison import parameter_changes
 from rig.replay.player import HELP, MOST_FRAMES, Player
@@ -70,6 +70,8 @@ def replay_record(
         used: Sequence[str] = OF_TRACKING if retrack else OF_REPLAYS
         remedy = "frames stay as they were recorded" if retrack else "what the tracker takes needs --retrack"
         refuse_without_effect(overrides, used, remedy)
+        if note := earlier_schema(reader):
+            say(note)
         if reader.truncated:
             say(reader.cut_notice)
         wants_view = mode != "none" or rrd is not None

@@ -11,10 +11,12 @@ from rig.settings.configuration import (
     apply_overrides,
     keys_with_faults,
     load_configuration,
+    stored_configuration,
     validate_configuration,
 )
 from rig.settings.effect import OF_FITS, OF_REPLAYS, OF_TABLES, OF_TRACKING, refuse_without_effect
 from rig.settings.instrument import InstrumentSettings
+from rig.settings.migrations import SCHEMA, SCHEMA_KEY, Step, migrated
 from rig.settings.night_plan import PlannedSeries, load_plan
 from rig.settings.phases import PreflightSettings
 from rig.settings.stop_conditions import StopCondition
@@ -26,6 +28,8 @@ __all__ = [
     "OF_REPLAYS",
     "OF_TABLES",
     "OF_TRACKING",
+    "SCHEMA",
+    "SCHEMA_KEY",
     "BalanceSettings",
     "Configuration",
     "FitSettings",
@@ -34,6 +38,7 @@ __all__ = [
     "PlannedSeries",
     "PreflightSettings",
     "SessionSettings",
+    "Step",
     "StopCondition",
     "TimebaseSettings",
     "apply_overrides",
@@ -42,8 +47,10 @@ __all__ = [
     "keys_with_faults",
     "load_configuration",
     "load_plan",
+    "migrated",
     "read_toml",
     "refuse_without_effect",
+    "stored_configuration",
     "toml_value",
     "validate_configuration",
     "validated",

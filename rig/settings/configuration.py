@@ -4,6 +4,7 @@ A file may begin with ``extends = "other.toml"`` (relative to itself) and then s
 differs. On the command line ``--set a.b.c=value`` replaces any key by its dotted path.
 """
 
+import logging
 import tomllib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -24,10 +25,13 @@ from rig.settings.balance import BalanceSettings
 from rig.settings.calibration import CalibrationSettings, TimebaseSettings
 from rig.settings.camera import CameraSection
 from rig.settings.instrument import InstrumentSettings
+from rig.settings.migrations import SCHEMA, SCHEMA_KEY, migrated
 from rig.settings.phases import PhaseSettings, PreflightSettings, StartSettings
 from rig.settings.stop_conditions import StopCondition, stop_conditions
 from rig.settings.toml_file import read_toml
 from rig.settings.wording import dotted, validated
+
+logger = logging.getLogger(__name__)
 
 
 class Section(BaseModel, frozen=True, extra="forbid"):
@@ -221,6 +225,10 @@ def read_toml_tree(path: Path, seen: tuple[Path, ...] = ()) -> dict[str, Any]:
     tree = read_toml(path, "configuration file; rig init writes one")
     if path.resolve() in seen:
         raise ConfigurationError(f"{path}: extends itself; remove one of the 'extends' lines")
+    # one without a number is a person's, written after today's documents
+    tree, note = migrated({SCHEMA_KEY: SCHEMA} | tree, str(path))
+    if note:
+        logger.warning("%s", note)
     base = tree.pop("extends", None)
     if base is None:
         return tree
@@ -231,6 +239,11 @@ def read_toml_tree(path: Path, seen: tuple[Path, ...] = ()) -> dict[str, Any]:
             f"{path}: extends = {base!r}: no such file in {path.parent.resolve()}, the folder of this one"
         )
     return _merged(read_toml_tree(path.parent / base, (*seen, path.resolve())), tree)
+
+
+def stored_configuration(config: Configuration) -> dict[str, Any]:
+    """The whole configuration as records and sessions keep it, with the number of its schema."""
+    return {SCHEMA_KEY: SCHEMA, **config.model_dump(mode="json")}
 
 
 def validate_configuration(

@@ -13,6 +13,8 @@ from pydantic.dataclasses import dataclass, is_pydantic_dataclass
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
+from rig.settings.migrations import GONE
+
 _Place = tuple[int | str, ...]
 _Model = TypeVar("_Model", bound=BaseModel)
 
@@ -21,6 +23,8 @@ def in_words(root: type, fault: ErrorDetails) -> str:
     """One line for a fault that pydantic found in the tables of `root`."""
     path = dotted(fault["loc"])
     if is_unknown_key(fault):
+        if path in GONE:
+            return f"{path}: is no key any more: {GONE[path]}; leave it out"
         section = str(fault["loc"][-1])
         if isinstance(fault["input"], Mapping) and section in section_fields(root):
             # the dotted path of a key, as --set takes it and as commands print it, below a section's head

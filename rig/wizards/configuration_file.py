@@ -7,7 +7,7 @@ from typing import Any
 
 from acquisition.cameras.drivers import DRIVERS
 from processing.errors import ConfigurationError, RecordError
-from rig.settings import Configuration, commented_file, load_configuration
+from rig.settings import SCHEMA, SCHEMA_KEY, Configuration, commented_file, load_configuration
 
 Keys = Mapping[str, Any]
 """Values by dotted key of the configuration."""
@@ -40,7 +40,11 @@ def configuration_text(stated: Keys, made_at: datetime.datetime) -> str:
             "about the contact, from the drawing; with the mass centre on the contact m g R T0^2/4 pi^2; "
             "if left out, the height is not computed"
         )
-    return "\n".join(head) + "\n" + commented_file(stated, without=without, remarks=remarks)
+    return (
+        "\n".join([*head, f"{SCHEMA_KEY} = {SCHEMA}"])
+        + "\n"
+        + commented_file(stated, without=without, remarks=remarks)
+    )
 
 
 def write_configuration(path: Path, stated: Keys) -> Configuration:

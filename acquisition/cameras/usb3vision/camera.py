@@ -92,7 +92,6 @@ class Usb3VisionCamera:
                     link.receive,
                     link.name,
                     timeout_s=self._settings.control_timeout_s,
-                    retries=self._settings.control_retries,
                 )
                 self._channel = channel
                 self._session = OpenCamera.learn(link, channel)

@@ -18,6 +18,8 @@ from acquisition.cameras.v4l2.source import Source
 from acquisition.frame import Frame
 from processing.errors import DeviceError
 
+_QUEUED_FRAMES = 64
+"""Kept for a reader that is late, where OpenCV reads."""
 _STOP_S = 0.4
 
 
@@ -172,4 +174,4 @@ def _make_source(settings: V4l2Settings) -> Source:
     from acquisition.cameras.v4l2.opencv import OpenCvSource
     from acquisition.cameras.v4l2.read_ahead import ReadAhead
 
-    return ReadAhead(OpenCvSource(settings), settings.queued_frames)
+    return ReadAhead(OpenCvSource(settings), _QUEUED_FRAMES)

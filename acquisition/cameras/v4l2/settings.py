@@ -17,9 +17,3 @@ class V4l2Settings(BaseModel, frozen=True, extra="forbid"):
     )
     gain: int | None = Field(default=None, description="in the camera's own steps, which are not decibels")
     buffers: int = Field(default=4, ge=2, le=32, description="buffers of the driver")
-    queued_frames: int = Field(
-        default=64,
-        ge=2,
-        le=4096,
-        description="frames kept for a reader that is late, with reading = 'opencv'",
-    )

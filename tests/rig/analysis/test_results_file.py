@@ -71,7 +71,7 @@ def test_the_first_version_is_read(measured_series: Path, tmp_path: Path) -> Non
             assert fit.pop("law") == "paper"
         run |= {"hertz": {}, "drag": {}, "monte_carlo": {}, "losses": None, "of_another_version": 3}
     found = read_results(changed(tmp_path, tree))
-    assert found.schema == 1
+    assert found.schema == 2
     assert found.runs[0].turning_points is None
     assert found.runs[0].drag is None
     assert found.runs[0].fits["exact"].law == ""

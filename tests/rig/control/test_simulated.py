@@ -93,7 +93,7 @@ def test_simulated_watchdog_needs_nobody() -> None:
 
 def test_serial_junk_by_setting_is_survived() -> None:
     rig = Rig()
-    faults = SerialFaults(junk_probability=0.15, loss_probability=0.15, seed=7)
+    faults = SerialFaults(junk_probability=0.15, loss_probability=0.15)
     control = simulated(faults=faults, timeout_s=0.05, retries=6)
     with ControlService(simulated_controller(control, 0.001, rig.outputs()), control) as service:
         service.wait_open(20.0)

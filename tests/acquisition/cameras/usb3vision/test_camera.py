@@ -225,15 +225,6 @@ def test_the_driver_has_no_thread_of_its_own(device: VisionDevice) -> None:
     camera.close()
 
 
-def test_a_number_of_buffers_of_an_earlier_version_is_accepted_and_said_to_do_nothing(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
-    assert Usb3VisionSettings.model_validate({"buffers": 64}) == Usb3VisionSettings()
-    assert not caplog.records
-    assert Usb3VisionSettings.model_validate({"buffers": 500}) == Usb3VisionSettings()
-    assert "camera.usb3vision.buffers = 500 has no effect any more" in caplog.text
-
-
 def test_stop_returns_in_time_from_a_camera_that_has_fallen_silent(
     running: Usb3VisionCamera, device: VisionDevice
 ) -> None:

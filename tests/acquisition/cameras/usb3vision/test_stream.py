@@ -402,7 +402,7 @@ def test_fuzzed_control_never_hangs(edits: list[tuple[int, str, bytes]]) -> None
         return [reply]
 
     device.faults.replies = replies
-    options = Usb3VisionSettings(control_timeout_s=0.02, control_retries=2)
+    options = Usb3VisionSettings(control_timeout_s=0.02)
     camera = Usb3VisionCamera(options, InProcessBackend(device))
     message = ""
     try:
