@@ -1,6 +1,7 @@
 """Continuous frame numbers and times over several starts of a camera, as after it was unplugged."""
 
 from acquisition.frame import Frame
+from processing.ticks import seconds
 
 _NAMED_AFTER_S = 0.35
 _CLOCK_STEP_NS = 1_000_000_000
@@ -74,4 +75,6 @@ class FrameLine:
         missing = max(round(passed_ns / interval_ns) - 1, 0)
         self._offset = last.sequence + 1 + missing - frame.sequence
         self.missing += missing
-        return f"opened again after {passed_ns * 1e-9:.3f} s without frames, about {missing} of them{shifted}"
+        return (
+            f"opened again after {seconds(passed_ns):.3f} s without frames, about {missing} of them{shifted}"
+        )

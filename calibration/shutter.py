@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from processing.errors import DataError
+from processing.ticks import NS_PER_S
 
 Floats = NDArray[np.float64]
 
@@ -49,7 +50,7 @@ class Shutter:
             return frame_times_ns
         row = y_px if self.first_row == "top" else rows - 1 - y_px
         row = np.where(np.isfinite(row), row, 0.5 * (rows - 1))
-        return frame_times_ns + np.rint(1e9 * self.row_time_s * row).astype(np.int64)
+        return frame_times_ns + np.rint(NS_PER_S * self.row_time_s * row).astype(np.int64)
 
 
 GLOBAL = Shutter()

@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 
 from processing.errors import DataError
 from processing.robust import robust_scatter
+from processing.ticks import S_PER_NS, nanoseconds, seconds
 
 FRAME_JITTER_LIMIT_S = 15e-6
 """Jitter of the frame times that does not affect the times of turning points; 100 us doubles their error."""
 _FEWEST_FRAMES = 50
 _HUBER = 1.345
 """Residuals larger than this many standard deviations get less weight (95 % efficiency for normal ones)."""
-_ROUNDING_S = 1e-9 / 12**0.5
+_ROUNDING_S = S_PER_NS / 12**0.5
 """Standard uncertainty of timestamps that are rounded to 1 ns."""
 _JUMP_WINDOW = 25
 """Number of frames on each side whose medians are compared."""
@@ -133,8 +134,8 @@ def relate_clocks(
                 "the width of the camera's counter if it overflows (--counter-bits)"
             )
     # the clocks differ by some ppm: fitting their difference avoids rounding errors
-    since_s = (device_ns - device_ns[0]) * 1e-9
-    ahead_s = ((host_ns - host_ns[0]) - (device_ns - device_ns[0])) * 1e-9
+    since_s = seconds(device_ns - device_ns[0])
+    ahead_s = seconds((host_ns - host_ns[0]) - (device_ns - device_ns[0]))
     breaks = _jumps(since_s, ahead_s)
     segment = np.searchsorted(breaks, np.arange(len(since_s)), side="right")
     design = np.column_stack([since_s, *(segment == k for k in range(len(breaks) + 1))]).astype(float)
@@ -143,7 +144,7 @@ def relate_clocks(
     period_s, frame_jitter_s = _frame_period(since_s, sequence)
     return ClockRelation(
         device_reference_ns=int(device_ns[0]),
-        host_reference_ns=int(host_ns[0]) + round(float(offsets[0]) * 1e9),
+        host_reference_ns=int(host_ns[0]) + nanoseconds(float(offsets[0])),
         rate=1.0 + float(values[0]),
         u_rate=float(np.sqrt(covariance[0, 0])),
         u_offset_s=float(np.sqrt(covariance[1, 1])),

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from processing.angle import ARCSEC_RAD
+from processing.ticks import seconds
 
 Floats = NDArray[np.float64]
 
@@ -62,7 +63,7 @@ class Deflections:
     @property
     def times_s(self) -> Floats:
         """Seconds since the first frame."""
-        return np.asarray((self.times_ns - self.times_ns[:1]) * 1e-9, dtype=np.float64)
+        return seconds(self.times_ns - self.times_ns[:1])
 
     @property
     def shown_x(self) -> Floats:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from processing.errors import DataError
 from processing.swing import estimate_noise
+from processing.ticks import nanoseconds
 
 Floats = NDArray[np.float64]
 _FEWEST = 12
@@ -70,7 +71,7 @@ def fit_envelope(times_s: Floats, values: Floats, *, decibel: bool) -> EnvelopeD
             f"an envelope's amplitudes are positive, this one holds {y.min():g}: is it the deflection itself "
             "(fit it without --envelope), or a power in dB (--envelope power)?"
         )
-    noise = estimate_noise(np.round(1e9 * t).astype(np.int64), y)
+    noise = estimate_noise(nanoseconds(t), y)
     log_y = y / (2 * _DB) if decibel else np.log(np.maximum(y, 1e-9 * y.max()))
     low = float(log_y.min())
     start = [float(log_y[0]), 2.0 * (float(log_y[0]) - low) / float(t[-1]), low - 1.0]

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from processing.ticks import seconds
+
 _HALF = 8
 _SIGNIFICANCE = 8.0
 _MOST_MISSING = 4
@@ -50,13 +52,13 @@ class KickWatch:
             return None
         first_ns = self._points[0][1]
         count = np.array([point[0] for point in self._points], dtype=np.float64)
-        seconds = np.array([(point[1] - first_ns) * 1e-9 for point in self._points])
+        time_s = np.array([seconds(point[1] - first_ns) for point in self._points])
         sizes = np.array([point[2] for point in self._points])
         middle = 0.5 * (count[_HALF - 1] + count[_HALF])
         grown, u_grown = _jump(count, sizes, middle)
-        late_s, u_late_s = _jump(count, seconds, middle)
+        late_s, u_late_s = _jump(count, time_s, middle)
         # half a period is the slope of the times
-        rate = math.pi * (count[-1] - count[0]) / seconds[-1] * float(np.mean(sizes))
+        rate = math.pi * (count[-1] - count[0]) / time_s[-1] * float(np.mean(sizes))
         size = math.hypot(grown, rate * late_s)
         if size < max(self._least, _SIGNIFICANCE * math.hypot(u_grown, rate * u_late_s)):
             return None

@@ -7,6 +7,7 @@ from pathlib import Path
 from acquisition.frame_losses import FrameLosses
 from acquisition.record.contents import Contents
 from acquisition.record.reader import RecordReader
+from processing.ticks import seconds
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +38,7 @@ class RecordInfo:
     @property
     def duration_s(self) -> float:
         """Time from the first message to the last."""
-        return (self.end_ns - self.start_ns) * 1e-9
+        return seconds(self.end_ns - self.start_ns)
 
 
 def record_info(path: Path) -> RecordInfo:

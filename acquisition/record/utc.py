@@ -2,10 +2,12 @@
 
 import datetime
 
+from processing.ticks import seconds
+
 
 def utc(time_ns: int) -> datetime.datetime:
     """Nanoseconds since 1970 as a date."""
-    return datetime.datetime.fromtimestamp(time_ns * 1e-9, datetime.UTC)
+    return datetime.datetime.fromtimestamp(seconds(time_ns), datetime.UTC)
 
 
 def utc_text(time_ns: int) -> str:

@@ -11,6 +11,7 @@ from acquisition.simulation.faults import FaultSettings
 from acquisition.simulation.scene import Plan, Scene
 from acquisition.simulation.settings import SimulationSettings
 from processing.errors import DeviceError
+from processing.ticks import nanoseconds, seconds
 
 _log = logging.getLogger(__name__)
 CAMERA_NAME = "simulated camera"
@@ -89,7 +90,7 @@ class RunReader:
 
     def read(self, timeout_s: float) -> Frame | None:
         """Next frame; see `acquisition.camera.Camera.read`."""
-        deadline_ns = self._clock_ns() + round(timeout_s * 1e9)
+        deadline_ns = self._clock_ns() + nanoseconds(timeout_s)
         stepped_s = 0.0
         while not self._stopped.is_set():
             if self.lost:
@@ -149,15 +150,15 @@ class RunReader:
 
     def _due(self, now_ns: int) -> int:
         """Number of frames that the simulated camera has exposed by now."""
-        return math.floor((now_ns - self._begin_ns) * 1e-9 * self._rate_hz) + 1
+        return math.floor(seconds(now_ns - self._begin_ns) * self._rate_hz) + 1
 
     def _wait_for(self, frame: int, deadline_ns: int) -> bool:
-        due_ns = self._begin_ns + round(frame / self._rate_hz * 1e9)
+        due_ns = self._begin_ns + nanoseconds(frame / self._rate_hz)
         while True:
             now_ns = self._clock_ns()
             if now_ns >= due_ns:
                 return True
-            if now_ns >= deadline_ns or self._stopped.wait((min(due_ns, deadline_ns) - now_ns) * 1e-9):
+            if now_ns >= deadline_ns or self._stopped.wait(seconds(min(due_ns, deadline_ns) - now_ns)):
                 return False
 
     def _skip_overrun(self, frame: int) -> int:
@@ -198,7 +199,7 @@ class RunReader:
         host_ns = self._clock_ns()
         if self._settings.real_time:
             # a frame in the buffer arrived at its exposure, before it was read
-            arrived_ns = self._begin_ns + round(frame / self._rate_hz * 1e9)
+            arrived_ns = self._begin_ns + nanoseconds(frame / self._rate_hz)
             host_ns = max(arrived_ns, self._last_host_ns + 1)
         self._last_host_ns = host_ns
         self._next = frame + 1

@@ -16,6 +16,7 @@ from acquisition.simulation.optics import spot_position_px
 from acquisition.simulation.rolling_shutter import RollingReadout, Sheared
 from acquisition.simulation.settings import SimulationSettings
 from acquisition.simulation.true_path import axes_motion
+from processing.ticks import NS_PER_S
 
 
 class Plan(NamedTuple):
@@ -256,10 +257,10 @@ class Scene:
 
     def _device_time_ns(self, first: int, times_s: NDArray[np.float64], period_s: float) -> NDArray[np.int64]:
         clock = self._settings.clock
-        exact_ns = np.rint((clock.start_s + times_s * (1 + 1e-6 * clock.drift_ppm)) * 1e9)
+        exact_ns = np.rint((clock.start_s + times_s * (1 + 1e-6 * clock.drift_ppm)) * NS_PER_S)
         if clock.jitter_s > 0:
             late_s = clock.jitter_s * self._noise.clock(first, len(times_s))
-            exact_ns += np.rint(np.clip(late_s, -0.4 * period_s, 0.4 * period_s) * 1e9)
+            exact_ns += np.rint(np.clip(late_s, -0.4 * period_s, 0.4 * period_s) * NS_PER_S)
         return np.maximum(exact_ns, 0).astype(np.int64)
 
 

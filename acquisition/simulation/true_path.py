@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from acquisition.simulation import randomness
 from acquisition.simulation.motion import ARCSEC_RAD, Motion, motions
 from acquisition.simulation.settings import SimulationSettings
+from processing.ticks import nanoseconds
 
 _PATH_NOISE = 11
 
@@ -79,7 +80,7 @@ def true_path(
     times_s = np.arange(math.floor(duration_s * rate_hz) + 1) / rate_hz
     fast, slow = motions(settings, run)
     x_rad, y_rad = axes_motion(settings, fast, slow, times_s)
-    return TruePath(np.rint(times_s * 1e9).astype(np.int64), x_rad, y_rad)
+    return TruePath(nanoseconds(times_s), x_rad, y_rad)
 
 
 def noisy(truth: TruePath, u_x_rad: float, u_y_rad: float, seed: int) -> TruePath:

@@ -14,6 +14,7 @@ from processing.balance.balance import Balance
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import DataError
 from processing.swing import TwoModes, separate_modes
+from processing.ticks import nanoseconds, seconds
 
 Floats = NDArray[np.float64]
 
@@ -69,7 +70,7 @@ class BalanceEstimator:
         found: list[Balance] = []
         while self._tail > self._head:
             if self._next_ns is None:
-                self._next_ns = int(self._times[self._head]) + round(self._look_s * 1e9)
+                self._next_ns = int(self._times[self._head]) + nanoseconds(self._look_s)
             if self._times[self._tail - 1] < self._next_ns:
                 break
             balance = self._estimate(self._next_ns, deflections.unit)
@@ -102,7 +103,7 @@ class BalanceEstimator:
         """One estimate from the samples before `until_ns`; also sets the time of the next one."""
         known = not math.isnan(self._period_s)
         span_s = _WINDOW_PERIODS * self._period_s if known else self._look_s
-        first, last = self._position(until_ns - round(span_s * 1e9)), self._position(until_ns)
+        first, last = self._position(until_ns - nanoseconds(span_s)), self._position(until_ns)
         # use a limited number of samples, which suffices at any frame rate
         stride = 1 + (last - first) // _MOST_SAMPLES
         x, y, u_x, u_y = self._columns[:, first:last:stride]
@@ -117,8 +118,8 @@ class BalanceEstimator:
         modes = _without_overtone(modes)
         self._period_s = modes.slow.period_s
         self._fast_period_s = modes.fast.period_s if modes.fast is not None else math.nan
-        self._next_ns = until_ns + round(self._period_s * 1e9)
-        self._head = self._position(until_ns - round(1.5 * span_s * 1e9))
+        self._next_ns = until_ns + nanoseconds(self._period_s)
+        self._head = self._position(until_ns - nanoseconds(1.5 * span_s))
         return self._balance(modes, unit)
 
     def _look_again(self, until_ns: int) -> None:
@@ -126,11 +127,11 @@ class BalanceEstimator:
         if math.isnan(self._period_s) and self._resting(until_ns - round(0.7e9 * self._look_s)):
             # samples from before a release would only mask the oscillation after it
             self._head = self._position(until_ns - round(0.7e9 * self._look_s))
-            self._next_ns = int(self._times[self._head]) + round(self._look_s * 1e9)
+            self._next_ns = int(self._times[self._head]) + nanoseconds(self._look_s)
             return
         if self._look_s < _LONGEST_LOOK_S and math.isnan(self._period_s):
             self._look_s *= _LOOK_GROWTH
-            self._next_ns = int(self._times[self._head]) + round(self._look_s * 1e9)
+            self._next_ns = int(self._times[self._head]) + nanoseconds(self._look_s)
             return
         self._head = self._position(until_ns)
         self._period_s = self._fast_period_s = math.nan
@@ -161,7 +162,7 @@ class BalanceEstimator:
         self._history = [
             *self._history[1 - _HISTORY :],
             (
-                modes.time_ns * 1e-9,
+                seconds(modes.time_ns),
                 angle,
                 u_angle,
                 modes.rest_x,

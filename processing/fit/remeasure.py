@@ -19,6 +19,7 @@ from processing.deflections import Deflections
 from processing.errors import DataError
 from processing.fit.result import FitResult
 from processing.swing import KnownMotion, Swing, SwingDetector, SwingFlag
+from processing.ticks import seconds
 
 _MOST = 0.95
 """Share of the half-cycles that must be found again."""
@@ -100,7 +101,7 @@ def measured_again(
                 swing = replace(
                     twin,
                     index=swing.index,
-                    half_period_s=(twin.turn_time_ns - before.turn_time_ns) * 1e-9 if before else math.nan,
+                    half_period_s=seconds(twin.turn_time_ns - before.turn_time_ns) if before else math.nan,
                     u_half_period_s=math.hypot(twin.u_turn_time_s, before.u_turn_time_s)
                     if before
                     else math.nan,
@@ -143,7 +144,7 @@ def shift_of(swings: Sequence[Swing], again: Sequence[Swing]) -> Shift:
     both = [(a, b) for a, b in pairs if b.flags == 0]
     if not both:
         return Shift(0.0, math.nan, math.nan)
-    time = [(b.turn_time_ns - a.turn_time_ns) * 1e-9 / a.u_turn_time_s for a, b in both]
+    time = [seconds(b.turn_time_ns - a.turn_time_ns) / a.u_turn_time_s for a, b in both]
     amplitude = [(b.amplitude - a.amplitude) / a.u_amplitude for a, b in both]
     return Shift(
         len(both) / len(pairs), *(math.sqrt(float(np.mean(np.square(found)))) for found in (time, amplitude))

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from processing.swing import Swing, SwingFlag
+from processing.ticks import nanoseconds, seconds
 
 _REACH = 0.2
 """Time and speed of a crossing are fitted to samples within this fraction of the half period on either
@@ -60,7 +61,7 @@ def inferred_swings(
     if np.count_nonzero(seen) < 4 * _FEWEST:
         return []
     start_ns = int(times_ns[0])
-    time_s: NDArray[np.float64] = ((times_ns[seen] - start_ns) * 1e-9).astype(np.float64)
+    time_s = seconds(times_ns[seen] - start_ns)
     values, u = deflection_rad[seen], u_deflection_rad[seen]
     spacing_s = float(np.median(np.diff(time_s)))
     level = 0.5 * float(np.min(values) + np.max(values))
@@ -83,7 +84,7 @@ def inferred_swings(
         # the half period changes slowly with the amplitude: count from one crossing to the next
         index = 0
         if swings:
-            gone_s = 0.5 * (before.time_s + after.time_s) - (swings[-1].turn_time_ns - start_ns) * 1e-9
+            gone_s = 0.5 * (before.time_s + after.time_s) - seconds(swings[-1].turn_time_ns - start_ns)
             index = swings[-1].index + max(1, round(gone_s / lasts_s))
         swings.append(_swing(index, before, after, level, start_ns))
     return swings
@@ -189,7 +190,7 @@ def _swing(index: int, before: _Crossing, after: _Crossing, centre: float, start
     turn_s = 0.5 * (before.time_s + after.time_s) - _EARLY[0] * brake_s
     return Swing(
         index=index,
-        turn_time_ns=start_ns + round(turn_s * 1e9),
+        turn_time_ns=start_ns + nanoseconds(turn_s),
         u_turn_time_s=math.hypot(0.5 * u_clock_s, _EARLY[1] * brake_s),
         amplitude=amplitude,
         u_amplitude=amplitude * relative,

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from processing.errors import DataError
 from processing.estimate import Estimate
+from processing.ticks import seconds
 
 _FEWEST = 3
 
@@ -45,7 +46,7 @@ def swing_plane(
     DataError
         Fewer than three whole periods.
     """
-    time_s = (times_ns - times_ns[0]) * 1e-9
+    time_s = seconds(times_ns - times_ns[0])
     number = np.floor(time_s / period_s).astype(np.int64)
     seen = np.isfinite(x_rad) & np.isfinite(y_rad)
     usual = float(np.median(np.bincount(number)[:-1])) if number[-1] else 0.0
@@ -98,7 +99,7 @@ def along_plane(
     All arrays are (n,); NaN where the spot was lost. The direction of the plane is given by the straight line
     fitted to the directions of the periods.
     """
-    time_s = (times_ns - times_ns[0]) * 1e-9
+    time_s = seconds(times_ns - times_ns[0])
     middle = float(plane.time_s.mean())
     angle = float(plane.direction_rad.mean()) + plane.rate_rad_per_s.value * (time_s - middle)
     sine, cosine = np.sin(angle), np.cos(angle)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from processing.errors import DataError
 from processing.swing import Swing, SwingFlag
+from processing.ticks import seconds
 
 _REACH = 0.40
 """Half-width of the fitted interval in half periods. Within it even powers up to the sixth approximate a
@@ -84,7 +85,7 @@ def _refined_one(
     return replace(
         swing,
         turn_time_ns=turn_ns,
-        u_turn_time_s=float(abs(0.5 * u_solution[1] / solution[2]) * reach_ns * 1e-9),
+        u_turn_time_s=float(seconds(abs(0.5 * u_solution[1] / solution[2]) * reach_ns)),
         amplitude=float(abs(solution[0] - swing.centre)),
         u_amplitude=float(u_solution[0]),
     )
@@ -120,7 +121,7 @@ def _about_the_rest_position(swings: list[Swing]) -> list[Swing]:
     if len(triples) < _FEWEST_CENTRES:
         return swings
     place = {swing.index: swing.centre + swing.side * swing.amplitude for swing in good}
-    time_s = np.array([(b.turn_time_ns - good[0].turn_time_ns) * 1e-9 for _, b, _ in triples])
+    time_s = np.array([seconds(b.turn_time_ns - good[0].turn_time_ns) for _, b, _ in triples])
     before, turn, after = (
         np.array([place[swing.index] for swing in row]) for row in zip(*triples, strict=True)
     )
@@ -131,7 +132,7 @@ def _about_the_rest_position(swings: list[Swing]) -> list[Swing]:
         if swing.flags:
             result.append(swing)
             continue
-        centre = float(rest + slope * (swing.turn_time_ns - good[0].turn_time_ns) * 1e-9)
+        centre = float(rest + seconds(slope * (swing.turn_time_ns - good[0].turn_time_ns)))
         result.append(replace(swing, centre=centre, amplitude=abs(place[swing.index] - centre)))
     return result
 
@@ -144,7 +145,7 @@ def _with_half_periods(swings: list[Swing]) -> list[Swing]:
         result.append(
             replace(
                 swing,
-                half_period_s=(swing.turn_time_ns - before.turn_time_ns) * 1e-9 if whole else float("nan"),
+                half_period_s=seconds(swing.turn_time_ns - before.turn_time_ns) if whole else float("nan"),
                 u_half_period_s=float(np.hypot(swing.u_turn_time_s, before.u_turn_time_s))
                 if whole
                 else float("nan"),

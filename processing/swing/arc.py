@@ -35,6 +35,7 @@ from processing.swing.half_cycle import (
 )
 from processing.swing.small_matrices import copy, times_matrix
 from processing.swing.waveform import NODES, SHAPES, zero_phases
+from processing.ticks import nanoseconds, seconds
 
 _STEPS = 30
 _SETTLED = 0.1
@@ -184,7 +185,7 @@ def _joined(halves: Sequence[HalfCycleSamples]) -> _Samples:
     references = np.array([h.reference_ns for h in halves])
     return _Samples(
         np.array([h.side for h in halves], dtype=np.float64),
-        np.append(np.diff(references), 0) * 1e-9,
+        seconds(np.append(np.diff(references), 0)),
         np.concatenate([[0], np.cumsum([len(h.tau_s) for h in halves])]).astype(np.int64),
         np.concatenate([h.tau_s for h in halves]),
         np.concatenate([h.deflection for h in halves]),
@@ -317,8 +318,8 @@ def state_before(arc: Arc, first_ns: int) -> tuple[Vector, Matrix, int]:
     table, turn = np.zeros((2 + SHAPES, NODES, 2)), np.zeros((2, 2 + SHAPES))
     tabulate_state(x, x, arc.reference, arc.active, table, turn)
     half_period = float(turn[0, 0] / x[RATE])
-    step_ns = round(half_period * 1e9)
-    before, transition = propagate(x, turn, -step_ns * 1e-9)
+    step_ns = nanoseconds(half_period)
+    before, transition = propagate(x, turn, seconds(-step_ns))
     before[AMPLITUDE] = x[AMPLITUDE] / turn[1, 0]
     before[TIME] = x[TIME]
     transition[[AMPLITUDE, TIME]] = 0.0

@@ -4,6 +4,7 @@ import numpy as np
 
 from processing.swing.detector import SwingDetector
 from processing.swing.modes import separate_modes
+from processing.ticks import nanoseconds
 
 _FRAMES_PER_S, _SECONDS, _RATE, _LOSS = 20.0, 60.0, 1.5, 0.01
 
@@ -21,7 +22,7 @@ def compile_kernels() -> None:
     halves = np.floor(phase / np.pi)
     centre = _LOSS * np.where(halves % 2 == 0, -1.0, 1.0)
     deflection = (1.0 - 2.0 * _LOSS * halves - _LOSS) * np.cos(phase) + centre
-    times_ns = np.round(time_s * 1e9).astype(np.int64)
+    times_ns = nanoseconds(time_s)
     u = np.full(len(time_s), 1e-5)
     detector = SwingDetector()
     detector.update(times_ns, deflection, u)

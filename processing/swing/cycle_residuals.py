@@ -29,6 +29,7 @@ from processing.swing.half_cycle import (
 from processing.swing.known_motion import KnownMotion
 from processing.swing.swing import Swing
 from processing.swing.waveform import NODES, SHAPES, zero_phases
+from processing.ticks import NS_PER_S, seconds
 
 Floats = NDArray[np.float64]
 
@@ -78,7 +79,7 @@ class CycleWatch:
     def __init__(self, swings: Sequence[Swing], motion: KnownMotion) -> None:
         self._motion = motion
         self._pairs = _pairs(swings)
-        self._half_ns = round(1e9 * math.pi / motion.rate_rad_per_s)
+        self._half_ns = round(NS_PER_S * math.pi / motion.rate_rad_per_s)
         self._kept: list[Deflections] = []
 
     @property
@@ -126,7 +127,7 @@ def _pairs(swings: Sequence[Swing]) -> list[tuple[Swing, Swing]]:
 def _residuals(samples: Deflections, first: Swing, motion: KnownMotion) -> CycleResiduals | None:
     state = motion.put_into(np.zeros(STATES))
     state[AMPLITUDE], state[CENTRE] = first.amplitude, first.centre
-    tau_s = np.asarray((samples.times_ns - first.turn_time_ns) * 1e-9, dtype=np.float64)
+    tau_s = seconds(samples.times_ns - first.turn_time_ns)
     usable = np.isfinite(samples.y) & (samples.u_y > 0.0)
     anchor, transition = state.copy(), np.eye(STATES)
     parts: list[tuple[NDArray[np.intp], Floats, Floats]] = []

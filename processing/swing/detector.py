@@ -11,6 +11,7 @@ from processing.swing.known_motion import KnownMotion
 from processing.swing.onset import FirstHalfCycle, Onset, OnsetSearch
 from processing.swing.sample_buffer import SampleBuffer
 from processing.swing.swing import Swing, SwingFlag
+from processing.ticks import nanoseconds, seconds
 
 _OFF = 0.05
 """Largest deviation of a turning point, in half periods, for the motion after a disturbance to count as the
@@ -128,7 +129,7 @@ class SwingDetector:
         It is the same if the time since the last good turning point is a whole number of half periods with
         the right parity, and the amplitude has neither grown nor fallen faster than a decay.
         """
-        time_s = (first.half.reference_ns - before.turn_time_ns) * 1e-9 + first.result.time_s
+        time_s = seconds(first.half.reference_ns - before.turn_time_ns) + first.result.time_s
         halves = time_s / self._half_period_s
         off = abs(math.remainder(halves - int(first.half.side != before.side), 2.0))
         grown = first.result.amplitude > before.amplitude * _GROWN
@@ -140,7 +141,7 @@ class SwingDetector:
 
         The last index plus the nearest number of half periods that is odd if the sides differ, even if not.
         """
-        halves = (time_ns - last.turn_time_ns) * 1e-9 / self._half_period_s
+        halves = seconds(time_ns - last.turn_time_ns) / self._half_period_s
         odd = int(side != last.side)
         return last.index + 2 * round((halves - odd) / 2) + odd
 
@@ -182,10 +183,10 @@ class SwingDetector:
         flags: SwingFlag,
         swings: list[Swing],
     ) -> None:
-        turn_ns = reference_ns + round(result.time_s * 1e9)
+        turn_ns = reference_ns + nanoseconds(result.time_s)
         half_period, u_half_period = math.nan, math.nan
         if self._last is not None and self._last.index == index - 1:
-            half_period = (turn_ns - self._last.turn_time_ns) * 1e-9
+            half_period = seconds(turn_ns - self._last.turn_time_ns)
             u_half_period = math.hypot(result.u_time_s, self._last.u_turn_time_s)
         self._last = Swing(
             index=index,

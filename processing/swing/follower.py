@@ -32,6 +32,7 @@ from processing.swing.sample_noise import SampleNoise
 from processing.swing.swing import SwingFlag
 from processing.swing.term_selection import ANHARMONIC, FAST_MODE, bent, extend, prior
 from processing.swing.waveform import DAMPING, RISE
+from processing.ticks import nanoseconds, seconds
 
 _REFITS = (8, 16, 32, 64)
 _LINEAR_REFITS = (6, 8, 10, 12, 16, 24, 32, 64)
@@ -117,12 +118,12 @@ class Follower:
     @property
     def start_ns(self) -> int:
         """Start of the present half-cycle's window."""
-        return self.reference_ns + round(float(self._start_s) * 1e9)
+        return self.reference_ns + nanoseconds(float(self._start_s))
 
     @property
     def end_ns(self) -> int:
         """End of the present half-cycle's window."""
-        return self.reference_ns + round(float(self._end_s) * 1e9)
+        return self.reference_ns + nanoseconds(float(self._end_s))
 
     @property
     def half_period_s(self) -> float:
@@ -365,7 +366,7 @@ class Follower:
             self._restlessness,
             self.walk.variance,
         )
-        self._start_s = end_s - step_ns * 1e-9
+        self._start_s = end_s - seconds(step_ns)
         self.reference_ns += step_ns
         self.side = -self.side
         self.index += 1

@@ -35,6 +35,7 @@ from processing.swing.mode_fit import (
     slow_fit,
     with_fast_mode,
 )
+from processing.ticks import seconds
 
 Floats = NDArray[np.float64]
 
@@ -140,7 +141,7 @@ def separate_modes(
         return None
     x_, y_, u_x_, u_y_ = (c[good] for c in columns)
     middle_ns = int(times[0] + (times[-1] - times[0]) // 2)
-    t = np.asarray((times - middle_ns) * 1e-9, dtype=np.float64)
+    t = seconds(times - middle_ns)
     samples = Samples(t, x_, y_, u_x_**-2.0, u_y_**-2.0)
     fit = None
     if not math.isnan(slow_period_s) and not math.isnan(fast_period_s):

@@ -5,6 +5,7 @@ from numpy.typing import ArrayLike
 
 from processing.errors import DataError
 from processing.robust import robust_scatter
+from processing.ticks import seconds
 
 _ORDER = 5
 """Order of the differences; of a sinusoid sampled 20 times per period they leave less than 1e-3."""
@@ -48,7 +49,7 @@ def estimate_noise(times_ns: ArrayLike, deflection: ArrayLike) -> float:
         )
     rounding = float(steps[steps > 0].min()) / np.sqrt(12.0)
     windows = np.lib.stride_tricks.sliding_window_view
-    t = windows((times - times[0]) * 1e-9, _ORDER + 1)
+    t = windows(seconds(times - times[0]), _ORDER + 1)
     y = windows(values, _ORDER + 1)
     apart = t[:, :, None] - t[:, None, :] + np.eye(_ORDER + 1)
     weights = 1.0 / (apart / np.abs(apart).max(axis=(1, 2), keepdims=True)).prod(axis=2)

@@ -22,6 +22,7 @@ from processing.swing.sample_buffer import SampleBuffer
 from processing.swing.sample_noise import NoiseLevel
 from processing.swing.swing import SwingFlag
 from processing.swing.term_selection import choose, first_guess
+from processing.ticks import nanoseconds, seconds
 
 _PIVOTS = 4
 """Number of rough turning points that start a fit ..."""
@@ -151,8 +152,8 @@ class OnsetSearch:
         """
         if math.isnan(self._half_period_s):
             return False
-        since_s = (self._pivots[0].time_ns - self._lost_ns) * 1e-9
-        ratio = _spacing_ns(self._pivots) * 1e-9 / self._half_period_s
+        since_s = seconds(self._pivots[0].time_ns - self._lost_ns)
+        ratio = seconds(_spacing_ns(self._pivots)) / self._half_period_s
         return since_s < _SILENCE * self._half_period_s and not _FASTEST < ratio < _SLOWEST
 
     def _forget(self) -> None:
@@ -249,9 +250,9 @@ def _measure_before(
     start, _, _ = window(x, arc.reference)
     if not math.isfinite(start):
         return None
-    end_ns = first.reference_ns + round(arc.windows[0][0] * 1e9)
-    half = samples.between(reference_ns, -first.side, reference_ns + round(start * 1e9), end_ns)
-    end = (end_ns - reference_ns) * 1e-9
+    end_ns = first.reference_ns + nanoseconds(arc.windows[0][0])
+    half = samples.between(reference_ns, -first.side, reference_ns + nanoseconds(start), end_ns)
+    end = seconds(end_ns - reference_ns)
     result = fit_half_cycle(
         x,
         covariance * noise_scale**2,

@@ -34,6 +34,7 @@ from processing.swing.half_cycle import (
     tabulate_state,
 )
 from processing.swing.waveform import BEND, DAMPING, DRY, NODES, RISE, SHAPES, STIFF, N, P, zero_phases
+from processing.ticks import NS_PER_S, S_PER_NS
 
 SLOPE_WANDER = 1e-3
 """Standard deviation of the change of the drift per half-cycle, in units of (resolution per half-cycle)."""
@@ -83,8 +84,8 @@ def predict(
     table, turn = np.zeros((2 + SHAPES, NODES, 2)), np.zeros((2, 2 + SHAPES))
     tabulate_state(x, anchor, reference, active, table, turn)
     rate = x[RATE]
-    step_ns = round((x[TIME] + turn[0, 0] / rate) * 1e9)
-    elapsed = step_ns * 1e-9
+    step_ns = round((x[TIME] + turn[0, 0] / rate) * NS_PER_S)
+    elapsed = step_ns * S_PER_NS
     following, transition = propagate(x, turn, elapsed)
     u_phase = resolution / x[AMPLITUDE]
     loss = abs(1.0 - turn[1, 0])

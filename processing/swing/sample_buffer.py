@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 from processing.errors import DataError
 from processing.kernel import kernel
 from processing.swing.arc import HalfCycleSamples
+from processing.ticks import seconds
 
 _FINE, _BACKWARDS, _UNCERTAINTY = 0, 1, 2
 _FIRST_SIZE = 4096
@@ -100,7 +101,7 @@ class SampleBuffer:
         return HalfCycleSamples(
             reference_ns,
             side,
-            np.asarray((self.times_ns[i:j] - reference_ns) * 1e-9, dtype=np.float64),
+            seconds(self.times_ns[i:j] - reference_ns),
             self.deflection[i:j].copy(),
             self.u_deflection[i:j].copy(),
         )

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from processing.errors import DataError
 from processing.swing.swing import Swing
+from processing.ticks import seconds
 
 _FEWEST_SWINGS = 8
 _PERIODS = 20
@@ -82,11 +83,11 @@ def residual_spectrum(
     if len(good) < _FEWEST_SWINGS:
         raise DataError(f"{len(good)} good half-cycles: a spectrum needs {_FEWEST_SWINGS}")
     origin_ns = good[0].turn_time_ns
-    turn_s = np.array([swing.turn_time_ns - origin_ns for swing in good]) * 1e-9
+    turn_s = seconds(np.array([swing.turn_time_ns - origin_ns for swing in good]))
     phase = np.pi * np.array([swing.index - good[0].index for swing in good])
     period_s = float(2 * np.pi * (turn_s[-1] - turn_s[0]) / phase[-1])
     seen = np.isfinite(deflection) & (times_ns >= origin_ns) & (times_ns <= good[-1].turn_time_ns)
-    time_s = np.asarray((times_ns[seen] - origin_ns) * 1e-9, dtype=np.float64)
+    time_s = seconds(times_ns[seen] - origin_ns)
     swing = CubicSpline(turn_s, [one.amplitude for one in good])(time_s)
     swing *= good[0].side * np.cos(CubicSpline(turn_s, phase)(time_s))
     residual = deflection[seen] - swing - CubicSpline(turn_s, [one.centre for one in good])(time_s)

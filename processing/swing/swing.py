@@ -7,6 +7,8 @@ from enum import IntFlag
 import numpy as np
 from numpy.typing import NDArray
 
+from processing.ticks import seconds
+
 
 class SwingFlag(IntFlag):
     """Problems found with a half-cycle, one bit each; 0 if there are none. Fits ignore flagged ones."""
@@ -81,7 +83,7 @@ def turning_points(swings: Sequence[Swing]) -> TurningPoints:
     turn_time_ns = np.array([swing.turn_time_ns for swing in good], dtype=np.int64)
     return TurningPoints(
         index=np.array([swing.index for swing in good], dtype=np.int64),
-        time_s=np.asarray((turn_time_ns - turn_time_ns[:1]) * 1e-9, dtype=np.float64),
+        time_s=seconds(turn_time_ns - turn_time_ns[:1]),
         u_time_s=np.array([swing.u_turn_time_s for swing in good], dtype=np.float64),
         amplitude=np.array([swing.amplitude for swing in good], dtype=np.float64),
         u_amplitude=np.array([swing.u_amplitude for swing in good], dtype=np.float64),

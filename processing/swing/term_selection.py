@@ -29,6 +29,7 @@ from processing.swing.known_motion import KnownMotion
 from processing.swing.pivots import Pivot
 from processing.swing.spectral_line import line
 from processing.swing.waveform import BEND, DAMPING, DRY, NODES, RISE, SHAPES, STIFF, N, P
+from processing.ticks import seconds
 
 PLACE: tuple[int, ...] = (AMPLITUDE, TIME, CENTRE, DRIFT)
 LINEAR: tuple[int, ...] = (AMPLITUDE, TIME, RATE, SHAPE + DAMPING, CENTRE, DRIFT)
@@ -57,7 +58,7 @@ _SUSPICIOUS = 1.2
 
 def first_guess(pivots: Sequence[Pivot]) -> Vector:
     """State at the first of the rough turning points: amplitude, frequency, damping and centre."""
-    times = np.array([p.time_ns - pivots[0].time_ns for p in pivots]) * 1e-9
+    times = seconds(np.array([p.time_ns - pivots[0].time_ns for p in pivots]))
     values = np.array([p.deflection for p in pivots])
     span = np.abs(np.diff(values))
     loss = max(0.0, 1.0 - float(span[-1] / span[0]) ** (1.0 / max(len(span) - 1, 1)))
@@ -252,7 +253,7 @@ def guess_fast_mode(arc: Arc, halves: Sequence[HalfCycleSamples]) -> tuple[float
             residual,
             jacobian,
         )
-        times.append(half.tau_s + (half.reference_ns - halves[0].reference_ns) * 1e-9)
+        times.append(half.tau_s + seconds(half.reference_ns - halves[0].reference_ns))
         residuals.append(residual)
         weights.append(np.where(np.isfinite(residual), 1.0 / half.u_deflection**2, 0.0))
     time_s, residual, weight = np.concatenate(times), np.concatenate(residuals), np.concatenate(weights)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from processing.angle import ARCSEC_RAD
 from processing.errors import ConfigurationError, DataError
+from processing.ticks import seconds
 
 _LARGEST_TABLE_BYTES = 1024 * 1024 * 1024
 _LONGEST_S = 1e9
@@ -131,7 +132,7 @@ def _times_ns(
     size_ns = TIME_UNITS_NS[unit]
     with np.errstate(over="ignore", invalid="ignore"):
         backwards = np.nonzero(~(np.diff(times) >= 0))[0]
-        span_s = (times[-1] - times[0]) * (size_ns * 1e-9)
+        span_s = (times[-1] - times[0]) * seconds(size_ns)
         exact = not np.abs(times).max() * size_ns < _EXACT
     if not len(backwards) and not span_s <= _LONGEST_S:
         raise DataError(

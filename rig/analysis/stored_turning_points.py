@@ -7,6 +7,7 @@ import numpy as np
 
 from processing.deflections import DeflectionUnit
 from processing.swing import Swing, TurningPoints
+from processing.ticks import seconds
 from rig.analysis.encoding import (
     Floats,
     Integers,
@@ -56,7 +57,7 @@ class StoredTurningPoints:
             amplitude=points.amplitude,
             u_amplitude=points.u_amplitude,
             left_out_time_s=np.array(
-                [(swing.turn_time_ns - first_ns) * 1e-9 * clock_rate for swing in left_out]
+                [seconds(swing.turn_time_ns - first_ns) * clock_rate for swing in left_out]
             ),
             left_out_amplitude=np.array([swing.amplitude for swing in left_out]),
             left_out_flags=np.array([swing.flags for swing in left_out], dtype=np.int64),

@@ -17,6 +17,7 @@ from processing.errors import ConfigurationError, DataError
 from processing.estimate import Estimate
 from processing.separate_decays import separate_decays
 from processing.swing import Swing, SwingDetector, estimate_noise, turning_points
+from processing.ticks import seconds
 from rig.analysis.passing_deflections import PassingDeflections
 from rig.analysis.position_table import ANGLES_RAD, NOT_STATED, Trajectory, read_trajectory
 from rig.analysis.record_fit import analyse_swings
@@ -106,7 +107,7 @@ def analyse_envelope(
     if len(trajectory.positions) > 1:
         raise ConfigurationError("--position was given twice; an envelope is one column")
     try:
-        times_s = np.asarray(1e-9 * trajectory.times_ns, dtype=np.float64)
+        times_s = seconds(trajectory.times_ns)
         found = fit_envelope(times_s, trajectory.positions[0], decibel=decibel)
     except DataError as error:
         raise DataError(f"{path}: {error}") from None
@@ -184,8 +185,8 @@ def _analyse(
         )
     results = TableDecay(
         **values,
-        began_s=1e-9 * unflagged[0],
-        ended_s=1e-9 * unflagged[-1],
+        began_s=seconds(unflagged[0]),
+        ended_s=seconds(unflagged[-1]),
         period_s=Estimate(summary.period_s.value, summary.period_s.u),
         log_decrement=Estimate(summary.decrement.value, summary.decrement.u),
     )

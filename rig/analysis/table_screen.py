@@ -10,6 +10,7 @@ import numpy as np
 from processing.decay_summary import DecayMean
 from processing.errors import ConfigurationError
 from processing.swing import SwingFlag, turning_points
+from processing.ticks import seconds
 from rig.analysis.results import EnvelopeResults, TableResults
 from rig.analysis.results_file import RESULTS_NAME, write_results
 from rig.analysis.screen import print_run
@@ -91,8 +92,8 @@ def _print(path: Path, table: AnalysedTable) -> None:
     print(f"  noise of a sample {table.noise:.3g} {trajectory.unit}, from the scatter about a smooth curve")
     for part in table.passed_over:
         print(
-            f"  from {1e-9 * part[0].turn_time_ns:.4g} s on: {len(turning_points(part))} usable half-cycles "
-            f"of {len(part)}, too few for a decay"
+            f"  from {seconds(part[0].turn_time_ns):.4g} s on: {len(turning_points(part))} usable "
+            f"half-cycles of {len(part)}, too few for a decay"
         )
     for number, decay in enumerate(table.decays, start=1):
         _print_decay(number, decay)

@@ -13,6 +13,7 @@ from processing.contact import PendulumOnBall
 from processing.deflections import DeflectionUnit, joined
 from processing.fit import CONTRADICTED, LawComparison, predicted_harmonics, waveform_chances
 from processing.swing import ORDERS, HarmonicClass, cycle_harmonics, harmonic_classes
+from processing.ticks import seconds
 from rig.analysis.law_results import ComparedLaws, Harmonics, WaveformClass
 from rig.analysis.record_fit import AnalysedRun, clock_rate_of
 from rig.instrument import recorded_configuration
@@ -33,7 +34,7 @@ def with_waveform(
             return values
         deflections = joined(reader.deflection_blocks(), DeflectionUnit.RAD)
         rate = clock_rate_of(recorded_configuration(reader))
-    time_s = np.asarray((deflections.times_ns - stored.first_ns) * 1e-9 * rate, dtype=np.float64)
+    time_s = np.asarray(seconds(deflections.times_ns - stored.first_ns) * rate, dtype=np.float64)
     classes = harmonic_classes(cycle_harmonics(time_s, deflections.y, run.points))
     if not classes:
         return values

@@ -16,6 +16,7 @@ from acquisition.record.utc import utc
 from processing.errors import RecordError
 from processing.estimate import Estimate
 from processing.fit import FitMethod
+from processing.ticks import seconds
 from rig.analysis import RunResults, read_results, recorded_surroundings, results_path
 from rig.archive.columns import OF_INSTRUMENTS, PARAMETERS
 
@@ -100,7 +101,7 @@ def _of_record(path: Path) -> Row:
                 row |= {"state": "damaged", "flaw": "; ".join(contents.damage) or "its bytes have changed"}
             if contents.start_ns:
                 row["began_utc"] = utc(contents.start_ns).replace(tzinfo=None)
-                row["duration_s"] = (contents.end_ns - contents.start_ns) * 1e-9
+                row["duration_s"] = seconds(contents.end_ns - contents.start_ns)
             row |= _of_metadata(texts)
             row |= recorded_surroundings(reader).known()
     except RecordError as error:

@@ -10,6 +10,7 @@ from processing.balance import Balance
 from processing.deflections import Deflections
 from processing.errors import ConfigurationError, DataError, DeviceError
 from processing.spot import SpotFlag
+from processing.ticks import nanoseconds, seconds
 from rig.balance.learned_turns import Look
 from rig.devices import Devices, FrameStream, LightWatch
 from rig.instrument import Block, camera_settings, frame_policy, optics_of, prepare_kernels
@@ -65,7 +66,7 @@ class LooksView:
             )
         else:
             self._shown_ns += _PAUSE_NS
-            self._view.jump(self._shown_ns * 1e-9)
+            self._view.jump(seconds(self._shown_ns))
         self._shift_ns = first.time_ns - self._shown_ns
 
     def block(self, frames: Sequence[Frame], block: Block) -> None:
@@ -107,7 +108,7 @@ def look(config: Configuration, devices: Devices, show: Callable[[Balance], None
             pipeline = optics.pipeline(shape)
             view.begin(first, camera.info.full_scale_dn)
             lost = taken = 0
-            end_ns = first.time_ns + round(1e9 * config.balance.seconds)
+            end_ns = first.time_ns + nanoseconds(config.balance.seconds)
             while not stream.drained:
                 frames = stream.take(32, 0.1)
                 light.look()

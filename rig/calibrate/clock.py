@@ -10,6 +10,7 @@ from acquisition.record.reader import RecordReader
 from calibration import FRAME_JITTER_LIMIT_S, ClockRelation, relate_clocks, unwrap_counter
 from processing.errors import DataError
 from processing.robust import robust_scatter
+from processing.ticks import S_PER_NS, seconds
 from rig.calibrate.filing import Filing, details_of, file_calibration
 from rig.devices import ntp_state
 from rig.instrument import recorded_configuration
@@ -18,7 +19,7 @@ _PARTS = 24
 _FEWEST_IN_PART = 10
 _OF_MEDIAN = math.sqrt(math.pi / 2.0)
 """Standard uncertainty of a median over that of a mean, of normal deviates."""
-_ROUNDING_S = 1e-9 / math.sqrt(12.0)
+_ROUNDING_S = S_PER_NS / math.sqrt(12.0)
 
 
 def calibrate_clock(record: Path, filing: Filing, counter_bits: int | None) -> Path:
@@ -76,10 +77,10 @@ def off_line(
 
     Medians, because single frames arrive much later than the others.
     """
-    off_s = 1e-9 * (host_ns - relation.host_ns(device_ns)).astype(np.float64)
+    off_s = seconds((host_ns - relation.host_ns(device_ns)).astype(np.float64))
     for jump in relation.jumps:
         off_s[sequence >= jump.frame] -= jump.step_s
-    at_s = 1e-9 * (device_ns - device_ns[0])
+    at_s = seconds(device_ns - device_ns[0])
     count = max(1, min(_PARTS, len(off_s) // _FEWEST_IN_PART))
     rows = []
     for at, off in zip(np.array_split(at_s, count), np.array_split(off_s, count), strict=True):

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from acquisition.record.reader import RecordReader
 from calibration import PulsedShutterFit, ShutterFit, fit_row_time, fit_row_time_of_pulses
 from processing.errors import DataError
+from processing.ticks import seconds
 from rig.calibrate.filing import Filing, details_of, file_calibration
 from rig.calibrate.spots import whole_spots
 from rig.instrument import frame_shape, recorded_configuration
@@ -28,7 +29,7 @@ def calibrate_shutter(record: Path, filing: Filing) -> Path:
     # the times of the frames, whatever shutter the record was corrected for
     has_clock = spots["device_time_ns"] >= 0
     frame_times_ns = np.where(has_clock, spots["device_time_ns"], spots["host_time_ns"])
-    times_s, y_px = (frame_times_ns - frame_times_ns[0]) * 1e-9, spots["y_px"].astype(np.float64)
+    times_s, y_px = seconds(frame_times_ns - frame_times_ns[0]), spots["y_px"].astype(np.float64)
     with RecordReader(record) as reader:
         config = recorded_configuration(reader)
         stated = reader.metadata.get("camera_settings", {}).get("exposure_us", "")

@@ -16,6 +16,7 @@ from acquisition.record.events import Event
 from processing.balance import Balance
 from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import Spot
+from processing.ticks import NS_PER_S, seconds
 from rig.instrument import Block, Snapshot, advice_text
 from rig.presentation import Verdict, balance_numbers, table_tree
 from rig.settings import Configuration
@@ -99,7 +100,7 @@ class SessionTelling:
         with self._lock:
             for swing in block.swings:
                 if not swing.flags:
-                    self._swings.append(((swing.turn_time_ns - start_ns) * 1e-9, swing.amplitude / size))
+                    self._swings.append((seconds(swing.turn_time_ns - start_ns), swing.amplitude / size))
             if block.balances:
                 self._balance = block.balances[-1]
         self.before_record(frames, block.spots, block.deflections)
@@ -113,7 +114,7 @@ class SessionTelling:
                     # the record begins with frames that were seen while its beginning was waited for
                     path.clear()
                 path.append(deflections)
-                while newest_ns - path[0].times_ns[-1] > _PATH_S * 1e9:
+                while newest_ns - path[0].times_ns[-1] > _PATH_S * NS_PER_S:
                     path.popleft()
         now_s = time.monotonic()
         if self._picture_wanted and frames and spots and now_s - self._picture_s >= _PICTURE_INTERVAL_S:
@@ -126,7 +127,7 @@ class SessionTelling:
 
     def event(self, start_ns: int, event: Event) -> None:
         """Keep an event."""
-        self.note(event.kind, event.text, event.level, (event.time_ns - start_ns) * 1e-9)
+        self.note(event.kind, event.text, event.level, seconds(event.time_ns - start_ns))
 
     def snapshot(self, snapshot: Snapshot) -> None:
         """Does nothing: the display's values hold the snapshot."""

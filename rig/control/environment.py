@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from processing.errors import DeviceError
+from processing.ticks import seconds
 from rig.control.controller import Environment
 from rig.control.device_thread import DeviceThread
 from rig.control.serial_port import Line, LineReader, PortLost, SerialPort
@@ -68,7 +69,7 @@ class EnvironmentService(DeviceThread):
     def latest(self) -> EnvironmentReading:
         """Latest reading; all NaN once it is older than stale_after_s. Never blocks."""
         latest = self._latest
-        age_s = (time.monotonic_ns() - latest.time_ns) / 1e9
+        age_s = seconds(time.monotonic_ns() - latest.time_ns)
         if age_s > self._settings.stale_after_s:
             return replace(latest, environment=Environment())
         return latest

@@ -13,6 +13,7 @@ from acquisition.camera import CameraStatus, FrameTimeout
 from acquisition.cameras.usb3vision.settings import Usb3VisionSettings
 from acquisition.frame_losses import FrameLosses
 from processing.errors import RigError
+from processing.ticks import seconds
 from rig.control import check_controller, check_environment, check_laser
 from rig.devices.session_devices import Devices
 from rig.devices.usb_checks import check_usb_cameras, check_usb_memory
@@ -142,7 +143,7 @@ def check_frames(
     if on_demand:
         return Verdict("frames", enough, f"{len(arrivals)}, made on demand: no rate to judge, {lost}", remedy)
     numbers, times_ns = zip(*arrivals, strict=True) if arrivals else ((0,), (0,))
-    span_s = (times_ns[-1] - times_ns[0]) * 1e-9
+    span_s = seconds(times_ns[-1] - times_ns[0])
     rate_hz = (numbers[-1] - numbers[0]) / span_s if span_s > 0 else 0.0
     found = f"{len(arrivals)} at {rate_hz:.3g} frames/s, {lost}"
     if enough and asked_hz is not None and abs(rate_hz / asked_hz - 1) > _MOST_RATE_ERROR:

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 from acquisition.record.events import Event, EventKind
 from acquisition.record.topics import ClockAnchor
+from processing.ticks import seconds
 from rig.devices import kernel_clock
 
 _PERIOD_NS = 10_000_000_000
@@ -51,7 +52,7 @@ class ClockAnchors:
             step_ns = (now.utc_ns - before.utc_ns) - elapsed_ns
             allowed_ns = _LEAST_STEP_NS + _FASTEST_SLEW * elapsed_ns + now.apart_ns + before.apart_ns
             if abs(step_ns) > allowed_ns:
-                text = f"the computer's clock of the day moved by {step_ns * 1e-9:+.3f} s"
+                text = f"the computer's clock of the day moved by {seconds(step_ns):+.3f} s"
                 events.append(Event(time_ns, EventKind.CLOCK_STEP, text))
         if now.host_time_ns < self._due_ns and not events:
             return None, []

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from acquisition.frame import Frame
 from acquisition.record.events import Event, EventKind
 from processing.spot import BeamUse, SpotFlag, SpotModel
+from processing.ticks import nanoseconds, seconds
 from rig.instrument import Block, Pipeline
 from rig.measure.recorder import Entry, cut_window
 
@@ -33,7 +34,7 @@ class FrameCounts:
     @property
     def elapsed_s(self) -> float:
         """Time from the first frame to the last one counted."""
-        return (self.last_ns - self.start_ns) * 1e-9
+        return seconds(self.last_ns - self.start_ns)
 
     @property
     def beam_text(self) -> str:
@@ -76,7 +77,7 @@ class FrameCounts:
                 self._next_image_ns = time_ns + self._interval_ns
             elif lost and time_ns >= self._next_lost_image_ns:
                 images.append(frame)
-                self._next_lost_image_ns = time_ns + round(_LOST_IMAGE_INTERVAL_S * 1e9)
+                self._next_lost_image_ns = time_ns + nanoseconds(_LOST_IMAGE_INTERVAL_S)
             bounds = (
                 None
                 if lost or not self._keep_windows

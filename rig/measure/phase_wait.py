@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 from acquisition.record.events import Event
 from processing.errors import DataError
+from processing.ticks import NS_PER_S, seconds
 from rig.instrument import Snapshot
 from rig.measure.end_of_run import StopRequest
 from rig.measure.recent_frames import RecentFrames
@@ -59,13 +60,13 @@ class PhaseWait:
                 self.note(name, "stopped")
                 raise Stopped
             begun_ns = begun_ns or frames.now_ns
-            elapsed_s = (frames.now_ns - begun_ns) * 1e-9
+            elapsed_s = seconds(frames.now_ns - begun_ns)
             if frames.spotless_s > _SPOTLESS_S:
                 self.progress = f"no spot is seen for {frames.spotless_s:.0f} s"
             phase = f"{name}: {self.progress}" if self.progress else name
             shout = NO_SPOT if frames.spotless_s > _SPOTLESS_S else instruction
             self._report(Snapshot(phase=phase, elapsed_s=elapsed_s, instruction=shout))
-            due = frames.now_ns - asked_ns >= every_s * 1e9
+            due = frames.now_ns - asked_ns >= every_s * NS_PER_S
             asked_ns = frames.now_ns if due else asked_ns
             if due and frames.now_ns and reached():
                 self.note(

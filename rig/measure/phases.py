@@ -14,6 +14,7 @@ from processing.angle import ARCSEC_RAD
 from processing.deflections import DeflectionUnit
 from processing.errors import DataError, DeviceError
 from processing.robust import robust_scatter
+from processing.ticks import NS_PER_S, nanoseconds
 from rig.devices import Devices, FrameStream, OpenCamera, goes_dark_by_itself, wait_for_command
 from rig.instrument import Optics, Snapshot
 from rig.measure.end_of_run import StopRequest
@@ -98,7 +99,7 @@ class PhasesBeforeRecord:
             return [], self._wait.events
         finally:
             self._brake(False)
-        kept_from_ns = frames.now_ns - round(1e9 * config.start.pretrigger_s)
+        kept_from_ns = frames.now_ns - nanoseconds(config.start.pretrigger_s)
         return [frame for frame in frames.frames if frame.time_ns >= kept_from_ns], self._wait.events
 
     def check_alone(
@@ -130,7 +131,7 @@ class PhasesBeforeRecord:
         Without a lever the limit follows from the noise between successive frames.
         """
         phases, shown = self._config.phases, self._unit.shown
-        window_ns = round(phases.rest_window_s * 1e9)
+        window_ns = nanoseconds(phases.rest_window_s)
         braked_ns = -_BRAKE_AGAIN_NS
         begun_ns = 0
 
@@ -164,13 +165,13 @@ class PhasesBeforeRecord:
         laser, phases = self._config.laser, self._config.phases
         if laser.kind == "none" or self._warm:
             return
-        window_ns = round(phases.warm_up_window_s * 1e9)
+        window_ns = nanoseconds(phases.warm_up_window_s)
         begun_ns = self._wait.frames.now_ns
 
         def warm() -> bool:
             frames = self._wait.frames
             since_ns = frames.now_ns - begun_ns
-            if since_ns < max(window_ns, laser.warm_up_min_s * 1e9):
+            if since_ns < max(window_ns, laser.warm_up_min_s * NS_PER_S):
                 return False
             recent = frames.since(frames.now_ns - window_ns)
             drift = max(
@@ -191,7 +192,7 @@ class PhasesBeforeRecord:
         if not preflight_wanted(self._config):
             return
         begun_ns = self._wait.frames.now_ns
-        duration_ns = round(_preflight_s(self._config) * 1e9)
+        duration_ns = nanoseconds(_preflight_s(self._config))
         self._wait.until_reached(
             "preflight", math.inf, lambda: self._wait.frames.now_ns - begun_ns >= duration_ns
         )

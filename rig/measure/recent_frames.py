@@ -8,6 +8,7 @@ import numpy as np
 from acquisition.frame import Frame
 from processing.deflections import Deflections, joined
 from processing.spot import Spot
+from processing.ticks import nanoseconds, seconds
 from rig.devices import FrameStream
 from rig.instrument import Deflector, Optics
 from rig.measure.preflight import Look
@@ -40,8 +41,8 @@ class RecentFrames:
         self._deflector: Deflector | None = None
         self._frames: deque[Frame] = deque()
         self._blocks: deque[tuple[list[Spot], Deflections]] = deque()
-        self._frames_ns = round(frames_s * 1e9)
-        self._window_ns = round(window_s * 1e9)
+        self._frames_ns = nanoseconds(frames_s)
+        self._window_ns = nanoseconds(window_s)
         self._found_ns = 0
         self.seen = 0
 
@@ -73,7 +74,7 @@ class RecentFrames:
     @property
     def spotless_s(self) -> float:
         """Time since a spot was last found, or since the first frame."""
-        return (self.now_ns - self._found_ns) * 1e-9 if self._blocks else 0.0
+        return seconds(self.now_ns - self._found_ns) if self._blocks else 0.0
 
     @property
     def now_ns(self) -> int:
@@ -99,7 +100,7 @@ class RecentFrames:
 
     def look(self, resting: bool, duration_s: float) -> Look:
         """Frames, spots and deflections of the last `duration_s` seconds."""
-        from_ns = self.now_ns - round(1e9 * duration_s)
+        from_ns = self.now_ns - nanoseconds(duration_s)
         deflections = self.since(from_ns)
         spots = [spot for block, _ in self._blocks for spot in block]
         frames = [frame for frame in self._frames if frame.time_ns >= from_ns]

@@ -10,6 +10,7 @@ from acquisition.frame import Frame
 from acquisition.record.events import Event, EventKind
 from processing.errors import DeviceError
 from processing.swing import Swing
+from processing.ticks import nanoseconds, seconds
 from rig.instrument import Snapshot
 from rig.measure.camera_state import TemperatureWatch, features_json
 from rig.measure.clock_anchors import ClockAnchors
@@ -60,7 +61,7 @@ class Recording:
         pipeline = parts.optics.pipeline(
             (first.image.shape[0], first.image.shape[1]), beside=stream.policy != "wait"
         )
-        counts = FrameCounts(first, round(parts.full_frame_interval_s * 1e9), keep_windows=parts.keep_windows)
+        counts = FrameCounts(first, nanoseconds(parts.full_frame_interval_s), keep_windows=parts.keep_windows)
         end = EndOfRun(parts.end)
         steps = StepEvents(parts.optics.unit)
         # frames made on demand have a clock of their own, which no other one says anything about
@@ -105,7 +106,7 @@ class Recording:
                 )
             )
             # frames made on demand have no age
-            age_s = math.nan if stream.policy == "wait" else (taken_ns - taken[0].host_time_ns) * 1e-9
+            age_s = math.nan if stream.policy == "wait" else seconds(taken_ns - taken[0].host_time_ns)
             self._publish("measuring", counts, block.swings, age_s)
             status.tell(counts.start_ns, frames, block, new)
             if self._recorder.error is not None:

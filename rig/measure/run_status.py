@@ -10,6 +10,7 @@ from acquisition.record.events import Event, EventKind
 from acquisition.record.topics import Environment
 from processing.deflections import DeflectionUnit
 from processing.swing import Swing
+from processing.ticks import nanoseconds
 from rig.devices import Devices, LightWatch
 from rig.instrument import Block, Snapshot
 from rig.measure.run_parts import Watcher
@@ -42,7 +43,7 @@ class RunStatus:
         self.light = LightWatch(devices)
         self._noticed: list[tuple[EventKind, str]] = []
         self._unit = unit
-        self._environment_period_ns = round(environment_period_s * 1e9)
+        self._environment_period_ns = nanoseconds(environment_period_s)
         self._environment_due_ns = 0
         self._instructions: deque[Snapshot] = deque()
         self.snapshot = Snapshot()

@@ -19,6 +19,7 @@ from acquisition.record.events import Event
 from processing.balance import Balance
 from processing.decay_forecast import Forecast, forecast
 from processing.deflections import DeflectionUnit
+from processing.ticks import seconds
 from rig.instrument import Block, Snapshot
 from rig.measure.end_of_run import BELOW_IN_A_ROW
 from rig.measure.estimates_text import estimate_rows, estimates_tree
@@ -90,15 +91,15 @@ class RunDisplay:
         """Keep half-cycles and balance."""
         for swing in block.swings:
             if not swing.flags:
-                self._swings.append((swing.turn_time_ns * 1e-9, swing.amplitude, swing.u_amplitude))
+                self._swings.append((seconds(swing.turn_time_ns), swing.amplitude, swing.u_amplitude))
         if block.balances:
             self._balance = block.balances[-1]
 
     def event(self, start_ns: int, event: Event) -> None:
         """Keep a line of the log."""
-        self._notes.append(f"{(event.time_ns - start_ns) * 1e-9:8.1f} s  {event.line}")
+        self._notes.append(f"{seconds(event.time_ns - start_ns):8.1f} s  {event.line}")
         if self._json:
-            elapsed_s = (event.time_ns - start_ns) * 1e-9
+            elapsed_s = seconds(event.time_ns - start_ns)
             self.line("event", {"elapsed_s": elapsed_s, "event": event.kind, "text": event.text})
 
     def snapshot(self, snapshot: Snapshot) -> None:

@@ -17,6 +17,7 @@ from processing.contact import MATERIALS, ContactParameters, PendulumOnBall, pen
 from processing.deflections import slow_deflections
 from processing.fit import FitMethod, FitResult, Quantity, RigQuantities, fit_asymptotic, fit_exact
 from processing.swing import SwingDetector, TurningPoints, turning_points
+from processing.ticks import seconds
 from rig.analysis import (
     RunResults,
     Series,
@@ -90,7 +91,7 @@ def simulate_pair(pair: PrintedPair, b_exponent: int, seed: int) -> PairSeries:
         exact.append(settled.exact or fit_exact(runs[-1], pendulum))
         if shown is None:
             first_ns = next(swing.turn_time_ns for swing in swings if swing.flags == 0)
-            time_s = np.asarray((seen.times_ns - first_ns) * 1e-9, dtype=np.float64)
+            time_s = seconds(seen.times_ns - first_ns)
             shown = Motion(
                 time_s, seen.x_rad / ARCSEC_RAD, seen.y_rad / ARCSEC_RAD, ShownUnit("arcsec", ARCSEC_RAD)
             )

@@ -15,6 +15,7 @@ from processing.fit import Conditions, FitMethod
 from processing.noise_models import density_of_db, nhnm_db, nlnm_db
 from processing.spot import SensorModel, SpotTracker
 from processing.swing import SwingDetector, turning_points
+from processing.ticks import nanoseconds
 from rig.analysis import SessionResults, read_results
 from rig.instrument import complete, pendulum_on_ball, sensor_model
 from rig.settings import Configuration, load_configuration
@@ -147,7 +148,7 @@ def _of_turning_points(config: Configuration, noise_rad: float) -> tuple[float, 
         swing_rad += np.fft.irfft(np.append(0.0, waves), len(time_s))
     detector = SwingDetector()
     u_rad = np.full(len(time_s), noise_rad)
-    swings = detector.update(np.rint(1e9 * time_s).astype(np.int64), swing_rad, u_rad)
+    swings = detector.update(nanoseconds(time_s), swing_rad, u_rad)
     points = turning_points([*swings, *detector.finish()])
     if len(points) < _HALF_CYCLES // 2:
         raise ConfigurationError(

@@ -13,6 +13,7 @@ from processing.estimate import Estimate
 from processing.fit import FitMethod
 from processing.spot import Spot
 from processing.swing import Swing
+from processing.ticks import NS_PER_S, seconds
 from rig.analysis import JsonObject, RunResults, encoded
 
 _SAME_SWING = 0.25
@@ -112,7 +113,7 @@ class ReplayComparison:
         for old, new in pairs:
             change = _swing_change_u(old, new)
             if change > largest:
-                largest, largest_s = change, (old.turn_time_ns - self._start_ns) * 1e-9
+                largest, largest_s = change, seconds(old.turn_time_ns - self._start_ns)
         unpaired = len(wanted) + len(replayed) - 2 * len(pairs)
         return Comparison(
             spots=self._spots,
@@ -167,7 +168,7 @@ def _estimates(tree: JsonObject, above: str) -> Iterator[tuple[str, Estimate]]:
 def _reach_ns(swings: Sequence[Swing]) -> float:
     """Largest time difference of two turning points that count as the same."""
     half_s = [swing.half_period_s for swing in swings if math.isfinite(swing.half_period_s)]
-    return _SAME_SWING * 1e9 * float(np.median(half_s)) if half_s else 0.0
+    return _SAME_SWING * NS_PER_S * float(np.median(half_s)) if half_s else 0.0
 
 
 def _pairs(
@@ -190,7 +191,7 @@ def _pairs(
 def _swing_change_u(old: Swing, new: Swing) -> float:
     return max(
         abs(new.amplitude - old.amplitude) / old.u_amplitude,
-        abs(new.turn_time_ns - old.turn_time_ns) * 1e-9 / old.u_turn_time_s,
+        seconds(abs(new.turn_time_ns - old.turn_time_ns)) / old.u_turn_time_s,
     )
 
 

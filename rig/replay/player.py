@@ -7,6 +7,7 @@ from typing import Final, Protocol
 
 from acquisition.record.events import Event
 from processing.spot import SpotFlag
+from processing.ticks import nanoseconds
 from rig.instrument import Snapshot
 from rig.presentation import Keys
 from rig.replay.replay import Replay, Step
@@ -142,7 +143,7 @@ class Player:
         self._view.block(start_ns, (), step.block)
         for frame, spot in step.pictures:
             self._view.picture(start_ns, frame, spot)
-        position_ns = start_ns + round(self._replay.position_s * 1e9)
+        position_ns = start_ns + nanoseconds(self._replay.position_s)
         while self._next_event < len(self._events) and (
             self._events[self._next_event].time_ns <= position_ns or math.isinf(self._replay.next_s)
         ):
@@ -197,7 +198,7 @@ class Player:
     def _forget(self) -> None:
         """Reset the counts when the pipeline is restarted."""
         start_ns, begun_s = self._replay.start_ns, self._replay.begun_s
-        begun_ns = start_ns + round(begun_s * 1e9)
+        begun_ns = start_ns + nanoseconds(begun_s)
         self._frames = self._missing = self._lost = self._half_cycles = 0
         self._amplitude = self._period_s = math.nan
         self._last_sequence = self._replay.next_sequence - 1

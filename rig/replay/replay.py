@@ -15,6 +15,7 @@ from processing.deflections import Deflections
 from processing.errors import RecordError
 from processing.spot import BeamUse, Spot, SpotFlag
 from processing.swing import Swing
+from processing.ticks import nanoseconds, seconds
 from rig.instrument import Block, frame_shape, optics_of, recorded_configuration, shutter_of
 from rig.replay.comparison import Comparison, ReplayComparison
 from rig.settings import Configuration
@@ -109,11 +110,11 @@ class Replay:
             raise RecordError(f"{reader.path}: contains no spots; there is nothing to replay")
         self.start_ns = int(head["time_ns"][0])
         self._last_ns = max(reader.contents.end_ns - reader.epoch_offset_ns, self.start_ns)
-        if from_s > (self._last_ns - self.start_ns) * 1e-9:
-            length_s = (self._last_ns - self.start_ns) * 1e-9
+        if from_s > seconds(self._last_ns - self.start_ns):
+            length_s = seconds(self._last_ns - self.start_ns)
             raise RecordError(f"{reader.path}: is {length_s:.1f} s long and cannot start at {from_s:g} s")
-        self._from_ns = self.start_ns + round(from_s * 1e9)
-        self._to_ns = self._last_ns if math.isinf(to_s) else self.start_ns + round(to_s * 1e9)
+        self._from_ns = self.start_ns + nanoseconds(from_s)
+        self._to_ns = self._last_ns if math.isinf(to_s) else self.start_ns + nanoseconds(to_s)
         self.partial = from_s > 0 or self._to_ns < self._last_ns
         self.sought = False
         self._table: NDArray[Any] = head[:0]
@@ -124,17 +125,17 @@ class Replay:
     @property
     def length_s(self) -> float:
         """Time at which the replay ends, in seconds from the record's first frame."""
-        return (min(self._to_ns, self._last_ns) - self.start_ns) * 1e-9
+        return seconds(min(self._to_ns, self._last_ns) - self.start_ns)
 
     @property
     def position_s(self) -> float:
         """Time of the last processed frame, in seconds from the record's first frame."""
-        return (self._position_ns - self.start_ns) * 1e-9
+        return seconds(self._position_ns - self.start_ns)
 
     @property
     def begun_s(self) -> float:
         """Time at which the pipeline was started, in seconds from the record's first frame."""
-        return (self._begun_ns - self.start_ns) * 1e-9
+        return seconds(self._begun_ns - self.start_ns)
 
     @property
     def next_s(self) -> float:
@@ -145,7 +146,7 @@ class Replay:
                 return math.inf
             self._table, self._row = table, 0
         next_ns = int(self._table["time_ns"][self._row])
-        return math.inf if next_ns > self._to_ns else (next_ns - self.start_ns) * 1e-9
+        return math.inf if next_ns > self._to_ns else seconds(next_ns - self.start_ns)
 
     @property
     def next_sequence(self) -> int:
@@ -160,7 +161,7 @@ class Replay:
     def restart(self, time_s: float) -> None:
         """Start again at a time; the results so far are discarded."""
         self.sought = True
-        self._begin(self.start_ns + round(max(time_s, 0.0) * 1e9))
+        self._begin(self.start_ns + nanoseconds(max(time_s, 0.0)))
 
     def advance(self, until_s: float, most: int) -> Step | None:
         """Process the next frames up to and including a time, at most `most` of them.
@@ -172,7 +173,7 @@ class Replay:
             return None
         limit_ns = self._to_ns
         if until_s < self.length_s:
-            limit_ns = min(limit_ns, self.start_ns + round(until_s * 1e9))
+            limit_ns = min(limit_ns, self.start_ns + nanoseconds(until_s))
         rows = self._table[self._row : self._row + most]
         rows = rows[: max(1, int(np.searchsorted(rows["time_ns"], limit_ns, side="right")))]
         self._row += len(rows)

@@ -17,6 +17,7 @@ from processing.balance import Balance
 from processing.deflections import DeflectionUnit
 from processing.errors import RecordError
 from processing.spot import SpotFlag
+from processing.ticks import nanoseconds, seconds
 from rig.instrument import advice_text, recorded_configuration
 from rig.presentation import balance_numbers, say
 from rig.rerun import Curve, LayoutName
@@ -108,14 +109,14 @@ def write_rrd(
     lines = []
     with viewer:
         for path, name, each in zip(paths, names, overviews, strict=True):
-            later_s = 0.0 if align_start else (each.start_utc_ns - first_utc_ns) * 1e-9
+            later_s = 0.0 if align_start else seconds(each.start_utc_ns - first_utc_ns)
             with RecordReader(path) as reader:
                 if reader.truncated:
                     say(reader.cut_notice)
                 if len(paths) == 1:
                     viewer.properties(run_properties(reader))
                 spots, swings = _draw(viewer, reader, name, each.start_ns, later_s)
-                start = datetime.fromtimestamp(each.start_utc_ns * 1e-9, UTC)
+                start = datetime.fromtimestamp(seconds(each.start_utc_ns), UTC)
                 end = "truncated" if reader.truncated else "damaged" if reader.damages else "complete"
             lines.append(f"**{path.stem}**: {end}\n")
             lines.append(f"- start {start:%Y-%m-%d %H:%M:%S} UTC\n- {spots} spots\n- {swings} half-cycles\n")
@@ -180,7 +181,7 @@ def _draw(viewer: Viewer, reader: RecordReader, run: str, start_ns: int, later_s
         viewer.swings(swings, start_ns, later_s=later_s, run=run)
     advise = _adviser(reader)
     for balance in reader.balances():
-        time_s = (balance.time_ns - start_ns) * 1e-9 + later_s
+        time_s = seconds(balance.time_ns - start_ns) + later_s
         viewer.balance(time_s, balance_numbers(balance), advice=advise(balance), run=run)
     for event in reader.events():
         viewer.event(start_ns, event, later_s=later_s, run=run)
@@ -209,7 +210,7 @@ def _draw_spots(
     viewer.losses(later_s, {"missing_frames": 0, "lost_spots": 0}, own=False, run=run)
     for table in spot_tables(reader):
         deflections = reader.deflections(table)
-        time_s = (deflections.times_ns - start_ns) * 1e-9 + later_s
+        time_s = seconds(deflections.times_ns - start_ns) + later_s
         viewer.samples(time_s, deflections.shown_x, deflections.shown_y, table["flags"], run=run)
         sequence = table["sequence"]
         before = sequence[0] - 1 if last is None else last
@@ -237,10 +238,10 @@ def _draw_images(
     for frame in reader.images():
         if frame.time_ns < next_ns:
             continue
-        next_ns = frame.time_ns + round(PICTURE_INTERVAL_S * 1e9)
+        next_ns = frame.time_ns + nanoseconds(PICTURE_INTERVAL_S)
         row = int(np.searchsorted(spots["sequence"], frame.sequence))
         found = row < len(spots["sequence"]) and spots["sequence"][row] == frame.sequence
         x_px, y_px = spots["place"][row] if found else (np.nan, np.nan)
-        time_s = (frame.time_ns - start_ns) * 1e-9 + later_s
+        time_s = seconds(frame.time_ns - start_ns) + later_s
         viewer.image(time_s, frame.image, (float(x_px), float(y_px)), run=run)
         viewer.wait_room()

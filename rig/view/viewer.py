@@ -30,6 +30,7 @@ from processing.deflections import DeflectionUnit
 from processing.errors import ConfigurationError, RecordError
 from processing.spot import Spot, SpotFlag
 from processing.swing import Swing
+from processing.ticks import seconds
 from rig.instrument import Block, Snapshot
 from rig.presentation import Quantity, balance_numbers, quantity
 from rig.rerun import (
@@ -234,11 +235,11 @@ class Viewer:
         found = block.deflections
         if len(found):
             flags = [spot.flags for spot in block.spots]
-            self.samples((found.times_ns - start_ns) * 1e-9, found.shown_x, found.shown_y, flags)
+            self.samples(seconds(found.times_ns - start_ns), found.shown_x, found.shown_y, flags)
         if block.swings:
             self.swings(block.swings, start_ns)
         for balance in block.balances:
-            time_s = (balance.time_ns - start_ns) * 1e-9
+            time_s = seconds(balance.time_ns - start_ns)
             self.balance(time_s, balance_numbers(balance), advice=self._advise(balance))
         now_s = time.monotonic()
         if frames and now_s >= self._next_image_s:
@@ -249,7 +250,7 @@ class Viewer:
         """A whole frame and the spot in it."""
         lost = bool(spot.flags & SpotFlag.LOST)
         place = (math.nan, math.nan) if lost else (spot.x_px, spot.y_px)
-        self.image((frame.time_ns - start_ns) * 1e-9, frame.image, place)
+        self.image(seconds(frame.time_ns - start_ns), frame.image, place)
 
     def jump(self, time_s: float) -> None:
         """Continue at another time; curves are interrupted there."""
@@ -258,7 +259,7 @@ class Viewer:
 
     def event(self, start_ns: int, event: Event, *, later_s: float = 0.0, run: str = "") -> None:
         """Write an event to the log."""
-        self.log((event.time_ns - start_ns) * 1e-9 + later_s, event.level, event.line, run=run)
+        self.log(seconds(event.time_ns - start_ns) + later_s, event.level, event.line, run=run)
 
     def snapshot(self, snapshot: Snapshot) -> None:
         """State and losses, at most twice a second, and when the phase changes; every new estimate."""
@@ -290,7 +291,7 @@ class Viewer:
         self._put(
             Swings(
                 run,
-                (np.array([swing.turn_time_ns for swing in swings]) - start_ns) * 1e-9 + later_s,
+                seconds(np.array([swing.turn_time_ns for swing in swings]) - start_ns) + later_s,
                 _floats([swing.amplitude / size for swing in swings]),
                 _floats([swing.u_amplitude / size for swing in swings]),
                 _floats([2.0 * swing.half_period_s for swing in swings]),

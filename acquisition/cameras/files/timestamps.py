@@ -9,6 +9,7 @@ from typing import NamedTuple, TypeVar
 
 from acquisition.cameras.files.settings import FilesSettings
 from processing.errors import DeviceError
+from processing.ticks import NS_PER_S
 
 T = TypeVar("T")
 _MOST_DIGITS = 11
@@ -37,7 +38,7 @@ def frame_times(settings: FilesSettings, count: int, names: Sequence[str], hint:
         Neither a CSV file nor a frame rate, or a CSV file that does not match the frames.
     """
     if settings.frame_rate_hz is not None:
-        period_ns = 1e9 / settings.frame_rate_hz
+        period_ns = NS_PER_S / settings.frame_rate_hz
         return FrameTimes([round(i * period_ns) for i in range(count)], range(count))
     path = settings.timestamps_csv or _beside(settings.path)
     if settings.timestamps_csv is None and not path.is_file():

@@ -10,6 +10,7 @@ from acquisition.cameras.binning import binning_of
 from acquisition.cameras.colour_plane import format_of, in_sensor_px, preferred_names
 from acquisition.cameras.pixel_formats import Format
 from processing.errors import DeviceError
+from processing.ticks import NS_PER_S
 
 _EXPOSURE: Final = ("ExposureTime", "ExposureTimeAbs")
 _RATE: Final = ("AcquisitionFrameRate", "AcquisitionFrameRateAbs")
@@ -102,7 +103,7 @@ class PylonFeatures:
         which another clock changes.
         """
         per_s = self.read(_TICKS_PER_S)
-        return 1e9 / float(per_s) if per_s else 1.0
+        return NS_PER_S / float(per_s) if per_s else 1.0
 
     def choose_usable_format(self) -> Format:
         """Keep the present pixel format if the rig supports it, of a mosaic, too; otherwise set the first

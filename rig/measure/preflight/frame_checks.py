@@ -15,6 +15,7 @@ from processing.deflections import Deflections, DeflectionUnit, Floats
 from processing.errors import DataError
 from processing.ground_at_rest import ground_at_rest
 from processing.spot import Spot, SpotFlag, SpotModel
+from processing.ticks import seconds
 from rig.analysis import base_motion, drive_text
 from rig.devices import MOST_PPM, wrong_rate
 from rig.instrument import beam_quality
@@ -217,7 +218,7 @@ def clock(frames: Sequence[Frame], limits: PreflightSettings, *, on_demand: bool
 def frame_rate(frames: Sequence[Frame], asked_hz: float | None, limits: PreflightSettings) -> Verdict:
     """Check the measured frame rate against the requested one, and the losses."""
     limit = f"{100 * limits.max_frame_rate_error:g} %, losses {100 * limits.max_dropped_fraction:g} %"
-    span_s = (frames[-1].time_ns - frames[0].time_ns) * 1e-9 if len(frames) > 1 else 0.0
+    span_s = seconds(frames[-1].time_ns - frames[0].time_ns) if len(frames) > 1 else 0.0
     if span_s <= 0:
         return Verdict(
             "frame rate",
