@@ -5,7 +5,7 @@ from typing import Final, Literal, NamedTuple
 
 
 class EventKind(StrEnum):
-    """Kinds of events. Besides, each phase of the preparation is a kind with the phase's name."""
+    """Kinds of events; records of other versions may hold further ones."""
 
     START = "start"
     """The first frame of the record."""
@@ -26,7 +26,11 @@ class EventKind(StrEnum):
     """The record can no longer be written."""
     SLOW_DISK = "slow disk"
     """A write took seconds; frames waited in memory, and those that could not are counted as lost."""
+    REST = "rest"
+    WARM_UP = "warm-up"
     PREFLIGHT = "preflight"
+    RELEASE = "release"
+    """Phases before the record: reached, or stopped."""
     MAGNET = "magnet"
     STARTER = "starter"
     BRAKE = "brake"

@@ -3,6 +3,7 @@
 import threading
 import time
 from collections import deque
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -129,6 +130,12 @@ class Following:
             self._heard = max(self._heard, int(event["number"]))
             self.events.append(event)
         self.news = news
+
+
+def doing(state: Mapping[str, Any] | None) -> str:
+    """The phase of a run and its progress in words; empty before it has told any."""
+    told = state or {}
+    return ": ".join(filter(None, (told.get("phase"), told.get("progress"))))
 
 
 def _is_there(line: Line) -> bool:

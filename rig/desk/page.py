@@ -7,6 +7,7 @@ from nicegui import ui
 from nicegui.events import KeyEventArguments
 
 from rig.desk.desk import Desk
+from rig.desk.following import doing
 from rig.desk.panels import PANELS
 from rig.desk.tab import Tab
 from rig.desk.theme import NIGHT, SCRIPT, STYLE
@@ -103,8 +104,8 @@ def _state(desk: Desk) -> str:
     if following.silent:
         return f"{following.folder and following.folder.name}: does not answer at the moment"
     if following.folder is not None:
-        phase = (following.news.get("state") or {}).get("phase") or "preparing"
-        return f"{following.folder.name} · {following.news.get('run') or 'session'} · {phase}"
+        phase = doing(following.news.get("state"))
+        return f"{following.folder.name} · {following.news.get('run') or 'session'} · {phase or 'preparing'}"
     if desk.session_state == "running":
         return "a session begins, or is fitted"
     if desk.session_state:

@@ -34,7 +34,7 @@ from rig.instrument.provenance import (
     session_metadata,
     versions,
 )
-from rig.instrument.snapshot import Snapshot
+from rig.instrument.snapshot import Phase, Snapshot
 
 __all__ = [
     "CONFIGURATION_NAME",
@@ -43,6 +43,7 @@ __all__ = [
     "Block",
     "Deflector",
     "Optics",
+    "Phase",
     "Pipeline",
     "Snapshot",
     "advice_text",

@@ -3,26 +3,43 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from enum import StrEnum
 
 from acquisition.frame_losses import FrameLosses
 from processing.estimate import Estimate
 from rig.control import DevicesNow
 
 
+class Phase(StrEnum):
+    """What a run, or the replay of a record, is doing."""
+
+    WAITING = "waiting for the first frame"
+    REST = "rest"
+    WARM_UP = "warm-up"
+    PREFLIGHT = "preflight"
+    RELEASE = "release"
+    MEASURING = "measuring"
+    CLOSING = "closing the record"
+    DONE = "done"
+    REPLAYING = "replaying"
+    PAUSED = "paused"
+
+
 @dataclass(frozen=True, slots=True)
 class Snapshot:
     """State of a run at one moment. The amplitude is in arcsec, or in px without a lever calibration.
 
-    `frame_age_s` is the time between the arrival of the oldest frame of the last block and the start of
-    its processing; it grows if processing is too slow. `losses` are the dropped frames by cause, as
-    counted by the camera. `instruction` is a request to the operator, `devices` the state of laser and
-    controller, `beam` what is fitted to the spot, `alarm` what is wrong with light or disk, empty if nothing
-    is.
+    `progress` says how far the phase is. `frame_age_s` is the time between the arrival of the oldest frame of
+    the last block and the start of its processing; it grows if processing is too slow. `losses` are the
+    dropped frames by cause, as counted by the camera. `instruction` is a request to the operator, `devices`
+    the state of laser and controller, `beam` what is fitted to the spot, `alarm` what is wrong with light or
+    disk, empty if nothing is.
     `estimates` are the contact's parameters by key, from the first `estimated_from` half-cycles; empty before
     there are enough.
     """
 
-    phase: str = "waiting for the first frame"
+    phase: Phase = Phase.WAITING
+    progress: str = ""
     elapsed_s: float = 0.0
     frames: int = 0
     dropped_frames: int = 0
@@ -45,3 +62,8 @@ class Snapshot:
     beam: str = ""
     estimates: Mapping[str, Estimate] = field(default_factory=dict)
     estimated_from: int = 0
+
+    @property
+    def doing(self) -> str:
+        """Phase and progress in words."""
+        return f"{self.phase}: {self.progress}" if self.progress else self.phase.value

@@ -2,10 +2,10 @@
 
 from collections.abc import Callable
 
-from acquisition.record.events import Event
+from acquisition.record.events import Event, EventKind
 from processing.errors import DataError
 from processing.ticks import NS_PER_S, seconds
-from rig.instrument import Snapshot
+from rig.instrument import Phase, Snapshot
 from rig.measure.end_of_run import StopRequest
 from rig.measure.recent_frames import RecentFrames
 
@@ -35,13 +35,13 @@ class PhaseWait:
         self.progress = ""
         self.events: list[Event] = []
 
-    def note(self, kind: str, text: str) -> None:
+    def note(self, kind: EventKind, text: str) -> None:
         """Add an event at the time of the newest frame."""
         self.events.append(Event(self.frames.now_ns, kind, text))
 
     def until_reached(
         self,
-        name: str,
+        phase: Phase,
         limit_s: float,
         reached: Callable[[], bool],
         instruction: str = "",
@@ -57,24 +57,22 @@ class PhaseWait:
         self.progress = ""
         while True:
             if self._stop or not frames.advance():
-                self.note(name, "stopped")
+                self.note(EventKind(phase), "stopped")
                 raise Stopped
             begun_ns = begun_ns or frames.now_ns
             elapsed_s = seconds(frames.now_ns - begun_ns)
             if frames.spotless_s > _SPOTLESS_S:
                 self.progress = f"no spot is seen for {frames.spotless_s:.0f} s"
-            phase = f"{name}: {self.progress}" if self.progress else name
             shout = NO_SPOT if frames.spotless_s > _SPOTLESS_S else instruction
-            self._report(Snapshot(phase=phase, elapsed_s=elapsed_s, instruction=shout))
+            self._report(Snapshot(phase, self.progress, elapsed_s, instruction=shout))
             due = frames.now_ns - asked_ns >= every_s * NS_PER_S
             asked_ns = frames.now_ns if due else asked_ns
             if due and frames.now_ns and reached():
-                self.note(
-                    name, f"reached after {elapsed_s:.1f} s{f', {self.progress}' if self.progress else ''}"
-                )
+                so_far = f", {self.progress}" if self.progress else ""
+                self.note(EventKind(phase), f"reached after {elapsed_s:.1f} s{so_far}")
                 return
             if elapsed_s > limit_s:
                 raise DataError(
-                    f"{name}: not reached within {limit_s:g} s ({self.progress or 'nothing happened'}); "
+                    f"{phase}: not reached within {limit_s:g} s ({self.progress or 'nothing happened'}); "
                     "remove the cause, or raise its limit in the configuration"
                 )

@@ -16,7 +16,7 @@ from processing.errors import DataError, DeviceError
 from processing.robust import robust_scatter
 from processing.ticks import NS_PER_S, nanoseconds
 from rig.devices import Devices, FrameStream, OpenCamera, goes_dark_by_itself, wait_for_command
-from rig.instrument import Optics, Snapshot
+from rig.instrument import Optics, Phase, Snapshot
 from rig.measure.end_of_run import StopRequest
 from rig.measure.phase_wait import PhaseWait, Stopped
 from rig.measure.preflight import device_checks, frame_checks
@@ -87,7 +87,7 @@ class PhasesBeforeRecord:
         self._attempt += 1
         try:
             if config.start.way == "at once":
-                self._wait.until_reached("preflight", math.inf, lambda: frames.seen >= _AT_ONCE_FRAMES)
+                self._wait.until_reached(Phase.PREFLIGHT, math.inf, lambda: frames.seen >= _AT_ONCE_FRAMES)
                 self._check(resting=False)
                 return frames.frames, self._wait.events
             self._come_to_rest()
@@ -111,7 +111,7 @@ class PhasesBeforeRecord:
         self._wait = PhaseWait(frames, report, stop)
         with suppress(NoGo, Stopped):
             if self._config.start.way == "at once":
-                self._wait.until_reached("preflight", math.inf, lambda: frames.seen >= _AT_ONCE_FRAMES)
+                self._wait.until_reached(Phase.PREFLIGHT, math.inf, lambda: frames.seen >= _AT_ONCE_FRAMES)
                 self._check(resting=False)
             else:
                 self._look()
@@ -157,7 +157,7 @@ class PhasesBeforeRecord:
                 self._brake(False)
             return False
 
-        self._wait.until_reached("rest", phases.rest_max_s, at_rest, every_s=0.2)
+        self._wait.until_reached(Phase.REST, phases.rest_max_s, at_rest, every_s=0.2)
         self._brake(False)
 
     def _warm_up(self) -> None:
@@ -185,7 +185,7 @@ class PhasesBeforeRecord:
                 return True
             return drift <= phases.warm_up_drift_arcsec_per_min
 
-        self._wait.until_reached("warm-up", laser.warm_up_max_s, warm, every_s=0.5)
+        self._wait.until_reached(Phase.WARM_UP, laser.warm_up_max_s, warm, every_s=0.5)
         self._warm = True
 
     def _look(self) -> None:
@@ -194,7 +194,7 @@ class PhasesBeforeRecord:
         begun_ns = self._wait.frames.now_ns
         duration_ns = nanoseconds(_preflight_s(self._config))
         self._wait.until_reached(
-            "preflight", math.inf, lambda: self._wait.frames.now_ns - begun_ns >= duration_ns
+            Phase.PREFLIGHT, math.inf, lambda: self._wait.frames.now_ns - begun_ns >= duration_ns
         )
         self._check(resting=True)
 
@@ -263,7 +263,7 @@ class PhasesBeforeRecord:
             in_a_row = in_a_row + 1 if far else 0
             return in_a_row >= 2
 
-        wait.until_reached("release", self._config.phases.release_max_s, moved, instruction)
+        wait.until_reached(Phase.RELEASE, self._config.phases.release_max_s, moved, instruction)
 
     def _place(self) -> tuple[tuple[float, float], float]:
         """Median position in the last second, and the smallest distance from it that is not noise."""

@@ -45,16 +45,17 @@ def preflight_rig(config: Configuration, *, json_lines: bool = False) -> int:
         if lit := devices.light():
             say(lit)
         light = LightWatch(devices)
-        last_phase = ""
+        before = ""
 
         def report(snapshot: Snapshot) -> None:
-            nonlocal last_phase
+            nonlocal before
             light.look()
             if light.alarm:
                 raise DeviceError(light.alarm)
-            if json_lines and snapshot.phase != last_phase:
-                print_json_line("state", {"phase": snapshot.phase, "elapsed_s": snapshot.elapsed_s})
-            last_phase = snapshot.phase
+            if json_lines and snapshot.doing != before:
+                told = {"phase": snapshot.phase, "progress": snapshot.progress}
+                print_json_line("state", {**told, "elapsed_s": snapshot.elapsed_s})
+            before = snapshot.doing
 
         try:
             stream.start_camera()

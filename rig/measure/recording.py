@@ -11,7 +11,7 @@ from acquisition.record.events import Event, EventKind
 from processing.errors import DeviceError
 from processing.swing import Swing
 from processing.ticks import nanoseconds, seconds
-from rig.instrument import Snapshot
+from rig.instrument import Phase, Snapshot
 from rig.measure.camera_state import TemperatureWatch, features_json
 from rig.measure.clock_anchors import ClockAnchors
 from rig.measure.end_of_run import EndOfRun, StopRequest
@@ -85,7 +85,7 @@ class Recording:
                 if new:
                     self._recorder.put(Entry(events=new))
                     status.tell_events(counts.start_ns, new)
-                self._publish("measuring", counts, [], math.nan)
+                self._publish(Phase.MEASURING, counts, [], math.nan)
                 self._end_in_darkness()
                 continue
             frames = counts.numbered(taken)
@@ -107,7 +107,7 @@ class Recording:
             )
             # frames made on demand have no age
             age_s = math.nan if stream.policy == "wait" else seconds(taken_ns - taken[0].host_time_ns)
-            self._publish("measuring", counts, block.swings, age_s)
+            self._publish(Phase.MEASURING, counts, block.swings, age_s)
             status.tell(counts.start_ns, frames, block, new)
             if self._recorder.error is not None:
                 raise self._recorder.error
@@ -141,7 +141,7 @@ class Recording:
                 attachments={name: data for name, data in features.items() if data},
             )
         )
-        self._publish("closing the record", counts, swings, math.nan)
+        self._publish(Phase.CLOSING, counts, swings, math.nan)
         status.tell(counts.start_ns, [], empty, last)
         return rejected
 
@@ -169,7 +169,7 @@ class Recording:
             happened.append((EventKind.POSTERIOR, remark))
         return [Event(time_ns, kind, text) for kind, text in happened]
 
-    def _publish(self, phase: str, counts: FrameCounts, swings: list[Swing], age_s: float) -> None:
+    def _publish(self, phase: Phase, counts: FrameCounts, swings: list[Swing], age_s: float) -> None:
         known = self._known
         self._status.publish(
             Snapshot(

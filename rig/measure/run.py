@@ -11,7 +11,7 @@ from dataclasses import replace
 from acquisition.frame import Frame
 from acquisition.record.events import Event
 from processing.errors import DataError, DeviceError
-from rig.instrument import Snapshot
+from rig.instrument import Phase, Snapshot
 from rig.measure.end_of_run import StopRequest
 from rig.measure.recorder import MOST_WAITING_BYTES, Recorder
 from rig.measure.recording import Recording
@@ -213,7 +213,7 @@ class Run:
         self._status.end(
             replace(
                 self.snapshot,
-                phase="done",
+                phase=Phase.DONE,
                 reason=self._stop.reason,
                 dropped_frames=max(self.snapshot.dropped_frames, losses.total),
                 losses=losses,

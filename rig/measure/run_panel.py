@@ -40,7 +40,7 @@ def run_panel(
         for row in rows:
             table.add_row(*row)
     parts: list[RenderableType] = [
-        Text.assemble((f"{title}  ", "bold"), (snapshot.phase, "bold cyan"), no_wrap=True),
+        Text.assemble((f"{title}  ", "bold"), (snapshot.doing, "bold cyan"), no_wrap=True),
         _bar(done, width - 4),
         table,
     ]

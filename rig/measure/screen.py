@@ -20,7 +20,7 @@ from processing.balance import Balance
 from processing.decay_forecast import Forecast, forecast
 from processing.deflections import DeflectionUnit
 from processing.ticks import seconds
-from rig.instrument import Block, Snapshot
+from rig.instrument import Block, Phase, Snapshot
 from rig.measure.end_of_run import BELOW_IN_A_ROW
 from rig.measure.estimates_text import estimate_rows, estimates_tree
 from rig.measure.rates import Rates
@@ -65,7 +65,8 @@ class RunDisplay:
         self._console = console or Console(stderr=True)
         self._live: Live | None = None
         self._printed_s = 0.0
-        self._phase = self._alarm = ""
+        self._phase: Phase | None = None
+        self._alarm = ""
         self._swings: deque[tuple[float, float, float]] = deque(maxlen=_SWINGS_KEPT)
         self._balance: Balance | None = None
         self._notes: deque[str] = deque(maxlen=12)
@@ -136,8 +137,7 @@ class RunDisplay:
         ):
             self._forecast_s = now_s
             self._forecast = self._predicted()
-        first_word = snapshot.phase.split(":")[0]
-        changed = first_word != self._phase or snapshot.alarm != self._alarm
+        changed = snapshot.phase is not self._phase or snapshot.alarm != self._alarm
         if self._live is not None:
             self._live.update(self.screen(snapshot), refresh=True)
         elif changed or now_s - self._printed_s >= (_JSON_INTERVAL_S if self._json else _PLAIN_INTERVAL_S):
@@ -149,7 +149,7 @@ class RunDisplay:
             for shout in (snapshot.alarm, snapshot.instruction):
                 if changed and shout and not self._json:
                     say(f"{self._title}: {shout.upper()}")
-        self._phase, self._alarm = first_word, snapshot.alarm
+        self._phase, self._alarm = snapshot.phase, snapshot.alarm
 
     def screen(self, snapshot: Snapshot) -> RenderableType:
         """The whole screen, cut to the size of the terminal."""
@@ -279,7 +279,7 @@ class RunDisplay:
         )
         losses = f"{snapshot.dropped_frames} dropped, {snapshot.lost_spots} lost"
         tail = f"  {snapshot.reason}" if snapshot.reason else ""
-        phase = "" if snapshot.phase == "measuring" else f"{snapshot.phase}  "
+        phase = "" if snapshot.phase is Phase.MEASURING else f"{snapshot.doing}  "
         return f"{phase}t {snapshot.elapsed_s:7.1f} s  {amplitude}{snapshot.frames} frames ({losses}){tail}"
 
 

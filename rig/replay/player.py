@@ -8,7 +8,7 @@ from typing import Final, Protocol
 from acquisition.record.events import Event
 from processing.spot import SpotFlag
 from processing.ticks import nanoseconds
-from rig.instrument import Snapshot
+from rig.instrument import Phase, Snapshot
 from rig.presentation import Keys
 from rig.replay.replay import Replay, Step
 from rig.view import Viewer
@@ -216,7 +216,7 @@ class Player:
         known = gone_s > 0 and host_s > _SEEN_S and not self.paused
         remaining_s = (replay.length_s - position_s) * host_s / gone_s if known else math.nan
         snapshot = Snapshot(
-            phase="paused" if self.paused else "replaying",
+            phase=Phase.PAUSED if self.paused else Phase.REPLAYING,
             elapsed_s=position_s,
             frames=self._frames,
             dropped_frames=self._missing,

@@ -10,7 +10,7 @@ from typing import IO, Self
 from rich.console import Console
 from rich.table import Table
 
-from rig.instrument import Snapshot
+from rig.instrument import Phase, Snapshot
 from rig.presentation import Quantity, quantity, say
 from rig.replay.comparison import Change, Comparison
 
@@ -60,7 +60,7 @@ class ReplayLine:
         now_s = self._clock()
         interval_s = _LINE_INTERVAL_S if self._terminal else _PLAIN_INTERVAL_S
         # the effect of a key is shown immediately
-        moving = snapshot.phase != "paused" and prompt is None and snapshot.elapsed_s < length_s
+        moving = snapshot.phase is not Phase.PAUSED and prompt is None and snapshot.elapsed_s < length_s
         if (moving or not self._terminal) and now_s - self._shown_s < interval_s:
             return
         text = self._text(snapshot, length_s, remaining_s, prompt)

@@ -215,7 +215,7 @@ class Drawing:
         self._set_time(message.time_s)
         log = rr.TextLog(message.text, level=LEVELS.get(message.level, rr.TextLogLevel.INFO))
         self._stream.log(layout.entity(message.run, layout.EVENTS), log)
-        self._lanes.draw(message.run, message.text)
+        self._lanes.draw(message.run, message.kind)
 
     def _draw_text(self, run: str, path: str, time_s: float, text: str) -> None:
         self._set_time(time_s if np.isfinite(time_s) else self._latest_s)

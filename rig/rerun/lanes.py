@@ -44,9 +44,9 @@ class Lanes:
         self._stream = stream
         self._known: set[str] = set()
 
-    def draw(self, run: str, line: str) -> None:
-        """Change the lanes as an event says (`kind: text`); its time is set already."""
-        for lane, state in _CHANGES.get(line.partition(": ")[0], {}).items():
+    def draw(self, run: str, kind: str) -> None:
+        """Change the lanes as an event of this kind says; its time is set already."""
+        for lane, state in _CHANGES.get(kind, {}).items():
             entity = layout.entity(run, lane)
             if entity not in self._known:
                 self._known.add(entity)

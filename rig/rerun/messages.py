@@ -115,12 +115,13 @@ class State(NamedTuple):
 
 
 class LogLine(NamedTuple):
-    """One line of the log panel."""
+    """One line of the log panel; `kind` is that of an event, empty for any other line."""
 
     run: str
     time_s: float
     level: LogLevel
     text: str
+    kind: str = ""
 
 
 class Curve(NamedTuple):

@@ -24,4 +24,4 @@ def state_text(snapshot: Snapshot, unit: DeflectionUnit) -> str:
     lines.append(f"{snapshot.half_cycles} half-cycles")
     alarm = f"# {snapshot.alarm.upper()}\n\n" if snapshot.alarm else ""
     reason = f": {snapshot.reason}" if snapshot.reason else ""
-    return f"{alarm}**{snapshot.phase}**{reason}\n\n" + "\n".join(f"- {line}" for line in lines) + "\n"
+    return f"{alarm}**{snapshot.doing}**{reason}\n\n" + "\n".join(f"- {line}" for line in lines) + "\n"

@@ -31,7 +31,7 @@ from processing.errors import ConfigurationError, RecordError
 from processing.spot import Spot, SpotFlag
 from processing.swing import Swing
 from processing.ticks import seconds
-from rig.instrument import Block, Snapshot
+from rig.instrument import Block, Phase, Snapshot
 from rig.presentation import Quantity, balance_numbers, quantity
 from rig.rerun import (
     BalanceNumbers,
@@ -181,7 +181,7 @@ class Viewer:
         self._estimated_from = 0
         self._next_image_s = 0.0
         self._next_state_s = 0.0
-        self._shown_phase = ""
+        self._shown_phase: Phase | None = None
         self._notes: list[str] = []
         self._program = ViewerProgram(mode, web_port, self._note)
         setup = Setup(
@@ -259,7 +259,8 @@ class Viewer:
 
     def event(self, start_ns: int, event: Event, *, later_s: float = 0.0, run: str = "") -> None:
         """Write an event to the log."""
-        self.log(seconds(event.time_ns - start_ns) + later_s, event.level, event.line, run=run)
+        time_s = seconds(event.time_ns - start_ns) + later_s
+        self.log(time_s, event.level, event.line, kind=event.kind, run=run)
 
     def snapshot(self, snapshot: Snapshot) -> None:
         """State and losses, at most twice a second, and when the phase changes; every new estimate."""
@@ -267,7 +268,7 @@ class Viewer:
             self._estimated_from = snapshot.estimated_from
             self.estimates(snapshot.elapsed_s, snapshot.estimates)
         now_s = time.monotonic()
-        if now_s < self._next_state_s and snapshot.phase == self._shown_phase:
+        if now_s < self._next_state_s and snapshot.phase is self._shown_phase:
             return
         self._shown_phase = snapshot.phase
         self._next_state_s = now_s + _STATE_INTERVAL_S
@@ -340,9 +341,9 @@ class Viewer:
         """State of the session, in Markdown; default of the time: the latest one."""
         self._put(State(run, float(time_s), text))
 
-    def log(self, time_s: float, level: LogLevel, text: str, *, run: str = "") -> None:
-        """One line of the log."""
-        self._put(LogLine(run, float(time_s), level, text))
+    def log(self, time_s: float, level: LogLevel, text: str, *, kind: str = "", run: str = "") -> None:
+        """One line of the log; `kind` is that of an event."""
+        self._put(LogLine(run, float(time_s), level, text, kind))
 
     def fits(self, curves: Sequence[Curve], text: str = "", *, run: str = "") -> None:
         """Curves of the analysing layout and the report's text (Markdown)."""

@@ -6,7 +6,7 @@ from itertools import count
 from nicegui import ui
 from nicegui.events import MouseEventArguments
 
-from rig.desk.following import Following
+from rig.desk.following import Following, doing
 from rig.desk.tab import Tab
 
 INTERVAL_S = 0.1
@@ -65,5 +65,5 @@ def no_frame_yet(following: Following) -> str:
     """Why a session that runs shows no frame; empty if it does."""
     if following.has_picture:
         return ""
-    phase = (following.news.get("state") or {}).get("phase") or "devices are opened, kernels compiled"
-    return f"no frame yet: {phase}"
+    phase = doing(following.news.get("state"))
+    return f"no frame yet: {phase or 'devices are opened, kernels compiled'}"

@@ -11,9 +11,11 @@ from processing.estimate import Estimate
 from rig.control import DevicesNow
 from rig.desk import drawings
 from rig.desk.desk import Desk
+from rig.desk.following import doing
 from rig.desk.panels.fields import number_field, stated, text_field
 from rig.desk.panels.live_picture import LivePicture, no_frame_yet
 from rig.desk.tab import Tab
+from rig.instrument import Phase
 from rig.measure import estimate_texts
 from rig.presentation import quantity
 
@@ -93,7 +95,7 @@ def build(desk: Desk, tab: Tab) -> None:
             with ui.column().classes("box"):
                 with ui.row().classes("items-baseline"):
                     ui.label("amplitude").classes("title")
-                    doing = ui.label().classes("caution").props('role="status" aria-live="polite"')
+                    before_it = ui.label().classes("caution").props('role="status" aria-live="polite"')
                 amplitude = ui.label().classes("large").props('role="status" aria-live="off" id="amplitude"')
                 ui.label("time left").classes("title")
                 left = ui.label().classes("middle")
@@ -138,8 +140,8 @@ def build(desk: Desk, tab: Tab) -> None:
             return
         told = news.get("state") or {}
         unit = str(news.get("unit") or "")
-        phase = str(told.get("phase") or "")
-        doing.set_text("" if phase == "measuring" else f"nothing is recorded yet: {phase or 'preparing'}")
+        measuring = told.get("phase") == Phase.MEASURING
+        before_it.set_text("" if measuring else f"nothing is recorded yet: {doing(told) or 'preparing'}")
         amplitude.set_text(_number(told.get("amplitude"), ".2f", unit))
         left.set_text(_left(told))
         progress.set_value(_done(news))

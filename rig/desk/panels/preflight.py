@@ -9,6 +9,7 @@ from nicegui import run, ui
 from processing.errors import RigError
 from rig.desk import drawings
 from rig.desk.desk import Desk
+from rig.desk.following import doing
 from rig.desk.tab import Tab, tell
 from rig.instrument import complete
 from rig.plan import expected_of, plan_expected, plan_table
@@ -64,8 +65,7 @@ def build(desk: Desk, tab: Tab) -> None:
             found = job.newest.get("preflight", {}).get("table", ())
             words = "\n".join(list(job.said)[-3:])
             if job.running:
-                phase = job.newest.get("state", {}).get("phase")
-                words = str(phase or "the camera is opened")
+                words = doing(job.newest.get("state")) or "the camera is opened"
         button.set_enabled(job is None or not job.running)
         ending.set_visibility(job is not None and job.running)
         against = [one for one in found if not one["ok"]]

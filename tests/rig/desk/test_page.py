@@ -170,7 +170,7 @@ def test_a_session_is_shown_before_its_record_begins_and_cries_are_seen_and_hear
     folder.mkdir(parents=True)
     page.key("4")
     with Channel(folder, telling, {"brake on": brake_on, "brake off": brake_off}, lambda: now):
-        telling.state({"phase": "rest: spread 3 px"}, [])
+        telling.state({"phase": "rest", "progress": "spread 3 px"}, [])
         page.wait_text("nothing is recorded yet: rest: spread 3 px")
         page.wait_text("no frame yet: rest: spread 3 px")
         page.wait_while(

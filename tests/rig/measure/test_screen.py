@@ -15,13 +15,13 @@ from processing.deflections import DeflectionUnit, no_deflections
 from processing.estimate import Estimate
 from processing.swing import Swing
 from rig.instrument.pipeline import Block
-from rig.instrument.snapshot import Snapshot
+from rig.instrument.snapshot import Phase, Snapshot
 from rig.measure.estimates_text import estimate_texts
 from rig.measure.screen import RunDisplay
 from rig.view.state_text import state_text
 
 SEEN = Snapshot(
-    phase="measuring",
+    phase=Phase.MEASURING,
     frames=1000,
     dropped_frames=4,
     frame_age_s=0.0123,
@@ -47,7 +47,7 @@ def screen(snapshot: Snapshot, unit: DeflectionUnit = DeflectionUnit.RAD) -> str
 
 def test_without_a_lever_the_screen_says_px_and_knows_no_end() -> None:
     """The final amplitude is configured in arcsec: amplitudes in px never reach it."""
-    measuring = Snapshot(phase="measuring", amplitude=124.0)
+    measuring = Snapshot(phase=Phase.MEASURING, amplitude=124.0)
     calibrated = screen(measuring)
     assert "124.000 arcsec" in calibrated
     assert "to 2 arcsec" in calibrated
@@ -56,6 +56,21 @@ def test_without_a_lever_the_screen_says_px_and_knows_no_end() -> None:
     assert "unknown: no lever" in shown
     assert "arcsec" not in shown
     assert "to 2" not in shown
+
+
+def test_a_line_is_printed_when_the_phase_changes_and_not_for_its_progress() -> None:
+    output = io.StringIO()
+    shown = display(output, json_lines=True)
+    lines: list[dict[str, Any]] = []
+    shown.line = lambda _, values: lines.append(values)  # type: ignore[method-assign]
+    for progress in ("spread 3.00 arcsec of 1", "spread: 2.00 arcsec of 1", ""):
+        shown.show(Snapshot(Phase.REST, progress))
+    shown.show(Snapshot(Phase.RELEASE))
+    assert [(line["phase"], line["progress"]) for line in lines] == [
+        ("rest", "spread 3.00 arcsec of 1"),
+        ("release", ""),
+    ]
+    assert "rest: spread 3.00" in screen(Snapshot(Phase.REST, "spread 3.00 arcsec of 1"))
 
 
 def decaying(output: io.StringIO, longest_s: float) -> RunDisplay:
@@ -74,7 +89,7 @@ def decaying(output: io.StringIO, longest_s: float) -> RunDisplay:
 def test_the_time_left_is_to_the_end_that_comes_first(longest_s: float, is_limit: bool) -> None:
     output = io.StringIO()
     shown = decaying(output, longest_s)
-    seen = Snapshot(phase="measuring", elapsed_s=60.0, amplitude=92.6)
+    seen = Snapshot(phase=Phase.MEASURING, elapsed_s=60.0, amplitude=92.6)
     shown.show(seen)
     values = shown.values(seen)
     assert values["at_most_s"] == longest_s - 60.0
@@ -91,7 +106,7 @@ def test_the_time_left_is_to_the_end_that_comes_first(longest_s: float, is_limit
 def test_before_the_amplitude_tells_the_end_the_limit_is_said() -> None:
     output = io.StringIO()
     shown = RunDisplay("run 1", 2.0, DeflectionUnit.RAD, longest_s=300.0, console=Console(file=output))
-    Console(file=output, width=118).print(shown.screen(Snapshot(phase="measuring", elapsed_s=60.0)))
+    Console(file=output, width=118).print(shown.screen(Snapshot(phase=Phase.MEASURING, elapsed_s=60.0)))
     assert "too early to say, at most 4:00" in output.getvalue()
 
 
@@ -116,7 +131,7 @@ def test_the_screen_shows_the_age_of_frames_and_the_losses() -> None:
 
 
 def test_frames_without_an_age_and_a_run_without_losses_say_so_in_few_words() -> None:
-    shown = screen(Snapshot(phase="measuring"))
+    shown = screen(Snapshot(phase=Phase.MEASURING))
     assert "age -" in shown
     assert "none" not in shown
 

@@ -18,7 +18,7 @@ from rig.analysis import Fit, InstrumentResults, RunResults
 from rig.analysis.instrument_results import FrictionLawResults
 from rig.analysis.record_fit import analyse_record
 from rig.instrument.provenance import recorded_configuration
-from rig.instrument.snapshot import Snapshot
+from rig.instrument.snapshot import Phase, Snapshot
 from rig.presentation.keys import KeyParser, Keys
 from rig.replay.comparison import parameter_changes
 from rig.replay.player import Player
@@ -149,7 +149,7 @@ def test_the_line_says_how_long_it_will_take() -> None:
     with ReplayLine("arcsec", "keys", stream=written, clock=lambda: now_s) as line:
         for step in range(1, 14):
             now_s = float(step)
-            shown = Snapshot(phase="replaying", elapsed_s=10.0 * step, frames=step, amplitude=80.0)
+            shown = Snapshot(phase=Phase.REPLAYING, elapsed_s=10.0 * step, frames=step, amplitude=80.0)
             line.show(shown, 200.0, 20.0 - now_s, None)
     # no terminal: a line every five seconds and no help for keys
     lines = written.getvalue().splitlines()
@@ -163,7 +163,7 @@ def test_keys_pause_step_and_go_on(record: Path) -> None:
     with replay_of(record) as replay:
         player, script = played(replay, 1.0, presses)
     paused = script.at(2.9)
-    assert paused.phase == "paused"
+    assert paused.phase is Phase.PAUSED
     assert paused.elapsed_s == pytest.approx(1.0, abs=0.1)
     assert script.at(3.9).frames == paused.frames + 1
     assert script.at(4.9).frames == paused.frames + 2
