@@ -10,7 +10,7 @@ INSTALL = $(PIP) install --quiet
 export PYTHONDONTWRITEBYTECODE =
 
 .DELETE_ON_ERROR:
-.PHONY: demo test test-quick test-kernel mutants bench lint format schema pictures drawings docs pins clean
+.PHONY: demo test test-quick test-kernel mutants bench lint format schema pictures drawings docs hooks pins clean
 
 demo: $(VENV)/.installed
 	$(BIN)/rig run configs/demo.toml $(ARGS)
@@ -63,6 +63,11 @@ docs: $(VENV)/.installed-test
 bench: $(VENV)/.installed-test
 	-$(PIP) install --quiet ".[bench]"
 	$(BIN)/python -m tests.benchmarks $(ARGS)
+
+# Of what they run nothing is downloaded; pre-commit itself is in no pins, for nothing else needs it.
+hooks: $(VENV)/.installed-test
+	$(PIP) install --quiet "pre-commit>=4"
+	$(BIN)/pre-commit install
 
 # A virtual environment is rebuilt only when what goes into it has changed.
 $(VENV)/bin/python:

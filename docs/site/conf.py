@@ -22,7 +22,7 @@ author = "the project"
 release = metadata.version("optical-pendulum-rig")
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 root_doc = "README"
-include_patterns = ["README.md", "CONTRIBUTING.md", "CHANGELOG.md", "docs/**.md"]
+include_patterns = ["README.md", "CONTRIBUTING.md", "SECURITY.md", "CHANGELOG.md", "docs/**.md"]
 exclude_patterns = [".*", "build", "dist", "runs", "tests", "rig", "acquisition", "calibration", "processing"]
 
 html_theme = "furo"
@@ -57,6 +57,7 @@ CONTENTS = {
         "docs/api",
         "docs/notebook",
         "CONTRIBUTING",
+        "SECURITY",
     ],
     "Reference": [
         "docs/reference/commands",

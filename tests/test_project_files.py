@@ -1,0 +1,71 @@
+"""What a contributor's tools read agrees with what pyproject.toml and the Makefile state."""
+
+import re
+import tomllib
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+ROOT = Path(__file__).resolve().parents[1]
+PROJECT: dict[str, Any] = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+SYSTEMS = {"ubuntu": "POSIX :: Linux", "macos": "MacOS", "windows": "Microsoft :: Windows"}
+
+
+def loaded(name: str) -> Any:
+    return yaml.safe_load((ROOT / name).read_text(encoding="utf-8"))
+
+
+def classified(topic: str) -> set[str]:
+    found = (line.partition(f"{topic} :: ")[2] for line in PROJECT["project"]["classifiers"])
+    return {name for name in found if name}
+
+
+def test_the_matrix_has_every_system_and_python_that_the_package_names() -> None:
+    matrix = loaded(".github/workflows/checks.yml")["jobs"]["test"]["strategy"]["matrix"]
+    pythons = {name for name in classified("Programming Language :: Python") if "." in name}
+    assert set(matrix["python"]) == pythons
+    assert f">={matrix['python'][0]}" == PROJECT["project"]["requires-python"]
+    systems = {SYSTEMS[name.partition("-")[0]] for name in matrix["os"]}
+    assert systems == classified("Operating System")
+
+
+def test_the_workflow_runs_what_exists() -> None:
+    text = (ROOT / ".github/workflows/checks.yml").read_text(encoding="utf-8")
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    for target in re.findall(r"run: make ([\w-]+)", text):
+        assert f"\n{target}: " in makefile
+    named = re.findall(r"(?<![\w/])(?:tests|configs)/[\w./]+", text)
+    assert len(named) >= 5
+    assert all((ROOT / name).exists() for name in named)
+
+
+def test_hooks_run_the_pinned_tools_of_make_lint() -> None:
+    (repository,) = loaded(".pre-commit-config.yaml")["repos"]
+    assert repository["repo"] == "local"
+    run = {hook["entry"].split()[0].removeprefix(".venv/bin/") for hook in repository["hooks"]}
+    lint = (ROOT / "Makefile").read_text(encoding="utf-8").partition("\nlint:")[2].partition("\n\n")[0]
+    assert run == set(re.findall(r"\$\(BIN\)/([\w-]+)", lint))
+
+
+def test_all_packages_carry_their_types() -> None:
+    for package in PROJECT["tool"]["hatch"]["build"]["targets"]["wheel"]["packages"]:
+        assert (ROOT / package / "py.typed").is_file()
+
+
+def test_the_version_is_stated_by_the_tag_alone() -> None:
+    assert "version" not in PROJECT["project"]
+    assert not re.search(r"^version:", (ROOT / "CITATION.cff").read_text(encoding="utf-8"), re.MULTILINE)
+    assert re.fullmatch(r"\d+\.\d+\.\d+(\.dev\d+)?", metadata.version(PROJECT["project"]["name"]))
+
+
+def test_forms_ask_for_each_thing_once_and_insist_on_one() -> None:
+    forms = sorted((ROOT / ".github/ISSUE_TEMPLATE").glob("*.yml"))
+    assert len(forms) == 3
+    for form in forms:
+        fields = [
+            field for field in loaded(str(form.relative_to(ROOT)))["body"] if field["type"] != "markdown"
+        ]
+        assert len({field["id"] for field in fields}) == len(fields) > 0
+        assert any(field.get("validations", {}).get("required") for field in fields)
