@@ -1,7 +1,8 @@
 """Interface of every camera driver."""
 
 from dataclasses import astuple, dataclass
-from typing import Final, Literal, NamedTuple, Protocol, runtime_checkable
+from enum import StrEnum
+from typing import Final, Literal, NamedTuple, Protocol, Self, runtime_checkable
 
 from pydantic import BaseModel, Field, field_validator
 
@@ -106,6 +107,22 @@ def without_features(settings: CameraSettings, name: str) -> None:
             f"{name}: has no features that can be set by name; leave [camera.features] out "
             f"({', '.join(settings.features)})"
         )
+
+
+class ShutterKind(StrEnum):
+    """What is known of a sensor's shutter."""
+
+    UNKNOWN = "unknown"
+    ROLLING = "rolling"
+    GLOBAL = "global"
+    OTHER = "other"
+
+    @classmethod
+    def of(cls, word: str) -> Self:
+        """From the camera's own word for it, as its driver gives and a record keeps it."""
+        if word.lower().startswith(cls.ROLLING):
+            return cls("rolling")
+        return cls("unknown" if not word else "global" if word == "Global" else "other")
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,6 +10,7 @@ import numpy as np
 from acquisition.record.events import EventKind
 from acquisition.record.identity import measured_sha256_of
 from acquisition.record.reader import RecordReader
+from acquisition.record.recorded_camera import RecordedCamera
 from acquisition.record.topics import DEFLECTION_FIELDS
 from processing.deflections import Deflections, DeflectionUnit, joined
 from processing.fit import FitMethod, FitResult, RigQuantities
@@ -111,7 +112,7 @@ def analyse_run(
     results = replace(
         run.results,
         frames=deflections.frames,
-        simulated=reader.metadata.get("camera", {}).get("driver") == "simulated",
+        simulated=RecordedCamera.of(reader.metadata).simulated,
         losses=reader.losses(),
         beam=Beam.of(beam, noise_is_known=config.sensor is not None),
         warnings=tuple(warnings),

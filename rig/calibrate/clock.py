@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.record.reader import RecordReader
+from acquisition.record.recorded_camera import RecordedCamera
 from calibration import FRAME_JITTER_LIMIT_S, ClockRelation, relate_clocks, unwrap_counter
 from processing.errors import DataError
 from processing.robust import robust_scatter
@@ -30,7 +31,7 @@ def calibrate_clock(record: Path, filing: Filing, counter_bits: int | None) -> P
             raise DataError(
                 f"{record}: its frames were made on demand; simulation.real_time = true paces them"
             )
-        if reader.metadata.get("camera", {}).get("has_clock") == "False":
+        if RecordedCamera.of(reader.metadata).has_clock is False:
             raise DataError(f"{record}: its camera has no clock of its own; there is nothing to relate")
         table = reader.spots()
         began = reader.utc(int(table["time_ns"][0]) if len(table) else 0)

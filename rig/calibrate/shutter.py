@@ -6,7 +6,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from acquisition.camera import ShutterKind
 from acquisition.record.reader import RecordReader
+from acquisition.record.recorded_camera import RecordedCamera
 from calibration import PulsedShutterFit, ShutterFit, fit_row_time, fit_row_time_of_pulses
 from processing.errors import DataError
 from processing.ticks import seconds
@@ -34,7 +36,7 @@ def calibrate_shutter(record: Path, filing: Filing) -> Path:
         config = recorded_configuration(reader)
         stated = reader.metadata.get("camera_settings", {}).get("exposure_us", "")
         rows = frame_shape(reader)[0]
-        is_global = reader.metadata.get("camera", {}).get("shutter") == "Global"
+        is_global = RecordedCamera.of(reader.metadata).shutter is ShutterKind.GLOBAL
     found: ShutterFit | PulsedShutterFit
     if config.laser.pulse_us:
         found, method = (

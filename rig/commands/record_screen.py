@@ -6,6 +6,7 @@ from acquisition.record.check import check_record
 from acquisition.record.info import record_info
 from acquisition.record.proof import is_sound
 from acquisition.record.reader import RecordReader
+from acquisition.record.recorded_camera import RecordedCamera
 from acquisition.record.recover import recover
 from acquisition.record.utc import utc_text
 
@@ -19,7 +20,7 @@ def print_info(path: Path) -> None:
     print(f"{path}: {_size(info.size_bytes)}, {state}")
     print(f"schema {info.schema_version}, written by {info.library}")
     if info.start_ns:
-        simulated = info.metadata.get("camera", {}).get("driver") == "simulated"
+        simulated = RecordedCamera.of(info.metadata).simulated
         when = " of simulated time" if simulated else ""
         print(f"{utc_text(info.start_ns)} to {utc_text(info.end_ns)}, {info.duration_s:.1f} s{when}")
     for topic, count in info.messages.items():

@@ -16,6 +16,7 @@ from pydantic import ValidationError
 from acquisition.camera import CameraInfo
 from acquisition.frame import Frame
 from acquisition.record.reader import RecordReader
+from acquisition.record.recorded_camera import camera_metadata
 from processing.errors import ConfigurationError, RecordError
 from rig.instrument.calibration import calibration_attachments
 from rig.settings import (
@@ -95,17 +96,6 @@ def session_metadata(config: Configuration, info: CameraInfo, first: Frame) -> d
     """Metadata of a record, by section: session, conditions, camera, software versions, shape of frames."""
     session = config.session
     environment = config.environment.model_dump(exclude_none=True)
-    camera = {
-        "driver": info.driver,
-        "vendor": info.vendor,
-        "model": info.model,
-        "serial": info.serial,
-        "width_px": str(info.width_px),
-        "height_px": str(info.height_px),
-        "full_scale_dn": str(info.full_scale_dn),
-        "has_clock": str(info.has_clock),
-        "shutter": info.shutter,
-    }
     return {
         "session": {
             "operator": session.operator,
@@ -123,7 +113,7 @@ def session_metadata(config: Configuration, info: CameraInfo, first: Frame) -> d
             "host": socket.gethostname(),
         },
         "environment": {key: f"{value:g}" for key, value in environment.items()},
-        "camera": camera,
+        **camera_metadata(info),
         "frame": {"width_px": str(first.image.shape[1]), "height_px": str(first.image.shape[0])},
         "versions": versions(),
     }

@@ -14,6 +14,7 @@ from acquisition.frame import Frame
 from acquisition.record.digest import known_sha256_of
 from acquisition.record.identity import measured_sha256_of
 from acquisition.record.reader import RecordReader
+from acquisition.record.recorded_camera import RecordedCamera
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import DataError, RecordError, RigError
 from processing.fit import measured_again
@@ -83,7 +84,7 @@ class RunData:
         """Whether the frames are those of the simulated rig; older results leave that to the record."""
         if self.results.simulated is not None:
             return self.results.simulated
-        return self.provenance.get("camera", {}).get("driver") == "simulated"
+        return RecordedCamera.of(self.provenance).simulated
 
     @property
     def points(self) -> TurningPoints:

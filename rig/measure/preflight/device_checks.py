@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 
+from acquisition.camera import ShutterKind
 from calibration import Axes, Shutter
 from rig.control import DevicesNow, LaserNow
 from rig.devices import STAYS_LIT, WIRE_IT
@@ -64,16 +65,17 @@ def laser(now: LaserNow | None, goes_dark_by_itself: bool) -> Verdict:
     return Verdict("laser", True, STAYS_LIT, WIRE_IT, measured=now.text, limit="lit")
 
 
-def shutter(kind: str, known: Shutter | None, axes: Axes | None, *, pulsed: bool = False) -> Verdict:
+def shutter(word: str, known: Shutter | None, axes: Axes | None, *, pulsed: bool = False) -> Verdict:
     """Check that the row time of a rolling shutter is known where the spot swings across the rows.
 
-    `kind` is the camera's word for its shutter. Without `axes` the slow axis is taken along the columns. A
+    `word` is the camera's own for its shutter. Without `axes` the slow axis is taken along the columns. A
     `pulsed` laser lights all rows at one time.
     """
     limit = "global, or its row time known"
-    if not kind.lower().startswith("rolling"):
-        words = kind.lower() or "the camera does not say which"
-        return Verdict("shutter", True, measured=words, limit=limit, made=bool(kind))
+    kind = ShutterKind.of(word)
+    if kind is not ShutterKind.ROLLING:
+        words = word.lower() or "the camera does not say which"
+        return Verdict("shutter", True, measured=words, limit=limit, made=kind is not ShutterKind.UNKNOWN)
     if pulsed:
         return Verdict("shutter", True, measured="rolling, all rows see the laser's pulse", limit=limit)
     across = abs(math.cos(0.0 if axes is None else axes.slow_angle_rad))

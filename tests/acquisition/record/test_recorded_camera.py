@@ -1,0 +1,48 @@
+"""What a record says of its camera comes back as values, also from records that say less."""
+
+from dataclasses import replace
+
+import pytest
+
+from acquisition.camera import CameraInfo, ShutterKind
+from acquisition.record.recorded_camera import RecordedCamera, camera_metadata
+
+INFO = CameraInfo("v4l2", "Maker", "Model", "7", 640, 480, 255, has_clock=True)
+
+
+@pytest.mark.parametrize(
+    ("word", "kind"),
+    [
+        ("Rolling", ShutterKind.ROLLING),
+        ("RollingShutter", ShutterKind.ROLLING),
+        ("Global", ShutterKind.GLOBAL),
+        ("GlobalReset", ShutterKind.OTHER),
+        ("", ShutterKind.UNKNOWN),
+    ],
+)
+@pytest.mark.parametrize("has_clock", [True, False])
+@pytest.mark.parametrize("driver", ["simulated", "v4l2"])
+def test_what_is_written_is_read_as_the_same_values(
+    word: str, kind: ShutterKind, has_clock: bool, driver: str
+) -> None:
+    written = camera_metadata(replace(INFO, driver=driver, shutter=word, has_clock=has_clock))
+    assert RecordedCamera.of(written) == RecordedCamera(driver == "simulated", has_clock, kind)
+
+
+def test_a_record_that_says_nothing_is_no_camera_without_a_clock() -> None:
+    assert RecordedCamera.of({}) == RecordedCamera(False, None, ShutterKind.UNKNOWN)
+    assert RecordedCamera.of({"camera": {"has_clock": "perhaps"}}).has_clock is None
+
+
+def test_the_metadata_are_spelled_as_earlier_records_have_them() -> None:
+    assert camera_metadata(INFO)["camera"] == {
+        "driver": "v4l2",
+        "vendor": "Maker",
+        "model": "Model",
+        "serial": "7",
+        "width_px": "640",
+        "height_px": "480",
+        "full_scale_dn": "255",
+        "has_clock": "True",
+        "shutter": "",
+    }
