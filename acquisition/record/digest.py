@@ -5,7 +5,7 @@ import hashlib
 from collections.abc import Callable
 from pathlib import Path
 
-from acquisition.record.disk_faults import RecordFile
+from acquisition.record.disk_faults import FaultTolerantFile
 from processing.errors import RecordError
 
 _BLOCK_BYTES = 1024 * 1024
@@ -30,7 +30,7 @@ def sha256_of(path: Path, progress: Callable[[int, int], None] | None = None) ->
     cannot give them; `progress` gets bytes done and bytes in all."""
     digest = hashlib.sha256()
     try:
-        with RecordFile(path) as file:
+        with FaultTolerantFile(path) as file:
             total = path.stat().st_size
             done = 0
             while block := file.read(_BLOCK_BYTES):

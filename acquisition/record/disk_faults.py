@@ -44,7 +44,7 @@ class _FaultyFile(io.FileIO):
         return count
 
 
-class RecordFile(io.BufferedReader):
+class FaultTolerantFile(io.BufferedReader):
     """A file opened for reading; parts that its disk cannot give are zeros, and no error.
 
     Raises OSError if it cannot be opened.

@@ -6,18 +6,18 @@ from mcap.opcode import Opcode
 
 from acquisition.record.contents import Contents
 from acquisition.record.descriptions import own_texts
-from acquisition.record.disk_faults import RecordFile
+from acquisition.record.disk_faults import FaultTolerantFile
 from acquisition.record.records import MAGIC
 from acquisition.record.topics import SCHEMA_VERSION, SPOT
 from processing.errors import RecordError
 
 
-def open_mcap(path: Path) -> RecordFile:
+def open_mcap(path: Path) -> FaultTolerantFile:
     """Open an MCAP file. Raises RecordError if it is missing, cannot be read, or is another kind of file."""
     try:
         if not path.is_dir() and path.exists() and not path.is_file():
             raise RecordError(f"{path}: is not a file but a pipe or device; copy the record into a file")
-        file = RecordFile(path)
+        file = FaultTolerantFile(path)
         head = file.read(len(MAGIC) + 1)
     except FileNotFoundError:
         raise RecordError(f"{path}: no such record{_instead_of(path)}") from None

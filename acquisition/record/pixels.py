@@ -8,11 +8,11 @@ from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from acquisition.frame import Frame, Image
 from acquisition.record.schemas import MessageType, length_delimited
 from acquisition.record.topics import SENSOR_FRAME, WINDOW, RecordedWindow
-from acquisition.record.window_residual import SpotModel, from_planes, spot_model, to_planes
+from acquisition.record.window_residual import IntegerGaussian, from_planes, spot_model, to_planes
 from processing.spot import Spot
 
 _LARGEST_WINDOW_PX = 8 * 1024 * 1024
-_NO_MODEL = SpotModel(0, 0, 0, 0, 0, 0)
+_NO_MODEL = IntegerGaussian(0, 0, 0, 0, 0, 0)
 
 
 def encode_window(
@@ -51,7 +51,7 @@ def decode_window(kind: MessageType, data: bytes) -> RecordedWindow:
     pixels = np.frombuffer(field["pixels"], dtype=np.uint8)
     image: Image
     if field.get("model_inverse_x"):
-        model = SpotModel(*(field[f"model_{name}"] for name in SpotModel._fields))
+        model = IntegerGaussian(*(field[f"model_{name}"] for name in IntegerGaussian._fields))
         image = from_planes(field["pixels"], field["bit_planes"], model, shape, field["bytes_per_pixel"])
     elif field["bytes_per_pixel"] == 1:
         image = pixels.reshape(shape)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 from acquisition.frame import Image
 from acquisition.record.descriptor import Kind, Meanings
 from acquisition.record.schemas import MessageType, message_type_of
-from acquisition.record.window_residual import SpotModel
+from acquisition.record.window_residual import IntegerGaussian
 from processing.balance import names_with_units
 from processing.deflections import DeflectionUnit
 from processing.spot import Spot, SpotFlag
@@ -185,7 +185,7 @@ WINDOW = _message(
     *_ints(
         "sequence", "time_ns", "x0_px", "y0_px", "width_px", "height_px", "bytes_per_pixel", "byte_planes"
     ),
-    *_ints(*(f"model_{name}" for name in SpotModel._fields), "bit_planes"),
+    *_ints(*(f"model_{name}" for name in IntegerGaussian._fields), "bit_planes"),
     tail=(("pixels", "bytes"),),
 )
 """Pixels row by row; if `byte_planes` is 1, first the low bytes of all pixels, then their high bytes.

@@ -28,7 +28,7 @@ _GATHER = np.uint64(0x8040201008040201)
 _TOP_BYTE = np.uint64(56)
 
 
-class SpotModel(NamedTuple):
+class IntegerGaussian(NamedTuple):
     """An upright Gaussian in integers.
 
     Centre in 1/256 px from the window's first pixel, 2^32 over the variances in px^2, amplitude and
@@ -43,7 +43,7 @@ class SpotModel(NamedTuple):
     background: int
 
 
-def spot_model(spot: Spot, x0_px: int, y0_px: int, shape: tuple[int, int]) -> SpotModel | None:
+def spot_model(spot: Spot, x0_px: int, y0_px: int, shape: tuple[int, int]) -> IntegerGaussian | None:
     """The model of a spot in a window (ny, nx) whose first pixel is (x0, y0); None where it is of no use."""
     x_px, y_px = spot.x_px - x0_px, spot.y_px - y0_px
     numbers = (x_px, y_px, *spot[4:9])
@@ -58,7 +58,7 @@ def spot_model(spot: Spot, x0_px: int, y0_px: int, shape: tuple[int, int]) -> Sp
     amplitude_dn = spot.amplitude_dn * abs(spot.sigma_x_px * spot.sigma_y_px) / root
     if abs((square_x - square_y) * sin * cos) > _TILTED * root:
         return None
-    model = SpotModel(
+    model = IntegerGaussian(
         round(256 * x_px),
         round(256 * y_px),
         round(2**32 / variance_x),
@@ -74,7 +74,7 @@ def spot_model(spot: Spot, x0_px: int, y0_px: int, shape: tuple[int, int]) -> Sp
     return model if fits else None
 
 
-def to_planes(image: Image, model: SpotModel) -> tuple[int, bytes]:
+def to_planes(image: Image, model: IntegerGaussian) -> tuple[int, bytes]:
     """Bit planes of the image (ny, nx) minus the model: their number and their bytes."""
     # a copy where it is not writable: for such arrays numba would compile the kernel a second time
     pixels = np.require(image, f"u{image.itemsize}", ("C", "W"))
@@ -84,7 +84,7 @@ def to_planes(image: Image, model: SpotModel) -> tuple[int, bytes]:
 
 
 def from_planes(
-    data: bytes, count: int, model: SpotModel, shape: tuple[int, int], bytes_per_pixel: int
+    data: bytes, count: int, model: IntegerGaussian, shape: tuple[int, int], bytes_per_pixel: int
 ) -> Image:
     """Image of this shape (ny, nx) from its bit planes. Raises ValueError where sizes differ."""
     kind = np.dtype(f"u{bytes_per_pixel}")

@@ -39,7 +39,7 @@ _ACCELERATION, _TILT, _PERSON = (12, 13), (14, 15), 16
 SLOW, FAST = 0, 1
 
 
-class Ground(NamedTuple):
+class GroundMotion(NamedTuple):
     """Along the slow and the fast swing: acceleration in m/s^2, tilt in rad, and the angle that drives it."""
 
     acceleration_m_per_s2: tuple[SmoothSeries, SmoothSeries]
@@ -47,7 +47,7 @@ class Ground(NamedTuple):
     drive_rad: tuple[SmoothSeries, SmoothSeries]
 
 
-def ground_of(settings: SimulationSettings, run: int) -> Ground | None:
+def ground_of(settings: SimulationSettings, run: int) -> GroundMotion | None:
     """The ground of one run; None where nothing moves.
 
     Raises ConfigurationError for a file that cannot be used, or ends before the run may.
@@ -83,7 +83,7 @@ def ground_of(settings: SimulationSettings, run: int) -> Ground | None:
         driving = [*tilting, *((-lever * factor, term) for factor, term in shaking)]
         series.append([SmoothSeries(rate_hz, terms, end_s) for terms in (shaking, tilting, driving)])
     acceleration, tilt, drive = zip(*series, strict=True)
-    return Ground(acceleration, tilt, drive)
+    return GroundMotion(acceleration, tilt, drive)
 
 
 def acceleration_density(truth: GroundTruth, frequencies_hz: NDArray[np.float64]) -> NDArray[np.float64]:

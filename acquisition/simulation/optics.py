@@ -16,7 +16,7 @@ _GAUSS_3 = math.sqrt(0.6)
 """Outer node of the three-point Gauss rule on (-1, 1); weights 5/18, 8/18, 5/18 on a unit interval."""
 
 
-class Beam(NamedTuple):
+class GaussianBeam(NamedTuple):
     """One elliptical Gaussian beam: centre and standard deviations in px, peak in e- per pixel."""
 
     x_px: float
@@ -55,13 +55,13 @@ def spot_position_px(
 
 
 @kernel
-def beam_reach(beam: Beam) -> float:
+def beam_reach(beam: GaussianBeam) -> float:
     """Distance from the centre, in standard deviations, at which a pixel gets `FAINTEST_E`."""
     return math.sqrt(2.0 * math.log(beam.peak_e / FAINTEST_E)) + 0.5
 
 
 @kernel
-def beam_box(beam: Beam, ny: int, nx: int) -> tuple[int, int, int, int]:
+def beam_box(beam: GaussianBeam, ny: int, nx: int) -> tuple[int, int, int, int]:
     """Rows y0 <= y < y1 and columns x0 <= x < x1 with light of the beam, as (y0, y1, x0, x1); empty if
     none.
     """
@@ -82,7 +82,7 @@ def beam_box(beam: Beam, ny: int, nx: int) -> tuple[int, int, int, int]:
 
 
 @kernel
-def add_beam(light_e: NDArray[np.float64], beam: Beam, y0: int, y1: int, x0: int, x1: int) -> None:
+def add_beam(light_e: NDArray[np.float64], beam: GaussianBeam, y0: int, y1: int, x0: int, x1: int) -> None:
     """Add the beam, integrated over each pixel, to light_e[y0:y1, x0:x1].
 
     For an upright ellipse the integral is exactly a product of differences of error functions. A rotated one

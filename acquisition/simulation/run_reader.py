@@ -8,7 +8,7 @@ from collections.abc import Callable
 from acquisition.camera import CameraLost, CameraStatus, FrameTimeout
 from acquisition.frame import Frame, Image
 from acquisition.simulation.faults import FaultSettings
-from acquisition.simulation.scene import Plan, Scene
+from acquisition.simulation.scene import PlannedFrames, Scene
 from acquisition.simulation.settings import SimulationSettings
 from processing.errors import DeviceError
 from processing.ticks import nanoseconds, seconds
@@ -49,7 +49,7 @@ class RunReader:
         self._rate_hz = rate_hz
         self._clock_ns = clock_ns
         self._block = block
-        self._plan: Plan = scene.plan(block)
+        self._plan: PlannedFrames = scene.plan(block)
         self._ahead = 1 if settings.real_time else max(1, _AHEAD_BYTES // scene.image_bytes)
         self._drawn: dict[int, Image] = {}
         # the first drawing compiles: before the run's clock starts, and where no reader waits for a frame

@@ -19,7 +19,7 @@ from acquisition.simulation.true_path import axes_motion
 from processing.ticks import NS_PER_S
 
 
-class Plan(NamedTuple):
+class PlannedFrames(NamedTuple):
     """Some consecutive frames before they are drawn; arrays of one length.
 
     `first` is the number of the first frame, `true_time_s` the true time of the exposure, `device_time_ns`
@@ -110,7 +110,7 @@ class Scene:
             top, rows = readings.y0_px * readings.binning, readings.height_px * readings.binning
             self._rolling = RollingReadout(truth, top, rows, readings.frame_rate_hz)
 
-    def plan(self, count: int) -> Plan:
+    def plan(self, count: int) -> PlannedFrames:
         """Calculate the next `count` frames, without their images."""
         settings = self._settings
         first = self._next
@@ -136,7 +136,7 @@ class Scene:
         if settings.optics.power_noise > 0:
             relative = 1 + settings.optics.power_noise * self._noise.power(first, count)
             power = power * np.maximum(relative, 0)
-        return Plan(
+        return PlannedFrames(
             first=first,
             true_time_s=times_s,
             device_time_ns=self._device_time_ns(first, times_s, period_s),
@@ -199,7 +199,7 @@ class Scene:
     ) -> Image:
         """Images (n, ny, nx) of consecutive frames; the same as of each by `draw`, with one call for all.
 
-        `slope` (n, 2) is that of `Plan`; None: 0.
+        `slope` (n, 2) is that of `PlannedFrames`; None: 0.
         """
         readings = self._readings
         optics = self._settings.optics

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.simulation import randomness
-from acquisition.simulation.optics import FAINTEST_E, Beam, add_beam, beam_box
+from acquisition.simulation.optics import FAINTEST_E, GaussianBeam, add_beam, beam_box
 from acquisition.simulation.randomness import fill_normals, poisson, scramble, stream_key, uniform
 from acquisition.simulation.settings import SensorState, SensorTruth
 from processing.kernel import kernel
@@ -164,8 +164,8 @@ def pixels(truth: SensorTruth, seed: int, x0: int, y0: int, nx: int, ny: int, bi
 def expose(
     image: NDArray[np.uint8],
     light_e: NDArray[np.float64],
-    main: Beam,
-    ghost: Beam,
+    main: GaussianBeam,
+    ghost: GaussianBeam,
     readout: Readout,
     dark: DarkTable,
     pixel: Pixels,
@@ -227,8 +227,8 @@ def expose_frames(
         expose(
             images[i],
             light_e,
-            Beam(main[i, 0], main[i, 1], sigma_x_px, sigma_y_px, rotation_rad, main[i, 2]),
-            Beam(ghost[i, 0], ghost[i, 1], sigma_x_px, sigma_y_px, rotation_rad, ghost[i, 2]),
+            GaussianBeam(main[i, 0], main[i, 1], sigma_x_px, sigma_y_px, rotation_rad, main[i, 2]),
+            GaussianBeam(ghost[i, 0], ghost[i, 1], sigma_x_px, sigma_y_px, rotation_rad, ghost[i, 2]),
             readout,
             dark,
             pixel,

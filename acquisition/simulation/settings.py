@@ -11,11 +11,11 @@ from pydantic import BaseModel, Field, model_validator
 from acquisition.simulation.ground_settings import GroundTruth, PersonTruth
 
 
-class Section(BaseModel, frozen=True, extra="forbid"):
+class SimulationSection(BaseModel, frozen=True, extra="forbid"):
     """Base class of the settings; an unknown key is an error."""
 
 
-class ContactTruth(Section, frozen=True):
+class ContactTruth(SimulationSection, frozen=True):
     """Pendulum and contact of the slow mode, angles in rad (Eqs. 1, 3 and 4)."""
 
     b: float = Field(default=37.33e-4, ge=0, description="friction that grows with the angle, rad^-p")
@@ -43,7 +43,7 @@ class ContactTruth(Section, frozen=True):
     gravity_m_per_s2: float = Field(default=9.80665, gt=0, lt=30)
 
 
-class FastModeTruth(Section, frozen=True):
+class FastModeTruth(SimulationSection, frozen=True):
     """The mode about the other axis, X(t). It follows the same laws with its own moment of inertia."""
 
     period_ratio: float = Field(default=5.0, gt=1, description="slow period0 over fast period0")
@@ -53,7 +53,7 @@ class FastModeTruth(Section, frozen=True):
     drag_s: float = Field(default=0.0, ge=0, description="linear drag of this mode")
 
 
-class ReleaseTruth(Section, frozen=True):
+class ReleaseTruth(SimulationSection, frozen=True):
     """Release of the pendulum."""
 
     amplitude_arcsec: float = Field(default=124.0, gt=0, lt=200000, description="of the slow mode")
@@ -70,7 +70,7 @@ class ReleaseTruth(Section, frozen=True):
     brake_drag_s: float = Field(default=0.5, ge=0, description="linear drag while the brake is on")
 
 
-class AxesTruth(Section, frozen=True):
+class AxesTruth(SimulationSection, frozen=True):
     """Directions of the pendulum's axes on the sensor, and the effects of an imbalance.
 
     The sensor's x points to the right, its y down. `slow_angle_rad` is the angle of the slow mode's positive
@@ -92,7 +92,7 @@ class AxesTruth(Section, frozen=True):
     rest_drift_fast_arcsec_per_min: float = 0.0
 
 
-class OpticsTruth(Section, frozen=True):
+class OpticsTruth(SimulationSection, frozen=True):
     """Light lever and laser spot. A tilt phi moves the spot by ``arm tan(2 phi)``, axis by axis."""
 
     arm_m: float = Field(default=1.0, gt=0, description="mirror to sensor, along the beam")
@@ -129,7 +129,7 @@ class SensorState(NamedTuple):
         )
 
 
-class SensorTruth(Section, frozen=True):
+class SensorTruth(SimulationSection, frozen=True):
     """The image sensor. The black level is not due to light and has read noise only."""
 
     width_px: int = Field(default=320, ge=16, le=8192)
@@ -167,7 +167,7 @@ class SensorTruth(Section, frozen=True):
         )
 
 
-class ClockTruth(Section, frozen=True):
+class ClockTruth(SimulationSection, frozen=True):
     """Frame rate, and the camera's clock."""
 
     frame_rate_hz: float = Field(default=100.0, gt=0, le=100_000)
@@ -180,14 +180,14 @@ class ClockTruth(Section, frozen=True):
     )
 
 
-class MicrophonicTruth(Section, frozen=True):
+class MicrophonicTruth(SimulationSection, frozen=True):
     """One frequency at which laser or camera shake: the spot's place in x and y, each at its own phase."""
 
     frequency_hz: float = Field(gt=0, le=10_000)
     amplitude_px: float = Field(ge=0, le=100)
 
 
-class DisturbanceTruth(Section, frozen=True):
+class DisturbanceTruth(SimulationSection, frozen=True):
     """Disturbances by the laboratory; positions on the sensor in px."""
 
     pointing_jitter_px: float = Field(default=0.0, ge=0, description="white, per frame and axis")
@@ -220,7 +220,7 @@ class DisturbanceTruth(Section, frozen=True):
         return self
 
 
-class StatedTruth(Section, frozen=True):
+class StatedTruth(SimulationSection, frozen=True):
     """How well the rig's constants are known: standard uncertainties of what is stated to the analysis.
 
     The stated values themselves are the true ones.
@@ -236,7 +236,7 @@ class StatedTruth(Section, frozen=True):
     u_pixel_pitch_m: float = Field(default=0.0, ge=0)
 
 
-class SimulationSettings(Section, frozen=True):
+class SimulationSettings(SimulationSection, frozen=True):
     """The simulated rig; the same settings give identical frames."""
 
     seed: int = Field(default=1, ge=0, lt=2**63, description="of all random numbers")

@@ -13,7 +13,7 @@ from processing.errors import ConfigurationError, DeviceError
 from processing.spot import SpotTracker
 from rig.align.aligning_screen import HELP, AligningScreen
 from rig.align.annotated_picture import annotated_picture
-from rig.align.look import Look, take_look
+from rig.align.look import AlignmentFrame, take_look
 from rig.devices import watch_latest
 from rig.presentation import Keys
 from rig.view import Viewer
@@ -117,7 +117,7 @@ def _configured(camera: Camera, before: CameraSettings, wish: _Wish) -> tuple[Ca
     return applied, "" if applied != before else f"the {wish.note} is at the camera's limit"
 
 
-def _save(look: Look, folder: Path, zoom: float) -> Path:
+def _save(look: AlignmentFrame, folder: Path, zoom: float) -> Path:
     number = 1
     while (path := folder / f"{_PREFIX}-{number}.png").exists():
         number += 1

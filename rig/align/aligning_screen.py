@@ -11,7 +11,7 @@ from rich.style import Style
 from rich.text import Text
 
 from rig.align.annotated_picture import annotated_picture
-from rig.align.look import Look
+from rig.align.look import AlignmentFrame
 
 HELP = "e E exposure   g G gain   z zoom   s save a picture   q end"
 _BELOW_ROWS = 10
@@ -37,7 +37,7 @@ class AligningScreen:
         if self._live is not None:
             self._live.stop()
 
-    def show(self, look: Look, zoom: float, note: str) -> None:
+    def show(self, look: AlignmentFrame, zoom: float, note: str) -> None:
         """Draw a look."""
         if self._live is None:
             self._console.print(
@@ -65,7 +65,7 @@ def half_blocks(picture: NDArray[np.uint8]) -> Text:
     return text
 
 
-def histogram_line(look: Look, bars: int = 32) -> str:
+def histogram_line(look: AlignmentFrame, bars: int = 32) -> str:
     """Counts of pixels from 0 to full scale; a bar's height is logarithmic in the count."""
     counts = np.histogram(look.image, bars, (0, look.full_scale_dn + 1))[0]
     height = np.log1p(counts) / np.log1p(counts.max())

@@ -6,14 +6,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.align.look import Look
+from rig.align.look import AlignmentFrame
 from rig.presentation import palette
 
 _ELLIPSE_SIGMAS = 2.0
 Picture = NDArray[np.uint8]
 
 
-def annotated_picture(look: Look, width_px: int, height_px: int, zoom: float = 1.0) -> Picture:
+def annotated_picture(look: AlignmentFrame, width_px: int, height_px: int, zoom: float = 1.0) -> Picture:
     """The whole frame, or its part around the spot, fitted into a size; RGB (height, width, 3).
 
     Saturated pixels stay visible however much the frame is reduced. With a `zoom` above 1 the part is so
@@ -51,7 +51,7 @@ def annotated_picture(look: Look, width_px: int, height_px: int, zoom: float = 1
     return picture
 
 
-def _part(look: Look, zoom: float) -> tuple[int, int, int, int]:
+def _part(look: AlignmentFrame, zoom: float) -> tuple[int, int, int, int]:
     """Left, top, width and height of the part that is shown."""
     rows, columns = look.image.shape
     width, height = max(8, round(columns / zoom)), max(8, round(rows / zoom))

@@ -11,7 +11,7 @@ from rig.presentation import Verdict
 from rig.settings import PreflightSettings
 
 
-class Look(NamedTuple):
+class AlignmentFrame(NamedTuple):
     """A frame (ny, nx) in DN as the eye shall see it, and what is known of it.
 
     Attributes
@@ -133,9 +133,9 @@ def take_look(
     tracker: SpotTracker,
     reference_px: tuple[float, float] | None,
     applied: CameraSettings,
-) -> Look:
+) -> AlignmentFrame:
     """Find the spot in a frame, and judge frame and beam."""
     spot = tracker.track(image)
     beam = beam_quality([image], [spot], tracker.model, full_scale_dn, PreflightSettings())
     seen = picture.figures(image, full_scale_dn)
-    return Look(image, full_scale_dn, seen, spot, middle_of(image, reference_px), applied, beam)
+    return AlignmentFrame(image, full_scale_dn, seen, spot, middle_of(image, reference_px), applied, beam)

@@ -66,7 +66,7 @@ from rig.analysis.settled import loss_of, points_in_true_time, settled_swings
 from rig.analysis.stored_position_errors import PositionErrors
 from rig.analysis.stored_turning_points import StoredTurningPoints
 from rig.analysis.surroundings import Surroundings, recorded_surroundings
-from rig.analysis.table_fit import Columns, analyse_table
+from rig.analysis.table_fit import TableColumns, analyse_table
 from rig.analysis.table_screen import fit_envelope_table, fit_trajectory
 from rig.analysis.waveform_results import waveform_table
 
@@ -77,7 +77,6 @@ __all__ = [
     "AveragedCurves",
     "BaseMotion",
     "Budget",
-    "Columns",
     "CombinedParameter",
     "ComparedLaws",
     "Correlation",
@@ -104,6 +103,7 @@ __all__ = [
     "SurfaceEnergy",
     "Surroundings",
     "SwingPlane",
+    "TableColumns",
     "TableResults",
     "analyse_record",
     "analyse_run",

@@ -51,7 +51,7 @@ class AnalysedTable:
 
 
 @dataclass(frozen=True)
-class Columns:
+class TableColumns:
     """Which columns of a table hold what, in which units; see `read_trajectory`."""
 
     time: str | None = None
@@ -64,7 +64,7 @@ class Columns:
         return read_trajectory(path, self.time, list(self.positions), self.unit, self.time_unit)
 
 
-def analyse_table(path: Path, config: Configuration | None, columns: Columns) -> AnalysedTable:
+def analyse_table(path: Path, config: Configuration | None, columns: TableColumns) -> AnalysedTable:
     """Detect the swings of a trajectory, separate its decays, and report each as a run of the rig.
 
     Two positions are first turned onto the direction of the larger motion. The contact's laws are fitted
@@ -100,7 +100,7 @@ def analyse_table(path: Path, config: Configuration | None, columns: Columns) ->
 
 
 def analyse_envelope(
-    path: Path, columns: Columns, *, decibel: bool, frequency_hz: float | None
+    path: Path, columns: TableColumns, *, decibel: bool, frequency_hz: float | None
 ) -> tuple[EnvelopeDecay, EnvelopeResults]:
     """Fit the exponential of an envelope of amplitudes, or of powers in dB; see `fit_envelope`."""
     trajectory = columns.read(path)

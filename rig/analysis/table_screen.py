@@ -14,7 +14,7 @@ from processing.ticks import seconds
 from rig.analysis.results import EnvelopeResults, TableResults
 from rig.analysis.results_file import RESULTS_NAME, write_results
 from rig.analysis.screen import print_run
-from rig.analysis.table_fit import AnalysedTable, Columns, FoundDecay, analyse_envelope, analyse_table
+from rig.analysis.table_fit import AnalysedTable, FoundDecay, TableColumns, analyse_envelope, analyse_table
 from rig.instrument import fill_from_files
 from rig.presentation import with_uncertainty
 from rig.settings import OF_TABLES, load_configuration, refuse_without_effect
@@ -35,7 +35,7 @@ def fit_trajectory(
     path: Path,
     output: Path | None,
     config_path: Path | None,
-    columns: Columns,
+    columns: TableColumns,
     overrides: Sequence[str],
 ) -> int:
     """Analyse a table, print what is known of every decay, write results.json. Returns the exit status."""
@@ -50,7 +50,7 @@ def fit_trajectory(
 
 
 def fit_envelope_table(
-    path: Path, output: Path | None, columns: Columns, kind: str, frequency_hz: float | None
+    path: Path, output: Path | None, columns: TableColumns, kind: str, frequency_hz: float | None
 ) -> int:
     """Analyse an envelope, print its time constant, write results.json. Returns the exit status."""
     if kind not in ENVELOPES:

@@ -13,7 +13,7 @@ from rig.archive.columns import COLUMNS, SHORT_NAMES
 from rig.archive.listing import selected, write_output
 from rig.archive.store import Archive, reads_archive
 from rig.presentation import Cell, Table, palette, plain, print_tables, with_uncertainty
-from rig.report import Drawing, canvas, png, styled, svg
+from rig.report import ReportFigure, canvas, png, styled, svg
 
 _DIFFERENT = 0.05
 
@@ -146,5 +146,5 @@ def _drawn(column: str, values: dict[str, Estimate], found: KeyComparison, suffi
         axes.set_xticks(range(len(values)), list(values), rotation=30, ha="right")
         axes.set_ylabel(f"{column} (blind)" if blind else column)
         text = "Bars: twice the stated uncertainty; thin: with the scatter between groups. Band: reference."
-        drawing = Drawing("comparison", f"{column} compared", text, figure)
+        drawing = ReportFigure("comparison", f"{column} compared", text, figure)
         return svg(drawing) if suffix == ".svg" else png(drawing)

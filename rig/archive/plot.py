@@ -54,7 +54,7 @@ def plot_runs(
 
 def _drawn(x: str, y: str, groups: dict[str, list[Sequence[Any]]], suffix: str) -> bytes:
     # takes a second to import, which `list` must not wait for
-    from rig.report import Drawing, canvas, png, styled, svg
+    from rig.report import ReportFigure, canvas, png, styled, svg
 
     with styled():
         figure = canvas(3.6)
@@ -80,5 +80,5 @@ def _drawn(x: str, y: str, groups: dict[str, list[Sequence[Any]]], suffix: str) 
             axes.legend()
         if {**COLUMNS, **OF_REFITS}[x].kind in ("time", "text"):
             figure.autofmt_xdate()
-        drawing = Drawing("archive", f"{y} against {x}", "Bars are standard uncertainties.", figure)
+        drawing = ReportFigure("archive", f"{y} against {x}", "Bars are standard uncertainties.", figure)
         return svg(drawing) if suffix == ".svg" else png(drawing)

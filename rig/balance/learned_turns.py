@@ -29,7 +29,7 @@ _GONE = 0.9
 _SMALL_SWING_ARCSEC = 10.0
 
 
-class Look(NamedTuple):
+class BalanceMeasurement(NamedTuple):
     """One measurement: the last balance (None: no swing seen), lost and cut spots, (ny, nx) of the sensor."""
 
     balance: Balance | None
@@ -55,7 +55,7 @@ class LearnedTurns:
         self._state: Floats | None = None
         self._relearn()
 
-    def take(self, look: Look) -> str:
+    def take(self, look: BalanceMeasurement) -> str:
         """Take a measurement; returns why it is rejected, empty if it is sound.
 
         A sound one sets `faults`, and `before` to those before the last turn (empty at first). After a

@@ -11,7 +11,7 @@ from processing.deflections import Deflections
 from processing.errors import ConfigurationError, DataError, DeviceError
 from processing.spot import SpotFlag
 from processing.ticks import nanoseconds, seconds
-from rig.balance.learned_turns import Look
+from rig.balance.learned_turns import BalanceMeasurement
 from rig.devices import Devices, FrameStream, LightWatch
 from rig.instrument import Block, camera_settings, frame_policy, optics_of, prepare_kernels
 from rig.presentation import say
@@ -77,7 +77,9 @@ class LooksView:
             self._shown_ns = frames[-1].time_ns - self._shift_ns
 
 
-def look(config: Configuration, devices: Devices, show: Callable[[Balance], None], view: LooksView) -> Look:
+def look(
+    config: Configuration, devices: Devices, show: Callable[[Balance], None], view: LooksView
+) -> BalanceMeasurement:
     """Measure the balance over some periods; `show` is called with each balance.
 
     Raises DataError without frames, DeviceError if the laser goes dark or the camera fails.
@@ -130,4 +132,4 @@ def look(config: Configuration, devices: Devices, show: Callable[[Balance], None
             stream.close()
     if found is None and stream.failure is not None:
         raise stream.failure
-    return Look(found, lost / max(taken, 1), shape)
+    return BalanceMeasurement(found, lost / max(taken, 1), shape)

@@ -23,7 +23,7 @@ _UNITS = {
 }
 
 
-class Step(BaseModel, frozen=True, extra="forbid"):
+class LadderStep(BaseModel, frozen=True, extra="forbid"):
     """One step of a ladder: the reading of the reference, and a record at rest or the spot's position."""
 
     reference: float
@@ -56,7 +56,7 @@ class LadderFile(BaseModel, frozen=True, extra="forbid"):
     arm_m: float | None = Field(default=None, gt=0, lt=100)
     u_arm_m: float = Field(default=0.0, ge=0)
     binning: int = Field(default=1, ge=1, le=16)
-    step: tuple[Step, ...] = ()
+    step: tuple[LadderStep, ...] = ()
     geometry: LeverGeometry | None = None
 
     @model_validator(mode="after")

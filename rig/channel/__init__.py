@@ -4,7 +4,7 @@ A session answers on a loopback port of its own, which the file `.channel.json` 
 key that opens it. It only ever answers: nothing waits for a reader, and without one nothing is prepared.
 """
 
-from rig.channel.line import Line, NoSession, Picture, SessionBusy, running_sessions
+from rig.channel.line import Line, NoSession, SessionBusy, SessionPicture, running_sessions
 from rig.channel.server import Channel, Orders
 from rig.channel.telling import SessionTelling
 
@@ -13,8 +13,8 @@ __all__ = [
     "Line",
     "NoSession",
     "Orders",
-    "Picture",
     "SessionBusy",
+    "SessionPicture",
     "SessionTelling",
     "running_sessions",
 ]

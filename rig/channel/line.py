@@ -27,7 +27,7 @@ class SessionBusy(NoSession):
     """A session is connected, or its connection is being made, but it does not answer in time."""
 
 
-class Picture(NamedTuple):
+class SessionPicture(NamedTuple):
     """A frame (ny, nx) in DN, and the spot in it."""
 
     image: Image
@@ -66,7 +66,7 @@ class Line:
         found: dict[str, Any] = json.loads(data)
         return found
 
-    def picture(self, after: int = 0) -> Picture | None:
+    def picture(self, after: int = 0) -> SessionPicture | None:
         """The newest frame if it is newer than `after`; asks for the next one, too."""
         status, about, data = self._ask("GET", f"/picture?after={after}")
         if status == http.HTTPStatus.NO_CONTENT:
@@ -74,7 +74,7 @@ class Line:
         told = json.loads(about)
         image = np.frombuffer(data, _KINDS[told["dtype"]]).reshape(told["shape"])
         spot = Spot._make(np.nan if one is None else one for one in told["spot"])
-        return Picture(image, spot, int(told["number"]))
+        return SessionPicture(image, spot, int(told["number"]))
 
     def order(self, name: str) -> str:
         """Carry out an order; returns what was done. Raises RigError with the reason if it was not."""

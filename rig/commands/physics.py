@@ -82,7 +82,7 @@ def fit(
             raise ConfigurationError(
                 f"{files[0]}: is no table; name a record (.mcap), or the table before --config CONFIG"
             )
-        from rig.analysis import Columns, fit_envelope_table, fit_trajectory
+        from rig.analysis import TableColumns, fit_envelope_table, fit_trajectory
 
         if law:
             raise ConfigurationError(
@@ -90,7 +90,7 @@ def fit(
             )
         if set_ and (config is None or envelope is not None):
             raise ConfigurationError(f"--set {set_[0]}: has no effect without --config")
-        columns = Columns(time, tuple(position or ()), unit, time_unit)
+        columns = TableColumns(time, tuple(position or ()), unit, time_unit)
         if envelope is not None:
             raise typer.Exit(fit_envelope_table(files[0], output, columns, envelope, frequency))
         raise typer.Exit(fit_trajectory(files[0], output, config, columns, overrides=set_ or []))

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from processing.errors import DeviceError
-from rig.control.link import ControllerReset, Link, Refused
+from rig.control.link import CommandRefused, ControllerReset, Link
 from rig.control.protocol import BoardEvent
-from rig.control.serial_port import Line, PortLost, SerialPort
+from rig.control.serial_port import PortLost, SerialLine, SerialPort
 from rig.control.settings import ControllerSettings
 
 _MAKER = "optical-pendulum-rig"
@@ -66,7 +66,7 @@ class ControllerStatus:
 
 
 @dataclass(frozen=True, slots=True)
-class Environment:
+class AirReading:
     """Temperature, humidity and pressure of the air; NaN without a sensor."""
 
     temperature_c: float = math.nan
@@ -75,23 +75,23 @@ class Environment:
 
 
 class Controller:
-    """The rig controller, real or simulated, at the other end of a `Line`.
+    """The rig controller, real or simulated, at the other end of a `SerialLine`.
 
     `open_line` is called at each `open`, so that a controller that was unplugged can be opened again. Each
     method blocks for at most (retries + 1) timeouts and raises a DeviceError: `PortLost`, `ReplyTimeout`,
-    `ControllerReset`, `Refused`, `InterlockOpen` or `PowerLimit`. Only one thread may call them.
+    `ControllerReset`, `CommandRefused`, `InterlockOpen` or `PowerLimit`. Only one thread may call them.
     """
 
     def __init__(
         self,
         settings: ControllerSettings,
         laser_max_w: float,
-        open_line: Callable[[], Line] | None = None,
+        open_line: Callable[[], SerialLine] | None = None,
     ) -> None:
         self._settings = settings
         self._laser_max_w = laser_max_w
         self._open_line = open_line or (lambda: SerialPort(settings.port, settings.baud, write_timeout_s=1.0))
-        self._line: Line | None = None
+        self._line: SerialLine | None = None
         self._link: Link | None = None
         self._limit_w = 0.0
 
@@ -160,9 +160,9 @@ class Controller:
         """The board's state, without restarting its watchdog time."""
         return _status(self._ask("SYST:STAT?"))
 
-    def environment(self) -> Environment:
+    def environment(self) -> AirReading:
         """Reading of the controller's own sensor; NaN without one."""
-        return Environment(*_floats(self._ask("ENV?"), 3))
+        return AirReading(*_floats(self._ask("ENV?"), 3))
 
     def set_laser_power_w(self, power_w: float) -> None:
         """Set the power; raises PowerLimit above the configured or the stored limit."""
@@ -176,12 +176,12 @@ class Controller:
     def set_laser_pulse(self, delay_us: float, width_us: float) -> None:
         """Light only for `width_us`, `delay_us` after each exposure begins; to be set while the laser is off.
 
-        Raises `Refused` while it is on, and DeviceError if the board's firmware knows no pulses. A new
+        Raises `CommandRefused` while it is on, and DeviceError if the board's firmware knows no pulses. A new
         session begins without them.
         """
         try:
             self._ask(f"LAS:PULS {delay_us:.7g},{width_us:.7g}")
-        except Refused as refusal:
+        except CommandRefused as refusal:
             if refusal.code != _UNKNOWN_COMMAND:
                 raise
             raise DeviceError(
@@ -209,7 +209,7 @@ class Controller:
         self._ask("MAGN ON")
 
     def release(self) -> None:
-        """De-energise the magnet, so that the pendulum starts. Raises `Refused` if the magnet is not on."""
+        """De-energise the magnet, so that the pendulum starts; raises `CommandRefused` if it is not on."""
         self._ask("MAGN:REL")
 
     def starter_pulse(self, duration_s: float) -> None:

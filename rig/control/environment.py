@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 
 from processing.errors import DeviceError
 from processing.ticks import seconds
-from rig.control.controller import Environment
+from rig.control.controller import AirReading
 from rig.control.device_thread import DeviceThread
-from rig.control.serial_port import Line, LineReader, PortLost, SerialPort
+from rig.control.serial_port import LineReader, PortLost, SerialLine, SerialPort
 from rig.control.settings import EnvironmentSettings
 
 _REOPEN_S = 1.0
@@ -25,14 +25,14 @@ class EnvironmentReading:
     `unread_lines` is the number of lines that did not match the pattern.
     """
 
-    environment: Environment
+    environment: AirReading
     time_ns: int = 0
     unread_lines: int = 0
     last_line: str = ""
     last_error: str = ""
 
 
-def parse_environment(pattern: re.Pattern[str], line: str) -> Environment | None:
+def parse_environment(pattern: re.Pattern[str], line: str) -> AirReading | None:
     """Values of the pattern's named groups in a line; None without a match or if a number is not finite.
 
     ``pressure_hpa`` is converted to Pa. A quantity that is not in the line is NaN.
@@ -47,7 +47,7 @@ def parse_environment(pattern: re.Pattern[str], line: str) -> Environment | None
     if not found or not all(math.isfinite(value) for value in found.values()):
         return None
     pressure_pa = found.get("pressure_pa", found.get("pressure_hpa", math.nan) * 100.0)
-    return Environment(
+    return AirReading(
         found.get("temperature_c", math.nan), found.get("humidity_percent", math.nan), pressure_pa
     )
 
@@ -55,14 +55,16 @@ def parse_environment(pattern: re.Pattern[str], line: str) -> Environment | None
 class EnvironmentService(DeviceThread):
     """Reads the sensor in a thread from `start` to `close`; reopens its port if it was unplugged."""
 
-    def __init__(self, settings: EnvironmentSettings, open_line: Callable[[], Line] | None = None) -> None:
+    def __init__(
+        self, settings: EnvironmentSettings, open_line: Callable[[], SerialLine] | None = None
+    ) -> None:
         self._settings = settings
         self._pattern = re.compile(settings.pattern)
         self._open_line = open_line or (lambda: SerialPort(settings.port, settings.baud))
-        self._line: Line | None = None
+        self._line: SerialLine | None = None
         self._reader: LineReader | None = None
         self._asked_s = 0.0
-        self._latest = EnvironmentReading(Environment())
+        self._latest = EnvironmentReading(AirReading())
         super().__init__("rig-environment")
 
     @property
@@ -71,7 +73,7 @@ class EnvironmentService(DeviceThread):
         latest = self._latest
         age_s = seconds(time.monotonic_ns() - latest.time_ns)
         if age_s > self._settings.stale_after_s:
-            return replace(latest, environment=Environment())
+            return replace(latest, environment=AirReading())
         return latest
 
     def _turn(self) -> float:
@@ -90,7 +92,7 @@ class EnvironmentService(DeviceThread):
             return _REOPEN_S
         return 0.0
 
-    def _read(self, line: Line, reader: LineReader) -> None:
+    def _read(self, line: SerialLine, reader: LineReader) -> None:
         now_s = time.monotonic()
         if self._settings.request and now_s - self._asked_s >= self._settings.period_s:
             self._asked_s = now_s

@@ -11,7 +11,7 @@ from collections import deque
 
 from processing.errors import DeviceError
 from rig.control.protocol import TAG_MAX, BoardEvent, Reply, decode, encode
-from rig.control.serial_port import Line, LineReader
+from rig.control.serial_port import LineReader, SerialLine
 
 _SESSION_NEEDED = -203
 _EVENTS_KEPT = 256
@@ -26,7 +26,7 @@ class ControllerReset(DeviceError):
     """The controller was reset and has lost the session; the last command may not have been executed."""
 
 
-class Refused(DeviceError):
+class CommandRefused(DeviceError):
     """The controller rejected a command; `code` is from its list of errors."""
 
     def __init__(self, message: str, code: int) -> None:
@@ -35,9 +35,9 @@ class Refused(DeviceError):
 
 
 class Link:
-    """Sends one command at a time over a `Line`; only one thread may use it."""
+    """Sends one command at a time over a `SerialLine`; only one thread may use it."""
 
-    def __init__(self, line: Line, timeout_s: float = 0.2, retries: int = 2) -> None:
+    def __init__(self, line: SerialLine, timeout_s: float = 0.2, retries: int = 2) -> None:
         self._line = line
         self._reader = LineReader(line)
         self._timeout_s = timeout_s
@@ -71,7 +71,7 @@ class Link:
         ------
         ReplyTimeout
             No valid reply within timeout_s, nor to the repetitions (each with the same timeout).
-        Refused
+        CommandRefused
             The board rejected the command, or it contains characters that cannot be sent.
         ControllerReset
             The board was reset before or during the command.
@@ -82,7 +82,7 @@ class Link:
         try:
             line = encode(self._tag, command)
         except ValueError as error:
-            raise Refused(f"{self._line.name}: {error}", 0) from None
+            raise CommandRefused(f"{self._line.name}: {error}", 0) from None
         patience_s = self._timeout_s if timeout_s is None else timeout_s
         self._hear_what_waits()
         for attempt in range(self._retries + 1):
@@ -98,7 +98,7 @@ class Link:
                     f" and rejected {command}; it is opened again with every output off"
                 )
             if reply.error_code:
-                raise Refused(
+                raise CommandRefused(
                     f"{self._line.name}: the controller rejected {command}: {reply.error_text}"
                     f" ({reply.error_code})",
                     reply.error_code,

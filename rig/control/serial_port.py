@@ -16,7 +16,7 @@ class PortLost(DeviceError):
     """The port is missing or was unplugged; opening it again may succeed."""
 
 
-class Line(Protocol):
+class SerialLine(Protocol):
     """Bytes to and from a device: a serial port, or the simulated controller in this process.
 
     Only one thread may use it. Each method raises `PortLost` if the device is no longer connected.
@@ -45,7 +45,7 @@ class Line(Protocol):
 
 
 class SerialPort:
-    """A `Line` over pyserial: a device node, or any of its URLs (socket://, loop://).
+    """A `SerialLine` over pyserial: a device node, or any of its URLs (socket://, loop://).
 
     pyserial raises SerialException, OSError (errno 5 from in_waiting after unplugging), termios.error (not an
     OSError) or TypeError (a port closed by another thread during a read): all of them become `PortLost`.
@@ -117,9 +117,9 @@ class SerialPort:
 
 
 class LineReader:
-    """Divides the bytes of a `Line` into lines; an incomplete line is kept for the next call."""
+    """Divides the bytes of a `SerialLine` into lines; an incomplete line is kept for the next call."""
 
-    def __init__(self, line: Line, terminator: bytes = b"\n") -> None:
+    def __init__(self, line: SerialLine, terminator: bytes = b"\n") -> None:
         self._line = line
         self._terminator = terminator
         self._buffer = bytearray()

@@ -12,7 +12,7 @@ from enum import StrEnum
 from typing import TypeVar
 
 from processing.errors import DeviceError
-from rig.control.controller import Controller, ControllerIdentity, ControllerStatus, Environment, Trip
+from rig.control.controller import AirReading, Controller, ControllerIdentity, ControllerStatus, Trip
 from rig.control.device_thread import DeviceThread
 from rig.control.light_permit import Interlock, LightPermit
 from rig.control.link import ControllerReset, ReplyTimeout
@@ -20,7 +20,7 @@ from rig.control.serial_port import PortLost
 from rig.control.settings import ControllerSettings
 
 _REOPEN_S = 0.5
-_NO_READING = Environment()
+_NO_READING = AirReading()
 
 T = TypeVar("T")
 
@@ -45,7 +45,7 @@ class ControlSnapshot:
     identity: ControllerIdentity | None = None
     status: ControllerStatus | None = None
     status_time_ns: int = 0
-    environment: Environment = _NO_READING
+    environment: AirReading = _NO_READING
     environment_time_ns: int = 0
     reconnects: int = 0
     junk_lines: int = 0

@@ -11,9 +11,9 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from rig.control.controller import Controller, Environment
+from rig.control.controller import AirReading, Controller
 from rig.control.firmware.core import Firmware
-from rig.control.serial_port import Line, PortLost
+from rig.control.serial_port import PortLost, SerialLine
 from rig.control.settings import ControllerSettings, SerialFaults
 
 _TURN_S = 0.005
@@ -42,7 +42,7 @@ class SimulatedOutputs:
     clamp: Callable[[bool], None] = _ignore
     brake: Callable[[bool], None] = _ignore
     interlock_closed: Callable[[], bool] = lambda: True
-    environment: Callable[[], Environment] = lambda: Environment(20.0, 45.0, 101325.0)
+    environment: Callable[[], AirReading] = lambda: AirReading(20.0, 45.0, 101325.0)
 
 
 def simulated_controller(
@@ -83,7 +83,7 @@ class SimulatedBoard:
         self._enabled = False
         self._firmware = Firmware(self)  # type: ignore[no-untyped-call]
 
-    def open_line(self) -> Line:
+    def open_line(self) -> SerialLine:
         """Connect the cable; raises PortLost after `faults.unplug_at_s`."""
         if self.unplugged():
             raise PortLost("simulated controller: unplugged by [controller.faults]")

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from acquisition.camera import CameraSettings
 from acquisition.frame_queue import FrameQueue
 from processing.errors import DeviceError, RigError
-from rig.align import Look, take_look
+from rig.align import AlignmentFrame, take_look
 from rig.control import Interlock
 from rig.desk.lit_camera import LitCamera
 from rig.devices import Devices, LightWatch, find_exposure, watch_latest
@@ -35,7 +35,7 @@ class Aligner:
         self._config = complete(config)
         self._wishes: queue.Queue[Wish] = queue.Queue()
         self._ended = threading.Event()
-        self.look: Look | None = None
+        self.look: AlignmentFrame | None = None
         self.number = 0
         self.focus: deque[tuple[float, float]] = deque(maxlen=_FOCUS_POINTS)
         self.applied = CameraSettings()

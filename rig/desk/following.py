@@ -10,7 +10,7 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
-from rig.channel import Line, NoSession, Picture, SessionBusy, running_sessions
+from rig.channel import Line, NoSession, SessionBusy, SessionPicture, running_sessions
 from rig.control import DevicesNow, Interlock
 
 _LOOK_S = 0.2
@@ -35,7 +35,7 @@ class Following:
         self.silent = False
         self._line: Line | None = None
         self._pictures: Line | None = None
-        self._last_picture: Picture | None = None
+        self._last_picture: SessionPicture | None = None
         self._heard = 0
         self._one_picture = threading.Lock()
         self._ended = threading.Event()
@@ -81,7 +81,7 @@ class Following:
         with Line(self.folder) as line:
             return line.order(name)
 
-    def picture(self) -> Picture | None:
+    def picture(self) -> SessionPicture | None:
         """The newest frame of the running session, and ask for the next; blocks for a moment."""
         folder = self.folder
         with self._one_picture, suppress(NoSession):

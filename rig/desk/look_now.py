@@ -4,12 +4,12 @@ import cv2
 import numpy as np
 
 from acquisition.camera import CameraSettings
-from rig.align import Look, annotated_picture, middle_of
+from rig.align import AlignmentFrame, annotated_picture, middle_of
 from rig.desk.desk import Desk
 from rig.devices import picture
 
 
-def look_now(desk: Desk) -> Look | None:
+def look_now(desk: Desk) -> AlignmentFrame | None:
     """The newest look; None without one. Of a session's beam nothing is judged here: its state says it."""
     if desk.aligner is not None:
         return desk.aligner.look
@@ -21,7 +21,7 @@ def look_now(desk: Desk) -> Look | None:
     reference_px = None if stated is None else (float(stated[0]), float(stated[1]))
     middle_px = middle_of(seen.image, reference_px)
     applied = CameraSettings.model_validate(camera["applied"])
-    return Look(seen.image, full_scale_dn, figures, seen.spot, middle_px, applied)
+    return AlignmentFrame(seen.image, full_scale_dn, figures, seen.spot, middle_px, applied)
 
 
 def picture_now(desk: Desk, width_px: int, height_px: int, zoom: float) -> bytes:

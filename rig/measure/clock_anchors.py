@@ -16,7 +16,7 @@ _FASTEST_SLEW = 1e-3
 """Systems that correct their clock without a step change its rate by at most 0.5 per mille."""
 
 
-class Reading(NamedTuple):
+class HostClockReading(NamedTuple):
     """Both clocks of the computer at the same moment, and how far apart in time they were read."""
 
     host_time_ns: int
@@ -24,20 +24,20 @@ class Reading(NamedTuple):
     apart_ns: int
 
 
-def read_clocks() -> Reading:
+def read_clocks() -> HostClockReading:
     """Read the clock of the day between two readings of the monotonic one."""
     before = time.monotonic_ns()
     utc_ns = time.time_ns()
     after = time.monotonic_ns()
-    return Reading((before + after) // 2, utc_ns, after - before)
+    return HostClockReading((before + after) // 2, utc_ns, after - before)
 
 
 class ClockAnchors:
     """Anchors every 10 s and after every step."""
 
-    def __init__(self, read: Callable[[], Reading] = read_clocks) -> None:
+    def __init__(self, read: Callable[[], HostClockReading] = read_clocks) -> None:
         self._read = read
-        self._last: Reading | None = None
+        self._last: HostClockReading | None = None
         self._due_ns = 0
 
     def take(self, time_ns: int) -> tuple[ClockAnchor | None, list[Event]]:

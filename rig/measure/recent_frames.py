@@ -11,7 +11,7 @@ from processing.spot import Spot
 from processing.ticks import nanoseconds, seconds
 from rig.devices import FrameStream
 from rig.instrument import Deflector, Optics
-from rig.measure.preflight import Look
+from rig.measure.preflight import TrialFrames
 
 _BLOCK_FRAMES = 16
 _RING_BYTES = 256 * 1024 * 1024
@@ -98,13 +98,15 @@ class RecentFrames:
         """Deflections from a time on."""
         return joined((at for _, at in self._blocks), self._optics.unit).since(time_ns)
 
-    def look(self, resting: bool, duration_s: float) -> Look:
+    def look(self, resting: bool, duration_s: float) -> TrialFrames:
         """Frames, spots and deflections of the last `duration_s` seconds."""
         from_ns = self.now_ns - nanoseconds(duration_s)
         deflections = self.since(from_ns)
         spots = [spot for block, _ in self._blocks for spot in block]
         frames = [frame for frame in self._frames if frame.time_ns >= from_ns]
-        return Look(frames, spots[len(spots) - len(deflections) :], deflections, resting, self._tracker.model)
+        return TrialFrames(
+            frames, spots[len(spots) - len(deflections) :], deflections, resting, self._tracker.model
+        )
 
     def window_bytes(self) -> float:
         """Mean number of bytes that a record needs per frame."""

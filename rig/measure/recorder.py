@@ -39,7 +39,7 @@ SLOW_S = 2.0
 """A write that takes longer is an event; usual disks pause for less."""
 
 
-class Window(NamedTuple):
+class SpotWindow(NamedTuple):
     """Raw pixels around the spot; (x0, y0) are the sensor coordinates of the first pixel."""
 
     image: Image
@@ -55,7 +55,7 @@ class Entry:
     device_times_ns: Sequence[int] = ()
     host_times_ns: Sequence[int] = ()
     block: Block | None = None
-    windows: Sequence[Window | None] = ()
+    windows: Sequence[SpotWindow | None] = ()
     images: Sequence[Frame] = ()
     events: Sequence[Event] = field(default=())
     environment: Environment | None = None
@@ -240,9 +240,9 @@ class Recorder:
             writer.write_event(event.time_ns, event.kind, event.text)
 
 
-def cut_window(frame: Frame, spot: Spot, bounds_px: tuple[int, int, int, int] | None) -> Window | None:
+def cut_window(frame: Frame, spot: Spot, bounds_px: tuple[int, int, int, int] | None) -> SpotWindow | None:
     """Copy of the pixels from which tracking can be repeated; None without a spot."""
     if bounds_px is None:
         return None
     x0, y0, x1, y1 = bounds_px
-    return Window(frame.image[y0:y1, x0:x1].copy(), x0, y0)
+    return SpotWindow(frame.image[y0:y1, x0:x1].copy(), x0, y0)

@@ -12,7 +12,7 @@ from rig.paper.shaken import shaken_pair, table5
 from rig.paper.simulation import NOISE_ARCSEC, PairSeries, simulate_pair
 from rig.presentation import Table, print_tables
 from rig.report import (
-    Drawing,
+    ReportFigure,
     figures_contact,
     figures_laws,
     figures_motion,
@@ -81,7 +81,7 @@ def write_paper(output: Path, found: Sequence[PairSeries], tables: Sequence[Tabl
     return target
 
 
-def _drawings(series: PairSeries) -> list[Drawing]:
+def _drawings(series: PairSeries) -> list[ReportFigure]:
     points, motion = series.points[0], series.motion
     curves = curves_of(points, series.run)
     exact = series.run.fits[FitMethod.EXACT]

@@ -37,7 +37,7 @@ from rig.paper.printed import (
     RUNS,
     PrintedPair,
 )
-from rig.report import Motion, ShownUnit
+from rig.report import ShownTrajectory, ShownUnit
 from rig.settings import FitSettings
 
 NOISE_ARCSEC = 0.0027
@@ -55,7 +55,7 @@ class PairSeries:
     parameters: ContactParameters
     pendulum: PendulumOnBall
     points: Sequence[TurningPoints]
-    motion: Motion
+    motion: ShownTrajectory
     run: RunResults
     series: Series
 
@@ -80,7 +80,7 @@ def simulate_pair(pair: PrintedPair, b_exponent: int, seed: int) -> PairSeries:
     noise_rad = NOISE_ARCSEC * ARCSEC_RAD
     u = np.full(len(motion.times_ns), noise_rad)
     runs, exact = [], []
-    shown: Motion | None = None
+    shown: ShownTrajectory | None = None
     for number in range(RUNS):
         seen = noisy(motion, noise_rad, noise_rad, seed + number)
         detector = SwingDetector()
@@ -92,7 +92,7 @@ def simulate_pair(pair: PrintedPair, b_exponent: int, seed: int) -> PairSeries:
         if shown is None:
             first_ns = next(swing.turn_time_ns for swing in swings if swing.flags == 0)
             time_s = seconds(seen.times_ns - first_ns)
-            shown = Motion(
+            shown = ShownTrajectory(
                 time_s, seen.x_rad / ARCSEC_RAD, seen.y_rad / ARCSEC_RAD, ShownUnit("arcsec", ARCSEC_RAD)
             )
     assert shown is not None

@@ -6,12 +6,12 @@ from matplotlib.lines import Line2D
 from processing.angle import ARCSEC_RAD
 from rig.plan.plan import Plan
 from rig.presentation import palette, quantity
-from rig.report import INK, Drawing, canvas
+from rig.report import INK, ReportFigure, canvas
 
 _LINES = ("-", "--", ":", "-.")
 
 
-def plan_figure(plan: Plan) -> Drawing:
+def plan_figure(plan: Plan) -> ReportFigure:
     """Two panels with the same curves, a colour for each parameter and a line for each first amplitude."""
     figure = canvas(3.4)
     by_amplitude, by_time = figure.subplots(1, 2, sharey=True)
@@ -47,4 +47,4 @@ def plan_figure(plan: Plan) -> Drawing:
     words = f"Standard uncertainty over value of every parameter after {plan.counts[0]} run" + (
         f"; on the right, faint: {more} runs." if more else "."
     )
-    return Drawing("plan", "What a run will tell", words, figure)
+    return ReportFigure("plan", "What a run will tell", words, figure)

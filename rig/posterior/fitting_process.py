@@ -8,7 +8,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from processing.swing import TurningPoints
-from rig.posterior.messages import Fitted, FittedModel
+from rig.posterior.messages import FittedModel, FittedParameters
 from rig.rerun import own_group
 
 
@@ -37,13 +37,13 @@ class FittingProcess:
     def pid(self) -> int:
         return self._process.pid
 
-    def fit(self, points: TurningPoints) -> Fitted | None:
+    def fit(self, points: TurningPoints) -> FittedParameters | None:
         """Fit, and wait for the answer; None if the process has died."""
         self._send(points)
         if self._process.stdout is None:
             return None
         try:
-            found: Fitted = pickle.load(self._process.stdout)
+            found: FittedParameters = pickle.load(self._process.stdout)
         except (EOFError, OSError, ValueError, pickle.UnpicklingError):
             return None
         return found

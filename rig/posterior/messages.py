@@ -21,7 +21,7 @@ class FittedModel(NamedTuple):
         return PAPER.fit_names(calibrated=True, drag=self.drag)[:-2]
 
 
-class Fitted(NamedTuple):
+class FittedParameters(NamedTuple):
     """Parameters by key, or why there are none; `cpu_s` is the processor time of the fit."""
 
     estimates: Mapping[str, Estimate]

@@ -12,7 +12,7 @@ from contextlib import suppress
 from processing.errors import DataError
 from processing.fit import FitResult, fit_exact
 from processing.swing import TurningPoints
-from rig.posterior.messages import Fitted, FittedModel
+from rig.posterior.messages import FittedModel, FittedParameters
 
 
 def main() -> None:
@@ -40,11 +40,11 @@ def main() -> None:
 
 def _fitted(
     points: TurningPoints, model: FittedModel, near: FitResult | None
-) -> tuple[FitResult | None, Fitted]:
+) -> tuple[FitResult | None, FittedParameters]:
     began_s = time.process_time()
     try:
         fit = fit_exact(points, model.pendulum, drag=model.drag, loss=model.loss, near=near)
     except DataError as error:
-        return near, Fitted({}, str(error), time.process_time() - began_s)
+        return near, FittedParameters({}, str(error), time.process_time() - began_s)
     found = {name: fit.estimate(name) for name in fit.contact_names}
-    return fit, Fitted(found, "", time.process_time() - began_s)
+    return fit, FittedParameters(found, "", time.process_time() - began_s)

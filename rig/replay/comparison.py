@@ -21,7 +21,7 @@ _SAME_SWING = 0.25
 
 
 @dataclass(frozen=True, slots=True)
-class Comparison:
+class ReplayDifferences:
     """Differences between replay and record, in units of the recorded standard uncertainties.
 
     A spot or half-cycle counts as changed if any bit differs, or if it exists in one of them only.
@@ -94,7 +94,7 @@ class ReplayComparison:
 
     def finish(
         self, recorded: Sequence[Swing], replayed: Sequence[Swing], *, from_start: bool, to_end: bool
-    ) -> Comparison:
+    ) -> ReplayDifferences:
         """Compare the half-cycles too.
 
         If only a part was replayed (`from_start` or `to_end` False), recorded half-cycles before the
@@ -115,7 +115,7 @@ class ReplayComparison:
             if change > largest:
                 largest, largest_s = change, seconds(old.turn_time_ns - self._start_ns)
         unpaired = len(wanted) + len(replayed) - 2 * len(pairs)
-        return Comparison(
+        return ReplayDifferences(
             spots=self._spots,
             spots_found_recorded=self._found[0],
             spots_found_replayed=self._found[1],

@@ -10,7 +10,7 @@ from processing.spot import SpotFlag
 from processing.ticks import nanoseconds
 from rig.instrument import Phase, Snapshot
 from rig.presentation import Keys
-from rig.replay.replay import Replay, Step
+from rig.replay.replay import Replay, ReplayStep
 from rig.view import Viewer
 
 HELP: Final = "space pause  → frame  h half-cycle  + - 10 s  g go to  q end"
@@ -115,7 +115,7 @@ class Player:
                 self._resume()
                 return
 
-    def _through(self, until_s: float, most: int) -> Step | None:
+    def _through(self, until_s: float, most: int) -> ReplayStep | None:
         step = self._replay.advance(until_s, most)
         if step is None:
             return None
@@ -136,7 +136,7 @@ class Player:
             self._resume()
         return step
 
-    def _draw(self, step: Step) -> None:
+    def _draw(self, step: ReplayStep) -> None:
         if self._view is None:
             return
         start_ns = self._replay.start_ns

@@ -17,13 +17,13 @@ from processing.spot import BeamUse, Spot, SpotFlag
 from processing.swing import Swing
 from processing.ticks import nanoseconds, seconds
 from rig.instrument import Block, frame_shape, optics_of, recorded_configuration, shutter_of
-from rig.replay.comparison import Comparison, ReplayComparison
+from rig.replay.comparison import ReplayComparison, ReplayDifferences
 from rig.settings import Configuration
 
 _LOST = Spot._make([*[math.nan] * 10, int(SpotFlag.LOST)])
 
 
-class Step(NamedTuple):
+class ReplayStep(NamedTuple):
     """Results of some frames: the pipeline's block, and the recorded whole frames with their spots.
 
     `sequences` are the frames' numbers, one for each time in the block.
@@ -43,7 +43,7 @@ class Replayed(NamedTuple):
     swings: list[Swing]
     deflections: list[Deflections]
     dropped_frames: int
-    comparison: Comparison
+    comparison: ReplayDifferences
     beam: BeamUse
 
 
@@ -163,7 +163,7 @@ class Replay:
         self.sought = True
         self._begin(self.start_ns + nanoseconds(max(time_s, 0.0)))
 
-    def advance(self, until_s: float, most: int) -> Step | None:
+    def advance(self, until_s: float, most: int) -> ReplayStep | None:
         """Process the next frames up to and including a time, at most `most` of them.
 
         Returns None if no frame is due or none is left (`next_s` distinguishes the two).
@@ -182,7 +182,7 @@ class Replay:
         block = self._block(rows, spots)
         self._keep(rows, block)
         self._comparison.spots(rows, spots)
-        return Step(rows["sequence"].astype(np.int64), block, self._pictures_of(rows, spots))
+        return ReplayStep(rows["sequence"].astype(np.int64), block, self._pictures_of(rows, spots))
 
     def finish(self) -> Replayed:
         """Complete the last half-cycles; returns all results since the start."""

@@ -12,7 +12,7 @@ from rich.table import Table
 
 from rig.instrument import Phase, Snapshot
 from rig.presentation import Quantity, quantity, say
-from rig.replay.comparison import Change, Comparison
+from rig.replay.comparison import Change, ReplayDifferences
 
 _PLAIN_INTERVAL_S = 5.0
 _LINE_INTERVAL_S = 0.1
@@ -85,7 +85,7 @@ class ReplayLine:
         )
 
 
-def print_comparison(comparison: Comparison, *, partial: bool) -> None:
+def print_comparison(comparison: ReplayDifferences, *, partial: bool) -> None:
     """Print one line if nothing differs, else a short table of spots and half-cycles."""
     console = Console()
     if comparison.identical:

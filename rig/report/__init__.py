@@ -2,18 +2,18 @@
 
 from rig.report import figures_contact, figures_laws, figures_motion, html
 from rig.report.comparison import compare
-from rig.report.drawing import INK, Drawing, canvas, png, styled, svg
+from rig.report.drawing import INK, ReportFigure, canvas, png, styled, svg
 from rig.report.made_from import check_report
-from rig.report.run_data import Motion, RunData, ShownUnit, turning_points_again
+from rig.report.run_data import RunData, ShownTrajectory, ShownUnit, turning_points_again
 from rig.report.session_report import draw_run, make_report, save_figures, save_tables
 from rig.report.tables_instruments import instrument_table
 from rig.report.tables_uncertainty import series_table
 
 __all__ = [
     "INK",
-    "Drawing",
-    "Motion",
+    "ReportFigure",
     "RunData",
+    "ShownTrajectory",
     "ShownUnit",
     "canvas",
     "check_report",

@@ -13,7 +13,7 @@ from processing.errors import ConfigurationError, RecordError
 from processing.fit import FitMethod
 from rig.analysis import SessionResults, Surroundings
 from rig.presentation import Cell, Table, palette, plain, quantity
-from rig.report.drawing import ASYMPTOTIC, DATA, EXACT, Drawing, canvas
+from rig.report.drawing import ASYMPTOTIC, DATA, EXACT, ReportFigure, canvas
 
 _FEWEST = 3
 """Runs of a straight line with an uncertainty."""
@@ -115,7 +115,7 @@ def _line(runs: Sequence[Seen], key: str) -> tuple[float, float, float]:
     return slope, u, 2 * float(stdtr(dof, -abs(slope) / u)) if u else 0.0
 
 
-def against_figure(runs: Sequence[Seen], name: str) -> Drawing:
+def against_figure(runs: Sequence[Seen], name: str) -> ReportFigure:
     """One panel a parameter, one point a run with its standard uncertainty, one colour a series."""
     names = [key for key in PAPER.names() if any(key in run.parameters for run in runs)]
     rows = (len(names) + 2) // 3
@@ -142,7 +142,7 @@ def against_figure(runs: Sequence[Seen], name: str) -> Drawing:
     figure.legend(*panels.flat[0].get_legend_handles_labels(), loc="upper center", ncols=4)
     for axes in list(panels.flat)[len(names) :]:
         axes.set_visible(False)
-    return Drawing(
+    return ReportFigure(
         "against",
         f"Parameters against {over.name}",
         "Exact fit of every run with its standard uncertainty, of the swings alone.",

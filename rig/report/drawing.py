@@ -62,7 +62,7 @@ STYLE: Final[Mapping[str, Any]] = {
 
 
 @dataclass(frozen=True)
-class Drawing:
+class ReportFigure:
     """A figure with the name of its files and what is said under it."""
 
     name: str
@@ -83,7 +83,7 @@ def canvas(height_in: float) -> Figure:
     return figure
 
 
-def svg(drawing: Drawing) -> bytes:
+def svg(drawing: ReportFigure) -> bytes:
     """The figure as SVG; the same figure gives the same bytes."""
     out = io.BytesIO()
     with styled():
@@ -93,7 +93,7 @@ def svg(drawing: Drawing) -> bytes:
     return out.getvalue()
 
 
-def png(drawing: Drawing, dpi: int = 200) -> bytes:
+def png(drawing: ReportFigure, dpi: int = 200) -> bytes:
     """The figure as PNG."""
     out = io.BytesIO()
     with styled():

@@ -10,12 +10,12 @@ from processing.contact import ContactParameters, PendulumOnBall, cycle_work, mo
 from processing.fit import FitMethod
 from rig.analysis import Correlation, Series
 from rig.presentation import palette, plain, quantity
-from rig.report.drawing import ASYMPTOTIC, DATA, EXACT, INK, Drawing, canvas
+from rig.report.drawing import ASYMPTOTIC, DATA, EXACT, INK, ReportFigure, canvas
 
 
 def loop_figure(
     parameters: ContactParameters, pendulum: PendulumOnBall, amplitude_arcsec: float = 3.1
-) -> Drawing:
+) -> ReportFigure:
     """The three loops of Table 4 with the rectangle of the adhesive work."""
     amplitude_rad = amplitude_arcsec * ARCSEC_RAD
     loop = moment_loop(amplitude_rad, asdict(parameters), pendulum)
@@ -51,7 +51,7 @@ def loop_figure(
     ):
         panels[0].text(0.5, place, text, transform=panels[0].transAxes, ha="center", va="top", fontsize=7.5)
     panels[0].set_ylabel("M / nN m")
-    return Drawing(
+    return ReportFigure(
         "table4-loops",
         f"Moments over one cycle at {amplitude_arcsec:g} arcsec (Table 4)",
         "Shaded: 4A, the work lost in a cycle. Dashed: 4Aₜ, the part of adhesion (c). "
@@ -60,7 +60,7 @@ def loop_figure(
     )
 
 
-def correlation_figure(correlation: Correlation) -> Drawing:
+def correlation_figure(correlation: Correlation) -> ReportFigure:
     """Correlation matrix of the exact fit as a map with its numbers."""
     names = [quantity(name).symbol for name in correlation.names]
     matrix = np.array(correlation.matrix, dtype=np.float64)
@@ -80,7 +80,7 @@ def correlation_figure(correlation: Correlation) -> Drawing:
     axes.set_xticks(range(len(names)), names)
     axes.set_yticks(range(len(names)), names)
     axes.tick_params(length=0)
-    return Drawing(
+    return ReportFigure(
         "correlation",
         "Correlations of the exact fit",
         "What two parameters share: near ±1 the data hardly tell them apart, though each may be determined.",
@@ -88,7 +88,7 @@ def correlation_figure(correlation: Correlation) -> Drawing:
     )
 
 
-def series_figure(series: Series) -> Drawing:
+def series_figure(series: Series) -> ReportFigure:
     """Every parameter of every run, and the combined value with its 95 % interval."""
     method = FitMethod.EXACT if FitMethod.EXACT in series.fits else next(iter(series.fits))
     combined = series.fits[method]
@@ -112,7 +112,7 @@ def series_figure(series: Series) -> Drawing:
         axes.tick_params(axis="y", labelsize=7)
     for axes in list(panels.flat)[len(names) :]:
         axes.set_visible(False)
-    return Drawing(
+    return ReportFigure(
         "series",
         "Runs of the series",
         "Exact fit of each run with its standard uncertainty; line and band: combined value, 95 % interval.",
@@ -122,7 +122,7 @@ def series_figure(series: Series) -> Drawing:
 
 def comparison_figure(
     names: Sequence[str], series: Mapping[str, Mapping[str, tuple[float, float]]]
-) -> Drawing:
+) -> ReportFigure:
     """One panel a parameter, one point a series: value and half-width of the 95 % interval."""
     rows = (len(names) + 2) // 3
     figure = canvas(0.5 + 1.9 * rows)
@@ -151,6 +151,6 @@ def comparison_figure(
         axes.tick_params(axis="y", labelsize=7)
     for axes in list(panels.flat)[len(names) :]:
         axes.set_visible(False)
-    return Drawing(
+    return ReportFigure(
         "comparison", "Series compared", "Exact fits; bars are 95 % intervals of each series.", figure
     )

@@ -7,7 +7,7 @@ from processing.noise_models import density_of_db, nhnm_db, nlnm_db
 from processing.swing import ResidualSpectrum
 from rig.analysis import BaseMotion, Ground
 from rig.presentation import palette
-from rig.report.drawing import DATA, EXACT, INK, Array, Drawing, canvas
+from rig.report.drawing import DATA, EXACT, INK, Array, ReportFigure, canvas
 
 _NANO = 1e9
 _BINS_A_DECADE = 40
@@ -15,7 +15,7 @@ _BINS_A_DECADE = 40
 
 def spectrum_figure(
     spectrum: ResidualSpectrum, shown_unit: str, shown_size: float, ground: Ground | None
-) -> Drawing:
+) -> ReportFigure:
     """Spectrum of what is left of the deflection, and as an acceleration of the base for a known height.
 
     Parameters
@@ -46,7 +46,7 @@ def spectrum_figure(
             "95 %); NLNM and NHNM are Peterson's noise models of 1993."
         )
     figure.subplots_adjust(left=0.12, right=0.985, bottom=0.17, top=0.96, wspace=0.26)
-    return Drawing("spectrum", "What is left besides the swing", words, figure)
+    return ReportFigure("spectrum", "What is left besides the swing", words, figure)
 
 
 def _as_acceleration(

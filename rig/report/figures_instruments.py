@@ -6,13 +6,13 @@ from processing.instruments import DEGREE_RAD
 from processing.swing import TurningPoints
 from rig.analysis import DampingResults, DecrementTable, InstrumentResults, PeriodTable, SwingPlane
 from rig.presentation import with_uncertainty
-from rig.report.drawing import DATA, EXACT, INK, SMOOTH, Array, Drawing, canvas
+from rig.report.drawing import DATA, EXACT, INK, SMOOTH, Array, ReportFigure, canvas
 
 _SEEN = 0.01
 """Share of the drawn range from which on a bar is longer than its point."""
 
 
-def instrument_figures(values: InstrumentResults, points: TurningPoints) -> list[Drawing]:
+def instrument_figures(values: InstrumentResults, points: TurningPoints) -> list[ReportFigure]:
     """Figures of what a run reports; those whose numbers are there."""
     drawings = []
     if values.damping is not None:
@@ -28,7 +28,7 @@ def instrument_figures(values: InstrumentResults, points: TurningPoints) -> list
     return drawings
 
 
-def _damping(found: DampingResults, points: TurningPoints) -> Drawing:
+def _damping(found: DampingResults, points: TurningPoints) -> ReportFigure:
     figure = canvas(3.0)
     axes = figure.subplots()
     figure.subplots_adjust(left=0.12, right=0.97, bottom=0.16, top=0.95)
@@ -52,7 +52,7 @@ def _damping(found: DampingResults, points: TurningPoints) -> Drawing:
     axes.set_xlabel("t / s")
     axes.set_ylabel("amplitude / degrees")
     axes.legend(loc="lower left")
-    return Drawing(
+    return ReportFigure(
         "kind-damping",
         "Damping",
         f"Amplitude on a logarithmic scale. From {found.start_amplitude_deg:g} to "
@@ -62,7 +62,7 @@ def _damping(found: DampingResults, points: TurningPoints) -> Drawing:
     )
 
 
-def _ten_swings(values: InstrumentResults, points: TurningPoints) -> Drawing:
+def _ten_swings(values: InstrumentResults, points: TurningPoints) -> ReportFigure:
     figure = canvas(3.0)
     axes = figure.subplots()
     figure.subplots_adjust(left=0.12, right=0.97, bottom=0.16, top=0.95)
@@ -81,12 +81,12 @@ def _ten_swings(values: InstrumentResults, points: TurningPoints) -> Drawing:
         if values.time_hardness_s is None
         else f"; shaded: ten single swings, {values.time_hardness_s.value:.4f} s"
     )
-    return Drawing(
+    return ReportFigure(
         "kind-hardness", "Single swings", f"Turning points from the release on, on both sides{ten}.", figure
     )
 
 
-def _decrement(table: DecrementTable) -> Drawing:
+def _decrement(table: DecrementTable) -> ReportFigure:
     hidden = _hidden(table.log_decrement, table.u_log_decrement)
     figure = canvas(2.8)
     axes = figure.subplots()
@@ -107,7 +107,7 @@ def _decrement(table: DecrementTable) -> Drawing:
     axes.xaxis.set_minor_formatter(lambda value, _: f"{value:.2g}")
     axes.set_xlabel("amplitude / degrees")
     axes.set_ylabel("log decrement of a whole swing")
-    return Drawing(
+    return ReportFigure(
         "kind-decrement",
         "Log decrement against amplitude",
         "Decrement of a whole swing, from turning points some swings apart. " + _bars(hidden),
@@ -115,7 +115,7 @@ def _decrement(table: DecrementTable) -> Drawing:
     )
 
 
-def _period(table: PeriodTable) -> Drawing:
+def _period(table: PeriodTable) -> ReportFigure:
     hidden = _hidden(table.period_s, table.u_period_s)
     figure = canvas(3.2)
     axes = figure.subplots()
@@ -145,7 +145,7 @@ def _period(table: PeriodTable) -> Drawing:
     axes.set_xlabel("amplitude / degrees")
     axes.set_ylabel("period / s")
     axes.legend()
-    return Drawing(
+    return ReportFigure(
         "kind-period",
         "Period against amplitude",
         "Full periods beside the circular-error law with the fitted period at vanishing amplitude. "
@@ -154,14 +154,14 @@ def _period(table: PeriodTable) -> Drawing:
     )
 
 
-def _plane(table: SwingPlane) -> Drawing:
+def _plane(table: SwingPlane) -> ReportFigure:
     figure = canvas(2.6)
     axes = figure.subplots()
     figure.subplots_adjust(left=0.12, right=0.97, bottom=0.18, top=0.95)
     axes.plot(table.time_s, table.direction_deg, "o", color=DATA)
     axes.set_xlabel("time / s")
     axes.set_ylabel("direction / degrees")
-    return Drawing(
+    return ReportFigure(
         "kind-plane",
         "Turning of the swing plane",
         "Direction of the swing plane from the slow axis, period by period.",

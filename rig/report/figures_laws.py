@@ -19,7 +19,7 @@ from rig.report.drawing import (
     INK,
     SMOOTH,
     Array,
-    Drawing,
+    ReportFigure,
     canvas,
     span,
     thinned,
@@ -31,7 +31,7 @@ _BARS = 150
 _RINGS = 90
 
 
-def decay_figure(points: TurningPoints, curves: Curves | None, unit: ShownUnit) -> Drawing:
+def decay_figure(points: TurningPoints, curves: Curves | None, unit: ShownUnit) -> ReportFigure:
     """alpha(t), the paper's Fig. 12, with residuals below; data alone where nothing was fitted."""
     figure = canvas(4.2 if curves else 2.8)
     shown = thinned(len(points), _DOTS)
@@ -63,7 +63,7 @@ def decay_figure(points: TurningPoints, curves: Curves | None, unit: ShownUnit) 
     top.set_xlim(0, points.time_s[-1] * 1.005)
     top.set_ylim(bottom=0)
     top.legend(loc="upper right")
-    return Drawing(
+    return ReportFigure(
         "fig12-decay",
         "Fig. 12: amplitude against time",
         "Amplitude of every half-cycle"
@@ -72,9 +72,9 @@ def decay_figure(points: TurningPoints, curves: Curves | None, unit: ShownUnit) 
     )
 
 
-def period_figure(curves: Curves) -> Drawing:
+def period_figure(curves: Curves) -> ReportFigure:
     """T(alpha), the paper's Fig. 13."""
-    return Drawing(
+    return ReportFigure(
         "fig13-period",
         "Fig. 13: period against amplitude",
         "Full periods about every half-cycle with Eq. 6 and the exact map. The bars are standard "
@@ -89,9 +89,9 @@ def period_figure(curves: Curves) -> Drawing:
     )
 
 
-def smooth_figure(curves: Curves) -> Drawing:
+def smooth_figure(curves: Curves) -> ReportFigure:
     """T(alpha) with the super-smoother, the paper's Fig. 14."""
-    return Drawing(
+    return ReportFigure(
         "fig14-smoother",
         "Fig. 14: period against amplitude, model-free",
         "The super-smoother knows no physics: where Eq. 6 follows it, the law is in the data. An even, small "
@@ -140,7 +140,7 @@ def _period(curves: Curves, models: dict[str, tuple[Array, str, float]]) -> Figu
     return figure
 
 
-def residual_figure(points: TurningPoints, curves: Curves, outliers: Sequence[int]) -> Drawing:
+def residual_figure(points: TurningPoints, curves: Curves, outliers: Sequence[int]) -> ReportFigure:
     """Residuals of the exact fit in units of their standard uncertainty."""
     figure = canvas(3.6)
     grid = figure.add_gridspec(2, 2, width_ratios=[3.2, 1.0])
@@ -175,7 +175,7 @@ def residual_figure(points: TurningPoints, curves: Curves, outliers: Sequence[in
             right.set_title("and the normal law")
         else:
             left.set_xlabel("half-cycle")
-    return Drawing(
+    return ReportFigure(
         "residuals",
         "Residuals of the exact fit",
         "In units of each half-cycle's own standard uncertainty; crosses are listed as outlying.",
@@ -183,7 +183,9 @@ def residual_figure(points: TurningPoints, curves: Curves, outliers: Sequence[in
     )
 
 
-def loss_figure(points: TurningPoints, parameters: ContactParameters, pendulum: PendulumOnBall) -> Drawing:
+def loss_figure(
+    points: TurningPoints, parameters: ContactParameters, pendulum: PendulumOnBall
+) -> ReportFigure:
     """Logarithmic decrement and quality factor against amplitude, measured and of the exact map."""
     figure = canvas(2.9)
     left, right = figure.subplots(1, 2)
@@ -216,7 +218,7 @@ def loss_figure(points: TurningPoints, parameters: ContactParameters, pendulum: 
         axes.minorticks_off()
         axes.set_xlim(alpha.min() * 0.9, alpha.max() * 1.1)
     right.legend(loc="best")
-    return Drawing(
+    return ReportFigure(
         "losses",
         "Losses against amplitude",
         "From turning points whole cycles apart, and of the exact map with the fitted parameters.",
@@ -227,7 +229,7 @@ def loss_figure(points: TurningPoints, parameters: ContactParameters, pendulum: 
 _SEVERAL = (EXACT, ASYMPTOTIC, *palette.SEQUENCE)
 
 
-def moments_figure(laws: ComparedLaws, free: MomentsWithoutLaw) -> Drawing:
+def moments_figure(laws: ComparedLaws, free: MomentsWithoutLaw) -> ReportFigure:
     """The contact's moments without a law with their bands, and over them those of the laws that remain."""
     figure = canvas(4.6)
     panels = figure.subplots(2, 2, sharex=True, height_ratios=[1.6, 1.0])
@@ -260,7 +262,7 @@ def moments_figure(laws: ComparedLaws, free: MomentsWithoutLaw) -> Drawing:
         bottom.minorticks_off()
         bottom.set_xlim(phi[0], phi[-1])
     panels[0, 0].legend(loc="upper left")
-    return Drawing(
+    return ReportFigure(
         "moments",
         "Moments of the contact without a law",
         "Splines of the angle, fitted to amplitudes and times; bands cover 68 %. A moment "

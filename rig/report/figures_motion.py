@@ -6,15 +6,15 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from rig.presentation import palette
-from rig.report.drawing import INK, Array, Drawing, broken, canvas, envelope, thinned
-from rig.report.run_data import Motion, Picture
+from rig.report.drawing import INK, Array, ReportFigure, broken, canvas, envelope, thinned
+from rig.report.run_data import RecordedPicture, ShownTrajectory
 
 _ZOOM_CYCLES = 6.0
 _LINE_POINTS = 1500
 _MOST_COLUMNS = 2600
 
 
-def frame_figure(picture: Picture) -> Drawing:
+def frame_figure(picture: RecordedPicture) -> ReportFigure:
     """The whole frame, and the spot large with the fitted centre."""
     image = picture.frame.image
     rows, columns = image.shape[:2]
@@ -55,7 +55,7 @@ def frame_figure(picture: Picture) -> Drawing:
         axes.set_xlabel("x / px")
         axes.set_ylabel("y / px")
         axes.tick_params(color="white", labelcolor=INK)
-    return Drawing(
+    return ReportFigure(
         "fig00-frame",
         "Camera frame",
         f"One whole frame, {columns} × {rows} px, on a square-root scale of grey, and the laser "
@@ -64,9 +64,9 @@ def frame_figure(picture: Picture) -> Drawing:
     )
 
 
-def slow_figure(motion: Motion, period_s: float) -> Drawing:
+def slow_figure(motion: ShownTrajectory, period_s: float) -> ReportFigure:
     """Y(t), the paper's Fig. 9."""
-    return Drawing(
+    return ReportFigure(
         "fig09-y",
         "Fig. 9: Y(t)",
         "Slow mode. Above, the whole run as the band between the extremes; below, its beginning and its end.",
@@ -74,9 +74,9 @@ def slow_figure(motion: Motion, period_s: float) -> Drawing:
     )
 
 
-def fast_figure(motion: Motion, period_s: float) -> Drawing:
+def fast_figure(motion: ShownTrajectory, period_s: float) -> ReportFigure:
     """X(t), the paper's Fig. 10."""
-    return Drawing(
+    return ReportFigure(
         "fig10-x",
         "Fig. 10: X(t)",
         "Fast mode and what of the slow one shows in X; drawn like Y(t), on its own scale.",
@@ -117,7 +117,7 @@ def _zoom(axes: Axes, time_s: Array, values: Array, start_s: float, length_s: fl
     axes.set_xlim(start_s, start_s + length_s)
 
 
-def trajectory_figure(motion: Motion, period_s: float) -> Drawing:
+def trajectory_figure(motion: ShownTrajectory, period_s: float) -> ReportFigure:
     """(X, Y), the paper's Fig. 11: to one scale, and X stretched."""
     figure = canvas(3.6)
     left, right = figure.subplots(1, 2, width_ratios=[1.0, 1.6])
@@ -142,7 +142,7 @@ def trajectory_figure(motion: Motion, period_s: float) -> Drawing:
         axes.set_xlabel(f"X / {motion.unit.shown}")
         axes.set_ylabel(f"Y / {motion.unit.shown}")
     right.legend(loc="lower right", handlelength=1.2)
-    return Drawing(
+    return ReportFigure(
         "fig11-trajectory",
         "Fig. 11: trajectory",
         "A well balanced pendulum draws a line; its tilt, width and drift show what balance is left to do.",

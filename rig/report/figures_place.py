@@ -1,10 +1,10 @@
 """Errors of position over the stretch of sensor that the run swept."""
 
 from rig.analysis import PositionErrors
-from rig.report.drawing import DATA, INK, Drawing, canvas
+from rig.report.drawing import DATA, INK, ReportFigure, canvas
 
 
-def place_figure(found: PositionErrors) -> Drawing:
+def place_figure(found: PositionErrors) -> ReportFigure:
     """The map that was taken off, with its standard uncertainty."""
     size, unit = found.unit.shown_size, found.unit.shown
     place, error, u_error = found.place / size, found.error / size, found.u_error / size
@@ -23,4 +23,4 @@ def place_figure(found: PositionErrors) -> Drawing:
         "before the turning points were measured again. A constant and a scale cannot be seen in a free "
         "swing; the budget holds them with the rest."
     )
-    return Drawing("position-errors", "Errors of position on the sensor", words, figure)
+    return ReportFigure("position-errors", "Errors of position on the sensor", words, figure)

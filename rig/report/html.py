@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 
 from rig.presentation import Table
-from rig.report.drawing import Drawing
+from rig.report.drawing import ReportFigure
 
 RESULTS_SHA256 = "results-sha256"
 STYLE = """
@@ -98,7 +98,7 @@ def paragraph(text: str, kind: str = "") -> str:
     return f"<p{attribute}>{escape(text)}</p>"
 
 
-def picture(drawing: Drawing, data: bytes, kind: str) -> str:
+def picture(drawing: ReportFigure, data: bytes, kind: str) -> str:
     """A figure with its caption; `kind` is the media type of the data."""
     encoded = base64.b64encode(data).decode("ascii")
     return (

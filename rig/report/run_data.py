@@ -43,7 +43,7 @@ class ShownUnit(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Motion:
+class ShownTrajectory:
     """Deflection of every frame as shown, so in `unit.shown`; NaN where the spot was lost."""
 
     time_s: Array
@@ -53,7 +53,7 @@ class Motion:
 
 
 @dataclass(frozen=True)
-class Picture:
+class RecordedPicture:
     """One whole frame and the spot that was found in it."""
 
     frame: Frame
@@ -73,8 +73,8 @@ class RunData:
     title: str
     results: RunResults
     stored: StoredTurningPoints
-    motion: Motion
-    picture: Picture | None
+    motion: ShownTrajectory
+    picture: RecordedPicture | None
     provenance: Mapping[str, Mapping[str, str]]
     spectrum: ResidualSpectrum | None = None
     notes: Sequence[str] = ()
@@ -150,7 +150,7 @@ def _read_run(folder: Path, results: RunResults, number: int) -> RunData:
     unit = ShownUnit(deflections.unit.shown, deflections.unit.shown_size)
     if results.instrument is not None and deflections.unit is DeflectionUnit.RAD:
         unit = ShownUnit("deg", DEGREE_RAD)
-    motion = Motion(
+    motion = ShownTrajectory(
         (spots["time_ns"] - first_ns) * 1e-9 * rate,
         deflections.x / unit.shown_size,
         deflections.y / unit.shown_size,
@@ -191,7 +191,7 @@ def _clock_rate(reader: RecordReader, notes: list[str]) -> float:
     return 1.0 if timebase is None else timebase.camera_rate
 
 
-def _picture(reader: RecordReader, spots: NDArray[Any], notes: list[str]) -> Picture | None:
+def _picture(reader: RecordReader, spots: NDArray[Any], notes: list[str]) -> RecordedPicture | None:
     """The first whole frame with a spot in it; a record without one is reported without one."""
     try:
         for frame in reader.images():
@@ -199,7 +199,7 @@ def _picture(reader: RecordReader, spots: NDArray[Any], notes: list[str]) -> Pic
             if len(rows) and math.isfinite(float(spots["x_px"][rows[0]])):
                 row = spots[rows[0]]
                 sigma = 0.5 * float(row["sigma_x_px"] + row["sigma_y_px"])
-                return Picture(frame, float(row["x_px"]), float(row["y_px"]), sigma)
+                return RecordedPicture(frame, float(row["x_px"]), float(row["y_px"]), sigma)
     except (RigError, ValueError) as error:
         notes.append(f"no frame could be read: {error}")
     return None

@@ -28,7 +28,7 @@ from rig.analysis import (
 )
 from rig.presentation import Table, plain, quantity
 from rig.report import figures_contact, figures_ground, figures_laws, figures_motion, html
-from rig.report.drawing import Drawing, png, styled, svg
+from rig.report.drawing import ReportFigure, png, styled, svg
 from rig.report.figures_instruments import instrument_figures
 from rig.report.figures_place import place_figure
 from rig.report.run_data import ReportSource, RunData, read_source
@@ -71,7 +71,7 @@ def make_report(folder: Path, output: Path | None = None) -> Path:
     return target
 
 
-def draw_run(source: Path, number: int) -> list[Drawing]:
+def draw_run(source: Path, number: int) -> list[ReportFigure]:
     """The figures of one run, counted from 1, of a session's folder or a results file.
 
     Raises RecordError where there are no results, no such run, or no record.
@@ -278,7 +278,7 @@ def _curves(run: RunData) -> Curves | None:
     return curves_of(run.points, run.results) if len(run.points) >= 3 else None
 
 
-def _drawings(run: RunData, curves: Curves | None) -> list[Drawing]:
+def _drawings(run: RunData, curves: Curves | None) -> list[ReportFigure]:
     motion, points = run.motion, run.points
     fit = run.results.fits.get(FitMethod.EXACT)
     period_s = _period(run) if fit is None else fit.mean_period_s.value
@@ -332,7 +332,7 @@ def _period(run: RunData) -> float:
     return float(2 * (points.time_s[-1] - points.time_s[0]) / (points.index[-1] - points.index[0]))
 
 
-def _pictures(drawings: Sequence[Drawing], files: Path) -> list[tuple[Drawing, str]]:
+def _pictures(drawings: Sequence[ReportFigure], files: Path) -> list[tuple[ReportFigure, str]]:
     """Write SVG and PNG of every figure; each with its HTML.
 
     A frame is pixels, and goes into the page as PNG; everything else is lines, as SVG.
@@ -347,7 +347,7 @@ def _pictures(drawings: Sequence[Drawing], files: Path) -> list[tuple[Drawing, s
     return found
 
 
-def save_figures(drawings: Sequence[Drawing], files: Path) -> list[str]:
+def save_figures(drawings: Sequence[ReportFigure], files: Path) -> list[str]:
     """Write figures as SVG and PNG; returns their HTML in order."""
     return [text for _, text in _pictures(drawings, files)]
 

@@ -5,8 +5,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from rig.analysis import (
-    Columns,
     SessionResults,
+    TableColumns,
     TableResults,
     analyse_record,
     analyse_table,
@@ -98,4 +98,4 @@ def fit_table(
     config = None
     if configuration is not None:
         config = load_configuration(Path(configuration), needs_camera=False)
-    return analyse_table(Path(path), config, Columns(time, tuple(positions), unit, time_unit)).results
+    return analyse_table(Path(path), config, TableColumns(time, tuple(positions), unit, time_unit)).results

@@ -20,7 +20,7 @@ from rig.wizards.draft import (
 )
 from rig.wizards.first_configuration import FirstConfiguration
 from rig.wizards.kinds import KINDS, calibration_wizard
-from rig.wizards.question import Choice, Question, Recording, Wizard
+from rig.wizards.question import Choice, Question, RecordedAnswer, Wizard
 from rig.wizards.recording import place_for, recorder_of
 from rig.wizards.terminal import ask_in_terminal
 from rig.wizards.typed import number
@@ -34,7 +34,7 @@ __all__ = [
     "FirstConfiguration",
     "Progress",
     "Question",
-    "Recording",
+    "RecordedAnswer",
     "Wizard",
     "answered",
     "as_far_as_it_holds",

@@ -9,7 +9,7 @@ from processing.errors import ConfigurationError
 from rig.calibrate import Filing, LadderFile, calibrate_lever
 from rig.settings import keys_with_faults
 from rig.wizards.calibration import a_record, write_table, yes_or_no
-from rig.wizards.question import Choice, Question, Recording
+from rig.wizards.question import Choice, Question, RecordedAnswer
 from rig.wizards.typed import number, optional, quantity
 
 _FEWEST_STEPS = 5
@@ -175,7 +175,7 @@ def ladder_questions(values: Mapping[str, Any], way: str) -> Iterator[Question]:
             f"spot {count}",
             "The spot there: x y u in px (160.02 441.21 0.02), or a record of the resting spot:",
             _spot,
-            recording=Recording("record", f"lever-step-{count}", seconds=_SECONDS),
+            recording=RecordedAnswer("record", f"lever-step-{count}", seconds=_SECONDS),
         )
         typed = typed or "u_px" in values[f"spot {count}"]
     if typed:

@@ -8,7 +8,7 @@ from typing import Any
 from processing.errors import ConfigurationError
 from rig.calibrate import Filing, calibrate_axes, calibrate_clock, calibrate_pointing, calibrate_shutter
 from rig.wizards.calibration import a_record
-from rig.wizards.question import Choice, Question, Recording
+from rig.wizards.question import Choice, Question, RecordedAnswer
 from rig.wizards.typed import number
 
 
@@ -111,7 +111,7 @@ class PointingWizard:
 
 def _record(kind: str, seconds: float, do: str) -> Question:
     return Question(
-        "record", "The record:", a_record, do=do, recording=Recording("record", kind, seconds=seconds)
+        "record", "The record:", a_record, do=do, recording=RecordedAnswer("record", kind, seconds=seconds)
     )
 
 

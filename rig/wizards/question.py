@@ -14,7 +14,7 @@ class Choice:
 
 
 @dataclass(frozen=True, slots=True)
-class Recording:
+class RecordedAnswer:
     """What the rig can record as an answer, which is then the path of what was recorded.
 
     `name` becomes part of the name of the file or folder. A record lasts `seconds`; of single frames
@@ -57,7 +57,7 @@ class Question:
     suggested: str | None = None
     choices: tuple[Choice, ...] = ()
     open_choice: bool = False
-    recording: Recording | None = None
+    recording: RecordedAnswer | None = None
 
 
 class Wizard(Protocol):

@@ -6,16 +6,16 @@ from pathlib import Path
 from rig.measure import record_plainly, take_frames
 from rig.settings import Configuration
 from rig.wizards.calibration import next_free
-from rig.wizards.question import Recording
+from rig.wizards.question import RecordedAnswer
 
 
-def recorder_of(config: Configuration, source: Path, folder: Path) -> Callable[[Recording], Path]:
+def recorder_of(config: Configuration, source: Path, folder: Path) -> Callable[[RecordedAnswer], Path]:
     """Records into new files and folders of `folder`; the function returns what it has made.
 
     It raises RigError where that fails.
     """
 
-    def record(wanted: Recording) -> Path:
+    def record(wanted: RecordedAnswer) -> Path:
         path = place_for(wanted, folder)
         if wanted.kind == "record":
             return record_plainly(config, source, path, wanted.seconds)
@@ -28,6 +28,6 @@ def recorder_of(config: Configuration, source: Path, folder: Path) -> Callable[[
     return record
 
 
-def place_for(wanted: Recording, folder: Path) -> Path:
+def place_for(wanted: RecordedAnswer, folder: Path) -> Path:
     """A new name in `folder` for what is recorded."""
     return next_free(folder / "records", wanted.name, ".mcap" if wanted.kind == "record" else "")

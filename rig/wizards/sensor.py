@@ -9,7 +9,7 @@ from processing.errors import ConfigurationError
 from rig.calibrate import Filing, TransferFile, calibrate_sensor
 from rig.settings import keys_with_faults
 from rig.wizards.calibration import first_positive, write_table
-from rig.wizards.question import Question, Recording
+from rig.wizards.question import Question, RecordedAnswer
 from rig.wizards.typed import number
 
 _FEWEST_LEVELS = 5
@@ -31,7 +31,7 @@ class SensorWizard:
             "Dark frames, a folder of images, an .npy stack or a record:",
             _frames,
             do="Laser off, lamp off, lens cap on.",
-            recording=Recording("frames", "sensor-dark", frames=_DARKS),
+            recording=RecordedAnswer("frames", "sensor-dark", frames=_DARKS),
         )
         yield Question(
             "full scale",
@@ -59,7 +59,7 @@ class SensorWizard:
                 f"frames {count}",
                 "Two frames or more of this level:",
                 _frames,
-                recording=Recording(
+                recording=RecordedAnswer(
                     "frames", f"sensor-level-{count}", frames=2, exposure_us=values[f"exposure {count}"]
                 ),
             )

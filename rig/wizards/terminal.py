@@ -7,10 +7,10 @@ from pathlib import Path
 from processing.errors import ConfigurationError, RigError
 from rig.presentation import say
 from rig.wizards.draft import Draft, answered, progress
-from rig.wizards.question import Question, Recording, Wizard
+from rig.wizards.question import Question, RecordedAnswer, Wizard
 
 BACK = "<"
-Recorder = Callable[[Recording], Path]
+Recorder = Callable[[RecordedAnswer], Path]
 
 
 def ask_in_terminal(

@@ -11,7 +11,7 @@ from rich.table import Table
 
 from acquisition.camera import CameraSettings
 from acquisition.cameras.simulated import SimulatedCamera
-from acquisition.simulation.optics import Beam, add_beam
+from acquisition.simulation.optics import GaussianBeam, add_beam
 from acquisition.simulation.settings import SimulationSettings
 from acquisition.simulation.true_path import noisy, true_path, true_turning_points
 
@@ -50,7 +50,7 @@ def run(quick: bool = False) -> dict[str, Any]:
     """Measured numbers; times are the best of interleaved repeats, in microseconds a frame."""
     repeats, count = (3, 100) if quick else (15, 400)
     light_e = np.zeros((640, 320))
-    add_beam(light_e, Beam(160.3, 300.4, 6.0, 6.0, 0.0, 174 * 39.2), 0, 640, 0, 320)
+    add_beam(light_e, GaussianBeam(160.3, 300.4, 6.0, 6.0, 0.0, 174 * 39.2), 0, 640, 0, 320)
     generator = np.random.default_rng(1)
     cameras = {}
     for name, (truth, asked) in _CASES.items():

@@ -13,7 +13,7 @@ from acquisition.cameras.usb3vision.discovery import find_camera
 from acquisition.cameras.usb3vision.link import UsbLink
 from acquisition.cameras.usb3vision.registers import plan_transfers
 from acquisition.cameras.usb3vision.settings import Usb3VisionSettings
-from acquisition.cameras.usb3vision.stream import Expected, FrameStream
+from acquisition.cameras.usb3vision.stream import ExpectedFrames, UsbFrameStream
 from acquisition.cameras.usb3vision.transfers import Arrived, Bytes
 from tests.acquisition.cameras.usb3vision.backend import InProcessBackend
 from tests.acquisition.cameras.usb3vision.device import VisionDevice
@@ -112,7 +112,7 @@ def overhead(
     camera = find_camera(None, InProcessBackend(VisionDevice()))
     link = UsbLink(camera.device, camera.name)
     begin_s = time.process_time()
-    stream = FrameStream(memory, plan, Expected(BY_NAME["Mono8"], width_px, height_px, True), link)
+    stream = UsbFrameStream(memory, plan, ExpectedFrames(BY_NAME["Mono8"], width_px, height_px, True), link)
     taken = 0
     while taken < frames:
         taken += stream.reading.read(1.0) is not None

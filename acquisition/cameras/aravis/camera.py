@@ -21,7 +21,7 @@ from acquisition.cameras import wiring
 from acquisition.cameras.aravis.buffers import BufferReader
 from acquisition.cameras.aravis.features import AravisFeatures
 from acquisition.cameras.aravis.library import (
-    FoundCamera,
+    AravisDevice,
     Library,
     find_camera,
     load_library,
@@ -102,7 +102,7 @@ class AravisCamera:
             self._features = features
             return info
 
-    def _take_control(self, library: Library, found: FoundCamera) -> tuple[CameraInfo, AravisFeatures]:
+    def _take_control(self, library: Library, found: AravisDevice) -> tuple[CameraInfo, AravisFeatures]:
         camera = library.aravis.Camera.new(found.identity)
         # a local variable, so that the signal's handler keeps no reference to this object
         gone = self._gone

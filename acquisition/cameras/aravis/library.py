@@ -16,7 +16,7 @@ class Library(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class FoundCamera:
+class AravisDevice:
     """A camera found by libaravis; `place` is its address or USB identity."""
 
     identity: str
@@ -51,12 +51,12 @@ def load_library() -> Library:
     return Library(Aravis, GLib.Error)
 
 
-def find_cameras() -> tuple[FoundCamera, ...]:
+def find_cameras() -> tuple[AravisDevice, ...]:
     """All cameras that libaravis finds; the search takes about a second."""
     aravis = load_library().aravis
     aravis.update_device_list()
     return tuple(
-        FoundCamera(
+        AravisDevice(
             identity=aravis.get_device_id(index),
             vendor=aravis.get_device_vendor(index) or "",
             model=aravis.get_device_model(index) or "",
@@ -76,7 +76,7 @@ def list_cameras() -> list[PluggedCamera]:
     ]
 
 
-def find_camera(wanted: str | None) -> FoundCamera:
+def find_camera(wanted: str | None) -> AravisDevice:
     """The camera with this serial number or id; None: the only camera connected.
 
     Raises DeviceError, with a list of the cameras, if there is none or the choice is ambiguous.

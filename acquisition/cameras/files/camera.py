@@ -17,7 +17,7 @@ from acquisition.camera import (
     without_features,
 )
 from acquisition.cameras.files.settings import FilesSettings
-from acquisition.cameras.files.sources import Source, Stored, Unreadable, open_source
+from acquisition.cameras.files.sources import FrameSource, Stored, Unreadable, open_source
 from acquisition.cameras.files.timestamps import FrameTimes, frame_times
 from acquisition.frame import Frame, Image
 from processing.errors import DeviceError
@@ -42,7 +42,7 @@ class FilesCamera:
 
     def __init__(self, settings: FilesSettings) -> None:
         self._settings = settings
-        self._source: Source | None = None
+        self._source: FrameSource | None = None
         self._times = FrameTimes([], [])
         self._info: CameraInfo | None = None
         self._region = CameraSettings()
@@ -180,7 +180,7 @@ class FilesCamera:
             raise DeviceError(f"{self._settings.path}: is not open; call open first")
         return self._info
 
-    def _first_image(self, source: Source) -> tuple[Image, int, str]:
+    def _first_image(self, source: FrameSource) -> tuple[Image, int, str]:
         reasons = []
         for index in range(source.count):
             try:
@@ -194,7 +194,7 @@ class FilesCamera:
             f"{self._settings.path}: none of the {source.count} frames can be read; the first: {reasons[0]}"
         )
 
-    def _image(self, source: Source, index: int) -> Image:
+    def _image(self, source: FrameSource, index: int) -> Image:
         image, _ = self._grey(source.read(index), source.label(index))
         if image.dtype != self._dtype:
             raise DeviceError(

@@ -34,7 +34,7 @@ class Stored(NamedTuple):
     full_scale: int
 
 
-class Source(Protocol):
+class FrameSource(Protocol):
     """Interface of a source of frames."""
 
     count: int
@@ -59,7 +59,7 @@ class Source(Protocol):
         ...
 
 
-def open_source(path: Path) -> Source:
+def open_source(path: Path) -> FrameSource:
     """The source for `path`. Raises DeviceError if it is missing, empty or of an unknown kind."""
     if path.is_dir():
         return FolderSource(path)

@@ -23,9 +23,9 @@ from acquisition.cameras.usb3vision.features import Features
 from acquisition.cameras.usb3vision.gencp import GenCpChannel
 from acquisition.cameras.usb3vision.libusb_transfers import LibusbTransfers
 from acquisition.cameras.usb3vision.link import UsbLink
-from acquisition.cameras.usb3vision.open_camera import ClockReading, OpenCamera
+from acquisition.cameras.usb3vision.open_camera import ClockReading, UsbConnection
 from acquisition.cameras.usb3vision.settings import Usb3VisionSettings
-from acquisition.cameras.usb3vision.stream import Expected, FrameStream
+from acquisition.cameras.usb3vision.stream import ExpectedFrames, UsbFrameStream
 from acquisition.cameras.usb3vision.transfers import BlockingTransfers, Transfers
 from acquisition.frame import Frame
 from processing.errors import DeviceError
@@ -61,9 +61,9 @@ class Usb3VisionCamera:
         self._settings = settings or Usb3VisionSettings()
         self._backend = backend
         self._lock = threading.RLock()
-        self._session: OpenCamera | None = None
+        self._session: UsbConnection | None = None
         self._channel: GenCpChannel | None = None
-        self._stream: FrameStream | None = None
+        self._stream: UsbFrameStream | None = None
         self._name = "USB3 Vision camera"
         self._before = CameraStatus()
         self._was_lost = False
@@ -94,7 +94,7 @@ class Usb3VisionCamera:
                     timeout_s=self._settings.control_timeout_s,
                 )
                 self._channel = channel
-                self._session = OpenCamera.learn(link, channel)
+                self._session = UsbConnection.learn(link, channel)
                 self._session.halt_leftovers()
                 return self._session.info()
             except BaseException:
@@ -124,7 +124,7 @@ class Usb3VisionCamera:
             pixel_format = features.pixel_format()
             pixel_format.prepare()
             features.run_on()
-            expected = Expected(
+            expected = ExpectedFrames(
                 pixel_format,
                 int(features.get("Width")),
                 int(features.get("Height")),
@@ -143,7 +143,7 @@ class Usb3VisionCamera:
             session.set_locked(True)
             session.registers.enable(True)
             self._begin_counting()
-            self._stream = FrameStream(self._transfers(session.link), plan, expected, session.link)
+            self._stream = UsbFrameStream(self._transfers(session.link), plan, expected, session.link)
             self._camera_runs = True
             try:
                 features.execute("AcquisitionStart")
@@ -276,7 +276,7 @@ class Usb3VisionCamera:
 
     # ---- inside
 
-    def _opened(self) -> OpenCamera:
+    def _opened(self) -> UsbConnection:
         if self._session is None:
             raise DeviceError(f"{self._name}: is not open; call open first")
         return self._session

@@ -12,7 +12,7 @@ import numpy as np
 
 from acquisition.cameras.usb3vision.gencp import RegisterRefused
 from acquisition.cameras.usb3vision.manifest import read_description
-from acquisition.cameras.usb3vision.open_camera import OpenCamera
+from acquisition.cameras.usb3vision.open_camera import UsbConnection
 from acquisition.cameras.usb3vision.transfers import BlockingTransfers
 from processing.errors import DeviceError
 
@@ -29,7 +29,7 @@ _SBRM_ADDRESS: Final = 0x1D8
 _PRIVATE: Final = ("serial", "deviceid", "userid", "username", "macaddress", "ipaddress")
 
 
-def dump(session: OpenCamera, values: dict[str, Any]) -> dict[str, bytes]:
+def dump(session: UsbConnection, values: dict[str, Any]) -> dict[str, bytes]:
     """Files by name: descriptors, registers, description, features (`values`), first transfers."""
     channel, identity = session.channel, session.identity
     sbrm = int.from_bytes(channel.read(_SBRM_ADDRESS, 8), "little")
@@ -57,7 +57,7 @@ def _is_private(name: str) -> bool:
     return any(word in name.lower().replace("_", "") for word in _PRIVATE)
 
 
-def _registers(session: OpenCamera, base: int, places: Iterable[tuple[int, int]]) -> dict[str, str]:
+def _registers(session: UsbConnection, base: int, places: Iterable[tuple[int, int]]) -> dict[str, str]:
     found = {}
     for start, length in places:
         for at in range(start, start + length, 4):
@@ -93,7 +93,7 @@ def _descriptors(device: Any) -> dict[str, Any]:
     }
 
 
-def _transfers(session: OpenCamera) -> list[dict[str, Any]]:
+def _transfers(session: UsbConnection) -> list[dict[str, Any]]:
     """Sizes, times and beginnings of the first transfers, each read into a buffer that holds it whole."""
     registers, link = session.registers, session.link
     session.features.run_on()

@@ -42,7 +42,7 @@ class ClockReading:
 
 
 @dataclass(frozen=True, slots=True)
-class OpenCamera:
+class UsbConnection:
     """Connection, registers and features of an open camera."""
 
     link: UsbLink

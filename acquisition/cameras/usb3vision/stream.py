@@ -53,7 +53,7 @@ _MOST_MISFITS: Final = 10
 
 
 @dataclass(frozen=True, slots=True)
-class Expected:
+class ExpectedFrames:
     """Expected format and size of every frame, whether the camera has a clock, and the colour to deliver."""
 
     pixel_format: Format
@@ -76,7 +76,7 @@ class _Part(Enum):
     EMPTY = 4
 
 
-class FrameStream:
+class UsbFrameStream:
     """The frames of one run, through `reading`.
 
     The system has reads to fill for `Transfers.frames_ahead` frames, from the construction on; what comes
@@ -88,7 +88,9 @@ class FrameStream:
     if they are missing without one.
     """
 
-    def __init__(self, transfers: Transfers, plan: TransferPlan, expected: Expected, link: UsbLink) -> None:
+    def __init__(
+        self, transfers: Transfers, plan: TransferPlan, expected: ExpectedFrames, link: UsbLink
+    ) -> None:
         self._transfers = transfers
         self._plan = plan
         self._expected = expected

@@ -14,7 +14,7 @@ from acquisition.camera import (
 )
 from acquisition.cameras.reading import Reading
 from acquisition.cameras.v4l2.settings import V4l2Settings
-from acquisition.cameras.v4l2.source import Source
+from acquisition.cameras.v4l2.source import FrameDevice
 from acquisition.frame import Frame
 from processing.errors import DeviceError
 
@@ -36,7 +36,7 @@ class V4l2Camera:
     def __init__(self, settings: V4l2Settings | None = None) -> None:
         self._settings = settings or V4l2Settings()
         self._lock = threading.RLock()
-        self._source: Source | None = None
+        self._source: FrameDevice | None = None
         self._run: _Run | None = None
         self._before = CameraStatus()
         self._was_lost = False
@@ -118,7 +118,7 @@ class V4l2Camera:
         """Value of one control; None if it cannot be read now."""
         return self.feature_values().get(name)
 
-    def _opened(self) -> Source:
+    def _opened(self) -> FrameDevice:
         if self._source is None:
             raise DeviceError("video camera: is not open; call open first")
         return self._source
@@ -131,7 +131,7 @@ class V4l2Camera:
 class _Run:
     """The frames from one start to the next stop, numbered from 0, and their counts."""
 
-    def __init__(self, source: Source) -> None:
+    def __init__(self, source: FrameDevice) -> None:
         self._source = source
         self._first = -1
         self._last = -1
@@ -161,7 +161,7 @@ class _Run:
         return Frame(raw.image, raw.sequence - self._first, raw.device_time_ns, raw.host_time_ns)
 
 
-def _make_source(settings: V4l2Settings) -> Source:
+def _make_source(settings: V4l2Settings) -> FrameDevice:
     reading = settings.reading
     if reading == "auto":
         reading = "kernel" if sys.platform == "linux" else "opencv"

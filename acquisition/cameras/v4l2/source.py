@@ -20,7 +20,7 @@ class RawFrame(NamedTuple):
     late: bool = False
 
 
-class Source(Protocol):
+class FrameDevice(Protocol):
     """A device, used by one thread at a time. Methods raise DeviceError or CameraLost."""
 
     def open(self) -> CameraInfo:

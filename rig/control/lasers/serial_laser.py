@@ -12,7 +12,7 @@ from rig.control.controller import InterlockOpen, PowerLimit
 from rig.control.lasers.laser import ON_WITHIN_S, LaserIdentity, LaserRefused, LaserState
 from rig.control.lasers.settings import LaserSettings
 from rig.control.link import ReplyTimeout
-from rig.control.serial_port import Line, LineReader, PortLost, SerialPort
+from rig.control.serial_port import LineReader, PortLost, SerialLine, SerialPort
 
 _log = logging.getLogger(__name__)
 _RETRIES = 2
@@ -31,10 +31,10 @@ class SerialLaser(ABC):
     step = 1e-6
     """Resolution of the device in its unit: a value read back that differs by no more counts as set."""
 
-    def __init__(self, settings: LaserSettings, open_line: Callable[[], Line] | None = None) -> None:
+    def __init__(self, settings: LaserSettings, open_line: Callable[[], SerialLine] | None = None) -> None:
         self._settings = settings
         self._open_line = open_line or (lambda: SerialPort(settings.port, settings.baud, write_timeout_s=1.0))
-        self._line: Line | None = None
+        self._line: SerialLine | None = None
         self._reader: LineReader | None = None
 
     # -- defined by each family ------------------------------------------------
@@ -192,7 +192,7 @@ class SerialLaser(ABC):
                 "it was switched off"
             )
 
-    def _claimed(self) -> tuple[Line, LineReader]:
+    def _claimed(self) -> tuple[SerialLine, LineReader]:
         if self._line is None or self._reader is None:
             raise PortLost(f"{self.name}: the laser is not open")
         return self._line, self._reader

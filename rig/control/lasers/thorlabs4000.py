@@ -12,7 +12,7 @@ from collections.abc import Callable
 from rig.control.lasers.laser import LaserIdentity, LaserRefused, LaserState
 from rig.control.lasers.serial_laser import SerialLaser, rounded_down
 from rig.control.lasers.settings import LaserSettings
-from rig.control.serial_port import Line
+from rig.control.serial_port import SerialLine
 from rig.control.usbtmc import UsbTmcLine, find_usbtmc, is_usbtmc
 
 _USB_VENDOR = 0x1313
@@ -30,10 +30,10 @@ class Thorlabs4000(SerialLaser):
 
     unit = "a"
 
-    def __init__(self, settings: LaserSettings, open_line: Callable[[], Line] | None = None) -> None:
+    def __init__(self, settings: LaserSettings, open_line: Callable[[], SerialLine] | None = None) -> None:
         if open_line is None and is_usbtmc(settings.port):
 
-            def open_line() -> Line:
+            def open_line() -> SerialLine:
                 return UsbTmcLine(find_usbtmc(settings.port, _USB_VENDOR), settings.timeout_s)
 
         super().__init__(settings, open_line)

@@ -1,6 +1,6 @@
 """Preflight: the checks that decide go or no-go; `PhasesBeforeRecord` makes them before a run."""
 
 from rig.measure.preflight import device_checks, frame_checks
-from rig.measure.preflight.frame_checks import Look
+from rig.measure.preflight.frame_checks import TrialFrames
 
-__all__ = ["Look", "device_checks", "frame_checks"]
+__all__ = ["TrialFrames", "device_checks", "frame_checks"]

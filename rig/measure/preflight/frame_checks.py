@@ -27,7 +27,7 @@ NO_LEVER = "no lever: values in px have no limit in arcsec"
 
 
 @dataclass(frozen=True, slots=True)
-class Look:
+class TrialFrames:
     """Some seconds of frames, with the spots and deflections measured in them.
 
     `resting` is False if the pendulum may be swinging. `model` is what the tracker has chosen for the beam;
@@ -128,7 +128,7 @@ def noise_and_vibration(
     return [_against_arcsec(verdict, unit) for verdict in verdicts]
 
 
-def ground(look: Look, pendulum: PendulumSettings | None) -> Verdict:
+def ground(look: TrialFrames, pendulum: PendulumSettings | None) -> Verdict:
     """What the ground does at the pendulum's frequency: it limits results and forbids no measurement.
 
     Needs eight periods at rest, in `preflight.duration_s`.
@@ -147,7 +147,7 @@ def ground(look: Look, pendulum: PendulumSettings | None) -> Verdict:
     return Verdict("ground", True, measured=f"{words}, in {at.times_s[-1]:.0f} s")
 
 
-def rest_position(look: Look, limits: PreflightSettings) -> Verdict:
+def rest_position(look: TrialFrames, limits: PreflightSettings) -> Verdict:
     """Check the rest position against the reference of the lever (without one, the sensor's centre)."""
     limit = f"{limits.max_rest_offset_arcsec:g} arcsec"
     at = look.deflections
@@ -260,7 +260,7 @@ def disk(
 
 
 def check_look(
-    look: Look, config: Configuration, full_scale_dn: float, window_bytes: float, free_bytes: int
+    look: TrialFrames, config: Configuration, full_scale_dn: float, window_bytes: float, free_bytes: int
 ) -> list[Verdict]:
     """All checks that are made from some seconds of frames."""
     limits, at = config.preflight, look.deflections
@@ -295,7 +295,7 @@ def check_look(
     ]
 
 
-def stillness(look: Look, limits: PreflightSettings) -> list[Verdict]:
+def stillness(look: TrialFrames, limits: PreflightSettings) -> list[Verdict]:
     """Check noise and vibration of the spot of a pendulum at rest; one that may swing has neither."""
     at = look.deflections
     if not look.resting:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.signal import welch
 from scipy.stats import chi2
 
-from acquisition.simulation.ground import FAST, SLOW, Ground, acceleration_density, ground_of
+from acquisition.simulation.ground import FAST, SLOW, GroundMotion, acceleration_density, ground_of
 from acquisition.simulation.ground_settings import GroundTruth
 from acquisition.simulation.motion import ARCSEC_RAD, motions
 from acquisition.simulation.settings import SimulationSettings
@@ -32,7 +32,7 @@ def rig(**changes: Any) -> SimulationSettings:
     return SimulationSettings.model_validate(changes)
 
 
-def moving(settings: SimulationSettings, run: int = 0) -> Ground:
+def moving(settings: SimulationSettings, run: int = 0) -> GroundMotion:
     ground = ground_of(settings, run)
     assert ground is not None
     return ground

@@ -12,7 +12,7 @@ from scipy.signal import welch
 from acquisition.simulation.faults import FaultSettings
 from acquisition.simulation.inputs import RigInputs
 from acquisition.simulation.motion import ARCSEC_RAD
-from acquisition.simulation.scene import Plan, Readings, Scene
+from acquisition.simulation.scene import PlannedFrames, Readings, Scene
 from acquisition.simulation.settings import SimulationSettings
 from acquisition.simulation.true_path import true_path, true_turning_points
 
@@ -28,7 +28,7 @@ def scene(faults: dict[str, Any] | None = None, run: int = 0, **changes: Any) ->
     return Scene(settings, FaultSettings.model_validate(faults or {}), readings, run)
 
 
-def plan(count: int, faults: dict[str, Any] | None = None, **changes: Any) -> Plan:
+def plan(count: int, faults: dict[str, Any] | None = None, **changes: Any) -> PlannedFrames:
     """Frames of a pendulum without fast mode and leakage, unless they are asked for."""
     changes["fast"] = {"amplitude_arcsec": 0.0, **changes.get("fast", {})}
     changes["axes"] = {"leakage": 0.0, **changes.get("axes", {})}
@@ -213,7 +213,7 @@ def test_plans_do_not_depend_on_their_length() -> None:
     whole = scene(**changes).plan(300)
     parts = scene(**changes)
     pieces = [parts.plan(count) for count in (1, 7, 200, 92)]
-    for name in Plan._fields[1:]:
+    for name in PlannedFrames._fields[1:]:
         assert np.array_equal(np.concatenate([getattr(p, name) for p in pieces]), getattr(whole, name)), name
 
 

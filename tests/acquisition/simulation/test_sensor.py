@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from acquisition.simulation import sensor
-from acquisition.simulation.optics import Beam, add_beam, beam_box
+from acquisition.simulation.optics import GaussianBeam, add_beam, beam_box
 from acquisition.simulation.randomness import frame_normals, poisson, stream_key, ziggurat
 from acquisition.simulation.settings import SensorState, SensorTruth
 
-DARK = Beam(0.0, 0.0, 6.0, 6.0, 0.0, 0.0)
+DARK = GaussianBeam(0.0, 0.0, 6.0, 6.0, 0.0, 0.0)
 NY, NX = 640, 320
 
 
@@ -53,7 +53,7 @@ def chi2_p_value(values: NDArray[Any], p: NDArray[np.float64]) -> float:
 
 
 def frames(
-    truth: SensorTruth, count: int, beam: Beam = DARK, ambient_e: float = 0.0, bits: int | None = None
+    truth: SensorTruth, count: int, beam: GaussianBeam = DARK, ambient_e: float = 0.0, bits: int | None = None
 ) -> NDArray[Any]:
     """Images of a sensor under a steady beam and even light."""
     state = truth.at(bits or truth.bit_depth)
@@ -137,7 +137,7 @@ def test_full_well_and_full_scale_cut(full_well_e: float, mean_e: float) -> None
 def test_every_pixel_of_the_spot_has_its_own_mean_and_variance() -> None:
     """The spot as the tracker sees it: standardised residuals over the whole image are standard normal."""
     truth = SensorTruth(width_px=64, height_px=64)
-    beam = Beam(31.3, 30.8, 5.0, 7.0, 0.5, 170 * 39.2)
+    beam = GaussianBeam(31.3, 30.8, 5.0, 7.0, 0.5, 170 * 39.2)
     state = truth.at(12)
     count = 400
     images = frames(truth, count, beam, bits=12).astype(float)
@@ -185,7 +185,7 @@ def test_hot_pixels_stay_in_place_and_have_shot_noise() -> None:
     assert np.array_equal(part.hot_column, whole.hot_column[inside] - 30)
 
 
-def integrated(beam: Beam, ny: int, nx: int) -> NDArray[np.float64]:
+def integrated(beam: GaussianBeam, ny: int, nx: int) -> NDArray[np.float64]:
     """The beam over pixels by 12 x 12 Gauss nodes each: exact to rounding for these sizes."""
     nodes, weights = np.polynomial.legendre.leggauss(12)
     x = (np.arange(nx)[:, None] + 0.5 * nodes).ravel() - beam.x_px
@@ -202,14 +202,14 @@ def integrated(beam: Beam, ny: int, nx: int) -> NDArray[np.float64]:
 def test_light_is_the_integral_over_each_pixel(
     rotation_rad: float, sigma_x_px: float, sigma_y_px: float
 ) -> None:
-    beam = Beam(40.37, 29.81, sigma_x_px, sigma_y_px, rotation_rad, 7000.0)
+    beam = GaussianBeam(40.37, 29.81, sigma_x_px, sigma_y_px, rotation_rad, 7000.0)
     light_e = np.zeros((64, 80))
     add_beam(light_e, beam, 0, 64, 0, 80)
     assert light_e == pytest.approx(integrated(beam, 64, 80), abs=max(2e-7 * 7000, 1e-3))
 
 
 def test_light_of_a_very_long_ellipse_is_all_there() -> None:
-    beam = Beam(200.2, 150.7, 45.0, 3.0, 0.6, 7000.0)
+    beam = GaussianBeam(200.2, 150.7, 45.0, 3.0, 0.6, 7000.0)
     light_e = np.zeros((300, 400))
     add_beam(light_e, beam, *beam_box(beam, 300, 400))
     assert light_e == pytest.approx(integrated(beam, 300, 400), abs=1e-3)
@@ -217,12 +217,19 @@ def test_light_of_a_very_long_ellipse_is_all_there() -> None:
 
 
 def test_box_leaves_out_less_than_a_thousandth_of_an_electron_a_pixel() -> None:
-    for beam in (Beam(40.4, 29.8, 3.0, 5.0, 0.7, 7000.0), Beam(2.0, 63.0, 6.0, 6.0, 0.0, 9000.0)):
+    for beam in (
+        GaussianBeam(40.4, 29.8, 3.0, 5.0, 0.7, 7000.0),
+        GaussianBeam(2.0, 63.0, 6.0, 6.0, 0.0, 9000.0),
+    ):
         y0, y1, x0, x1 = beam_box(beam, 64, 80)
         outside = integrated(beam, 64, 80)
         outside[y0:y1, x0:x1] = 0.0
         assert outside.max() < 1e-3
-    for beam in (Beam(-100.0, 30.0, 6.0, 6.0, 0.0, 7e3), Beam(math.nan, 1.0, 6.0, 6.0, 0.0, 7e3), DARK):
+    for beam in (
+        GaussianBeam(-100.0, 30.0, 6.0, 6.0, 0.0, 7e3),
+        GaussianBeam(math.nan, 1.0, 6.0, 6.0, 0.0, 7e3),
+        DARK,
+    ):
         assert beam_box(beam, 64, 80) == (0, 0, 0, 0)
 
 

@@ -14,7 +14,7 @@ from processing.spot import SensorModel, SpotTracker
 from rig.align import align_camera
 from rig.align.aligning_screen import half_blocks, histogram_line
 from rig.align.annotated_picture import annotated_picture
-from rig.align.look import Look
+from rig.align.look import AlignmentFrame
 from rig.devices.picture import figures
 from rig.instrument import camera_settings, make_camera
 from rig.presentation import palette
@@ -41,10 +41,12 @@ class Presses(Keys):
         return [key for key in (next(self._keys, "q"),) if key != "."]
 
 
-def look_at(image: np.ndarray, middle_px: tuple[float, float] = (149.5, 199.5)) -> Look:
+def look_at(image: np.ndarray, middle_px: tuple[float, float] = (149.5, 199.5)) -> AlignmentFrame:
     tracker = SpotTracker(SensorModel(gain_e_per_dn=2.4, read_noise_e=7.0, full_scale_dn=FULL_SCALE_DN))
     spot = tracker.track(image)
-    return Look(image, FULL_SCALE_DN, figures(image, FULL_SCALE_DN), spot, middle_px, CameraSettings())
+    return AlignmentFrame(
+        image, FULL_SCALE_DN, figures(image, FULL_SCALE_DN), spot, middle_px, CameraSettings()
+    )
 
 
 def spot_at(x_px: float, y_px: float, peak_dn: float) -> np.ndarray:

@@ -10,7 +10,7 @@ import pytest
 from processing.envelope import fit_envelope
 from processing.errors import DataError
 from rig.analysis.position_table import read_trajectory
-from rig.analysis.table_fit import Columns, analyse_envelope, analyse_table
+from rig.analysis.table_fit import TableColumns, analyse_envelope, analyse_table
 from tests.rig.command_line import rig
 
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "tables.md"
@@ -34,7 +34,7 @@ def ring_downs(starts_s: list[float], amplitudes: list[float], decrement: float)
 
 def test_decays_after_one_another_are_found_and_each_is_analysed(tmp_path: Path) -> None:
     t, y = ring_downs([1.0, 41.0, 79.5], [10.0, 8.0, 12.0], 0.2)
-    found = analyse_table(write(tmp_path / "three.txt", t, y), None, Columns(unit="mm"))
+    found = analyse_table(write(tmp_path / "three.txt", t, y), None, TableColumns(unit="mm"))
     assert len(found.results.decays) == 3
     for decay, start in zip(found.results.decays, (1.0, 41.0, 79.5), strict=True):
         assert start < decay.began_s < start + 8.0
@@ -48,7 +48,7 @@ def test_a_real_ring_down_that_is_excited_twice(tmp_path: Path, shared_data: Pat
     table = np.genfromtxt(shared_data / "ringdown" / "seismometer-11mm.txt", skip_header=2)[:1050]
     times_s = np.concatenate([table[:, 0], table[:, 0] + 105.0])
     path = write(tmp_path / "twice.txt", times_s, np.tile(table[:, 1], 2))
-    found = analyse_table(path, None, Columns(unit="V")).results
+    found = analyse_table(path, None, TableColumns(unit="V")).results
     assert len(found.decays) == 2
     for decay in found.decays:
         assert decay.log_decrement.value == pytest.approx(0.5, abs=0.08)
@@ -59,7 +59,7 @@ def test_a_real_ring_down_that_is_excited_twice(tmp_path: Path, shared_data: Pat
 
 def test_a_real_pendulum_whose_period_depends_on_the_amplitude(shared_data: Path) -> None:
     path = shared_data / "ringdown" / "camera-tracked-pendulum.txt"
-    (decay,) = analyse_table(path, None, Columns(positions=("2", "3"), unit="rad")).decays
+    (decay,) = analyse_table(path, None, TableColumns(positions=("2", "3"), unit="rad")).decays
     period = decay.summary.period_s
     assert period.changes
     # of a circular pendulum T rises by A^2/16; means of the first and last third
@@ -128,7 +128,7 @@ def test_an_envelope_that_is_no_exponential_says_so(tmp_path: Path) -> None:
     t = np.linspace(0.0, 10.0, 300)
     values = np.exp(-t / 5.0) * (1 + t / 10.0) + 1e-3 * np.random.default_rng(2).standard_normal(300)
     found, results = analyse_envelope(
-        write(tmp_path / "e.txt", t, values), Columns(), decibel=False, frequency_hz=None
+        write(tmp_path / "e.txt", t, values), TableColumns(), decibel=False, frequency_hz=None
     )
     assert found.u_tau_s > 0.2 * abs(found.last_s - found.first_s) > 0
     assert "not one exponential" in results.warnings[0]

@@ -16,7 +16,7 @@ from acquisition.simulation.weights import TrimWeight
 from processing.angle import ARCSEC_RAD
 from processing.balance import BalanceEstimator, BalanceLimits, Turn, Unreachable
 from processing.deflections import Deflections, DeflectionUnit
-from rig.balance.learned_turns import LearnedTurns, Look
+from rig.balance.learned_turns import BalanceMeasurement, LearnedTurns
 from rig.balance.simulated_operator import SimulatedOperator
 from rig.instrument import complete
 from rig.settings import Configuration
@@ -105,7 +105,7 @@ def out_of_reach(start: Start) -> bool:
     return bool(np.abs(rest + ways).max(axis=1).min() > LIMITS.rest_arcsec)
 
 
-def modelled_look(truth: SimulationSettings, seed: int) -> Look:
+def modelled_look(truth: SimulationSettings, seed: int) -> BalanceMeasurement:
     """What 13.5 s of the spot tell, as far as it is on the sensor."""
     path = noisy(true_path(truth, 13.5, _FRAMES_PER_S), _U_RAD, _U_RAD, seed)
     x, y = path.x_rad.copy(), path.y_rad.copy()
@@ -116,7 +116,7 @@ def modelled_look(truth: SimulationSettings, seed: int) -> Look:
     x[lost] = y[lost] = math.nan
     u = np.full(len(x), _U_RAD)
     found = BalanceEstimator().update(Deflections(path.times_ns, x, y, u, u, DeflectionUnit.RAD))
-    return Look(found[-1] if found else None, float(lost.mean()), (SENSOR_PX, SENSOR_PX))
+    return BalanceMeasurement(found[-1] if found else None, float(lost.mean()), (SENSOR_PX, SENSOR_PX))
 
 
 def true_state(truth: SimulationSettings) -> np.ndarray:

@@ -10,7 +10,7 @@ import pytest
 
 from processing.balance import Balance, Turn
 from rig.balance import history
-from rig.balance.learned_turns import LearnedTurns, Look
+from rig.balance.learned_turns import BalanceMeasurement, LearnedTurns
 from tests.rig.balance.random_starts import follow, modelled_look, random_start
 from tests.rig.command_line import CONFIGS, rig
 
@@ -45,18 +45,20 @@ def test_looks_that_cannot_be_believed_are_rejected_and_the_turn_is_kept(
     tmp_path: Path, sound: Balance
 ) -> None:
     session = LearnedTurns(random_start(1).config, tmp_path / "history.jsonl")
-    assert session.take(Look(sound, 0.0, SHAPE)) == ""
+    assert session.take(BalanceMeasurement(sound, 0.0, SHAPE)) == ""
     session.turned("x", [0.2])
-    assert "30 % of the spots were lost" in session.take(Look(sound, 0.3, SHAPE))
-    assert "no swing was seen" in session.take(Look(None, 0.0, SHAPE))
+    assert "30 % of the spots were lost" in session.take(BalanceMeasurement(sound, 0.3, SHAPE))
+    assert "no swing was seen" in session.take(BalanceMeasurement(None, 0.0, SHAPE))
     # half the period: a harmonic was taken for the swing
-    assert "cannot be" in session.take(Look(replace(sound, period_s=0.5 * sound.period_s), 0.0, SHAPE))
-    assert "not on the sensor" in session.take(Look(replace(sound, rest_y=2e-3), 0.0, SHAPE))
+    assert "cannot be" in session.take(
+        BalanceMeasurement(replace(sound, period_s=0.5 * sound.period_s), 0.0, SHAPE)
+    )
+    assert "not on the sensor" in session.take(BalanceMeasurement(replace(sound, rest_y=2e-3), 0.0, SHAPE))
     back = session.way_back()
     assert back is not None
     assert (back.weight, back.turns) == ("x", -0.1)
     assert not history.read(tmp_path / "history.jsonl")
-    assert session.take(Look(replace(sound, rest_x=sound.rest_x + 5e-5), 0.0, SHAPE)) == ""
+    assert session.take(BalanceMeasurement(replace(sound, rest_x=sound.rest_x + 5e-5), 0.0, SHAPE)) == ""
     (pair,) = history.read(tmp_path / "history.jsonl")
     assert (pair.weight, pair.parts) == ("x", (0.2,))
 
@@ -65,9 +67,9 @@ def test_a_change_that_the_turn_cannot_have_made_is_not_learned(
     tmp_path: Path, sound: Balance, capsys: pytest.CaptureFixture[str]
 ) -> None:
     session = LearnedTurns(random_start(1).config, tmp_path / "history.jsonl")
-    session.take(Look(sound, 0.0, SHAPE))
+    session.take(BalanceMeasurement(sound, 0.0, SHAPE))
     session.turned("height", [0.05])
-    session.take(Look(replace(sound, rest_x=sound.rest_x - 4e-4), 0.0, SHAPE))
+    session.take(BalanceMeasurement(replace(sound, rest_x=sound.rest_x - 4e-4), 0.0, SHAPE))
     assert "nothing is learned from this turn" in capsys.readouterr().err
     assert session.responses.pairs["height"] == 0
     assert not history.read(tmp_path / "history.jsonl")
@@ -108,7 +110,7 @@ def test_the_history_is_shown_and_its_last_turn_forgotten(tmp_path: Path) -> Non
 def test_no_turn_is_larger_than_a_weak_weight_needs(tmp_path: Path, sound: Balance) -> None:
     config = random_start(1).config
     session = LearnedTurns(config, tmp_path / "history.jsonl")
-    session.take(Look(sound, 0.0, SHAPE))
+    session.take(BalanceMeasurement(sound, 0.0, SHAPE))
     turn = session.advice()
     assert isinstance(turn, Turn)
     # 84 arcsec a turn by the drawing; a third of it, and the play of the screw

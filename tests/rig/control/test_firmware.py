@@ -8,8 +8,8 @@ import pytest
 import serial
 
 from processing.errors import DeviceError
-from rig.control.controller import Controller, Environment, InterlockOpen, PowerLimit
-from rig.control.link import ControllerReset, Refused, ReplyTimeout
+from rig.control.controller import AirReading, Controller, InterlockOpen, PowerLimit
+from rig.control.link import CommandRefused, ControllerReset, ReplyTimeout
 from rig.control.protocol import checksum, encode
 from rig.control.serial_port import PortLost
 from tests.rig.control.conftest import settings_for
@@ -54,10 +54,10 @@ def test_every_command_reaches_its_output(board: FirmwareBoard) -> None:
     assert status.brake_on
     assert status.interlock_closed
     assert (status.laser_power_w, status.trip) == (0.00025, "NONE")
-    assert controller.environment() == Environment(20.125, 45.5, 101325.0)
+    assert controller.environment() == AirReading(20.125, 45.5, 101325.0)
     controller.release()
     assert board.outputs()["magnet"] == [0]
-    with pytest.raises(Refused, match="holds nothing"):
+    with pytest.raises(CommandRefused, match="holds nothing"):
         controller.release()
     controller.laser_off()
     assert board.outputs()["laser"][0] == 0
@@ -77,7 +77,7 @@ def test_pulse_ends_by_itself_and_brake_has_a_longest_time(board: FirmwareBoard)
     with pytest.raises(DeviceError, match="starter_max_s"):
         controller.starter_pulse(60.0)
     controller.starter_pulse(5.0)
-    with pytest.raises(Refused, match="pulse is running"):
+    with pytest.raises(CommandRefused, match="pulse is running"):
         controller.starter_pulse(0.5)
     controller.close()
 
@@ -88,11 +88,11 @@ def test_pulses_are_set_in_the_dark_and_forgotten_with_the_session(board: Firmwa
     controller.set_laser_pulse(4800.0, 20.5)
     assert board.outputs()["pulse"] == [4800, 20.5]
     for delay_us, width_us in ((0.0, 0.9), (-1.0, 20.0), (0.0, 1.1e6), (math.nan, 20.0), (0.0, math.nan)):
-        with pytest.raises(Refused, match="out of range"):
+        with pytest.raises(CommandRefused, match="out of range"):
             controller.set_laser_pulse(delay_us, width_us)
     controller.set_laser_power_w(0.0005)
     controller.laser_on()
-    with pytest.raises(Refused, match="the laser is on"):
+    with pytest.raises(CommandRefused, match="the laser is on"):
         controller.set_laser_pulse(0.0, 20.0)
     assert board.outputs()["pulse"] == [4800, 20.5]
     controller.close()
@@ -276,7 +276,7 @@ def test_a_late_reply_is_not_taken_for_a_fresh_one(make_board: Callable[..., Fir
         controller.set_laser_power_w(0.0007)
     wire.to_host = lambda data: data
     wire.inject(b"".join(held))
-    assert controller.environment() == Environment(20.125, 45.5, 101325.0)
+    assert controller.environment() == AirReading(20.125, 45.5, 101325.0)
     assert controller.line_counts()[1] == 1
     controller.close()
 

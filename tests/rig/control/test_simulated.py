@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from processing.errors import DeviceError
-from rig.control.controller import Environment, InterlockOpen, PowerLimit
+from rig.control.controller import AirReading, InterlockOpen, PowerLimit
 from rig.control.environment import EnvironmentService, parse_environment
 from rig.control.firmware.bme280 import Bme280, Calibration, compensate
 from rig.control.firmware.core import Firmware
@@ -70,7 +70,7 @@ def test_simulated_rig_is_driven_through_the_real_protocol() -> None:
         assert ended - began >= 0.095
         with pytest.raises(PowerLimit):
             service.set_laser_power_w(0.0011).result(5.0)
-        until(lambda: service.snapshot.environment == Environment(20.0, 45.0, 101325.0))
+        until(lambda: service.snapshot.environment == AirReading(20.0, 45.0, 101325.0))
         rig.closed = False
         until(lambda: rig.last("laser") == 0.0)
         with pytest.raises(InterlockOpen):
@@ -137,7 +137,7 @@ def test_sensor_that_writes_lines(sensor: tuple[int, str]) -> None:
         os.write(master, b"T=21.5 H=40.25 P=1013.")
         time.sleep(0.05)
         os.write(master, b"25\r\n")
-        until(lambda: service.latest.environment == Environment(21.5, 40.25, 101325.0))
+        until(lambda: service.latest.environment == AirReading(21.5, 40.25, 101325.0))
         os.write(master, b"T=22.0 P=1000\n")
         until(lambda: service.latest.environment.temperature_c == 22.0)
         assert math.isnan(service.latest.environment.humidity_percent)

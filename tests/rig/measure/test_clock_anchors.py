@@ -1,7 +1,7 @@
 """UTC is anchored again and again; a step of the clock of the day is an event."""
 
 from acquisition.record.events import EventKind
-from rig.measure.clock_anchors import ClockAnchors, Reading, read_clocks
+from rig.measure.clock_anchors import ClockAnchors, HostClockReading, read_clocks
 
 
 class Clocks:
@@ -11,8 +11,8 @@ class Clocks:
         self.host_ns = 5_000_000_000
         self.utc_ns = 1_790_000_000_000_000_000
 
-    def __call__(self) -> Reading:
-        return Reading(self.host_ns, self.utc_ns, 400)
+    def __call__(self) -> HostClockReading:
+        return HostClockReading(self.host_ns, self.utc_ns, 400)
 
     def pass_s(self, host: float, day: float | None = None) -> None:
         self.host_ns += round(host * 1e9)

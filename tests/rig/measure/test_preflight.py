@@ -15,7 +15,7 @@ from processing.angle import ARCSEC_RAD
 from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import Spot, SpotFlag
 from rig.control import ControlState, DevicesNow, LaserNow, Light
-from rig.measure.preflight import Look, device_checks, frame_checks
+from rig.measure.preflight import TrialFrames, device_checks, frame_checks
 from rig.presentation import failures
 from rig.presentation.verdict import Verdict
 from rig.presentation.verdict_table import print_verdicts
@@ -48,11 +48,11 @@ def assert_no(verdict: Verdict) -> None:
     assert verdict.remedy
 
 
-def look(x: float, y: float, unit: DeflectionUnit) -> Look:
+def look(x: float, y: float, unit: DeflectionUnit) -> TrialFrames:
     """A hundred frames in which the spot stands still."""
     ones = np.ones(100)
     deflections = Deflections(np.arange(100) * 10_000_000, x * ones, y * ones, ones, ones, unit)
-    return Look(frames(100), spots(100), deflections, True)
+    return TrialFrames(frames(100), spots(100), deflections, True)
 
 
 def test_spot_that_is_mostly_there() -> None:
@@ -89,7 +89,7 @@ def test_a_line_of_vibration_is_named_with_its_frequency() -> None:
     assert "50.0 Hz (mains" in shaking.measured
 
 
-SWINGING = Look([], [], Deflections(*[np.empty(0)] * 5, DeflectionUnit.RAD), False)
+SWINGING = TrialFrames([], [], Deflections(*[np.empty(0)] * 5, DeflectionUnit.RAD), False)
 
 
 def test_a_swinging_pendulum_has_no_noise_floor_and_that_is_no_fault() -> None:

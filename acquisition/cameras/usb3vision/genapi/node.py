@@ -64,7 +64,7 @@ def parse_number(text: str) -> Number:
         return float(text)
 
 
-class Look:
+class NodeReading:
     """One reading from outside, in which many nodes refer to the same ones: each is determined once.
 
     Without this, a chain of formulas with two references each would be read 2^length times. `asking` are the
@@ -126,7 +126,7 @@ class Nodes(Protocol):
     name: str
     own_values: dict[str, Number]
     own_texts: dict[str, str]
-    look: "Look"
+    look: "NodeReading"
 
     def node(self, name: str) -> "Node":
         """The node with this name; DeviceError if the camera has none."""

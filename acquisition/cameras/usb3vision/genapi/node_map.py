@@ -7,7 +7,7 @@ from typing import Any, Final, Protocol
 from acquisition.cameras.usb3vision.genapi.choice_nodes import Boolean, Command, EnumEntry, Enumeration
 from acquisition.cameras.usb3vision.genapi.description import NodeDescription, parse_description
 from acquisition.cameras.usb3vision.genapi.formula_nodes import Converter, SwissKnife
-from acquisition.cameras.usb3vision.genapi.node import Access, Look, Node
+from acquisition.cameras.usb3vision.genapi.node import Access, Node, NodeReading
 from acquisition.cameras.usb3vision.genapi.operators import Number
 from acquisition.cameras.usb3vision.genapi.register_nodes import (
     FloatReg,
@@ -79,7 +79,7 @@ class NodeMap:
         self.name = name
         self.own_values: dict[str, Number] = {}
         self.own_texts: dict[str, str] = {}
-        self.look = Look()
+        self.look = NodeReading()
         self._descriptions = parse_description(xml, name)
         self._port = port
         self._clock = clock
