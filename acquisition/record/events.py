@@ -1,5 +1,6 @@
 """Events of a measurement, such as the start or the loss of frames, and the list of their kinds."""
 
+from collections.abc import Sequence
 from enum import StrEnum
 from typing import Final, Literal, NamedTuple
 
@@ -11,6 +12,8 @@ class EventKind(StrEnum):
     """The first frame of the record."""
     STOP = "stop"
     """The last frame, with the reason of the end."""
+    REJECTED = "rejected"
+    """The last frame of a run whose start was not accepted, with the reason."""
     GAP = "gap"
     """Frames are missing."""
     SPOT_LOST = "spot lost"
@@ -93,3 +96,20 @@ class Event(NamedTuple):
     def line(self) -> str:
         """The event as one line, `kind: text`."""
         return f"{self.kind}: {self.text}"
+
+
+_NOT_ACCEPTED: Final = "start not accepted: "
+
+
+def end_of(events: Sequence[Event]) -> Event | None:
+    """The end of a run, of kind STOP or REJECTED; None where the record was cut short.
+
+    Earlier versions recorded a start that was not accepted as a STOP, and said so in its text alone: that is
+    read here and nowhere else.
+    """
+    ends = [event for event in events if event.kind in (EventKind.STOP, EventKind.REJECTED)]
+    if not ends:
+        return None
+    if ends[-1].text.startswith(_NOT_ACCEPTED):
+        return ends[-1]._replace(kind=EventKind.REJECTED)
+    return ends[-1]

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from acquisition.record.events import EventKind
+from acquisition.record.events import end_of
 from acquisition.record.identity import measured_sha256_of
 from acquisition.record.reader import RecordReader
 from acquisition.record.recorded_camera import RecordedCamera
@@ -108,7 +108,7 @@ def analyse_run(
     began, ended = reader.utc(deflections.first_ns), reader.utc(deflections.last_ns)
     calibration, doubts = judge_calibration(config, reader.attachments, began, ended)
     warnings = [*run.results.warnings, *doubts, *reader.doubts(), *doubts_of(surroundings)]
-    stops = [event.text for event in reader.events() if event.kind == EventKind.STOP]
+    end = end_of(reader.events())
     results = replace(
         run.results,
         frames=deflections.frames,
@@ -118,7 +118,7 @@ def analyse_run(
         warnings=tuple(warnings),
         calibration=calibration,
         inputs_sha256=inputs_sha256(reader),
-        ended=stops[-1] if stops else None,
+        ended=None if end is None else end.text,
         surroundings=surroundings,
     )
     return replace(run, results=results, lost_spots=deflections.lost_spots)

@@ -4,6 +4,7 @@ import json
 import subprocess
 import threading
 from collections.abc import Mapping
+from enum import StrEnum
 from pathlib import Path
 
 from processing.errors import ConfigurationError, RigError
@@ -17,6 +18,14 @@ from rig.measure import session_folder
 from rig.settings import Configuration, load_configuration
 
 _ENDS_WITHIN_S = 5.0
+
+
+class Started(StrEnum):
+    """How a session stands that the desk has started."""
+
+    RUNNING = "running"
+    DONE = "done"
+    FAILED = "failed"
 
 
 class Desk:
@@ -117,7 +126,7 @@ class Desk:
 
     def needs_camera(self, who: str) -> None:
         """Give the camera free; raises ConfigurationError if a session or a command has it."""
-        if self.following.running or self.session_state == "running":
+        if self.following.running or self.session_state is Started.RUNNING:
             raise ConfigurationError(f"rig {who} needs the camera, which a session has; wait, or stop it")
         for name, job in self.jobs.items():
             # what has told its result, or was asked to end, is about to end
@@ -149,12 +158,12 @@ class Desk:
         return self.following.order("acknowledge") if self.aligner is None else self.aligner.acknowledge()
 
     @property
-    def session_state(self) -> str:
-        """Of the session that this desk has started: running, done, failed; empty if none was."""
+    def session_state(self) -> Started | None:
+        """Of the session that this desk has started; None if none was."""
         if self._session is None:
-            return ""
+            return None
         status = self._session[0].poll()
-        return "running" if status is None else "done" if status == 0 else "failed"
+        return Started.RUNNING if status is None else Started.DONE if status == 0 else Started.FAILED
 
     @property
     def session_folder(self) -> Path | None:

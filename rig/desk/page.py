@@ -6,7 +6,7 @@ from functools import partial
 from nicegui import ui
 from nicegui.events import KeyEventArguments
 
-from rig.desk.desk import Desk
+from rig.desk.desk import Desk, Started
 from rig.desk.following import doing
 from rig.desk.panels import PANELS
 from rig.desk.tab import Tab
@@ -106,7 +106,7 @@ def _state(desk: Desk) -> str:
     if following.folder is not None:
         phase = doing(following.news.get("state"))
         return f"{following.folder.name} · {following.news.get('run') or 'session'} · {phase or 'preparing'}"
-    if desk.session_state == "running":
+    if desk.session_state is Started.RUNNING:
         return "a session begins, or is fitted"
     if desk.session_state:
         return f"last session {desk.session_state}: {desk.session_folder and desk.session_folder.name}"

@@ -7,20 +7,21 @@ from pathlib import Path
 
 from processing.errors import ConfigurationError, RigError
 from rig.desk.jobs import Job
-from rig.measure import SessionState, read_session
+from rig.measure import RunState, SessionState, read_session
 
 SERVED = "/sessions"
 """Where the server has the files of the sessions' folder."""
 _SHOWN = frozenset({".html", ".svg", ".png", ".csv", ".json"})
 _MOST = 500
 _IN_RERUN = ("view", "replay")
-INTERRUPTED = "interrupted"
-"""State of a session that was killed: its missing runs can be made."""
 
 
 @dataclass(frozen=True, slots=True)
 class SessionRow:
-    """A session: its folder, when it began, what of, how many runs are complete, what is the matter."""
+    """A session: its folder, when it began, what of, how many runs are complete, what is the matter.
+
+    `resumable` is True for one that was killed: its missing runs can be made.
+    """
 
     folder: Path
     begun: str
@@ -28,6 +29,7 @@ class SessionRow:
     runs: str
     state: str
     report: Path | None
+    resumable: bool = False
 
 
 def list_sessions(output: Path, running: Path | None) -> list[SessionRow]:
@@ -47,25 +49,28 @@ def _row(folder: Path, running: Path | None) -> SessionRow:
     made = len(session.complete)
     stated = session.configuration.get("session", {})
     runs_now = running is not None and running.resolve() == folder.resolve()
-    state = "running" if runs_now else state_of(session)
+    ended = state_of(session)
+    state = "running" if runs_now else "no run made" if ended is None else ended.value
+    resumable = ended is RunState.INTERRUPTED and not runs_now
     sample = str(stated.get("sample", ""))
     runs = f"{made} of {session.runs_wanted}"
-    return SessionRow(folder, begun.replace("T", " ").partition("+")[0], sample, runs, state, report)
+    when = begun.replace("T", " ").partition("+")[0]
+    return SessionRow(folder, when, sample, runs, state, report, resumable)
 
 
-def state_of(session: SessionState) -> str:
-    """How a session that does not run has ended: complete, stopped, failed, interrupted, no run made.
+def state_of(session: SessionState) -> RunState | None:
+    """How a session that does not run has ended: complete, stopped, failed, interrupted; None without a run.
 
     One that was killed is interrupted: a run of it is still noted as being recorded, or its next run did not
     begin.
     """
     if len(session.complete) >= session.runs_wanted:
-        return "complete"
+        return RunState.COMPLETE
     if not session.entries:
-        return "no run made"
+        return None
     states = [entry.state for entry in session.entries]
-    ended = "recording" not in states and states[-1] in ("stopped", "failed")
-    return states[-1] if ended else INTERRUPTED
+    ended = RunState.RECORDING not in states and states[-1] in (RunState.STOPPED, RunState.FAILED)
+    return states[-1] if ended else RunState.INTERRUPTED
 
 
 def served_file(output: Path, name: str) -> Path | None:

@@ -6,9 +6,10 @@ from rig.measure.plain_record import record_plainly, take_frames
 from rig.measure.preflight_alone import preflight_rig
 from rig.measure.resumption import resume_session
 from rig.measure.session import measure_session, session_folder, simulate_record
-from rig.measure.session_file import SessionState, read_session
+from rig.measure.session_file import RunState, SessionState, read_session
 
 __all__ = [
+    "RunState",
     "SessionState",
     "estimate_texts",
     "measure_plan",

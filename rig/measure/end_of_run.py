@@ -74,12 +74,14 @@ class StopRequest:
     def __bool__(self) -> bool:
         return self._asked.is_set()
 
-    def because(self, reason: str) -> None:
-        """End the run soon."""
-        if not self._asked.is_set():
-            self.reason = reason
-            self._asked.set()
-            self._stream.request_stop()
+    def because(self, reason: str) -> bool:
+        """End the run soon; returns whether this reason is the first."""
+        if self._asked.is_set():
+            return False
+        self.reason = reason
+        self._asked.set()
+        self._stream.request_stop()
+        return True
 
     def failed(self, error: Exception) -> None:
         """End the run because of an error; unexpected errors (not RigError) are logged with traceback."""

@@ -13,7 +13,7 @@ from rig.measure.live_fit import check_stop_when
 from rig.measure.notices import Notices, announced
 from rig.measure.resumption import go_on
 from rig.measure.session import make_session, session_folder
-from rig.measure.session_file import STATE_NAME, SessionFile
+from rig.measure.session_file import STATE_NAME, RunState, SessionFile
 from rig.presentation import failures, say
 from rig.settings import Configuration, PlannedSeries, load_configuration, load_plan
 
@@ -51,7 +51,7 @@ def measure_plan(
         worst = max(worst, told.status)
         with closing(SessionFile.opened(place)) as file:
             last = file.state.entries[-1]
-        if last.state in {"failed", "stopped"} and not waiting.over:
+        if last.state in {RunState.FAILED, RunState.STOPPED} and not waiting.over:
             say(f"series {series.name}: {last.reason}; the plan ends here", error=True)
             return 1
         if series is not plan.series[-1]:
@@ -161,5 +161,5 @@ def _set_bad_aside(folder: Path, most: int) -> int:
             return 0
         bad = [entry for entry in file.state.complete if judged.get(entry.record)][:most]
         for entry in bad:
-            file.note(entry.number, entry.record, "rejected", judged[entry.record])
+            file.note(entry.number, entry.record, RunState.REJECTED, judged[entry.record])
     return len(bad)

@@ -24,8 +24,6 @@ from rig.measure.start_judge import StartJudge
 from rig.measure.step_events import StepEvents
 from rig.posterior import Posterior
 
-NOT_ACCEPTED = "start not accepted"
-"""How the reason of a stop begins if the start was rejected."""
 _BLOCK_FRAMES = 64
 _BLOCK_NS = 2_000_000_000
 """A block is no longer than this, so that with a slow camera a run ends when it should."""
@@ -127,8 +125,10 @@ class Recording:
         swings = pipeline.finish()
         empty = pipeline.measure(np.empty(0, np.int64), [])
         empty = empty._replace(swings=swings, balances=[*empty.balances, *pipeline.finish_balance()])
-        why = f"{NOT_ACCEPTED}: {rejected}" if rejected else self._stop.reason
-        last = [*self._device_events(counts.last_ns), Event(counts.last_ns, EventKind.STOP, why)]
+        end_event = Event(counts.last_ns, EventKind.STOP, self._stop.reason)
+        if rejected:
+            end_event = Event(counts.last_ns, EventKind.REJECTED, f"start not accepted: {rejected}")
+        last = [*self._device_events(counts.last_ns), end_event]
         features = {}
         if parts.camera is not None and temperature is not None:
             temperature.close()

@@ -3,14 +3,13 @@
 from contextlib import closing, suppress
 from pathlib import Path
 
-from acquisition.record.events import EventKind
+from acquisition.record.events import EventKind, end_of
 from acquisition.record.reader import RecordReader
 from acquisition.record.recover import recover
 from processing.errors import RecordError
 from rig.analysis import read_results, results_path
 from rig.devices import Devices
 from rig.measure.notices import Notices, announced
-from rig.measure.recording import NOT_ACCEPTED
 from rig.measure.session import Patience, make_runs, no_patience, report
 from rig.measure.session_file import STATE_NAME, RunEntry, RunState, SessionFile
 from rig.presentation import say
@@ -45,7 +44,7 @@ def go_on(
     """Make what is missing of a session, as `resume_session` says; `patience` as in `make_session`."""
     folder = file.folder
     for entry in file.state.entries:
-        if entry.state == "recording":
+        if entry.state is RunState.RECORDING:
             _close_interrupted(file, entry)
     for record in (folder / entry.record for entry in file.state.complete):
         if record.exists():
@@ -88,11 +87,11 @@ def _close_interrupted(file: SessionFile, entry: RunEntry) -> None:
     record = file.folder / entry.record
     if record.exists():
         with suppress(RecordError), RecordReader(record) as reader:
-            stops = [event.text for event in reader.events() if event.kind == EventKind.STOP]
-            if stops and not reader.truncated:
-                state: RunState = "rejected" if stops[-1].startswith(NOT_ACCEPTED) else "complete"
-                file.note(entry.number, entry.record, state, stops[-1])
-                say(f"{entry.record} is whole: {stops[-1]}")
+            end = end_of(reader.events())
+            if end is not None and not reader.truncated:
+                state = RunState.REJECTED if end.kind == EventKind.REJECTED else RunState.COMPLETE
+                file.note(entry.number, entry.record, state, end.text)
+                say(f"{entry.record} is whole: {end.text}")
                 return
     whole = record.with_name(f"{record.stem}-recovered{record.suffix}")
     name, reason = "", "the session was interrupted"
@@ -104,4 +103,4 @@ def _close_interrupted(file: SessionFile, entry: RunEntry) -> None:
             say(f"{entry.record} was cut short and stays as it is; {whole.name} is a whole copy")
         except RecordError as error:
             reason = f"{reason}; {error}"
-    file.note(entry.number, entry.record, "interrupted", reason, name)
+    file.note(entry.number, entry.record, RunState.INTERRUPTED, reason, name)

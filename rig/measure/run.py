@@ -51,9 +51,9 @@ class Run:
         """State of the run; may be read from any thread."""
         return self._status.snapshot
 
-    def request_stop(self, reason: str) -> None:
-        """End the run soon; the first reason given is recorded."""
-        self._stop.because(reason)
+    def request_stop(self, reason: str) -> bool:
+        """End the run soon; the first reason given is recorded. Returns whether this is it."""
+        return self._stop.because(reason)
 
     def execute(
         self, show: Callable[[Snapshot], None] = lambda _: None, interval_s: float = 0.1
@@ -69,7 +69,7 @@ class Run:
         self._stream.start_camera()
         threading.Thread(target=self._process, name="processing", daemon=True).start()
         interrupt: KeyboardInterrupt | None = None
-        hangs = ""
+        stopped, hangs = False, ""
         try:
             while not (self._done.is_set() or interrupt or self._stands_still()):
                 try:
@@ -78,13 +78,15 @@ class Run:
                     interrupt = error
                     self._stop.skip_waiting = True
                     self._darken(reason_of(error))
-                    self.request_stop(reason_of(error))
+                    stopped = self.request_stop(reason_of(error))
         finally:
             # also after an interrupt or an error in the loop, so that the record is complete
             self.request_stop("the program has failed")
             hangs = self._end(show)
             sys.setswitchinterval(usual_turn_s)
-        return RunOutcome(self.snapshot, self.snapshot.half_cycles, self._stop.failure, interrupt, hangs)
+        return RunOutcome(
+            self.snapshot, self.snapshot.half_cycles, self._stop.failure, interrupt, stopped, hangs
+        )
 
     def _darken(self, why: str) -> None:
         """Refuse the light from now on, and ask for darkness; nothing here can be blocked."""

@@ -103,12 +103,13 @@ class RunOutcome:
     """How a run ended.
 
     `failure` is the error that ended it, None for a regular end. `interrupt` is the exception raised in
-    the main thread by Ctrl-C or a signal. The record is closed, unless `hangs` says what hung while the run
-    was ended: the record then stays as it is, cut short.
+    the main thread by Ctrl-C or a signal, `stopped` whether the run ended because of it. The record is
+    closed, unless `hangs` says what hung while the run was ended: the record then stays as it is, cut short.
     """
 
     snapshot: Snapshot
     swings: int
     failure: Exception | None
     interrupt: KeyboardInterrupt | None = None
+    stopped: bool = False
     hangs: str = ""

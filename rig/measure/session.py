@@ -22,13 +22,12 @@ from rig.instrument import check_materials, complete
 from rig.measure.live_fit import check_stop_when
 from rig.measure.notices import Notices, announced
 from rig.measure.phases import NoGo
-from rig.measure.recording import NOT_ACCEPTED
 from rig.measure.run_setup import RunPlan, measure_run
 from rig.measure.session_file import RunState, SessionFile
 from rig.measure.session_orders import acknowledge_interlock, devices_now, orders
 from rig.presentation import failures, print_json_line, say
 from rig.settings import Configuration, stored_configuration
-from rig.terminal import Terminated, reason_of
+from rig.terminal import Terminated
 
 Patience = Callable[[str], bool]
 
@@ -136,11 +135,11 @@ def _make_runs(
     while len(records) < file.state.runs_wanted and not (failed or stopped):
         number = file.state.next_number
         record = folder / f"run-{number}.mcap"
-        file.note(number, record.name, "recording")
+        file.note(number, record.name, RunState.RECORDING)
 
         def start_rejected(path: Path, reason: str, number: int = number) -> None:
-            file.note(number, path.name, "rejected", reason)
-            say(f"run {number}: {NOT_ACCEPTED}: {reason}")
+            file.note(number, path.name, RunState.REJECTED, reason)
+            say(f"run {number}: start not accepted: {reason}")
 
         plan = RunPlan(
             _numbered(config, number),
@@ -157,7 +156,7 @@ def _make_runs(
             acknowledge_interlock(devices, telling)
             outcome = measure_run(plan, devices)
         except (RigError, OSError) as error:
-            file.note(number, record.name, "failed", str(error))
+            file.note(number, record.name, RunState.FAILED, str(error))
             if not records:
                 raise
             say(f"run {number} failed: {error}", error=True)
@@ -176,11 +175,11 @@ def _make_runs(
                 continue
         reason = outcome.snapshot.reason
         interrupt = outcome.interrupt
-        stopped = interrupt is not None and reason == reason_of(interrupt)
-        state: RunState = "failed" if outcome.failure is not None else "stopped" if stopped else "complete"
-        if stopped and not record.exists():
-            # the user has ended it before it began
-            state = "stopped"
+        stopped = outcome.stopped
+        state = RunState.FAILED if outcome.failure is not None else RunState.COMPLETE
+        # also where the user has ended it before it began
+        if stopped and (outcome.failure is None or not record.exists()):
+            state = RunState.STOPPED
         file.note(number, record.name, state, str(outcome.failure or reason))
         if outcome.failure is not None:
             failed = True

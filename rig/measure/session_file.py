@@ -3,8 +3,9 @@
 import datetime
 import json
 import os
+from enum import StrEnum
 from pathlib import Path
-from typing import IO, Any, Literal, Self
+from typing import IO, Any, Self
 
 from pydantic import BaseModel, ValidationError
 
@@ -19,7 +20,20 @@ except ImportError:  # pragma: no cover
 
 STATE_NAME = "session.json"
 _SCHEMA = 1
-RunState = Literal["recording", "complete", "stopped", "rejected", "failed", "interrupted"]
+
+
+class RunState(StrEnum):
+    """How a run or an attempt stands."""
+
+    RECORDING = "recording"
+    COMPLETE = "complete"
+    STOPPED = "stopped"
+    """By a person, or because the program had to end."""
+    REJECTED = "rejected"
+    """Its start was not accepted, or its conditions were not met."""
+    FAILED = "failed"
+    INTERRUPTED = "interrupted"
+    """The program was killed."""
 
 
 class RunEntry(BaseModel, frozen=True, extra="forbid"):
@@ -46,7 +60,7 @@ class SessionState(BaseModel, frozen=True, extra="forbid"):
     @property
     def complete(self) -> list[RunEntry]:
         """Complete runs."""
-        return [entry for entry in self.entries if entry.state == "complete"]
+        return [entry for entry in self.entries if entry.state is RunState.COMPLETE]
 
     @property
     def next_number(self) -> int:
@@ -111,7 +125,7 @@ class SessionFile:
         now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
         before = next((entry for entry in self.state.entries if entry.record == record), None)
         begun = before.begun_utc if before is not None else now
-        ended = "" if state == "recording" else now
+        ended = "" if state == RunState.RECORDING else now
         self.save(
             self.state.with_entry(
                 RunEntry(

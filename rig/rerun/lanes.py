@@ -26,6 +26,7 @@ _STATES: Final = {
 _CHANGES: Final[dict[str, dict[str, str]]] = {
     EventKind.START: {"run": "measuring", "spot": "followed", "frames": "arriving"},
     EventKind.STOP: {"run": "ended"},
+    EventKind.REJECTED: {"run": "ended"},
     EventKind.SPOT_LOST: {"spot": "lost"},
     EventKind.SPOT_FOUND: {"spot": "followed"},
     EventKind.CAMERA_SILENT: {"frames": "silent"},

@@ -8,7 +8,7 @@ from nicegui import run, ui
 
 from processing.errors import ConfigurationError
 from rig.desk.desk import Desk
-from rig.desk.sessions import INTERRUPTED, SERVED, SessionRow, list_sessions
+from rig.desk.sessions import SERVED, SessionRow, list_sessions
 from rig.desk.tab import Tab
 from rig.wizards import next_free
 
@@ -58,10 +58,10 @@ def build(desk: Desk, tab: Tab) -> None:
 
     async def resume() -> None:
         (folder,) = chosen()
-        state = rows[str(folder)].state
-        if state != INTERRUPTED:
+        row = rows[str(folder)]
+        if not row.resumable:
             raise ConfigurationError(
-                f"{folder}: is {state}; only what was interrupted goes on here, see rig run --resume"
+                f"{folder}: is {row.state}; only what was interrupted goes on here, see rig run --resume"
             )
         await run.io_bound(desk.resume_session, folder)
         ui.notify(f"{folder} goes on; see Measure")

@@ -13,7 +13,7 @@ pytest.importorskip("nicegui", reason="rig desk is not installed: pip install '.
 
 from calibration import read_calibration
 from rig.desk.sessions import list_sessions, served_file
-from rig.measure.session_file import SessionFile
+from rig.measure.session_file import RunState, SessionFile
 from rig.settings import load_configuration
 from tests.rig.desk.desk_page import Page, desk_page
 from tests.rig.view.headless_browser import HeadlessBrowser
@@ -52,7 +52,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     broken = place / "runs" / "broken"
     broken.mkdir()
     killed = SessionFile.made(broken, place / "rig.toml", 1, config)
-    killed.note(1, "run-1.mcap", "recording")
+    killed.note(1, "run-1.mcap", RunState.RECORDING)
     killed.close()
     return place
 

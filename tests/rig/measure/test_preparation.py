@@ -105,6 +105,7 @@ def test_starts_that_are_not_accepted_are_kept_apart(tmp_path: Path) -> None:
     assert "first amplitude 8" in done.stderr
     assert "no start of 1 was accepted" in done.stderr
     aside = tmp_path / "out" / "run-1-start-1.mcap"
+    assert events_of(aside)[-1][0] == "rejected"
     assert events_of(aside)[-1][1].startswith("start not accepted: first amplitude 8")
     assert not (tmp_path / "out" / "run-1.mcap").exists()
     assert [entry["state"] for entry in state_of(tmp_path / "out")["entries"]] == ["rejected", "failed"]

@@ -7,7 +7,7 @@ import pytest
 
 from acquisition.record.reader import RecordReader
 from processing.errors import ConfigurationError
-from rig.measure.session_file import SessionFile
+from rig.measure.session_file import RunState, SessionFile
 from tests.rig.command_line import CONFIGS, SMALL, rig, set_words
 
 
@@ -22,7 +22,7 @@ def test_no_file_elsewhere_is_reached_through_a_symbolic_link(tmp_path: Path) ->
     file = SessionFile.made(folder, CONFIGS / "demo.toml", 1, {})
     (folder / "session.json").unlink()
     (folder / "session.json").symlink_to(elsewhere)
-    file.note(1, "run-1.mcap", "recording")
+    file.note(1, "run-1.mcap", RunState.RECORDING)
     file.close()
     assert elsewhere.read_text() == "precious"
     assert not (folder / "session.json").is_symlink()
