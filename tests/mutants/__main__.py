@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tests.mutants.mutations import Mutation, mutations
-from tests.mutants.nearest import ORDER, nearest_first, room_of_tests
+from tests.mutants.nearest import ORDER, nearest_first
 
 TREE = Path(__file__).resolve().parents[2]
 ROOMS = ("processing", "acquisition/record", "rig/measure", "rig/analysis", "rig/control")
@@ -120,36 +120,43 @@ def run_tests(
 
 
 class Judge:
-    """The tests of each room, tried once on the tree as it is: which of them pass, and how long they take."""
+    """Runs the tests of a mutation's room; a test that fails without any mutation, too, is left out and said."""
 
-    def __init__(self, copies: Copies, marks: Sequence[str]) -> None:
+    def __init__(self, copies: Copies, marks: Sequence[str], limit_s: float) -> None:
         self._copies = copies
         self._marks = marks
-        self._known: dict[tuple[Path, str], tuple[float, list[str]]] = {}
-
-    def _usual(self, room: Path, marks: str) -> tuple[float, list[str]]:
-        """Limit of time, and arguments that leave out what fails without any mutation."""
-        if (room, marks) not in self._known:
-            began_s = time.monotonic()
-            _, failed = run_tests(self._copies.whole, [room], marks, 3600.0)
-            for line in failed:
-                print(f"left out, since without a mutation: {line}", flush=True)
-            took_s = time.monotonic() - began_s
-            print(f"{room} ({marks.partition(' and')[0]}): {took_s:.0f} s", flush=True)
-            names = [line.split(" - ")[0].split(" ", 1)[1] for line in failed]
-            self._known[room, marks] = 60.0 + 3 * took_s, [f"--deselect={name}" for name in names]
-        return self._known[room, marks]
+        self._limit_s = limit_s
+        self._passing: set[str] = set()
+        self._left_out: list[str] = []
 
     def outcome(self, module: Path, mutation: Mutation) -> Outcome:
         """Whether the tests notice it."""
-        usual = [self._usual(room_of_tests(module), marks) for marks in self._marks]
         files, began_s = nearest_first(module, mutation.within), time.monotonic()
         tree = self._copies.mutated(module, mutation.applied(module.read_bytes()))
-        for marks, (limit_s, left_out) in zip(self._marks, usual, strict=True):
-            status, failed = run_tests(tree, files, marks, limit_s, "-x", *left_out)
-            if status not in (0, NO_TESTS):
-                return Outcome((failed or ["the tests do not begin"])[0], time.monotonic() - began_s)
-        return Outcome("", time.monotonic() - began_s)
+        caught_by = ""
+        for marks in self._marks:
+            while not caught_by:
+                left_out = [f"--deselect={test}" for test in self._left_out]
+                status, failed = run_tests(tree, files, marks, self._limit_s, "-x", *left_out)
+                if status in (0, NO_TESTS):
+                    break
+                if status is None or not failed:
+                    caught_by = "no end" if status is None else "the tests do not begin"
+                elif self._passes(failed[0]):
+                    caught_by = failed[0]
+        return Outcome(caught_by, time.monotonic() - began_s)
+
+    def _passes(self, said: str) -> bool:
+        """Whether the test that failed passes without the mutation."""
+        test = said.split(" - ")[0].split(" ", 1)[1]
+        if test not in self._passing:
+            status, _ = run_tests(self._copies.whole, [], "", self._limit_s, test)
+            if status != 0:
+                print(f"left out, since it fails without a mutation: {test}", flush=True)
+                self._left_out.append(test)
+                return False
+            self._passing.add(test)
+        return True
 
 
 def difference(module: Path, mutation: Mutation) -> str:
@@ -179,11 +186,12 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=random.SystemRandom().randrange(10**6))
     parser.add_argument("-n", "--count", type=int, default=20)
     parser.add_argument("--quick", action="store_true", help="without the tests that wait for the real world")
+    parser.add_argument("--limit-s", type=float, default=900.0, help="for the tests of one mutation")
     parser.add_argument("--list", action="store_true", help="only print the mutations")
     options = parser.parse_args()
     os.chdir(TREE)
     sample = chosen(options.paths, options.count, options.seed)
-    judge = None if options.list else Judge(Copies(WORK), MARKS[: 1 if options.quick else 2])
+    judge = None if options.list else Judge(Copies(WORK), MARKS[: 1 if options.quick else 2], options.limit_s)
     survivors = []
     for number, (module, mutation) in enumerate(sample, 1):
         line = module.read_bytes()[: mutation.start].count(b"\n") + 1

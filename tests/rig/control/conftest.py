@@ -3,6 +3,7 @@
 import shutil
 import subprocess
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -35,20 +36,27 @@ def micropython(request: pytest.FixtureRequest) -> Path:
     return package
 
 
-@pytest.fixture
-def make_board(micropython: Path, tmp_path: Path) -> Iterator[Callable[..., FirmwareBoard]]:
-    """Starts boards and ends them with the test."""
+@contextmanager
+def micropython_boards(package: Path, folder: Path) -> Iterator[Callable[..., FirmwareBoard]]:
+    """Starts boards and ends them all."""
     boards: list[FirmwareBoard] = []
 
     def make(through_wire: bool = False) -> FirmwareBoard:
-        folder = tmp_path / f"board{len(boards)}"
-        folder.mkdir()
-        boards.append(FirmwareBoard(micropython, folder, through_wire))
+        own = folder / f"board{len(boards)}"
+        own.mkdir()
+        boards.append(FirmwareBoard(package, own, through_wire))
         return boards[-1]
 
     yield make
     for board in boards:
         board.close()
+
+
+@pytest.fixture
+def make_board(micropython: Path, tmp_path: Path) -> Iterator[Callable[..., FirmwareBoard]]:
+    """Starts boards and ends them with the test."""
+    with micropython_boards(micropython, tmp_path) as make:
+        yield make
 
 
 @pytest.fixture

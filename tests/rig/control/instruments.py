@@ -1,6 +1,7 @@
-"""Simulated laser instruments on a pseudo-terminal, written from their manuals, not from the drivers.
+"""Simulated laser instruments, written from their manuals, not from the drivers.
 
-Each keeps the state of a real one: its limit clamps, its interlock forbids, its errors queue.
+Each keeps the state of a real one: its limit clamps, its interlock forbids, its errors queue. It is heard
+within this process, or, by its `port`, on a pseudo-terminal.
 """
 
 import contextlib
@@ -10,6 +11,7 @@ import select
 import threading
 import time
 import tty
+from functools import cached_property
 
 
 class Instrument:
@@ -26,12 +28,7 @@ class Instrument:
         self.silent = False
         self.stuck_on = False
         self.deaf_to_off = 0
-        self._master, self._slave = pty.openpty()
-        tty.setraw(self._slave)
-        self.port = os.ttyname(self._slave)
-        self._wake_out, self._wake_in = os.pipe()
-        self._thread = threading.Thread(target=self._serve, daemon=True)
-        self._thread.start()
+        self._heard = b""
 
     def answer(self, command: str) -> str | None:
         raise NotImplementedError
@@ -44,6 +41,48 @@ class Instrument:
         if self.on:
             self.highest_lit = max(self.highest_lit, self.set_value)
 
+    def hear(self, data: bytes) -> bytes:
+        """Do the commands that these bytes complete; the answers."""
+        self._heard += data
+        replies = b""
+        while self.terminator in self._heard:
+            line, self._heard = self._heard.split(self.terminator, 1)
+            command = line.decode("ascii").strip()
+            self.received.append(command)
+            if self.deaf_to_off and command.upper().endswith(("OFF", "L0")):
+                self.deaf_to_off -= 1
+                continue
+            reply = self.answer(command)
+            if reply is not None and not self.silent:
+                replies += reply.encode("ascii")
+        return replies
+
+    @cached_property
+    def _terminal(self) -> "_Terminal":
+        return _Terminal(self)
+
+    @property
+    def port(self) -> str:
+        """A pseudo-terminal, at which it is heard from now on."""
+        return self._terminal.port
+
+    def close(self) -> None:
+        if "_terminal" in self.__dict__:
+            self._terminal.close()
+
+
+class _Terminal:
+    """A pseudo-terminal with an instrument behind it."""
+
+    def __init__(self, instrument: Instrument) -> None:
+        self._instrument = instrument
+        self._master, self._slave = pty.openpty()
+        tty.setraw(self._slave)
+        self.port = os.ttyname(self._slave)
+        self._wake_out, self._wake_in = os.pipe()
+        self._thread = threading.Thread(target=self._serve, daemon=True)
+        self._thread.start()
+
     def close(self) -> None:
         os.write(self._wake_in, b"x")
         self._thread.join()
@@ -52,22 +91,11 @@ class Instrument:
                 os.close(fd)
 
     def _serve(self) -> None:
-        buffer = b""
         while True:
             ready, _, _ = select.select([self._master, self._wake_out], [], [])
             if self._wake_out in ready:
                 return
-            buffer += os.read(self._master, 1024)
-            while self.terminator in buffer:
-                line, buffer = buffer.split(self.terminator, 1)
-                command = line.decode("ascii").strip()
-                self.received.append(command)
-                if self.deaf_to_off and command.upper().endswith(("OFF", "L0")):
-                    self.deaf_to_off -= 1
-                    continue
-                reply = self.answer(command)
-                if reply is not None and not self.silent:
-                    os.write(self._master, reply.encode("ascii"))
+            os.write(self._master, self._instrument.hear(os.read(self._master, 1024)))
 
 
 class FakeThorlabs(Instrument):

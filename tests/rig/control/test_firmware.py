@@ -1,39 +1,59 @@
-"""The host's controller with the firmware on a real MicroPython interpreter."""
+"""The host's controller with the firmware, on a real MicroPython and, without waiting, on CPython."""
 
 import math
-import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import pytest
-import serial
+from hypothesis import HealthCheck, example, given, settings
+from hypothesis import strategies as st
 
 from processing.errors import DeviceError
+from rig.control import controller as controller_module
 from rig.control.controller import AirReading, Controller, InterlockOpen, PowerLimit
 from rig.control.link import CommandRefused, ControllerReset, ReplyTimeout
 from rig.control.protocol import checksum, encode
 from rig.control.serial_port import PortLost
-from tests.rig.control.conftest import settings_for
+from tests.rig.control.conftest import micropython_boards, settings_for
+from tests.rig.control.stepped import SteppedBoard, stepped_clock
 from tests.rig.control.wires import FirmwareBoard
-
-pytestmark = pytest.mark.realtime
 
 MAX_W = 0.0008
 
+Board = FirmwareBoard | SteppedBoard
 
-def opened(board: FirmwareBoard, **changes: object) -> Controller:
+OF_THE_HOST = pytest.mark.parametrize("make_board", ["stepped"], indirect=True)
+"""What does not depend on the board's interpreter."""
+
+
+@pytest.fixture(params=["stepped", pytest.param("micropython", marks=pytest.mark.realtime)])
+def make_board(
+    request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[Callable[..., Board]]:
+    """Starts boards of either kind and ends them with the test."""
+    if request.param == "micropython":
+        with micropython_boards(request.getfixturevalue("micropython"), tmp_path) as make:
+            yield make
+    else:
+        board = SteppedBoard(stepped_clock(monkeypatch))
+        monkeypatch.setattr(controller_module, "SerialPort", lambda *_, **__: board.open_line())
+        yield lambda through_wire=False: board
+
+
+def opened(board: Board, **changes: object) -> Controller:
     controller = Controller(settings_for(board.port, **changes), MAX_W)
     controller.open()
     return controller
 
 
-def test_identity_and_stored_limit(board: FirmwareBoard) -> None:
+def test_identity_and_stored_limit(board: Board) -> None:
     controller = Controller(settings_for(board.port), MAX_W)
     identity = controller.open()
     assert (identity.serial, identity.firmware, identity.laser_max_w) == ("TEST0001", "1.1", 0.001)
     controller.close()
 
 
-def test_every_command_reaches_its_output(board: FirmwareBoard) -> None:
+def test_every_command_reaches_its_output(board: Board) -> None:
     controller = opened(board, watchdog_s=5.0)
     controller.set_laser_power_w(0.0005)
     assert board.outputs()["laser"] == [0, 0]
@@ -66,7 +86,7 @@ def test_every_command_reaches_its_output(board: FirmwareBoard) -> None:
     assert board.outputs()["clamp"] == [1]
 
 
-def test_pulse_ends_by_itself_and_brake_has_a_longest_time(board: FirmwareBoard) -> None:
+def test_pulse_ends_by_itself_and_brake_has_a_longest_time(board: Board) -> None:
     controller = opened(board, watchdog_s=5.0)
     controller.starter_pulse(0.080)
     controller.brake(True)
@@ -82,7 +102,7 @@ def test_pulse_ends_by_itself_and_brake_has_a_longest_time(board: FirmwareBoard)
     controller.close()
 
 
-def test_pulses_are_set_in_the_dark_and_forgotten_with_the_session(board: FirmwareBoard) -> None:
+def test_pulses_are_set_in_the_dark_and_forgotten_with_the_session(board: Board) -> None:
     controller = opened(board, watchdog_s=5.0)
     assert board.outputs()["pulse"] == [0, 0]
     controller.set_laser_pulse(4800.0, 20.5)
@@ -100,7 +120,7 @@ def test_pulses_are_set_in_the_dark_and_forgotten_with_the_session(board: Firmwa
     assert board.outputs()["pulse"] == [0, 0]
 
 
-def test_interlock_is_read_before_enabling_and_trips_while_lit(board: FirmwareBoard) -> None:
+def test_interlock_is_read_before_enabling_and_trips_while_lit(board: Board) -> None:
     controller = opened(board, watchdog_s=5.0)
     board.press(b"o")
     board.wait_for(lambda: not controller.interlock_closed(), 20.0)
@@ -123,7 +143,7 @@ def test_interlock_is_read_before_enabling_and_trips_while_lit(board: FirmwareBo
     controller.close()
 
 
-def test_environment_sensor_gone_is_nan_not_an_old_value(board: FirmwareBoard) -> None:
+def test_environment_sensor_gone_is_nan_not_an_old_value(board: Board) -> None:
     controller = opened(board, watchdog_s=5.0)
     board.press(b"x")
     board.wait_for(lambda: math.isnan(controller.environment().pressure_pa), 20.0)
@@ -131,7 +151,8 @@ def test_environment_sensor_gone_is_nan_not_an_old_value(board: FirmwareBoard) -
     controller.close()
 
 
-def test_power_above_the_configured_limit_is_not_even_sent(board: FirmwareBoard) -> None:
+@OF_THE_HOST
+def test_power_above_the_configured_limit_is_not_even_sent(board: Board) -> None:
     controller = opened(board)
     for power_w in (MAX_W * 1.000001, -1e-9, math.nan, math.inf):
         with pytest.raises(PowerLimit, match="max_power_w"):
@@ -142,8 +163,8 @@ def test_power_above_the_configured_limit_is_not_even_sent(board: FirmwareBoard)
     controller.close()
 
 
-def test_typed_by_hand_one_may_ask_but_not_act(board: FirmwareBoard) -> None:
-    with serial.Serial(board.port, timeout=10.0) as terminal:
+def test_typed_by_hand_one_may_ask_but_not_act(board: Board) -> None:
+    with board.terminal() as terminal:
         terminal.write(b"*IDN?\r\n")
         assert terminal.readline() == b"OK optical-pendulum-rig,controller,TEST0001,1.1\r\n"
         terminal.write(b"laser:power:limit?\n")
@@ -155,8 +176,8 @@ def test_typed_by_hand_one_may_ask_but_not_act(board: FirmwareBoard) -> None:
     assert board.count("laser", 1) == 0
 
 
-def test_a_repeated_line_is_answered_again_but_done_once(board: FirmwareBoard) -> None:
-    with serial.Serial(board.port, timeout=10.0) as line:
+def test_a_repeated_line_is_answered_again_but_done_once(board: Board) -> None:
+    with board.terminal() as line:
         line.write(encode(1, "SYST:SESS A,5000"))
         line.readline()
         replies = []
@@ -169,16 +190,16 @@ def test_a_repeated_line_is_answered_again_but_done_once(board: FirmwareBoard) -
     assert board.count("starter", 1) == 1
 
 
-def test_no_session_no_action(board: FirmwareBoard) -> None:
-    with serial.Serial(board.port, timeout=10.0) as line:
+def test_no_session_no_action(board: Board) -> None:
+    with board.terminal() as line:
         for tag, command in enumerate(("LAS:STAT ON", "MAGN ON", "STAR:PULS 10", "CLAM ON", "BRAK ON"), 1):
             line.write(encode(tag, command))
             assert b"ERR -203" in line.readline()
     assert not any(board.count(name, 1) for name in ("laser", "magnet", "starter", "clamp", "brake"))
 
 
-def test_errors_beyond_the_queue_are_not_silent(board: FirmwareBoard) -> None:
-    with serial.Serial(board.port, timeout=10.0) as line:
+def test_errors_beyond_the_queue_are_not_silent(board: Board) -> None:
+    with board.terminal() as line:
         for tag in range(1, 31):
             line.write(encode(tag, "NO:SUCH"))
             assert b"ERR -113" in line.readline()
@@ -189,8 +210,8 @@ def test_errors_beyond_the_queue_are_not_silent(board: FirmwareBoard) -> None:
         assert codes == [-113] * 15 + [-350] + [0] * 13
 
 
-def test_endless_line_is_cut_and_the_next_one_read(board: FirmwareBoard) -> None:
-    with serial.Serial(board.port, timeout=10.0) as line:
+def test_endless_line_is_cut_and_the_next_one_read(board: Board) -> None:
+    with board.terminal() as line:
         line.write(b"x" * 5000 + b"\n")
         assert line.readline().startswith(b"!NAK")
         line.write(encode(9, "*IDN?"))
@@ -198,7 +219,7 @@ def test_endless_line_is_cut_and_the_next_one_read(board: FirmwareBoard) -> None
 
 
 def test_reset_in_mid_command_is_noticed_and_nothing_is_done_twice(
-    make_board: Callable[..., FirmwareBoard],
+    make_board: Callable[..., Board],
 ) -> None:
     board = make_board(through_wire=True)
     assert board.wire is not None
@@ -229,9 +250,7 @@ def test_reset_in_mid_command_is_noticed_and_nothing_is_done_twice(
 
 
 @pytest.mark.parametrize("direction", ["to_board", "to_host"])
-def test_junk_half_lines_and_losses_are_survived(
-    make_board: Callable[..., FirmwareBoard], direction: str
-) -> None:
+def test_junk_half_lines_and_losses_are_survived(make_board: Callable[..., Board], direction: str) -> None:
     board = make_board(through_wire=True)
     assert board.wire is not None
     controller = opened(board, watchdog_s=5.0, timeout_s=0.15, retries=10)
@@ -265,7 +284,8 @@ def test_junk_half_lines_and_losses_are_survived(
     controller.close()
 
 
-def test_a_late_reply_is_not_taken_for_a_fresh_one(make_board: Callable[..., FirmwareBoard]) -> None:
+@OF_THE_HOST
+def test_a_late_reply_is_not_taken_for_a_fresh_one(make_board: Callable[..., Board]) -> None:
     board = make_board(through_wire=True)
     assert board.wire is not None
     controller = opened(board, watchdog_s=5.0, timeout_s=2.0, retries=0)
@@ -281,13 +301,14 @@ def test_a_late_reply_is_not_taken_for_a_fresh_one(make_board: Callable[..., Fir
     controller.close()
 
 
-def test_slow_replies_are_waited_for(make_board: Callable[..., FirmwareBoard]) -> None:
+@OF_THE_HOST
+def test_slow_replies_are_waited_for(make_board: Callable[..., Board]) -> None:
     board = make_board(through_wire=True)
     assert board.wire is not None
     controller = opened(board, watchdog_s=5.0, timeout_s=4.0)
 
     def slowly(data: bytes) -> bytes:
-        time.sleep(0.1)
+        board.sleep(0.1)
         return data
 
     board.wire.to_host = slowly
@@ -296,7 +317,7 @@ def test_slow_replies_are_waited_for(make_board: Callable[..., FirmwareBoard]) -
     controller.close()
 
 
-def test_unplugged_is_a_lost_port_on_read_and_on_write(make_board: Callable[..., FirmwareBoard]) -> None:
+def test_unplugged_is_a_lost_port_on_read_and_on_write(make_board: Callable[..., Board]) -> None:
     board = make_board(through_wire=True)
     assert board.wire is not None
     controller = opened(board)
@@ -312,12 +333,13 @@ def test_missing_port_is_named() -> None:
         controller.open()
 
 
+@OF_THE_HOST
 @pytest.mark.parametrize(
     "answer",
     [b"THORLABS,ITC4001,M00123,1.8\r\n", b"Syntax error: illegal command\r", b"$GPGGA,123519,4807\r\n", b""],
 )
 def test_wrong_device_is_not_taken_for_the_controller(
-    make_board: Callable[..., FirmwareBoard], answer: bytes
+    make_board: Callable[..., Board], answer: bytes
 ) -> None:
     board = make_board(through_wire=True)
     assert board.wire is not None
@@ -337,7 +359,8 @@ def test_wrong_device_is_not_taken_for_the_controller(
         assert answer.strip().decode()[:10] in str(raised.value)
 
 
-def test_another_instrument_with_our_framing_is_named(make_board: Callable[..., FirmwareBoard]) -> None:
+@OF_THE_HOST
+def test_another_instrument_with_our_framing_is_named(make_board: Callable[..., Board]) -> None:
     board = make_board(through_wire=True)
     assert board.wire is not None
     wire = board.wire
@@ -354,7 +377,7 @@ def test_another_instrument_with_our_framing_is_named(make_board: Callable[..., 
         controller.open()
 
 
-def test_a_relay_that_does_not_do_what_it_was_told_trips(board: FirmwareBoard) -> None:
+def test_a_relay_that_does_not_do_what_it_was_told_trips(board: Board) -> None:
     controller = opened(board, watchdog_s=5.0)
     controller.set_laser_power_w(0.0005)
     controller.laser_on()
@@ -364,3 +387,80 @@ def test_a_relay_that_does_not_do_what_it_was_told_trips(board: FirmwareBoard) -
     assert (status.laser_on, status.trip) == (False, "OUTPUT")
     assert controller.next_error() == (103, "Tripped; OUTPUT")
     controller.close()
+
+
+NUMBERS = st.one_of(
+    st.floats(width=64).map(repr),
+    st.floats(0.0009, 0.0011).map(repr),
+    st.sampled_from(
+        ["nan", "inf", "-inf", "1e-3", "1.0000001e-3", "1e400", "0x1p-3", "1_0", "", "-0.0", "1,0"]
+    ),
+)
+COMMANDS = st.one_of(
+    st.just("LAS:STAT ON"),
+    NUMBERS.map(lambda n: f"LAS:POW {n}"),
+    NUMBERS.map(lambda n: f"las:power:limit {n}"),
+    st.sampled_from(
+        [
+            "LAS:STAT ON",
+            "LAS:STAT OFF",
+            "LASER:STATE 1",
+            "SYST:SAFE",
+            "*RST",
+            "SYST:HEAR?",
+            "INT?",
+            "SYST:SESS B,5000",
+            "SYST:SESS C,1e9",
+            "SYST:SESS:END",
+        ]
+    ),
+    st.text(st.characters(min_codepoint=32, max_codepoint=126, exclude_characters="#!"), max_size=40),
+)
+SENDINGS = st.one_of(
+    st.tuples(st.just("command"), COMMANDS),
+    st.tuples(st.just("bytes"), st.binary(max_size=40)),
+    st.tuples(st.just("interlock"), st.booleans()),
+)
+
+
+def test_no_power_above_the_stored_limit_whatever_is_sent(board: Board) -> None:
+    tag = 0
+
+    with board.terminal() as line:
+
+        def ask(command: str) -> bytes:
+            nonlocal tag
+            tag = tag % 65535 + 1
+            line.write(b"\n" + encode(tag, command))
+            while not (reply := line.readline()).startswith(b"#%d " % tag):
+                assert reply, f"no answer to {command}"
+            return reply
+
+        @settings(max_examples=150, deadline=None, suppress_health_check=list(HealthCheck), database=None)
+        @given(st.lists(SENDINGS, min_size=1, max_size=12))
+        @example(
+            [("command", "LAS:STAT ON"), ("command", "LAS:POW 1e-3"), ("command", "LAS:POW 1.0000001e-3")]
+        )
+        def check(sendings: list[tuple[str, object]]) -> None:
+            ask("SYST:SESS A,5000")
+            before = len(board.events())
+            for kind, what in sendings:
+                if kind == "command":
+                    assert isinstance(what, str)
+                    ask(what)
+                elif kind == "bytes":
+                    assert isinstance(what, bytes)
+                    line.write(what)
+                else:
+                    board.press(b"c" if what else b"o")
+            ask("SYST:SESS:END")
+            board.press(b"c")
+            for _, name, values in board.events()[before:]:
+                if name == "laser":
+                    assert 0.0 <= values[1] <= 0.001
+            assert board.outputs()["laser"][0] == 0
+
+        check()
+    # The property is not empty: it has been lit on the way, also at the limit itself.
+    assert board.count("laser", 1) > 10
+    assert any(row[1] == "laser" and row[2] == [1, 0.001] for row in board.events())

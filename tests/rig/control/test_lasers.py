@@ -1,7 +1,6 @@
 """Every laser driver passes the same tests, each with a simulated instrument of its family."""
 
 import itertools
-import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -12,13 +11,12 @@ from hypothesis import strategies as st
 from processing.errors import DeviceError
 from rig.control.controller import InterlockOpen, PowerLimit
 from rig.control.laser_service import LaserService
-from rig.control.lasers import LASERS, Laser, LaserRefused, LaserSettings, make_laser
+from rig.control.lasers import LASERS, Laser, LaserRefused, LaserSettings, make_laser, serial_laser
+from rig.control.light_permit import LightPermit
 from rig.control.link import ReplyTimeout
-from rig.control.serial_port import PortLost
+from rig.control.serial_port import Line, PortLost
 from tests.rig.control.instruments import FakeCobolt, FakeLdc500, FakeObis, FakeThorlabs, Instrument
-from tests.rig.control.test_service import until
-
-pytestmark = pytest.mark.realtime
+from tests.rig.control.stepped import Clock, InstrumentLine, stepped_clock, turn
 
 FAMILIES: dict[str, tuple[type[Instrument], str, str]] = {
     "thorlabs4000": (FakeThorlabs, "ITC4001", "M00277475"),
@@ -54,16 +52,43 @@ def laser_for(kind: str, port: str) -> Laser:
     return laser
 
 
+class Ports:
+    """The instruments of a test by their ports, and the lines that were opened to them."""
+
+    def __init__(self, clock: Clock) -> None:
+        self.clock = clock
+        self.instruments: dict[str, Instrument] = {}
+        self.lines: list[InstrumentLine] = []
+
+    def plug_in(self, instrument: Instrument) -> str:
+        port = f"stepped{len(self.instruments)}"
+        self.instruments[port] = instrument
+        return port
+
+    def open(self, port: str, *_: object, **__: object) -> Line:
+        if port not in self.instruments:
+            raise PortLost(f"{port}: cannot open the serial port")
+        self.lines.append(InstrumentLine(self.instruments[port], self.clock))
+        return self.lines[-1]
+
+
+@pytest.fixture
+def ports(monkeypatch: pytest.MonkeyPatch) -> Ports:
+    found = Ports(stepped_clock(monkeypatch))
+    monkeypatch.setattr(serial_laser, "SerialPort", found.open)
+    return found
+
+
 @pytest.fixture(params=sorted(LASERS))
-def pair(request: pytest.FixtureRequest) -> Iterator[Pair]:
+def pair(request: pytest.FixtureRequest, ports: Ports) -> Iterator[Pair]:
     kind = request.param
     instrument = FAMILIES[kind][0]()
     instrument.on, instrument.set_value = True, 0.001
-    laser = laser_for(kind, instrument.port)
+    laser = laser_for(kind, ports.plug_in(instrument))
     yield Pair(kind, laser, instrument)
     instrument.stuck_on = False
     laser.close()
-    instrument.close()
+    assert all(line.closed for line in ports.lines)
 
 
 def test_opening_identifies_and_leaves_it_dark(pair: Pair) -> None:
@@ -93,7 +118,7 @@ def test_closing_turns_it_off(pair: Pair) -> None:
     pair.laser.open()
     pair.laser.enable()
     pair.laser.close()
-    until(lambda: not pair.instrument.on)
+    assert not pair.instrument.on
     with pytest.raises(PortLost, match="not open"):
         pair.laser.state()
     pair.laser.close()
@@ -157,29 +182,17 @@ def test_silence_is_a_timeout(pair: Pair) -> None:
 
 
 @pytest.mark.parametrize(("kind", "there"), sorted(itertools.permutations(LASERS, 2)))
-def test_the_wrong_family_is_not_driven(kind: str, there: str) -> None:
+def test_the_wrong_family_is_not_driven(ports: Ports, kind: str, there: str) -> None:
     instrument = FAMILIES[there][0]()
-    laser = make_laser(LaserSettings(kind=kind, port=instrument.port, timeout_s=0.05))  # type: ignore[arg-type]
-    assert laser is not None
+    laser = laser_for(kind, ports.plug_in(instrument))
     with pytest.raises(DeviceError):
         laser.open()
     assert not any(word.upper().endswith((" ON", " 1")) for word in instrument.received)
-    instrument.close()
 
 
-def test_no_descriptor_is_left_behind(pair: Pair) -> None:
-    pair.laser.open()
-    pair.laser.close()
-    before = len(os.listdir("/proc/self/fd"))
-    for _ in range(20):
-        pair.laser.open()
-        pair.laser.close()
-    assert len(os.listdir("/proc/self/fd")) == before
-
-
-def test_thorlabs_limit_goes_into_the_instrument_and_its_errors_come_out() -> None:
+def test_thorlabs_limit_goes_into_the_instrument_and_its_errors_come_out(ports: Ports) -> None:
     instrument = FakeThorlabs()
-    laser = laser_for("thorlabs4000", instrument.port)
+    laser = laser_for("thorlabs4000", ports.plug_in(instrument))
     laser.open()
     assert instrument.limit_a == pytest.approx(LIMIT)
     instrument.limit_a = 0.010
@@ -189,88 +202,199 @@ def test_thorlabs_limit_goes_into_the_instrument_and_its_errors_come_out() -> No
     with pytest.raises(LaserRefused, match="over-temperature"):
         laser.enable()
     laser.close()
-    instrument.close()
 
 
-def test_ldc500_limit_goes_into_the_instrument() -> None:
+def test_ldc500_limit_goes_into_the_instrument(ports: Ports) -> None:
     instrument = FakeLdc500()
-    laser = laser_for("ldc500", instrument.port)
+    laser = laser_for("ldc500", ports.plug_in(instrument))
     laser.open()
     assert instrument.limit_ma == pytest.approx(LIMIT * 1000)
     assert "MODU OFF" in instrument.received
     laser.close()
-    instrument.close()
 
 
-def test_a_fault_forbids_lighting() -> None:
+def test_a_fault_forbids_lighting(ports: Ports) -> None:
     obis, cobolt = FakeObis(), FakeCobolt()
     obis.faults, cobolt.fault = 0x20, 1
     for laser, what in (
-        (laser_for("obis", obis.port), "00000020"),
-        (laser_for("cobolt", cobolt.port), "temperature"),
+        (laser_for("obis", ports.plug_in(obis)), "00000020"),
+        (laser_for("cobolt", ports.plug_in(cobolt)), "temperature"),
     ):
         laser.open()
         with pytest.raises(LaserRefused, match=what):
             laser.enable()
         laser.close()
-    obis.close()
-    cobolt.close()
 
 
-def test_service_publishes_and_survives_a_silence() -> None:
-    instrument = FakeCobolt()
-    with LaserService(laser_for("cobolt", instrument.port), period_s=0.05) as service:
-        until(lambda: service.snapshot.state is not None)
-        service.set_power_w(0.010).result(5.0)
-        service.enable().result(5.0)
-        until(lambda: (s := service.snapshot.state) is not None and s.on)
-        with pytest.raises(PowerLimit):
-            service.set_power_w(1.0).result(5.0)
-        instrument.silent = True
-        until(lambda: service.snapshot.state is None)
-        instrument.silent = False
-        until(lambda: service.snapshot.state is not None)
-        # Found again, it is dark: nobody said that it should light.
-        assert not instrument.on
-        assert any("no reply" in text for text in service.take_events())
-    instrument.close()
-
-
-def test_an_obis_without_handshaking_is_given_it() -> None:
+def test_an_obis_without_handshaking_is_given_it(ports: Ports) -> None:
     instrument = FakeObis()
     instrument.handshaking = False
-    laser = laser_for("obis", instrument.port)
-    try:
-        assert laser.open().serial == "LX123456"
-        laser.set_power_w(0.01)
-        laser.enable()
-        assert instrument.on
-    finally:
-        laser.close()
-        instrument.close()
+    laser = laser_for("obis", ports.plug_in(instrument))
+    assert laser.open().serial == "LX123456"
+    laser.set_power_w(0.01)
+    laser.enable()
+    assert instrument.on
+    laser.close()
     assert not instrument.on
 
 
-def test_a_cobolt_in_autostart_names_the_remedy() -> None:
+def test_a_cobolt_in_autostart_names_the_remedy(ports: Ports) -> None:
     instrument = FakeCobolt()
     instrument.autostart = True
-    laser = laser_for("cobolt", instrument.port)
-    try:
-        with pytest.raises(LaserRefused, match=r"autostart is on.*switch it off"):
-            laser.open()
-    finally:
-        laser.close()
-        instrument.close()
-
-
-def test_an_ldc500_that_enters_its_error_late_is_heard() -> None:
-    instrument = FakeLdc500()
-    laser = laser_for("ldc500", instrument.port)
-    try:
+    laser = laser_for("cobolt", ports.plug_in(instrument))
+    with pytest.raises(LaserRefused, match=r"autostart is on.*switch it off"):
         laser.open()
-        instrument.limit_ma = 1.0
-        with pytest.raises(LaserRefused, match="LEXE 1"):
-            laser.set_current_a(0.01)
-    finally:
+    assert ports.lines[-1].closed
+
+
+def test_an_ldc500_that_enters_its_error_late_is_heard(ports: Ports) -> None:
+    instrument = FakeLdc500()
+    laser = laser_for("ldc500", ports.plug_in(instrument))
+    laser.open()
+    instrument.limit_ma = 1.0
+    with pytest.raises(LaserRefused, match="LEXE 1"):
+        laser.set_current_a(0.01)
+    laser.close()
+
+
+def test_a_laser_that_lights_late_is_waited_for_and_one_that_never_does_is_switched_off(ports: Ports) -> None:
+    instrument = FakeObis()
+    laser = laser_for("obis", ports.plug_in(instrument))
+    laser.open()
+    instrument.delay = 5
+    laser.enable()
+    assert laser.state().on
+    laser.off()
+    instrument.delay = 10_000
+    began_s = ports.clock.monotonic()
+    with pytest.raises(LaserRefused, match="does not emit after 10 s"):
+        laser.enable()
+    assert 10 <= ports.clock.monotonic() - began_s < 11
+    assert not instrument.on
+    laser.close()
+
+
+def test_a_laser_deaf_to_off_is_told_again_when_it_is_closed(ports: Ports) -> None:
+    for deaf, dark in ((2, True), (3, False)):
+        instrument = FakeLdc500()
+        laser = laser_for("ldc500", ports.plug_in(instrument))
+        laser.open()
+        laser.enable()
+        instrument.deaf_to_off = deaf
         laser.close()
-        instrument.close()
+        assert instrument.on is not dark
+        assert ports.lines[-1].closed
+
+
+class TestService:
+    """What the laser's thread decides, turn by turn."""
+
+    @pytest.fixture
+    def instrument(self) -> FakeCobolt:
+        return FakeCobolt()
+
+    @pytest.fixture
+    def permit(self, ports: Ports) -> LightPermit:
+        return LightPermit(ports.clock.monotonic)
+
+    @pytest.fixture
+    def service(self, ports: Ports, instrument: FakeCobolt, permit: LightPermit) -> LaserService:
+        return LaserService(laser_for("cobolt", ports.plug_in(instrument)), period_s=0.2, permit=permit)
+
+    def test_it_is_opened_dark_and_lit_when_asked(
+        self, ports: Ports, service: LaserService, instrument: FakeCobolt
+    ) -> None:
+        assert turn(service) == 0.2
+        assert service.take_events() == ("Cobolt 12345 open, dark",)
+        assert service.snapshot.state is not None
+        power, lit, too_much = service.set_power_w(0.01), service.enable(), service.set_power_w(1.0)
+        turn(service)
+        assert power.result(0) is lit.result(0) is None
+        with pytest.raises(PowerLimit):
+            too_much.result(0)
+        assert instrument.on
+        # known at once, not with the next turn
+        assert service.snapshot.state.on
+        assert service.snapshot.state_time_ns == ports.clock.monotonic_ns()
+        off = service.off()
+        turn(service)
+        off.result(0)
+        assert not instrument.on
+
+    def test_silence_is_said_once_and_a_laser_found_again_is_dark(
+        self, service: LaserService, instrument: FakeCobolt
+    ) -> None:
+        turn(service)
+        service.enable()
+        turn(service)
+        assert instrument.on
+        service.take_events()
+        instrument.silent = True
+        assert [turn(service), turn(service)] == [1.0, 1.0]
+        assert service.snapshot.state is None
+        said = service.take_events()
+        assert said[-1] == service.snapshot.last_error
+        assert all("no reply" in text for text in said)
+        turn(service)
+        assert service.take_events() == ()
+        refused = service.enable()
+        turn(service)
+        with pytest.raises(PortLost, match="no reply"):
+            refused.result(0)
+        instrument.silent = False
+        turn(service)
+        assert not instrument.on
+        assert service.snapshot.last_error == ""
+        assert service.take_events() == ("Cobolt 12345 open, dark",)
+
+    def test_without_a_permit_it_goes_dark_once_and_stays_dark(
+        self, service: LaserService, instrument: FakeCobolt, permit: LightPermit
+    ) -> None:
+        turn(service)
+        service.enable()
+        turn(service)
+        permit.withdraw("the run ends")
+        turn(service)
+        assert not instrument.on
+        assert "laser off: the run ends" in service.take_events()
+        count = instrument.received.count("l0")
+        refused = service.enable()
+        turn(service)
+        with pytest.raises(DeviceError, match="the laser stays off: the run ends"):
+            refused.result(0)
+        assert instrument.received.count("l0") == count
+
+    def test_an_off_that_was_not_obeyed_is_given_again(
+        self, service: LaserService, instrument: FakeCobolt, permit: LightPermit
+    ) -> None:
+        turn(service)
+        service.enable()
+        turn(service)
+        instrument.deaf_to_off = 20
+        permit.withdraw("the run ends")
+        turn(service)
+        assert instrument.on
+        instrument.deaf_to_off = 0
+        turn(service)
+        assert not instrument.on
+
+    @pytest.mark.parametrize("own", [True, False])
+    def test_its_own_interlock_needs_an_acknowledgement(
+        self, ports: Ports, instrument: FakeCobolt, permit: LightPermit, own: bool
+    ) -> None:
+        laser = laser_for("cobolt", ports.plug_in(instrument))
+        service = LaserService(laser, permit=permit, own_interlock=own)
+        permit.begin()
+        turn(service)
+        instrument.interlock_closed = False
+        turn(service)
+        turn(service)
+        assert service.take_events().count("interlock opened") == 1
+        assert permit.refusal == ("the interlock of the laser opened" if own else "")
+
+    def test_a_fault_is_said_when_it_comes(self, service: LaserService, instrument: FakeCobolt) -> None:
+        turn(service)
+        for fault in (4, 4, 1):
+            instrument.fault = fault
+            turn(service)
+        assert service.take_events()[1:] == ("constant-power time-out", "temperature error")

@@ -12,6 +12,8 @@ import tty
 from collections.abc import Callable
 from pathlib import Path
 
+import serial
+
 HERE = Path(__file__).resolve().parent
 FIRMWARE = HERE.parents[2] / "rig" / "control" / "firmware"
 
@@ -64,6 +66,13 @@ class FirmwareBoard:
         greeting = b""
         while not greeting.endswith(b"\n"):
             greeting += os.read(slave, 64)
+
+    def sleep(self, duration_s: float) -> None:
+        time.sleep(duration_s)
+
+    def terminal(self) -> serial.Serial:
+        """What a person types at."""
+        return serial.Serial(self.port, timeout=10.0)
 
     def press(self, keys: bytes) -> None:
         """Do something to the board: see bridge.mjs for the keys."""

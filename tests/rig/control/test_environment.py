@@ -1,0 +1,210 @@
+"""Sensors of the air: any line on a serial port, and the BME280 on the board."""
+
+import math
+import re
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rig.control import environment as environment_module
+from rig.control.controller import AirReading
+from rig.control.environment import EnvironmentService, parse_environment
+from rig.control.firmware.bme280 import Bme280, Calibration, compensate
+from rig.control.serial_port import Line, PortLost
+from rig.control.settings import EnvironmentSettings
+from tests.rig.control.instruments import Instrument
+from tests.rig.control.stepped import Clock, InstrumentLine, stepped_clock, turn
+
+THREE = r"T=(?P<temperature_c>[-\d.]+) (?:H=(?P<humidity_percent>[\d.]+) )?P=(?P<pressure_hpa>[\d.]+)"
+
+
+class Sensor(Instrument):
+    """Says what it is told to, or the same whenever it is asked."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.plugged_in = True
+        self.reading = ""
+        self.lines: list[SensorLine] = []
+
+    def answer(self, command: str) -> str:
+        return self.reading if command == "READ?" else ""
+
+
+class SensorLine(InstrumentLine):
+    def say(self, data: bytes) -> None:
+        self._waiting += data
+
+    def read(self, timeout_s: float) -> bytes:
+        assert isinstance(self._instrument, Sensor)
+        if not self._instrument.plugged_in:
+            raise PortLost("sensor: unplugged")
+        return super().read(timeout_s)
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    return stepped_clock(monkeypatch)
+
+
+@pytest.fixture
+def sensor(clock: Clock, monkeypatch: pytest.MonkeyPatch) -> Sensor:
+    found = Sensor()
+
+    def opened(port: str, *_: object) -> Line:
+        if not found.plugged_in:
+            raise PortLost(f"{port}: cannot open the serial port")
+        found.lines.append(SensorLine(found, clock))
+        return found.lines[-1]
+
+    monkeypatch.setattr(environment_module, "SerialPort", opened)
+    return found
+
+
+def test_a_line_in_two_pieces_is_one_and_what_is_missing_is_nan(sensor: Sensor, clock: Clock) -> None:
+    service = EnvironmentService(EnvironmentSettings(kind="serial", port="x", pattern=THREE))
+    assert turn(service) == 0.0
+    assert math.isnan(service.latest.environment.temperature_c)
+    (line,) = sensor.lines
+    line.say(b"T=21.5 H=40.25 P=1013.")
+    turn(service)
+    line.say(b"25\r\n")
+    turn(service)
+    assert service.latest.environment == AirReading(21.5, 40.25, 101325.0)
+    assert service.latest.time_ns == clock.monotonic_ns()
+    line.say(b"T=22.0 P=1000\n")
+    turn(service)
+    assert service.latest.environment.temperature_c == 22.0
+    assert math.isnan(service.latest.environment.humidity_percent)
+    assert service.latest.unread_lines == 0
+
+
+def test_lines_of_another_kind_are_counted_and_shown(sensor: Sensor) -> None:
+    service = EnvironmentService(EnvironmentSettings(kind="serial", port="x", pattern=THREE))
+    turn(service)
+    for number, text in enumerate((b"garbage\xff\r\n", b"T=1e400 P=1000\n", b"T=. P=1000\n"), 1):
+        sensor.lines[0].say(text)
+        turn(service)
+        assert service.latest.unread_lines == number
+        assert service.latest.last_line == text.decode("latin-1").strip()
+        assert math.isnan(service.latest.environment.temperature_c)
+    # an empty line is none
+    sensor.lines[0].say(b"\r\n")
+    turn(service)
+    assert service.latest.unread_lines == 3
+
+
+def test_one_that_must_be_asked_is_asked_once_a_period(sensor: Sensor, clock: Clock) -> None:
+    settings = EnvironmentSettings(kind="serial", port="x", request="READ?", period_s=2.0)
+    service = EnvironmentService(settings)
+    sensor.reading = "20.5, 50.1, 999.9\n"
+    began_s = clock.monotonic()
+    while clock.monotonic() < began_s + 9.0:
+        turn(service)
+        clock.sleep(0.01)
+    assert sensor.received.count("READ?") == 5
+    assert service.latest.environment == AirReading(20.5, 50.1, 99990.0)
+
+
+def test_one_that_is_not_to_be_asked_is_sent_nothing(sensor: Sensor, clock: Clock) -> None:
+    service = EnvironmentService(EnvironmentSettings(kind="serial", port="x", request=""))
+    for _ in range(50):
+        turn(service)
+    assert sensor.received == []
+
+
+def test_an_old_reading_is_not_passed_on_as_the_present_one(sensor: Sensor, clock: Clock) -> None:
+    settings = EnvironmentSettings(kind="serial", port="x", pattern=THREE, stale_after_s=30.0)
+    service = EnvironmentService(settings)
+    turn(service)
+    sensor.lines[0].say(b"T=22.0 P=1000\n")
+    turn(service)
+    clock.sleep(29.9)
+    assert service.latest.environment.temperature_c == 22.0
+    clock.sleep(0.2)
+    assert math.isnan(service.latest.environment.temperature_c)
+    assert math.isnan(service.latest.environment.pressure_pa)
+    # what it said is still there to be looked at
+    assert service.latest.last_line == "T=22.0 P=1000"
+
+
+def test_one_that_is_unplugged_is_said_once_and_found_again(sensor: Sensor) -> None:
+    service = EnvironmentService(EnvironmentSettings(kind="serial", port="x", pattern=THREE))
+    turn(service)
+    sensor.plugged_in = False
+    assert turn(service) == 1.0
+    assert service.latest.last_error == "sensor: unplugged"
+    assert sensor.lines[0].closed
+    assert [turn(service), turn(service)] == [1.0, 1.0]
+    assert service.take_events() == ("sensor: unplugged", "x: cannot open the serial port")
+    sensor.plugged_in = True
+    assert turn(service) == 0.0
+    assert service.latest.last_error == ""
+    sensor.lines[1].say(b"T=22.0 P=1000\n")
+    turn(service)
+    assert service.latest.environment.temperature_c == 22.0
+
+
+@given(st.text(max_size=60))
+def test_any_line_parses_or_not_but_never_breaks(line: str) -> None:
+    pattern = re.compile(EnvironmentSettings().pattern)
+    environment = parse_environment(pattern, line)
+    assert environment is None or math.isfinite(environment.temperature_c)
+
+
+def test_bme280_compensation_agrees_with_the_data_sheets_worked_example() -> None:
+    # Worked example of Bosch's BMP280 data sheet, section 3.12, of the same formulas.
+    words = (27504, 26435, -1000, 36477, -10685, 3024, 2855, 140, -7, 15500, -14600, 6000)
+    low = b"".join((word & 0xFFFF).to_bytes(2, "little") for word in words) + b"\x00\x4b"
+    high = bytes([0x6A, 0x01, 0x00, 0x13, 0x29, 0x03, 0x1E])
+    temperature_c, humidity_percent, pressure_pa = compensate(Calibration(low, high), 519888, 415148, 30000)
+    assert temperature_c == pytest.approx(25.08, abs=0.005)
+    assert pressure_pa == pytest.approx(100653.27, abs=0.5)
+    assert 0.0 < humidity_percent < 100.0
+
+
+class Bme280Chip:
+    """The registers of a BME280 as its data sheet describes them: sections 5.3 and 5.4, reset values 5.3."""
+
+    def __init__(self) -> None:
+        words = (27504, 26435, -1000, 36477, -10685, 3024, 2855, 140, -7, 15500, -14600, 6000)
+        self.memory = bytearray(256)
+        self.memory[0xD0] = 0x60
+        self.memory[0x88:0xA0] = b"".join((word & 0xFFFF).to_bytes(2, "little") for word in words)
+        self.memory[0xA1] = 0x4B
+        self.memory[0xE1:0xE8] = bytes([0x6A, 0x01, 0x00, 0x13, 0x29, 0x03, 0x1E])
+        self.power_up()
+
+    def power_up(self) -> None:
+        self.memory[0xF2:0xF6] = bytes(4)
+        self.memory[0xF7:0xFF] = bytes([0x80, 0, 0, 0x80, 0, 0, 0x80, 0])
+
+    def measure(self, raw_p: int = 415148, raw_t: int = 519888, raw_h: int = 30000) -> None:
+        if self.memory[0xF4] & 3 == 3:
+            self.memory[0xF7:0xFF] = (
+                (raw_p << 4).to_bytes(3, "big") + (raw_t << 4).to_bytes(3, "big") + raw_h.to_bytes(2, "big")
+            )
+
+    def readfrom_mem(self, address: int, register: int, count: int) -> bytes:
+        return bytes(self.memory[register : register + count])
+
+    def writeto_mem(self, address: int, register: int, data: bytes) -> None:
+        self.memory[register] = data[0]
+
+
+def test_a_bme280_that_lost_its_supply_is_set_up_again_and_reads_nothing_meanwhile() -> None:
+    chip = Bme280Chip()
+    sensor = Bme280(chip)
+    with pytest.raises(OSError, match="not measured yet"):
+        sensor.read()
+    chip.measure()
+    assert sensor.read()[0] == pytest.approx(25.08, abs=0.005)
+    chip.power_up()
+    with pytest.raises(OSError, match="lost its settings"):
+        sensor.read()
+    chip.measure()
+    assert sensor.read()[0] == pytest.approx(25.08, abs=0.005)
+    chip.measure(raw_p=1_000_000)
+    with pytest.raises(OSError, match="outside its range"):
+        sensor.read()

@@ -1,0 +1,59 @@
+"""Every laser driver on a real terminal; what the drivers decide is in `test_lasers`."""
+
+import os
+
+import pytest
+
+from rig.control.controller import PowerLimit
+from rig.control.laser_service import LaserService
+from rig.control.lasers import LASERS
+from rig.control.link import ReplyTimeout
+from tests.rig.control.instruments import FakeCobolt
+from tests.rig.control.test_lasers import FAMILIES, Pair, laser_for
+from tests.rig.control.test_service import until
+
+pytestmark = pytest.mark.realtime
+
+
+@pytest.mark.parametrize("kind", sorted(LASERS))
+def test_lit_set_silent_and_closed_without_leaving_a_descriptor(kind: str) -> None:
+    instrument = FAMILIES[kind][0]()
+    laser = laser_for(kind, instrument.port)
+    laser.open()
+    laser.close()
+    before = len(os.listdir("/proc/self/fd"))
+    for _ in range(2):
+        laser.open()
+        Pair(kind, laser, instrument).set(0.020)
+        laser.enable()
+        assert instrument.on
+        assert instrument.set_value == pytest.approx(0.020, rel=1e-6)
+        laser.close()
+        assert not instrument.on
+    assert len(os.listdir("/proc/self/fd")) == before
+    laser.open()
+    instrument.silent = True
+    with pytest.raises(ReplyTimeout, match="check port"):
+        laser.state()
+    instrument.silent = False
+    laser.close()
+    instrument.close()
+
+
+def test_service_publishes_and_survives_a_silence() -> None:
+    instrument = FakeCobolt()
+    with LaserService(laser_for("cobolt", instrument.port), period_s=0.05) as service:
+        until(lambda: service.snapshot.state is not None)
+        service.set_power_w(0.010).result(5.0)
+        service.enable().result(5.0)
+        until(lambda: (s := service.snapshot.state) is not None and s.on)
+        with pytest.raises(PowerLimit):
+            service.set_power_w(1.0).result(5.0)
+        instrument.silent = True
+        until(lambda: service.snapshot.state is None)
+        instrument.silent = False
+        until(lambda: service.snapshot.state is not None)
+        # Found again, it is dark: nobody said that it should light.
+        assert not instrument.on
+        assert any("no reply" in text for text in service.take_events())
+    instrument.close()

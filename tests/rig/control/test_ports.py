@@ -1,0 +1,162 @@
+"""Checks of what is plugged in, and the settings of the devices: each says what to do."""
+
+import contextlib
+import math
+from collections.abc import Iterator
+
+import pytest
+from pydantic import ValidationError
+
+from rig.control import ports as ports_module
+from rig.control.controller import Controller
+from rig.control.lasers import LaserSettings, serial_laser
+from rig.control.ports import check_controller, check_environment, check_laser, list_serial_ports
+from rig.control.serial_port import PortLost
+from rig.control.settings import ControllerSettings, EnvironmentSettings
+from rig.presentation import Verdict
+from tests.rig.control.instruments import FakeCobolt, Instrument
+from tests.rig.control.stepped import Clock, InstrumentLine, SteppedBoard, stepped_clock
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    found = stepped_clock(monkeypatch)
+    monkeypatch.setattr(ports_module, "time", found)
+    return found
+
+
+def by_name(checks: tuple[Verdict, ...]) -> dict[str, Verdict]:
+    return {check.name: check for check in checks}
+
+
+def test_ports_are_listed_without_being_opened() -> None:
+    ports = list_serial_ports()
+    assert [port.device for port in ports] == sorted(port.device for port in ports)
+
+
+class TestController:
+    @pytest.fixture
+    def board(self, clock: Clock) -> SteppedBoard:
+        return SteppedBoard(clock)
+
+    def checks(self, board: SteppedBoard, laser: LaserSettings) -> dict[str, Verdict]:
+        settings = ControllerSettings(kind="serial", port="stepped")
+        controller = Controller(settings, laser.max_power_w, board.open_line)
+        found = by_name(check_controller(controller, settings, laser))
+        assert all(bool(check.remedy) is not check.ok for check in found.values())
+        # nothing was switched on on the way
+        assert not any(board.count(name, 1) for name in ("laser", "magnet", "starter", "clamp", "brake"))
+        return found
+
+    def test_all_is_well(self, board: SteppedBoard) -> None:
+        found = self.checks(board, LaserSettings(kind="controller", power_w=0.001))
+        assert all(check.ok for check in found.values())
+        assert found["controller"].reason == "serial TEST0001, firmware 1.1"
+        assert found["interlock"].reason == "closed"
+        assert found["controller's sensor"].reason == "20.12 °C, 45.5 %, 1013.2 hPa"
+
+    def test_an_open_interlock_a_low_limit_and_no_sensor(self, board: SteppedBoard) -> None:
+        board.closed = board.sensor_works = False
+        found = self.checks(board, LaserSettings(kind="controller", power_w=0.0011, max_power_w=0.002))
+        assert found["controller"].ok
+        assert found["interlock"].reason == "open: the laser stays off"
+        assert "limits.json" in found["laser power"].remedy
+        assert found["controller errors"].reason == "Hardware error; environment sensor (-240)"
+        assert found["controller's sensor"].reason == "no reading"
+
+    def test_another_laser_has_another_limit(self, board: SteppedBoard) -> None:
+        assert "laser power" not in self.checks(board, LaserSettings(kind="cobolt", port="x"))
+
+    def test_none_and_a_missing_one(self, board: SteppedBoard) -> None:
+        laser = LaserSettings()
+        board.unplug()
+        assert not self.checks(board, laser)["controller"].ok
+        nothing = ControllerSettings()
+        (check,) = check_controller(Controller(nothing, 0.001, board.open_line), nothing, laser)
+        assert check.ok
+
+
+def test_a_laser_without_watchdog_is_warned_of_and_its_wiring_tried(
+    clock: Clock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    instrument = FakeCobolt()
+    monkeypatch.setattr(serial_laser, "SerialPort", lambda *_, **__: InstrumentLine(instrument, clock))
+    name = "laser switches off by itself"
+    board = ControllerSettings(kind="serial", port="x")
+    own = LaserSettings(kind="cobolt", port="y")
+    wired = LaserSettings(kind="cobolt", port="y", interlock="controller")
+    found = by_name(check_laser(own, board))
+    assert all(check.ok for check in found.values())
+    assert "stays on if the program is killed" in found[name].reason
+    assert "enable relay" in found[name].remedy
+    assert not found["laser interlock"].remedy
+    # said to be wired through the relay, which is open: closed all the same means that it is not
+    assert not by_name(check_laser(wired, board))[name].ok
+    instrument.interlock_closed = False
+    assert all(check.ok and not check.remedy for check in check_laser(wired, board))
+    assert not all(check.ok for check in check_laser(wired, ControllerSettings()))
+    assert by_name(check_laser(own, board))["laser interlock"].remedy
+    instrument.fault, instrument.interlock_closed = 4, True
+    fault = by_name(check_laser(own, board))["laser fault"]
+    assert (fault.ok, fault.reason) == (False, "constant-power time-out")
+    instrument.silent = True
+    (silent,) = check_laser(own, board)
+    assert not silent.ok
+    assert check_laser(LaserSettings(), board) == ()
+
+
+@pytest.mark.parametrize(
+    ("line", "request_text", "ok", "reason"),
+    [
+        ("20.5, 50.1, 999.9\n", "READ?", True, "20.5, 50.1, 999.9"),
+        ("hello\n", "READ?", False, "'hello' does not match the pattern"),
+        ("20.5, 50.1, 999.9\n", "", False, "no line within 5 s"),
+    ],
+)
+def test_the_check_of_a_sensor_names_the_line_that_does_not_match(
+    clock: Clock, monkeypatch: pytest.MonkeyPatch, line: str, request_text: str, ok: bool, reason: str
+) -> None:
+    class Sensor(Instrument):
+        def answer(self, command: str) -> str:
+            return line
+
+    @contextlib.contextmanager
+    def opened(*_: object) -> Iterator[InstrumentLine]:
+        yield InstrumentLine(Sensor(), clock)
+
+    monkeypatch.setattr(ports_module, "SerialPort", opened)
+    began_s = clock.monotonic()
+    (check,) = check_environment(EnvironmentSettings(kind="serial", port="x", request=request_text))
+    assert (check.ok, check.reason) == (ok, reason)
+    assert bool(check.remedy) is not ok
+    assert clock.monotonic() - began_s < 5.2
+    assert check_environment(EnvironmentSettings()) == ()
+
+
+def test_the_check_of_a_missing_sensor(monkeypatch: pytest.MonkeyPatch) -> None:
+    def missing(port: str, *_: object) -> None:
+        raise PortLost(f"{port}: cannot open the serial port")
+
+    monkeypatch.setattr(ports_module, "SerialPort", missing)
+    (check,) = check_environment(EnvironmentSettings(kind="serial", port="/dev/ttyX"))
+    assert not check.ok
+    assert check.reason == "/dev/ttyX: cannot open the serial port"
+
+
+@pytest.mark.parametrize(
+    ("model", "values", "message"),
+    [
+        (ControllerSettings, {"kind": "serial"}, "port is missing"),
+        (ControllerSettings, {"heartbeat_s": 1.0, "watchdog_s": 1.5}, "two heartbeats"),
+        (LaserSettings, {"power_w": 0.002, "max_power_w": 0.001}, "above max_power_w"),
+        (LaserSettings, {"current_a": 0.002}, "above max_current_a"),
+        (LaserSettings, {"power_w": math.nan}, "finite number"),
+        (LaserSettings, {"kind": "obis"}, "port is missing"),
+        (EnvironmentSettings, {"pattern": "("}, "not a regular expression"),
+        (EnvironmentSettings, {"pattern": "(?P<temp>.*)"}, "is needed and no other"),
+        (EnvironmentSettings, {"kind": "serial"}, "port is missing"),
+    ],
+)
+def test_settings_say_what_is_wrong(model: type, values: dict[str, object], message: str) -> None:
+    with pytest.raises(ValidationError, match=message):
+        model(**values)

@@ -1,0 +1,341 @@
+"""What the controller's thread decides, turn by turn, with the firmware on a stepped clock."""
+
+from collections.abc import Callable
+
+import pytest
+
+from processing.errors import DeviceError
+from rig.control.controller import AirReading, Controller, InterlockOpen, PowerLimit
+from rig.control.light_permit import LONGEST_PAUSE_S, LightPermit, Stage
+from rig.control.link import CommandRefused
+from rig.control.serial_port import PortLost
+from rig.control.service import ControlService, ControlState
+from rig.control.settings import ControllerSettings
+from rig.control.worker import Overdue, Worker
+from tests.rig.control.stepped import Clock, SteppedBoard, stepped_clock, turn
+
+HEARTBEAT_S, WATCHDOG_S = 0.5, 2.0
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    return stepped_clock(monkeypatch)
+
+
+@pytest.fixture
+def board(clock: Clock) -> SteppedBoard:
+    return SteppedBoard(clock)
+
+
+@pytest.fixture
+def permit(clock: Clock) -> LightPermit:
+    return LightPermit(clock.monotonic)
+
+
+@pytest.fixture
+def service(board: SteppedBoard, permit: LightPermit) -> ControlService:
+    settings = ControllerSettings(
+        kind="serial", port="stepped", heartbeat_s=HEARTBEAT_S, watchdog_s=WATCHDOG_S, timeout_s=0.1
+    )
+    controller = Controller(settings, 0.001, board.open_line)
+    return ControlService(controller, settings, environment_period_s=3.0, permit=permit)
+
+
+def lit(service: ControlService, board: SteppedBoard) -> None:
+    """The service's controller open and the laser on."""
+    turn(service)
+    on = service.laser_on()
+    turn(service)
+    on.result(0)
+    assert board.outputs()["laser"][0] == 1
+    service.take_events()
+
+
+def live(service: ControlService, board: SteppedBoard, duration_s: float) -> None:
+    """Turns of both, as often as the service asks for them."""
+    end_s = board.clock.monotonic() + duration_s
+    while board.clock.monotonic() < end_s:
+        board.turn(turn(service))
+
+
+def test_it_is_open_after_the_first_turn(service: ControlService, board: SteppedBoard, clock: Clock) -> None:
+    assert service.snapshot.state is ControlState.OPENING
+    assert turn(service) == HEARTBEAT_S
+    snapshot = service.snapshot
+    assert snapshot.state is ControlState.OPEN
+    assert service.wait_open().serial == "TEST0001"
+    assert snapshot.environment == AirReading(20.125, 45.5, 101325.0)
+    assert (snapshot.status_time_ns, snapshot.reconnects) == (clock.monotonic_ns(), 0)
+    assert service.take_events() == ("TEST0001 is connected, firmware 1.1",)
+
+
+def test_heartbeats_keep_it_lit_and_nothing_else_does(service: ControlService, board: SteppedBoard) -> None:
+    lit(service, board)
+    live(service, board, 10 * WATCHDOG_S)
+    assert board.outputs()["laser"][0] == 1
+    began_ms = board.ticks_ms()
+    board.turn(2 * WATCHDOG_S)
+    dark_ms = next(ms for ms, name, values in reversed(board.said) if name == "laser" and values[0] == 0)
+    assert dark_ms - began_ms + HEARTBEAT_S * 1000 >= WATCHDOG_S * 1000
+    assert dark_ms - began_ms <= WATCHDOG_S * 1000 + 10
+
+
+def test_the_air_is_read_once_a_period(service: ControlService, board: SteppedBoard) -> None:
+    turn(service)
+    first_ns = service.snapshot.environment_time_ns
+    seen = []
+    for _ in range(20):
+        board.turn(turn(service))
+        seen.append(service.snapshot.environment_time_ns)
+    periods_s = [(ns - first_ns) / 1e9 for ns in sorted(set(seen))]
+    assert periods_s == pytest.approx([0.0, 3.0, 6.0, 9.0][: len(periods_s)], abs=0.1)
+    assert len(periods_s) >= 3
+
+
+def test_what_the_board_refuses_is_said_and_no_loss(service: ControlService) -> None:
+    turn(service)
+    service.take_events()
+    release, power = service.release(), service.set_laser_power_w(1.0)
+    turn(service)
+    with pytest.raises(CommandRefused, match="holds nothing"):
+        release.result(0)
+    with pytest.raises(PowerLimit):
+        power.result(0)
+    assert service.snapshot.state is ControlState.OPEN
+    turn(service)
+    # what it refused stands in its list of errors, too
+    assert [text.partition(":")[0] for text in service.take_events()] == ["stepped", "stepped", "error -221"]
+
+
+def test_urgent_is_first(service: ControlService, board: SteppedBoard) -> None:
+    turn(service)
+    service.hold()
+    service.safe()
+    turn(service)
+    assert [values for _, name, values in board.said if name == "magnet"][-1] == [1]
+    service.hold()
+    service.laser_off()
+    service.brake(True)
+    before = len(board.said)
+    turn(service)
+    assert [name for _, name, _ in board.said[before:]] == ["laser", "magnet", "brake"]
+
+
+@pytest.mark.parametrize("withdrawn", [True, False])
+def test_without_a_permit_the_laser_goes_dark(
+    service: ControlService, board: SteppedBoard, permit: LightPermit, withdrawn: bool
+) -> None:
+    lit(service, board)
+    permit.begin()
+    if withdrawn:
+        permit.withdraw("stopped by the user")
+    else:
+        while not permit.refusal:
+            permit.moved(Stage.PROCESSING)
+            board.turn(turn(service))
+    turn(service)
+    assert board.outputs()["laser"][0] == 0
+    reason = "stopped by the user" if withdrawn else "has stalled"
+    assert any(text.startswith("laser off: ") and reason in text for text in service.take_events())
+    on = service.laser_on()
+    turn(service)
+    with pytest.raises(DeviceError, match=f"the laser stays off: .*{reason}"):
+        on.result(0)
+    assert not any("laser off" in text for text in service.take_events())
+
+
+def test_while_frames_have_stalled_the_board_gets_no_heartbeat(
+    service: ControlService, board: SteppedBoard, permit: LightPermit
+) -> None:
+    """Its watchdog makes all safe even if the command to go dark was lost."""
+    lit(service, board)
+    service.hold()
+    turn(service)
+    permit.begin()
+    live(service, board, max(LONGEST_PAUSE_S.values()) + 2 * WATCHDOG_S)
+    assert board.outputs()["magnet"] == [0]
+    assert any("WATCHDOG" in text for text in service.take_events())
+
+
+def test_an_interlock_that_opens_is_noticed_by_the_permit(
+    service: ControlService, board: SteppedBoard, permit: LightPermit
+) -> None:
+    lit(service, board)
+    permit.begin()
+    board.closed = False
+    board.turn(0.02)
+    board.closed = True
+    turn(service)
+    # closed again before it was looked at: the trip tells
+    assert permit.refusal == "the interlock of the controller opened"
+    assert "TRIP INTERLOCK" in service.take_events()
+    permit.acknowledge()
+    board.closed = False
+    on = service.laser_on()
+    turn(service)
+    assert permit.refusal == "the interlock of the controller opened"
+    with pytest.raises((InterlockOpen, DeviceError)):
+        on.result(0)
+
+
+def test_a_reset_board_is_opened_again_and_stays_dark(service: ControlService, board: SteppedBoard) -> None:
+    lit(service, board)
+    board.press(b"r")
+    board.turn()
+    assert turn(service) == 0.5
+    assert service.snapshot.state is ControlState.LOST
+    assert service.snapshot.status is None
+    assert service.snapshot.environment.temperature_c != service.snapshot.environment.temperature_c
+    turn(service)
+    assert service.snapshot.state is ControlState.OPEN
+    assert (service.snapshot.reconnects, service.snapshot.last_error) == (1, "")
+    live(service, board, 3.0)
+    assert board.outputs()["laser"][0] == 0
+    assert service.snapshot.reconnects == 1
+
+
+def test_an_unplugged_board_is_said_once(service: ControlService, board: SteppedBoard) -> None:
+    turn(service)
+    service.take_events()
+    board.unplug()
+    assert [turn(service), turn(service), turn(service)] == [0.5, 0.5, 0.5]
+    said = service.take_events()
+    assert [text for text in said if "check the cable" in text]
+    assert len(said) == 2  # that it went, and that it cannot be opened
+    on = service.laser_on()
+    turn(service)
+    with pytest.raises(PortLost, match="no such port"):
+        on.result(0)
+    board.connected = True
+    turn(service)
+    assert service.snapshot.state is ControlState.OPEN
+
+
+def test_one_missing_answer_is_no_loss_but_silence_is(service: ControlService, board: SteppedBoard) -> None:
+    lit(service, board)
+    board.to_host = lambda data: b""
+    turn(service)
+    assert service.snapshot.state is ControlState.OPEN
+    board.to_host = bytes
+    board.turn(turn(service))
+    assert board.outputs()["laser"][0] == 1
+    assert service.snapshot.retried > 0
+    board.to_host = lambda data: b""
+    silent_from_s = board.clock.monotonic()
+    while service.snapshot.state is ControlState.OPEN:
+        board.turn(turn(service))
+    assert WATCHDOG_S < board.clock.monotonic() - silent_from_s < 2 * WATCHDOG_S
+
+
+def test_counts_of_the_line_go_on_after_it_was_opened_again(
+    service: ControlService, board: SteppedBoard
+) -> None:
+    turn(service)
+    for _ in range(2):
+        board.inject(b"junk\n")
+        turn(service)
+    assert service.snapshot.junk_lines == 2
+    board.press(b"r")
+    board.turn()
+    turn(service)
+    turn(service)
+    board.inject(b"junk\n")
+    turn(service)
+    assert (service.snapshot.junk_lines, service.snapshot.reconnects) == (3, 1)
+
+
+@pytest.mark.parametrize("status", ["1,1,1,0.001,0,0,0,0,NONE,many", "1,maybe,1,0.001,0,0,0,0,NONE,0", "1,2"])
+def test_a_status_that_makes_no_sense_does_not_end_the_service(
+    service: ControlService, board: SteppedBoard, status: str
+) -> None:
+    """Its checksum is right: the board itself speaks nonsense for a while."""
+    turn(service)
+    usual: Callable[[str], str] = board.firmware._free["SYST:STAT?"]
+    board.firmware._acting["SYST:HEAR?"] = lambda _: status
+    turn(service)
+    assert any(repr(status) in event for event in service.take_events())
+    assert service.snapshot.state is ControlState.OPEN
+    board.firmware._acting["SYST:HEAR?"] = usual
+    turn(service)
+    assert service.snapshot.status is not None
+
+
+def test_a_board_whose_firmware_knows_no_pulses_is_named(board: SteppedBoard) -> None:
+    controller = Controller(ControllerSettings(kind="serial", port="stepped"), 0.001, board.open_line)
+    controller.open()
+    controller.set_laser_pulse(0.0, 20.0)
+    for spelling in [name for name in board.firmware._acting if name.startswith(("LAS:PULS", "LASER:PULS"))]:
+        del board.firmware._acting[spelling]
+    with pytest.raises(DeviceError, match="knows no pulses; flash the one that came with this version"):
+        controller.set_laser_pulse(0.0, 20.0)
+
+
+class TestWorker:
+    """Which of its jobs a thread does, when."""
+
+    @pytest.fixture
+    def order(self) -> list[str]:
+        return []
+
+    @pytest.fixture
+    def worker(self, clock: Clock, order: list[str]) -> Worker:
+        return Worker("test", lambda: 1.0, lambda: order.append("finish"))
+
+    def work_off(self, worker: Worker) -> None:
+        while not worker._jobs.empty():
+            worker._work(0.0)
+
+    def test_urgent_jobs_go_first_and_late_ones_do_not_act(
+        self, worker: Worker, order: list[str], clock: Clock
+    ) -> None:
+        late = worker.submit(lambda: order.append("late"), 0.05)
+        first = worker.submit(lambda: order.append("first"), 10.0)
+        urgent = worker.submit(lambda: order.append("urgent"), 10.0, urgent=True)
+        cancelled = worker.submit(lambda: order.append("cancelled"), 10.0)
+        assert cancelled.cancel()
+        clock.sleep(0.1)
+        self.work_off(worker)
+        assert first.result(0) is urgent.result(0) is None
+        with pytest.raises(Overdue, match="not executed"):
+            late.result(0)
+        assert order == ["urgent", "first"]
+
+    def test_a_job_at_its_last_moment_is_done(self, worker: Worker, order: list[str], clock: Clock) -> None:
+        job = worker.submit(lambda: order.append("just"), 0.5)
+        clock.sleep(0.499)
+        self.work_off(worker)
+        assert job.done()
+        assert order == ["just"]
+
+    def test_an_error_is_the_callers(self, worker: Worker) -> None:
+        def fail() -> None:
+            raise ZeroDivisionError("of the job")
+
+        job = worker.submit(fail, 1.0)
+        self.work_off(worker)
+        with pytest.raises(ZeroDivisionError):
+            job.result(0)
+        assert worker.failure is None
+
+    def test_what_waits_fails_when_it_is_closed(self, worker: Worker, order: list[str]) -> None:
+        waiting = worker.submit(lambda: order.append("waiting"), 10.0)
+        assert worker.close()
+        worker._run()
+        assert order == ["finish"]
+        for job in (waiting, worker.submit(lambda: order.append("after"), 10.0)):
+            with pytest.raises(DeviceError, match="test is closed"):
+                job.result(0)
+
+
+def test_an_error_of_ours_ends_a_worker_with_its_reason() -> None:
+    def fail() -> float:
+        raise ZeroDivisionError("a fault of ours")
+
+    finished: list[bool] = []
+    worker = Worker("test", fail, lambda: finished.append(True))
+    future = worker.submit(lambda: None, 10.0)
+    worker._run()
+    with pytest.raises(DeviceError, match="closed"):
+        future.result(0)
+    assert isinstance(worker.failure, ZeroDivisionError)
+    assert finished == [True]
