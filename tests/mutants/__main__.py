@@ -120,7 +120,7 @@ def run_tests(
 
 
 class Judge:
-    """Runs the tests of a mutation's room; a test that fails without any mutation, too, is left out and said."""
+    """Runs the tests of a mutation's room; one that fails without any mutation, too, is left out."""
 
     def __init__(self, copies: Copies, marks: Sequence[str], limit_s: float) -> None:
         self._copies = copies
