@@ -11,7 +11,7 @@ from rig.control import environment as environment_module
 from rig.control.controller import AirReading
 from rig.control.environment import EnvironmentService, parse_environment
 from rig.control.firmware.bme280 import Bme280, Calibration, compensate
-from rig.control.serial_port import Line, PortLost
+from rig.control.serial_port import PortLost, SerialLine
 from rig.control.settings import EnvironmentSettings
 from tests.rig.control.instruments import Instrument
 from tests.rig.control.stepped import Clock, InstrumentLine, stepped_clock, turn
@@ -52,7 +52,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
 def sensor(clock: Clock, monkeypatch: pytest.MonkeyPatch) -> Sensor:
     found = Sensor()
 
-    def opened(port: str, *_: object) -> Line:
+    def opened(port: str, *_: object) -> SerialLine:
         if not found.plugged_in:
             raise PortLost(f"{port}: cannot open the serial port")
         found.lines.append(SensorLine(found, clock))

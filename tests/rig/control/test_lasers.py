@@ -14,7 +14,7 @@ from rig.control.laser_service import LaserService
 from rig.control.lasers import LASERS, Laser, LaserRefused, LaserSettings, make_laser, serial_laser
 from rig.control.light_permit import LightPermit
 from rig.control.link import ReplyTimeout
-from rig.control.serial_port import Line, PortLost
+from rig.control.serial_port import PortLost, SerialLine
 from tests.rig.control.instruments import FakeCobolt, FakeLdc500, FakeObis, FakeThorlabs, Instrument
 from tests.rig.control.stepped import Clock, InstrumentLine, stepped_clock, turn
 
@@ -65,7 +65,7 @@ class Ports:
         self.instruments[port] = instrument
         return port
 
-    def open(self, port: str, *_: object, **__: object) -> Line:
+    def open(self, port: str, *_: object, **__: object) -> SerialLine:
         if port not in self.instruments:
             raise PortLost(f"{port}: cannot open the serial port")
         self.lines.append(InstrumentLine(self.instruments[port], self.clock))
