@@ -1,11 +1,13 @@
 """Numbers of lost frames by the place of the loss."""
 
-from typing import NamedTuple, Self
+from dataclasses import astuple, dataclass
+from typing import Self
 
 from acquisition.camera import CameraStatus
 
 
-class FrameLosses(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class FrameLosses:
     """Numbers of lost frames by the place of the loss.
 
     Attributes
@@ -42,13 +44,13 @@ class FrameLosses(NamedTuple):
     @property
     def total(self) -> int:
         """Total number of lost frames."""
-        return sum(self)
+        return sum(astuple(self))
 
     def since(self, before: "FrameLosses") -> "FrameLosses":
         """What was lost after `before`."""
-        return FrameLosses(*(now - then for now, then in zip(self, before, strict=True)))
+        return FrameLosses(*(now - then for now, then in zip(astuple(self), astuple(before), strict=True)))
 
     def __str__(self) -> str:
         words = ("by the camera", "by the bus", "by this computer", "incomplete", "while unplugged")
-        named = [f"{count} {word}" for count, word in zip(self, words, strict=True) if count]
+        named = [f"{count} {word}" for count, word in zip(astuple(self), words, strict=True) if count]
         return ", ".join(named) or "none"

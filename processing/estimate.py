@@ -1,7 +1,9 @@
 """A value with its standard uncertainty."""
 
+from collections.abc import Iterator
+from dataclasses import dataclass
 from enum import StrEnum
-from typing import NamedTuple
+from math import nan
 
 WELL_DETERMINED = 0.1
 """Relative standard uncertainty up to which value and uncertainty describe a parameter; above it the profile
@@ -18,13 +20,23 @@ class Determinacy(StrEnum):
     UNDETERMINED = "undetermined"
 
 
-class Estimate(NamedTuple):
-    """A value and its standard uncertainty (infinite if the data do not determine it)."""
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """A value and its standard uncertainty (infinite if the data do not determine it).
+
+    It unpacks: ``value, u = estimate``.
+    """
 
     value: float
     standard_uncertainty: float
+
+    def __iter__(self) -> Iterator[float]:
+        return iter((self.value, self.standard_uncertainty))
 
     @property
     def well_determined(self) -> bool:
         """Whether the relative uncertainty is at most `WELL_DETERMINED`."""
         return self.standard_uncertainty <= WELL_DETERMINED * abs(self.value)
+
+
+NOT_DETERMINED = Estimate(nan, nan)

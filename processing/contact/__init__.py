@@ -1,7 +1,7 @@
 """Contact of ball and flat: Hertz theory, laws of friction and elasticity, decay, period, half-swing map."""
 
 from processing.contact.adhesion import AdhesiveContact, adhesive_contacts
-from processing.contact.air_drag import bar_of, expected_drag_s
+from processing.contact.air_drag import ExpectedDrag, bar_of, expected_drag_s
 from processing.contact.decay import decay_path, path_nodes
 from processing.contact.decay_fit import fit_decay
 from processing.contact.energy_loss import measured_losses, model_losses
@@ -36,7 +36,7 @@ from processing.contact.law import (
 from processing.contact.law_of_splines import spline_law
 from processing.contact.laws import LAWS, PAPER
 from processing.contact.moment_splines import MomentSplines
-from processing.contact.moments import cycle_work, surface_energy, weight_moment
+from processing.contact.moments import SurfaceEnergy, cycle_work, surface_energy, weight_moment
 from processing.contact.one_half_swing import OneHalfSwing, tabulated_half_swing
 from processing.contact.parameters import STANDARD_GRAVITY_M_PER_S2, ContactParameters, PendulumOnBall
 from processing.contact.period_law import cosine_moment, frequency_drop, period
@@ -54,6 +54,7 @@ __all__ = [
     "BranchMoments",
     "Columns",
     "ContactParameters",
+    "ExpectedDrag",
     "HalfSwings",
     "HeldColumn",
     "HertzContact",
@@ -64,6 +65,7 @@ __all__ = [
     "Parameter",
     "PendulumOnBall",
     "PeriodStart",
+    "SurfaceEnergy",
     "adhesive_contacts",
     "bar_of",
     "contact_radius",

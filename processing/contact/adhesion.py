@@ -20,6 +20,7 @@ from math import acos, isfinite, nan, pi, sqrt
 from processing.contact.moments import surface_energy
 from processing.contact.parameters import PendulumOnBall
 from processing.errors import DataError
+from processing.estimate import Estimate
 
 ATOMIC_DISTANCE_M = 0.3e-9
 """z0, the distance of the surfaces' atoms in contact, on which the Tabor parameter depends: 0.2 to 0.4 nm."""
@@ -103,7 +104,7 @@ def _with_adhesion(
     """Radius and surface energy that belong together; the radius changes by per cents, so this converges."""
     a = pendulum.contact_radius_m
     for _ in range(200):
-        sigma = surface_energy(c, replace(pendulum, contact_radius_m=a)).table2_j_per_m2
+        sigma = surface_energy(Estimate(c, 0.0), replace(pendulum, contact_radius_m=a)).table2.value
         following = radius_of(2 * sigma)
         if abs(following - a) < 1e-12 * a:
             return AdhesiveContact(following, sigma)

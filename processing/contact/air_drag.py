@@ -11,6 +11,7 @@ whose moment over the bar is that force at v = 1 times L^3/12. Ends, mirror and 
 of two is no surprise.
 """
 
+from dataclasses import dataclass
 from math import pi, sqrt
 from typing import NamedTuple
 
@@ -41,6 +42,22 @@ def bar_of(
     inertia = weight_moment(pendulum) * (period_s / (2 * pi)) ** 2
     length = length_m or sqrt(12 * inertia / pendulum.mass_kg)
     return Bar(length, width_m or length / _PERIOD_RATIO)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExpectedDrag:
+    """The order of magnitude of the drag of the air on a bar in the pendulum's place.
+
+    `assumed` names what was neither measured nor stated: of the air the usual (20 degrees Celsius, 50 %,
+    101325 Pa), of the bar what follows from the pendulum's inertia.
+    """
+
+    drag_s: float
+    air_density_kg_per_m3: float
+    air_viscosity_pa_s: float
+    length_m: float
+    width_m: float
+    assumed: tuple[str, ...] = ()
 
 
 def expected_drag_s(air: Air, bar: Bar, pendulum: PendulumOnBall, period_s: float) -> float:

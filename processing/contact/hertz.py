@@ -10,6 +10,7 @@ from types import MappingProxyType
 
 from processing.contact.parameters import STANDARD_GRAVITY_M_PER_S2, PendulumOnBall
 from processing.errors import ConfigurationError
+from processing.estimate import Estimate
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,14 +70,11 @@ def material(name: str, others: Mapping[str, Material] = MappingProxyType({})) -
 
 @dataclass(frozen=True, slots=True)
 class HertzContact:
-    """Contact spot: radius a, penetration depth a^2/R, contact angle a/R, with standard uncertainties."""
+    """Contact spot: radius a, penetration depth a^2/R, contact angle a/R."""
 
-    radius_m: float
-    depth_m: float
-    angle_rad: float
-    u_radius_m: float
-    u_depth_m: float
-    u_angle_rad: float
+    radius_m: Estimate
+    depth_m: Estimate
+    angle_rad: Estimate
 
 
 def contact_radius(force_n: float, ball_radius_m: float, ball: Material, flat: Material) -> float:
@@ -130,14 +128,12 @@ def hertz_contact(
     )
     force, ball_radius = u_force_n / force_n, u_ball_radius_m / ball_radius_m
     third = 1 / 3
+    depth, angle = radius**2 / ball_radius_m, radius / ball_radius_m
+    # a^2/R goes as F^(2/3) R^(-1/3) and a/R as F^(1/3) R^(-2/3)
     return HertzContact(
-        radius_m=radius,
-        depth_m=radius**2 / ball_radius_m,
-        angle_rad=radius / ball_radius_m,
-        u_radius_m=radius * third * hypot(force, elastic, ball_radius),
-        # a^2/R goes as F^(2/3) R^(-1/3) and a/R as F^(1/3) R^(-2/3)
-        u_depth_m=radius**2 / ball_radius_m * third * hypot(2 * force, 2 * elastic, ball_radius),
-        u_angle_rad=radius / ball_radius_m * third * hypot(force, elastic, 2 * ball_radius),
+        radius_m=Estimate(radius, radius * third * hypot(force, elastic, ball_radius)),
+        depth_m=Estimate(depth, depth * third * hypot(2 * force, 2 * elastic, ball_radius)),
+        angle_rad=Estimate(angle, angle * third * hypot(force, elastic, 2 * ball_radius)),
     )
 
 
@@ -155,4 +151,4 @@ def pendulum_on_ball(
     m g R, on which alone the motion depends, is the same.
     """
     contact = hertz_contact(mass_kg * gravity_m_per_s2, ball_radius_m, ball, flat)
-    return PendulumOnBall(mass_kg, ball_radius_m, contact.radius_m, gravity_m_per_s2)
+    return PendulumOnBall(mass_kg, ball_radius_m, contact.radius_m.value, gravity_m_per_s2)

@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from processing.contact.half_swing import stiffness_ratio
 from processing.contact.parameters import ContactParameters, PendulumOnBall
+from processing.estimate import Estimate
 
 
 def weight_moment(pendulum: PendulumOnBall) -> float:
@@ -66,16 +67,19 @@ def cycle_work(amplitude_rad: float, parameters: ContactParameters, pendulum: Pe
 class SurfaceEnergy:
     """Specific surface energy in J/m^2, in the paper's two forms.
 
-    `table2_j_per_m2` is m g R c/(2 a^2), the work divided by the area 2 a^2 phi that the contact spot
-    sweeps; it reproduces the values of Table 2. `eq2_j_per_m2` is m g c/(2 a), Eq. 2 as printed.
+    `table2` is m g R c/(2 a^2), the work divided by the area 2 a^2 phi that the contact spot sweeps; it
+    reproduces the values of Table 2. `eq2` is m g c/(2 a), Eq. 2 as printed.
     """
 
-    table2_j_per_m2: float
-    eq2_j_per_m2: float
+    table2: Estimate
+    eq2: Estimate
 
 
-def surface_energy(c: float, pendulum: PendulumOnBall) -> SurfaceEnergy:
-    """Both forms of sigma for an adhesion coefficient c of Eq. 1."""
+def surface_energy(c: Estimate, pendulum: PendulumOnBall) -> SurfaceEnergy:
+    """Both forms of sigma for an adhesion coefficient c of Eq. 1; each is proportional to c."""
     force = pendulum.mass_kg * pendulum.gravity_m_per_s2
     a = pendulum.contact_radius_m
-    return SurfaceEnergy(force * pendulum.ball_radius_m * c / (2 * a**2), force * c / (2 * a))
+    return SurfaceEnergy(
+        Estimate(*(force * pendulum.ball_radius_m * part / (2 * a**2) for part in c)),
+        Estimate(*(force * part / (2 * a) for part in c)),
+    )

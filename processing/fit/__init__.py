@@ -3,10 +3,10 @@
 from processing.fit.apparatus import Quantity, RigQuantities
 from processing.fit.asymptotic import fit_asymptotic
 from processing.fit.determination import Determination, identifiability, strong_correlations
-from processing.fit.drag import DragFinding, DragVerdict, drag_verdict
+from processing.fit.drag import Drag, DragFinding, drag_verdict
 from processing.fit.errors_of_place import PlaceErrors, place_errors, with_place_errors
 from processing.fit.exact import fit_exact
-from processing.fit.ground import GROUND_SEEN, Ground, density_of_step
+from processing.fit.ground import GROUND_SEEN, BaseMotion, Ground, density_of_step
 from processing.fit.key_comparison import Degree, KeyComparison, compare_laboratories
 from processing.fit.law_comparison import LawComparison, LawTrial, compare_laws
 from processing.fit.planning import Conditions, PlannedRun, planned_run
@@ -18,11 +18,12 @@ from processing.fit.reported import (
     reported_quantities,
     work_per_cycle_j,
 )
-from processing.fit.result import FitResult
+from processing.fit.result import FitQuality, FitResult
 from processing.fit.row_time import by_row_time
 from processing.fit.series import (
     Combined,
     Comparison,
+    Disagreement,
     SeriesResult,
     average_curves,
     combine,
@@ -30,7 +31,7 @@ from processing.fit.series import (
     compare_series,
 )
 from processing.fit.smoothing import super_smooth
-from processing.fit.uncertainty import Budget, Propagated, budgets, monte_carlo
+from processing.fit.uncertainty import Budget, BudgetSource, Propagated, budgets, monte_carlo
 from processing.fit.waveform import CONTRADICTED, predicted_harmonics, waveform_chances
 from processing.fit.without_law import FreeMoments, WithoutLaw, fit_without_law
 from processing.fit_method import FitMethod
@@ -38,15 +39,19 @@ from processing.fit_method import FitMethod
 __all__ = [
     "CONTRADICTED",
     "GROUND_SEEN",
+    "BaseMotion",
     "Budget",
+    "BudgetSource",
     "Combined",
     "Comparison",
     "Conditions",
     "Degree",
     "Determination",
+    "Disagreement",
+    "Drag",
     "DragFinding",
-    "DragVerdict",
     "FitMethod",
+    "FitQuality",
     "FitResult",
     "FittedContact",
     "FreeMoments",

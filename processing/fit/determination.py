@@ -7,6 +7,7 @@ interval ends where chi2 has risen by the amount that corresponds to the coverag
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from math import nan
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,33 +25,22 @@ from processing.swing import TurningPoints
 STRONG_CORRELATION = 0.99
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Determination:
-    """Result for one parameter, with limits of 95 % coverage.
+    """What the data say of one parameter: a value, an interval, a bound or nothing.
 
-    `lower` or `upper` is NaN if the data set no limit (0 if only physics does: friction dissipates energy).
-    `profiled` is True if the limits come from the profile likelihood.
+    `lower_95` or `upper_95` is NaN if the data set no limit (0 if only physics does: friction dissipates
+    energy). `profile_likelihood` says whether the limits come from it.
     """
 
     name: str
-    value: float
-    standard_uncertainty: float
     verdict: Determinacy
-    lower: float
-    upper: float
-    profiled: bool
-
-    @property
-    def text(self) -> str:
-        if self.verdict is Determinacy.DETERMINED:
-            return f"{self.name} = {self.value:.5g} +- {self.standard_uncertainty:.2g}"
-        if self.verdict is Determinacy.INTERVAL:
-            return f"{self.name} between {self.lower:.2g} and {self.upper:.2g} (95 %)"
-        if self.verdict is Determinacy.UPPER_BOUND:
-            return f"{self.name} below {self.upper:.2g} (95 %)"
-        if self.verdict is Determinacy.LOWER_BOUND:
-            return f"{self.name} above {self.lower:.2g} (95 %)"
-        return f"{self.name} is not determined by these data"
+    value: float
+    standard_uncertainty: float = nan
+    lower_95: float
+    upper_95: float
+    profile_likelihood: bool = False
+    text: str = ""
 
 
 class _Held:
@@ -257,7 +247,7 @@ def _determination(
     value, u = result.estimate(name)
     if u <= WELL_DETERMINED * abs(value):
         lower, upper = result.interval(name)
-        return Determination(name, value, u, Determinacy.DETERMINED, lower, upper, False)
+        return _determined(name, Determinacy.DETERMINED, value, u, lower, upper, profiled=False)
     found = profile_likelihood(points, pendulum, result, name)
     lower, upper = found.lower, found.upper
     not_negative = result.law.parameter(name).lower == 0
@@ -270,7 +260,36 @@ def _determination(
         lower = 0.0 if not_negative else lower
     else:
         verdict = Determinacy.INTERVAL
-    return Determination(name, value, u, verdict, lower, upper, True)
+    return _determined(name, verdict, value, u, lower, upper, profiled=True)
+
+
+def _determined(
+    name: str,
+    verdict: Determinacy,
+    value: float,
+    u: float,
+    lower: float,
+    upper: float,
+    *,
+    profiled: bool,
+) -> Determination:
+    texts = {
+        Determinacy.DETERMINED: f"{name} = {value:.5g} +- {u:.2g}",
+        Determinacy.INTERVAL: f"{name} between {lower:.2g} and {upper:.2g} (95 %)",
+        Determinacy.UPPER_BOUND: f"{name} below {upper:.2g} (95 %)",
+        Determinacy.LOWER_BOUND: f"{name} above {lower:.2g} (95 %)",
+        Determinacy.UNDETERMINED: f"{name} is not determined by these data",
+    }
+    return Determination(
+        name=name,
+        verdict=verdict,
+        value=value,
+        standard_uncertainty=u,
+        lower_95=lower,
+        upper_95=upper,
+        profile_likelihood=profiled,
+        text=texts[verdict],
+    )
 
 
 def strong_correlations(

@@ -13,11 +13,12 @@ from processing.swing import TurningPoints
 
 def of_ground(ground: Ground, points: TurningPoints) -> tuple[str, ...]:
     """That the end of the run was left out; `points` are those fitted."""
-    if not ground.left_out:
+    if not ground.left_out_half_cycles:
         return ()
     text = (
-        f"{ground.left_out} half-cycles at the end are left out: below {points.amplitude[-1]:.3g} rad the "
-        "ground moves the pendulum in one half-swing by more than a tenth of its amplitude"
+        f"{ground.left_out_half_cycles} half-cycles at the end are left out: below "
+        f"{points.amplitude[-1]:.3g} rad the ground moves the pendulum in one "
+        "half-swing by more than a tenth of its amplitude"
     )
     return (text,)
 

@@ -1,15 +1,17 @@
 """Test for a linear drag: comparison of the fits with and without it."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from math import nan
 from typing import Self
 
 from scipy.special import fdtrc
 
-from processing.contact import PendulumOnBall
+from processing.contact import ExpectedDrag, PendulumOnBall
 from processing.contact.laws import DRAG
 from processing.errors import DataError
-from processing.estimate import Estimate
+from processing.estimate import NOT_DETERMINED, Estimate
 from processing.fit.exact import fit_exact, fit_exact_with
 from processing.fit.ground import Noise
 from processing.fit.result import FitResult
@@ -46,9 +48,9 @@ class DragFinding(StrEnum):
         }[self]
 
 
-@dataclass(frozen=True)
-class DragVerdict:
-    """Both fits and the tests that compare them.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Drag:
+    """Whether a linear drag is in the data: the exact fit with it against that without.
 
     Attributes
     ----------
@@ -57,42 +59,31 @@ class DragVerdict:
         probability if there is no drag (F-test).
     aic_difference
         AIC with drag minus AIC without; negative values favour a drag.
-    shift_b, shift_c
+    relative_shift_b, relative_shift_c
         Relative change of b and c when the drag is added.
     significant
         Both tests favour a drag, and its sign is dissipative.
+    with_drag
+        Parameters of the fit with drag.
+    of_air
+        What the air is expected to exert; None where nobody asked.
     """
 
-    without: FitResult
-    with_drag: FitResult
-    drag_s: Estimate
-    f_statistic: float
-    p_value: float
-    aic_difference: float
-    shift_b: float
-    shift_c: float
-    significant: bool
-
-    @property
-    def preferred(self) -> FitResult:
-        return self.with_drag if self.significant else self.without
+    drag_s: Estimate = NOT_DETERMINED
+    f_statistic: float = nan
+    p_value: float = nan
+    aic_difference: float = nan
+    relative_shift_b: float = nan
+    relative_shift_c: float = nan
+    significant: bool = False
+    text: str = ""
+    with_drag: Mapping[str, Estimate] = field(default_factory=dict)
+    of_air: ExpectedDrag | None = None
 
     @property
     def finding(self) -> DragFinding:
+        """What the numbers say of it."""
         return DragFinding.of(self.drag_s, self.p_value, significant=self.significant)
-
-    @property
-    def text(self) -> str:
-        numbers = (
-            f"drag {self.drag_s.value:.3g} +- {self.drag_s.standard_uncertainty:.2g} s, "
-            f"F = {self.f_statistic:.3g} (p = {self.p_value:.2g}), AIC {self.aic_difference:+.3g}"
-        )
-        match self.finding:
-            case DragFinding.SEEN:
-                numbers += f"; with it b moves by {self.shift_b:+.2%} and c by {self.shift_c:+.2%}"
-            case DragFinding.NEGATIVE:
-                numbers = f"the model lacks something else: {numbers}"
-        return f"{self.finding.text}: {numbers}"
 
 
 def drag_verdict(
@@ -101,7 +92,7 @@ def drag_verdict(
     *,
     loss: Loss = "linear",
     without: FitResult | None = None,
-) -> DragVerdict:
+) -> Drag:
     """Fit with and without drag and compare; `without` is the fit without drag, if already made."""
     if without is None:
         without = fit_exact(points, pendulum, loss=loss)
@@ -118,17 +109,31 @@ def drag_verdict(
     aic_difference = 2.0 - gain / scale
     drag_s = with_drag.estimate(DRAG.key)
     before, after = without.parameters, with_drag.parameters
-    return DragVerdict(
-        without=without,
-        with_drag=with_drag,
+    found = Drag(
         drag_s=drag_s,
         f_statistic=f_statistic,
         p_value=p_value,
         aic_difference=aic_difference,
-        shift_b=after.b / before.b - 1 if before.b else float("nan"),
-        shift_c=after.c / before.c - 1 if before.c else float("nan"),
+        relative_shift_b=after.b / before.b - 1 if before.b else nan,
+        relative_shift_c=after.c / before.c - 1 if before.c else nan,
         significant=p_value < SIGNIFICANT and aic_difference < 0 and drag_s.value > 0,
+        with_drag=with_drag.estimates(),
     )
+    return replace(found, text=_text(found))
+
+
+def _text(found: Drag) -> str:
+    numbers = (
+        f"drag {found.drag_s.value:.3g} +- {found.drag_s.standard_uncertainty:.2g} s, "
+        f"F = {found.f_statistic:.3g} (p = {found.p_value:.2g}), AIC {found.aic_difference:+.3g}"
+    )
+    match found.finding:
+        case DragFinding.SEEN:
+            moved = f"b moves by {found.relative_shift_b:+.2%} and c by {found.relative_shift_c:+.2%}"
+            numbers += f"; with it {moved}"
+        case DragFinding.NEGATIVE:
+            numbers = f"the model lacks something else: {numbers}"
+    return f"{found.finding.text}: {numbers}"
 
 
 def _noise(fit: FitResult) -> Noise | None:

@@ -14,7 +14,7 @@ from processing.estimate import Estimate
 from processing.fit.checks import FEWEST_HALF_CYCLES, OUTLIER, check_turning_points, data_warnings
 from processing.fit.doubts import of_correlation, of_ground, of_limits, of_uncertainties
 from processing.fit.exact_model import ExactModel
-from processing.fit.ground import AT_REST, Ground, Noise, density_of_step
+from processing.fit.ground import AT_REST, GROUND_SEEN, GroundFit, Noise, density_of_step
 from processing.fit.noise_estimate import LikeliestNoise, NoiseSearch
 from processing.fit.result import FitResult
 from processing.fit.whiteness import Whiteness, correlated_covariance, whiteness
@@ -170,15 +170,16 @@ def fit_exact(
     bounds = search.bounds(found.likeliest)
     half_period_s = 0.5 * mean_period(kept)
     step, reference = found.likeliest.noise.step, model.reference
-    ground = Ground(
-        density=Estimate(
+    ground = GroundFit(
+        density_rad_per_s2_rthz=Estimate(
             density_of_step(step * reference, half_period_s),
             density_of_step(bounds.u_step * reference, half_period_s),
         ),
         upper_95=density_of_step(bounds.highest_step * reference, half_period_s),
         noise=replace(found.likeliest.noise, step=step * reference),
-        against_rest=found.likeliest.against_rest,
-        left_out=len(points) - len(kept),
+        seen=found.likeliest.against_rest > GROUND_SEEN,
+        measurement_scale=found.likeliest.noise.scale,
+        left_out_half_cycles=len(points) - len(kept),
         deviance=found.likeliest.deviance,
         unrestricted=found.likeliest.unrestricted,
     )
@@ -221,7 +222,7 @@ def fit_exact_with(
 def _result(
     model: ExactModel,
     solution: Solution,
-    ground: Ground,
+    ground: GroundFit,
     loss: Loss,
     likeliest: NDArray[np.float64] | None = None,
     averaged: NDArray[np.float64] | None = None,

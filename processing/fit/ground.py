@@ -1,11 +1,12 @@
 """The ground as a source of scatter: the noise of a fit, and what a fit says of it."""
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from math import inf, nan
 
 import numpy as np
 
-from processing.estimate import Estimate
+from processing.estimate import NOT_DETERMINED, Estimate
 
 GROUND_SEEN = 6.63
 """Difference of -2 ln L from ground at rest above which a drive is stated and not bounded: chance 0.5 %."""
@@ -40,43 +41,61 @@ class Noise:
 AT_REST = Noise()
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BaseMotion:
+    """Horizontal acceleration of the ground that the drive of a pendulum corresponds to.
+
+    One-sided spectral density at the pendulum's frequency, for the stated height of the mass centre over the
+    point of contact, its bound of 95 %, and its level over Peterson's new low noise model of 1993.
+    """
+
+    mass_centre_height_m: float
+    acceleration_m_per_s2_rthz: Estimate
+    upper_95: float = nan
+    above_low_noise_model_db: float = nan
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Ground:
-    """How strongly the ground drove the pendulum during a run.
+    """How strongly the ground drove the pendulum during a run, as the turning points show it.
+
+    `density_rad_per_s2_rthz` is the one-sided spectral density of the angular acceleration at the pendulum's
+    frequency (without a calibration in the unit of the amplitudes instead of rad), `upper_95` its bound of
+    95 %; `seen` is false where the run sets no more than that bound. `measurement_scale` is the factor by
+    which turning points scatter more than their stated uncertainties. `left_out_half_cycles` at the end were
+    not fitted: the ground moves the pendulum in one half-swing by more than a tenth of its amplitude there,
+    and amplitude and phase do not describe its motion. `widening` says for each parameter how many times
+    larger its uncertainty is than on ground at rest. `base` is there where the height of the mass centre is
+    stated.
+    """
+
+    density_rad_per_s2_rthz: Estimate = NOT_DETERMINED
+    upper_95: float = nan
+    seen: bool = False
+    measurement_scale: float = 1.0
+    left_out_half_cycles: int = 0
+    widening: Mapping[str, float] = field(default_factory=dict)
+    base: BaseMotion | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GroundFit(Ground):
+    """The ground, and the likelihood that shows it.
 
     Attributes
     ----------
-    density
-        One-sided spectral density q of the angular acceleration at the pendulum's frequency, in
-        rad/s^2/sqrt(Hz) (without a calibration in the unit of the amplitudes), and its standard uncertainty.
-    upper_95
-        Bound of 95 % of the density.
     noise
         The likeliest noise, its step in the unit of the amplitudes.
-    against_rest
-        By how much -2 ln L of ground at rest exceeds that of this ground.
     deviance
         -2 ln L of the turning points with this noise, restricted to what the fitted parameters leave over, up
         to a constant of their number and of the law.
     unrestricted
         -2 ln L of the turning points themselves, up to a constant of their number: laws are compared by it.
-    left_out
-        Half-cycles at the end that were not fitted, because the ground moves the pendulum in one half-swing
-        by more than a tenth of its amplitude: amplitude and phase no longer describe the motion there.
     """
 
-    density: Estimate
-    upper_95: float
     noise: Noise
-    against_rest: float
-    left_out: int = 0
     deviance: float = nan
     unrestricted: float = nan
-
-    @property
-    def seen(self) -> bool:
-        """Whether the run shows that the ground moved; otherwise it sets a bound."""
-        return self.against_rest > GROUND_SEEN
 
 
 def density_of_step(step: float, half_period_s: float) -> float:

@@ -75,7 +75,7 @@ def compare_laboratories(name: str, values: Sequence[Estimate]) -> KeyComparison
     between_dl = sqrt(max(0.0, excess / float(np.sum(weight) - np.sum(weight**2) / np.sum(weight))))
     with_dl = 1 / (u**2 + between_dl**2)
     reference = combined.value
-    share = 1 / (u**2 + combined.between**2)
+    share = 1 / (u**2 + combined.between_runs**2)
     u_reference = 1 / sqrt(float(np.sum(share)))
     share = share / np.sum(share)
     variance = u**2 * (1 - 2 * share) + u_reference**2
@@ -87,7 +87,7 @@ def compare_laboratories(name: str, values: Sequence[Estimate]) -> KeyComparison
         Estimate(weighted, float(1 / np.sqrt(np.sum(weight)))),
         between_dl,
         Estimate(float(np.sum(with_dl * x) / np.sum(with_dl)), float(1 / np.sqrt(np.sum(with_dl)))),
-        combined.between,
+        combined.between_runs,
         combined.estimate,
         combined.p_homogeneous,
         tuple(degrees),

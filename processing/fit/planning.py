@@ -44,7 +44,7 @@ class Conditions:
         return cls(
             scale * float(np.median(points.u_amplitude)),
             scale * float(np.median(points.u_time_s * points.amplitude)),
-            0.0 if fit.ground is None else fit.ground.density.value,
+            0.0 if fit.ground is None else fit.ground.density_rad_per_s2_rthz.value,
         )
 
     def on_ground(self, rad_per_s2_rthz: float) -> "Conditions":

@@ -1,7 +1,8 @@
 """Result of a fit: values, covariance, goodness of fit, outliers, warnings."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from math import nan
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,15 +11,50 @@ from scipy.special import stdtrit
 from processing.contact import ContactParameters
 from processing.contact.laws import AMPLITUDE, DRAG, PAPER, TIME, Law
 from processing.errors import DataError
-from processing.estimate import Estimate
-from processing.fit.ground import Ground
+from processing.estimate import NOT_DETERMINED, Estimate
+from processing.fit.ground import Ground, GroundFit
 from processing.fit.whiteness import Whiteness
 from processing.fit_method import FitMethod
 from processing.least_squares import Loss
 
 
-@dataclass(frozen=True)
-class FitResult:
+@dataclass(frozen=True, kw_only=True)
+class FitQuality:
+    """How well one fit describes its decay, and what is to be said of it.
+
+    Attributes
+    ----------
+    mean_period_s
+        Mean period of the run, from the times only. It is known even if T0, the period at vanishing
+        amplitude, is too strongly correlated with n.
+    arae_decay, arae_period
+        Mean relative deviations of amplitude and period, Eqs. 8 and 9, divided by the number of terms in
+        the sum.
+    bias
+        How far Eqs. 5 and 6 lie from the exact map where both describe one free decay, the exact fit's;
+        None for the exact fit, or if it is not known.
+    ground
+        How strongly the ground drove the pendulum; None for a fit that does not ask.
+    whiteness
+        Test whether the residuals are correlated.
+    outliers
+        Indices of half-cycles with a residual of amplitude or time above 5 standard uncertainties.
+    warnings
+        Warnings for the user.
+    """
+
+    mean_period_s: Estimate = NOT_DETERMINED
+    arae_decay: float = nan
+    arae_period: float = nan
+    bias: Mapping[str, float] | None = None
+    ground: Ground | None = None
+    whiteness: Whiteness | None = None
+    outliers: tuple[int, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class FitResult(FitQuality):
     """One fit of one decay.
 
     Attributes
@@ -33,37 +69,22 @@ class FitResult:
         Chi-square of the unscaled residuals of amplitudes and times, and degrees of freedom. For
         ground at rest the residuals are distances from the free decay; for a driven pendulum, from the
         predictions of a Kalman filter, and their uncertainties contain the drive.
-    arae_decay, arae_period
-        Mean relative deviations of amplitude and period, Eqs. 8 and 9, divided by the number of terms in
-        the sum.
     reference_rad
         Amplitude used as the unit in the fit. b reference^(p-1) and gamma reference^n are nearly normally
         distributed even if b and gamma are not.
     by_log_rho
         Derivative of `values` by ln(R/a), which the fit takes as known.
-    mean_period_s
-        Mean period of the run, from the times only. It is known even if T0, the period at vanishing
-        amplitude, is too strongly correlated with n.
     loss, cost
         The loss function, and half of its sum at the minimum (half of chi2 if linear).
-    outliers
-        Indices of half-cycles with a residual of amplitude or time above 5 standard uncertainties.
-    warnings
-        Warnings for the user.
     half_cycles
         Number of turning points fitted, counted from the first; 0 if it is not known.
     ground
-        How strongly the ground drove the pendulum; None for a fit that does not ask.
+        As `FitQuality` has it, with its likelihood.
     reading_covariance
         What the covariance would be on ground at rest: by the measurement of the turning points alone.
     widened
         By how many times every standard uncertainty is larger than the likelihood at the likeliest noise
         says: for noise that is not well known, and for correlated residuals. None: once.
-    bias
-        How far Eqs. 5 and 6 lie from the exact map where both describe one free decay, the exact fit's;
-        None for the exact fit, or if it is not known.
-    whiteness
-        Test whether the residuals are correlated.
     place_covariance
         Part of the covariance, and of `reading_covariance`, that errors of position fixed on the sensor
         leave; None where none were found.
@@ -76,21 +97,14 @@ class FitResult:
     covariance: NDArray[np.float64]
     chi2: float
     dof: int
-    arae_decay: float
-    arae_period: float
     reference_rad: float
     by_log_rho: NDArray[np.float64]
-    mean_period_s: Estimate
     loss: Loss
     cost: float
-    outliers: tuple[int, ...]
-    warnings: tuple[str, ...] = field(default=())
     half_cycles: int = 0
-    ground: Ground | None = None
+    ground: GroundFit | None = None
     reading_covariance: NDArray[np.float64] | None = None
     widened: NDArray[np.float64] | None = None
-    bias: Mapping[str, float] | None = None
-    whiteness: Whiteness | None = None
     place_covariance: NDArray[np.float64] | None = None
 
     @property

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from math import sqrt
+from math import nan, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,34 +21,33 @@ DISAGREES = 0.003
 """Probability, for all runs and parameters together, below which a run is reported to disagree."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Combined:
-    """One parameter over a series.
+    """One parameter over a series of runs.
 
     Attributes
     ----------
     value, standard_uncertainty
         Mean weighted by within-run and between-run variance, and its standard uncertainty, which contains
-        both and is at least `within`.
-    dof, expanded
-        Number of runs minus one, and the half-width of the 95 % interval by Student's t.
-    within
+        both and is at least `within_runs`.
+    expanded_uncertainty_95, degrees_of_freedom
+        Half-width of the 95 % interval by Student's t, and number of runs minus one.
+    within_runs
         Standard uncertainty of the mean from the runs' own uncertainties only.
-    between
+    between_runs
         Standard deviation between runs in excess of their own uncertainties; 0 if there is none.
     p_homogeneous
         Probability of a scatter at least as large if only the runs' own uncertainties contribute.
     """
 
-    name: str
     value: float
     standard_uncertainty: float
-    dof: int
-    expanded: float
-    within: float
-    between: float
-    p_homogeneous: float
-    runs: tuple[Estimate, ...]
+    expanded_uncertainty_95: float = nan
+    degrees_of_freedom: int = 0
+    within_runs: float = nan
+    between_runs: float = nan
+    p_homogeneous: float = nan
+    runs: tuple[Estimate, ...] = ()
 
     @property
     def estimate(self) -> Estimate:
@@ -57,7 +56,7 @@ class Combined:
 
 @dataclass(frozen=True, slots=True)
 class Disagreement:
-    """A run with a parameter that deviates from the other runs by `deviation` standard uncertainties."""
+    """A run (counted from 1) that lies `deviation` standard uncertainties from what the others say."""
 
     run: int
     name: str
@@ -119,15 +118,14 @@ def combine(name: str, runs: Sequence[Estimate]) -> Combined:
     spread = float(np.sum(weight * (x - value) ** 2) / (dof * np.sum(weight)))
     uncertainty = max(sqrt(spread), float(1 / np.sqrt(np.sum(weight))))
     return Combined(
-        name,
-        value,
-        uncertainty,
-        dof,
-        float(stdtrit(dof, 0.975)) * uncertainty,
-        within,
-        sqrt(variance),
-        float(chdtrc(dof, alone)),
-        tuple(runs),
+        value=value,
+        standard_uncertainty=uncertainty,
+        expanded_uncertainty_95=float(stdtrit(dof, 0.975)) * uncertainty,
+        degrees_of_freedom=dof,
+        within_runs=within,
+        between_runs=sqrt(variance),
+        p_homogeneous=float(chdtrc(dof, alone)),
+        runs=tuple(runs),
     )
 
 
@@ -183,12 +181,12 @@ def _disagreements(names: Sequence[str], results: Sequence[FitResult]) -> list[D
             else:
                 combined = combine(name, others)
                 rest = combined.estimate
-                between = combined.between
+                between = combined.between_runs
                 dof = 1e9 if combined.p_homogeneous > AGREE else float(count - 2)
             u = sqrt(own.standard_uncertainty**2 + rest.standard_uncertainty**2 + between**2)
             deviation = (own.value - rest.value) / u
             if 2 * float(stdtr(dof, -abs(deviation))) < limit:
-                found.append(Disagreement(i, name, deviation))
+                found.append(Disagreement(i + 1, name, deviation))
     if count > 2 and found:
         # One deviating run also shifts the means with which the others are compared. Report the largest
         # deviation first, and another only if it remains after that run has been removed.
@@ -196,10 +194,10 @@ def _disagreements(names: Sequence[str], results: Sequence[FitResult]) -> list[D
             {item.run for item in found}, key=lambda run: max(abs(d.deviation) for d in found if d.run == run)
         )
         named = [item for item in found if item.run == worst]
-        kept = [j for j in range(count) if j != worst]
+        kept = [j for j in range(count) if j + 1 != worst]
         if len(kept) > 2:
             named += [
-                Disagreement(kept[item.run], item.name, item.deviation)
+                Disagreement(kept[item.run - 1] + 1, item.name, item.deviation)
                 for item in _disagreements(names, [results[j] for j in kept])
             ]
         return named
@@ -277,8 +275,12 @@ def compare_series(series: Mapping[str, SeriesResult]) -> tuple[Comparison, ...]
             if b is None:
                 continue
             difference = a.value - b.value
-            u = sqrt(a.standard_uncertainty**2 + b.standard_uncertainty**2)
-            dof = u**4 / (a.standard_uncertainty**4 / a.dof + b.standard_uncertainty**4 / b.dof)
+            u_a, u_b = a.standard_uncertainty, b.standard_uncertainty
+            u = sqrt(u_a**2 + u_b**2)
+            dof = u**4 / (
+                a.standard_uncertainty**4 / a.degrees_of_freedom
+                + b.standard_uncertainty**4 / b.degrees_of_freedom
+            )
             p_value = 2 * float(stdtr(dof, -abs(difference) / u))
             rows.append(Comparison(name, first, second, difference, u, p_value))
     return tuple(rows)

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import floor, inf, isfinite, log10, sqrt
+from math import floor, inf, isfinite, log10, nan, sqrt
 from typing import Literal
 
 import numpy as np
@@ -22,41 +22,38 @@ PLACE = "position_errors"
 
 
 @dataclass(frozen=True, slots=True)
-class BudgetLine:
+class BudgetSource:
     """Contribution of one source to the uncertainty of one quantity.
 
-    `sensitivity` is the derivative of the quantity by the source (NaN for the fit, which has several
-    parameters), `contribution` the resulting standard uncertainty in the quantity's unit, and `share` its
-    fraction of the combined variance.
+    `type` is A from the data, B stated. `sensitivity` is the derivative of the quantity by the source (NaN
+    for the fit, which has several parameters), `contribution` the resulting standard uncertainty in the
+    quantity's unit, and `share` its fraction of the combined variance.
     """
 
     source: str
-    kind: Literal["A", "B"]
+    type: Literal["A", "B"]
     u_source: float
     sensitivity: float
     contribution: float
     share: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Budget:
     """GUM budget of one quantity, largest contribution first.
 
-    `dof` are the effective degrees of freedom (Welch-Satterthwaite; infinite for what is stated),
-    `coverage_factor` is Student's t for 95 %, `expanded` is its product with `standard_uncertainty`.
+    `unit` is that of the value. `degrees_of_freedom` are the effective ones (Welch-Satterthwaite; infinite
+    for what is stated), `coverage_factor_95` is Student's t, `expanded_uncertainty_95` its product with
+    `standard_uncertainty`.
     """
 
-    quantity: str
-    unit: str
+    unit: str = ""
     value: float
     standard_uncertainty: float
-    dof: float
-    coverage_factor: float
-    lines: tuple[BudgetLine, ...]
-
-    @property
-    def expanded(self) -> float:
-        return self.coverage_factor * self.standard_uncertainty
+    degrees_of_freedom: float = nan
+    coverage_factor_95: float
+    expanded_uncertainty_95: float
+    sources: tuple[BudgetSource, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,11 +65,10 @@ class Propagated:
     interval within half a unit of the first significant digit of the standard uncertainty.
     """
 
-    quantity: str
     mean: float
     standard_uncertainty: float
-    lower: float
-    upper: float
+    lower_95: float
+    upper_95: float
     gum_holds: bool
 
 
@@ -153,14 +149,22 @@ def _budget(
     per_dof = type_a**4 / found.dof if 0 < type_a < inf else 0.0
     per_dof += sum(part**4 / inputs[source].dof for source, kind, _, _, part in parts if kind == "B")
     dof = combined**4 / per_dof if per_dof > 0 and isfinite(combined) else inf
-    lines = tuple(
-        BudgetLine(
+    sources = tuple(
+        BudgetSource(
             source, kind, u, slope, part, (part / combined) ** 2 if isfinite(combined) else float(part == inf)
         )
         for source, kind, u, slope, part in sorted(parts, key=lambda part: -part[4])
     )
     factor = float(stdtrit(min(dof, 1e9), 0.975))
-    return Budget(name, unit, value, combined, dof, factor, lines)
+    return Budget(
+        unit=unit,
+        value=value,
+        standard_uncertainty=combined,
+        degrees_of_freedom=dof,
+        coverage_factor_95=factor,
+        expanded_uncertainty_95=factor * combined,
+        sources=sources,
+    )
 
 
 def _of(covariance: NDArray[np.float64] | None, by_value: NDArray[np.float64]) -> float:
@@ -216,11 +220,9 @@ def monte_carlo(
             u = float(np.std(sample, ddof=1))
             budget = against[name]
             tolerance = 0.5 * 10 ** floor(log10(u)) if u > 0 and isfinite(u) else 0.0
-            worst = max(
-                abs(budget.value - budget.expanded - lower), abs(budget.value + budget.expanded - upper)
-            )
+            half = budget.expanded_uncertainty_95
+            worst = max(abs(budget.value - half - lower), abs(budget.value + half - upper))
             out[name] = Propagated(
-                name,
                 float(np.mean(sample)),
                 u,
                 float(lower),

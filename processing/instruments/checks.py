@@ -1,8 +1,8 @@
 """Acceptance test of an instrument: measured values compared with the limits of a standard."""
 
 import math
+from dataclasses import dataclass
 from enum import StrEnum
-from typing import NamedTuple
 
 from processing.estimate import Estimate
 from processing.instruments.descriptions import Limits
@@ -16,11 +16,13 @@ class Compliance(StrEnum):
     UNDECIDED = "undecided"
 
 
-class Check(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class Check:
     """A value compared with its limits."""
 
     name: str
-    measured: Estimate
+    value: float
+    standard_uncertainty: float
     lowest: float
     highest: float
     unit: str
@@ -41,5 +43,5 @@ def check(name: str, measured: Estimate, limits: Limits, unit: str) -> Check:
         wanted = f"{limits.value:g} ± {limits.tolerance:g} {unit}"
     word = "too close to the limit to decide" if verdict is Compliance.UNDECIDED else verdict
     return Check(
-        name, measured, low, high, unit, verdict, f"{name} {value:.5g} {unit}, {wanted} wanted: {word}"
+        name, value, u, low, high, unit, verdict, f"{name} {value:.5g} {unit}, {wanted} wanted: {word}"
     )

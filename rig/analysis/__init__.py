@@ -3,20 +3,7 @@
 from rig.analysis.base_acceleration import base_motion
 from rig.analysis.compared_laws import chosen_laws, law_table, laws_of, moments_table
 from rig.analysis.contact_laws import surface_energies
-from rig.analysis.contact_results import (
-    NOT_DETERMINED,
-    BaseMotion,
-    Budget,
-    Correlation,
-    Determination,
-    Drag,
-    ExpectedDrag,
-    Fit,
-    Ground,
-    MonteCarlo,
-    SurfaceEnergies,
-    SurfaceEnergy,
-)
+from rig.analysis.contact_results import Correlation, Fit, MonteCarlo, SurfaceEnergies
 from rig.analysis.contact_series import combined_series
 from rig.analysis.contact_verdicts import evaluate, fit_results
 from rig.analysis.curves import Curves, curves_of
@@ -42,14 +29,7 @@ from rig.analysis.record_fit import (
     session_results,
     with_dropped_frames,
 )
-from rig.analysis.results import (
-    AveragedCurves,
-    CombinedParameter,
-    RunResults,
-    Series,
-    SessionResults,
-    TableResults,
-)
+from rig.analysis.results import AveragedCurves, RunResults, Series, SessionResults, TableResults
 from rig.analysis.results_file import (
     RESULTS_NAME,
     decoded,
@@ -71,23 +51,15 @@ from rig.analysis.table_screen import fit_envelope_table, fit_trajectory
 from rig.analysis.waveform_results import waveform_table
 
 __all__ = [
-    "NOT_DETERMINED",
     "RESULTS_NAME",
     "AnalysedRun",
     "AveragedCurves",
-    "BaseMotion",
-    "Budget",
-    "CombinedParameter",
     "ComparedLaws",
     "Correlation",
     "Curves",
     "DampingResults",
     "DecrementTable",
-    "Determination",
-    "Drag",
-    "ExpectedDrag",
     "Fit",
-    "Ground",
     "InstrumentResults",
     "InstrumentSeries",
     "JsonObject",
@@ -100,7 +72,6 @@ __all__ = [
     "SessionResults",
     "StoredTurningPoints",
     "SurfaceEnergies",
-    "SurfaceEnergy",
     "Surroundings",
     "SwingPlane",
     "TableColumns",

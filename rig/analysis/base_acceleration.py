@@ -5,8 +5,8 @@ import math
 import numpy as np
 
 from processing.estimate import Estimate
+from processing.fit import BaseMotion
 from processing.noise_models import nlnm_db
-from rig.analysis.contact_results import BaseMotion
 from rig.settings import PendulumSettings
 
 

@@ -6,7 +6,6 @@ from math import nan
 from typing import Self
 
 from processing.spot import LONGEST_CHOICE_FRAMES, BeamUse, SpotFlag, SpotModel
-from rig.analysis.encoding import Number
 from rig.presentation import Verdict
 
 _EASED = SpotFlag.MULTIPLE | SpotFlag.LEARNED
@@ -31,7 +30,7 @@ class Beam:
     choosing_frames: int = 0
     judged_frames: int = 0
     poor_fit_frames: int = 0
-    poor_fit_fraction: Number = nan
+    poor_fit_fraction: float = nan
     likely_cause: str = ""
     remedy: str = ""
 

@@ -90,7 +90,7 @@ def _without_law(
         elastic_n_m=found.elastic_n_m,
         u_elastic_n_m=found.u_elastic_n_m,
         reference_rad=found.reference_rad,
-        ground_rad_per_s2_rthz=free.fit.ground.density.value,
+        ground_rad_per_s2_rthz=free.fit.ground.density_rad_per_s2_rthz.value,
         laws=same,
     )
 
@@ -108,7 +108,7 @@ def _values(compared: LawComparison) -> ComparedLaws:
                 bic_above_best=compared.above_best(trial),
                 aic_above_best=trial.aic - min(one.aic for one in compared.trials),
                 log_odds_against=compared.odds_against(trial),
-                ground_rad_per_s2_rthz=fit.ground.density.value,
+                ground_rad_per_s2_rthz=fit.ground.density_rad_per_s2_rthz.value,
                 residuals_are_noise=not fit.whiteness.correlated,
                 excluded=trial not in compared.remaining,
             )

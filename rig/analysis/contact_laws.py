@@ -5,10 +5,9 @@ from dataclasses import dataclass
 
 from processing.contact import PendulumOnBall, surface_energy
 from processing.errors import DataError
-from processing.estimate import Estimate
 from processing.fit import FitMethod, FitResult, fit_asymptotic, fit_exact, with_place_errors
 from processing.swing import TurningPoints
-from rig.analysis.contact_results import SurfaceEnergies, SurfaceEnergy
+from rig.analysis.contact_results import SurfaceEnergies
 from rig.analysis.settled import loss_of
 from rig.settings import FitSettings
 
@@ -58,14 +57,6 @@ def fit_decay(
 
 def surface_energies(fits: Mapping[str, FitResult], pendulum: PendulumOnBall) -> SurfaceEnergies:
     """Surface energy after every fit."""
-    energies = {name: surface_energy_of(fit.estimate("c"), pendulum) for name, fit in fits.items()}
+    energies = {name: surface_energy(fit.estimate("c"), pendulum) for name, fit in fits.items()}
     default = energies.pop(FitMethod.EXACT)
     return SurfaceEnergies(default.table2, default.eq2, energies)
-
-
-def surface_energy_of(c: Estimate, pendulum: PendulumOnBall) -> SurfaceEnergy:
-    """Both forms of the surface energy; each is proportional to c, and so is its uncertainty."""
-    value, u = surface_energy(c.value, pendulum), surface_energy(c.standard_uncertainty, pendulum)
-    return SurfaceEnergy(
-        Estimate(value.table2_j_per_m2, u.table2_j_per_m2), Estimate(value.eq2_j_per_m2, u.eq2_j_per_m2)
-    )

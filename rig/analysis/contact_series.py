@@ -2,10 +2,9 @@
 
 from collections.abc import Mapping, Sequence
 
-from processing.contact import PendulumOnBall
+from processing.contact import PendulumOnBall, surface_energy
 from processing.errors import DataError
 from processing.fit import (
-    Combined,
     FitMethod,
     FitResult,
     RigQuantities,
@@ -16,9 +15,7 @@ from processing.fit import (
     fit_asymptotic,
 )
 from processing.swing import TurningPoints
-from rig.analysis.contact_laws import surface_energy_of
-from rig.analysis.contact_verdicts import budget_results
-from rig.analysis.results import AveragedCurves, CombinedParameter, Disagreement, Series
+from rig.analysis.results import AveragedCurves, Series
 
 
 def combined_series(
@@ -54,31 +51,12 @@ def combined_series(
     default = combined.get(FitMethod.EXACT)
     return Series(
         runs=len(points),
-        fits={
-            method: {name: _parameter(item) for name, item in found.parameters.items()}
-            for method, found in combined.items()
-        },
-        surface_energy_j_per_m2=surface_energy_of(default.parameters["c"].estimate, pendulum)
+        fits={method: found.parameters for method, found in combined.items()},
+        surface_energy_j_per_m2=surface_energy(default.parameters["c"].estimate, pendulum)
         if default
         else None,
-        budget=budget_results(budgets(default.measured, rig)) if default and rig else {},
-        disagreements=tuple(
-            Disagreement(item.run + 1, item.name, item.deviation)
-            for item in (default.disagreements if default else ())
-        ),
+        budget=budgets(default.measured, rig) if default and rig else {},
+        disagreements=default.disagreements if default else (),
         averaged_curves=averaged,
         problems=tuple(problems),
-    )
-
-
-def _parameter(item: Combined) -> CombinedParameter:
-    return CombinedParameter(
-        value=item.value,
-        standard_uncertainty=item.standard_uncertainty,
-        expanded_uncertainty_95=item.expanded,
-        degrees_of_freedom=item.dof,
-        within_runs=item.within,
-        between_runs=item.between,
-        p_homogeneous=item.p_homogeneous,
-        runs=item.runs,
     )

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, astuple, replace
+from dataclasses import fields, replace
 
 import numpy as np
 
@@ -19,11 +19,13 @@ from processing.contact import (
 )
 from processing.errors import DataError
 from processing.estimate import Estimate
-from processing.fit import Budget as GumBudget
-from processing.fit import Determination as Identified
 from processing.fit import (
-    DragVerdict,
+    Budget,
+    Determination,
+    Drag,
+    FitQuality,
     FitResult,
+    Propagated,
     Quantity,
     RigQuantities,
     budgets,
@@ -37,26 +39,9 @@ from processing.fit import (
     strong_correlations,
     work_per_cycle_j,
 )
-from processing.fit import Ground as MovingGround
-from processing.fit import Propagated as Sampled
 from processing.swing import TurningPoints
 from rig.analysis.base_acceleration import base_motion
-from rig.analysis.contact_results import (
-    Adhesion,
-    AdhesiveSpot,
-    Budget,
-    BudgetSource,
-    Correlation,
-    Determination,
-    Drag,
-    Fit,
-    Ground,
-    Hertz,
-    MonteCarlo,
-    Propagated,
-    Whiteness,
-    Work,
-)
+from rig.analysis.contact_results import Adhesion, AdhesiveSpot, Correlation, Fit, MonteCarlo, Work
 from rig.analysis.results import RunResults
 from rig.instrument import balls, material, shutter_of
 from rig.settings import Configuration, PendulumSettings, TimebaseSettings
@@ -117,13 +102,12 @@ def contact_of(rig: RigQuantities) -> HertzContact:
     stated = rig.contact_radius_m
     if stated is not None:
         ball = rig.ball_radius_m
+        depth, angle = stated.value**2 / ball.value, stated.value / ball.value
+        u_spot, u_ball = stated.u / stated.value, ball.u / ball.value
         return HertzContact(
-            stated.value,
-            stated.value**2 / ball.value,
-            stated.value / ball.value,
-            stated.u,
-            stated.value**2 / ball.value * math.hypot(2 * stated.u / stated.value, ball.u / ball.value),
-            stated.value / ball.value * math.hypot(stated.u / stated.value, ball.u / ball.value),
+            Estimate(stated.value, stated.u),
+            Estimate(depth, depth * math.hypot(2 * u_spot, u_ball)),
+            Estimate(angle, angle * math.hypot(u_spot, u_ball)),
         )
     mass, gravity, radius = rig.mass_kg, rig.gravity_m_per_s2, rig.ball_radius_m
     force = mass.value * gravity.value / rig.balls
@@ -163,18 +147,17 @@ def evaluate(
     drag: Drag | None = None
     determinations: tuple[Determination, ...] = ()
     try:
-        found = drag_verdict(points, pendulum, loss=exact.loss, without=None if exact.has_drag else exact)
-        drag = _drag(found)
-        if found.significant and not exact.has_drag:
+        drag = drag_verdict(points, pendulum, loss=exact.loss, without=None if exact.has_drag else exact)
+        if drag.significant and not exact.has_drag:
             notes.append("the reported fit leaves that drag out; fit.drag = true reports the fit with it")
     except DataError as error:
         notes.append(f"no drag verdict: {error}")
     try:
-        determinations = tuple(_determination(item) for item in identifiability(points, pendulum, exact))
+        determinations = identifiability(points, pendulum, exact)
     except DataError as error:
         notes.append(f"no identifiability verdict: {error}")
-    tables: Mapping[str, GumBudget] = {}
-    propagated: Mapping[str, Sampled] = {}
+    tables: Mapping[str, Budget] = {}
+    propagated: Mapping[str, Propagated] = {}
     if rig is not None:
         try:
             by_row = by_row_time(points, pendulum, exact, rig)
@@ -196,15 +179,13 @@ def evaluate(
     return replace(
         run,
         pendulum=pendulum,
-        hertz=None if rig is None else _hertz(contact_of(rig)),
+        hertz=None if rig is None else contact_of(rig),
         adhesion=None if rig is None else _adhesion(exact.estimate("c"), pendulum, rig),
         drag=drag,
         identifiability=determinations,
         strong_correlations=tuple(strong_correlations(exact)),
-        budget=budget_results(tables),
-        monte_carlo=MonteCarlo(DRAWS, seed, {name: _propagated(item) for name, item in propagated.items()})
-        if propagated
-        else None,
+        budget=tables,
+        monte_carlo=MonteCarlo(DRAWS, seed, propagated) if propagated else None,
         work_per_cycle=tuple(
             _work(amplitude, exact, pendulum, rig if propagated else None, seed)
             for amplitude in (TABLE4_AMPLITUDE_ARCSEC, float(points.amplitude[0]) / ARCSEC_RAD)
@@ -215,32 +196,19 @@ def evaluate(
 
 def fit_results(fit: FitResult, pendulum: PendulumSettings | None = None) -> Fit:
     """What is reported of one fit; `pendulum` states the height of the mass centre, if it is known."""
+    shared = {item.name: getattr(fit, item.name) for item in fields(FitQuality)}
+    if fit.ground is not None:
+        base = base_motion(
+            fit.ground.density_rad_per_s2_rthz, fit.ground.upper_95, fit.mean_period_s.value, pendulum
+        )
+        shared["ground"] = replace(fit.ground, widening=_widening(fit), base=base)
     return Fit(
         law=fit.law.name,
         parameters=fit.estimates(),
-        mean_period_s=fit.mean_period_s,
-        arae_decay=fit.arae_decay,
-        arae_period=fit.arae_period,
         chi2_per_dof=fit.chi2_per_dof,
         degrees_of_freedom=fit.dof,
         correlation=Correlation(tuple(fit.names), tuple(map(tuple, fit.correlation.tolist()))),
-        ground=None if fit.ground is None else _ground(fit, fit.ground, pendulum),
-        whiteness=None if fit.whiteness is None else Whiteness(**asdict(fit.whiteness)),
-        bias=fit.bias,
-        outliers=fit.outliers,
-        warnings=fit.warnings,
-    )
-
-
-def _ground(fit: FitResult, found: MovingGround, pendulum: PendulumSettings | None) -> Ground:
-    return Ground(
-        density_rad_per_s2_rthz=found.density,
-        upper_95=found.upper_95,
-        seen=found.seen,
-        measurement_scale=found.noise.scale,
-        left_out_half_cycles=found.left_out,
-        widening=_widening(fit),
-        base=base_motion(found.density, found.upper_95, fit.mean_period_s.value, pendulum),
+        **shared,
     )
 
 
@@ -253,36 +221,15 @@ def _widening(fit: FitResult) -> dict[str, float]:
     return {name: known[name] for name in fit.contact_names}
 
 
-def budget_results(found: Mapping[str, GumBudget]) -> dict[str, Budget]:
-    """What is reported of uncertainty budgets, by quantity."""
-    return {
-        name: Budget(
-            unit=budget.unit,
-            value=budget.value,
-            standard_uncertainty=budget.standard_uncertainty,
-            degrees_of_freedom=budget.dof,
-            coverage_factor_95=budget.coverage_factor,
-            expanded_uncertainty_95=budget.expanded,
-            sources=tuple(BudgetSource(*astuple(line)) for line in budget.lines),
-        )
-        for name, budget in found.items()
-    }
-
-
-def _hertz(contact: HertzContact) -> Hertz:
-    return Hertz(
-        Estimate(contact.radius_m, contact.u_radius_m),
-        Estimate(contact.depth_m, contact.u_depth_m),
-        Estimate(contact.angle_rad, contact.u_angle_rad),
-    )
-
-
 def _adhesion(c: Estimate, pendulum: PendulumOnBall, rig: RigQuantities) -> Adhesion | None:
     """The spot with adhesion; None where c is not seen or the spot's radius was stated."""
     if rig.contact_radius_m is not None or not c.value > _SEEN * c.standard_uncertainty:
         return None
     hertz, found = contact_of(rig), adhesive_contacts(c.value, pendulum)
-    u_radius, u_c = hertz.u_radius_m / hertz.radius_m, c.standard_uncertainty / c.value
+    u_radius, u_c = (
+        hertz.radius_m.standard_uncertainty / hertz.radius_m.value,
+        c.standard_uncertainty / c.value,
+    )
 
     def spot(contact: AdhesiveContact) -> AdhesiveSpot:
         radius_m, energy = contact.radius_m, contact.surface_energy_j_per_m2
@@ -298,37 +245,6 @@ def _adhesion(c: Estimate, pendulum: PendulumOnBall, rig: RigQuantities) -> Adhe
         dmt=spot(found.dmt),
         maugis_dugdale=spot(found.maugis),
     )
-
-
-def _drag(found: DragVerdict) -> Drag:
-    return Drag(
-        drag_s=found.drag_s,
-        f_statistic=found.f_statistic,
-        p_value=found.p_value,
-        aic_difference=found.aic_difference,
-        relative_shift_b=found.shift_b,
-        relative_shift_c=found.shift_c,
-        significant=found.significant,
-        text=found.text,
-        with_drag=found.with_drag.estimates(),
-    )
-
-
-def _determination(item: Identified) -> Determination:
-    return Determination(
-        name=item.name,
-        verdict=item.verdict,
-        value=item.value,
-        standard_uncertainty=item.standard_uncertainty,
-        lower_95=item.lower,
-        upper_95=item.upper,
-        profile_likelihood=item.profiled,
-        text=item.text,
-    )
-
-
-def _propagated(item: Sampled) -> Propagated:
-    return Propagated(item.mean, item.standard_uncertainty, item.lower, item.upper, item.gum_holds)
 
 
 def _work(

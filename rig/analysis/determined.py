@@ -2,13 +2,12 @@
 
 from collections.abc import Mapping
 
-from processing.estimate import WELL_DETERMINED, Determinacy
-from rig.analysis.contact_results import Determination
-from rig.analysis.results import CombinedParameter
+from processing.estimate import WELL_DETERMINED, Determinacy, Estimate
+from processing.fit import Combined, Determination
 from rig.presentation import law_parameters, plain, quantity
 
 
-def determined_text(name: str, value: float, u: float, verdicts: Mapping[str, Determination]) -> str:
+def determined_text(name: str, found: Estimate, verdicts: Mapping[str, Determination]) -> str:
     """Value and uncertainty where the data determine the parameter, else its interval or bound.
 
     A surface energy is c times what is known of the apparatus, and shares c's verdict.
@@ -17,12 +16,12 @@ def determined_text(name: str, value: float, u: float, verdicts: Mapping[str, De
     is_energy = name.startswith("surface_energy")
     verdict = verdicts.get("c" if is_energy else name)
     if verdict is None or verdict.verdict is Determinacy.DETERMINED:
-        return shown.text(value, u)
-    per_parameter = value / verdict.value if is_energy else 1.0
+        return shown.text(*found)
+    per_parameter = found.value / verdict.value if is_energy else 1.0
     return bound_text(verdict, shown.factor * per_parameter)
 
 
-def series_verdicts(combined: Mapping[str, CombinedParameter]) -> dict[str, Determination]:
+def series_verdicts(combined: Mapping[str, Combined]) -> dict[str, Determination]:
     """Verdicts on a series' parameters by their 95 % intervals."""
     found = {}
     for name, item in combined.items():

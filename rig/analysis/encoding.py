@@ -1,4 +1,4 @@
-"""How values are spelled in results.json, as annotations that pydantic reads both ways.
+"""How values are spelled in results.json: what pydantic makes of plain dataclasses, and annotations.
 
 null says "not determined": it is read as NaN, and NaN and infinity are written as null.
 """
@@ -10,12 +10,10 @@ from typing import Annotated, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import AfterValidator, Field, GetCoreSchemaHandler, GetJsonSchemaHandler, JsonValue
-from pydantic.json_schema import JsonSchemaValue
-from pydantic_core import CoreSchema, PydanticCustomError, core_schema
+from pydantic import AfterValidator, Field, GetCoreSchemaHandler, JsonValue, TypeAdapter
+from pydantic_core import CoreSchema, PydanticCustomError, SchemaSerializer, SchemaValidator, core_schema
 
 from processing.contact import PendulumOnBall
-from processing.estimate import Estimate
 
 JsonObject: TypeAlias = Mapping[str, JsonValue]
 """A JSON object of no fixed keys."""
@@ -47,46 +45,44 @@ def _possible_pendulum(pendulum: PendulumOnBall) -> PendulumOnBall:
     return pendulum
 
 
-class _NullForNan:
-    """Annotation of a float: null in the file where it is not finite."""
+class Codec:
+    """Reads and writes values of one type; a frozen dataclass of any room needs no annotation for it.
 
-    def __get_pydantic_core_schema__(self, source: object, handler: GetCoreSchemaHandler) -> CoreSchema:
+    A float stands in the file as a number, or as null where it is not determined. A part that need not be
+    there (None) is left out, unless its field is marked `Kept`.
+    """
+
+    def __init__(self, kind: Any) -> None:
+        schema = _as_stored(TypeAdapter(kind).core_schema)
+        self._validator, self._serializer = SchemaValidator(schema), SchemaSerializer(schema)
+
+    def read(self, tree: object) -> Any:
+        """The value; raises pydantic's ValidationError."""
+        return self._validator.validate_python(tree)
+
+    def write(self, value: object) -> Any:
+        """The tree of JSON's types."""
+        return self._serializer.to_python(value, mode="json")
+
+
+def _as_stored(schema: Any) -> Any:
+    """The same schema, where every float is null for NaN, and None is left out."""
+    if isinstance(schema, list | tuple):
+        return type(schema)(map(_as_stored, schema))
+    if not isinstance(schema, dict):
+        return schema
+    if schema.get("type") == "float":
         written = core_schema.plain_serializer_function_ser_schema(_nan_to_null)
-        return core_schema.no_info_before_validator_function(
-            _null_to_nan, handler(source), serialization=written
-        )
-
-    def __get_pydantic_json_schema__(
-        self, schema: CoreSchema, handler: GetJsonSchemaHandler
-    ) -> JsonSchemaValue:
-        return {"type": ["number", "null"]}
+        return core_schema.no_info_before_validator_function(_null_to_nan, schema, serialization=written)
+    found = {key: _as_stored(value) for key, value in schema.items()}
+    is_optional = schema.get("type") == "dataclass-field" and schema["schema"].get("default", "") is None
+    if is_optional and "serialization" not in schema["schema"]["schema"]:  # as a `Section` has
+        found.setdefault("serialization_exclude_if", _is_none)
+    return found
 
 
-class _NamedObject:
-    """Annotation of a NamedTuple: an object with its names as keys, not an array."""
-
-    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        kinds = {name: Number if kind is float else kind for name, kind in source.__annotations__.items()}
-        shape = core_schema.typed_dict_schema(
-            {
-                name: core_schema.typed_dict_field(
-                    handler.generate_schema(kind), required=name not in source._field_defaults
-                )
-                for name, kind in kinds.items()
-            }
-        )
-        return core_schema.no_info_after_validator_function(
-            lambda found: source(**found),
-            shape,
-            serialization=core_schema.plain_serializer_function_ser_schema(_named_object),
-        )
-
-
-def _named_object(value: Any) -> dict[str, Any]:
-    return {
-        name: _nan_to_null(item) if isinstance(item, float) else item
-        for name, item in value._asdict().items()
-    }
+def _is_none(value: object) -> bool:
+    return value is None
 
 
 class _Array:
@@ -96,7 +92,7 @@ class _Array:
         self._kind = kind
 
     def __get_pydantic_core_schema__(self, source: object, handler: GetCoreSchemaHandler) -> CoreSchema:
-        items = handler(tuple[Number, ...] if self._kind is float else tuple[int, ...])
+        items = handler(tuple[self._kind, ...])  # type: ignore[name-defined]
         dtype = np.float64 if self._kind is float else np.int64
         return core_schema.no_info_after_validator_function(
             lambda found: np.array(found, dtype=dtype),
@@ -140,17 +136,29 @@ class Beside:
         )
 
 
-def with_entries_beside(schema: dict[str, Any]) -> dict[str, Any]:
-    """A JSON schema in which marked mappings have become what else their object may hold.
+def as_in_the_file(schema: dict[str, Any]) -> dict[str, Any]:
+    """A JSON schema of the values as that of their file: a number may be null.
 
-    Titles that only repeat a key are left out.
+    Marked mappings have become what else their object may hold; titles that only repeat a key are left out.
     """
+    _allow_null(schema)
     for shape in schema["$defs"].values():
         for name, item in list(shape.get("properties", {}).items()):
             item.pop("title", None)
             if item.pop("x-entries", False):
                 shape["additionalProperties"] = shape["properties"].pop(name)["additionalProperties"]
     return schema
+
+
+def _allow_null(schema: Any) -> None:
+    if isinstance(schema, list):
+        for item in schema:
+            _allow_null(item)
+    elif isinstance(schema, dict):
+        if schema.get("type") == "number":
+            schema["type"] = ["number", "null"]
+        for item in schema.values():
+            _allow_null(item)
 
 
 class _Section:
@@ -167,17 +175,12 @@ class _Section:
         )
 
 
-Number = Annotated[float, _NullForNan()]
-"""A float; NaN, which is null in the file, where it is not determined."""
-Value = Annotated[Estimate, _NamedObject()]
-"""A value with its standard uncertainty, an object with these two keys."""
-AsObject = _NamedObject()
 Pendulum = Annotated[PendulumOnBall, AfterValidator(_possible_pendulum)]
 Floats = Annotated[NDArray[np.float64], _Array(float)]
 Integers = Annotated[NDArray[np.int64], _Array(int)]
 Section = _Section()
 """Of a part that need not be there (None): an empty object in the file, so that its key is always there."""
-LeftOut = Field(exclude_if=lambda value: value is None)
-"""Of a part whose key is not in the file where there is none."""
+Kept = Field(exclude_if=lambda _: False)
+"""Of a part whose key is in the file where there is none, with null."""
 Entries = Field(json_schema_extra={"x-entries": True})
 """Marks the mapping whose entries stand `Beside` the keys of its dataclass, for the JSON schema."""

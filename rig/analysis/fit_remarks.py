@@ -1,8 +1,7 @@
 """What is said about a run's fits beyond their numbers, the same on the terminal and in reports."""
 
 from processing.estimate import Determinacy, Estimate
-from processing.fit import FitMethod
-from rig.analysis.contact_results import BaseMotion, Drag, Ground
+from processing.fit import BaseMotion, Drag, FitMethod, Ground
 from rig.analysis.headline import headline
 from rig.analysis.results import RunResults
 from rig.presentation import plain, quantity, with_uncertainty

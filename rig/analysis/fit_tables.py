@@ -3,9 +3,9 @@
 from collections.abc import Mapping, Sequence
 
 from processing.contact.laws import PAPER
-from processing.estimate import Estimate
-from processing.fit import FitMethod
-from rig.analysis.contact_results import NOT_DETERMINED, Determination, Fit, SurfaceEnergies
+from processing.estimate import NOT_DETERMINED, Estimate
+from processing.fit import Determination, FitMethod
+from rig.analysis.contact_results import Fit, SurfaceEnergies
 from rig.analysis.determined import determined_text, series_verdicts
 from rig.analysis.results import SessionResults
 from rig.presentation import Cell, Table, plain, quantity
@@ -43,7 +43,7 @@ def parameter_table(
         rows.append([name, *(number for found in estimates for number in found or NOT_DETERMINED)])
         texts = [
             "" if found is None
-            else determined_text(name, *found, verdicts if method == FitMethod.EXACT else {})
+            else determined_text(name, found, verdicts if method == FitMethod.EXACT else {})
             for method, found in zip(methods, estimates, strict=True)
         ]  # fmt: skip
         shown.append([quantity(name).symbol, *texts, quantity(name).unit])
@@ -77,20 +77,18 @@ def combined_table(results: SessionResults) -> Table | None:
         whole = Estimate(item.value, item.standard_uncertainty)
         rows.append([name, *(number for found in (*estimates, whole) for number in found or NOT_DETERMINED)])
         texts = [
-            "" if found is None else determined_text(name, *found, run.verdicts())
+            "" if found is None else determined_text(name, found, run.verdicts())
             for found, (_, run) in zip(estimates, fits, strict=True)
         ]
         shown.append(
-            [quantity(name).symbol, *texts, determined_text(name, *whole, verdicts), quantity(name).unit]
+            [quantity(name).symbol, *texts, determined_text(name, whole, verdicts), quantity(name).unit]
         )
     if together is not None and all(energies):
         name = "surface_energy_table2_j_per_m2"
         found = [*(energy.table2 for energy in energies if energy is not None), together.table2]
         rows.append([name, *(number for estimate in found for number in estimate)])
         known = [*(run.verdicts() for _, run in fits), verdicts]
-        texts = [
-            determined_text(name, value, u, judged) for (value, u), judged in zip(found, known, strict=True)
-        ]
+        texts = [determined_text(name, one, judged) for one, judged in zip(found, known, strict=True)]
         shown.append([quantity(name).symbol, *texts, quantity(name).unit])
     heads = [f"run {number}" for number, _ in fits]
     return Table(

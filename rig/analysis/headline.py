@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 
 from processing.estimate import Determinacy
-from rig.analysis.contact_results import Budget, Determination
+from processing.fit import Budget, Determination
 from rig.presentation import SOURCES, quantity
 
 SURFACE_ENERGY = "surface_energy_table2_j_per_m2"

@@ -1,31 +1,10 @@
 """What results.json holds of pendulums that are not described by the contact's laws."""
 
 from dataclasses import dataclass
-from typing import Annotated
 
-from processing.instruments import Check, Compliance
-from rig.analysis.encoding import Floats, LeftOut, Number, Value
-
-
-@dataclass(frozen=True, slots=True)
-class CheckedValue:
-    """A value against the limits of a standard."""
-
-    name: str
-    value: Number
-    standard_uncertainty: Number
-    lowest: Number
-    highest: Number
-    unit: str
-    verdict: Compliance
-    text: str
-
-    @classmethod
-    def of(cls, check: Check) -> "CheckedValue":
-        """As `processing.instruments` judged it."""
-        return cls(
-            check.name, *check.measured, check.lowest, check.highest, check.unit, check.verdict, check.text
-        )
+from processing.estimate import Estimate
+from processing.instruments import Check
+from rig.analysis.encoding import Floats
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,10 +22,10 @@ class PeriodTable:
 class DampingResults:
     """Time and number of swings from one amplitude to another."""
 
-    start_amplitude_deg: Number
-    end_amplitude_deg: Number
-    time_s: Value
-    swings: Value
+    start_amplitude_deg: float
+    end_amplitude_deg: float
+    time_s: Estimate
+    swings: Estimate
     missing_half_cycles: int
 
 
@@ -54,10 +33,10 @@ class DampingResults:
 class FrictionLawResults:
     """Mean frictional moment at the reference amplitude, and the power of the amplitude it goes with."""
 
-    reference_amplitude_deg: Number
-    moment: Value
-    exponent: Value
-    chi2_per_dof: Number
+    reference_amplitude_deg: float
+    moment: Estimate
+    exponent: Estimate
+    chi2_per_dof: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,9 +54,9 @@ class SwingPlane:
 
     direction_deg: Floats
     time_s: Floats
-    rate_deg_per_min: Value
-    turned_deg: Value
-    width_ratio: Number
+    rate_deg_per_min: Estimate
+    turned_deg: Estimate
+    width_ratio: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -88,28 +67,28 @@ class InstrumentResults:
     """
 
     kind: str
-    swing_plane: Annotated[SwingPlane | None, LeftOut] = None
-    inferred_half_cycles: Annotated[int | None, LeftOut] = None
-    first_amplitude_deg: Annotated[Number | None, LeftOut] = None
-    time_hardness_first_swing_s: Annotated[Value | None, LeftOut] = None
-    scale_hardness: Annotated[Value | None, LeftOut] = None
-    time_hardness_s: Annotated[Value | None, LeftOut] = None
-    period0_s: Annotated[Value | None, LeftOut] = None
-    circular_factor: Annotated[Value | None, LeftOut] = None
-    chi2_per_dof: Annotated[Number | None, LeftOut] = None
-    table: Annotated[PeriodTable | None, LeftOut] = None
-    friction_law: Annotated[FrictionLawResults | None, LeftOut] = None
-    log_decrement: Annotated[Value | None, LeftOut] = None
-    constant_decrement: Annotated[bool | None, LeftOut] = None
-    independent_of_speed: Annotated[bool | None, LeftOut] = None
-    rolling_friction_coefficient: Annotated[Value | None, LeftOut] = None
-    problem: Annotated[str | None, LeftOut] = None
-    decrement_against_amplitude: Annotated[DecrementTable | None, LeftOut] = None
-    damping: Annotated[DampingResults | None, LeftOut] = None
-    amplitude_deg: Annotated[tuple[Number, Number] | None, LeftOut] = None
-    mean_period_s: Annotated[Number | None, LeftOut] = None
-    environment: Annotated[tuple[CheckedValue, ...] | None, LeftOut] = None
-    apparatus: Annotated[tuple[CheckedValue, ...] | None, LeftOut] = None
+    swing_plane: SwingPlane | None = None
+    inferred_half_cycles: int | None = None
+    first_amplitude_deg: float | None = None
+    time_hardness_first_swing_s: Estimate | None = None
+    scale_hardness: Estimate | None = None
+    time_hardness_s: Estimate | None = None
+    period0_s: Estimate | None = None
+    circular_factor: Estimate | None = None
+    chi2_per_dof: float | None = None
+    table: PeriodTable | None = None
+    friction_law: FrictionLawResults | None = None
+    log_decrement: Estimate | None = None
+    constant_decrement: bool | None = None
+    independent_of_speed: bool | None = None
+    rolling_friction_coefficient: Estimate | None = None
+    problem: str | None = None
+    decrement_against_amplitude: DecrementTable | None = None
+    damping: DampingResults | None = None
+    amplitude_deg: tuple[float, float] | None = None
+    mean_period_s: float | None = None
+    environment: tuple[Check, ...] | None = None
+    apparatus: tuple[Check, ...] | None = None
     text: tuple[str, ...] = ()
 
 
@@ -117,11 +96,11 @@ class InstrumentResults:
 class OverPlaces:
     """Mean over the places of a sample."""
 
-    value: Number
-    standard_uncertainty: Number
+    value: float
+    standard_uncertainty: float
     places: int
-    spread: Number
-    expanded_uncertainty_95: Number
+    spread: float
+    expanded_uncertainty_95: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -129,11 +108,11 @@ class InstrumentSeries:
     """Places on a sample against the glass plate or reference sample of the same series."""
 
     kind: str
-    time_s: Annotated[OverPlaces | None, LeftOut] = None
-    swings: Annotated[OverPlaces | None, LeftOut] = None
-    problem: Annotated[str | None, LeftOut] = None
-    reference_time_s: Annotated[Value | None, LeftOut] = None
-    acceptance: Annotated[tuple[CheckedValue, ...] | None, LeftOut] = None
-    ratio: Annotated[Value | None, LeftOut] = None
-    ratio_of_swings: Annotated[Value | None, LeftOut] = None
+    time_s: OverPlaces | None = None
+    swings: OverPlaces | None = None
+    problem: str | None = None
+    reference_time_s: Estimate | None = None
+    acceptance: tuple[Check, ...] | None = None
+    ratio: Estimate | None = None
+    ratio_of_swings: Estimate | None = None
     text: tuple[str, ...] = ()

@@ -3,11 +3,11 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import inf, nan
-from typing import Annotated
 
 import numpy as np
 
-from rig.analysis.encoding import Floats, LeftOut, Number, Value
+from processing.estimate import Estimate
+from rig.analysis.encoding import Floats
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -23,12 +23,12 @@ class LawFit:
 
     title: str
     source: str
-    parameters: Mapping[str, Value] = field(default_factory=dict)
-    bic_above_best: Number = inf
-    aic_above_best: Number = inf
-    log_odds_against: Number = inf
-    ground_rad_per_s2_rthz: Number = inf
-    waveform_chance: Number = nan
+    parameters: Mapping[str, Estimate] = field(default_factory=dict)
+    bic_above_best: float = inf
+    aic_above_best: float = inf
+    log_odds_against: float = inf
+    ground_rad_per_s2_rthz: float = inf
+    waveform_chance: float = nan
     residuals_are_noise: bool = False
     excluded: bool = True
     problem: str = ""
@@ -56,8 +56,8 @@ class MomentsWithoutLaw:
     u_friction_n_m: Floats = field(default_factory=lambda: np.empty(0))
     elastic_n_m: Floats = field(default_factory=lambda: np.empty(0))
     u_elastic_n_m: Floats = field(default_factory=lambda: np.empty(0))
-    reference_rad: Number = nan
-    ground_rad_per_s2_rthz: Number = nan
+    reference_rad: float = nan
+    ground_rad_per_s2_rthz: float = nan
     laws: Mapping[str, LawMoments] = field(default_factory=dict)
 
 
@@ -73,7 +73,7 @@ class Harmonics:
 class WaveformClass:
     """Harmonics 2 to 5 of the swings about one amplitude, their standard uncertainties, and the laws' own."""
 
-    amplitude_rad: Number
+    amplitude_rad: float
     measured: Harmonics
     u_rad: Floats
     laws: Mapping[str, Harmonics] = field(default_factory=dict)
@@ -86,5 +86,5 @@ class ComparedLaws:
 
     laws: Mapping[str, LawFit]
     verdict: str
-    without_law: Annotated[MomentsWithoutLaw | None, LeftOut] = None
+    without_law: MomentsWithoutLaw | None = None
     waveform: tuple[WaveformClass, ...] = ()

@@ -10,6 +10,7 @@ from processing.estimate import Estimate
 from processing.instruments import (
     DEGREE_RAD,
     INSTRUMENTS,
+    Check,
     Damping,
     Description,
     Limits,
@@ -23,7 +24,6 @@ from processing.instruments import (
 from processing.periods import mean_period
 from processing.swing import Swing, SwingDetector, SwingFlag, TurningPoints, turning_points
 from rig.analysis.instrument_results import (
-    CheckedValue,
     InstrumentResults,
     SwingPlane,
 )
@@ -137,9 +137,7 @@ def _in_its_plane(
     return found, replace(deflections, y=y, u_y=u_y), reported
 
 
-def _held_against_air(
-    description: Description, air: Surroundings, lines: list[str]
-) -> tuple[CheckedValue, ...]:
+def _held_against_air(description: Description, air: Surroundings, lines: list[str]) -> tuple[Check, ...]:
     wanted = (
         ("temperature", air.temperature_c, description.temperature_c, "°C"),
         ("humidity", air.humidity_percent, description.humidity_percent, "%"),
@@ -154,12 +152,12 @@ def _held_against_air(
             )
             continue
         item = check(name, Estimate(value, 0.0), limits, unit)
-        found.append(CheckedValue.of(item))
+        found.append(item)
         lines.append(item.text)
     return tuple(found)
 
 
-def _check_mass(settings: InstrumentSettings, lines: list[str]) -> tuple[CheckedValue, ...] | None:
+def _check_mass(settings: InstrumentSettings, lines: list[str]) -> tuple[Check, ...] | None:
     """The stated mass of the pendulum against the standard's, where the standard limits it."""
     standard = INSTRUMENTS[settings.kind]
     if settings.mass_kg is None or standard.mass_kg is None or standard.mass_tolerance_kg is None:
@@ -167,4 +165,4 @@ def _check_mass(settings: InstrumentSettings, lines: list[str]) -> tuple[Checked
     limits = Limits(standard.mass_kg, standard.mass_tolerance_kg)
     item = check("mass of the pendulum", Estimate(settings.mass_kg, 0.0), limits, "kg")
     lines.append(item.text)
-    return (CheckedValue.of(item),)
+    return (item,)

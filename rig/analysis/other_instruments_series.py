@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from processing.estimate import Estimate
-from processing.instruments import Damping, Description, check, over_places, ratio
-from rig.analysis.instrument_results import CheckedValue, InstrumentSeries, OverPlaces
+from processing.instruments import Check, Damping, Description, check, over_places, ratio
+from rig.analysis.instrument_results import InstrumentSeries, OverPlaces
 from rig.analysis.other_instruments import Reduction
 from rig.presentation import with_uncertainty
 from rig.settings import InstrumentSettings
@@ -56,7 +56,9 @@ def _over_places(values: Sequence[Estimate], what: str, unit: str, lines: list[s
         f"{what} over {places}: {with_uncertainty(*mean.mean)}{unit}"
         + (f", spread {mean.spread:.3g}{unit}" if mean.number > 1 else "")
     )
-    return OverPlaces(*mean.mean, mean.number, mean.spread, mean.expanded_95)
+    return OverPlaces(
+        mean.mean.value, mean.mean.standard_uncertainty, mean.number, mean.spread, mean.expanded_95
+    )
 
 
 def _reference(settings: InstrumentSettings, glass: Sequence[Damping]) -> Estimate | None:
@@ -67,9 +69,7 @@ def _reference(settings: InstrumentSettings, glass: Sequence[Damping]) -> Estima
     return None
 
 
-def _acceptance(
-    description: Description, glass: Sequence[Damping], lines: list[str]
-) -> tuple[CheckedValue, ...]:
+def _acceptance(description: Description, glass: Sequence[Damping], lines: list[str]) -> tuple[Check, ...]:
     """The apparatus on glass against the standard."""
     time_s = over_places([plate.time_s for plate in glass]).mean
     period_s = over_places([plate.period_s for plate in glass]).mean
@@ -81,4 +81,4 @@ def _acceptance(
     lines += [item.text for item in checks]
     if description.note and checks:
         lines.append(f"note: {description.note}")
-    return tuple(map(CheckedValue.of, checks))
+    return tuple(checks)

@@ -10,32 +10,13 @@ from math import isfinite, nan
 from typing import Annotated
 
 from acquisition.frame_losses import FrameLosses
+from processing.contact import HertzContact, SurfaceEnergy
+from processing.estimate import NOT_DETERMINED, Estimate
+from processing.fit import Budget, Combined, Determination, Disagreement, Drag
 from processing.swing import KnownMotion
 from rig.analysis.beam import Beam
-from rig.analysis.contact_results import (
-    NOT_DETERMINED,
-    Adhesion,
-    Budget,
-    Determination,
-    Drag,
-    Fit,
-    Hertz,
-    MonteCarlo,
-    SurfaceEnergies,
-    SurfaceEnergy,
-    Work,
-)
-from rig.analysis.encoding import (
-    AsObject,
-    Beside,
-    Entries,
-    JsonObject,
-    LeftOut,
-    Number,
-    Pendulum,
-    Section,
-    Value,
-)
+from rig.analysis.contact_results import Adhesion, Fit, MonteCarlo, SurfaceEnergies, Work
+from rig.analysis.encoding import Beside, Entries, JsonObject, Kept, Pendulum, Section
 from rig.analysis.instrument_results import InstrumentResults, InstrumentSeries
 from rig.analysis.law_results import ComparedLaws
 from rig.analysis.stored_position_errors import PositionErrors
@@ -70,43 +51,43 @@ class RunResults:
 
     record: str
     sha256: str = ""
-    simulated: Annotated[bool | None, LeftOut] = None
+    simulated: bool | None = None
     inputs_sha256: Mapping[str, str] = field(default_factory=dict)
-    record_bytes: int | None = None
+    record_bytes: Annotated[int | None, Kept] = None
     frames: int = 0
     dropped_frames: int = 0
-    losses: Annotated[FrameLosses, AsObject] | None = None
-    beam: Annotated[Beam | None, LeftOut] = None
+    losses: Annotated[FrameLosses | None, Kept] = None
+    beam: Beam | None = None
     half_cycles: int = 0
-    measured_again_on: KnownMotion | None = None
-    amplitude_unit: str | None = None
-    initial_amplitude: Number = nan
-    final_amplitude: Number = nan
-    initial_amplitude_arcsec: Number = nan
-    final_amplitude_arcsec: Number = nan
+    measured_again_on: Annotated[KnownMotion | None, Kept] = None
+    amplitude_unit: Annotated[str | None, Kept] = None
+    initial_amplitude: float = nan
+    final_amplitude: float = nan
+    initial_amplitude_arcsec: float = nan
+    final_amplitude_arcsec: float = nan
     fits: Mapping[str, Annotated[Fit, Beside("parameters")]] = field(default_factory=dict)
     surface_energy_j_per_m2: Annotated[Annotated[SurfaceEnergies, Beside("others")] | None, Section] = None
     problem: str = ""
     warnings: tuple[str, ...] = ()
     settings: JsonObject = field(default_factory=dict)
     calibration: JsonObject = field(default_factory=dict)
-    pendulum: Pendulum | None = None
-    hertz: Annotated[Hertz | None, Section] = None
-    adhesion: Annotated[Adhesion | None, LeftOut] = None
+    pendulum: Annotated[Pendulum | None, Kept] = None
+    hertz: Annotated[HertzContact | None, Section] = None
+    adhesion: Adhesion | None = None
     drag: Annotated[Drag | None, Section] = None
     identifiability: tuple[Determination, ...] = ()
-    strong_correlations: tuple[tuple[str, str, Number], ...] = ()
+    strong_correlations: tuple[tuple[str, str, float], ...] = ()
     budget: Mapping[str, Budget] = field(default_factory=dict)
     monte_carlo: Annotated[MonteCarlo | None, Section] = None
     work_per_cycle: tuple[Work, ...] = ()
     notes: tuple[str, ...] = ()
-    instrument: Annotated[InstrumentResults | None, LeftOut] = None
-    turning_points: StoredTurningPoints | None = None
+    instrument: InstrumentResults | None = None
+    turning_points: Annotated[StoredTurningPoints | None, Kept] = None
     conditions: tuple[Verdict, ...] = ()
-    position_errors: PositionErrors | None = None
-    laws: Annotated[ComparedLaws | None, LeftOut] = None
-    ended: Annotated[str | None, LeftOut] = None
-    surroundings: Annotated[Surroundings | None, LeftOut] = None
+    position_errors: Annotated[PositionErrors | None, Kept] = None
+    laws: ComparedLaws | None = None
+    ended: str | None = None
+    surroundings: Surroundings | None = None
 
     def half_cycles_text(self, unit: str, before_amplitudes: str = ", ") -> str:
         """`33 half-cycles, 123.24 to 101.09 arcsec`, or that there are none.
@@ -127,36 +108,13 @@ class RunResults:
         return {item.name: item for item in self.identifiability}
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CombinedParameter:
-    """One parameter over the runs of a series: see `processing.fit.series.Combined`."""
-
-    value: Number
-    standard_uncertainty: Number
-    expanded_uncertainty_95: Number = nan
-    degrees_of_freedom: int = 0
-    within_runs: Number = nan
-    between_runs: Number = nan
-    p_homogeneous: Number = nan
-    runs: tuple[Value, ...] = ()
-
-
-@dataclass(frozen=True, slots=True)
-class Disagreement:
-    """A run (counted from 1) that lies `deviation` standard uncertainties from what the others say."""
-
-    run: int
-    name: str
-    deviation: Number
-
-
 @dataclass(frozen=True, slots=True)
 class AveragedCurves:
     """The paper's way: the runs' curves averaged, then Eqs. 5 and 6 fitted."""
 
-    parameters: Annotated[Mapping[str, Value], Entries] = field(default_factory=dict)
-    arae_decay: Number = nan
-    arae_period: Number = nan
+    parameters: Annotated[Mapping[str, Estimate], Entries] = field(default_factory=dict)
+    arae_decay: float = nan
+    arae_period: float = nan
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -164,13 +122,13 @@ class Series:
     """A series of runs: each fit's parameters combined, in `fits` by the fit's name."""
 
     runs: int = 0
-    fits: Annotated[Mapping[str, Mapping[str, CombinedParameter]], Entries] = field(default_factory=dict)
+    fits: Annotated[Mapping[str, Mapping[str, Combined]], Entries] = field(default_factory=dict)
     surface_energy_j_per_m2: Annotated[SurfaceEnergy | None, Section] = None
     budget: Mapping[str, Budget] = field(default_factory=dict)
     disagreements: tuple[Disagreement, ...] = ()
     averaged_curves: Annotated[Annotated[AveragedCurves, Beside("parameters")] | None, Section] = None
     problems: tuple[str, ...] = ()
-    instrument: Annotated[InstrumentSeries | None, LeftOut] = None
+    instrument: InstrumentSeries | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -190,10 +148,10 @@ class TableDecay(RunResults):
     `ended_s` are the first and the last turning point since the table's first row.
     """
 
-    began_s: Number = nan
-    ended_s: Number = nan
-    period_s: Value = NOT_DETERMINED
-    log_decrement: Value = NOT_DETERMINED
+    began_s: float = nan
+    ended_s: float = nan
+    period_s: Estimate = NOT_DETERMINED
+    log_decrement: Estimate = NOT_DETERMINED
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -217,10 +175,10 @@ class EnvelopeResults:
     envelope: str
     unit: str
     samples: int
-    time_constant_s: Value
-    first_half_s: Number = nan
-    last_half_s: Number = nan
-    chi2_per_dof: Number = nan
-    noise_floor: Number = nan
-    quality_factor: Annotated[Value | None, Section] = None
+    time_constant_s: Estimate
+    first_half_s: float = nan
+    last_half_s: float = nan
+    chi2_per_dof: float = nan
+    noise_floor: float = nan
+    quality_factor: Annotated[Estimate | None, Section] = None
     warnings: tuple[str, ...] = ()

@@ -11,7 +11,7 @@ from pydantic_core import ErrorDetails
 
 from acquisition.record import whole_file
 from processing.errors import ConfigurationError, RecordError
-from rig.analysis.encoding import JsonObject, with_entries_beside
+from rig.analysis.encoding import Codec, JsonObject, as_in_the_file
 from rig.analysis.results import SCHEMA, EnvelopeResults, RunResults, SessionResults, TableResults
 from rig.presentation import plain_values
 from rig.settings import migrated, wanted
@@ -21,14 +21,14 @@ _REMEDY = "rig fit makes it anew from the record"
 
 
 @functools.cache
-def _codec(kind: Any) -> TypeAdapter[Any]:
-    return TypeAdapter(kind)
+def _codec(kind: Any) -> Codec:
+    return Codec(kind)
 
 
 def encoded(values: object) -> JsonObject:
     """Results, or a part of them, as they stand in the file."""
     kind: Any = type(values)
-    tree: JsonObject = _codec(kind).dump_python(values, mode="json")
+    tree: JsonObject = _codec(kind).write(values)
     return tree
 
 
@@ -89,7 +89,7 @@ def decoded(tree: Any, path: Path) -> SessionResults:
         raise RecordError(f"{path}: names no runs; it was not made from records of rig run")
     try:
         today, _ = migrated(tree, str(path), _STEPS)
-        found: SessionResults = _codec(SessionResults).validate_python(today)
+        found: SessionResults = _codec(SessionResults).read(today)
     except ConfigurationError as error:
         raise RecordError(str(error)) from None
     except ValidationError as error:
@@ -163,8 +163,6 @@ def results_schema() -> str:
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": RESULTS_NAME,
         "description": f"Version {SCHEMA}: of records, or of a table of positions of any instrument.",
-        **with_entries_beside(
-            TypeAdapter[Any](SessionResults | TableResults | EnvelopeResults).json_schema()
-        ),
+        **as_in_the_file(TypeAdapter[Any](SessionResults | TableResults | EnvelopeResults).json_schema()),
     }
     return _text(plain_values(tree)) + "\n"

@@ -9,9 +9,9 @@ import numpy as np
 from acquisition.record.events import Event, EventKind
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import ENVIRONMENT
+from processing.fit import Ground
 from processing.spot import SpotFlag
 from rig.analysis.beam import Beam
-from rig.analysis.contact_results import Ground
 from rig.presentation import Verdict
 from rig.settings import PreflightSettings
 

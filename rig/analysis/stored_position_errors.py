@@ -6,7 +6,7 @@ import numpy as np
 
 from processing.deflections import DeflectionUnit
 from processing.position_map import PositionMap
-from rig.analysis.encoding import Floats, Number
+from rig.analysis.encoding import Floats
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -24,10 +24,10 @@ class PositionErrors:
     place: Floats = field(default_factory=lambda: np.empty(0))
     error: Floats = field(default_factory=lambda: np.empty(0))
     u_error: Floats = field(default_factory=lambda: np.empty(0))
-    correlation_length: Number = float("nan")
-    significance: Number = float("nan")
+    correlation_length: float = float("nan")
+    significance: float = float("nan")
     cycles: int = 0
-    noise_scale: Number = float("nan")
+    noise_scale: float = float("nan")
 
     def __post_init__(self) -> None:
         if len({len(self.place), len(self.error), len(self.u_error)}) > 1:

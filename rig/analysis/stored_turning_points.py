@@ -8,10 +8,7 @@ import numpy as np
 from processing.deflections import DeflectionUnit
 from processing.swing import Swing, TurningPoints
 from processing.ticks import seconds
-from rig.analysis.encoding import (
-    Floats,
-    Integers,
-)
+from rig.analysis.encoding import Floats, Integers
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -11,9 +11,7 @@ from acquisition.record.reader import RecordReader
 from acquisition.record.topics import ENVIRONMENT, SPOT
 from acquisition.record.utc import utc
 from processing.air import humid_air
-from processing.contact import PendulumOnBall, bar_of, expected_drag_s
-from rig.analysis.contact_results import ExpectedDrag
-from rig.analysis.encoding import Number
+from processing.contact import ExpectedDrag, PendulumOnBall, bar_of, expected_drag_s
 from rig.settings import Configuration
 
 _AIR = ("temperature_c", "humidity_percent", "pressure_pa")
@@ -29,11 +27,11 @@ class Surroundings:
     `dwell_s` from when the ball was set on its place, `age_s` from the last cleaning of the surfaces.
     """
 
-    temperature_c: Number = nan
-    humidity_percent: Number = nan
-    pressure_pa: Number = nan
-    dwell_s: Number = nan
-    age_s: Number = nan
+    temperature_c: float = nan
+    humidity_percent: float = nan
+    pressure_pa: float = nan
+    dwell_s: float = nan
+    age_s: float = nan
 
     def known(self) -> dict[str, float]:
         """What is known, by name."""

@@ -1,5 +1,7 @@
 """Losses to be written to a record: whenever they change, and at its end."""
 
+from dataclasses import astuple
+
 from acquisition.frame_losses import FrameLosses
 from acquisition.record.topics import RecordedLosses
 from rig.devices import FrameStream
@@ -32,4 +34,4 @@ class LossLog:
     def last(self, time_ns: int) -> RecordedLosses:
         """The present losses, to be recorded in any case."""
         self._written = self.now
-        return RecordedLosses(time_ns, *self._written)
+        return RecordedLosses(time_ns, *astuple(self._written))

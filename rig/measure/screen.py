@@ -164,7 +164,6 @@ class RunDisplay:
 
     def values(self, snapshot: Snapshot) -> dict[str, Any]:
         """The state of the run for programs; the amplitude is in `amplitude_unit`."""
-        losses = snapshot.losses._asdict()
         estimates = estimates_tree(snapshot.estimates)
         left_s, u_s = self._left(snapshot)
         own = {
@@ -175,7 +174,7 @@ class RunDisplay:
             "at_most_s": self._at_most_s(snapshot),
             **self._numbers(),
         }
-        return {**asdict(snapshot), "losses": losses, "estimates": estimates, **own}
+        return {**asdict(snapshot), "estimates": estimates, **own}
 
     def rows(self, snapshot: Snapshot) -> list[tuple[str, str]]:
         """Names and texts of the state, for people."""

@@ -13,6 +13,7 @@ from processing.contact import (
     surface_energy,
 )
 from processing.contact.laws import PAPER
+from processing.estimate import Estimate
 from processing.fit import FitMethod
 from rig.paper.printed import BALL, BALL_RADIUS_M, LOOP_AMPLITUDE_ARCSEC, MASS_KG, PAIRS
 from rig.paper.simulation import PairSeries
@@ -45,9 +46,15 @@ def table1() -> Table:
         )
         name = pair.name.removeprefix("steel on ")
         for what, unit, printed, found, last_digit in (
-            ("contact radius", "µm", pair.contact_radius_um, contact.radius_m * 1e6, 1.0),
-            ("depth", "µm", pair.depth_um, contact.depth_m * 1e6, 0.1),
-            ("contact angle", "arcmin", pair.contact_angle_arcmin, contact.angle_rad * 10800 / math.pi, 1.0),
+            ("contact radius", "µm", pair.contact_radius_um, contact.radius_m.value * 1e6, 1.0),
+            ("depth", "µm", pair.depth_um, contact.depth_m.value * 1e6, 0.1),
+            (
+                "contact angle",
+                "arcmin",
+                pair.contact_angle_arcmin,
+                math.degrees(contact.angle_rad.value) * 60,
+                1.0,
+            ),
         ):
             agrees = abs(found - printed) <= 0.5 * last_digit
             verdict = f"{AGREES} as rounded" if agrees else "differs"
@@ -165,7 +172,7 @@ def _energy(series: PairSeries, form: str) -> list[Cell]:
     other = value / exact.value * asymptotic.value
     label = "σ, m g R c/(2a²)" if form == "table2" else "σ, Eq. 2: m g c/(2a)"
     half = u * exact.expanded_uncertainty_95 / exact.standard_uncertainty
-    of_printed_c = surface_energy(series.pair.c, series.pendulum).table2_j_per_m2 * 1e3
+    of_printed_c = surface_energy(Estimate(series.pair.c, 0.0), series.pendulum).table2.value * 1e3
     if form == "eq2":
         verdict = CONTRADICTION
     elif abs(value - printed) <= half + 0.05:

@@ -52,13 +52,14 @@ class Change(NamedTuple):
     """One parameter, recorded and replayed, each a value with its standard uncertainty."""
 
     name: str
-    recorded: tuple[float, float]
-    replayed: tuple[float, float]
+    recorded: Estimate
+    replayed: Estimate
 
     @property
     def in_u(self) -> float:
         """The difference in recorded standard uncertainties; NaN if there is no uncertainty."""
-        difference, u = self.replayed[0] - self.recorded[0], self.recorded[1]
+        difference = self.replayed.value - self.recorded.value
+        u = self.recorded.standard_uncertainty
         return 0.0 if difference == 0.0 else difference / u if u > 0 else math.nan
 
 

@@ -10,6 +10,7 @@ from scipy.special import stdtr
 
 from processing.contact.laws import PAPER
 from processing.errors import ConfigurationError, RecordError
+from processing.estimate import Estimate
 from processing.fit import FitMethod
 from rig.analysis import SessionResults, Surroundings
 from rig.presentation import Cell, Table, palette, plain, quantity
@@ -25,7 +26,7 @@ class Seen(NamedTuple):
     series: str
     run: str
     at: float
-    parameters: Mapping[str, tuple[float, float]]
+    parameters: Mapping[str, Estimate]
 
 
 def chosen_surrounding(name: str) -> str:
@@ -102,7 +103,7 @@ def against_table(runs: Sequence[Seen], name: str) -> Table:
 
 def _line(runs: Sequence[Seen], key: str) -> tuple[float, float, float]:
     """Slope, its standard uncertainty and the chance of one so large; NaN where there is no line."""
-    known = np.array([(run.at, *run.parameters[key]) for run in runs if key in run.parameters])
+    known = np.array([(run.at, *tuple(run.parameters[key])) for run in runs if key in run.parameters])
     if len(known) < _FEWEST or np.ptp(known[:, 0]) == 0 or not np.all(known[:, 2] > 0):
         return nan, nan, nan
     weight = known[:, 2] ** -2.0
@@ -130,7 +131,7 @@ def against_figure(runs: Sequence[Seen], name: str) -> ReportFigure:
         for label in labels:
             seen = [run for run in runs if run.series == label and key in run.parameters]
             if seen:
-                value, u = np.array([run.parameters[key] for run in seen]).T * of.factor
+                value, u = np.array([tuple(run.parameters[key]) for run in seen]).T * of.factor
                 at = np.array([run.at for run in seen]) * over.factor
                 style = {"color": colours[label], "label": label}
                 axes.errorbar(at, value, u, fmt="o", ms=4, capsize=2.5, elinewidth=0.9, **style)

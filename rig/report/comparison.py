@@ -10,16 +10,16 @@ from scipy.special import stdtrit
 from processing.contact.laws import PAPER
 from processing.errors import ConfigurationError, RecordError
 from processing.estimate import Estimate
-from processing.fit import Combined, Comparison, FitMethod, FittedContact, SeriesResult, compare_series
-from rig.analysis import (
-    CombinedParameter,
+from processing.fit import (
+    Combined,
+    Comparison,
     Determination,
-    Fit,
-    SessionResults,
-    determined_text,
-    read_results,
-    series_verdicts,
+    FitMethod,
+    FittedContact,
+    SeriesResult,
+    compare_series,
 )
+from rig.analysis import Fit, SessionResults, determined_text, read_results, series_verdicts
 from rig.presentation import (
     Cell,
     Table,
@@ -66,7 +66,9 @@ def compare(folders: Sequence[Path], output: Path | None, against: str = "") -> 
         files = output.parent / output.stem
         names = [name for name in PAPER.names() if all(name in s.parameters for s in series.values())]
         bars = {
-            label: {name: (item.value, item.expanded) for name, item in found.parameters.items()}
+            label: {
+                name: (item.value, item.expanded_uncertainty_95) for name, item in found.parameters.items()
+            }
             for label, found in series.items()
         }
         try:
@@ -101,7 +103,7 @@ def series_of(session: SessionResults, folder: Path) -> SeriesResult:
     """
     combined = _combined_of(session)
     if combined:
-        parameters = {name: _combined(name, item) for name, item in combined.items()}
+        parameters = dict(combined)
     else:
         fitted = [run for run in session.runs if run.fits]
         if not fitted:
@@ -111,7 +113,7 @@ def series_of(session: SessionResults, folder: Path) -> SeriesResult:
     u = np.array([parameters[name].standard_uncertainty for name in names])
     together = FittedContact(
         names, np.array([parameters[name].value for name in names]), np.diag(u**2),
-        float(min(item.dof for item in parameters.values())), np.zeros(len(names)), nan,
+        float(min(item.degrees_of_freedom for item in parameters.values())), np.zeros(len(names)), nan,
     )  # fmt: skip
     return SeriesResult(parameters, (), together)
 
@@ -132,22 +134,8 @@ def energy_of(session: SessionResults) -> Estimate | None:
     return None if energy is None else energy.table2
 
 
-def _combined_of(session: SessionResults) -> Mapping[str, CombinedParameter]:
+def _combined_of(session: SessionResults) -> Mapping[str, Combined]:
     return {} if session.series is None else session.series.fits.get(FitMethod.EXACT, {})
-
-
-def _combined(name: str, item: CombinedParameter) -> Combined:
-    return Combined(
-        name,
-        item.value,
-        item.standard_uncertainty,
-        item.degrees_of_freedom,
-        item.expanded_uncertainty_95,
-        item.within_runs,
-        item.between_runs,
-        item.p_homogeneous,
-        item.runs,
-    )
 
 
 def _single(fit: Fit) -> dict[str, Combined]:
@@ -158,7 +146,15 @@ def _single(fit: Fit) -> dict[str, Combined]:
         value, u = fit.estimate(name)
         if isfinite(value) and isfinite(u):
             half = float(stdtrit(dof, 0.975)) * u
-            found[name] = Combined(name, value, u, dof, half, u, 0.0, nan, (Estimate(value, u),))
+            found[name] = Combined(
+                value=value,
+                standard_uncertainty=u,
+                expanded_uncertainty_95=half,
+                degrees_of_freedom=dof,
+                within_runs=u,
+                between_runs=0.0,
+                runs=(Estimate(value, u),),
+            )
     return found
 
 
@@ -176,18 +172,20 @@ def values_table(
         cells: list[Cell] = [name]
         for item in items:
             cells += (
-                [nan, nan, nan] if item is None else [item.value, item.standard_uncertainty, item.expanded]
+                [nan, nan, nan]
+                if item is None
+                else [item.value, item.standard_uncertainty, item.expanded_uncertainty_95]
             )
         rows.append(cells)
         texts = [
-            "–" if item is None else determined_text(name, item.value, item.standard_uncertainty, known)
+            "–" if item is None else determined_text(name, item.estimate, known)
             for item, known in zip(items, verdicts, strict=True)
         ]
         shown.append([quantity(name).label, *texts])
     if any(energies):
         rows.append([_ENERGY, *(number for found in energies for number in (*(found or (nan, nan)), nan))])
         texts = [
-            "–" if found is None else determined_text(_ENERGY, found.value, found.standard_uncertainty, known)
+            "–" if found is None else determined_text(_ENERGY, found, known)
             for found, known in zip(energies, verdicts, strict=True)
         ]
         shown.append([quantity(_ENERGY).label, *texts])

@@ -100,7 +100,7 @@ def series_figure(series: Series) -> ReportFigure:
         scale = quantity(name).factor
         item = combined[name]
         x = np.arange(1, len(item.runs) + 1)
-        values, u = np.array(item.runs).T * scale
+        values, u = np.array([tuple(run) for run in item.runs]).T * scale
         middle, expanded = item.value * scale, item.expanded_uncertainty_95 * scale
         axes.axhspan(middle - expanded, middle + expanded, color=EXACT, alpha=0.15, lw=0)
         axes.axhline(middle, color=EXACT, lw=1.0)

@@ -3,9 +3,9 @@
 import numpy as np
 from matplotlib.axes import Axes
 
+from processing.fit import BaseMotion, Ground
 from processing.noise_models import density_of_db, nhnm_db, nlnm_db
 from processing.swing import ResidualSpectrum
-from rig.analysis import BaseMotion, Ground
 from rig.presentation import palette
 from rig.report.drawing import DATA, EXACT, INK, Array, ReportFigure, canvas
 

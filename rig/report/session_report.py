@@ -6,18 +6,16 @@ from dataclasses import replace
 from pathlib import Path
 
 from acquisition.record import whole_file
+from processing.contact import SurfaceEnergy
 from processing.contact.laws import PAPER
 from processing.errors import RecordError
 from processing.estimate import Estimate
-from processing.fit import FitMethod
+from processing.fit import Budget, Determination, FitMethod
 from processing.instruments import INSTRUMENTS
 from rig.analysis import (
-    Budget,
     Curves,
-    Determination,
     RunResults,
     Series,
-    SurfaceEnergy,
     budget_of,
     curves_of,
     determined_text,
@@ -196,7 +194,7 @@ def _key_results(
     for name, value in items:
         item, label = budget_of(name, budget, verdicts), quantity(name).label
         if item is None:
-            shown.append((label, determined_text(name, *value, verdicts)))
+            shown.append((label, determined_text(name, value, verdicts)))
         else:
             text = quantity(name).text(item.value, item.standard_uncertainty)
             shown.append((f"{label} (u: {dominant_text(item)})", text))

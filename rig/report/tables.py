@@ -2,11 +2,11 @@
 
 import math
 
+from processing.contact import ExpectedDrag
 from processing.estimate import Estimate
 from processing.fit import FitMethod
 from rig.analysis import (
     Curves,
-    ExpectedDrag,
     RunResults,
     encoded,
     law_table,

@@ -3,12 +3,10 @@
 import math
 from collections.abc import Mapping
 
-from processing.estimate import Estimate
-from processing.fit import FitMethod
+from processing.estimate import NOT_DETERMINED, Estimate
+from processing.fit import Budget, FitMethod
 from rig.analysis import (
-    NOT_DETERMINED,
     AveragedCurves,
-    Budget,
     MonteCarlo,
     RunResults,
     Series,
@@ -147,7 +145,7 @@ def series_table(series: Series) -> Table:
         shown.append(
             [
                 shown_as.label,
-                determined_text(name, cells[0], cells[1], verdicts),
+                determined_text(name, Estimate(cells[0], cells[1]), verdicts),
                 plain(cells[2] * shown_as.factor, 2),
                 plain(between, 2) if between else "none seen",
                 *(shown_as.text(value, u) for value, u in others),

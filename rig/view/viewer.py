@@ -28,6 +28,7 @@ from acquisition.record.events import Event
 from processing.balance import Balance
 from processing.deflections import DeflectionUnit
 from processing.errors import ConfigurationError, RecordError
+from processing.estimate import Estimate
 from processing.spot import Spot, SpotFlag
 from processing.swing import Swing
 from processing.ticks import seconds
@@ -307,10 +308,10 @@ class Viewer:
         plain = {name: (float(value), float(u)) for name, (value, u) in numbers.items()}
         self._put(BalanceNumbers(run, float(time_s), plain, advice))
 
-    def estimates(self, time_s: float, numbers: Mapping[str, tuple[float, float]], *, run: str = "") -> None:
+    def estimates(self, time_s: float, numbers: Mapping[str, Estimate], *, run: str = "") -> None:
         """The view's parameters at one moment, value and standard uncertainty by key, as stored."""
         shown = {
-            key: (one.factor * numbers[key][0], one.factor * numbers[key][1])
+            key: (one.factor * numbers[key].value, one.factor * numbers[key].standard_uncertainty)
             for key, one in self._parameters.items()
             if key in numbers
         }

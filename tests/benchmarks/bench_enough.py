@@ -147,7 +147,7 @@ def plans(pair: str, runs: int) -> dict[str, Any]:
         fit = fit_exact(points, expected.pendulum, averaged=False)
         values.append([fit.estimate(name).value for name in PAPER.names()])
         stated.append([fit.estimate(name).standard_uncertainty for name in PAPER.names()])
-        drives.append(fit.ground.density.value if fit.ground is not None else np.nan)
+        drives.append(fit.ground.density_rad_per_s2_rthz.value if fit.ground is not None else np.nan)
     u = np.array([planned.u[name] for name in PAPER.names()])
     drive = expected.conditions.ground_rad_per_s2_rthz
     return {
@@ -192,7 +192,7 @@ def frames(runs: int, *wanted: str) -> dict[str, Any]:
         fit = settled.exact or fit_exact(turning_points(settled.swings), expected.pendulum)
         values.append([fit.estimate(name).value for name in PAPER.names()])
         stated.append([fit.estimate(name).standard_uncertainty for name in PAPER.names()])
-        drives.append(fit.ground.density.value if fit.ground is not None else np.nan)
+        drives.append(fit.ground.density_rad_per_s2_rthz.value if fit.ground is not None else np.nan)
     u = np.array([planned.u[name] for name in PAPER.names()])
     drive = expected.conditions.ground_rad_per_s2_rthz
     return {

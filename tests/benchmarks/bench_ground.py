@@ -178,8 +178,8 @@ def measure(case: Case, seeds: int) -> dict[str, Any]:
         assert result.ground is not None
         assert result.whiteness is not None
         warned += result.whiteness.correlated
-        left_out += result.ground.left_out
-        q.append(result.ground.density.value)
+        left_out += result.ground.left_out_half_cycles
+        q.append(result.ground.density_rad_per_s2_rthz.value)
         error = result.values[: len(names)] - truth(parameters, names)
         pulls.append(error / result.standard_uncertainty[: len(names)])
         to_bound.append(error / bound(points.first(result.half_cycles), case, result.ground.noise))

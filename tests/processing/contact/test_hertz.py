@@ -9,6 +9,7 @@ from processing.contact.hertz import MATERIALS, Material, hertz_contact, materia
 from processing.contact.moments import surface_energy
 from processing.contact.parameters import STANDARD_GRAVITY_M_PER_S2
 from processing.errors import ConfigurationError
+from processing.estimate import Estimate
 from tests.processing.fit.decays import PAIRS, paper_pair
 
 FORCE = 0.406 * STANDARD_GRAVITY_M_PER_S2
@@ -28,7 +29,11 @@ SURFACE_ENERGY = {
 @pytest.mark.parametrize("flat", PAIRS)
 def test_table_1(flat: str) -> None:
     contact = hertz_contact(FORCE, 6.05e-3, MATERIALS["steel"], MATERIALS[flat])
-    found = (contact.radius_m * 1e6, contact.depth_m * 1e6, np.degrees(contact.angle_rad) * 60)
+    found = (
+        contact.radius_m.value * 1e6,
+        contact.depth_m.value * 1e6,
+        np.degrees(contact.angle_rad.value) * 60,
+    )
     for value, printed, calculated, digits in zip(
         found, TABLE1[flat], CALCULATED[flat], (0.5, 0.05, 0.5), strict=True
     ):
@@ -39,11 +44,11 @@ def test_table_1(flat: str) -> None:
 @pytest.mark.parametrize("flat", PAIRS)
 def test_both_forms_of_surface_energy(flat: str) -> None:
     parameters, pendulum = paper_pair(flat)
-    found = surface_energy(parameters.c, pendulum)
-    assert found.table2_j_per_m2 == pytest.approx(SURFACE_ENERGY[flat][0], rel=1e-3)
-    assert found.eq2_j_per_m2 == pytest.approx(SURFACE_ENERGY[flat][1], rel=3e-3)
+    found = surface_energy(Estimate(parameters.c, 0.0), pendulum)
+    assert found.table2.value == pytest.approx(SURFACE_ENERGY[flat][0], rel=1e-3)
+    assert found.eq2.value == pytest.approx(SURFACE_ENERGY[flat][1], rel=3e-3)
     printed = {"steel": 27.3e-3, "silicon": 13.2e-3, "glass_k8": 28.9e-3}[flat]
-    assert found.table2_j_per_m2 == pytest.approx(printed, rel=5e-3), "Table 2 as printed"
+    assert found.table2.value == pytest.approx(printed, rel=5e-3), "Table 2 as printed"
 
 
 def test_uncertainty_is_that_of_drawn_inputs() -> None:
@@ -64,15 +69,17 @@ def test_uncertainty_is_that_of_drawn_inputs() -> None:
     # a standard deviation from N draws scatters by 1/sqrt(2 N); three of those, and 0.5 % nonlinearity
     tolerance = 3 / np.sqrt(2 * draws) + 0.005
     for name in ("radius_m", "depth_m", "angle_rad"):
-        scatter = np.std([getattr(contact, name) for contact in drawn])
-        assert getattr(stated, f"u_{name}") == pytest.approx(scatter, rel=tolerance)
+        scatter = np.std([getattr(contact, name).value for contact in drawn])
+        assert getattr(stated, name).standard_uncertainty == pytest.approx(scatter, rel=tolerance)
 
 
 def test_one_material_on_both_sides_errs_once() -> None:
     steel = replace(MATERIALS["steel"], u_youngs_modulus_pa=4e9)
     contact = hertz_contact(FORCE, 6.05e-3, steel, steel)
     # a goes as E^(-1/3) if both moduli are the same number
-    assert contact.u_radius_m / contact.radius_m == pytest.approx(4e9 / 2.11e11 / 3, rel=1e-12)
+    assert contact.radius_m.standard_uncertainty / contact.radius_m.value == pytest.approx(
+        4e9 / 2.11e11 / 3, rel=1e-12
+    )
 
 
 def test_two_balls_carry_half_each() -> None:

@@ -46,8 +46,8 @@ def test_an_error_that_no_decay_has_is_seen_and_one_that_looks_like_a_decay_is_n
     assert wider.reading_covariance is not None
     assert again.reading_covariance is not None
     assert np.allclose(wider.reading_covariance - again.reading_covariance, wider.place_covariance)
-    lines = {line.source: line.contribution for line in budgets(fitted_contact(wider), rig())["c"].lines}
-    before = {line.source: line.contribution for line in budgets(fitted_contact(again), rig())["c"].lines}
+    lines = {line.source: line.contribution for line in budgets(fitted_contact(wider), rig())["c"].sources}
+    before = {line.source: line.contribution for line in budgets(fitted_contact(again), rig())["c"].sources}
     assert np.isclose(lines[PLACE], np.sqrt(added))
     assert np.isclose(lines[FIT], before[FIT])
     assert np.isclose(lines[GROUND], before[GROUND])

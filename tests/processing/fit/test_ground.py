@@ -109,7 +109,7 @@ def test_on_driven_ground_the_truth_lies_within_the_uncertainties(flat: str, q: 
         assert q < 1.5 * result.ground.upper_95
         assert result.ground.seen or q < 3e-9
         if result.ground.seen:
-            density, u = result.ground.density
+            density, u = result.ground.density_rad_per_s2_rthz
             assert abs(density - q) < 4 * u
         assert abs(result.chi2_per_dof - 1) < 5 * np.sqrt(2 / result.dof)
         assert result.whiteness is not None
@@ -150,11 +150,14 @@ def test_the_end_of_a_run_that_the_ground_moves_is_left_out_and_said() -> None:
     points = driven_decay(parameters, pendulum, q=3e-6, noise_arcsec=0.005, seed=1)
     result = fit_exact(points, pendulum, averaged=False)
     assert result.ground is not None
-    assert result.ground.left_out > 0
-    assert result.half_cycles + result.ground.left_out == len(points)
+    assert result.ground.left_out_half_cycles > 0
+    assert result.half_cycles + result.ground.left_out_half_cycles == len(points)
     weakest = points.amplitude[: result.half_cycles].min()
     assert weakest > 10 * result.ground.noise.step
-    assert any(f"{result.ground.left_out} half-cycles at the end" in warning for warning in result.warnings)
+    assert any(
+        f"{result.ground.left_out_half_cycles} half-cycles at the end" in warning
+        for warning in result.warnings
+    )
     assert np.abs(pulls(result, parameters)).max() < 4
 
 
@@ -177,4 +180,6 @@ def test_amplitudes_in_another_unit_state_the_drive_in_it() -> None:
     known, found = fit_exact(points, pendulum).ground, fit_exact(scaled, None).ground
     assert known is not None
     assert found is not None
-    assert found.density.value == pytest.approx(5e4 * known.density.value, rel=0.02)
+    assert found.density_rad_per_s2_rthz.value == pytest.approx(
+        5e4 * known.density_rad_per_s2_rthz.value, rel=0.02
+    )

@@ -29,12 +29,14 @@ def runs(flat: str, seeds: range, noise: float = 0.005, **changes: float) -> lis
 def test_runs_that_agree_are_averaged_by_their_weights() -> None:
     combined = combine("c", [Estimate(1.0, 0.1), Estimate(1.05, 0.1), Estimate(0.97, 0.2)])
     weights = np.array([100, 100, 25])
-    assert combined.between == 0
+    assert combined.between_runs == 0
     assert combined.value == pytest.approx(np.sum(weights * [1.0, 1.05, 0.97]) / 225)
     assert combined.standard_uncertainty == pytest.approx(1 / 15)
-    assert combined.within == pytest.approx(1 / 15)
-    assert combined.dof == 2
-    assert combined.expanded == pytest.approx(4.302653 / 15, rel=1e-6)  # t for 2 degrees of freedom
+    assert combined.within_runs == pytest.approx(1 / 15)
+    assert combined.degrees_of_freedom == 2
+    assert combined.expanded_uncertainty_95 == pytest.approx(
+        4.302653 / 15, rel=1e-6
+    )  # t for 2 degrees of freedom
     assert combined.p_homogeneous > 0.5
 
 
@@ -43,7 +45,7 @@ def test_runs_that_scatter_count_alike() -> None:
     combined = combine("c", [Estimate(v, 0.01 * (k + 1)) for k, v in enumerate(x)])
     assert combined.value == pytest.approx(np.mean(x), rel=1e-3)
     assert combined.standard_uncertainty == pytest.approx(np.std(x, ddof=1) / np.sqrt(3), rel=1e-3)
-    assert combined.between == pytest.approx(np.std(x, ddof=1), rel=1e-3)
+    assert combined.between_runs == pytest.approx(np.std(x, ddof=1), rel=1e-3)
     assert combined.p_homogeneous < 1e-10
 
 
@@ -57,7 +59,7 @@ def test_intervals_of_three_runs_cover(between: float) -> None:
     for _ in range(trials):
         x = between * rng.standard_normal(3) + u * rng.standard_normal(3)
         combined = combine("c", [Estimate(float(v), float(s)) for v, s in zip(x, u, strict=True)])
-        inside += abs(combined.value) <= combined.expanded
+        inside += abs(combined.value) <= combined.expanded_uncertainty_95
     assert inside / trials > 0.95 - 4 * np.sqrt(0.95 * 0.05 / trials)
     if between:
         assert inside / trials < 0.985, "not wider than needed where the scatter is real"
@@ -74,25 +76,25 @@ def test_a_series_is_better_than_its_runs_and_goes_on_into_the_budget() -> None:
         assert len(combined.runs) == 3
     assert series.estimates()["c"] == series.parameters["c"].estimate
     table = budgets(series.measured, rig())
-    swings = next(line for line in table["c"].lines if line.kind == "A")
+    swings = next(line for line in table["c"].sources if line.type == "A")
     assert swings.u_source == pytest.approx(series.parameters["c"].standard_uncertainty)
 
 
 def test_the_run_that_disagrees_is_named() -> None:
     results = [*runs("glass_k8", range(2)), *runs("glass_k8", range(2, 3), c=15e-9)]
     series = combine_runs(results)
-    assert {item.run for item in series.disagreements} == {2}
+    assert {item.run for item in series.disagreements} == {3}
     c = next(item for item in series.disagreements if item.name == "c")
     assert c.deviation > 5
     assert series.parameters["c"].p_homogeneous < 1e-6
-    assert series.parameters["c"].between > 10 * series.parameters["c"].within
+    assert series.parameters["c"].between_runs > 10 * series.parameters["c"].within_runs
     shuffled = combine_runs([results[0], results[2], results[1]])
-    assert {item.run for item in shuffled.disagreements} == {1}
+    assert {item.run for item in shuffled.disagreements} == {2}
 
 
 def test_of_two_runs_that_disagree_both_are_named() -> None:
     results = [*runs("glass_k8", range(1)), *runs("glass_k8", range(2, 3), c=15e-9)]
-    assert {item.run for item in combine_runs(results).disagreements} == {0, 1}
+    assert {item.run for item in combine_runs(results).disagreements} == {1, 2}
 
 
 @pytest.mark.slow

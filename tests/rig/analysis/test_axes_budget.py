@@ -55,11 +55,11 @@ def test_uncertain_axes_stand_in_the_budget(found: FittedContact) -> None:
         fast_ratio=ratio,
     )
     budget = budgets(found, uncertain)["c"]
-    parts = {line.source: line.contribution for line in budget.lines}
+    parts = {line.source: line.contribution for line in budget.sources}
     # c is in proportion to the assumed angles
     assert parts["non_orthogonality_rad"] == pytest.approx(budget.value * ratio * u_rad, rel=1e-3)
     assert parts["slow_angle_rad"] == pytest.approx(budget.value * (ratio - apart) * u_rad, rel=1e-3)
-    assert "slow_angle_rad" not in {line.source for line in budgets(found, rig())["c"].lines}
+    assert "slow_angle_rad" not in {line.source for line in budgets(found, rig())["c"].sources}
 
 
 def test_the_configuration_states_them() -> None:

@@ -6,14 +6,14 @@ from pathlib import Path
 
 import pytest
 
+from processing.contact import SurfaceEnergy
 from processing.estimate import Determinacy, Estimate
+from processing.fit import Determination
 from rig.analysis import (
-    Determination,
     Fit,
     RunResults,
     SessionResults,
     SurfaceEnergies,
-    SurfaceEnergy,
     parameter_table,
     print_results,
     quality_table,

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from processing.estimate import Determinacy
-from rig.analysis.contact_results import Budget, BudgetSource, Determination
+from processing.fit import Budget, BudgetSource, Determination
 from rig.analysis.headline import SURFACE_ENERGY, headline
 
 

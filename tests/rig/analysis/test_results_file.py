@@ -135,7 +135,8 @@ def test_the_schema_names_every_key_of_a_file(measured_series: Path) -> None:
     run = schema["$defs"]["RunResults"]["properties"]
     assert set(results_of(measured_series)["runs"][0]) <= set(run)
     assert "chi2_per_dof" in schema["$defs"]["Fit"]["properties"]
-    assert schema["$defs"]["Fit"]["additionalProperties"]["required"] == ["value", "standard_uncertainty"]
+    assert schema["$defs"]["Fit"]["additionalProperties"] == {"$ref": "#/$defs/Estimate"}
+    assert schema["$defs"]["Estimate"]["required"] == ["value", "standard_uncertainty"]
 
 
 def test_columns_of_different_lengths_are_one_line(tmp_path: Path) -> None:

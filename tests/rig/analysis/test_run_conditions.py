@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from acquisition.record.reader import RecordReader
+from processing.fit import Ground
 from rig.analysis.beam import Beam
-from rig.analysis.contact_results import Ground
 from rig.analysis.run_conditions import run_conditions
 from rig.settings import PreflightSettings
 from tests.rig.command_line import CONFIGS, SMALL, rig, set_words

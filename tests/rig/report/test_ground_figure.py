@@ -5,9 +5,9 @@ import pytest
 
 from processing.angle import ARCSEC_RAD
 from processing.estimate import Estimate
+from processing.fit import BaseMotion, Ground
 from processing.noise_models import density_of_db, nlnm_db
 from processing.swing import ResidualSpectrum
-from rig.analysis import BaseMotion, Ground
 from rig.report.figures_ground import spectrum_figure
 
 PENDULUM_HZ, PER_DRIVE = 0.25, 60.0

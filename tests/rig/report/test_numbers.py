@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from processing.estimate import Determinacy
+from processing.estimate import Determinacy, Estimate
+from processing.fit import Combined, Determination
 from rig.analysis.determined import bound_text, determined_text, series_verdicts
-from rig.analysis.results import CombinedParameter, Determination
 from rig.presentation.numbers import plain, rounded, with_uncertainty
 from rig.report.drawing import broken, envelope, thinned
 from rig.terminal import spelled
@@ -91,12 +91,12 @@ def test_what_is_not_determined_is_a_bound_or_an_interval() -> None:
     )
     assert bound_text(verdict) == "< 2.3 × 10⁻⁸ (95 %)"
     assert bound_text(replace(verdict, verdict=Determinacy.UNDETERMINED)) == "not determined"
-    energy = determined_text("surface_energy_table2_j_per_m2", 2.75e-3, 1e-3, {"c": verdict})
+    energy = determined_text("surface_energy_table2_j_per_m2", Estimate(2.75e-3, 1e-3), {"c": verdict})
     assert energy == "< 64 (95 %)"  # 2.34e-8 times 2.75e-3/1e-9 J/m^2
 
 
 def test_a_series_that_scatters_too_much_gives_a_bound() -> None:
-    item = CombinedParameter(value=-1.2e-8, standard_uncertainty=8e-9, expanded_uncertainty_95=3.4e-8)
+    item = Combined(value=-1.2e-8, standard_uncertainty=8e-9, expanded_uncertainty_95=3.4e-8)
     found = series_verdicts({"c": item, "p": replace(item, value=0.9, standard_uncertainty=0.01)})
     assert found["c"].verdict == "upper bound"
     assert found["c"].upper_95 == pytest.approx(2.2e-8)

@@ -89,8 +89,8 @@ def test_its_parameters_are_judged_like_any_other() -> None:
     result = fit_exact(points, pendulum, law=CONSTANT_MOMENT)
     verdicts = {item.name: item for item in identifiability(points, pendulum, result)}
     assert verdicts["c"].verdict == "upper bound"
-    assert verdicts["c"].lower == 0.0
-    assert verdicts["c"].upper > _C / 1000
+    assert verdicts["c"].lower_95 == 0.0
+    assert verdicts["c"].upper_95 > _C / 1000
     assert verdicts["period0_s"].verdict == "determined"
 
 
