@@ -12,7 +12,7 @@ from processing.swing import TurningPoints
 
 
 @dataclass(frozen=True)
-class Losses:
+class CycleLosses:
     """Losses over whole cycles as a function of the amplitude in the middle of each (rad).
 
     `log_decrement` is ln(A_i/A_(i+2)), `quality` is pi divided by it, `energy_share` is 1 - (A_(i+2)/A_i)^2.
@@ -33,11 +33,11 @@ def _losses(
     middle: NDArray[np.float64],
     decrement: NDArray[np.float64],
     u_decrement: NDArray[np.float64],
-) -> Losses:
+) -> CycleLosses:
     lossy = decrement > 0
     safe = np.where(lossy, decrement, 1.0)
     kept = np.exp(-2 * decrement)
-    return Losses(
+    return CycleLosses(
         middle,
         decrement,
         u_decrement,
@@ -48,7 +48,7 @@ def _losses(
     )
 
 
-def measured_losses(points: TurningPoints, *, cycles: int = 1) -> Losses:
+def measured_losses(points: TurningPoints, *, cycles: int = 1) -> CycleLosses:
     """Losses from the turning points without a model.
 
     The decrement is averaged over windows of `cycles` whole cycles; its noise is inversely proportional to
@@ -72,7 +72,7 @@ def measured_losses(points: TurningPoints, *, cycles: int = 1) -> Losses:
 
 def model_losses(
     amplitude_rad: NDArray[np.float64], parameters: ContactParameters, pendulum: PendulumOnBall
-) -> Losses:
+) -> CycleLosses:
     """Losses by the exact half-swing map for a cycle that starts at each amplitude (n,); uncertainties are 0.
 
     NaN if friction stops the pendulum before the end of the cycle.

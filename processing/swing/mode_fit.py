@@ -45,7 +45,7 @@ _SLOWEST_FAST = 2.2
 """Range in which a fast mode is searched, in multiples of the slow mode's frequency."""
 
 
-class Samples(NamedTuple):
+class ModeSamples(NamedTuple):
     """Times in s from the middle of the samples, coordinates, and their weights (inverse variances)."""
 
     t: Floats
@@ -64,7 +64,7 @@ class Samples(NamedTuple):
         across = (self.x - self.x.mean()) ** 2 * self.weights_x
         return float((across + (self.y - self.y.mean()) ** 2 * self.weights_y).sum())
 
-    def rescaled(self, x_factor: float, y_factor: float) -> "Samples":
+    def rescaled(self, x_factor: float, y_factor: float) -> "ModeSamples":
         """Copy with the variances of the coordinates multiplied by these factors."""
         return self._replace(weights_x=self.weights_x / x_factor, weights_y=self.weights_y / y_factor)
 
@@ -79,7 +79,7 @@ class Fit(NamedTuple):
     left_x: Floats
     left_y: Floats
 
-    def explains(self, samples: Samples, alike: bool) -> bool:
+    def explains(self, samples: ModeSamples, alike: bool) -> bool:
         """Whether the fit explains more than half of the variation, and nearly all that is not noise.
 
         The second condition rejects a record that is at rest for one part and swings for the other. With
@@ -90,7 +90,7 @@ class Fit(NamedTuple):
         return part < 0.5 and (noise_like or part < 0.05)
 
 
-def slow_fit(samples: Samples, slow_period_s: float, alike: bool) -> Fit | None:
+def slow_fit(samples: ModeSamples, slow_period_s: float, alike: bool) -> Fit | None:
     """Fit of the slow mode alone; None if it does not explain the samples.
 
     If `slow_period_s` is NaN, the fit starts from the strongest spectral line.
@@ -111,7 +111,7 @@ def slow_fit(samples: Samples, slow_period_s: float, alike: bool) -> Fit | None:
     return fit if fit.explains(samples, alike) else None
 
 
-def with_fast_mode(slow: Fit, samples: Samples, alike: bool) -> tuple[Fit, float]:
+def with_fast_mode(slow: Fit, samples: ModeSamples, alike: bool) -> tuple[Fit, float]:
     """Fit with a fast mode and 0.0 if one is significant; otherwise the slow fit and a limit.
 
     The limit is the amplitude in x of the strongest spectral line in the residuals; NaN if the samples
@@ -151,7 +151,7 @@ def fast_mode_seen(fit: Fit, alike: bool, frequencies: int = 1) -> bool:
         return False
 
 
-def fit_terms(p: Floats, active: list[int], samples: Samples, slow_rate: float) -> Fit:
+def fit_terms(p: Floats, active: list[int], samples: ModeSamples, slow_rate: float) -> Fit:
     """Gauss-Newton from `p` in the `active` terms."""
     places = np.array(active)
     p = p.copy()

@@ -27,7 +27,7 @@ from processing.swing.mode_fit import (
     TERMS,
     TURNING,
     Fit,
-    Samples,
+    ModeSamples,
     X,
     Y,
     fast_mode_seen,
@@ -142,7 +142,7 @@ def separate_modes(
     x_, y_, u_x_, u_y_ = (c[good] for c in columns)
     middle_ns = int(times[0] + (times[-1] - times[0]) // 2)
     t = seconds(times - middle_ns)
-    samples = Samples(t, x_, y_, u_x_**-2.0, u_y_**-2.0)
+    samples = ModeSamples(t, x_, y_, u_x_**-2.0, u_y_**-2.0)
     fit = None
     if not math.isnan(slow_period_s) and not math.isnan(fast_period_s):
         # both periods are known: no search is needed

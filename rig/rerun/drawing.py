@@ -17,15 +17,15 @@ from rig.rerun.lissajous import Lissajous
 from rig.rerun.marks import spot_cross
 from rig.rerun.messages import (
     BalanceNumbers,
-    DeflectionSamples,
     Estimates,
     Fits,
     Floats,
     LogLine,
-    LossCounts,
+    Losses,
     Message,
     Picture,
     Properties,
+    Samples,
     Setup,
     State,
     Swings,
@@ -92,7 +92,7 @@ class Drawing:
     def draw(self, message: Message) -> None:
         """Draw one message, or gather it for the next block."""
         match message:
-            case DeflectionSamples():
+            case Samples():
                 self._draw_samples(message)
             case Swings():
                 self._draw_swings(message)
@@ -102,7 +102,7 @@ class Drawing:
                 self._draw_estimates(message)
             case Picture():
                 self._draw_picture(message)
-            case LossCounts():
+            case Losses():
                 self._draw_losses(message)
             case State():
                 self._draw_text(message.run, layout.STATE, message.time_s, message.text)
@@ -117,7 +117,7 @@ class Drawing:
         """Send what was gathered if a limit of `Gathering` is reached, or in any case if `now`."""
         self._gathered.send(now=now)
 
-    def _draw_samples(self, message: DeflectionSamples) -> None:
+    def _draw_samples(self, message: Samples) -> None:
         decimator = self._decimators.setdefault(message.run, Decimator(DRAWN_RATE_HZ))
         chosen = decimator.choose(message.time_s, message.flags)
         if not chosen.any():
@@ -203,7 +203,7 @@ class Drawing:
         else:
             self._stream.log(spot, rr.Clear(recursive=False))
 
-    def _draw_losses(self, message: LossCounts) -> None:
+    def _draw_losses(self, message: Losses) -> None:
         at = np.array([message.time_s])
         for index, (name, count) in enumerate(sorted(message.counts.items())):
             colour = palette.LOSSES[index % len(palette.LOSSES)]

@@ -46,7 +46,7 @@ class Setup(NamedTuple):
     moments: bool = False
 
 
-class DeflectionSamples(NamedTuple):
+class Samples(NamedTuple):
     """Deflections (n,) in the unit of the setup, NaN where the spot was lost, and flags of the spots."""
 
     run: str
@@ -98,7 +98,7 @@ class Picture(NamedTuple):
     full_scale_dn: int
 
 
-class LossCounts(NamedTuple):
+class Losses(NamedTuple):
     """Counts since the start of the run by name: lost frames, lost spots, messages dropped by the view."""
 
     run: str
@@ -161,12 +161,12 @@ class Finish(NamedTuple):
 
 
 Message = (
-    DeflectionSamples
+    Samples
     | Swings
     | BalanceNumbers
     | Estimates
     | Picture
-    | LossCounts
+    | Losses
     | State
     | LogLine
     | Fits
@@ -177,7 +177,7 @@ Message = (
 
 def rows(message: Message) -> int:
     """Number of samples or swings in a message; 1 for any other message."""
-    return len(message.time_s) if isinstance(message, DeflectionSamples | Swings) else 1
+    return len(message.time_s) if isinstance(message, Samples | Swings) else 1
 
 
 def size_bytes(message: Message) -> int:

@@ -37,18 +37,18 @@ from rig.presentation import Quantity, balance_numbers, quantity
 from rig.rerun import (
     BalanceNumbers,
     Curve,
-    DeflectionSamples,
     Estimates,
     Fits,
     Floats,
     LayoutName,
     LogLevel,
     LogLine,
-    LossCounts,
+    Losses,
     Message,
     Mode,
     Picture,
     Properties,
+    Samples,
     Setup,
     State,
     Swings,
@@ -285,7 +285,7 @@ class Viewer:
         """Deflections of one or many frames as shown, arrays of one length; NaN where the spot was lost."""
         # a model that every spot of a run has is nothing that must be seen
         copied_flags = np.array(flags, dtype=np.int64, ndmin=1) & ~int(SpotFlag.MULTIPLE | SpotFlag.LEARNED)
-        self._put(DeflectionSamples(run, _floats(times_s), _floats(x), _floats(y), copied_flags))
+        self._put(Samples(run, _floats(times_s), _floats(x), _floats(y), copied_flags))
 
     def swings(self, swings: Sequence[Swing], start_ns: int, *, later_s: float = 0.0, run: str = "") -> None:
         """Half-cycles of the slow mode at their turning points: amplitude and (whole) period."""
@@ -336,7 +336,7 @@ class Viewer:
     def losses(self, time_s: float, counts: Mapping[str, int], *, own: bool = True, run: str = "") -> None:
         """Losses since the start by name, e.g. ``dropped_frames``; with the view's `own`."""
         view = {"view_dropped": self.counts.dropped} if own else {}
-        self._put(LossCounts(run, float(time_s), {**counts, **view}))
+        self._put(Losses(run, float(time_s), {**counts, **view}))
 
     def state(self, text: str, *, time_s: float = math.nan, run: str = "") -> None:
         """State of the session, in Markdown; default of the time: the latest one."""

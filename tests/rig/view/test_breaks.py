@@ -8,7 +8,7 @@ import rerun as rr
 
 from processing.spot import SpotFlag
 from rig.rerun.drawing import Drawing
-from rig.rerun.messages import BalanceNumbers, DeflectionSamples, Setup
+from rig.rerun.messages import BalanceNumbers, Samples, Setup
 from rig.view.viewer import Viewer
 from tests.rig.view.rrd_contents import measured, scalars
 
@@ -35,9 +35,7 @@ def test_a_curve_does_not_cross_what_was_not_measured(tmp_path: Path) -> None:
     time_s = np.concatenate([np.arange(0, 5, 0.02), np.arange(30, 35, 0.02)])
     flags = np.zeros(len(time_s), dtype=np.int64)
     for part in (slice(0, 400), slice(400, None)):
-        drawing.draw(
-            DeflectionSamples("", time_s[part], np.sin(time_s[part]), np.cos(time_s[part]), flags[part])
-        )
+        drawing.draw(Samples("", time_s[part], np.sin(time_s[part]), np.cos(time_s[part]), flags[part]))
     for at_s in (17.0, 21.0, 953.0, 957.0):
         drawing.draw(BalanceNumbers("", at_s, {"period_ratio": (3.0, 0.1)}, ""))
     drawing.send(now=True)

@@ -25,14 +25,14 @@ from rig.presentation.balance import (
 from rig.presentation.quantities import QUANTITIES, law_parameters, quantity
 from rig.rerun.decimation import Decimator
 from rig.rerun.graticule import Graticule, reach_beyond, tick_label, ticks, trajectory_graticule
-from rig.rerun.messages import DeflectionSamples, Picture, State
+from rig.rerun.messages import Picture, Samples, State
 from rig.rerun.trail import Trail
 from rig.view.dropping_queue import DroppingQueue
 
 
-def samples(first: int, rows: int) -> DeflectionSamples:
+def samples(first: int, rows: int) -> Samples:
     time_s = np.arange(first, first + rows, dtype=np.float64)
-    return DeflectionSamples("", time_s, time_s, time_s, np.zeros(rows, dtype=np.int64))
+    return Samples("", time_s, time_s, time_s, np.zeros(rows, dtype=np.int64))
 
 
 def picture(time_s: float) -> Picture:
@@ -46,7 +46,7 @@ def test_the_queue_drops_the_oldest_and_counts_all(sizes: list[int], limit: int)
     for size in sizes:
         queue.put(samples(first, size))
         first += size
-    kept = [message for message in queue.take(0.0, 10**9) if isinstance(message, DeflectionSamples)]
+    kept = [message for message in queue.take(0.0, 10**9) if isinstance(message, Samples)]
     dropped = queue.dropped.get("samples", 0)
     assert dropped + sum(len(message.time_s) for message in kept) == first
     if kept:
@@ -62,7 +62,7 @@ def test_pictures_never_push_curves_out() -> None:
     for number in range(10):
         queue.put(picture(float(number)))
     batch = queue.take(0.0, 10**9)
-    assert isinstance(batch[0], DeflectionSamples)
+    assert isinstance(batch[0], Samples)
     assert [message.time_s for message in batch[1:] if isinstance(message, Picture)] == [7.0, 8.0, 9.0]
     assert queue.dropped == {"picture": 7}
 
