@@ -26,6 +26,7 @@ from rig.analysis.record_fit import (
     analyse_record,
     analyse_run,
     clock_rate_of,
+    refuse_unread,
     session_results,
     with_dropped_frames,
 )
@@ -107,6 +108,7 @@ __all__ = [
     "read_results",
     "recorded_results",
     "recorded_surroundings",
+    "refuse_unread",
     "remarks",
     "results_path",
     "results_schema",

@@ -34,10 +34,11 @@ from rig.instrument import (
     earlier_schema,
     inputs_sha256,
     judge_calibration,
+    optics_of,
     pendulum_on_ball,
     recorded_configuration,
 )
-from rig.settings import OF_FITS, Configuration, refuse_without_effect
+from rig.settings import Configuration, Watched
 
 
 @dataclass(frozen=True)
@@ -47,6 +48,7 @@ class AnalysedRun:
     `points` are the turning points that were fitted. `reduction` is there for a pendulum that is not
     described by the contact's laws, `rig` where the contact radius is calculated after Hertz,
     `earlier_schema` what `earlier_schema` of `rig.instrument` says of its configuration.
+    `watched` is the configuration of which keys were changed.
     """
 
     record: Path
@@ -57,17 +59,22 @@ class AnalysedRun:
     reduction: Reduction | None = None
     lost_spots: int = 0
     earlier_schema: str = ""
+    watched: Watched | None = None
 
 
 def analyse_record(path: Path, overrides: Sequence[str] = ()) -> AnalysedRun:
     """Fit one closed record; `overrides` change its configuration (fit settings, pendulum) for this fit."""
     with RecordReader(path) as reader:
         config = recorded_configuration(reader, overrides)
-        refuse_without_effect(overrides, OF_FITS, "rig replay takes the recorded motion again")
+        watched = Watched(config, overrides, "rig replay takes the recorded motion again")
+        # what this reads, the recorded deflections were made with
+        optics_of(watched.config, full_scale_dn=1.0).deflector((1, 1))(np.zeros(0, np.int64), [])
+        watched.refuse_read()
         blocks = _RecordedDeflections(reader)
-        run = analyse_run(reader, config, reader.swings(), blocks, reader.deflection_unit, blocks.beam)
-        run = replace(run, earlier_schema=earlier_schema(reader))
-        return with_dropped_frames(run, blocks.following - run.results.frames, reader, config)
+        swings, unit = reader.swings(), reader.deflection_unit
+        run = analyse_run(reader, watched.config, swings, blocks, unit, blocks.beam)
+        run = replace(run, earlier_schema=earlier_schema(reader), watched=watched)
+        return with_dropped_frames(run, blocks.following - run.results.frames, reader, watched.config)
 
 
 class _RecordedDeflections:
@@ -245,11 +252,24 @@ def _fit_warnings(fits: Mapping[str, FitResult]) -> list[str]:
 
 
 def session_results(runs: Sequence[AnalysedRun], folder: Path) -> SessionResults:
-    """What is written of one or more runs; records are named relative to the folder of the file."""
-    return SessionResults(
+    """What is written of one or more runs; records are named relative to the folder of the file.
+
+    Raises ConfigurationError for a key that was changed and that nothing has used.
+    """
+    results = SessionResults(
         runs=tuple(replace(run.results, record=relative_record(run.record, folder)) for run in runs),
         series=_series(runs),
     )
+    refuse_unread(runs)
+    return results
+
+
+def refuse_unread(runs: Sequence[AnalysedRun]) -> None:
+    """Raise ConfigurationError for a changed key that the fits of none of the runs have used."""
+    changed = [run.watched for run in runs if run.watched is not None]
+    # where nothing could be fitted, that is what is to be said
+    if changed and not any(run.results.problem for run in runs):
+        changed[0].refuse_unread(changed)
 
 
 def _series(runs: Sequence[AnalysedRun]) -> Series | None:

@@ -40,8 +40,8 @@ class Surroundings:
 
 def stated_surroundings(config: Configuration) -> Surroundings:
     """The air as the user stated it."""
-    stated = config.environment.model_dump(exclude_none=True)
-    return Surroundings(**{name: float(value) for name, value in stated.items()})
+    stated = {name: getattr(config.environment, name) for name in type(config.environment).model_fields}
+    return Surroundings(**{name: float(value) for name, value in stated.items() if value is not None})
 
 
 def recorded_surroundings(reader: RecordReader, config: Configuration | None = None) -> Surroundings:

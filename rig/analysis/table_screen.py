@@ -17,7 +17,7 @@ from rig.analysis.screen import print_run
 from rig.analysis.table_fit import AnalysedTable, FoundDecay, TableColumns, analyse_envelope, analyse_table
 from rig.instrument import fill_from_files
 from rig.presentation import with_uncertainty
-from rig.settings import OF_TABLES, load_configuration, refuse_without_effect
+from rig.settings import Watched, load_configuration
 
 _TOO_QUIET = 0.01
 """Chi-square per degree of freedom that no scatter by the stated noise gives."""
@@ -39,11 +39,14 @@ def fit_trajectory(
     overrides: Sequence[str],
 ) -> int:
     """Analyse a table, print what is known of every decay, write results.json. Returns the exit status."""
-    config = None
     if config_path:
-        config = fill_from_files(load_configuration(config_path, overrides, needs_camera=False))
-        refuse_without_effect(overrides, OF_TABLES, "a table holds neither frames nor spots")
-    table = analyse_table(path, config, columns)
+        stated = load_configuration(config_path, overrides, needs_camera=False)
+        watched = Watched(stated, overrides, "a table holds neither frames nor spots")
+        table = analyse_table(path, fill_from_files(watched.config), columns)
+        if not table.results.problem:
+            watched.refuse_unread()
+    else:
+        table = analyse_table(path, None, columns)
     _print(path, table)
     _write(output, table.results)
     return 0

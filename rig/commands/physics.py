@@ -135,9 +135,9 @@ def fit_records(
     if compared:
         runs = [replace(run, results=replace(run.results, laws=laws_of(run, compared))) for run in runs]
     folder = output or paths[0].parent
+    results = session_results(runs, folder)
     folder.mkdir(parents=True, exist_ok=True)
     target = free_path(folder) if output is None else folder / RESULTS_NAME
-    results = session_results(runs, folder)
     write_results(target, results)
     print_results(results, [("results", target)])
     return 1 if any(run.problem for run in results.runs) else 0
@@ -216,13 +216,15 @@ def plan(
         expected = planned_expectation(source, set_ or [], noise, contact)
         planned = plan_expected(expected, firsts, lasts, ground, counts)
     else:
-        from rig.analysis import analyse_record
+        from rig.analysis import analyse_record, refuse_unread
 
         if noise is not None or contact is not None:
             raise ConfigurationError(
                 f"{source}: a record has its own noise and contact; leave out --noise and --contact"
             )
-        planned = plan_runs(analyse_record(one_record(source), set_ or []), firsts, lasts, ground, counts)
+        run = analyse_record(one_record(source), set_ or [])
+        planned = plan_runs(run, firsts, lasts, ground, counts)
+        refuse_unread([run])
     print_plan(planned)
     if output is not None:
         save_plan(planned, output)

@@ -26,7 +26,7 @@ from rig.replay.comparison import parameter_changes
 from rig.replay.player import HELP, MOST_FRAMES, Player
 from rig.replay.replay import Replay, Replayed
 from rig.replay.screen import ReplayLine, print_changes, print_comparison
-from rig.settings import OF_REPLAYS, OF_TRACKING, Configuration, refuse_without_effect
+from rig.settings import Configuration, Watched
 from rig.view import Viewer, start_view
 
 ViewMode = Literal["none", "spawn", "web"]
@@ -66,10 +66,9 @@ def replay_record(
             f"--from {from_s:g} --to {to_s:g}: the part must begin before it ends, from 0 on"
         )
     with RecordReader(record) as reader:
-        config = recorded_configuration(reader, overrides)
-        used: Sequence[str] = OF_TRACKING if retrack else OF_REPLAYS
         remedy = "frames stay as they were recorded" if retrack else "what the tracker takes needs --retrack"
-        refuse_without_effect(overrides, used, remedy)
+        watched = Watched(recorded_configuration(reader, overrides), overrides, remedy)
+        config = watched.config
         if note := earlier_schema(reader):
             say(note)
         if reader.truncated:
@@ -92,14 +91,14 @@ def replay_record(
             player.play()
         result = replay.finish()
         partial = replay.partial or replay.sought or player.ended_by_user
-        run = _analysed(reader, config, result)
+        run = replace(_analysed(reader, config, result), watched=watched)
         if partial:
             part = f"replayed from {replay.begun_s:.2f} s to {replay.position_s:.2f} s of the record"
             # the record's end is not that of the part
             found = replace(run.results, ended=None, warnings=(part, *run.results.warnings))
             run = replace(run, results=found)
-    _say_differences(record, replay, result, run, partial=partial)
     results = session_results([run], output or record.parent)
+    _say_differences(record, replay, result, run, partial=partial)
     print_results(results, [])
     if output is not None:
         output.mkdir(parents=True, exist_ok=True)

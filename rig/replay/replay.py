@@ -86,10 +86,11 @@ class Replay:
         pictures: bool = False,
     ) -> None:
         self._reader = reader
-        self._config = config
         self._retrack = retrack
         self._pictures = pictures
         recorded = recorded_configuration(reader)
+        # without --retrack there is nothing for the tracker, which takes the sensor's noise
+        self._config = config if retrack else config.model_copy(update={"sensor": recorded.sensor})
         if retrack and not reader.counts.get(WINDOW.topic):
             why = "" if recorded.record.windows else " (it was made with record.windows = false)"
             said = thinning_of(reader)

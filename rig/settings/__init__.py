@@ -14,7 +14,7 @@ from rig.settings.configuration import (
     stored_configuration,
     validate_configuration,
 )
-from rig.settings.effect import OF_FITS, OF_REPLAYS, OF_TABLES, OF_TRACKING, refuse_without_effect
+from rig.settings.effect import Watched
 from rig.settings.instrument import InstrumentSettings
 from rig.settings.migrations import SCHEMA, SCHEMA_KEY, Step, migrated
 from rig.settings.night_plan import PlannedSeries, load_plan
@@ -24,10 +24,6 @@ from rig.settings.toml_file import read_toml
 from rig.settings.wording import in_words, validated, wanted
 
 __all__ = [
-    "OF_FITS",
-    "OF_REPLAYS",
-    "OF_TABLES",
-    "OF_TRACKING",
     "SCHEMA",
     "SCHEMA_KEY",
     "BalanceSettings",
@@ -41,6 +37,7 @@ __all__ = [
     "Step",
     "StopCondition",
     "TimebaseSettings",
+    "Watched",
     "apply_overrides",
     "commented_file",
     "in_words",
@@ -49,7 +46,6 @@ __all__ = [
     "load_plan",
     "migrated",
     "read_toml",
-    "refuse_without_effect",
     "stored_configuration",
     "toml_value",
     "validate_configuration",

@@ -1,5 +1,6 @@
 """Slips on the command line and in files are refused in one line, before anything is done."""
 
+import json
 import shutil
 from pathlib import Path
 
@@ -9,6 +10,7 @@ from tests.rig.command_line import CONFIGS, rig
 from tests.rig.long_record import make_long_record
 
 DEMO = CONFIGS / "demo.toml"
+DECAY = Path(__file__).parents[1] / "data" / "older" / "decay.csv"
 SENSOR = "sensor={gain_e_per_dn=1, read_noise_e=1, full_scale_dn=1023}"
 
 
@@ -175,15 +177,31 @@ def test_a_changed_key_that_nothing_uses_is_refused(measured_series: Path, tmp_p
     assert "--set lever.arm_m: has no effect here" in said(
         "fit", record, "--set", "lever.arm_m=2", "-o", "fit", cwd=tmp_path
     )
-    table = ("fit", "table.csv", "--config", DEMO, "--set", "session.runs=2")
-    (tmp_path / "table.csv").write_text("t,y\n0,1\n")
-    assert "--set session.runs: has no effect here; a table holds" in said(*table, cwd=tmp_path)
-    assert f"calibration.lever = 'lever.toml': no such file in {tmp_path}, where the command" in said(
-        *table[:-1], "calibration.lever=lever.toml", cwd=tmp_path
+    assert not (tmp_path / "fit" / "results.json").exists()
+    table = ("fit", DECAY, "--unit", "arcsec", "-o", tmp_path / "fit", "--config")
+    assert "--set session.runs: has no effect here; a table holds" in said(
+        *table, "session.toml", "--set", "session.runs=3", cwd=DECAY.parent
     )
+    assert f"calibration.lever = 'lever.toml': no such file in {tmp_path}, where the command" in said(
+        *table, DEMO, "--set", "calibration.lever=lever.toml", cwd=tmp_path
+    )
+    assert not (tmp_path / "fit" / "results.json").exists()
     assert "--set sesion: unknown key; did you mean session?" in said(
         "replay", record, "--set", "sesion.runs=1", cwd=tmp_path
     )
+
+
+def test_a_key_that_is_used_is_never_refused(measured_series: Path, tmp_path: Path) -> None:
+    """The doubt of a shutter's rows is of the fit, its rows themselves of the recorded times."""
+    record = measured_series / "run-1.mcap"
+    doubt, rows = ("--set", "shutter.u_row_time_s=1e-5"), ("--set", "shutter.row_time_s=1e-5")
+    assert rig("fit", record, *doubt, "-o", "doubtful", cwd=tmp_path).returncode == 0
+    (before, after) = (
+        json.loads((folder / "results.json").read_text())["runs"][0]["budget"]
+        for folder in (measured_series, tmp_path / "doubtful")
+    )
+    assert before != after
+    assert "--set shutter.row_time_s: has no effect here" in said("fit", record, *rows, cwd=tmp_path)
 
 
 def test_folders_work_wherever_records_do(measured_series: Path, tmp_path: Path) -> None:

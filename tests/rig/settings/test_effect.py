@@ -1,0 +1,65 @@
+"""A changed key has an effect if it is read where the work is done; to copy it reads nothing."""
+
+import pytest
+
+from processing.errors import ConfigurationError
+from rig.settings import Configuration, Watched, validate_configuration
+from tests.rig.settings.test_every_key import STATED, leaves
+
+KEYS = [key for key, _ in leaves() if key.partition(".")[0] in STATED]
+
+
+def stated() -> Configuration:
+    return validate_configuration({"camera": {"driver": "files"}, **STATED}, "test")
+
+
+def value_at(config: object, key: str) -> object:
+    place = config
+    for part in key.split("."):
+        place = place[part] if isinstance(place, dict) else getattr(place, part)
+    return place
+
+
+@pytest.mark.parametrize("key", KEYS)
+def test_a_key_is_read_when_its_value_is_taken(key: str) -> None:
+    config = stated()
+    watched = Watched(config, [f"{key}=1", "camera.driver=files"], "")
+    assert watched.config.model_copy().camera is watched.config.camera
+    assert watched.unread == [key, "camera.driver"]
+    assert value_at(watched.config, key) == value_at(config, key)
+    assert watched.unread == ["camera.driver"]
+    assert watched.config == config
+
+
+def test_what_a_section_calculates_reads_its_keys() -> None:
+    watched = Watched(stated(), ["lever.arm_m=1", "lever.u_skew=0", "instrument.period_s=2"], "")
+    assert watched.config.lever is not None
+    assert watched.config.lever.square().rad_per_px() > 0
+    assert watched.unread == ["lever.u_skew", "instrument.period_s"]
+    watched.config.instrument.description()
+    assert watched.unread == ["lever.u_skew"]
+
+
+def test_a_whole_section_is_read_with_any_of_its_keys() -> None:
+    watched = Watched(stated(), ["materials={}", "timebase={}", "shutter={}"], "")
+    assert watched.config.timebase is not None
+    assert watched.config.materials["mine"].poisson_ratio == 0.3
+    assert watched.config.timebase.camera_rate == 1.0
+    assert watched.unread == ["shutter"]
+
+
+def test_every_key_without_effect_gets_a_line() -> None:
+    keys = ("lever.arm_m", "session.runs", "fit.drag")
+    here, there = (Watched(stated(), [f"{key}=1" for key in keys], "try elsewhere") for _ in range(2))
+    here.refuse_read()
+    assert not here.config.fit.drag
+    assert there.config.session.runs == 1
+    with pytest.raises(ConfigurationError) as error:
+        here.refuse_unread()
+    assert str(error.value).splitlines() == [
+        f"--set {key}: has no effect here; try elsewhere" for key in keys[:2]
+    ]
+    with pytest.raises(ConfigurationError, match=r"^--set lever.arm_m: has no effect here; try elsewhere$"):
+        here.refuse_unread([there])
+    with pytest.raises(ConfigurationError, match=r"^--set session.runs: has no effect here"):
+        there.refuse_read()
