@@ -1,12 +1,21 @@
 """Which measurement a record is of: the SHA-256 by which results know it, also after it was thinned."""
 
 from collections.abc import Mapping
+from enum import StrEnum
 from pathlib import Path
 
 from acquisition.record.digest import known_sha256_of, sha256_of
 from acquisition.record.proof import is_sound
 from acquisition.record.proved_file import ProvedFile
 from processing.errors import RecordError
+
+
+class Thinning(StrEnum):
+    """What became of the windows of pixels of a thinned record."""
+
+    DROPPED = "dropped"
+    RECOMPRESSED = "recompressed"
+
 
 THINNED = "thinned"
 """Name of the metadata of a thinned record; thinned once more, "thinned 2"."""

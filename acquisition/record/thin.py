@@ -8,14 +8,15 @@ import hashlib
 import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from enum import StrEnum
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 from acquisition.record.chunk_builder import ChunkBuilder
 from acquisition.record.chunk_reader import RawMessage, messages_in
 from acquisition.record.container import McapFile, create_record
 from acquisition.record.digest import sha256_of
-from acquisition.record.identity import THINNED, thinning_of
+from acquisition.record.identity import THINNED, Thinning, thinning_of
 from acquisition.record.pixels import decode_window
 from acquisition.record.proof import is_sound
 from acquisition.record.reader import RecordReader
@@ -24,7 +25,21 @@ from acquisition.record.schemas import MessageType, message_type_of
 from acquisition.record.topics import IMAGE_TOPIC, PACKAGE, WINDOW, RecordedWindow
 from processing.errors import RecordError
 
-Thinning = Literal["dropped", "recompressed"]
+
+class Obstacle(StrEnum):
+    """Why a record cannot be thinned, or need not be."""
+
+    CUT = "is cut short, and is left as it is; rig recover makes a complete record of it"
+    DAMAGED = "is damaged, and is left as it is; rig check says where"
+    NO_WINDOWS = "holds no windows of pixels"
+    RECOMPRESSED = "its windows were recompressed before"
+
+    @property
+    def is_fault(self) -> bool:
+        """The record is at fault, and somebody has to look."""
+        return self in (Obstacle.CUT, Obstacle.DAMAGED)
+
+
 _RESERVE_BYTES = 1024 * 1024
 _CHUNK_BYTES = 4 * 1024 * 1024
 _ZSTD_LEVEL = 19
@@ -57,18 +72,18 @@ class Thinned:
     bytes: int
 
 
-def why_not_thinned(reader: RecordReader, thinning: Thinning) -> str:
-    """Why a record cannot be thinned so, or need not be; empty if it can."""
+def why_not_thinned(reader: RecordReader, thinning: Thinning) -> Obstacle | None:
+    """Why a record cannot be thinned so, or need not be; None if it can."""
     before = thinning_of(reader)
     if reader.truncated:
-        return "is cut short, and is left as it is; rig recover makes a complete record of it"
+        return Obstacle.CUT
     if not reader.counts.get(WINDOW.topic):
-        return "holds no windows of pixels"
-    if before is not None and thinning == "recompressed":
-        return "its windows were recompressed before"
+        return Obstacle.NO_WINDOWS
+    if before is not None and thinning is Thinning.RECOMPRESSED:
+        return Obstacle.RECOMPRESSED
     if not is_sound(reader.file, reader.contents):
-        return "is damaged, and is left as it is; rig check says where"
-    return ""
+        return Obstacle.DAMAGED
+    return None
 
 
 def thin(
@@ -88,7 +103,7 @@ def thin(
     """
     with RecordReader(source) as reader:
         why = why_not_thinned(reader, thinning)
-        if why:
+        if why is not None:
             raise RecordError(f"{source}: {why}")
         file = create_record(path, _RESERVE_BYTES, _ZSTD_LEVEL)
         try:
@@ -158,7 +173,7 @@ def _copy(
     for name, data in attachments.items():
         if name not in contents.attachment_places:
             file.add_attachment(name, "application/json", data, contents.start_ns)
-    dropped = thinning == "dropped"
+    dropped = thinning is Thinning.DROPPED
     places = file.add_channel(PLACE.topic, PLACE.full_name, PLACE.descriptor) if dropped else 0
     kind, digests = reader.message_type(WINDOW.topic), _Digests()
     builders = {True: ChunkBuilder(), False: ChunkBuilder()}
@@ -210,7 +225,7 @@ def _prove(path: Path, copied: _Copied) -> None:
                 found.add(topic, message)
         same = found.topics() == copied.digests.topics() and (
             (found.windows, found.places) == (0, copied.windows)
-            if copied.thinning == "dropped"
+            if copied.thinning is Thinning.DROPPED
             else found.of_windows.digest() == copied.digests.of_windows.digest()
         )
         if not same or reader.damages or not is_sound(reader.file, reader.contents):

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from acquisition.record.identity import Thinning
 from processing.errors import ConfigurationError
 from rig.archive.store import Archive, duckdb_module
 from rig.presentation import say
@@ -70,7 +71,7 @@ def add_sessions(archive: Path, sources: Sequence[Path], *, read: bool = False) 
 
 def _state(row: "Row") -> str:
     """What makes another version of a session: another record, another state of it, fewer pixels."""
-    thinned = [row["windows"]] if row.get("windows") in ("dropped", "recompressed") else []
+    thinned = [row["windows"]] if row.get("windows") in set(Thinning) else []
     return " ".join([row["sha256"], row["state"], *thinned])
 
 

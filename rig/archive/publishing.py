@@ -9,10 +9,10 @@ import shutil
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 from acquisition.record.digest import sha256_of
-from acquisition.record.identity import measured_sha256_of
+from acquisition.record.identity import Thinning, measured_sha256_of
 from acquisition.record.reader import RecordReader
 from processing.errors import ConfigurationError, MissingPackage, RecordError
 from rig.analysis import read_results, results_path, write_results
@@ -27,10 +27,6 @@ _MEDIA_TYPES = {
     ".toml": "application/toml",
     ".md": "text/markdown",
 }
-
-
-Pixels = Literal["kept", "recompressed", "dropped"]
-"""What becomes of the windows of pixels in published copies."""
 
 
 class Statement(NamedTuple):
@@ -48,14 +44,14 @@ def publish_runs(
     where: str,
     output: Path,
     statement: Statement,
-    pixels: Pixels = "kept",
+    pixels: Thinning | None = None,
 ) -> str:
     """Write runs that are named or meet a condition as an RO-Crate into a new folder; says what it holds.
 
     One folder a session, with its records, their results, and configuration and calibrations as the records
     hold them. The folder appears when everything in it is proved: each record has the hash that the archive
-    knows, and every file is described. Pixels that are recompressed or dropped are so in the copies alone, as
-    `rig archive thin` does it: the copy states the hash of the record as it was measured.
+    knows, and every file is described. With `pixels` those are recompressed or dropped, in the copies alone,
+    as `rig archive thin` does it: the copy states the hash of the record as it was measured.
 
     Raises ConfigurationError without the package rocrate, for no runs, or what is stated wrongly; RecordError
     where a record is not here, has changed, or must not be thinned.
@@ -91,7 +87,7 @@ def publish_runs(
         for number, (folder, records) in enumerate(sorted(by_folder.items()), 1):
             target = beside / f"session-{number}-{folder.name}"
             _copy_session(folder, records, target)
-            if pixels != "kept":
+            if pixels is not None:
                 for record, sha256 in records.items():
                     copy, rule = target / record.name, f"{pixels} in a publication"
                     thin_copy(archive, record, copy, sha256, pixels, rule)

@@ -9,7 +9,7 @@ from typing import Any, Literal, NamedTuple
 
 import zstandard
 
-from acquisition.record.identity import measured_sha256_of, thinning_of
+from acquisition.record.identity import Thinning, measured_sha256_of, thinning_of
 from acquisition.record.reader import RecordReader
 from processing.errors import ConfigurationError, RecordError, RigError
 from rig.analysis import (
@@ -120,7 +120,7 @@ def refit(task: Task) -> str:
 def _dropped(record: Path) -> bool:
     with RecordReader(record) as reader:
         said = thinning_of(reader)
-        return said is not None and said.get("windows") == "dropped"
+        return said is not None and said.get("windows") == Thinning.DROPPED
 
 
 def _analysed(task: Task) -> AnalysedRun:

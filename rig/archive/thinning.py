@@ -13,9 +13,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from acquisition.record.identity import measured_sha256_of
+from acquisition.record.identity import Thinning, measured_sha256_of
 from acquisition.record.reader import RecordReader
-from acquisition.record.thin import Thinned, Thinning, thin, why_not_thinned
+from acquisition.record.thin import Thinned, thin, why_not_thinned
 from acquisition.record.whole_file import sync_folder
 from processing.errors import ConfigurationError, RecordError
 from rig.analysis import RunResults, SessionResults, encoded, recorded_results
@@ -81,7 +81,7 @@ def thin_runs(
         print(f"nothing to thin; {left} left as they are")
         return 1 if left else 0
     size_mb = sum(item.record.stat().st_size for item in due) / 1e6
-    counts = {kind: sum(item.thinning == kind for item in due) for kind in ("dropped", "recompressed")}
+    counts = {kind: sum(item.thinning == kind for item in due) for kind in Thinning}
     what = " and ".join(f"of {count} {kind}" for kind, count in counts.items() if count)
     if not agreed(
         f"{len(due)} records, {size_mb:.1f} MB: pixels {what}; dropped ones never come back. Thin?"
@@ -125,9 +125,9 @@ def _rule(
 ) -> tuple[Thinning, str] | None:
     """What is due at an age in months, and the rule that says so."""
     if age is not None and drop_after is not None and age >= drop_after:
-        return "dropped", f"dropped after {drop_after} months"
+        return Thinning.DROPPED, f"dropped after {drop_after} months"
     if age is not None and recompress_after is not None and age >= recompress_after:
-        return "recompressed", f"recompressed after {recompress_after} months"
+        return Thinning.RECOMPRESSED, f"recompressed after {recompress_after} months"
     return None
 
 
@@ -138,8 +138,8 @@ def _due(archive: Path, record: Path, sha256: str, rule: tuple[Thinning, str]) -
     try:
         with RecordReader(record) as reader:
             why = why_not_thinned(reader, rule[0])
-            if why:
-                return f"{record}: {why}" if "is left as it is" in why else ""
+            if why is not None:
+                return f"{record}: {why}" if why.is_fault else ""
         if measured_sha256_of(record) != sha256:
             return f"{record}: has changed since it was added; rig archive add"
     except RecordError as error:
@@ -203,7 +203,7 @@ def _replace(item: _Due) -> Thinned:
         done = thin(path, beside, item.thinning, said, {attached: results})
         if done.measured_sha256 != item.sha256:
             raise RecordError("it has changed while it was thinned")
-        if item.thinning == "recompressed" and done.bytes >= done.source_bytes:
+        if item.thinning is Thinning.RECOMPRESSED and done.bytes >= done.source_bytes:
             raise _NoSmaller("thinned it would be no smaller")
         shutil.copymode(path, beside)
         os.replace(beside, path)

@@ -290,11 +290,13 @@ def publish(
     archive: Archive = _PLACE,
 ) -> None:
     """Write runs with results and inputs as an RO-Crate."""
+    from acquisition.record.identity import Thinning
     from rig.archive import Statement, opened, publish_runs
 
+    thinning = None if pixels == "kept" else Thinning(pixels)
     with opened(archive) as folder:
         statement = Statement(title, licence, author, citation)
-        print(publish_runs(folder, names or [], where, output, statement, pixels))
+        print(publish_runs(folder, names or [], where, output, statement, thinning))
 
 
 def thin(

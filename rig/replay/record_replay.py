@@ -26,6 +26,7 @@ from rig.replay.comparison import parameter_changes
 from rig.replay.player import HELP, MOST_FRAMES, Player
 from rig.replay.replay import Replay, Replayed
 from rig.replay.screen import ReplayLine, print_changes, print_comparison
+from rig.rerun import Trouble
 from rig.settings import Configuration, Watched
 from rig.view import Viewer, start_view
 
@@ -141,7 +142,7 @@ def _view(
 
     def close() -> None:
         counts = view.close()
-        if counts.dropped and not any("no longer written" in note for note in counts.notes):
+        if counts.dropped and not counts.troubles & {Trouble.FILE_ENDED, Trouble.LIVE_ENDED}:
             say(f"view: {counts.dropped} messages were dropped, because the viewer was too slow")
 
     stack.callback(close)

@@ -21,6 +21,7 @@ from rig.rerun.messages import (
     Setup,
     State,
     Swings,
+    Trouble,
     rows,
     size_bytes,
 )
@@ -51,6 +52,7 @@ __all__ = [
     "Setup",
     "State",
     "Swings",
+    "Trouble",
     "display_missing",
     "free_port",
     "hidden_loopback",

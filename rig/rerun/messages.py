@@ -6,6 +6,7 @@ a single one.
 
 import struct
 from collections.abc import Mapping
+from enum import StrEnum
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -189,6 +190,17 @@ def size_bytes(message: Message) -> int:
         value.nbytes if isinstance(value, np.ndarray) else len(value) if isinstance(value, str) else 0
         for value in held
     )
+
+
+class Trouble(StrEnum):
+    """What a note of a worker is about."""
+
+    NONE = "none"
+    NOT_DRAWN = "not drawn"
+    FILE_ENDED = "file ended"
+    """The Rerun file is no longer written."""
+    LIVE_ENDED = "live ended"
+    """The same of the live view."""
 
 
 LENGTH = struct.Struct("<Q")

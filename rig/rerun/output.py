@@ -10,7 +10,7 @@ import rerun as rr
 
 from rig.rerun import layout
 from rig.rerun.drawing import Drawing
-from rig.rerun.messages import Message, Setup
+from rig.rerun.messages import Message, Setup, Trouble
 from rig.rerun.ports import free_port, hidden_loopback
 
 LIVE_GATHER_S, LIVE_GATHER_ROWS, LIVE_PICTURE_S = 0.2, 2000, 0.1
@@ -32,7 +32,7 @@ class Output:
         self.url = ""
         self.port = setup.port
         self._setup = setup
-        self._notes: list[str] = []
+        self._notes: list[tuple[str, Trouble]] = []
         self._failed = False
         self._flushed_at = time.monotonic()
         self._stream = rr.RecordingStream(layout.APPLICATION_ID, recording_id=setup.recording_id)
@@ -54,8 +54,8 @@ class Output:
         if setup.viewer_url:
             threading.Thread(target=self._connect_viewer, daemon=True).start()
 
-    def take_notes(self) -> list[str]:
-        """Remarks for the user since the last call."""
+    def take_notes(self) -> list[tuple[str, Trouble]]:
+        """Remarks for the user since the last call, and what each is about."""
         notes, self._notes = self._notes, []
         return notes
 
@@ -68,7 +68,8 @@ class Output:
                 self._drawing.draw(message)
             except (ValueError, TypeError, RuntimeError) as error:
                 traceback.print_exc(file=sys.stderr)
-                self._notes.append(f"view: a {type(message).__name__} could not be drawn: {error}")
+                what = f"view: a {type(message).__name__} could not be drawn: {error}"
+                self._notes.append((what, Trouble.NOT_DRAWN))
         self._drawing.send()
         if time.monotonic() - self._flushed_at > FLUSH_INTERVAL_S:
             self._flush()
@@ -90,7 +91,8 @@ class Output:
         host = hidden_loopback()
         self.port = free_port(setup.port, host)
         if setup.port not in (0, self.port):
-            self._notes.append(f"port {setup.port} is in use: the live view listens on {host}:{self.port}")
+            where = f"the live view listens on {host}:{self.port}"
+            self._notes.append((f"port {setup.port} is in use: {where}", Trouble.NONE))
         sink = rr.GrpcServerSink(host, self.port, server_memory_limit=setup.memory_limit)
         self.url = sink.uri
         return sink
@@ -107,7 +109,8 @@ class Output:
     def _fail(self, error: Exception) -> None:
         self._failed = True
         where = f"the Rerun file {self._setup.rrd_path}" if self._setup.rrd_path else "the live view"
-        self._notes.append(f"{where} is no longer written (the record is not affected): {error}")
+        trouble = Trouble.FILE_ENDED if self._setup.rrd_path else Trouble.LIVE_ENDED
+        self._notes.append((f"{where} is no longer written (the record is not affected): {error}", trouble))
 
     def _connect_viewer(self) -> None:
         """Connect the viewer of the previous stream to this one; the viewer may hang or have been closed."""

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from rig.rerun import Finish, Setup, rows
+from rig.rerun import Finish, Setup, Trouble, rows
 from rig.view.dropping_queue import DroppingQueue
 from rig.view.worker_process import WorkerProcess
 
@@ -42,7 +42,7 @@ class Feed:
         *,
         queue_bytes: int,
         hang_limit_s: float,
-        note: Callable[[str], None],
+        note: Callable[[str, Trouble], None],
         on_ready: Callable[[str], str] = lambda url: "",
     ) -> None:
         self.queue = DroppingQueue(queue_bytes)
@@ -99,7 +99,7 @@ class Feed:
             try:
                 worker = self._worker = WorkerProcess(setup, self._on_report)
             except OSError as error:
-                self._note(f"the viewer's worker cannot be started: {error}")
+                self._note(f"the viewer's worker cannot be started: {error}", Trouble.NONE)
                 return
             complete = self._feed(worker)
             self._ready = False
@@ -149,8 +149,8 @@ class Feed:
         return setup._replace(rrd_path=str(next(part for part in parts if not part.exists())))
 
     def _on_report(self, report: dict[str, Any]) -> None:
-        for note in report.get("notes", []):
-            self._note(str(note))
+        for note, trouble in report.get("notes", []):
+            self._note(str(note), Trouble(trouble))
         if "port" in report:
             self.url = str(report["url"])
             self._setup = self._setup._replace(port=int(report["port"]))

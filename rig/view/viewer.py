@@ -52,6 +52,7 @@ from rig.rerun import (
     Setup,
     State,
     Swings,
+    Trouble,
 )
 from rig.view.feed import Feed
 from rig.view.state_text import state_text
@@ -77,7 +78,7 @@ class ViewCounts:
     `sent` were drawn by the worker, `dropped` were lost (by kind in `dropped_by_kind`). `restarts` is
     the number of replaced workers. `alive`: a worker is running and answering. `url`: address for a
     viewer, empty without a live stream. `notes`: messages to the user (a port in use, a missing
-    display, a full disk).
+    display, a full disk), `troubles` what they are about.
     """
 
     sent: int
@@ -87,6 +88,7 @@ class ViewCounts:
     alive: bool
     url: str
     notes: tuple[str, ...]
+    troubles: frozenset[Trouble]
 
 
 class Viewer:
@@ -183,7 +185,7 @@ class Viewer:
         self._next_image_s = 0.0
         self._next_state_s = 0.0
         self._shown_phase: Phase | None = None
-        self._notes: list[str] = []
+        self._notes: dict[str, Trouble] = {}
         self._program = ViewerProgram(mode, web_port, self._note)
         setup = Setup(
             title=title,
@@ -370,6 +372,7 @@ class Viewer:
             alive=bool(self._feeds) and all(feed.alive for feed in self._feeds),
             url=self._live.url if self._live is not None else "",
             notes=tuple(self._notes),
+            troubles=frozenset(self._notes.values()),
         )
 
     @property
@@ -409,9 +412,8 @@ class Viewer:
             full = shutil.disk_usage(self._rrd_path.parent).free < _FULL_BYTES
             why = f"{dropped} values are not in it{', the disk is full' if full else ''}"
         else:
-            told = [
-                note for note in self._notes if str(self._rrd_path) in note or "could not be drawn" in note
-            ]
+            lacking = (Trouble.FILE_ENDED, Trouble.NOT_DRAWN)
+            told = [note for note, trouble in self._notes.items() if trouble in lacking]
             if not told:
                 return
             why = told[0]
@@ -421,9 +423,9 @@ class Viewer:
         for feed in self._feeds:
             feed.queue.put(message)
 
-    def _note(self, note: str) -> None:
+    def _note(self, note: str, trouble: Trouble = Trouble.NONE) -> None:
         if note not in self._notes:
-            self._notes.append(note)
+            self._notes[note] = trouble
             logger.warning("%s", note)
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from acquisition.record.check import check_record
 from acquisition.record.digest import sha256_of
-from acquisition.record.identity import measured_sha256_of
+from acquisition.record.identity import Thinning, measured_sha256_of
 from acquisition.record.reader import RecordReader
 from acquisition.record.recover import recover
 from acquisition.record.thin import thin
@@ -68,7 +68,7 @@ def test_windows_go_by_rule_and_the_record_stays_the_same_measurement(
     assert thinned(archive, 13) == 0
     assert record.read_bytes() == before
     # in fewer bytes first
-    fewer = thin(record, tmp_path / "fewer.mcap", "recompressed", {}, {})
+    fewer = thin(record, tmp_path / "fewer.mcap", Thinning.RECOMPRESSED, {}, {})
     assert (fewer.measured_sha256, fewer.bytes < fewer.source_bytes) == (measured, True)
     with RecordReader(tmp_path / "fewer.mcap") as reader:
         assert all(
@@ -146,7 +146,7 @@ def test_nothing_is_thinned_without_results_consent_or_proof(
     # a copy that does not hold what it should takes nobody's place
     monkeypatch.setattr("acquisition.record.thin.is_sound", lambda file, contents: file.name == "run-1")
     with pytest.raises(RecordError):
-        thin(record, record.with_name("copy"), "dropped", {}, {})
+        thin(record, record.with_name("copy"), Thinning.DROPPED, {}, {})
     monkeypatch.undo()
 
     def full(*_: object) -> None:

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from processing.errors import ConfigurationError, RecordError
+from rig.rerun import Trouble
 from rig.rerun.ports import free_port
 from rig.view.viewer import Viewer
 from tests.rig.view import scene as view_scene
@@ -190,9 +191,22 @@ def test_a_full_disk_is_told_and_stops_nothing(tmp_path: Path) -> None:
     assert longest < CALL_LIMIT_S
     assert "No space left" in counts.notes[0]
     assert str(path) in counts.notes[0]
+    assert counts.troubles == {Trouble.FILE_ENDED}
     assert counts.dropped > 0
     assert counts.sent + counts.dropped == 35_000
     with pytest.raises(RecordError, match=r"run\.rrd is not whole: \d+ values are not in it"):
+        viewer.check_file()
+
+
+@pytest.mark.parametrize("words", ["in other words", "view: a Curve could not be drawn"])
+def test_a_file_lacks_what_a_worker_could_not_draw_whatever_it_says(tmp_path: Path, words: str) -> None:
+    path = tmp_path / "run.rrd"
+    viewer = Viewer(path)
+    path.write_bytes(b"a run")
+    viewer._note(f"a port is in use; {words}")
+    viewer.check_file()
+    viewer._note(words, Trouble.NOT_DRAWN)
+    with pytest.raises(RecordError, match=words):
         viewer.check_file()
 
 
