@@ -19,6 +19,7 @@ Sign = Literal["+", "-"]
 """Side on which a mode's swing begins: the positive or the negative direction of its axis."""
 _WINDOW_PERIODS = 6.0
 _FEWEST_PERIODS = 2.0
+"""Slow periods: below two the slow mode cannot be told from a drift of the rest position."""
 _LARGEST_CHI2_PER_DOF = 100.0
 """Of the windows' directions: they scatter ten times as much as the spots' noise leaves. Enlarging the
 uncertainties would hide that there are no two fixed directions."""

@@ -14,6 +14,7 @@ from processing.errors import DataError
 
 Floats = NDArray[np.float64]
 FEWEST_STEPS = 5
+"""Along the motion at most origin, scale, skew and hysteresis are fitted: one degree of freedom remains."""
 _IMPROBABLE = 0.01
 """Probability below which the skew is taken as real."""
 _STANDS_OUT = 3.5

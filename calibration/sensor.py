@@ -17,10 +17,11 @@ from processing.robust import robust_scatter
 
 Image = NDArray[np.uint8] | NDArray[np.uint16]
 
-_QUANTISATION_DN2 = 1.0 / 12.0
+_QUANTISATION_DN2 = 1.0 / 12.0  # variance of rounding to whole numbers
 _RESOLVED_DN = 0.24
 """EMVA 1288: temporal noise in the dark below this cannot be measured because of rounding to integers."""
 _FEWEST_LEVELS = 4
+"""A straight line, and two degrees of freedom that show whether the sensor is linear."""
 _FIT_TO = 0.7
 """EMVA 1288 fits the gain up to 70 % of saturation."""
 

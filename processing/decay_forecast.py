@@ -9,8 +9,11 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 
 _FEWEST = 6
+"""Four parameters and two degrees of freedom."""
 _MOST = 240
+"""The covariance of a walk has no zeros: its factors cost the cube of the number."""
 _NODES = 400
+"""Against 6,400 the forecast moves by a thousandth of its uncertainty."""
 _EXPONENT, _U_EXPONENT = 0.87, 0.06
 _LN_DRY_PART, _U_LN_DRY_PART = math.log(0.25), 0.6
 _WALKS = np.geomspace(1e-3, 10.0, 9)

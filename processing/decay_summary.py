@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from processing.errors import DataError
 from processing.swing import TurningPoints
 
-_FEWEST = 4
+_FEWEST = 4  # a straight line, and two degrees of freedom for its scatter
 _FEWEST_OF_PART = 3
 _NOT_CONSTANT = 4.0
 """chi2/dof of a constant value above which the value is reported as one that changes."""

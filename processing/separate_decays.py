@@ -9,6 +9,8 @@ _GROWN = 1.2
 """Ratio of neighbouring amplitudes from which on the pendulum was pushed again, and did not merely swing a
 little further: 20 % of its amplitude are nearly half of its energy."""
 _CLEARLY = 6.0
+"""Standard uncertainties: by chance once in 10^9 half-cycles, where amplitudes are so faint that noise makes
+them grow."""
 
 
 def separate_decays(swings: Sequence[Swing]) -> list[list[Swing]]:

@@ -10,6 +10,8 @@ from processing.robust import robust_scatter
 
 _HALF = 6
 _SIGNIFICANCE = 8.0
+"""In white noise one of 1,100 values exceeds it by chance, since six values tell their scatter badly (5: one
+of 150; simulated). The least step that is reported is meant to lie above the noise."""
 
 
 @dataclass(frozen=True, slots=True)

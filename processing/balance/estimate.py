@@ -20,7 +20,9 @@ Floats = NDArray[np.float64]
 
 _WINDOW_PERIODS = 2.0
 _HISTORY = 8
+"""Looks over which a drift is taken, one a slow period: about half a minute at a period of 4 s."""
 _FEWEST_IN_HISTORY = 4
+"""A line through these leaves two degrees of freedom, which show how well it fits."""
 _OVERLAP_CORRELATION = 0.5
 """Neighbouring windows share half of their samples."""
 
@@ -28,6 +30,8 @@ _FEWEST_SAMPLES, _MOST_SAMPLES = 20, 1200
 _FIRST_LOOK_S = 0.5
 _LONGEST_LOOK_S = 60.0
 _LOOK_GROWTH = 1.5
+"""Until a period is known looks grow, so that all from 0.5 s to a minute are found soon after they have
+passed."""
 _RESTING = 4.0
 """Chi-square per sample below which the pendulum is at rest."""
 _FIRST_SIZE = 4096

@@ -25,6 +25,8 @@ from processing.estimate import Estimate
 ATOMIC_DISTANCE_M = 0.3e-9
 """z0, the distance of the surfaces' atoms in contact, on which the Tabor parameter depends: 0.2 to 0.4 nm."""
 _MAUGIS_PER_TABOR = 1.157
+"""Maugis' parameter lambda over Tabor's mu: the step of Dugdale's force with the work and the peak force of
+Lennard-Jones'."""
 _JKR_FROM = 5.0
 """Tabor parameter above which JKR is meant to hold; DMT below 0.1 (Johnson & Greenwood 1997)."""
 _DMT_UP_TO = 0.1

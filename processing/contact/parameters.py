@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-STANDARD_GRAVITY_M_PER_S2 = 9.80665
+STANDARD_GRAVITY_M_PER_S2 = 9.80665  # third CGPM, 1901
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,6 +9,7 @@ from processing.errors import DataError
 from processing.swing import TurningPoints
 
 FEWEST_HALF_CYCLES = 10
+"""Twenty amplitudes and times, for the eight columns of the paper's law and the noise."""
 OUTLIER = 5.0
 """Residual in standard uncertainties above which a half-cycle is listed as an outlier."""
 

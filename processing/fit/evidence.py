@@ -14,7 +14,10 @@ from processing.contact import AMPLITUDE, DRAG, TIME, PendulumOnBall, weight_mom
 from processing.fit.result import FitResult
 
 _SHARE = 0.1
+"""What a parameter may do before data: move times and moments by a tenth of the period and of the weight's
+moment."""
 _LEAST_SHARE = 1e-15
+"""Rounding of the eigenvalues of a matrix with ones in its diagonal: what is smaller is not known."""
 _PERIOD = "period0_s"
 
 

@@ -33,6 +33,8 @@ _WELL_KNOWN = 0.15
 _ONE_SIDED = 2.706
 """Rise of -2 ln L at a bound of 95 %: the square of the normal quantile 1.645."""
 _LEAST_SHARE = 1e-13
+"""Rounding of sums over thousands of half-cycles, relative to a diagonal of ones: smaller eigenvalues are
+noise."""
 
 
 class LikeliestNoise(NamedTuple):

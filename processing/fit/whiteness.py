@@ -16,6 +16,7 @@ Array = NDArray[np.float64]
 CORRELATED = 0.001
 """Chance below which the residuals of amplitudes or times are called correlated."""
 _LAGS = 20
+"""Box and Jenkins' usual number; of a short run a fifth of its length, since far lags have few pairs."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,7 @@ from processing.errors import DataError
 from processing.estimate import Estimate
 from processing.ticks import seconds
 
-_FEWEST = 3
+_FEWEST = 3  # a line for the rotation, and one degree of freedom for its scatter
 
 
 class SwingPlane(NamedTuple):

@@ -20,10 +20,12 @@ from processing.ticks import seconds
 _REACH = 0.40
 """Half-width of the fitted interval in half periods. Within it even powers up to the sixth approximate a
 cosine to 1e-6 of the amplitude."""
-_FEWEST = 16
 _FEWEST_CENTRES = 4
 _POWERS = 7
 _TERMS = _POWERS + 1
+"""The powers up to the sixth and one term for a friction that changes its sign with the motion."""
+_FEWEST = 2 * _TERMS
+"""As many degrees of freedom as terms."""
 
 
 def refined(

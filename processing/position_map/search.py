@@ -24,6 +24,7 @@ from processing.swing import CycleResiduals
 Floats = NDArray[np.float64]
 
 _SPLINES = 320
+"""The shortest correlation length is 2.5 of their spacings."""
 _LENGTHS = (0.25, 0.125, 0.0625, 0.032, 0.016, 0.008)
 """Correlation lengths tried, as fractions of the stretch."""
 _FEWEST_CYCLES = 8

@@ -27,7 +27,7 @@ MARGIN_PX = 4
 """The spline reaches so much further than the window of the fit: two pixels that cubic pieces need at each
 end, and two by which the spot may lie away from the window's middle."""
 _PASSES = 25
-_LEAST_PIXELS = 24
+_LEAST_PIXELS = 24  # four for each fitted parameter
 _NO_GATE = 1e30
 
 

@@ -36,6 +36,8 @@ from processing.spot.upright_score import TABLE_ROWS
 
 _RECORD_REACH = 6.0
 _RECORD_MARGIN_PX = 4
+"""Of a record's window: sigmas of the spot, and pixels beyond, so that a replay can fit again with the spot
+moved."""
 _NEAR_REACH = 6.0
 _NEAR_MARGIN_PX = 16
 _NEAR_STEP_PX = 32

@@ -42,8 +42,10 @@ SHARED = 1 + SHAPES + _TIMING
 
 _REACH = 0.6
 """Half periods before the first and after the second turning point that surely hold the cycle."""
-_FEWEST = 16
+_FEWEST = 8
+"""Samples of a half-cycle: its own four terms and the fast mode's four."""
 _GATE = 6.0
+"""Standard deviations: of noise alone 2e-9 of the samples lie beyond."""
 _LINE = 40.0
 """Power of a line in the fast deflection, over the median of all frequencies, that makes it the fast mode."""
 
@@ -137,7 +139,7 @@ def _residuals(samples: Deflections, first: Swing, motion: KnownMotion) -> Cycle
         tabulate_state(state, anchor, motion.reference, _ACTIVE, table, turn)
         begin_s, end_s = np.array(zero_phases(table)) / state[RATE] + state[TIME]
         rows = np.flatnonzero(usable & (tau_s >= begin_s) & (tau_s < end_s))
-        if len(rows) < _FEWEST // 2:
+        if len(rows) < _FEWEST:
             return None
         residual, jacobian = np.empty(len(rows)), np.empty((len(rows), len(_ACTIVE)))
         linearise(state, side, _ACTIVE, table, tau_s[rows], samples.y[rows], residual, jacobian)

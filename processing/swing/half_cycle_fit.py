@@ -46,6 +46,7 @@ SLOW_TERMS = (4, 5, 6)
 Those below are mostly taken up by amplitude, time, centre and drift."""
 SLOW_FEWEST = 24
 _GATE = 6.0
+"""Standard deviations: of noise alone 2e-9 of the samples lie beyond."""
 _ITERATIONS = 4
 _SEEN = 2.5
 """Significance of the drift, in standard uncertainties, above which it is used."""

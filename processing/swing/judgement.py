@@ -9,7 +9,13 @@ _EXCESS = 5.0
 """Chi-square, in standard deviations above its expectation, above which a half-cycle was disturbed."""
 
 _SEGMENT_EXCESS = 5.5
+"""The same for the worst of eight parts, higher so that noise alone exceeds it no more often: a chance of
+1.5e-7, and for the whole 2.9e-7."""
+
 _OUTLIERS = 0.03
+"""Largest fraction of samples beyond six standard deviations, of which noise makes none; one more is a
+glitch."""
+
 _SHIFT = 0.15
 """Largest accepted difference of measured and predicted time, as a fraction of the half period."""
 
@@ -20,7 +26,10 @@ _HOLE_SPACINGS = 3.5
 """... and in mean spacings of the samples; the longer of the two applies."""
 
 _FEWEST = 7
+"""Samples: five degrees of freedom beside amplitude and time, without which chi-square says nothing."""
 _FAINT = 5.0
+"""Amplitude in its standard uncertainties; below it the phase is not known to 0.2 rad, and the fit is no
+longer linear in it."""
 
 
 def judge(

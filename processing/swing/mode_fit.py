@@ -36,6 +36,7 @@ EVERY = list(range(TERMS))
 SLOW_ONLY = [k for k in EVERY if k not in _FAST_TERMS]
 _STEPS = 8
 _NOISE_LIKE = 4.0
+"""Chi-square per sample: residuals of twice the stated noise may still be noise that was stated too small."""
 _FALSE = 1e-7
 """Probability with which noise is taken for a fast mode in one look. A run takes some hundred looks, and the
 search in each goes through all frequencies: see `bench_modes` for false detections in a thousand runs."""

@@ -39,7 +39,7 @@ from processing.ticks import seconds
 
 Floats = NDArray[np.float64]
 
-_FEWEST = 20
+_FEWEST = 20  # samples of two coordinates each, for the 18 terms of both modes
 
 
 @dataclass(frozen=True, slots=True)

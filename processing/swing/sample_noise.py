@@ -16,11 +16,13 @@ from processing.swing.half_cycle_fit import HalfCycleFit
 _MEMORY = 15
 """Number of half-cycles whose median reduced chi-square gives the factor on the samples' uncertainties."""
 _SLOW_MEMORY = 63
+"""Their median is known to 0.13, so that noise counts as slow from 1.8 times the power of white noise on."""
 _MEDIAN = 0.789
 """Median of a chi-square of three degrees of freedom, per degree."""
 _SPREAD = 1.02
 """Standard deviation of the median of m such values, times sqrt(m)."""
 _SIGNIFICANT = 6.0
+"""Standard deviations of the median: it is looked at after every half-cycle of runs of thousands."""
 _RISE = 4.0
 """Power at 1.25 times the pendulum's frequency, about where turning points take it up, relative to that at
 five times, in noise of 1/f."""

@@ -8,8 +8,11 @@ from processing.errors import DeviceError
 from rig.devices.picture import PictureFigures, figures
 
 _FRAMES = 9
+"""An odd number, whose median a single flash or a late change of the exposure does not move."""
 _STEPS = 16
+"""A step is at most eight times longer, or 0.4 times as long: from 10 us to 1 s are 6 of them, back 13."""
 _TOLERANCE = 0.03
+"""Of the target: far from saturation still, with a target of 0.7 of full scale."""
 
 
 class Exposure(NamedTuple):

@@ -13,9 +13,11 @@ from processing.errors import DeviceError
 MOST_PPM: Final = 1000.0
 """A quartz is right within 100 ppm: a clock that runs otherwise counts in another unit than was believed."""
 _WINDOW_NS: Final = 3_000_000_000
+"""Between the middles of its first and last third are 2 s: a delay of 2 ms, kept up, makes `MOST_PPM`."""
 _FEWEST: Final = 60
 _IN_A_ROW: Final = 3
 _SPREAD: Final = 0.2
+"""A wrong unit shows the same each time; a busy computer's delays do not within a fifth of themselves."""
 
 
 def wrong_rate(relation: ClockRelation) -> str:

@@ -12,7 +12,7 @@ from rig.devices import FrameStream
 from rig.settings import StopCondition
 
 _log = logging.getLogger(__name__)
-BELOW_IN_A_ROW = 3
+BELOW_IN_A_ROW = 3  # one disturbed half-cycle, or two, do not end a long measurement
 
 
 @dataclass(frozen=True, slots=True)
