@@ -119,44 +119,31 @@ def run_tests(
     return process.returncode, [line for line in said.splitlines() if line.startswith(("FAILED", "ERROR"))]
 
 
-class Judge:
-    """Runs the tests of a mutation's room; one that fails without any mutation, too, is left out."""
+def outcome(
+    copies: Copies, module: Path, mutation: Mutation, marks: Sequence[str], limit_s: float
+) -> Outcome:
+    """Whether the tests of the room notice it."""
+    files, began_s = nearest_first(module, mutation.within), time.monotonic()
+    tree = copies.mutated(module, mutation.applied(module.read_bytes()))
+    for marked in marks:
+        status, failed = run_tests(tree, files, marked, limit_s, "-x")
+        if status not in (0, NO_TESTS):
+            nothing_said = "no end" if status is None else "the tests do not begin"
+            return Outcome((failed or [nothing_said])[0], time.monotonic() - began_s)
+    return Outcome("", time.monotonic() - began_s)
 
-    def __init__(self, copies: Copies, marks: Sequence[str], limit_s: float) -> None:
-        self._copies = copies
-        self._marks = marks
-        self._limit_s = limit_s
-        self._passing: set[str] = set()
-        self._left_out: list[str] = []
 
-    def outcome(self, module: Path, mutation: Mutation) -> Outcome:
-        """Whether the tests notice it."""
-        files, began_s = nearest_first(module, mutation.within), time.monotonic()
-        tree = self._copies.mutated(module, mutation.applied(module.read_bytes()))
-        caught_by = ""
-        for marks in self._marks:
-            while not caught_by:
-                left_out = [f"--deselect={test}" for test in self._left_out]
-                status, failed = run_tests(tree, files, marks, self._limit_s, "-x", *left_out)
-                if status in (0, NO_TESTS):
-                    break
-                if status is None or not failed:
-                    caught_by = "no end" if status is None else "the tests do not begin"
-                elif self._passes(failed[0]):
-                    caught_by = failed[0]
-        return Outcome(caught_by, time.monotonic() - began_s)
+def failing_anyway(copies: Copies, tests: Sequence[str], limit_s: float) -> set[str]:
+    """Those of the tests that fail without any mutation, too: they have noticed nothing."""
+    if not tests:
+        return set()
+    _, failed = run_tests(copies.whole, [], "", limit_s, *tests)
+    return {_test_of(line) for line in failed}
 
-    def _passes(self, said: str) -> bool:
-        """Whether the test that failed passes without the mutation."""
-        test = said.split(" - ")[0].split(" ", 1)[1]
-        if test not in self._passing:
-            status, _ = run_tests(self._copies.whole, [], "", self._limit_s, test)
-            if status != 0:
-                print(f"left out, since it fails without a mutation: {test}", flush=True)
-                self._left_out.append(test)
-                return False
-            self._passing.add(test)
-        return True
+
+def _test_of(failed: str) -> str:
+    """Its name in pytest's line."""
+    return failed.split(" - ")[0].split(" ", 1)[-1]
 
 
 def difference(module: Path, mutation: Mutation) -> str:
@@ -191,26 +178,32 @@ def main() -> None:
     options = parser.parse_args()
     os.chdir(TREE)
     sample = chosen(options.paths, options.count, options.seed)
-    judge = None if options.list else Judge(Copies(WORK), MARKS[: 1 if options.quick else 2], options.limit_s)
+    copies = None if options.list else Copies(WORK)
+    noticed: dict[str, list[str]] = {}
     survivors = []
     for number, (module, mutation) in enumerate(sample, 1):
         line = module.read_bytes()[: mutation.start].count(b"\n") + 1
-        place = f"{number:3d} {module}:{line}"
-        shown = difference(module, mutation)
-        if judge is None:
+        place, shown = f"{number:3d} {module}:{line}", difference(module, mutation)
+        if copies is None:
             print(f"{place}\n{shown}")
             continue
-        outcome = judge.outcome(module, mutation)
-        if outcome.caught_by:
-            print(f"{place}: caught in {outcome.seconds:.0f} s: {outcome.caught_by[:160]}", flush=True)
+        found = outcome(copies, module, mutation, MARKS[: 1 if options.quick else 2], options.limit_s)
+        if found.caught_by:
+            noticed.setdefault(_test_of(found.caught_by), []).append(place)
+            print(f"{place}: caught in {found.seconds:.0f} s: {found.caught_by[:160]}", flush=True)
         else:
             survivors.append(f"{place}\n{shown}")
-            print(f"{place}: SURVIVED, {outcome.seconds:.0f} s\n{shown}", flush=True)
-    if judge is None:
+            print(f"{place}: SURVIVED, {found.seconds:.0f} s\n{shown}", flush=True)
+    if copies is None:
         return
+    unjudged = 0
+    for test in failing_anyway(copies, [test for test in noticed if "::" in test], options.limit_s):
+        for place in noticed.get(test, []):
+            unjudged += 1
+            print(f"{place}: not judged, since {test} fails without it, too")
     print("\n".join(["", *survivors]))
-    caught = len(sample) - len(survivors)
-    print(f"seed {options.seed}: {caught} of {len(sample)} mutations were caught")
+    judged = len(sample) - unjudged
+    print(f"seed {options.seed}: {judged - len(survivors)} of {judged} mutations were caught")
 
 
 if __name__ == "__main__":

@@ -1,13 +1,14 @@
-"""What is said of a linear drag follows from its numbers, not from the sentence stored beside them."""
+"""What is said of a run follows from its numbers, not from the sentences stored beside them."""
 
 from dataclasses import replace
 
 import pytest
 
-from processing.estimate import Estimate
+from processing.estimate import Determinacy, Estimate
 from processing.fit import DragFinding
 from rig.analysis import Drag, RunResults
-from rig.analysis.fit_remarks import remarks
+from rig.analysis.contact_results import BaseMotion, Determination, Fit, Ground
+from rig.analysis.fit_remarks import ground_sentence, remarks
 from rig.report.tables import drag_table
 
 _SEEN = Drag(drag_s=Estimate(2e-3, 1e-4), p_value=1e-9, significant=True, text="reworded; without a colon")
@@ -30,3 +31,85 @@ def test_a_drag_is_judged_by_its_numbers(drag: Drag, finding: DragFinding, said:
     assert drag.finding is finding
     assert remarks(results)[0].startswith(f"{said.capitalize()}: ")
     assert drag_table(results).shown[-1] == ["verdict", said]
+
+
+_DRIVEN = Ground(
+    density_rad_per_s2_rthz=Estimate(8e-9, 4e-10),
+    upper_95=9e-9,
+    seen=True,
+    widening={"b": 1.4, "c": 1.6, "n": 7.0},
+)
+_BASE = BaseMotion(
+    mass_centre_height_m=1.5e-3,
+    acceleration_m_per_s2_rthz=Estimate(2e-9, 1e-10),
+    upper_95=3e-9,
+    above_low_noise_model_db=-3.0,
+)
+
+
+def test_the_ground_is_a_value_where_it_is_seen_and_a_bound_elsewhere() -> None:
+    seen, unseen = ground_sentence(_DRIVEN), ground_sentence(replace(_DRIVEN, seen=False))
+    assert seen.startswith("Ground at the pendulum's frequency: (8.00 ± 0.40)")
+    assert "(95 %)" not in seen
+    assert unseen == "Ground at the pendulum's frequency: below 9.0 × 10⁻⁹ rad/s²/√Hz (95 %)."
+
+
+def test_what_the_ground_costs_is_named_the_largest_first() -> None:
+    text = ground_sentence(_DRIVEN)
+    # b, which is hardly less certain by it, is not
+    assert "by factors of n 7.0, c 1.6. A finer balance" in text
+    assert "factors" not in ground_sentence(replace(_DRIVEN, widening={"b": 1.4}))
+
+
+def test_half_cycles_that_are_the_grounds_own_are_counted() -> None:
+    text = ground_sentence(replace(_DRIVEN, left_out_half_cycles=12))
+    assert "; the last 12 half-cycles are its motion and were not fitted." in text
+    assert "half-cycles" not in ground_sentence(_DRIVEN)
+
+
+def test_the_bases_acceleration_needs_the_height_of_the_mass_centre() -> None:
+    with_base = ground_sentence(replace(_DRIVEN, base=_BASE))
+    assert "2.00 ± 0.10 nm/s²/√Hz of acceleration for a mass centre 1.50 mm high, NLNM -3 dB" in with_base
+    bound = ground_sentence(replace(_DRIVEN, base=_BASE, seen=False))
+    assert "below 3.0 nm/s²/√Hz (95 %) of acceleration for a mass centre 1.50 mm high." in bound
+    assert "NLNM" not in ground_sentence(_DRIVEN)
+
+
+def test_a_drag_that_is_seen_says_what_it_does_to_the_others() -> None:
+    drag = replace(
+        _SEEN, f_statistic=40.0, aic_difference=-36.0, relative_shift_b=-0.012, relative_shift_c=0.034
+    )
+    text = remarks(RunResults(record="run-1.mcap", drag=drag))[0]
+    assert "b moves by −1.20 % and c by +3.40 %" in text
+    assert "F = 40" in text
+    assert "AIC −36.0" in text
+    unseen = remarks(RunResults(record="run-1.mcap", drag=replace(drag, significant=False)))[0]
+    assert "moves" not in unseen
+
+
+def test_what_is_hardly_determined_is_said_and_nothing_of_what_is() -> None:
+    known = Determination(
+        name="b",
+        verdict=Determinacy.DETERMINED,
+        value=1e-3,
+        lower_95=9e-4,
+        upper_95=1.1e-3,
+        text="b is known",
+    )
+    bound = Determination(
+        name="c", verdict=Determinacy.UPPER_BOUND, value=1e-9, lower_95=0.0, upper_95=2e-9, text="c < 2e-9"
+    )
+    results = RunResults(
+        record="run-1.mcap",
+        fits={"exact": Fit(ground=_DRIVEN)},
+        identifiability=(known, bound),
+        strong_correlations=(("b", "p", -0.998),),
+        notes=("a note",),
+    )
+    assert remarks(results) == [
+        ground_sentence(_DRIVEN),
+        "Hardly told apart by the data (correlation): b and p (−0.998).",
+        "c < 2e-9.",
+        "a note",
+    ]
+    assert remarks(RunResults(record="run-1.mcap", fits={"exact": Fit()})) == []

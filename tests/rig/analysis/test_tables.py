@@ -152,3 +152,20 @@ def test_the_page_on_tables_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
             elif line.strip() not in ("", "..."):
                 assert " ".join(line.split()) in printed, printed
     assert fitted >= 5
+
+
+@pytest.mark.parametrize(
+    ("unit", "problem"),
+    [
+        ("rad", "no pendulum is known; --config FILE"),
+        ("", "the unit of the position is not stated"),
+        ("mm", "the unit 'mm' is no angle"),
+        ("radd", "did you mean rad?"),
+    ],
+)
+def test_what_the_laws_lack_is_said(tmp_path: Path, unit: str, problem: str) -> None:
+    t, y = ring_downs([1.0], [10.0], 0.2)
+    path = write(tmp_path / "one.txt", t, 1e-4 * y if unit == "rad" else y)
+    found = analyse_table(path, None, TableColumns(unit=unit) if unit else TableColumns()).results
+    assert problem in found.problem
+    assert not found.fits

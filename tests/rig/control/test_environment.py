@@ -208,3 +208,13 @@ def test_a_bme280_that_lost_its_supply_is_set_up_again_and_reads_nothing_meanwhi
     chip.measure(raw_p=1_000_000)
     with pytest.raises(OSError, match="outside its range"):
         sensor.read()
+
+
+@pytest.mark.parametrize("skipped", ["raw_p", "raw_t", "raw_h"])
+def test_a_quantity_that_a_bme280_has_not_measured_is_no_reading(skipped: str) -> None:
+    """Data sheet, 5.4.7 and 5.4.8: a measurement that was skipped reads 80000h, of humidity 8000h."""
+    chip = Bme280Chip()
+    sensor = Bme280(chip)
+    chip.measure(**{skipped: 0x8000 if skipped == "raw_h" else 0x80000})
+    with pytest.raises(OSError, match="not measured yet"):
+        sensor.read()

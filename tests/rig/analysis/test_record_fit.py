@@ -1,0 +1,73 @@
+"""From a closed record to its results: what they say of the run, and what a series needs."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from acquisition.record.reader import RecordReader
+from rig.analysis.record_fit import AnalysedRun, analyse_record, session_results
+
+
+@pytest.fixture(scope="module")
+def runs(measured_series: Path) -> list[AnalysedRun]:
+    return [analyse_record(measured_series / f"run-{number}.mcap") for number in (1, 2)]
+
+
+def test_results_say_what_the_record_holds(runs: list[AnalysedRun], measured_series: Path) -> None:
+    run = runs[0].results
+    with RecordReader(measured_series / "run-1.mcap") as reader:
+        spots, swings = reader.spots(), reader.swings()
+    assert run.frames == len(spots)
+    assert run.dropped_frames == spots["sequence"][-1] + 1 - len(spots)
+    assert run.simulated
+    assert run.ended is not None
+    good = [swing for swing in swings if not swing.flags]
+    assert 0 < run.half_cycles <= len(good)
+    assert run.amplitude_unit == "arcsec"
+    assert run.initial_amplitude == run.initial_amplitude_arcsec == pytest.approx(124, abs=4)
+    assert run.final_amplitude == run.final_amplitude_arcsec < run.initial_amplitude
+    assert run.turning_points is not None
+    assert not run.problem
+    assert {verdict.name for verdict in run.conditions} >= {"lost spots", "dropped frames"}
+
+
+def test_a_clock_that_is_slow_makes_the_period_longer(runs: list[AnalysedRun]) -> None:
+    slow = analyse_record(runs[0].record, ["timebase.camera_rate=1.001", "timebase.u_camera_rate=1e-6"])
+    before, after = (run.results.fits["exact"].estimate("period0_s") for run in (runs[0], slow))
+    assert after.value / before.value == pytest.approx(1.001, rel=1e-6)
+    assert slow.results.half_cycles == runs[0].results.half_cycles
+
+
+def test_what_all_fits_warn_of_is_said_once_and_what_one_does_with_its_name(runs: list[AnalysedRun]) -> None:
+    from rig.analysis.record_fit import _fit_warnings
+
+    fits = runs[0].fits
+    names = list(fits)
+    assert len(names) > 1
+    both = {name: replace(fit, warnings=("few half-cycles",)) for name, fit in fits.items()}
+    assert _fit_warnings(both) == ["few half-cycles"]
+    both[names[1]] = replace(fits[names[1]], warnings=("few half-cycles", "at a limit"))
+    assert _fit_warnings(both) == ["few half-cycles", f"{names[1]} fit: at a limit"]
+
+
+def test_a_series_needs_two_fitted_runs(runs: list[AnalysedRun], measured_series: Path) -> None:
+    both = session_results(runs, measured_series)
+    assert [run.record for run in both.runs] == ["run-1.mcap", "run-2.mcap"]
+    assert both.series is not None
+    assert both.series.runs == 2
+    unfitted = replace(runs[1], fits={})
+    for fewer in (runs[:1], [runs[0], unfitted], [unfitted, unfitted]):
+        assert session_results(fewer, measured_series).series is None
+    third = session_results([*runs, unfitted], measured_series).series
+    assert third is not None
+    assert third.runs == 2
+
+
+def test_where_the_pendulum_rests_is_where_its_good_swings_do(runs: list[AnalysedRun]) -> None:
+    with RecordReader(runs[0].record) as reader:
+        centres = [swing.centre for swing in reader.swings() if not swing.flags]
+    rig = runs[0].rig
+    assert rig is not None
+    assert rig.rest_rad == pytest.approx(float(np.median(centres)), abs=1e-7)
