@@ -16,7 +16,7 @@ from processing.errors import ConfigurationError, DataError
 from processing.ticks import seconds
 
 _LARGEST_TABLE_BYTES = 1024 * 1024 * 1024
-_LONGEST_S = 1e9
+_LONGEST_S = 1e9  # thirty years; 64 bits of nanoseconds hold nine times as much
 TIME_UNITS_NS = {"ns": 1, "us": 10**3, "ms": 10**6, "s": 10**9, "min": 60 * 10**9, "h": 3600 * 10**9}
 _EXACT = 2**53
 """Largest whole number of ns that a floating-point number holds."""

@@ -25,7 +25,7 @@ from rig.analysis.results import EnvelopeResults, RunResults, TableDecay, TableR
 from rig.analysis.surroundings import stated_surroundings
 from rig.settings import Configuration
 
-_USABLE = 4
+_USABLE = 4  # what the summary of a decay needs (processing/decay_summary.py)
 _EDGE = 0.75
 """Samples of a decay: from so many half periods before its first turning point to as many after its last."""
 

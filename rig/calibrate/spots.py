@@ -13,7 +13,7 @@ from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import DataError
 from processing.spot import SpotFlag
 
-_SEGMENTS = 16
+_SEGMENTS = 16  # the scatter of so many means is known to 18 %
 _SATURATED = 0.1
 """Largest fraction of saturated spots, which are left out; above it the record is rejected."""
 

@@ -10,7 +10,7 @@ from rig.devices.session_devices import Devices
 
 _DARK_FOR_S = 1.0
 """Shorter darkness is not believed: the last state that the devices reported may be so old."""
-_RELIGHT_EVERY_S = 1.0
+_RELIGHT_EVERY_S = 1.0  # as long as the state that is believed may be old
 
 
 class LightWatch:
