@@ -8,7 +8,7 @@ Stokes' force per length (in the form of Sader 1998)
     Re = rho omega r^2 / eta,        z = -i sqrt(i Re)
 
 whose moment over the bar is that force at v = 1 times L^3/12. Ends, mirror and weights are left out: a factor
-of two is no surprise.
+of two is to be expected.
 """
 
 from dataclasses import dataclass

@@ -111,7 +111,7 @@ class NoiseSearch:
         """Covariance of the columns averaged over the steps that the data allow; None for a well-known step.
 
         Uncertainties grow with the step. Those of the likeliest one are too small where a run at rest
-        would be no surprise: one in three of weak drives is found to be none. The average is over the
+        would be nothing unusual: one in three of weak drives is found to be none. The average is over the
         likelihood times a density that falls as step^-0.7: drives may be of any order of magnitude, and with
         this exponent intervals come nearest to their coverage at rest and at weak drives together.
         """

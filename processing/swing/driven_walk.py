@@ -15,7 +15,7 @@ _MEMORY = 32
 _AT_FIRST = 16
 _BEGINS = 4.0
 """Sum of the running means of both squares, in units of their variances, above which there is a drive."""
-_BEGINS_RESTLESS = 3.4
+_BEGINS_AS_REST_MOVES = 3.4
 """The same where the rest position seems to move: by chance the sum is 2, with a deviation of 0.35."""
 _LARGEST = 4.0
 """Largest difference that counts later, in standard deviations."""
@@ -37,7 +37,7 @@ The centre's own is relative to what white noise of the same resolution does to 
 
 
 _DRIFT_PART = 0.05
-_MOST_RESTLESS = 1e9
+_MOST_DRIFT_NOISE = 1e9
 
 
 class Within(NamedTuple):
@@ -75,14 +75,14 @@ class DrivenWalk:
         )
         return Within(samples, amplitude, time)
 
-    def most_restless(self, resolution: float) -> float:
+    def most_drift_noise(self, resolution: float) -> float:
         """Largest variance of the change of the drift, in that of `prediction`, which is a part of the steps.
 
         The rest position, too, seems to move with a drive; more would let it take up what amplitude and
         phase do.
         """
         if self.variance == 0.0 or self._wandering:
-            return _MOST_RESTLESS
+            return _MOST_DRIFT_NOISE
         return max(1.0, self.variance * (_DRIFT_PART / (SLOPE_WANDER * resolution)) ** 2)
 
     @property
@@ -100,7 +100,7 @@ class DrivenWalk:
         differences: tuple[float, float],
         variances: tuple[float, float],
         resolution: float,
-        restless: bool,
+        rest_moves: bool,
     ) -> bool:
         """Take in one more half-cycle; True if a drive begins to be seen with it.
 
@@ -112,7 +112,7 @@ class DrivenWalk:
             Their expected variances, with the present steps.
         resolution
             Uncertainty of the amplitude if all else were known; the unit of all is that of the deflection.
-        restless
+        rest_moves
             Whether the rest position seems to move as well, to which an unseen drive leads.
         """
         squares = [d * d for d in differences]
@@ -125,7 +125,7 @@ class DrivenWalk:
         if self.variance == 0.0:
             self._offsets = [0.0, 0.0]
             together = sum(self._means)
-            if together < (_BEGINS_RESTLESS if restless else _BEGINS) or self._wandering:
+            if together < (_BEGINS_AS_REST_MOVES if rest_moves else _BEGINS) or self._wandering:
                 return False
             self._count = 2
             self.variance = max(0.5 * (sum(squares) - sum(variances)), resolution**2)

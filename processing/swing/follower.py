@@ -1,10 +1,10 @@
 """Follows one oscillation from half-cycle to half-cycle: an extended Kalman filter with adaptive noise.
 
 Each half-cycle is predicted (`prediction`), measured (`half_cycle_fit`) and judged (`judgement`). An
-undisturbed one updates the state. The process noise adapts in two ways. `_agility` multiplies the variance
-by which all terms may change and grows while measured turning points contradict the predictions.
-`_restlessness` does so for the drift of the rest position and grows while its corrections are larger than
-expected.
+undisturbed one updates the state. The process noise has two adaptive scales. `_process_noise` multiplies the
+variance by which all terms may change and grows while the normalised innovations of the turning points are
+too large. `_drift_noise` does so for the drift of the rest position and grows while its corrections are
+larger than expected.
 """
 
 import math
@@ -42,13 +42,13 @@ model that is still a damped sinusoid), and indices at which the waveform is exp
 (anchors)."""
 
 _JUMP = 100.0
-"""Chi-square (two degrees of freedom) of a turning point against its prediction above which it was a kick."""
+"""Normalised innovation squared (two degrees of freedom) of a turning point above which it was a kick."""
 
-_SURPRISED = 3.0
-"""Running mean of that chi-square per degree of freedom above which the predictions are considered wrong."""
+_INCONSISTENT = 3.0
+"""Running mean of it per degree of freedom above which the predictions are considered wrong."""
 _CALM = 100.0
-"""Restlessness below which an insignificant drift of the centre may be set to zero."""
-_RESTLESS_AT_FIRST = 30.0
+"""Scale of the drift's process noise below which an insignificant drift of the centre may be set to zero."""
+_DRIFT_NOISE_AT_FIRST = 30.0
 _WITHIN = 0.15
 """Effect of the centre's wandering on a turning point, relative to its wandering from one half-cycle to the
 next."""
@@ -61,14 +61,14 @@ kick."""
 _PATIENCE = 3
 """Number of disturbed half-cycles in a row after which the oscillation counts as lost."""
 
-_RESTLESS = 1e4
-"""Restlessness that a rest position without draughts does not reach."""
+_MUCH_DRIFT_NOISE = 1e4
+"""Scale of the drift's process noise that a rest position without draughts does not reach."""
 
 _THIRD = 0.4
 """Distance of a fast mode's frequency from three times the pendulum's within which it may be a harmonic."""
 
 _MOST_COLOURED = 1e6
-"""Largest restlessness in slow noise, which moves the rest position, too, and counts in the samples'
+"""Largest scale of it in slow noise, which moves the rest position, too, and counts in the samples'
 noise."""
 
 _DOUBT = 2.0
@@ -100,9 +100,9 @@ class Follower:
         self._age = 0
         self._active = arc.active
         self._reference = arc.reference
-        self._agility = 1.0
-        self._surprise = 1.0
-        self._restlessness = _RESTLESS_AT_FIRST
+        self._process_noise = 1.0
+        self._mean_innovation = 1.0
+        self._drift_noise = _DRIFT_NOISE_AT_FIRST
         self._correction = 1.0
         # with a known motion, frequency and shape are fixed and no refits are needed
         learns = RATE in arc.active
@@ -145,13 +145,13 @@ class Follower:
         """
         result = self._measure(half, self._covariance)
         flags = self._judge(result)
-        if not result.valid or flags & SwingFlag.VIBRATION or result.surprise > _JUMP:
+        if not result.valid or flags & SwingFlag.VIBRATION or result.normalised_innovation > _JUMP:
             # the rest position may have moved: test whether that explains the misfit
-            again = self._measure_restless(half)
+            again = self._measure_moved_rest(half)
             flags_again = self._judge(again)
-            if again.valid and not flags_again & SwingFlag.VIBRATION and again.surprise < _JUMP:
+            if again.valid and not flags_again & SwingFlag.VIBRATION and again.normalised_innovation < _JUMP:
                 result, flags = again, flags_again
-                self._restlessness = max(self._restlessness, 100.0) * 10.0
+                self._drift_noise = max(self._drift_noise, 100.0) * 10.0
         fine = result.valid and not flags & SwingFlag.VIBRATION
         if fine and self._drive_begins(result):
             result = self._measure(half, self._covariance)
@@ -184,7 +184,7 @@ class Follower:
             self._reference,
             self._active,
             noise.effective * within.samples,
-            self._restlessness < _CALM,
+            self._drift_noise < _CALM,
             self._start_s,
             self._end_s,
             half.tau_s,
@@ -193,14 +193,14 @@ class Follower:
         )
         # A centre that wanders between half-cycles also wanders within one, which the model of a linear drift
         # does not describe: enlarge the uncertainties accordingly.
-        wider = math.sqrt(1.0 + (_WITHIN * SLOPE_WANDER) ** 2 * self._restlessness)
+        wider = math.sqrt(1.0 + (_WITHIN * SLOPE_WANDER) ** 2 * self._drift_noise)
         return result._replace(
             u_amplitude=result.u_amplitude * wider * noise.amplitude * within.amplitude / within.samples,
             u_time_s=result.u_time_s * wider * within.time / within.samples,
             resolution=result.resolution / within.samples,
         )
 
-    def _measure_restless(self, half: HalfCycleSamples) -> HalfCycleFit:
+    def _measure_moved_rest(self, half: HalfCycleSamples) -> HalfCycleFit:
         """Measure with wide uncertainties of the centre and its drift, for a rest position that has moved.
 
         A first fit, with the centre free within the amplitude, finds the shift. The second one allows for
@@ -219,7 +219,7 @@ class Follower:
             return SwingFlag.GAP
         return judge(result, self.noise.level, float(self._x[TIME]), self.half_period_s)
 
-    def _learn_restlessness(self, result: HalfCycleFit) -> None:
+    def _learn_drift_noise(self, result: HalfCycleFit) -> None:
         """Adapt the process noise of the drift so that the centre's corrections are as large as expected.
 
         If the filter is consistent, a correction has the variance P - P', the covariance of the centre before
@@ -230,31 +230,31 @@ class Follower:
             correction = (result.state[CENTRE] - self._x[CENTRE]) ** 2 / expected
             self._correction += (min(correction, 16.0) - self._correction) / 8.0
             if self._correction > 1.8:
-                self._restlessness *= max(2.0, min(correction, 16.0))
+                self._drift_noise *= max(2.0, min(correction, 16.0))
             elif self._correction < 1.0:
-                self._restlessness = max(self._restlessness * 0.8, 1.0)
+                self._drift_noise = max(self._drift_noise * 0.8, 1.0)
 
     def _learn(self, result: HalfCycleFit) -> SwingFlag:
-        jumped = result.surprise > _JUMP and self._surprise < _SURPRISED
+        jumped = result.normalised_innovation > _JUMP and self._mean_innovation < _INCONSISTENT
         if jumped and self._age < _SETTLED:
             # too early to distinguish a kick from a wrong model at the start: search again
             self.misses = _PATIENCE
             self.first_miss_ns = self.start_ns
             return SwingFlag.VIBRATION
-        self._learn_restlessness(result)
-        self._restlessness = min(self._restlessness, self.walk.most_restless(self._resolution))
+        self._learn_drift_noise(result)
+        self._drift_noise = min(self._drift_noise, self.walk.most_drift_noise(self._resolution))
         if self.noise.level.colour > 1.0:
-            self._restlessness = min(self._restlessness, _MOST_COLOURED)
+            self._drift_noise = min(self._drift_noise, _MOST_COLOURED)
         self._x, self._covariance = result.state, result.covariance
         self._resolution = result.resolution
-        self._surprise += (min(result.surprise / 2.0, 8.0) - self._surprise) / 8.0
+        self._mean_innovation += (min(result.normalised_innovation / 2.0, 8.0) - self._mean_innovation) / 8.0
         if self.walk.variance > 0.0:
             if self.walk.offset():
                 self._loosen_shape()
-        elif self._surprise > _SURPRISED:
-            self._agility = min(self._agility * max(2.0, 0.1 * result.surprise), 1e6)
+        elif self._mean_innovation > _INCONSISTENT:
+            self._process_noise = min(self._process_noise * max(2.0, 0.1 * result.normalised_innovation), 1e6)
         else:
-            self._agility = max(self._agility * 0.9, 1.0)
+            self._process_noise = max(self._process_noise * 0.9, 1.0)
         if jumped:
             self._accept_jump(result)
             return SwingFlag.START
@@ -274,14 +274,14 @@ class Follower:
             self._covariance[AMPLITUDE, AMPLITUDE] + result.u_amplitude**2,
             (self._covariance[TIME, TIME] + result.u_time_s**2) * to_arc**2,
         )
-        restless = self._restlessness > _RESTLESS
-        if not self.walk.learn(differences, variances, result.resolution, restless):
+        rest_moves = self._drift_noise > _MUCH_DRIFT_NOISE
+        if not self.walk.learn(differences, variances, result.resolution, rest_moves):
             return False
         self._covariance *= self.walk.excess
         self._covariance[AMPLITUDE, AMPLITUDE] += self.walk.variance
         self._covariance[TIME, TIME] += self.walk.variance / to_arc**2
-        self._agility = self._surprise = self._correction = 1.0
-        self._restlessness = min(self._restlessness, _RESTLESS_AT_FIRST)
+        self._process_noise = self._mean_innovation = self._correction = 1.0
+        self._drift_noise = min(self._drift_noise, _DRIFT_NOISE_AT_FIRST)
         # a joint fit without the drive says nothing
         self._history = None
         if RATE in self._active and SHAPE + RISE not in self._active:
@@ -362,8 +362,8 @@ class Follower:
             self._reference,
             self._active,
             self._resolution,
-            self._agility,
-            self._restlessness,
+            self._process_noise,
+            self._drift_noise,
             self.walk.variance,
         )
         self._start_s = end_s - seconds(step_ns)

@@ -80,8 +80,8 @@ class HalfCycleFit(NamedTuple):
     slow: float
     """Mean power of the residuals in the bands of `SLOW_TERMS`, in units of white noise of the samples'
     uncertainties as given; NaN with fewer than `SLOW_FEWEST` samples."""
-    surprise: float
-    """Chi-square (two degrees of freedom) of the local amplitude and time against the prediction."""
+    normalised_innovation: float
+    """Squared: chi-square (two degrees of freedom) of the local amplitude and time against the prediction."""
     hole_s: float
     """Longest gap between samples within the window, s."""
     state: Vector

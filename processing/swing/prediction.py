@@ -48,8 +48,8 @@ def predict(
     reference: float,
     active: Indices,
     resolution: float,
-    agility: float,
-    restlessness: float,
+    process_noise: float,
+    drift_noise: float,
     walk: float,
 ) -> tuple[int, Vector, Matrix, float]:
     """Predict the next half-cycle.
@@ -66,10 +66,10 @@ def predict(
         Free entries of the state.
     resolution
         Uncertainty of an amplitude if all other parameters were known; scale of the process noise.
-    agility
-        Factor on the variances Q of all terms but centre and drift; 1 while predictions agree with
-        measurements.
-    restlessness
+    process_noise
+        Scale of the process noise: factor on the variances Q of all terms but centre and drift; 1 while
+        predictions agree with measurements.
+    drift_noise
         The same factor for the drift; its square root applies to the centre.
     walk
         Variance of the steps that a drive adds to the amplitude, and to the phase times the amplitude, from
@@ -125,11 +125,11 @@ def predict(
         for j in active:
             if j < i:
                 carried[i, j] = carried[j, i]
-        scale = agility
+        scale = process_noise
         if i == DRIFT:
-            scale = restlessness
+            scale = drift_noise
         elif i == CENTRE:
-            scale = math.sqrt(restlessness)
+            scale = math.sqrt(drift_noise)
         carried[i, i] += scale * wander[i] * wander[i]
     carried[AMPLITUDE, AMPLITUDE] += walk
     carried[TIME, TIME] += walk / (x[AMPLITUDE] * rate) ** 2
