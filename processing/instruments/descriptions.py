@@ -45,7 +45,8 @@ class Description:
     """
 
     kind: str
-    sentence: str
+    title: str
+    tells: str
     support: str
     supports: int
     report: Report
@@ -63,13 +64,19 @@ class Description:
     turning_plane: bool = False
     note: str = ""
 
+    @property
+    def sentence(self) -> str:
+        """The pendulum, and what its decay tells."""
+        return f"{self.title}: {self.tells}"
+
 
 _AIR = Limits(23.0, 2.0), Limits(50.0, 5.0)
 
 _TABLE = (
     Description(
         kind="single_ball",
-        sentence="Pendulum on one ball, swinging within the contact spot: friction, adhesion, period.",
+        title="Pendulum on one ball, swinging within the contact spot",
+        tells="friction, adhesion, period.",
         support="one ball, 12.1 mm, on a flat",
         supports=1,
         report="contact",
@@ -80,7 +87,8 @@ _TABLE = (
     ),
     Description(
         kind="two_ball",
-        sentence="Pendulum on two equal balls that share the weight: the same laws, 300 to 2 arcsec.",
+        title="Pendulum on two equal balls that share the weight",
+        tells="the same laws, 300 to 2 arcsec.",
         support="two balls, 10 mm, polycrystalline sapphire",
         supports=2,
         report="contact",
@@ -91,7 +99,8 @@ _TABLE = (
     ),
     Description(
         kind="herbert",
-        sentence="Herbert's hardness pendulum: time of ten single swings, scale after the first swing.",
+        title="Herbert's hardness pendulum",
+        tells="time of ten single swings, scale after the first swing.",
         support="one ball, 1 mm, steel or ruby",
         supports=1,
         report="hardness",
@@ -104,7 +113,8 @@ _TABLE = (
     ),
     Description(
         kind="herbert_roller",
-        sentence="Herbert's pendulum on a roller, whose swing plane is stable: the same two hardnesses.",
+        title="Herbert's pendulum on a roller, whose swing plane is stable",
+        tells="the same two hardnesses.",
         support="one roller, 2 mm diameter, 12 mm long",
         supports=1,
         report="hardness",
@@ -114,7 +124,8 @@ _TABLE = (
     ),
     Description(
         kind="kuznetsov_one",
-        sentence="Kuznetsov's pendulum on one needle or ball: decay, relative hardness, turning plane.",
+        title="Kuznetsov's pendulum on one needle or ball",
+        tells="decay, relative hardness, turning plane.",
         support="one needle (90 degree cone) or 0.5 mm ball",
         supports=1,
         report="decay",
@@ -125,7 +136,8 @@ _TABLE = (
     ),
     Description(
         kind="kuznetsov_two",
-        sentence="Kuznetsov's pendulum on two needles or balls: decay with swing number, hardness.",
+        title="Kuznetsov's pendulum on two needles or balls",
+        tells="decay with swing number, hardness.",
         support="two needles (90 degree cone) or 0.5 mm balls",
         supports=2,
         report="decay",
@@ -135,7 +147,8 @@ _TABLE = (
     ),
     Description(
         kind="koenig",
-        sentence="Koenig's pendulum (ISO 1522, ASTM D4366): damping from 6 to 3 degrees against glass.",
+        title="Koenig's pendulum (ISO 1522, ASTM D4366)",
+        tells="damping from 6 to 3 degrees against glass.",
         support="two balls, 5 mm, 30 mm apart",
         supports=2,
         report="damping",
@@ -152,7 +165,8 @@ _TABLE = (
     ),
     Description(
         kind="persoz",
-        sentence="Persoz's pendulum (ISO 1522, ASTM D4366): damping from 12 to 4 degrees against glass.",
+        title="Persoz's pendulum (ISO 1522, ASTM D4366)",
+        tells="damping from 12 to 4 degrees against glass.",
         support="two balls, 8 mm, 50 mm apart",
         supports=2,
         report="damping",
@@ -171,7 +185,8 @@ _TABLE = (
     ),
     Description(
         kind="tomlinson",
-        sentence="Tomlinson's disc on an axis: log decrement and coefficient of rolling friction.",
+        title="Tomlinson's disc on an axis",
+        tells="log decrement and coefficient of rolling friction.",
         support="cylindrical axis of a disc on two cylinders or balls",
         supports=2,
         report="rolling",
@@ -181,7 +196,8 @@ _TABLE = (
     ),
     Description(
         kind="knife_edge",
-        sentence="Pendulum on a knife edge: period against amplitude beside the circular-error law.",
+        title="Pendulum on a knife edge",
+        tells="period against amplitude beside the circular-error law.",
         support="edge of a prism",
         supports=1,
         report="circular",

@@ -74,7 +74,7 @@ class AlignmentFrame(NamedTuple):
             ("region", f"{width_px} × {height_px} px{begins}"),
             ("exposure", f"{exposed}, gain {'unknown' if gain is None else f'{gain:.3g} dB'}"),
         ]
-        return [*rows, ("beam", self.beam_line.removeprefix("beam quality: "))] if self.beam_line else rows
+        return rows if self.beam is None else [*rows, ("beam", self.beam.said)]
 
     @property
     def _off_px(self) -> tuple[float, float]:

@@ -107,11 +107,16 @@ def _table(names: Sequence[str], rows: Sequence[Sequence[Any]]) -> Table:
     head = [names[place] for place in shown_places]
     cells = [[_cell(value) for value in row] for row in rows]
     told = f"{len(rows)} run{'s' if len(rows) != 1 else ''}"
-    if any(cell.endswith(_DOUBT) for line in shown for cell in line):
+    if any(_is_doubtful(names[place], row, at) for place in shown_places for row in rows):
         told += (
             f"; {_DOUBT.strip()}: the run's data do not determine it, its report says between which bounds"
         )
     return Table("runs", "", names, cells, head, shown, told)
+
+
+def _is_doubtful(name: str, row: Sequence[Any], at: Mapping[str, int]) -> bool:
+    verdict = row[at[f"verdict_{name}"]] if f"verdict_{name}" in at else None
+    return row[at[name]] is not None and verdict not in (None, Determinacy.DETERMINED)
 
 
 def _shown(name: str, row: Sequence[Any], at: Mapping[str, int]) -> str:
@@ -119,9 +124,9 @@ def _shown(name: str, row: Sequence[Any], at: Mapping[str, int]) -> str:
     if value is None:
         return NOT_KNOWN
     if f"u_{name}" in at:
-        u, verdict = row[at[f"u_{name}"]], row[at[f"verdict_{name}"]] if f"verdict_{name}" in at else None
+        u = row[at[f"u_{name}"]]
         text = with_uncertainty(value, nan if u is None else u)
-        return text if verdict in (None, Determinacy.DETERMINED) else f"{text}{_DOUBT}"
+        return f"{text}{_DOUBT}" if _is_doubtful(name, row, at) else text
     if isinstance(value, datetime.datetime):
         return f"{value:%Y-%m-%d %H:%M}"
     if isinstance(value, list):

@@ -17,7 +17,7 @@ from processing.balance import Balance
 from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import Spot
 from processing.ticks import NS_PER_S, seconds
-from rig.instrument import Block, Snapshot, advice_text
+from rig.instrument import Block, Snapshot, advise
 from rig.presentation import Verdict, balance_numbers, table_tree
 from rig.settings import Configuration
 
@@ -179,7 +179,11 @@ class SessionTelling:
         }
 
     def _told(self, balance: Balance) -> dict[str, Any]:
-        return {"numbers": balance_numbers(balance), "advice": advice_text(self._config, balance)}
+        advice = advise(self._config, balance)
+        return {
+            "numbers": balance_numbers(balance),
+            "next_step": None if advice is None else advice.next_step,
+        }
 
     @property
     def watched(self) -> bool:

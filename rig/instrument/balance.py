@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -128,30 +129,51 @@ def _verdict(faults: Sequence[Fault]) -> str:
     return f"out of limits: {rest}" if rest else "balanced: within all limits"
 
 
-def advice_text(
+class Advice(NamedTuple):
+    """What is to be done next, and what is wrong, a line for each fault."""
+
+    next_step: str
+    faults: tuple[str, ...]
+
+    @property
+    def markdown(self) -> str:
+        return "\n".join([f"**{self.next_step}**", "", *(f"- {fault}" for fault in self.faults)])
+
+
+def advise(
     config: Configuration,
     balance: Balance,
     learned: WeightResponses | None = None,
     room: Room | None = None,
-) -> str:
-    """Faults of a balance and the weight to turn, in Markdown.
+) -> Advice | None:
+    """Faults of a balance and the weight to turn.
 
-    Uses the effects `learned` by `rig balance` if given, else the expected ones. Empty for a balance in px,
+    Uses the effects `learned` by `rig balance` if given, else the expected ones. None for a balance in px,
     because the limits are in arcsec, and for a recorded one without the rest position.
     """
     if balance.unit is not DeflectionUnit.RAD or math.isnan(balance.rest_x):
-        return ""
+        return None
     height_m = height_of(config, balance)
     faults = find_faults(balance, height_m, config.balance)
     state = np.array([faults[0].value, faults[1].value, height_m[0]])
     effects = {name: effect for name, effect in nominal_effects(config).items() if effect is not None}
     responses = learned or (WeightResponses(effects, config.balance) if effects else None)
     head = _verdict(faults) if responses is None else turn_text(responses.advise(state, room), faults)
-    lines = [f"**{head}**", ""]
-    lines += [
-        f"- {fault.name} {with_uncertainty(fault.value, fault.u_value, signed=True)} {fault.unit} "
+    lines = [
+        f"{fault.name} {with_uncertainty(fault.value, fault.u_value, signed=True)} {fault.unit} "
         f"(limit {fault.limit:g}): {fault.meaning}"
         for fault in faults
         if not fault.ok
     ]
-    return "\n".join(lines)
+    return Advice(head, tuple(lines))
+
+
+def advice_text(
+    config: Configuration,
+    balance: Balance,
+    learned: WeightResponses | None = None,
+    room: Room | None = None,
+) -> str:
+    """The advice in Markdown; empty where there is none."""
+    found = advise(config, balance, learned, room)
+    return "" if found is None else found.markdown

@@ -3,6 +3,7 @@
 import datetime
 import hashlib
 from collections.abc import Mapping
+from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
@@ -65,6 +66,16 @@ def calibration_attachments(config: Configuration) -> dict[str, bytes]:
     return found
 
 
+class Validity(StrEnum):
+    """How a run's calibration of one kind stands."""
+
+    VALID = "valid"
+    EXPIRED = "expired"
+    STATED = "stated"
+    SIMULATED = "simulated"
+    MISSING = "missing"
+
+
 def judge_calibration(
     config: Configuration,
     attachments: Mapping[str, bytes],
@@ -89,22 +100,22 @@ def judge_calibration(
         if data is not None:
             found = parse_calibration(data, f"{PREFIX}{kind}.toml", kind)
             tree[kind] = _entry(found, data, began)
-            if tree[kind]["validity"] != "valid":
+            if tree[kind]["validity"] is not Validity.VALID:
                 warnings.append(f"the calibration of the {kind} had expired on {found.valid_until:%Y-%m-%d}")
         elif kind == "shutter" and config.shutter is None:
             continue  # a global shutter needs no calibration
         elif config.simulated:
             tree[kind] = {
-                "validity": "simulated",
+                "validity": Validity.SIMULATED,
                 "text": "true values of the simulated rig, or stated in the configuration",
             }
         elif getattr(config, section) is not None:
             tree[kind] = {
-                "validity": "stated",
+                "validity": Validity.STATED,
                 "text": "stated in the configuration, without a calibration file",
             }
         else:
-            tree[kind] = {"validity": "missing", "text": "no calibration"}
+            tree[kind] = {"validity": Validity.MISSING, "text": "no calibration"}
             missing.append(kind)
     if missing:
         warnings.append(f"not calibrated: {', '.join(missing)} (rig calibrate)")
@@ -118,9 +129,8 @@ def judge_calibration(
 
 
 def _entry(found: CalibrationFile, data: bytes, at: datetime.datetime) -> dict[str, Any]:
-    validity = "expired" if found.expired(at) else "valid"
     return {
-        "validity": validity,
+        "validity": Validity.EXPIRED if found.expired(at) else Validity.VALID,
         "text": f"{found.method}; by {found.made_by or '?'}, valid until {found.valid_until:%Y-%m-%d}",
         "sha256": hashlib.sha256(data).hexdigest(),
         **found.model_dump(mode="json", exclude={"details", "schema_version"}),

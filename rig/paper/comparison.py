@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 from processing.angle import ARCSEC_RAD
 from processing.contact import (
@@ -15,7 +16,7 @@ from processing.contact import (
 from processing.contact.laws import PAPER
 from processing.estimate import Estimate
 from processing.fit import FitMethod
-from rig.paper.printed import BALL, BALL_RADIUS_M, LOOP_AMPLITUDE_ARCSEC, MASS_KG, PAIRS
+from rig.paper.printed import BALL, BALL_RADIUS_M, LOOP_AMPLITUDE_ARCSEC, MASS_KG, PAIRS, PrintedPair
 from rig.paper.simulation import PairSeries
 from rig.presentation import Cell, Table, plain, power, with_uncertainty
 
@@ -44,7 +45,7 @@ def table1() -> Table:
         contact = hertz_contact(
             MASS_KG * STANDARD_GRAVITY_M_PER_S2, BALL_RADIUS_M, MATERIALS[BALL], MATERIALS[pair.flat]
         )
-        name = pair.name.removeprefix("steel on ")
+        name = pair.flat_name
         for what, unit, printed, found, last_digit in (
             ("contact radius", "µm", pair.contact_radius_um, contact.radius_m.value * 1e6, 1.0),
             ("depth", "µm", pair.depth_um, contact.depth_m.value * 1e6, 0.1),
@@ -73,19 +74,17 @@ def table1() -> Table:
 
 def table2(found: Sequence[PairSeries], b_exponent: int) -> Table:
     """Friction: b, p, c, surface energy in both forms, ARAE; `b_exponent` is the power of ten of b."""
-    rows: list[list[Cell]] = []
+    rows: list[_Compared] = []
     for series in found:
         pair = series.pair
-        name = pair.name
-        scale = 10.0**b_exponent
-        rows.append(
-            [
-                *_fitted(series, name, "b", f"{power(b_exponent)} rad⁻ᵖ", pair.b_printed, scale, 0.001),
-                f"; with the power of ten set to {b_exponent}, which the paper leaves out",
-            ]
-        )
-        rows.append([*_fitted(series, name, "p", "1", pair.p, 1.0, 0.001), "; printed in the row labelled b"])
-        rows.append([*_fitted(series, name, "c", power(-9), pair.c * 1e9, 1e-9, 0.001), ""])
+        left_out = f"with the power of ten set to {b_exponent}, which the paper leaves out"
+        rows += [
+            _fitted(
+                series, "b", f"{power(b_exponent)} rad⁻ᵖ", pair.b_printed, 10.0**b_exponent, 0.001, left_out
+            ),
+            _fitted(series, "p", "1", pair.p, 1.0, 0.001, "printed in the row labelled b"),
+            _fitted(series, "c", power(-9), pair.c * 1e9, 1e-9, 0.001),
+        ]
         rows += [_energy(series, "table2"), _energy(series, "eq2")]
         rows.append(_arae(series, "arae_decay", pair.arae_decay))
     return _compared("table2", "Table 2: friction", rows)
@@ -93,12 +92,12 @@ def table2(found: Sequence[PairSeries], b_exponent: int) -> Table:
 
 def table3(found: Sequence[PairSeries]) -> Table:
     """Elastic rolling resistance: n, T0, gamma, ARAE."""
-    rows: list[list[Cell]] = []
+    rows: list[_Compared] = []
     for series in found:
         pair = series.pair
-        rows.append([*_fitted(series, pair.name, "n", "1", pair.n, 1.0, 0.001), ""])
-        rows.append([*_fitted(series, pair.name, "period0_s", "s", pair.period0_s, 1.0, 0.001), ""])
-        rows.append([*_fitted(series, pair.name, "gamma_pa", "MPa", pair.gamma_pa * 1e-6, 1e6, 0.01), ""])
+        rows.append(_fitted(series, "n", "1", pair.n, 1.0, 0.001))
+        rows.append(_fitted(series, "period0_s", "s", pair.period0_s, 1.0, 0.001))
+        rows.append(_fitted(series, "gamma_pa", "MPa", pair.gamma_pa * 1e-6, 1e6, 0.01))
         rows.append(_arae(series, "arae_period", pair.arae_period))
     return _compared("table3", "Table 3: elastic rolling resistance", rows)
 
@@ -108,7 +107,7 @@ def table4(found: Sequence[PairSeries]) -> Table:
     rows: list[list[Cell]] = []
     shown = []
     for series in found:
-        name = series.pair.name.removeprefix("steel on ")
+        name = series.pair.flat_name
         amplitude_rad = LOOP_AMPLITUDE_ARCSEC * ARCSEC_RAD
         truth = cycle_work(amplitude_rad, series.parameters, series.pendulum)
         fitted = cycle_work(amplitude_rad, _contact(series, FitMethod.EXACT), series.pendulum)
@@ -141,9 +140,32 @@ def _contact(series: PairSeries, method: FitMethod) -> ContactParameters:
     return ContactParameters(**{name: found[name].value for name in PAPER.names()})
 
 
+class _Compared(NamedTuple):
+    """A printed value beside the fitted ones; `remark` stands behind the verdict, `note` below the table."""
+
+    pair: PrintedPair
+    label: str
+    unit: str
+    printed: float
+    exact: float
+    u: float
+    other: float
+    difference: float
+    other_difference: float
+    verdict: str
+    remark: str = ""
+    note: str = ""
+
+
 def _fitted(
-    series: PairSeries, name: str, parameter: str, unit: str, printed: float, scale: float, last_digit: float
-) -> list[Cell]:
+    series: PairSeries,
+    parameter: str,
+    unit: str,
+    printed: float,
+    scale: float,
+    last_digit: float,
+    note: str = "",
+) -> _Compared:
     """Row of one fitted parameter: it agrees within its 95 % interval, or within the rounding of the
     paper.
     """
@@ -158,10 +180,11 @@ def _fitted(
     else:
         verdict = f"differs by {abs(difference) / u:.1f} u"
     label = {"period0_s": "T₀", "gamma_pa": "γ"}.get(parameter, parameter)
-    return [name, label, unit, printed, value, u, other, value / printed - 1, other / printed - 1, verdict]
+    differences = value / printed - 1, other / printed - 1
+    return _Compared(series.pair, label, unit, printed, value, u, other, *differences, verdict, note=note)
 
 
-def _energy(series: PairSeries, form: str) -> list[Cell]:
+def _energy(series: PairSeries, form: str) -> _Compared:
     """Row of the surface energy: the form used in Table 2 must agree, Eq. 2 as printed is known to differ."""
     printed = series.pair.surface_energy_j_per_m2 * 1e3
     energy = series.series.surface_energy_j_per_m2
@@ -182,45 +205,45 @@ def _energy(series: PairSeries, form: str) -> list[Cell]:
         verdict = f"{AGREES} with the printed c (σ {of_printed_c:.2f}, {off} off)"
     else:
         verdict = f"differs by {abs(value - printed) / u:.1f} u"
-    return [
-        series.pair.name, label, "mJ/m²", printed, value, u, other, value / printed - 1, other / printed - 1,
+    return _Compared(
+        series.pair, label, "mJ/m²", printed, value, u, other, value / printed - 1, other / printed - 1,
         verdict, "" if form == "table2" else " with Table 2",
-    ]  # fmt: skip
+    )  # fmt: skip
 
 
-def _arae(series: PairSeries, key: str, printed: float) -> list[Cell]:
+def _arae(series: PairSeries, key: str, printed: float) -> _Compared:
     """Row of a relative error, which is not comparable: it depends on the noise, which is that of the
     simulation.
     """
     values = [float(getattr(series.run.fits[method], key)) for method in _BOTH]
     label = "ARAE, Eq. 8" if key == "arae_decay" else "ARAE, Eq. 9"
-    return [
-        series.pair.name, label, "1", printed, values[0], math.nan, values[1], math.nan, math.nan,
+    return _Compared(
+        series.pair, label, "1", printed, values[0], math.nan, values[1], math.nan, math.nan,
         NOT_COMPARABLE, ": another noise",
-    ]  # fmt: skip
+    )  # fmt: skip
 
 
-def _compared(name: str, title: str, rows: Sequence[Sequence[Cell]]) -> Table:
+def _compared(name: str, title: str, rows: Sequence[_Compared]) -> Table:
     shown = []
-    before = ""
+    before: PrintedPair | None = None
     for row in rows:
-        pair, label, unit, printed, exact, u, other, d_exact, d_other, verdict, remark = row
-        text = (
-            with_uncertainty(float(exact), float(u)) if not math.isnan(float(u)) else plain(float(exact), 2)
-        )
+        without_u = math.isnan(row.u)
         shown.append(
             [
-                str(pair).removeprefix("steel on ") if pair != before else "",
-                f"{label} / {str(unit).removeprefix(' × ')}" if unit != "1" else str(label),
-                f"{printed:.6g}", text, _percent(float(d_exact)),
-                plain(float(other), 2 if verdict == NOT_COMPARABLE else 5), _percent(float(d_other)),
-                f"{verdict}{remark if verdict in (CONTRADICTION, NOT_COMPARABLE) else ''}",
+                row.pair.flat_name if row.pair is not before else "",
+                f"{row.label} / {row.unit.removeprefix(' × ')}" if row.unit != "1" else row.label,
+                f"{row.printed:.6g}",
+                plain(row.exact, 2) if without_u else with_uncertainty(row.exact, row.u),
+                _percent(row.difference),
+                plain(row.other, 2 if without_u else 5),
+                _percent(row.other_difference),
+                f"{row.verdict}{row.remark}",
             ]
-        )  # fmt: skip
-        before = str(pair)
-    remarks = dict.fromkeys(f"{row[1]}{row[-1]}" for row in rows if str(row[-1]).startswith(";"))
-    note = ". ".join(text.replace(";", ":", 1) for text in remarks)
-    return Table(name, title, _COLUMNS, [row[:-1] for row in rows], _HEAD, shown, f"{note}." if note else "")
+        )
+        before = row.pair
+    notes = dict.fromkeys(f"{row.label}: {row.note}" for row in rows if row.note)
+    cells: list[list[Cell]] = [[row.pair.name, *row[1:-2]] for row in rows]
+    return Table(name, title, _COLUMNS, cells, _HEAD, shown, "".join(f"{note}. " for note in notes).rstrip())
 
 
 def _percent(share: float) -> str:

@@ -22,7 +22,7 @@ class PrintedPair:
     Table 2 prints b without its power of ten; with 1e-4, a run lasts as long as stated in the paper.
     """
 
-    name: str
+    flat_name: str
     flat: str
     contact_radius_um: float
     depth_um: float
@@ -37,18 +37,22 @@ class PrintedPair:
     gamma_pa: float
     arae_period: float
 
+    @property
+    def name(self) -> str:
+        return f"{BALL} on {self.flat_name}"
+
 
 PAIRS: Final = (
     PrintedPair(
-        "steel on K8 glass", "glass_k8", 66, 0.7, 38,
+        "K8 glass", "glass_k8", 66, 0.7, 38,
         37.330, 0.944, 10.510e-9, 28.900e-3, 0.008, 0.092, 4.071, 28.97e6, 0.002,
     ),
     PrintedPair(
-        "steel on silicon", "silicon", 59, 0.6, 34,
+        "silicon", "silicon", 59, 0.6, 34,
         7.060, 0.815, 3.840e-9, 13.200e-3, 0.026, 0.552, 4.072, 290.69e6, 0.002,
     ),
     PrintedPair(
-        "steel on steel", "steel", 54, 0.5, 31,
+        "steel", "steel", 54, 0.5, 31,
         7.961, 0.850, 6.601e-9, 27.300e-3, 0.035, 0.461, 4.049, 95.46e6, 0.004,
     ),
 )  # fmt: skip

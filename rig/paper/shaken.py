@@ -89,7 +89,7 @@ def table5(found: Sequence[ShakenPair]) -> Table:
         )  # fmt: skip
         shown.append(
             [
-                pair.name.removeprefix("steel on "), f"{1e9 * one.drive:.0f}",
+                pair.flat_name, f"{1e9 * one.drive:.0f}",
                 f"{pair.arae_decay:g}", plain(one.arae_decay, 2),
                 f"{pair.arae_period:g}", plain(one.arae_period, 2),
                 *(f"{plain(100 * u, 2)} %" if u < 1 else "> 100 %" for u in one.relative_u.values()),

@@ -33,11 +33,16 @@ class Verdict:
     @property
     def line(self) -> str:
         """The verdict in one line: `beam quality: go, one Gaussian, ...`, with reason and remedy."""
+        return f"{self.name}: {self.said}"
+
+    @property
+    def said(self) -> str:
+        """The line without its name."""
         judged = (
             "NO-GO" if not self.ok else "caution" if self.remedy else "go" if self.made else "not checked"
         )
         why = "; ".join(text for text in (self.reason, self.remedy) if text)
-        return f"{self.name}: {judged}, {self.measured}" + (f": {why}" if why else "")
+        return f"{judged}, {self.measured}" + (f": {why}" if why else "")
 
 
 def failures(verdicts: Sequence[Verdict]) -> str:

@@ -33,7 +33,7 @@ def loop_figure(
     ):
         moment = np.append(values, values[0]) * 1e9
         axes.plot(closed, moment, color=EXACT, lw=1.2)
-        if title.startswith("diss"):
+        if axes is panels[0]:
             axes.fill(closed, moment, color=palette.SKY_BLUE, alpha=0.25, lw=0)
         axes.axhline(0, color=INK, lw=0.5)
         axes.axvline(0, color=INK, lw=0.5)

@@ -93,7 +93,7 @@ def _title(source: ReportSource) -> tuple[str, str]:
     first = source.runs[0].results
     what = "Free decay of a pendulum on one ball" if first.fits else "Free decay of a pendulum"
     if first.instrument is not None:
-        what = INSTRUMENTS[first.instrument.kind].sentence.partition(":")[0]
+        what = INSTRUMENTS[first.instrument.kind].title
     return title, f"{what}: " + ", ".join(words)
 
 

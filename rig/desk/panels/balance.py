@@ -118,8 +118,8 @@ def build(desk: Desk, tab: Tab) -> None:
         if shown is None:
             news = desk.following.news
             path = news.get("path") or {"x": [], "y": []}
-            text = str((news.get("balance") or {}).get("advice") or "").replace("*", "")
-            advice.set_text(text.partition("\n")[0] or "measure: let it swing, not too far")
+            next_step = (news.get("balance") or {}).get("next_step")
+            advice.set_text(next_step or "measure: let it swing, not too far")
             unit = str(news.get("unit") or "arcsec")
             way.set_content(drawings.trajectory(path["x"], path["y"], unit, (380, 330), _STRETCHES[stretch]))
             pendulum.set_content(drawing(None))
