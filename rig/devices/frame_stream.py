@@ -6,17 +6,91 @@ import time
 
 from acquisition.camera import Camera, CameraLost, CameraSettings, FrameTimeout
 from acquisition.frame import Frame
-from acquisition.frame_line import FrameLine
 from acquisition.frame_losses import FrameLosses
 from acquisition.frame_queue import FrameQueue, Policy
 from acquisition.record.events import EventKind
 from processing.errors import DeviceError, RigError
+from processing.ticks import S_PER_NS, seconds
 from rig.control import LightPermit, Stage
 from rig.devices.clock_watch import ClockWatch
 from rig.devices.network_clock import wait_for_network_clock
 
 _log = logging.getLogger(__name__)
 _QUEUE_BYTES = 256 * 1024 * 1024
+_NAMED_AFTER_S = 0.35
+_CLOCK_STEP_NS = 1_000_000_000
+_SMOOTHING = 0.1
+
+
+class FrameLine:
+    """The one place where a frame gets the number and the time that hold from here on.
+
+    `time_shift_ns` moves the camera's timestamps to the middle of the exposure. A camera that is opened again
+    numbers its frames from 0, and its clock may have been reset. The frames after the gap get the numbers
+    that follow from the time elapsed, so that missing frames are counted. A clock that was reset is shifted
+    by a constant, so that it continues consistently with the host's clock; the shift is reported. `missing`
+    is the number of frames missed while the camera was disconnected.
+    """
+
+    def __init__(self, time_shift_ns: int = 0) -> None:
+        self._last: Frame | None = None
+        self._interval_ns = 0.0
+        self._offset = 0
+        self._to_middle_ns = time_shift_ns
+        self._continued_ns = 0
+        self._anew = False
+        self.missing = 0
+
+    def patience_s(self, without_s: float) -> float:
+        """Time without a frame that is still normal: two frame times and a margin; `without_s` at the start.
+
+        With this margin an interruption is reported within two frame times plus 0.5 s.
+        """
+        return 2 * S_PER_NS * self._interval_ns + _NAMED_AFTER_S if self._interval_ns else without_s
+
+    def begin_anew(self) -> None:
+        """The camera was opened again: the next frame is its first."""
+        self._anew = self._last is not None
+
+    def join(self, frame: Frame) -> tuple[Frame, str]:
+        """The frame with its number and time in this line; a note with the first after a gap."""
+        last, note = self._last, ""
+        middle_ns = frame.device_time_ns
+        if middle_ns >= 0:
+            middle_ns = max(middle_ns + self._to_middle_ns, 0)
+        if self._anew and last is not None:
+            note = self._find_offsets(frame.sequence, middle_ns, frame.host_time_ns, last)
+            self._anew = False
+        if middle_ns >= 0:
+            middle_ns += self._continued_ns
+        if self._offset or middle_ns != frame.device_time_ns:
+            frame = frame._replace(sequence=frame.sequence + self._offset, device_time_ns=middle_ns)
+        if last is not None and not note:
+            self._learn_interval(frame, last)
+        self._last = frame
+        return frame, note
+
+    def _learn_interval(self, frame: Frame, last: Frame) -> None:
+        steps, passed_ns = frame.sequence - last.sequence, frame.time_ns - last.time_ns
+        if steps > 0 and passed_ns > 0:
+            now_ns = passed_ns / steps
+            self._interval_ns += (_SMOOTHING if self._interval_ns else 1.0) * (now_ns - self._interval_ns)
+
+    def _find_offsets(self, number: int, middle_ns: int, host_ns: int, last: Frame) -> str:
+        passed_ns = by_host_ns = host_ns - last.host_time_ns
+        self._continued_ns = 0
+        shifted = ""
+        if middle_ns >= 0:
+            passed_ns = middle_ns - last.device_time_ns
+            # simulated time may pass more quickly than the host's, a clock that began anew is behind it
+            if passed_ns < by_host_ns - _CLOCK_STEP_NS or passed_ns <= 0:
+                self._continued_ns, passed_ns = by_host_ns - passed_ns, by_host_ns
+                shifted = f"; its clock began anew, {self._continued_ns} ns are added to its times"
+        missing = max(round(passed_ns / (self._interval_ns or passed_ns)) - 1, 0)
+        self._offset = last.sequence + 1 + missing - number
+        self.missing += missing
+        passed = f"{seconds(passed_ns):.3f} s without frames, about {missing} of them"
+        return f"opened again after {passed}{shifted}"
 
 
 class FrameStream:
@@ -47,8 +121,7 @@ class FrameStream:
         self._reconnect_s = reconnect_s
         self._stop = threading.Event()
         self._queue: FrameQueue | None = None
-        self._line = FrameLine()
-        self._shift_ns = time_shift_ns
+        self._line = FrameLine(time_shift_ns)
         self._clock = ClockWatch()
         self._thread: threading.Thread | None = None
         self._events: list[tuple[EventKind, str]] = []
@@ -119,19 +192,13 @@ class FrameStream:
         while not self._stop.is_set():
             step_s = min(self._timeout_s, 0.5)
             try:
-                return self._read(step_s)
+                frame = self._camera.read(step_s)
+                return None if frame is None else self._line.join(frame)[0]
             except FrameTimeout:
                 waited_s += step_s
                 if waited_s >= self._timeout_s:
                     raise
         return None
-
-    def _read(self, timeout_s: float) -> Frame | None:
-        """The next frame, with the time of the middle of its exposure."""
-        frame = self._camera.read(timeout_s)
-        if frame is None or not self._shift_ns or frame.device_time_ns < 0:
-            return frame
-        return frame._replace(device_time_ns=max(frame.device_time_ns + self._shift_ns, 0))
 
     def _acquire(self) -> None:
         """Read and hand over, reconnect after an unplugging."""
@@ -145,7 +212,7 @@ class FrameStream:
                 patience_s = self._timeout_s if self.policy == "wait" else line.patience_s(self._timeout_s)
                 patience_s = min(patience_s, self._timeout_s - silent_s)
                 try:
-                    frame = self._read(patience_s)
+                    frame = self._camera.read(patience_s)
                 except FrameTimeout as timeout:
                     if silent_s == 0.0 and patience_s < self._timeout_s:
                         self._events.append((EventKind.CAMERA_SILENT, str(timeout)))

@@ -13,7 +13,6 @@ from acquisition.camera import Camera, CameraInfo, CameraSettings, CameraStatus,
 from acquisition.cameras.simulated import SimulatedCamera
 from acquisition.cameras.usb3vision.camera import Usb3VisionCamera
 from acquisition.frame import Frame
-from acquisition.frame_line import FrameLine
 from acquisition.frame_losses import FrameLosses
 from acquisition.frame_queue import Policy
 from acquisition.record.reader import RecordReader
@@ -21,7 +20,7 @@ from acquisition.simulation.faults import FaultSettings
 from acquisition.simulation.settings import SimulationSettings
 from processing.errors import DeviceError
 from rig.devices.clock_watch import ClockWatch
-from rig.devices.frame_stream import FrameStream
+from rig.devices.frame_stream import FrameLine, FrameStream
 from rig.measure.session import simulate_record
 from rig.settings.configuration import load_configuration
 from tests.acquisition.cameras.usb3vision.backend import InProcessBackend, wait_until
@@ -170,6 +169,28 @@ def test_a_clock_that_began_anew_is_shifted_and_said_so() -> None:
     assert "began anew" in note
     later, note = line.join(Frame(image, 1, 12345 + 10**7, host_ns + 10**7))
     assert (later.sequence, later.device_time_ns - frame.device_time_ns, note) == (210, 10**7, "")
+
+
+def test_a_camera_that_is_lost_after_its_first_frame_continues_its_numbers() -> None:
+    line = FrameLine()
+    image = np.zeros((2, 2), np.uint8)
+    first, _ = line.join(Frame(image, 0, 10**12, 5 * 10**9))
+    line.begin_anew()
+    again, note = line.join(Frame(image, 0, 7, 8 * 10**9))
+    assert (first.sequence, again.sequence) == (0, 1)
+    assert again.device_time_ns == first.device_time_ns + 3 * 10**9
+    assert "opened again after 3.000 s" in note
+
+
+def test_the_middle_of_the_exposure_continues_over_a_clock_that_began_anew() -> None:
+    line = FrameLine(time_shift_ns=-(10**6))
+    image = np.zeros((2, 2), np.uint8)
+    joined = [line.join(Frame(image, n, 10**12 + n * 10**7, 5 * 10**9 + n * 10**7))[0] for n in range(10)]
+    assert [frame.device_time_ns for frame in joined] == [10**12 - 10**6 + n * 10**7 for n in range(10)]
+    line.begin_anew()
+    again, _ = line.join(Frame(image, 0, 500, 5 * 10**9 + 9 * 10**7 + 10**9))
+    assert (again.device_time_ns - joined[-1].device_time_ns, again.sequence) == (10**9, 9 + 100)
+    assert line.join(Frame(image, 1, -1, 6 * 10**9))[0].device_time_ns == -1
 
 
 def test_a_run_goes_on_after_unplugging_with_the_gap_in_its_record(tmp_path: Path) -> None:
