@@ -4,13 +4,13 @@ scipy is imported inside functions: the settings import this package, and import
 scipy.stats would slow down the start of every command.
 """
 
-from calibration.at_rest import require_rest
 from calibration.axes import Axes, deflections
 from calibration.axes_fit import AxesFit, Sign, fit_axes
 from calibration.known_angle import ScaleCheck, check_scale, moved_between
 from calibration.lever_fit import LadderFit, LadderSteps, fit_ladder, lever_from_shifts, lever_from_tilts
 from calibration.lever_geometry import GeometryLever, LeverGeometry, lever_from_geometry
 from calibration.light_lever import Lever, deflection_unit
+from calibration.oscillation import require_rest
 from calibration.pointing import Stability, stability
 from calibration.pulsed_shutter import PulsedShutterFit, fit_row_time_of_pulses
 from calibration.sensor import SensorCalibration, photon_transfer

@@ -73,7 +73,7 @@ DRIVERS: dict[str, Driver] = {
     "pylon": Driver(
         camera="acquisition.cameras.pylon.camera:PylonCamera",
         settings=("acquisition.cameras.pylon.settings:PylonSettings",),
-        find="acquisition.cameras.pylon.library:list_cameras",
+        find="acquisition.cameras.pylon.camera:list_cameras",
     ),
     # GigE Vision and USB3 Vision cameras through libaravis and PyGObject, which are optional
     "aravis": Driver(

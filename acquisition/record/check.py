@@ -13,12 +13,10 @@ import numpy as np
 from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
-from acquisition.record.chunk_places import ChunkPlace
-from acquisition.record.chunk_reader import ChunkDamage, message_heads
+from acquisition.record.chunk_reader import ChunkDamage, ChunkPlace, message_heads
 from acquisition.record.contents import Contents, walk
 from acquisition.record.frame_numbers import MOST_SHOWN, FrameNumbers
-from acquisition.record.identity import THINNED, measured_sha256_of
-from acquisition.record.proof import data_crc_matches, unproved_parts
+from acquisition.record.proof import THINNED, data_crc_matches, measured_sha256_of, unproved_parts
 from acquisition.record.reader import RecordReader
 from acquisition.record.records import intact_attachment, read_record
 from acquisition.record.recover import RECOVERY

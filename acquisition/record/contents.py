@@ -16,10 +16,8 @@ from typing import IO
 from mcap.opcode import Opcode
 from mcap.records import Channel, Footer, Header, Metadata, Schema, Statistics
 
-from acquisition.record.chunk_places import ChunkPlace, ChunkPlaces
-from acquisition.record.chunk_times import ChunkTimes
+from acquisition.record.chunk_reader import ChunkPlace, ChunkPlaces
 from acquisition.record.descriptions import Descriptions
-from acquisition.record.record_search import RecordSearch
 from acquisition.record.records import (
     CHUNK,
     HEAD,
@@ -30,6 +28,7 @@ from acquisition.record.records import (
     parse,
     read_record,
 )
+from acquisition.record.without_index import ChunkTimes, RecordSearch
 
 _FOOTER = struct.Struct("<BQQQI")
 _CHUNK_INDEX = struct.Struct("<QQQQI")

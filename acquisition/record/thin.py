@@ -1,7 +1,7 @@
 """A record without its windows of pixels, or with them in fewer bytes, made from one that proves itself.
 
 Everything else is copied byte by byte. The new record states the SHA-256 of the one that was measured, by
-which results still know it (`acquisition.record.identity`), and which pixels each dropped window held.
+which results still know it (`acquisition.record.proof`), and which pixels each dropped window held.
 """
 
 import hashlib
@@ -16,9 +16,8 @@ from acquisition.record.chunk_builder import ChunkBuilder
 from acquisition.record.chunk_reader import RawMessage, messages_in
 from acquisition.record.container import McapFile, create_record
 from acquisition.record.digest import sha256_of
-from acquisition.record.identity import THINNED, Thinning, thinning_of
 from acquisition.record.pixels import decode_window
-from acquisition.record.proof import is_sound
+from acquisition.record.proof import THINNED, Thinning, is_sound, thinning_of
 from acquisition.record.reader import RecordReader
 from acquisition.record.recover import copy_head
 from acquisition.record.schemas import MessageType, message_type_of

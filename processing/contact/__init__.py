@@ -3,9 +3,7 @@
 from processing.contact.adhesion import AdhesiveContact, adhesive_contacts
 from processing.contact.air_drag import ExpectedDrag, bar_of, expected_drag_s
 from processing.contact.decay import decay_path, path_nodes
-from processing.contact.decay_fit import fit_decay
 from processing.contact.energy_loss import measured_losses, model_losses
-from processing.contact.exponent_search import PeriodStart, period_start
 from processing.contact.half_swing import (
     relative_curvature,
     scaled_contact,
@@ -21,7 +19,6 @@ from processing.contact.hertz import (
     material,
     pendulum_on_ball,
 )
-from processing.contact.hysteresis_loops import moment_loop
 from processing.contact.law import (
     AMPLITUDE,
     DRAG,
@@ -33,14 +30,14 @@ from processing.contact.law import (
     Law,
     Parameter,
 )
-from processing.contact.law_of_splines import spline_law
+from processing.contact.law_of_splines import MomentSplines, spline_law
 from processing.contact.laws import LAWS, PAPER
-from processing.contact.moment_splines import MomentSplines
 from processing.contact.moments import SurfaceEnergy, cycle_work, surface_energy, weight_moment
 from processing.contact.one_half_swing import OneHalfSwing, tabulated_half_swing
 from processing.contact.parameters import STANDARD_GRAVITY_M_PER_S2, ContactParameters, PendulumOnBall
 from processing.contact.period_law import cosine_moment, frequency_drop, period
-from processing.contact.steady_harmonics import law_harmonics
+from processing.contact.start_values import PeriodStart, fit_decay, period_start
+from processing.contact.steady_swing import law_harmonics, moment_loop
 
 __all__ = [
     "AMPLITUDE",

@@ -5,15 +5,13 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from processing.contact.drag_coordinates import from_straight, to_straight
-from processing.contact.exponent_search import PeriodStart
 from processing.contact.half_swing import relative_curvature, stiffness_ratio
 from processing.contact.half_swing_kernel import A0, DRAG, KAPPA, MAP_PARAMETERS, RHO, B, C, N, P
 from processing.contact.law import AMPLITUDE, TIME, HeldColumn
 from processing.contact.law import DRAG as DRAG_PARAMETER
 from processing.contact.parameters import PendulumOnBall
 from processing.contact.period_law import cosine_moment
-from processing.contact.start_values import start_values
+from processing.contact.start_values import PeriodStart, from_straight, start_values, to_straight
 from processing.periods import reference_amplitude
 from processing.swing import TurningPoints
 

@@ -8,19 +8,27 @@ comparison with the paper's results.
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from processing.contact import PendulumOnBall, fit_decay, relative_curvature, stiffness_ratio
+from processing.contact import (
+    PendulumOnBall,
+    PeriodStart,
+    fit_decay,
+    frequency_drop,
+    period_start,
+    relative_curvature,
+    stiffness_ratio,
+)
 from processing.contact.laws import AMPLITUDE, PAPER
 from processing.errors import DataError
 from processing.fit.checks import OUTLIER, check_turning_points, data_warnings
-from processing.fit.driven_scatter import driven_covariance
 from processing.fit.exact_model import ExactModel
-from processing.fit.period_fit import by_turning_time, fit_period, period_by_log_rho, period_covariance
 from processing.fit.result import FitResult
 from processing.fit_method import FitMethod
-from processing.least_squares import Loss, propagate
+from processing.least_squares import Loss, Solution, propagate, solve
 from processing.periods import (
     FEWEST_PERIODS,
+    Periods,
     full_periods,
     mean_period,
     mean_period_estimate,
@@ -173,3 +181,137 @@ def _bias(
     except DataError:
         return None
     return {name: found.estimate(name).value - exact.estimate(name).value for name in found.contact_names}
+
+
+def fit_period(
+    points: TurningPoints,
+    periods: Periods,
+    reference: float,
+    rho: float,
+    printed_curvature: bool,
+    loss: Loss,
+) -> tuple[Solution, NDArray[np.float64], list[PeriodStart]]:
+    """Fit with the columns T0 (s), n and kappa; the last for amplitudes in units of the reference."""
+    x = points.amplitude[periods.where] / reference
+    starts = period_start(x, periods.period_s, periods.u_period_s, rho)
+
+    def curve(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        drop = frequency_drop(x, values[1], values[2], rho, printed_curvature=printed_curvature)
+        return np.asarray(values[0] / (1 - drop), dtype=np.float64)
+
+    def model(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        t0, n, kappa = values
+        drop = frequency_drop(x, n, kappa, rho, printed_curvature=printed_curvature)
+        step = 1e-5
+        by_n = (
+            frequency_drop(x, n + step, kappa, rho, printed_curvature=printed_curvature)
+            - frequency_drop(x, n - step, kappa, rho, printed_curvature=printed_curvature)
+        ) / (2 * step)
+        by_kappa = frequency_drop(x, n, 1.0, rho, printed_curvature=printed_curvature)
+        fitted = t0 / (1 - drop)
+        by_drop = fitted / (1 - drop)
+        jacobian = np.column_stack([fitted / t0, by_drop * by_n, by_drop * by_kappa])
+        return (fitted - periods.period_s) / periods.u_period_s, jacobian / periods.u_period_s[:, None]
+
+    lower = np.array([0.2 * periods.period_s.min(), -0.9, -10.0])
+    upper = np.array([2 * periods.period_s.max(), 5.0, 10.0])
+    first = np.clip(np.array(starts[0]), lower + 1e-9, upper - 1e-9)
+    solution = solve(model, first, lower=lower, upper=upper, loss=loss)
+    return solution, curve(solution.values), starts
+
+
+def by_turning_time(solution: Solution, points: TurningPoints, periods: Periods) -> NDArray[np.float64]:
+    """Derivatives of the fit's score by the turning times; the covariance makes them those of the values."""
+    weighted = solution.jacobian / periods.u_period_s[:, None]
+    by_time = np.zeros((len(points), 3))
+    np.add.at(by_time, periods.where + 1, weighted)
+    np.add.at(by_time, periods.where - 1, -weighted)
+    return by_time
+
+
+def period_covariance(solution: Solution, points: TurningPoints, periods: Periods) -> NDArray[np.float64]:
+    """Covariance of the fitted values from the uncertainties of the turning times.
+
+    Overlapping full periods share turning points and are correlated; the turning times are independent.
+    """
+    by_time = by_turning_time(solution, points, periods)
+    spread = (by_time * points.u_time_s[:, None] ** 2).T @ by_time
+    with np.errstate(invalid="ignore"):
+        return np.asarray(solution.covariance @ spread @ solution.covariance)
+
+
+def period_by_log_rho(
+    solution: Solution,
+    points: TurningPoints,
+    periods: Periods,
+    reference: float,
+    rho: float,
+    printed_curvature: bool,
+) -> NDArray[np.float64]:
+    """Derivatives of T0, n and kappa by ln(R/a), by linearised least squares."""
+    x = points.amplitude[periods.where] / reference
+    t0, n, kappa = solution.values
+    drop = frequency_drop(x, n, kappa, rho, printed_curvature=printed_curvature)
+    by_rho = drop - frequency_drop(x, n, kappa, 0.0, printed_curvature=printed_curvature)
+    change = t0 / (1 - drop) ** 2 * by_rho / periods.u_period_s
+    return np.asarray(-np.linalg.lstsq(solution.jacobian, change, rcond=1e-12)[0], dtype=np.float64)
+
+
+# Scatter of a least-squares fit to a driven pendulum, although the fit takes its errors as independent.
+#
+# A drive moves all turning points after it: the errors are sums of steps. The covariance of the fitted
+# values follows from how they depend on each measured amplitude and time, and from how a step at one
+# turning point moves the later ones.
+
+Array = NDArray[np.float64]
+
+
+def driven_covariance(
+    by_amplitude: Array,
+    by_time: Array,
+    points: TurningPoints,
+    pendulum: PendulumOnBall | None,
+    exact: FitResult,
+) -> Array:
+    """Covariance of values that depend linearly on the turning points.
+
+    Parameters
+    ----------
+    by_amplitude, by_time
+        (half-cycles, values) derivatives of the values by the measured amplitudes and times.
+    points
+        The turning points that `exact` was fitted to.
+    exact
+        The exact fit of them, which knows how strongly the ground drove the pendulum.
+    """
+    assert exact.ground is not None
+    noise, rate = exact.ground.noise, 2 * np.pi / exact.mean_period_s.value
+    model, columns = ExactModel.of(points, pendulum, exact)
+    _, _, amplitude_jacobian, time_jacobian = model.curve(columns)
+    # what a change of the first amplitude makes of the later amplitudes and times
+    amplitude_slope = _to_the_end(amplitude_jacobian[:, -3])
+    time_slope = _to_the_end(time_jacobian[:, -3] / model.reference)
+
+    def after(values: Array) -> Array:
+        """Sums over a turning point and all later ones."""
+        return np.asarray(np.cumsum(values[::-1], axis=0)[::-1])
+
+    times = after(by_time)
+    amplitudes = after(by_amplitude * amplitude_slope[:, None]) + after(by_time * time_slope[:, None])
+    amplitudes = (amplitudes - times * time_slope[:, None]) / amplitude_slope[:, None]
+    steps = noise.step * np.sqrt(np.diff(points.index, prepend=points.index[0]))
+    parts = (
+        by_amplitude * (noise.scale * points.u_amplitude)[:, None],
+        by_time * (noise.scale * points.u_time_s)[:, None],
+        amplitudes * steps[:, None],
+        times * (steps / (rate * points.amplitude))[:, None],
+    )
+    return np.asarray(sum(np.einsum("ij,ik->jk", part, part) for part in parts))
+
+
+def _to_the_end(values: Array) -> Array:
+    """The last finite value goes on: a free decay may end before a driven one."""
+    reached = int(np.count_nonzero(np.isfinite(values)))
+    out = values.copy()
+    out[reached:] = values[reached - 1]
+    return out

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from processing.position_map.splines import Splines
+from processing.position_map.position_map import Splines
 from processing.swing import SHARED, CycleResiduals
 
 Floats = NDArray[np.float64]

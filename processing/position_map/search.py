@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from scipy.linalg import toeplitz
 
 from processing.position_map.normal_equations import Accumulator, NormalEquations, all_of
-from processing.position_map.position_map import PositionMap
-from processing.position_map.splines import Splines
+from processing.position_map.position_map import PositionMap, Splines
 from processing.swing import CycleResiduals
 
 Floats = NDArray[np.float64]

@@ -26,9 +26,9 @@ from processing.swing.half_cycle import (
 )
 from processing.swing.half_cycle_fit import HalfCycleFit, excess, fit_half_cycle
 from processing.swing.judgement import judge
+from processing.swing.noise import SampleNoise
 from processing.swing.onset import Onset
 from processing.swing.prediction import SLOPE_WANDER, predict
-from processing.swing.sample_noise import SampleNoise
 from processing.swing.swing import SwingFlag
 from processing.swing.term_selection import ANHARMONIC, FAST_MODE, bent, extend, prior
 from processing.swing.waveform import DAMPING, RISE

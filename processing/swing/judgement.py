@@ -2,7 +2,7 @@
 
 from processing.swing.arc import HalfCycleSamples
 from processing.swing.half_cycle_fit import HalfCycleFit, excess, segment_size
-from processing.swing.sample_noise import NoiseLevel
+from processing.swing.noise import NoiseLevel
 from processing.swing.swing import SwingFlag
 
 _EXCESS = 5.0

@@ -16,10 +16,10 @@ from processing.swing.half_cycle import AMPLITUDE, RATE, TIME
 from processing.swing.half_cycle_fit import HalfCycleFit, fit_half_cycle
 from processing.swing.judgement import judge, turned
 from processing.swing.known_motion import KnownMotion
+from processing.swing.noise import NoiseLevel
 from processing.swing.pivots import FOUND, FOUND_TIME, SEARCH_STATE, Pivot, regular, search
 from processing.swing.prediction import window
 from processing.swing.sample_buffer import SampleBuffer
-from processing.swing.sample_noise import NoiseLevel
 from processing.swing.swing import SwingFlag
 from processing.swing.term_selection import choose, first_guess
 from processing.ticks import nanoseconds, seconds

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from acquisition.record.events import end_of
-from acquisition.record.identity import measured_sha256_of
+from acquisition.record.proof import measured_sha256_of
 from acquisition.record.reader import RecordReader
 from acquisition.record.recorded_camera import RecordedCamera
 from acquisition.record.topics import DEFLECTION_FIELDS

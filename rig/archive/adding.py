@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from acquisition.record.identity import Thinning
+from acquisition.record.proof import Thinning
 from processing.errors import ConfigurationError
 from rig.archive.store import Archive, duckdb_module
 from rig.presentation import say

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from acquisition.record.digest import sha256_of
-from acquisition.record.identity import Thinning, measured_sha256_of
+from acquisition.record.proof import Thinning, measured_sha256_of
 from acquisition.record.reader import RecordReader
 from processing.errors import ConfigurationError, MissingPackage, RecordError
 from rig.analysis import read_results, results_path, write_results

@@ -9,7 +9,7 @@ from typing import Any, Literal, NamedTuple
 
 import zstandard
 
-from acquisition.record.identity import Thinning, measured_sha256_of, thinning_of
+from acquisition.record.proof import Thinning, measured_sha256_of, thinning_of
 from acquisition.record.reader import RecordReader
 from processing.errors import ConfigurationError, RecordError, RigError
 from rig.analysis import (

@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from acquisition.record.digest import sha256_of
-from acquisition.record.identity import identity_of, thinning_of
-from acquisition.record.proof import data_crc_matches
+from acquisition.record.proof import data_crc_matches, identity_of, thinning_of
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import WINDOW
 from acquisition.record.utc import utc

@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from acquisition.record.identity import Thinning, measured_sha256_of
+from acquisition.record.proof import Thinning, measured_sha256_of
 from acquisition.record.reader import RecordReader
 from acquisition.record.thin import Thinned, thin, why_not_thinned
 from acquisition.record.whole_file import sync_folder

@@ -4,8 +4,15 @@ A session answers on a loopback port of its own, which the file `.channel.json` 
 key that opens it. It only ever answers: nothing waits for a reader, and without one nothing is prepared.
 """
 
-from rig.channel.line import Line, NoSession, SessionBusy, SessionPicture, running_sessions
-from rig.channel.server import Channel, Orders
+from rig.channel.loopback import (
+    Channel,
+    Line,
+    NoSession,
+    Orders,
+    SessionBusy,
+    SessionPicture,
+    running_sessions,
+)
 from rig.channel.telling import SessionTelling
 
 __all__ = [

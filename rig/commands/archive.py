@@ -290,7 +290,7 @@ def publish(
     archive: Archive = _PLACE,
 ) -> None:
     """Write runs with results and inputs as an RO-Crate."""
-    from acquisition.record.identity import Thinning
+    from acquisition.record.proof import Thinning
     from rig.archive import Statement, opened, publish_runs
 
     thinning = None if pixels == "kept" else Thinning(pixels)

@@ -145,7 +145,7 @@ def fit_records(
 
 def refuse_copies(paths: Sequence[Path]) -> None:
     """Raise ConfigurationError where two records are the same run: one was copied, or thinned."""
-    from acquisition.record.identity import measured_sha256_of
+    from acquisition.record.proof import measured_sha256_of
 
     first: dict[str, Path] = {}
     for path in paths if len(paths) > 1 else ():

@@ -3,10 +3,9 @@
 from rig.devices import picture
 from rig.devices.auto_exposure import find_exposure
 from rig.devices.camera_features import feature_lines
-from rig.devices.clock_watch import MOST_PPM, wrong_rate
 from rig.devices.doctor import examine
 from rig.devices.frame_stream import FrameStream
-from rig.devices.host_clock import kernel_clock, ntp_state
+from rig.devices.host_clock import MOST_PPM, kernel_clock, ntp_state, wrong_rate
 from rig.devices.laser import STAYS_LIT, WIRE_IT, goes_dark_by_itself, wait_for_command
 from rig.devices.latest_frames import watch_latest
 from rig.devices.light_watch import LightWatch

@@ -2,6 +2,7 @@
 
 import os
 import shutil
+import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -10,13 +11,13 @@ from typing import Literal, cast
 from rich.console import Console
 
 from acquisition.camera import CameraStatus, FrameTimeout
+from acquisition.cameras.usb3vision.discovery import FoundCamera, find_cameras, udev_rule
 from acquisition.cameras.usb3vision.settings import Usb3VisionSettings
 from acquisition.frame_losses import FrameLosses
-from processing.errors import RigError
+from processing.errors import DeviceError, RigError
 from processing.ticks import seconds
 from rig.control import check_controller, check_environment, check_laser
 from rig.devices.session_devices import Devices
-from rig.devices.usb_checks import check_usb_cameras, check_usb_memory
 from rig.instrument import check_materials, complete
 from rig.presentation import Verdict, print_json_line, print_verdicts
 from rig.settings import Configuration
@@ -202,3 +203,60 @@ def _read(path: Path) -> str:
         return path.read_text(encoding="ascii").strip()
     except OSError:
         return ""
+
+
+_USBFS_MEMORY = Path("/sys/module/usbcore/parameters/usbfs_memory_mb")
+_SLOW = ("low", "full", "high")
+_BUFFERED_FRAMES = 8
+
+
+def check_usb_camera(camera: FoundCamera) -> tuple[Verdict, ...]:
+    """Check the permission to open the camera, and the negotiated USB speed."""
+    rule = udev_rule()
+    allowed = Verdict(
+        "camera permission",
+        camera.accessible,
+        camera.name if camera.accessible else f"no permission to open {camera.name}",
+        ""
+        if camera.accessible
+        else f"only root may open USB devices unless a udev rule allows it: sudo cp {rule} "
+        "/etc/udev/rules.d, sudo udevadm control --reload, then plug the camera in again",
+    )
+    slow = camera.usb_speed.split()[0].lower() in _SLOW if camera.usb_speed else False
+    speed = Verdict(
+        "camera USB speed",
+        not slow,
+        camera.usb_speed or "unknown",
+        "use a USB 3 port (blue, or marked SS) and a USB 3 cable, without a hub" if slow else "",
+    )
+    return allowed, speed
+
+
+def check_usb_cameras(serial: str | None) -> Iterator[Verdict]:
+    """Check the USB3 Vision cameras that may have this serial number; None: all of them."""
+    try:
+        cameras = find_cameras()
+    except DeviceError as missing:
+        yield Verdict("libusb", False, str(missing), "pip install libusb-package")
+        return
+    for camera in cameras:
+        if serial is None or not camera.serial or camera.serial == serial:
+            yield from check_usb_camera(camera)
+
+
+def check_usb_memory(frame_bytes: int, memory: Path = _USBFS_MEMORY) -> tuple[Verdict, ...]:
+    """Check that Linux allows enough memory for the USB transfers of several frames at the same time."""
+    if sys.platform != "linux" or not memory.is_file():
+        return ()
+    limit_mb = int(memory.read_text())
+    wanted_mb = -(-_BUFFERED_FRAMES * frame_bytes // 2**20)
+    # 0 means no limit
+    enough = limit_mb == 0 or limit_mb >= wanted_mb
+    return (
+        Verdict(
+            "USB buffer memory",
+            enough,
+            f"{limit_mb} MB for all USB devices, {wanted_mb} MB hold {_BUFFERED_FRAMES} frames",
+            "" if enough else f"echo {2 * wanted_mb} | sudo tee {memory}",
+        ),
+    )

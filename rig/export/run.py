@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.record.identity import measured_sha256_of
+from acquisition.record.proof import measured_sha256_of
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import SPOT, SWING
 from acquisition.record.utc import utc

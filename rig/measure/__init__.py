@@ -1,10 +1,9 @@
 """A measurement session: preflight checks, runs, recording, end of a run, display on the terminal."""
 
-from rig.measure.estimates_text import estimate_texts
-from rig.measure.night import measure_plan
+from rig.measure.night import measure_plan, resume_session
 from rig.measure.plain_record import record_plainly, take_frames
 from rig.measure.preflight_alone import preflight_rig
-from rig.measure.resumption import resume_session
+from rig.measure.run_panel import estimate_texts
 from rig.measure.session import measure_session, session_folder, simulate_record
 from rig.measure.session_file import RunState, SessionState, read_session
 

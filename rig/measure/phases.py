@@ -18,9 +18,8 @@ from processing.ticks import NS_PER_S, nanoseconds
 from rig.devices import Devices, FrameStream, OpenCamera, goes_dark_by_itself, wait_for_command
 from rig.instrument import Optics, Phase, Snapshot
 from rig.measure.end_of_run import StopRequest
-from rig.measure.phase_wait import PhaseWait, Stopped
 from rig.measure.preflight import device_checks, frame_checks
-from rig.measure.recent_frames import RecentFrames, Watch
+from rig.measure.recent_frames import PhaseWait, RecentFrames, Stopped, Watch
 from rig.presentation import Verdict, failures
 from rig.settings import Configuration
 

@@ -15,9 +15,8 @@ from rig.instrument import Phase, Snapshot
 from rig.measure.end_of_run import StopRequest
 from rig.measure.recorder import MOST_WAITING_BYTES, Recorder
 from rig.measure.recording import Recording
-from rig.measure.run_losses import LossLog
 from rig.measure.run_parts import RunOutcome, RunParts
-from rig.measure.run_status import RunStatus
+from rig.measure.run_status import LossLog, RunStatus
 from rig.measure.start_judge import StartJudge
 from rig.terminal import reason_of
 

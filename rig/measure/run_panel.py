@@ -1,13 +1,18 @@
-"""The screen of a run as it is laid out on the terminal: phase, bar, numbers, instruction, last events."""
+"""The screen of a run as it is laid out on the terminal: phase, bar, numbers, estimates, last events."""
 
-from collections.abc import Sequence
+import time
+from collections import deque
+from collections.abc import Mapping, Sequence
 
 from rich.console import ConsoleDimensions, Group, RenderableType
 from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
+from processing.estimate import Estimate
 from rig.instrument import Snapshot
+from rig.presentation import quantity
+from rig.settings import StopCondition
 
 _TWO_COLUMNS_FROM = 120
 _MOST_NOTES = 10
@@ -59,3 +64,77 @@ def _bar(part: float, width: int) -> Text:
     full = round(part * room)
     rest = ("━" * (room - full), "bright_black")
     return Text.assemble(("━" * full, "green"), rest, f" {100 * part:3.0f} %")
+
+
+class Rates:
+    """Frames and bytes per second over the last few seconds of the host's time."""
+
+    def __init__(self) -> None:
+        self._points: deque[tuple[float, int, int]] = deque(maxlen=50)
+
+    def take(self, snapshot: Snapshot) -> None:
+        """Note the counts; fewer frames than before are those of another phase, which starts anew."""
+        if self._points and snapshot.frames < self._points[-1][1]:
+            self._points.clear()
+        self._points.append((time.monotonic(), snapshot.frames, snapshot.record_bytes))
+
+    @property
+    def frames_hz(self) -> float:
+        return self._rate(1)
+
+    @property
+    def bytes_per_s(self) -> float:
+        return self._rate(2)
+
+    def _rate(self, column: int) -> float:
+        if len(self._points) < 2:
+            return 0.0
+        first, last = self._points[0], self._points[-1]
+        return float(last[column] - first[column]) / max(last[0] - first[0], 1e-9)
+
+
+_SHOWN_FROM = 1.0
+"""Relative uncertainty below which a value means something."""
+
+
+def estimate_rows(snapshot: Snapshot, stop_when: Sequence[StopCondition]) -> list[tuple[str, str]]:
+    """Two parameters a row, and what the end of the run waits for; no row before the first fit."""
+    found = snapshot.estimates
+    rows = [
+        (
+            ", ".join(quantity(key).symbol for key in pair),
+            ",  ".join(_text(key, found[key]) for key in pair),
+        )
+        for pair in _pairs(list(found))
+    ]
+    if stop_when:
+        rows.append(("ends when", ", ".join(condition.text(found) for condition in stop_when)))
+    return rows
+
+
+def estimates_tree(estimates: Mapping[str, Estimate]) -> dict[str, dict[str, float]]:
+    """As results.json has parameters."""
+    return {
+        key: {"value": one.value, "standard_uncertainty": one.standard_uncertainty}
+        for key, one in estimates.items()
+    }
+
+
+def _pairs(keys: list[str]) -> list[list[str]]:
+    return [keys[first : first + 2] for first in range(0, len(keys), 2)]
+
+
+def estimate_texts(key: str, one: Estimate) -> tuple[str, str]:
+    """Value with its uncertainty in the parameter's shown unit, and how large the uncertainty is beside it.
+
+    A value that its uncertainty hides is not shown.
+    """
+    relative = one.standard_uncertainty / abs(one.value) if one.value else float("inf")
+    if not relative < _SHOWN_FROM:
+        return "not yet seen", ""
+    return quantity(key).text(one.value, one.standard_uncertainty), f"{100 * relative:.2g} %"
+
+
+def _text(key: str, one: Estimate) -> str:
+    value, relative = estimate_texts(key, one)
+    return f"{value} {quantity(key).unit}".rstrip() + f" ({relative})" if relative else value

@@ -1,17 +1,18 @@
-"""The status of a run for the display and watchers: snapshot, events, readings of the environment."""
+"""The status of a run for the display and watchers: snapshot, events, environment, losses."""
 
 import math
 from collections import deque
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from dataclasses import astuple, replace
 
 from acquisition.frame import Frame
+from acquisition.frame_losses import FrameLosses
 from acquisition.record.events import Event, EventKind
-from acquisition.record.topics import Environment
+from acquisition.record.topics import Environment, RecordedLosses
 from processing.deflections import DeflectionUnit
 from processing.swing import Swing
 from processing.ticks import nanoseconds
-from rig.devices import Devices, LightWatch
+from rig.devices import Devices, FrameStream, LightWatch
 from rig.instrument import Block, Snapshot
 from rig.measure.run_parts import Watcher
 
@@ -132,3 +133,34 @@ class RunStatus:
             devices=self._devices.now(),
             alarm=self.light.alarm or snapshot.alarm,
         )
+
+
+_INTERVAL_NS = 1_000_000_000
+
+
+class LossLog:
+    """Losses of a stream since a record began; with `from_start` also those before the record."""
+
+    def __init__(self, stream: FrameStream, *, from_start: bool) -> None:
+        self._stream = stream
+        self._before = FrameLosses() if from_start else stream.losses
+        self._written = FrameLosses()
+        self._due_ns = 0
+
+    @property
+    def now(self) -> FrameLosses:
+        """Losses so far."""
+        return self._stream.losses.since(self._before)
+
+    def due(self, time_ns: int) -> RecordedLosses | None:
+        """The losses to be recorded now, if they have changed; at most once per second of frame time."""
+        now = self.now
+        if now == self._written or time_ns < self._due_ns:
+            return None
+        self._due_ns = time_ns + _INTERVAL_NS
+        return self.last(time_ns)
+
+    def last(self, time_ns: int) -> RecordedLosses:
+        """The present losses, to be recorded in any case."""
+        self._written = self.now
+        return RecordedLosses(time_ns, *astuple(self._written))

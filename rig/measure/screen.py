@@ -22,9 +22,7 @@ from processing.deflections import DeflectionUnit
 from processing.ticks import seconds
 from rig.instrument import Block, Phase, Snapshot
 from rig.measure.end_of_run import BELOW_IN_A_ROW
-from rig.measure.estimates_text import estimate_rows, estimates_tree
-from rig.measure.rates import Rates
-from rig.measure.run_panel import run_panel
+from rig.measure.run_panel import Rates, estimate_rows, estimates_tree, run_panel
 from rig.presentation import Verdict, print_json_line, print_verdicts, say, table_tree
 from rig.settings import StopCondition
 

@@ -6,9 +6,8 @@ import numpy as np
 
 from acquisition.record.events import Event, EventKind
 from processing.deflections import DeflectionUnit
-from processing.kick_watch import KickWatch
 from processing.spot import SpotFlag
-from processing.step_watch import StepWatch
+from processing.step_watch import KickWatch, StepWatch
 from rig.instrument import Block
 
 _LEAST_REST = {DeflectionUnit.RAD: 3.0, DeflectionUnit.PX: 1.0}

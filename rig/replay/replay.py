@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.frame import Frame
-from acquisition.record.identity import thinning_of
+from acquisition.record.proof import thinning_of
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import WINDOW, RecordedWindow
 from processing.deflections import Deflections

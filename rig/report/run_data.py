@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from acquisition.frame import Frame
 from acquisition.record.digest import known_sha256_of
-from acquisition.record.identity import measured_sha256_of
+from acquisition.record.proof import measured_sha256_of
 from acquisition.record.reader import RecordReader
 from acquisition.record.recorded_camera import RecordedCamera
 from processing.deflections import Deflections, DeflectionUnit

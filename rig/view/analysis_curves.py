@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from acquisition.record.identity import measured_sha256_of
+from acquisition.record.proof import measured_sha256_of
 from acquisition.record.reader import RecordReader
 from processing.contact import moment_loop
 from processing.deflections import DeflectionUnit

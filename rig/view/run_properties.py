@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from math import isfinite
 
-from acquisition.record.identity import measured_sha256_of
+from acquisition.record.proof import measured_sha256_of
 from acquisition.record.reader import RecordReader
 from processing.fit import FitMethod
 from rig.analysis import recorded_results, recorded_surroundings

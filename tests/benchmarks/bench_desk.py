@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from rig.channel import Channel, SessionTelling
-from rig.channel.server import _Handler
+from rig.channel.loopback import _Handler
 from rig.instrument.snapshot import Snapshot
 from rig.measure.screen import RunDisplay
 from rig.settings import load_configuration

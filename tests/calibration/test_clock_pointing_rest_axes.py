@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from calibration.at_rest import require_rest
 from calibration.axes_fit import fit_axes
+from calibration.oscillation import require_rest
 from calibration.pointing import stability
 from calibration.timebase import relate_clocks, unwrap_counter
 from processing.errors import DataError

@@ -18,7 +18,7 @@ from acquisition.cameras.files.settings import FilesSettings
 from acquisition.record.check import check_record
 from acquisition.record.reader import RecordReader
 from acquisition.record.recover import recover
-from acquisition.simulation.ground_file import read_ground_file
+from acquisition.simulation.ground import read_ground_file
 from calibration.store import read_calibration
 from processing.errors import RigError
 from rig.analysis import encoded, read_results

@@ -18,7 +18,7 @@ from acquisition.camera import (
     FrameTimeout,
 )
 from acquisition.cameras import wiring
-from acquisition.cameras.aravis.buffers import BufferReader
+from acquisition.cameras.aravis.buffers import BufferReader, FrameNumbering
 from acquisition.cameras.aravis.features import AravisFeatures
 from acquisition.cameras.aravis.library import (
     AravisDevice,
@@ -26,7 +26,6 @@ from acquisition.cameras.aravis.library import (
     find_camera,
     load_library,
 )
-from acquisition.cameras.aravis.numbering import FrameNumbering
 from acquisition.cameras.aravis.parting import Parting, nothing
 from acquisition.cameras.aravis.settings import AravisSettings
 from acquisition.frame import Frame

@@ -5,10 +5,9 @@ from typing import Any
 
 from acquisition.camera import CameraSettings, ColourPlane, FeatureValue, PixelFormat
 from acquisition.cameras import preparation, wiring
-from acquisition.cameras.automatic import RESULTING_RATES
-from acquisition.cameras.binning import binning_of
 from acquisition.cameras.colour_plane import format_of, in_sensor_px, preferred_names
 from acquisition.cameras.pixel_formats import Format
+from acquisition.cameras.preparation import RESULTING_RATES, binning_of
 from processing.errors import DeviceError
 
 

@@ -12,9 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.cameras.files.ffv1 import Ffv1Checksums
-from acquisition.cameras.files.pgm import read_pgm
-from acquisition.cameras.files.tiff import is_cut_off
+from acquisition.cameras.files.formats import Ffv1Checksums, is_cut_off, read_pgm
 from processing.errors import DeviceError
 
 _log = logging.getLogger(__name__)

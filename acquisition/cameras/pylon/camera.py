@@ -2,6 +2,7 @@
 
 import threading
 import time
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, Final
@@ -17,16 +18,15 @@ from acquisition.camera import (
     ColourPlane,
     FeatureValue,
     FrameTimeout,
+    PluggedCamera,
 )
 from acquisition.cameras import wiring
 from acquisition.cameras.colour_plane import plane_of
 from acquisition.cameras.pixel_formats import Format
-from acquisition.cameras.pylon.blocks import NO_BLOCK, missing_blocks
 from acquisition.cameras.pylon.features import PylonFeatures
-from acquisition.cameras.pylon.library import load_pylon
 from acquisition.cameras.pylon.settings import PylonSettings
 from acquisition.frame import Frame
-from processing.errors import DeviceError
+from processing.errors import DeviceError, MissingPackage
 
 _POLL_MS: Final = 100
 
@@ -230,3 +230,43 @@ class PylonCamera:
                 self._was_lost = True
                 raise CameraLost(f"{self._name}: is no longer connected; plug it in again ({text})") from None
             raise DeviceError(f"{self._name}: {text}") from None
+
+
+def load_pylon() -> Any:
+    """pypylon's module; DeviceError that says how to install it."""
+    try:
+        with warnings.catch_warnings():
+            # importing its binary module raises warnings, and would fail if warnings are errors
+            warnings.simplefilter("ignore")
+            from pypylon import pylon
+    except ImportError:
+        raise DeviceError(str(MissingPackage("camera.driver = 'pylon'", "pypylon"))) from None
+    return pylon
+
+
+def list_cameras() -> list[PluggedCamera]:
+    """All cameras found by pylon, with the transport layer as `place`."""
+    devices = load_pylon().TlFactory.GetInstance().EnumerateDevices()
+    return [
+        PluggedCamera("pylon", device.GetModelName(), device.GetSerialNumber(), device.GetDeviceClass())
+        for device in devices
+    ]
+
+
+NO_BLOCK: Final = 2**64 - 1
+"""A block whose number pylon does not know."""
+_GIGE_BLOCKS: Final = 65535
+_MOST_MISSING: Final = 1000
+
+
+def missing_blocks(last: int, block: int) -> int:
+    """Number of blocks between two numbers; GigE cameras count from 65535 to 1, USB cameras on.
+
+    0 for numbers that pylon does not know, and after a counter that began anew.
+    """
+    if NO_BLOCK in (last, block):
+        return 0
+    if block > last:
+        return block - last - 1
+    past_end = block + _GIGE_BLOCKS - last
+    return past_end - 1 if 0 < past_end <= _MOST_MISSING else 0

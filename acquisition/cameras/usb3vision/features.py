@@ -6,10 +6,9 @@ from typing import Any, Final
 
 from acquisition.camera import CameraSettings, ColourPlane, FeatureValue, PixelFormat
 from acquisition.cameras import preparation, wiring
-from acquisition.cameras.automatic import RESULTING_RATES
-from acquisition.cameras.binning import binning_of
 from acquisition.cameras.colour_plane import format_of, in_sensor_px, names_by_depth
 from acquisition.cameras.pixel_formats import Format
+from acquisition.cameras.preparation import RESULTING_RATES, binning_of
 from acquisition.cameras.usb3vision.feature_readings import FeatureReading, read_all
 from acquisition.cameras.usb3vision.genapi.choice_nodes import Enumeration
 from acquisition.cameras.usb3vision.genapi.node_map import NodeMap

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from acquisition.camera import Camera, CameraSettings, FrameTimeout, PixelFormat
-from acquisition.cameras.pylon.blocks import missing_blocks
-from acquisition.cameras.pylon.camera import PylonCamera
+from acquisition.cameras.pylon.camera import PylonCamera, missing_blocks
 from acquisition.cameras.pylon.settings import PylonSettings
 from processing.errors import DeviceError
 from rig.instrument import setting_differences

@@ -348,7 +348,7 @@ def test_a_cut_file_is_listed_without_unpacking_its_chunks(
     with path.open("rb") as file:
         expected = list(read_contents(file).chunks)
     path.write_bytes(whole[:-37])
-    monkeypatch.setattr("acquisition.record.chunk_times.open_chunk", unpacked)
+    monkeypatch.setattr("acquisition.record.without_index.open_chunk", unpacked)
     with path.open("rb") as file:
         contents = read_contents(file)
     assert list(contents.chunks) == expected

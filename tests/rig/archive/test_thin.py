@@ -10,7 +10,7 @@ import pytest
 
 from acquisition.record.check import check_record
 from acquisition.record.digest import sha256_of
-from acquisition.record.identity import Thinning, measured_sha256_of
+from acquisition.record.proof import Thinning, measured_sha256_of
 from acquisition.record.reader import RecordReader
 from acquisition.record.recover import recover
 from acquisition.record.thin import thin

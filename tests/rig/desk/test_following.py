@@ -10,8 +10,9 @@ from pathlib import Path
 import pytest
 
 from processing.errors import RigError
-from rig.channel import Channel, SessionTelling, line
-from rig.channel.server import CHANNEL_NAME
+from rig.channel import Channel, SessionTelling
+from rig.channel import loopback as line
+from rig.channel.loopback import CHANNEL_NAME
 from rig.desk.following import Following
 from rig.settings import Configuration
 

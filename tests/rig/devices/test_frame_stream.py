@@ -19,8 +19,8 @@ from acquisition.record.reader import RecordReader
 from acquisition.simulation.faults import FaultSettings
 from acquisition.simulation.settings import SimulationSettings
 from processing.errors import DeviceError
-from rig.devices.clock_watch import ClockWatch
 from rig.devices.frame_stream import FrameLine, FrameStream
+from rig.devices.host_clock import ClockWatch
 from rig.measure.session import simulate_record
 from rig.settings.configuration import load_configuration
 from tests.acquisition.cameras.usb3vision.backend import InProcessBackend, wait_until

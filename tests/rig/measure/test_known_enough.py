@@ -10,7 +10,7 @@ from processing.errors import ConfigurationError
 from processing.estimate import Estimate
 from rig.instrument import Snapshot
 from rig.measure.end_of_run import EndLimits, EndOfRun
-from rig.measure.estimates_text import estimate_rows
+from rig.measure.run_panel import estimate_rows
 from rig.measure.session import measure_session
 from rig.settings import StopCondition
 from rig.settings.configuration import load_configuration

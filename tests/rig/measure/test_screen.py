@@ -16,7 +16,7 @@ from processing.estimate import Estimate
 from processing.swing import Swing
 from rig.instrument.pipeline import Block
 from rig.instrument.snapshot import Phase, Snapshot
-from rig.measure.estimates_text import estimate_texts
+from rig.measure.run_panel import estimate_texts
 from rig.measure.screen import RunDisplay
 from rig.view.state_text import state_text
 

@@ -12,9 +12,9 @@ import pytest
 
 from acquisition.camera import Camera, CameraLost, CameraSettings, FrameTimeout, PixelFormat
 from acquisition.cameras import drivers
+from acquisition.cameras.aravis.buffers import FrameNumbering
 from acquisition.cameras.aravis.camera import AravisCamera
 from acquisition.cameras.aravis.library import find_cameras, load_library
-from acquisition.cameras.aravis.numbering import FrameNumbering
 from acquisition.cameras.aravis.settings import AravisSettings
 from acquisition.frame import Frame
 from processing.errors import DeviceError

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from acquisition.cameras.aravis.numbering import FrameNumbering
+from acquisition.cameras.aravis.buffers import FrameNumbering
 
 
 def at_once(numbering: FrameNumbering, *frame_ids: int) -> list[int | None]:
