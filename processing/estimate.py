@@ -33,10 +33,5 @@ class Estimate:
     def __iter__(self) -> Iterator[float]:
         return iter((self.value, self.standard_uncertainty))
 
-    @property
-    def well_determined(self) -> bool:
-        """Whether the relative uncertainty is at most `WELL_DETERMINED`."""
-        return self.standard_uncertainty <= WELL_DETERMINED * abs(self.value)
-
 
 NOT_DETERMINED = Estimate(nan, nan)

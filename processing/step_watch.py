@@ -10,86 +10,15 @@ from numpy.typing import NDArray
 from processing.robust import robust_scatter
 from processing.ticks import seconds
 
-_KICK_HALF = 8
-"""Turning points of a line: two for the line, six for its scatter."""
-"""In white noise 3 of 20,000 turning points exceed 5 and none exceeds 6 (simulated); real noise is not as
-white."""
-_MOST_MISSING = _KICK_HALF // 2
-"""Half a line: over a longer gap both lines are extrapolated too far."""
-
-
-@dataclass(frozen=True, slots=True)
-class Kick:
-    """A push at about `time_ns`; `size` is the amplitude that it would have given at rest."""
-
-    time_ns: int
-    size: float
-
-
-class KickWatch:
-    """Compares a straight line through eight turning points with one through the eight before.
-
-    The curvature of a decay bends both alike, so that it cancels. A push while the pendulum is fast changes
-    its amplitude, one at a turning point its phase; both count.
-
-    Parameters
-    ----------
-    least
-        Smaller pushes are not reported (unit of the amplitudes).
-    """
-
-    def __init__(self, least: float) -> None:
-        self._least = least
-        self._points: deque[tuple[int, int, float]] = deque(maxlen=2 * _KICK_HALF)
-
-    def take(self, index: int, time_ns: int, amplitude: float) -> Kick | None:
-        """Take the next turning point; NaN is left out. Returns a push once, eight points after it.
-
-        More than four that are missing in a row, by `index`, begin afresh.
-        """
-        if not math.isfinite(amplitude):
-            return None
-        if self._points and index - self._points[-1][0] > _MOST_MISSING + 1:
-            self._points.clear()
-        self._points.append((index, time_ns, amplitude))
-        if len(self._points) < 2 * _KICK_HALF:
-            return None
-        first_ns = self._points[0][1]
-        count = np.array([point[0] for point in self._points], dtype=np.float64)
-        time_s = np.array([seconds(point[1] - first_ns) for point in self._points])
-        sizes = np.array([point[2] for point in self._points])
-        middle = 0.5 * (count[_KICK_HALF - 1] + count[_KICK_HALF])
-        grown, u_grown = _jump(count, sizes, middle)
-        late_s, u_late_s = _jump(count, time_s, middle)
-        # half a period is the slope of the times
-        rate = math.pi * (count[-1] - count[0]) / time_s[-1] * float(np.mean(sizes))
-        size = math.hypot(grown, rate * late_s)
-        if size < max(self._least, _SIGNIFICANCE * math.hypot(u_grown, rate * u_late_s)):
-            return None
-        time_ns = self._points[_KICK_HALF][1]
-        for _ in range(_KICK_HALF):
-            self._points.popleft()
-        return Kick(time_ns, size)
-
-
-def _jump(at: NDArray[np.float64], values: NDArray[np.float64], middle: float) -> tuple[float, float]:
-    """Jump at `middle` between the lines through both halves, and its standard uncertainty."""
-    ends, squares, spread = [], 0.0, 0.0
-    for half in (slice(None, _KICK_HALF), slice(_KICK_HALF, None)):
-        x, y = at[half] - middle, values[half]
-        centred = x - x.mean()
-        slope = float(centred @ y) / float(centred @ centred)
-        end = float(y.mean()) - slope * float(x.mean())
-        ends.append(end)
-        squares += float(np.sum((y - end - slope * x) ** 2))
-        spread += 1.0 / _KICK_HALF + float(x.mean()) ** 2 / float(centred @ centred)
-    return ends[1] - ends[0], math.sqrt(squares / (2 * _KICK_HALF - 4) * spread)
-
-
-_HALF = 6
 _SIGNIFICANCE = 8.0
 """In white noise one of 1,100 values exceeds it by chance, since six values tell their scatter badly (5: one
-of 150; simulated). The least step that is reported is meant to lie above the noise."""
+of 150; simulated); of 20,000 turning points 3 exceed 5 and none exceeds 6, and real noise is not as white. The
+least step that is reported is meant to lie above the noise."""
+_HALF = 6
+_KICK_HALF = 8
+"""Turning points of a line: two for the line, six for its scatter."""
+_MOST_MISSING = _KICK_HALF // 2
+"""Half a line: over a longer gap both lines are extrapolated too far."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,3 +60,64 @@ class StepWatch:
         for _ in range(_HALF):
             self._values.popleft()
         return Step(time_ns, size)
+
+
+class KickWatch:
+    """Compares a straight line through eight turning points with one through the eight before.
+
+    The curvature of a decay bends both alike, so that it cancels. A push while the pendulum is fast changes
+    its amplitude, one at a turning point its phase; both count. The size of a push is the amplitude that it
+    would have given at rest.
+
+    Parameters
+    ----------
+    least
+        Smaller pushes are not reported (unit of the amplitudes).
+    """
+
+    def __init__(self, least: float) -> None:
+        self._least = least
+        self._points: deque[tuple[int, int, float]] = deque(maxlen=2 * _KICK_HALF)
+
+    def take(self, index: int, time_ns: int, amplitude: float) -> Step | None:
+        """Take the next turning point; NaN is left out. Returns a push once, eight points after it.
+
+        More than four that are missing in a row, by `index`, begin afresh.
+        """
+        if not math.isfinite(amplitude):
+            return None
+        if self._points and index - self._points[-1][0] > _MOST_MISSING + 1:
+            self._points.clear()
+        self._points.append((index, time_ns, amplitude))
+        if len(self._points) < 2 * _KICK_HALF:
+            return None
+        first_ns = self._points[0][1]
+        count = np.array([point[0] for point in self._points], dtype=np.float64)
+        time_s = np.array([seconds(point[1] - first_ns) for point in self._points])
+        sizes = np.array([point[2] for point in self._points])
+        middle = 0.5 * (count[_KICK_HALF - 1] + count[_KICK_HALF])
+        grown, u_grown = _jump(count, sizes, middle)
+        late_s, u_late_s = _jump(count, time_s, middle)
+        # half a period is the slope of the times
+        rate = math.pi * (count[-1] - count[0]) / time_s[-1] * float(np.mean(sizes))
+        size = math.hypot(grown, rate * late_s)
+        if size < max(self._least, _SIGNIFICANCE * math.hypot(u_grown, rate * u_late_s)):
+            return None
+        time_ns = self._points[_KICK_HALF][1]
+        for _ in range(_KICK_HALF):
+            self._points.popleft()
+        return Step(time_ns, size)
+
+
+def _jump(at: NDArray[np.float64], values: NDArray[np.float64], middle: float) -> tuple[float, float]:
+    """Jump at `middle` between the lines through both halves, and its standard uncertainty."""
+    ends, squares, spread = [], 0.0, 0.0
+    for half in (slice(None, _KICK_HALF), slice(_KICK_HALF, None)):
+        x, y = at[half] - middle, values[half]
+        centred = x - x.mean()
+        slope = float(centred @ y) / float(centred @ centred)
+        end = float(y.mean()) - slope * float(x.mean())
+        ends.append(end)
+        squares += float(np.sum((y - end - slope * x) ** 2))
+        spread += 1.0 / _KICK_HALF + float(x.mean()) ** 2 / float(centred @ centred)
+    return ends[1] - ends[0], math.sqrt(squares / (2 * _KICK_HALF - 4) * spread)

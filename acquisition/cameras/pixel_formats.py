@@ -134,5 +134,4 @@ FORMATS: Final = (
     Format("Mono14", 0x01100025, "mono14", 16, 16383),
     Format("Mono16", 0x01100007, "mono16", 16, 65535),
 )
-BY_CODE: Final = {item.code: item for item in FORMATS}
 BY_NAME: Final = {item.name: item for item in FORMATS}

@@ -20,7 +20,7 @@ import struct
 import sys
 import threading
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import zstandard
@@ -286,6 +286,23 @@ def create_record(path: Path, reserve_bytes: int, zstd_level: int = _ZSTD_LEVEL)
         raise RecordError(f"{path}: exists already and is never overwritten; choose another name") from None
     except OSError as error:
         raise RecordError(f"{path}: cannot be created: {error.strerror or error}") from None
+
+
+@contextlib.contextmanager
+def new_record(
+    path: Path, source: Path, reserve_bytes: int, zstd_level: int = _ZSTD_LEVEL
+) -> Iterator[McapFile]:
+    """The file of a record made from `source`; none is left where it could not be finished."""
+    file = create_record(path, reserve_bytes, zstd_level)
+    try:
+        yield file
+    except BaseException as error:
+        file.abandon()
+        path.unlink(missing_ok=True)
+        if not isinstance(error, OSError):
+            raise
+        why = f"{path}: cannot be written: {error.strerror or error}; {source} is unchanged"
+        raise RecordError(why) from error
 
 
 def _sync_file(number: int) -> None:

@@ -7,14 +7,13 @@ from pathlib import Path
 
 from acquisition.record.chunk_builder import MESSAGE_HEAD, ChunkBuilder
 from acquisition.record.chunk_reader import ChunkDamage, message_heads
-from acquisition.record.container import McapFile, create_record
+from acquisition.record.container import McapFile, new_record
 from acquisition.record.descriptions import own_texts
 from acquisition.record.digest import sha256_of
 from acquisition.record.proof import unproved_parts
 from acquisition.record.proved_file import Damage
 from acquisition.record.reader import RecordReader
 from acquisition.record.records import HEAD
-from processing.errors import RecordError
 
 _RESERVE_BYTES = 1024 * 1024
 RECOVERY = "recovery"
@@ -53,21 +52,9 @@ def recover(source: Path, path: Path) -> Recovery:
     RecordError
         The source is not a record of this program; the new file exists already or cannot be written.
     """
-    with RecordReader(source) as reader:
-        file = create_record(path, _RESERVE_BYTES)
-        try:
-            found = _copy(reader, file, path)
-            file.finish()
-        except OSError as error:
-            file.abandon()
-            path.unlink(missing_ok=True)
-            raise RecordError(
-                f"{path}: cannot be written: {error.strerror or error}; {source} is unchanged"
-            ) from error
-        except BaseException:
-            file.abandon()
-            path.unlink(missing_ok=True)
-            raise
+    with RecordReader(source) as reader, new_record(path, source, _RESERVE_BYTES) as file:
+        found = _copy(reader, file, path)
+        file.finish()
     return found
 
 

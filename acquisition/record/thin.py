@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 from acquisition.record.chunk_builder import ChunkBuilder
 from acquisition.record.chunk_reader import RawMessage, messages_in
-from acquisition.record.container import McapFile, create_record
+from acquisition.record.container import McapFile, new_record
 from acquisition.record.digest import sha256_of
 from acquisition.record.pixels import decode_window
 from acquisition.record.proof import THINNED, Thinning, is_sound, thinning_of
@@ -104,23 +104,12 @@ def thin(
         why = why_not_thinned(reader, thinning)
         if why is not None:
             raise RecordError(f"{source}: {why}")
-        file = create_record(path, _RESERVE_BYTES, _ZSTD_LEVEL)
-        try:
+        with new_record(path, source, _RESERVE_BYTES, _ZSTD_LEVEL) as file:
             copied = _copy(reader, file, thinning, said, attachments)
             file.finish()
             if file.full is not None:
                 raise file.full
             _prove(path, copied)
-        except OSError as error:
-            file.abandon()
-            path.unlink(missing_ok=True)
-            raise RecordError(
-                f"{path}: cannot be written: {error.strerror or error}; {source} is unchanged"
-            ) from error
-        except BaseException:
-            file.abandon()
-            path.unlink(missing_ok=True)
-            raise
         return Thinned(copied.measured, copied.windows, reader.contents.size, path.stat().st_size)
 
 

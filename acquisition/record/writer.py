@@ -6,8 +6,6 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-import numpy as np
-
 from acquisition.frame import Frame, Image
 from acquisition.record.balances import encode_balance
 from acquisition.record.chunk_builder import ChunkBuilder
@@ -21,7 +19,6 @@ from acquisition.record.topics import (
     BALANCE,
     BALANCE_UNCALIBRATED,
     CAMERA_TOPIC,
-    ENVIRONMENT,
     EVENT,
     IMAGE_TOPIC,
     LOG_TOPIC,
@@ -32,7 +29,6 @@ from acquisition.record.topics import (
     SWING,
     SWING_UNCALIBRATED,
     WINDOW,
-    Environment,
 )
 from processing.balance import Balance
 from processing.deflections import Deflections, DeflectionUnit
@@ -189,18 +185,6 @@ class RecordWriter:
         """Write a line of the log; `level` as in foxglove.Log (1 debug ... 5 fatal)."""
         data = encode_log(self._offset_ns + time_ns, level, source, text)
         self._add(self._numbers, LOG_TOPIC, time_ns, data)
-
-    def write_environment(
-        self,
-        time_ns: int,
-        temperature_c: float = np.nan,
-        humidity_percent: float = np.nan,
-        pressure_pa: float = np.nan,
-    ) -> None:
-        """Write readings of the laboratory's sensors; NaN for quantities that are not measured."""
-        self.write(
-            ENVIRONMENT.topic, Environment(time_ns, temperature_c, humidity_percent, pressure_pa), time_ns
-        )
 
     def write_camera_calibration(
         self,

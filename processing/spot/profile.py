@@ -89,11 +89,6 @@ class Fit(NamedTuple):
     u_y_px: float
 
 
-def half_widths(shape: Shape) -> tuple[int, int]:
-    """Half-widths (x, y) in px of the window in which a beam is fitted."""
-    return math.ceil(REACH * math.sqrt(shape.xx)), math.ceil(REACH * math.sqrt(shape.yy))
-
-
 def fit_at(
     profile: BeamProfile,
     pixels: Image,

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from acquisition.frame import Frame
+from acquisition.record.topics import Environment
 from acquisition.record.writer import RecordWriter
 from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import Spot, SpotFlag
@@ -93,7 +94,7 @@ def write_sample(
                 frame = Frame(rng.poisson(9, (48, 64)).astype(dtype), first, first * FRAME_NS, 0)
                 done.images.append(frame)
                 writer.write_image(frame)
-                writer.write_environment(time_ns, 21.5, pressure_pa=101325.0)
+                writer.write("/environment", Environment(time_ns, 21.5, np.nan, 101325.0), time_ns)
             writer.write_log(time_ns, 2, "session", f"block {first}")
             writer.flush()
         writer.write_event(frames * FRAME_NS, "stop", "amplitude below 2 arcsec")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from acquisition.camera import CameraSettings, ColourPlane, FrameTimeout
-from acquisition.cameras.pixel_formats import BY_CODE
+from acquisition.cameras.pixel_formats import FORMATS
 from processing.errors import DeviceError
 from rig.instrument import setting_differences
 from tests.acquisition.cameras.usb3vision import description as layout
@@ -22,13 +22,12 @@ def test_every_format_gives_the_cameras_pixels(device: VisionDevice, name: str) 
     camera.features.set("PixelFormat", name)
     camera.configure(CameraSettings(width_px=328, height_px=202, offset_x_px=10))
     camera.start()
+    full_scale_dn = {item.code: item.full_scale_dn for item in FORMATS}
     for _ in range(3):
         frame = camera.read(2.0)
         assert frame is not None
         assert np.array_equal(frame.image, device.pixels(frame.sequence))
-        assert frame.image.dtype == (
-            np.uint8 if BY_CODE[device.pixel_format].full_scale_dn == 255 else np.uint16
-        )
+        assert frame.image.dtype == (np.uint8 if full_scale_dn[device.pixel_format] == 255 else np.uint16)
         assert not frame.image.flags.writeable
     camera.close()
 
