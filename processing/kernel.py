@@ -194,11 +194,12 @@ def cache_of(function: Any, options: dict[str, Any]) -> Any:
 
 
 def code_of(function: FunctionType, seen: set[object]) -> Iterator[bytes]:
-    """What the machine code of a function follows from: bytecode, values it uses, functions it calls."""
+    """What the machine code of a function follows from: its place, bytecode, values, functions it calls."""
     if function in seen:
         return
     seen.add(function)
-    yield repr(function.__defaults__).encode()
+    # machine code names the modules of what it calls, which are imported when it is loaded
+    yield f"{function.__module__}.{function.__qualname__}{function.__defaults__!r}".encode()
     codes = [function.__code__]
     while codes:
         code = codes.pop()

@@ -12,8 +12,8 @@ from processing.ticks import seconds
 
 _SIGNIFICANCE = 8.0
 """In white noise one of 1,100 values exceeds it by chance, since six values tell their scatter badly (5: one
-of 150; simulated); of 20,000 turning points 3 exceed 5 and none exceeds 6, and real noise is not as white. The
-least step that is reported is meant to lie above the noise."""
+of 150; simulated); of 20,000 turning points 3 exceed 5 and none exceeds 6, and real noise is not as white.
+The least step that is reported is meant to lie above the noise."""
 _HALF = 6
 _KICK_HALF = 8
 """Turning points of a line: two for the line, six for its scatter."""

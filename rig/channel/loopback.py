@@ -12,7 +12,7 @@ import urllib.parse
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import TracebackType
-from typing import Any, ClassVar, NamedTuple, Self, cast
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
@@ -44,28 +44,17 @@ class Channel:
         extra: Callable[[], Mapping[str, Any]] = dict,
     ) -> None:
         self._path = folder / CHANNEL_NAME
-        self._telling, self._orders, self._extra = telling, orders, extra
-        self._server: http.server.ThreadingHTTPServer | None = None
-        self._over = threading.Event()
+        self.telling, self.orders, self.extra = telling, orders, extra
+        self.key = secrets.token_urlsafe(24)
+        self.over = threading.Event()
+        self._server: _Server | None = None
         self.problem = ""
 
     def __enter__(self) -> Self:
-        key = secrets.token_urlsafe(24)
-        kind = type(
-            "_Session",
-            (_Handler,),
-            {
-                "key": key,
-                "telling": self._telling,
-                "orders": self._orders,
-                "extra": (self._extra,),
-                "over": self._over,
-            },
-        )
         try:
-            self._server = _Server((LOOPBACK, 0), cast(type[_Handler], kind))
+            self._server = _Server(self)
             port = self._server.server_address[1]
-            _write(self._path, {"port": port, "key": key, "pid": os.getpid()})
+            _write(self._path, {"port": port, "key": self.key, "pid": os.getpid()})
         except OSError as error:
             self.problem = f"nobody can watch this session: {error}"
             if self._server is not None:
@@ -81,7 +70,7 @@ class Channel:
         if self._server is None:
             return
         # who is connected already would be answered for as long as the process fits what was measured
-        self._over.set()
+        self.over.set()
         with contextlib.suppress(OSError):
             self._path.unlink()
         self._server.shutdown()
@@ -93,6 +82,10 @@ class _Server(http.server.ThreadingHTTPServer):
     # a reader that hangs keeps no session from ending
     block_on_close = False
 
+    def __init__(self, channel: Channel) -> None:
+        super().__init__((LOOPBACK, 0), _Handler)
+        self.channel = channel
+
     def handle_error(self, request: Any, client_address: Any) -> None:
         """A reader that has gone is no event of the session."""
 
@@ -100,23 +93,19 @@ class _Server(http.server.ThreadingHTTPServer):
 class _Handler(http.server.BaseHTTPRequestHandler):
     protocol_version = "HTTP/1.1"
     timeout = 30.0
-    key: ClassVar[str]
-    telling: ClassVar[SessionTelling]
-    orders: ClassVar[Orders]
-    extra: ClassVar[tuple[Callable[[], Mapping[str, Any]]]]
-    over: ClassVar[threading.Event]
+    server: _Server
 
     def do_GET(self) -> None:
-        address = urllib.parse.urlsplit(self.path)
+        address, channel = urllib.parse.urlsplit(self.path), self.server.channel
         if not self._may_ask():
             return
         number = urllib.parse.parse_qs(address.query).get("after", ["0"])[0]
         after = int(number) if number.isdecimal() else 0
         if address.path == "/news":
-            news = {**self.telling.news(after), **self.extra[0]()}
+            news = {**channel.telling.news(after), **channel.extra()}
             self._answer(json.dumps(plain_values(news)).encode(), "application/json")
         elif address.path == "/picture":
-            frame = self.telling.picture(after)
+            frame = channel.telling.picture(after)
             if frame is None:
                 self._answer(b"", "text/plain", http.HTTPStatus.NO_CONTENT)
                 return
@@ -133,11 +122,11 @@ class _Handler(http.server.BaseHTTPRequestHandler):
 
     def do_POST(self) -> None:
         length = int(self.headers.get("Content-Length") or 0)
-        if not self._may_ask() or length > _MOST_ASKED_BYTES:
+        if not self._may_ask() or not 0 <= length <= _MOST_ASKED_BYTES:
             self.close_connection = True
             return
         name = self.rfile.read(length).decode(errors="replace")
-        order = self.orders.get(name)
+        order = self.server.channel.orders.get(name)
         try:
             done = f"{name!r}: this session knows no such order" if order is None else order()
             answer = {"ok": order is not None, "text": done}
@@ -150,14 +139,11 @@ class _Handler(http.server.BaseHTTPRequestHandler):
         """Requests are not logged."""
 
     def _may_ask(self) -> bool:
-        if self.over.is_set():
-            self.close_connection = True
-            self.send_error(http.HTTPStatus.GONE)
-            return False
-        if hmac.compare_digest(self.headers.get("Authorization", "").encode(), self.key.encode()):
+        channel, key = self.server.channel, self.headers.get("Authorization", "")
+        if not channel.over.is_set() and hmac.compare_digest(key.encode(), channel.key.encode()):
             return True
         self.close_connection = True
-        self.send_error(http.HTTPStatus.FORBIDDEN)
+        self.send_error(http.HTTPStatus.GONE if channel.over.is_set() else http.HTTPStatus.FORBIDDEN)
         return False
 
     def _answer(

@@ -103,6 +103,26 @@ def test_compiled_again_after_a_change(folder: Path, name: str, old: str, new: s
     assert compilations(imported_anew()) == (result, [True])
 
 
+def test_compiled_again_when_a_module_of_what_it_calls_is_gone(folder: Path) -> None:
+    """As after an update of the program: the machine code names the modules that it was made from."""
+    source = folder / "outer_kernel.py"
+    source.write_text(
+        "from processing.kernel import kernel\nfrom inner_kernel import filled\n\n"
+        "@kernel\ndef outer(x, ways):\n    return 2.1 * filled(1)[0]\n"
+    )
+    assert compilations(imported_anew()) == (21.0, [True])
+    (folder / "inner_kernel.py").rename(folder / "moved_kernel.py")
+    source.write_text(source.read_text().replace("inner_kernel", "moved_kernel"))
+    done = subprocess.run(
+        [sys.executable, "-B", "-c", "import outer_kernel; print(outer_kernel.outer(1.0, 1))"],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.stdout == "21.0\n", done.stderr
+
+
 def test_not_compiled_again_for_words(folder: Path) -> None:
     assert compilations(imported_anew()) == (21.0, [True])
     for name, old, new in (("outer", "Text.", "Other text."), ("inner", "FACTOR =", "# why\nFACTOR =")):
