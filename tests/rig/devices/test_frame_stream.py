@@ -109,7 +109,7 @@ def test_losses_are_told_apart() -> None:
     # nobody took the frames: the queue held what it could, the rest is ours to answer for
     kept = len(stream)
     assert 0 < kept < 1500
-    assert stream.losses == (1, 2, 3 + 1500 - kept, 4, 0)
+    assert stream.losses == FrameLosses(1, 2, 3 + 1500 - kept, 4, 0)
     assert stream.losses.since(FrameLosses(by_bus=2)).total == stream.losses.total - 2
     stream.close()
 
