@@ -1,5 +1,7 @@
 """What the fields of the messages mean, as it stands in every file beside their names."""
 
+from processing.units import unit_of_name
+
 _EXACT = {
     "sequence": "number of the frame in the run, from 0; a missing number is a lost frame",
     "time_ns": "ns on the frames' clock, the middle of the exposure; plus epoch_offset_ns of the metadata "
@@ -43,15 +45,6 @@ _EXACT = {
     "kind": "kind of the event",
     "text": "for the user",
 }
-_UNITS = {
-    "rad": "rad",
-    "px": "px",
-    "s": "s",
-    "ns": "ns",
-    "arcsec": "seconds of arc",
-    "dn": "grey values (DN)",
-    "pa": "Pa",
-}
 
 
 def comment_of(name: str) -> str:
@@ -60,7 +53,5 @@ def comment_of(name: str) -> str:
         return _EXACT[name]
     if name.startswith("u_"):
         return f"standard uncertainty (one sigma) of {name[2:]}, in its unit"
-    unit = _UNITS.get(name.removesuffix("_per_s").rsplit("_", 1)[-1])
-    if unit is None:
-        return ""
-    return f"in {unit}{' per s' if name.endswith('_per_s') else ''}"
+    unit = unit_of_name(name)
+    return f"in {unit}" if unit else ""

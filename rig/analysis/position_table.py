@@ -11,13 +11,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from processing.angle import ARCSEC_RAD
 from processing.errors import ConfigurationError, DataError
 from processing.ticks import seconds
+from processing.units import conversion
 
 _LARGEST_TABLE_BYTES = 1024 * 1024 * 1024
 _LONGEST_S = 1e9  # thirty years; 64 bits of nanoseconds hold nine times as much
-TIME_UNITS_NS = {"ns": 1, "us": 10**3, "ms": 10**6, "s": 10**9, "min": 60 * 10**9, "h": 3600 * 10**9}
+TIME_UNITS = ("ns", "us", "ms", "s", "min", "h")
 _EXACT = 2**53
 """Largest whole number of ns that a floating-point number holds."""
 _DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+(?:[eE][+-]?\d+)?")
@@ -29,15 +29,7 @@ _NO_COMMAS = (
 )
 NOT_STATED = "unit"
 """Stands for the unit of positions where none is stated."""
-ANGLES_RAD = {
-    "rad": 1.0,
-    "mrad": 1e-3,
-    "urad": 1e-6,
-    "nrad": 1e-9,
-    "arcsec": ARCSEC_RAD,
-    "arcmin": 60.0 * ARCSEC_RAD,
-    "deg": math.pi / 180.0,
-}
+ANGLES = ("rad", "mrad", "urad", "nrad", "arcsec", "arcmin", "deg")
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,9 +77,9 @@ def read_trajectory(
     ConfigurationError
         A column or a unit of time that there is not.
     """
-    if time_unit and time_unit not in TIME_UNITS_NS:
+    if time_unit and time_unit not in TIME_UNITS:
         raise ConfigurationError(
-            f"--time-unit {time_unit!r} is no unit of time; take one of {', '.join(TIME_UNITS_NS)}"
+            f"--time-unit {time_unit!r} is no unit of time; take one of {', '.join(TIME_UNITS)}"
         )
     header, rows, skipped = _table(path)
     width = len(rows[0])
@@ -107,7 +99,7 @@ def read_trajectory(
         positions=tuple(table.T),
         names=tuple(header[column] if header else f"column {column + 1}" for column in p_columns),
         unit=unit or NOT_STATED,
-        scale_rad=ANGLES_RAD.get(unit),
+        scale_rad=conversion(unit, "rad") if unit in ANGLES else None,
         skipped_rows=skipped,
         time_unit=time_unit,
         time_name=header[t_column] if header else f"column {t_column + 1}",
@@ -116,7 +108,7 @@ def read_trajectory(
 
 def _unit_in_name(name: str) -> str:
     """The unit of time with which a name ends (time_ms, t [ms], t/ms, t (ms)); empty where it has none."""
-    found = re.search(r"(?:_|[\s/(\[])(ns|us|ms|s|min|h)[)\]]?$", name.strip())
+    found = re.search(rf"(?:_|[\s/(\[])({'|'.join(TIME_UNITS)})[)\]]?$", name.strip())
     return found[1] if found else ""
 
 
@@ -129,7 +121,7 @@ def _times_ns(
     times = times[good]
     if len(times) < 2:
         raise DataError(f"{path}: {len(times)} rows have a time; name the time column with --time")
-    size_ns = TIME_UNITS_NS[unit]
+    size_ns = round(conversion(unit, "ns"))
     with np.errstate(over="ignore", invalid="ignore"):
         backwards = np.nonzero(~(np.diff(times) >= 0))[0]
         span_s = (times[-1] - times[0]) * seconds(size_ns)

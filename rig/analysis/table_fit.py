@@ -19,7 +19,7 @@ from processing.separate_decays import separate_decays
 from processing.swing import Swing, SwingDetector, estimate_noise, turning_points
 from processing.ticks import seconds
 from rig.analysis.passing_deflections import PassingDeflections
-from rig.analysis.position_table import ANGLES_RAD, NOT_STATED, Trajectory, read_trajectory
+from rig.analysis.position_table import ANGLES, NOT_STATED, Trajectory, read_trajectory
 from rig.analysis.record_fit import analyse_swings
 from rig.analysis.results import EnvelopeResults, RunResults, TableDecay, TableResults
 from rig.analysis.surroundings import stated_surroundings
@@ -221,11 +221,9 @@ def _values(results: RunResults) -> dict[str, Any]:
 def _why_no_laws(trajectory: Trajectory, config: Configuration | None) -> str:
     if trajectory.scale_rad is None:
         if trajectory.unit == NOT_STATED:
-            return (
-                f"the unit of the position is not stated; --unit takes {', '.join(ANGLES_RAD)}, or any word"
-            )
-        near = get_close_matches(trajectory.unit, ANGLES_RAD, n=1)
-        hint = f"did you mean {near[0]}?" if near else f"--unit takes {', '.join(ANGLES_RAD)}"
+            return f"the unit of the position is not stated; --unit takes {', '.join(ANGLES)}, or any word"
+        near = get_close_matches(trajectory.unit, ANGLES, n=1)
+        hint = f"did you mean {near[0]}?" if near else f"--unit takes {', '.join(ANGLES)}"
         return f"the unit {trajectory.unit!r} is no angle, which the contact's laws need; {hint}"
     if config is None:
         return "no pendulum is known; --config FILE with [pendulum] gives mass and ball"

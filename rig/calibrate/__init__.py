@@ -3,7 +3,7 @@
 from rig.calibrate.axes import calibrate_axes
 from rig.calibrate.clock import calibrate_clock
 from rig.calibrate.filing import Filing
-from rig.calibrate.inputs import LadderFile, TransferFile
+from rig.calibrate.inputs import LADDER_UNITS, LadderFile, TransferFile
 from rig.calibrate.lever import calibrate_lever, check_known_angle
 from rig.calibrate.pointing import calibrate_pointing
 from rig.calibrate.sensor import calibrate_sensor
@@ -11,6 +11,7 @@ from rig.calibrate.shown import Residuals, calibration_residuals, calibration_ta
 from rig.calibrate.shutter import calibrate_shutter
 
 __all__ = [
+    "LADDER_UNITS",
     "Filing",
     "LadderFile",
     "Residuals",

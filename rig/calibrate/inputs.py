@@ -10,17 +10,16 @@ from pydantic import BaseModel, Field, model_validator
 from acquisition.cameras.files.sources import Unreadable, open_source
 from acquisition.record.reader import RecordReader
 from calibration import LadderSteps, LeverGeometry
-from processing.angle import ARCSEC_RAD
 from processing.errors import ConfigurationError, DataError
+from processing.units import conversion
 from rig.settings import read_toml, validated
 
 Image = NDArray[np.uint8] | NDArray[np.uint16]
 _Model = TypeVar("_Model", bound=BaseModel)
 _MOST_FRAMES = 64
-_UNITS = {
-    "tilt": {"rad": 1.0, "mrad": 1e-3, "urad": 1e-6, "arcsec": ARCSEC_RAD, "arcmin": 60.0 * ARCSEC_RAD},
-    "shift": {"m": 1.0, "mm": 1e-3, "um": 1e-6},
-}
+LADDER_UNITS = {"tilt": ("arcsec", "arcmin", "rad", "mrad", "urad"), "shift": ("mm", "um", "m")}
+"""In which readings of the reference may be, by what it does."""
+_SI = {"tilt": "rad", "shift": "m"}
 
 
 class LadderStep(BaseModel, frozen=True, extra="forbid"):
@@ -61,15 +60,15 @@ class LadderFile(BaseModel, frozen=True, extra="forbid"):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        if self.unit not in _UNITS[self.kind]:
-            raise ValueError(f"unit = {self.unit!r}: {', '.join(_UNITS[self.kind])} for a {self.kind}")
+        if self.unit not in LADDER_UNITS[self.kind]:
+            raise ValueError(f"unit = {self.unit!r}: {', '.join(LADDER_UNITS[self.kind])} for a {self.kind}")
         if (self.geometry is None) == (not self.step):
             raise ValueError("state either [[step]] or [geometry]")
         return self
 
     def in_si(self, reading: float) -> float:
         """A reading in rad or m."""
-        return reading * _UNITS[self.kind][self.unit]
+        return reading * conversion(self.unit, _SI[self.kind])
 
     def needed(self, name: Literal["pixel_pitch_m", "arm_m"]) -> float:
         """A value that this kind of ladder requires; raises ConfigurationError if it is missing."""

@@ -21,6 +21,7 @@ from rig.settings.night_plan import PlannedSeries, load_plan
 from rig.settings.phases import PreflightSettings
 from rig.settings.stop_conditions import StopCondition
 from rig.settings.toml_file import read_toml
+from rig.settings.typed import number, optional, quantity, word
 from rig.settings.wording import in_words, validated, wanted
 
 __all__ = [
@@ -45,10 +46,14 @@ __all__ = [
     "load_configuration",
     "load_plan",
     "migrated",
+    "number",
+    "optional",
+    "quantity",
     "read_toml",
     "stored_configuration",
     "toml_value",
     "validate_configuration",
     "validated",
     "wanted",
+    "word",
 ]

@@ -20,6 +20,7 @@ from processing.contact import STANDARD_GRAVITY_M_PER_S2, Material
 from processing.deflections import DeflectionUnit
 from processing.errors import ConfigurationError
 from processing.spot import SensorModel
+from processing.units import unit_of_name
 from rig.control import ControllerSettings, EnvironmentSettings, LaserSettings
 from rig.settings.balance import BalanceSettings
 from rig.settings.calibration import CalibrationSettings, TimebaseSettings
@@ -29,6 +30,7 @@ from rig.settings.migrations import SCHEMA, SCHEMA_KEY, migrated
 from rig.settings.phases import PhaseSettings, PreflightSettings, StartSettings
 from rig.settings.stop_conditions import StopCondition, stop_conditions
 from rig.settings.toml_file import read_toml
+from rig.settings.typed import quantity, states_unit
 from rig.settings.wording import dotted, validated
 
 logger = logging.getLogger(__name__)
@@ -259,9 +261,10 @@ def validate_configuration(
     if config is not None:
         return config
     stated = {f"{override.partition('=')[0].strip()}." for override in overrides}
+    with_u = stated | {".u_".join(key.rsplit(".", 2)[:2]) + "." for key in stated if key.count(".") > 1}
     lines = []
     for place, line in told:
-        at_fault = "--set " if _is_of(dotted(place) or line, stated) else f"{source}: "
+        at_fault = "--set " if _is_of(dotted(place) or line, with_u) else f"{source}: "
         beside = [key.rstrip(".") for key in sorted(stated) if place and key.startswith(f"{place[0]}.")]
         why = f" (--set {beside[0]} states this section)" if ": is missing" in line and beside else ""
         lines.append(f"{at_fault}{line}{why}")
@@ -307,7 +310,10 @@ def _merged(below: dict[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def apply_overrides(tree: dict[str, Any], overrides: Iterable[str]) -> None:
-    """Set ``KEY=VALUE`` (dotted path, TOML value or bare word) in nested dictionaries, in place."""
+    """Set ``KEY=VALUE`` (dotted path, TOML value or bare word) in nested dictionaries, in place.
+
+    A number may state its unit and its standard uncertainty: ``pendulum.ball_radius_m="6.05 mm ± 1 um"``.
+    """
     stated = set()
     for override in overrides:
         key = override.partition("=")[0].strip()
@@ -331,4 +337,12 @@ def _apply_override(tree: dict[str, Any], override: str) -> None:
         place = place.setdefault(part, {})
         if not isinstance(place, dict):
             raise ConfigurationError(f"--set {override}: {part} is a value, not a table")
-    place[parts[-1]] = value
+    name = parts[-1]
+    place[name] = value
+    if isinstance(value, str) and states_unit(value) and (unit := unit_of_name(name)):
+        try:
+            place[name], u = quantity(value, unit)
+        except ConfigurationError as error:
+            raise ConfigurationError(f"--set {key.strip()} = {error}") from None
+        if u is not None:
+            place[f"u_{name}"] = u

@@ -13,6 +13,7 @@ from pydantic.dataclasses import dataclass, is_pydantic_dataclass
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
+from processing.units import unit_of_name
 from rig.settings.migrations import GONE
 
 _Place = tuple[int | str, ...]
@@ -67,8 +68,8 @@ def wanted(fault: ErrorDetails) -> str:
         text = text.replace("greater than or equal to", "at least").replace(
             "less than or equal to", "at most"
         )
-        unit = _UNIT.search(str(fault["loc"][-1]) if fault["loc"] else "")
-        text += f" {_UNITS[unit[1]]}" if unit else ""
+        unit = unit_of_name(str(fault["loc"][-1]) if fault["loc"] else "")
+        text += f" {unit.replace('^2', '²')}" if unit else ""
     return text
 
 
@@ -102,12 +103,6 @@ _WANTED = {
         "a time with its offset from UTC, such as 2026-11-22T09:30:00+01:00",
     ),
 }
-_UNITS = {
-    "arcsec": "arcsec", "c": "°C", "deg": "degrees", "dn": "DN", "hz": "Hz", "kg": "kg", "m": "m",
-    "m_per_s2": "m/s²", "ns": "ns", "pa": "Pa", "percent": "%", "px": "px", "rad": "rad", "s": "s",
-    "us": "µs",
-}  # fmt: skip
-_UNIT = re.compile(f"_({'|'.join(sorted(_UNITS, key=len, reverse=True))})$")
 
 
 def validated(root: type[_Model], tree: Mapping[str, Any]) -> tuple[_Model | None, list[tuple[_Place, str]]]:

@@ -23,7 +23,6 @@ from rig.wizards.kinds import KINDS, calibration_wizard
 from rig.wizards.question import Choice, Question, RecordedAnswer, Wizard
 from rig.wizards.recording import place_for, recorder_of
 from rig.wizards.terminal import ask_in_terminal
-from rig.wizards.typed import number
 
 __all__ = [
     "KINDS",
@@ -45,7 +44,6 @@ __all__ = [
     "keep_draft",
     "kept_draft",
     "next_free",
-    "number",
     "place_for",
     "progress",
     "recorder_of",

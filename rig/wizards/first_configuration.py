@@ -12,10 +12,9 @@ from acquisition.cameras.drivers import DRIVERS
 from processing.contact import MATERIALS
 from processing.errors import ConfigurationError
 from rig.control import LASERS, laser_unit
-from rig.settings import keys_with_faults
+from rig.settings import keys_with_faults, number, optional, quantity, word
 from rig.wizards.configuration_file import Keys
 from rig.wizards.question import Choice, Question
-from rig.wizards.typed import number, optional, quantity, word
 
 _PERIODS = 3.44
 """Length of a look of `rig balance` in periods, as its default is in those of the paper's pendulum."""

@@ -6,18 +6,13 @@ from pathlib import Path
 from typing import Any
 
 from processing.errors import ConfigurationError
-from rig.calibrate import Filing, LadderFile, calibrate_lever
-from rig.settings import keys_with_faults
+from rig.calibrate import LADDER_UNITS, Filing, LadderFile, calibrate_lever
+from rig.settings import keys_with_faults, number, optional, quantity
 from rig.wizards.calibration import a_record, write_table, yes_or_no
 from rig.wizards.question import Choice, Question, RecordedAnswer
-from rig.wizards.typed import number, optional, quantity
 
 _FEWEST_STEPS = 5
 _SECONDS = 20.0
-_UNITS = {
-    "tilt": {"arcsec": "", "arcmin": "", "rad": "", "mrad": "", "urad": ""},
-    "shift": {"mm": "", "um": "", "m": ""},
-}
 _OTHERS = {
     "incidence_along_rad": "Angle of incidence on the mirror, from its normal, in the plane of the swing",
     "incidence_across_rad": "Angle of incidence across that plane",
@@ -127,7 +122,7 @@ def ladder_questions(values: Mapping[str, Any], way: str) -> Iterator[Question]:
         "Unit of the readings:",
         str,
         suggested="arcsec" if tilts else "mm",
-        choices=tuple(Choice(unit, text) for unit, text in _UNITS[way].items()),
+        choices=tuple(Choice(unit, "") for unit in LADDER_UNITS[way]),
     )
     if tilts:
         yield Question(

@@ -7,9 +7,9 @@ from typing import Any
 
 from processing.errors import ConfigurationError
 from rig.calibrate import Filing, calibrate_axes, calibrate_clock, calibrate_pointing, calibrate_shutter
+from rig.settings import number
 from rig.wizards.calibration import a_record
 from rig.wizards.question import Choice, Question, RecordedAnswer
-from rig.wizards.typed import number
 
 
 @dataclass(frozen=True)

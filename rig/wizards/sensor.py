@@ -7,10 +7,9 @@ from typing import Any
 
 from processing.errors import ConfigurationError
 from rig.calibrate import Filing, TransferFile, calibrate_sensor
-from rig.settings import keys_with_faults
+from rig.settings import keys_with_faults, number
 from rig.wizards.calibration import first_positive, write_table
 from rig.wizards.question import Question, RecordedAnswer
-from rig.wizards.typed import number
 
 _FEWEST_LEVELS = 5
 _DARKS = 16

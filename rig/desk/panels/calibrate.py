@@ -10,7 +10,8 @@ from rig.desk import drawings
 from rig.desk.calibrating import FOLDER, Calibrating
 from rig.desk.desk import Desk
 from rig.desk.tab import Tab
-from rig.wizards import KINDS, Progress, Question, number
+from rig.settings import number
+from rig.wizards import KINDS, Progress, Question
 
 KEYS = (("r", "calibrate: record what is asked for"), ("<", "calibrate: one question back"))
 _DAYS = 90.0

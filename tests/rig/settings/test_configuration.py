@@ -164,3 +164,43 @@ def test_a_simulated_rig_knows_its_apparatus_and_a_stated_section_wins() -> None
 def test_a_complete_configuration_survives_the_record() -> None:
     config = complete(load_configuration(CONFIGS / "silicon.toml"))
     assert Configuration.model_validate_json(config.model_dump_json()) == config
+
+
+@pytest.mark.parametrize(
+    ("override", "value", "u"),
+    [
+        ('pendulum.ball_radius_m="6.05 mm ± 1 um"', 0.00605, 1e-6),
+        ("pendulum.mass_kg=406g", 0.406, 0.0),
+        ('pendulum.gravity_m_per_s2="(9.81 +- 0.01) m/s^2"', 9.81, 0.01),
+    ],
+)
+def test_a_number_may_state_its_unit(tmp_path: Path, override: str, value: float, u: float) -> None:
+    file = tmp_path / "rig.toml"
+    file.write_text('[camera]\ndriver = "simulated"\n[pendulum]\nmass_kg = 1\nball_radius_m = 0.01\n')
+    pendulum = load_configuration(file, [override]).pendulum
+    name = override.partition("=")[0].removeprefix("pendulum.")
+    assert (getattr(pendulum, name), getattr(pendulum, f"u_{name}")) == (value, u)
+
+
+@pytest.mark.parametrize(
+    ("override", "line"),
+    [
+        ('pendulum.ball_radius_m="6 kg"', "has the unit kg; m is meant, or mm, um or nm"),
+        ('pendulum.ball_radius_m="6 mm ± 1 g"', "has the unit g; m is meant"),
+        ('camera.exposure_us="3 yards"', "has the unit yards; us is meant, or ms"),
+        ('session.max_duration_s="2 h ± 1 s"', "session.u_max_duration_s: unknown key"),
+    ],
+)
+def test_another_unit_than_the_keys_is_one_line(tmp_path: Path, override: str, line: str) -> None:
+    file = tmp_path / "rig.toml"
+    file.write_text('[camera]\ndriver = "simulated"\n')
+    with pytest.raises(ConfigurationError, match=line) as error:
+        load_configuration(file, [override])
+    assert str(error.value).startswith("--set ")
+
+
+def test_a_unit_in_plain_text_is_text(tmp_path: Path) -> None:
+    file = tmp_path / "rig.toml"
+    file.write_text('[camera]\ndriver = "simulated"\n')
+    assert load_configuration(file, ['session.notes="3 mm"']).session.notes == "3 mm"
+    assert load_configuration(file, ['camera.exposure_us="2 ms"']).camera.exposure_us == 2000.0

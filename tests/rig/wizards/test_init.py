@@ -8,7 +8,7 @@ import pytest
 
 from acquisition.camera import PluggedCamera
 from processing.errors import ConfigurationError, RigError
-from rig.settings import load_configuration
+from rig.settings import load_configuration, quantity
 from rig.wizards import (
     Draft,
     FirstConfiguration,
@@ -18,7 +18,6 @@ from rig.wizards import (
     stated_keys,
     write_configuration,
 )
-from rig.wizards.typed import quantity
 from tests.rig.command_line import rig
 
 PORTS = (("/dev/ttyACM0", "Pico"), ("/dev/ttyUSB0", "laser"))

@@ -6,26 +6,13 @@ from decimal import Decimal
 from typing import NamedTuple
 
 from processing.errors import ConfigurationError
+from processing.units import conversion, units_like
 
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
-_UNIT = r"[A-Za-zµμ°]+"
+_UNIT = r"[^\s\d±+\-,.][^\s±+]*"
 _QUANTITY = re.compile(rf"({_NUMBER})\s*({_UNIT})?(?:\s*(?:±|\+/?-)\s*({_NUMBER})\s*({_UNIT})?)?")
-_PREFIXES = {
-    "": "1", "k": "1e3", "M": "1e6", "G": "1e9", "c": "1e-2", "m": "1e-3", "u": "1e-6", "µ": "1e-6",
-    "μ": "1e-6", "n": "1e-9",
-}  # fmt: skip
-_OF_UNIT = {"kg": ("g", "1e-3"), "Pa": ("Pa", "1"), "m": ("m", "1"), "s": ("s", "1"), "W": ("W", "1"),
-            "A": ("A", "1"), "us": ("s", "1e6")}  # fmt: skip
-"""Symbol that takes the prefixes, and its size in the unit."""
-_ANGLES = {
-    "rad": "1",
-    "mrad": "1e-3",
-    "urad": "1e-6",
-    "deg": "0.017453292519943295",
-    "°": "0.017453292519943295",
-}
-_SHOWN = {"kg": "g or mg", "m": "mm, um or nm", "Pa": "GPa or MPa", "W": "mW or uW", "A": "mA",
-          "rad": "mrad or deg", "s": "ms", "us": "ms"}  # fmt: skip
+_USUAL = ("g", "mg", "mm", "um", "nm", "GPa", "MPa", "mW", "uW", "mA", "mrad", "deg", "ms")
+"""What a person types, for hints."""
 
 
 class Quantity(NamedTuple):
@@ -40,7 +27,7 @@ def quantity(text: str, unit: str = "") -> Quantity:
 
     Without a unit it is in `unit`. Raises ConfigurationError for anything else.
     """
-    plain = text.replace("(", "").replace(")", "").strip()
+    plain = _plain(text)
     found = _QUANTITY.fullmatch(plain)
     if found is None:
         if comma := re.search(r"(\d),(\d)", plain):
@@ -57,20 +44,30 @@ def quantity(text: str, unit: str = "") -> Quantity:
     )
 
 
+def _plain(text: str) -> str:
+    return text.replace("(", "").replace(")", "").strip()
+
+
 def _size(stated: str | None, unit: str, text: str) -> Decimal:
     """One of the stated unit in `unit`."""
-    if not stated or stated == unit:
+    if not stated:
         return Decimal(1)
-    if unit == "rad" and stated in _ANGLES:
-        return Decimal(_ANGLES[stated])
-    symbol, size = _OF_UNIT.get(unit, ("", ""))
-    prefix = stated.removesuffix(symbol) if symbol and stated.endswith(symbol) else None
-    if prefix is None or prefix not in _PREFIXES:
-        takes = (
-            f"; {unit} is meant, or {_SHOWN[unit]}" if unit in _SHOWN else ", and a number alone is wanted"
-        )
-        raise ConfigurationError(f"{text!r}: has the unit {stated}{takes}")
-    return Decimal(_PREFIXES[prefix]) * Decimal(size)
+    try:
+        factor = Decimal(repr(conversion(stated, unit or "1")))
+    except ConfigurationError:
+        *others, last = units_like(unit, _USUAL) or ("",) if unit else ("",)
+        usual = f", or {', '.join(others)}{' or ' if others else ''}{last}" if last else ""
+        meant = f"; {unit} is meant{usual}" if unit else ", and a number alone is wanted"
+        raise ConfigurationError(f"{text!r}: has the unit {stated}{meant}") from None
+    # powers of ten, and what else is round, as decimals: 6.05 mm are 0.00605 m
+    short = Decimal(f"{factor:.12g}")
+    return short if abs(short - factor) <= factor * Decimal("1e-15") else factor
+
+
+def states_unit(text: str) -> bool:
+    """Whether it is a number with a unit, whichever."""
+    found = _QUANTITY.fullmatch(_plain(text))
+    return found is not None and bool(found[2] or found[4])
 
 
 def number(unit: str = "", *, least: float | None = None) -> Callable[[str], float]:
