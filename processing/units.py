@@ -73,7 +73,7 @@ _PREFIXES: Final[Mapping[str, float]] = {
     "G": 1e9, "M": 1e6, "k": 1e3, "h": 1e2, "c": 1e-2, "m": 1e-3, "u": 1e-6, "µ": 1e-6, "μ": 1e-6, "n": 1e-9,
     "p": 1e-12, "f": 1e-15,
 }  # fmt: skip
-_SUPERSCRIPTS: Final = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
+_SUPERSCRIPTS: Final = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹ᵖ", "-0123456789p")
 _TOKEN: Final = re.compile(
     r"\s*(?:(sqrt\(|√\(|\(|\))"  # bracket
     r"|()(?:\^|\*\*)(-?[\d.]+)"  # power
@@ -137,10 +137,16 @@ def unit_of_name(name: str) -> str:
     words = quantity.split("_")
     count = 2 if words[-2:] in _PRODUCTS_IN_NAMES else 1
     units = [_IN_NAMES.get(word) for word in (*words[-count:], *"_".join(below).split("_")) if word]
-    is_letter = words[-1] == "n" and count == 1  # an exponent; newtons stand alone in no name
+    # n is an exponent, newtons stand alone in no name; c is a parameter, but for temperatures
+    is_letter = count == 1 and (words[-1] == "n" or (words[-1] == "c" and "temperature" not in words))
     if words[:-count] in ([], ["u"]) or None in units or is_letter:
         return ""
     return "/".join([" ".join(map(str, units[:count])), *map(str, units[count:])])
+
+
+def in_ascii(unit: str) -> str:
+    """The unit with ``^`` for raised digits and letters: ``rad^-p``."""
+    return re.sub(r"[⁻⁰¹²³⁴-⁹ᵖ]+", lambda raised: f"^{raised[0].translate(_SUPERSCRIPTS)}", unit)
 
 
 def _product(unit: str, tokens: list[tuple[str, ...]]) -> tuple[Size, list[tuple[str, ...]]]:

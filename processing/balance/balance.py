@@ -1,12 +1,16 @@
 """The balance of the pendulum at one moment: one value with its unit."""
 
 from dataclasses import dataclass
-from typing import Annotated, get_type_hints
+from typing import Annotated, get_args, get_type_hints
 
 from processing.deflections import DeflectionUnit
+from processing.quantity import Quantity
 
 InUnit = Annotated[float, DeflectionUnit]
 """A number of `Balance` in its `unit`, or in that unit per s."""
+_ANGLE = ("arcsec", "rad")
+_DRIFT = ("arcsec/min", "rad/s")
+"""Unit shown, and unit with a lever."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,29 +32,33 @@ class Balance:
 
     time_ns: int
     unit: DeflectionUnit
-    period_s: float
+    period_s: Annotated[float, Quantity("period", "period of the slow mode")]
     u_period_s: float
-    amplitude: InUnit
+    amplitude: Annotated[InUnit, Quantity("amplitude", "amplitude of the slow mode along Y", *_ANGLE)]
     u_amplitude: InUnit
-    transverse: InUnit
+    transverse: Annotated[InUnit, Quantity("transverse", "amplitude of the fast mode along X", *_ANGLE)]
     u_transverse: InUnit
-    transverse_ratio: float
+    transverse_ratio: Annotated[float, Quantity("transverse ratio", "transverse over amplitude", "%")]
     u_transverse_ratio: float
-    line_angle_rad: float
+    line_angle_rad: Annotated[
+        float, Quantity("tilt of the line", "direction of the line, from Y to X", "deg")
+    ]
     u_line_angle_rad: float
-    rotation_rad_per_s: float
+    rotation_rad_per_s: Annotated[float, Quantity("rotation", "turning of the line", "deg/min")]
     u_rotation_rad_per_s: float
-    width_ratio: float
+    width_ratio: Annotated[
+        float, Quantity("ellipticity", "width of the slow mode's ellipse over its length", "%")
+    ]
     u_width_ratio: float
-    rest_x: InUnit
+    rest_x: Annotated[InUnit, Quantity("rest X", "rest position along X", *_ANGLE)]
     u_rest_x: InUnit
-    rest_y: InUnit
+    rest_y: Annotated[InUnit, Quantity("rest Y", "rest position along Y", *_ANGLE)]
     u_rest_y: InUnit
-    drift_x_per_s: InUnit
+    drift_x_per_s: Annotated[InUnit, Quantity("drift X", "drift of the rest position", *_DRIFT)]
     u_drift_x_per_s: InUnit
-    drift_y_per_s: InUnit
+    drift_y_per_s: Annotated[InUnit, Quantity("drift Y", "drift of the rest position", *_DRIFT)]
     u_drift_y_per_s: InUnit
-    period_ratio: float
+    period_ratio: Annotated[float, Quantity("T_V / T_U", "period of the fast mode over that of the slow one")]
     u_period_ratio: float
 
 
@@ -62,7 +70,7 @@ def names_with_units(unit: DeflectionUnit) -> dict[str, str]:
     """
     names = {}
     for name, kind in get_type_hints(Balance, include_extras=True).items():
-        if kind == InUnit:
+        if DeflectionUnit in get_args(kind):
             quantity = name.removesuffix("_per_s")
             names[name] = f"{quantity}_{unit}{name[len(quantity) :]}"
         elif name != "unit":

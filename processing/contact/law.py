@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from processing.contact.parameters import PendulumOnBall
+from processing.quantity import Quantity
 from processing.swing import TurningPoints
 
 Array = NDArray[np.float64]
@@ -31,6 +32,8 @@ class Parameter:
     logarithmic
         The scatter of a positive value is nearly normal in its logarithm, not in the value itself:
         intervals are taken about the logarithm.
+    shown
+        Unit in which a person reads it; empty: the SI unit.
     """
 
     key: str
@@ -41,6 +44,12 @@ class Parameter:
     lower: float = -inf
     upper: float = inf
     logarithmic: bool = False
+    shown: str = ""
+
+    @property
+    def quantity(self) -> Quantity:
+        """How it is shown."""
+        return Quantity(self.symbol, self.description, self.shown, self.unit)
 
 
 DRAG = Parameter(
@@ -53,7 +62,13 @@ DRAG = Parameter(
 """A linear drag, which can be fitted in addition to any law."""
 
 AMPLITUDE = Parameter(
-    "initial_amplitude_rad", "α₀", "rad", "amplitude of the first turning point", "initial value", lower=0.0
+    "initial_amplitude_rad",
+    "α₀",
+    "rad",
+    "amplitude of the first turning point",
+    "initial value",
+    lower=0.0,
+    shown="arcsec",
 )
 TIME = Parameter(
     "start_time_s", "t₀", "s", "time of the first turning point on the clock of the data", "initial value"

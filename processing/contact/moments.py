@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from math import pi
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -9,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from processing.contact.half_swing import stiffness_ratio
 from processing.contact.parameters import ContactParameters, PendulumOnBall
 from processing.estimate import Estimate
+from processing.quantity import PART
 
 
 def weight_moment(pendulum: PendulumOnBall) -> float:
@@ -71,8 +73,8 @@ class SurfaceEnergy:
     reproduces the values of Table 2. `eq2` is m g c/(2 a), Eq. 2 as printed.
     """
 
-    table2: Estimate
-    eq2: Estimate
+    table2: Annotated[Estimate, PART]
+    eq2: Annotated[Estimate, PART]
 
 
 def surface_energy(c: Estimate, pendulum: PendulumOnBall) -> SurfaceEnergy:

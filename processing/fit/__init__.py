@@ -1,6 +1,6 @@
 """Fits of a contact law to a decay, uncertainties of the results, and series of runs."""
 
-from processing.fit.apparatus import Quantity, RigQuantities
+from processing.fit.apparatus import InputQuantity, RigQuantities
 from processing.fit.asymptotic import fit_asymptotic
 from processing.fit.determination import Determination, identifiability, strong_correlations
 from processing.fit.drag import Drag, DragFinding, drag_verdict
@@ -12,7 +12,9 @@ from processing.fit.law_comparison import LawComparison, LawTrial, compare_laws
 from processing.fit.planning import Conditions, PlannedRun, planned_run
 from processing.fit.remeasure import describes_as_well, known_motion, measured_again, shift_of, widened
 from processing.fit.reported import (
+    Derived,
     FittedContact,
+    Work,
     draw_fitted,
     fitted_contact,
     reported_quantities,
@@ -46,6 +48,7 @@ __all__ = [
     "Comparison",
     "Conditions",
     "Degree",
+    "Derived",
     "Determination",
     "Disagreement",
     "Drag",
@@ -56,16 +59,17 @@ __all__ = [
     "FittedContact",
     "FreeMoments",
     "Ground",
+    "InputQuantity",
     "KeyComparison",
     "LawComparison",
     "LawTrial",
     "PlaceErrors",
     "PlannedRun",
     "Propagated",
-    "Quantity",
     "RigQuantities",
     "SeriesResult",
     "WithoutLaw",
+    "Work",
     "average_curves",
     "budgets",
     "by_row_time",

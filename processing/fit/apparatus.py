@@ -14,7 +14,7 @@ Distribution = Literal["normal", "rectangular"]
 
 
 @dataclass(frozen=True, slots=True)
-class Quantity:
+class InputQuantity:
     """An input quantity that the fit takes as known: value, standard uncertainty and distribution.
 
     A rectangular distribution of half-width h has the standard uncertainty h/sqrt(3). `dof` are the degrees
@@ -58,22 +58,22 @@ class RigQuantities:
     the materials are then not used, and the load does not change it.
     """
 
-    mass_kg: Quantity
-    ball_radius_m: Quantity
+    mass_kg: InputQuantity
+    ball_radius_m: InputQuantity
     ball: Material
     flat: Material
-    arm_m: Quantity
-    pitch_m: Quantity
-    gravity_m_per_s2: Quantity = Quantity(STANDARD_GRAVITY_M_PER_S2)
-    clock: Quantity = Quantity(1.0)
-    slow_angle_rad: Quantity = Quantity(0.0)
-    non_orthogonality_rad: Quantity = Quantity(0.0)
+    arm_m: InputQuantity
+    pitch_m: InputQuantity
+    gravity_m_per_s2: InputQuantity = InputQuantity(STANDARD_GRAVITY_M_PER_S2)
+    clock: InputQuantity = InputQuantity(1.0)
+    slow_angle_rad: InputQuantity = InputQuantity(0.0)
+    non_orthogonality_rad: InputQuantity = InputQuantity(0.0)
     fast_ratio: float = 0.0
-    skew: Quantity = Quantity(0.0)
+    skew: InputQuantity = InputQuantity(0.0)
     rest_rad: float = 0.0
-    contact_radius_m: Quantity | None = None
+    contact_radius_m: InputQuantity | None = None
     balls: int = 1
-    row_time_s: Quantity = Quantity(0.0)
+    row_time_s: InputQuantity = InputQuantity(0.0)
 
     def __post_init__(self) -> None:
         for name in ("mass_kg", "ball_radius_m", "arm_m", "pitch_m", "gravity_m_per_s2", "clock"):
@@ -83,7 +83,7 @@ class RigQuantities:
         if self.balls not in (1, 2):
             raise ConfigurationError(f"balls = {self.balls}: a pendulum stands on 1 or 2")
 
-    def inputs(self) -> dict[str, Quantity]:
+    def inputs(self) -> dict[str, InputQuantity]:
         """All inputs by name; if both bodies are of the same material, it is listed once."""
         found = {
             "mass_kg": self.mass_kg,
@@ -145,8 +145,8 @@ class RigQuantities:
         return PendulumOnBall(mass, self.ball_radius_m.value, radius, self.gravity_m_per_s2.value)
 
 
-def _elastic(body: str, material: Material) -> dict[str, Quantity]:
+def _elastic(body: str, material: Material) -> dict[str, InputQuantity]:
     return {
-        f"{body}_youngs_modulus_pa": Quantity(material.youngs_modulus_pa, material.u_youngs_modulus_pa),
-        f"{body}_poisson_ratio": Quantity(material.poisson_ratio, material.u_poisson_ratio),
+        f"{body}_youngs_modulus_pa": InputQuantity(material.youngs_modulus_pa, material.u_youngs_modulus_pa),
+        f"{body}_poisson_ratio": InputQuantity(material.poisson_ratio, material.u_poisson_ratio),
     }

@@ -8,6 +8,7 @@ interval ends where chi2 has risen by the amount that corresponds to the coverag
 from collections.abc import Callable
 from dataclasses import dataclass
 from math import nan
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +21,10 @@ from processing.fit.exact_model import ExactModel
 from processing.fit.result import FitResult
 from processing.fit_method import FitMethod
 from processing.least_squares import solve
+from processing.quantity import OF, Quantity
 from processing.swing import TurningPoints
+
+_NAMED = Quantity("", "", unit=OF + "name")
 
 STRONG_CORRELATION = 0.99
 """Each uncertainty is seven times what it would be if the other parameter were known: 1/sqrt(1 - 0.99^2)."""
@@ -36,10 +40,10 @@ class Determination:
 
     name: str
     verdict: Determinacy
-    value: float
-    standard_uncertainty: float = nan
-    lower_95: float
-    upper_95: float
+    value: Annotated[float, _NAMED]
+    standard_uncertainty: Annotated[float, _NAMED] = nan
+    lower_95: Annotated[float, _NAMED]
+    upper_95: Annotated[float, _NAMED]
     profile_likelihood: bool = False
     text: str = ""
 

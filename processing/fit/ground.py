@@ -3,10 +3,12 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from math import inf, nan
+from typing import Annotated
 
 import numpy as np
 
 from processing.estimate import NOT_DETERMINED, Estimate
+from processing.quantity import PLAIN, Quantity
 
 GROUND_SEEN = 6.63
 """Difference of -2 ln L from ground at rest above which a drive is stated and not bounded: chance 0.5 %."""
@@ -51,7 +53,7 @@ class BaseMotion:
 
     mass_centre_height_m: float
     acceleration_m_per_s2_rthz: Estimate
-    upper_95: float = nan
+    upper_95: Annotated[float, Quantity("", "bound of 95 %", unit="m/s^2/sqrt(Hz)")] = nan
     above_low_noise_model_db: float = nan
 
 
@@ -70,11 +72,11 @@ class Ground:
     """
 
     density_rad_per_s2_rthz: Estimate = NOT_DETERMINED
-    upper_95: float = nan
+    upper_95: Annotated[float, Quantity("", "bound of 95 %", unit="rad/s^2/sqrt(Hz)")] = nan
     seen: bool = False
     measurement_scale: float = 1.0
     left_out_half_cycles: int = 0
-    widening: Mapping[str, float] = field(default_factory=dict)
+    widening: Annotated[Mapping[str, float], PLAIN] = field(default_factory=dict)
     base: BaseMotion | None = None
 
 

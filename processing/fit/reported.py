@@ -3,29 +3,58 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import pi
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from processing.contact.laws import DRAG, PAPER
 from processing.errors import DataError
+from processing.estimate import Estimate
 from processing.fit.apparatus import RigQuantities
 from processing.fit.result import FitResult
+from processing.quantity import Quantity, quantities_of
+from processing.units import in_ascii
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Derived:
+    """What follows from the parameters of the paper's law and the rig's input quantities.
+
+    A quantity that is added here has a line in the budget, an interval by Monte Carlo, and a place in every
+    table and file: `derived_quantities` calculates it.
+    """
+
+    surface_energy_table2_j_per_m2: Annotated[
+        Array, Quantity("σ (Table 2's form)", "surface energy, as in the paper's Table 2", "mJ/m²")
+    ]
+    surface_energy_eq2_j_per_m2: Annotated[
+        Array, Quantity("σ (Eq. 2 as printed)", "surface energy, by the paper's Eq. 2", "mJ/m²")
+    ]
+    contact_radius_m: Annotated[
+        Array, Quantity("contact radius a", "radius of the contact, after Hertz", "µm")
+    ]
+    contact_depth_m: Annotated[Array, Quantity("depth a²/R", "depth of the contact", "µm")]
+    contact_angle_rad: Annotated[Array, Quantity("contact angle a/R", "angle of the contact", "arcmin")]
+
 
 OUTPUTS: Mapping[str, str] = {
-    "b": "rad^-p",
-    "p": "1",
-    "c": "1",
-    "n": "1",
-    "period0_s": "s",
-    "gamma_pa": "Pa",
-    "surface_energy_table2_j_per_m2": "J/m^2",
-    "surface_energy_eq2_j_per_m2": "J/m^2",
-    "contact_radius_m": "m",
-    "contact_depth_m": "m",
-    "contact_angle_rad": "rad",
+    **{parameter.key: in_ascii(parameter.unit) for parameter in PAPER.parameters},
+    **{name: declared.unit for name, declared in quantities_of(Derived).items()},
 }
 """Reported quantities and their units; `drag_s` (s) is added if it was fitted."""
+
+
+@dataclass(frozen=True, slots=True)
+class Work:
+    """Work of one cycle: all of it (4A), the part of adhesion (4A_t), that of a linear drag."""
+
+    amplitude_arcsec: float
+    dissipated_4a_j: Annotated[Estimate, Quantity("4A", "work lost in a cycle", "fJ")]
+    adhesive_4at_j: Annotated[Estimate, Quantity("4Aₜ", "work lost in a cycle by adhesion", "fJ")]
+    drag_j: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -124,15 +153,25 @@ def reported_quantities(
         "n": n,
         "period0_s": period0 * second,
         "gamma_pa": gamma * (nominal.contact_radius_m / a) ** 2 * (force / nominal_force) * scale**-n,
-        "surface_energy_table2_j_per_m2": force * radius * c * scale / (2 * a**2),
-        "surface_energy_eq2_j_per_m2": force * c * scale / (2 * a),
-        "contact_radius_m": a,
-        "contact_depth_m": a**2 / radius,
-        "contact_angle_rad": a / radius,
+        **derived_quantities(c * scale, force, radius, a),
     }
     if DRAG.key in found.names:
         out[DRAG.key] = moved[found.names.index(DRAG.key)] * second
     return out
+
+
+def derived_quantities(
+    c: Array, force_n: Array, ball_radius_m: Array, contact_radius_m: Array
+) -> dict[str, Array]:
+    """The fields of `Derived` by name, for arrays of equal shape."""
+    a = contact_radius_m
+    return {
+        "surface_energy_table2_j_per_m2": force_n * ball_radius_m * c / (2 * a**2),
+        "surface_energy_eq2_j_per_m2": force_n * c / (2 * a),
+        "contact_radius_m": a,
+        "contact_depth_m": a**2 / ball_radius_m,
+        "contact_angle_rad": a / ball_radius_m,
+    }
 
 
 def draw_fitted(found: FittedContact, rng: np.random.Generator, draws: int) -> NDArray[np.float64]:

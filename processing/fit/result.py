@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import nan
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,7 @@ from processing.fit.ground import Ground, GroundFit
 from processing.fit.whiteness import Whiteness
 from processing.fit_method import FitMethod
 from processing.least_squares import Loss
+from processing.quantity import PLAIN, Quantity
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,6 +32,10 @@ class FitQuality:
     arae_decay, arae_period
         Mean relative deviations of amplitude and period, Eqs. 8 and 9, divided by the number of terms in
         the sum.
+    chi2_per_dof, degrees_of_freedom
+        Of the unscaled residuals of amplitudes and times. For ground at rest the residuals are distances from
+        the free decay; for a driven pendulum, from the predictions of a Kalman filter, and their
+        uncertainties contain the drive.
     bias
         How far Eqs. 5 and 6 lie from the exact map where both describe one free decay, the exact fit's;
         None for the exact fit, or if it is not known.
@@ -43,10 +49,12 @@ class FitQuality:
         Warnings for the user.
     """
 
-    mean_period_s: Estimate = NOT_DETERMINED
-    arae_decay: float = nan
-    arae_period: float = nan
-    bias: Mapping[str, float] | None = None
+    mean_period_s: Annotated[Estimate, Quantity("T, mean", "mean period of the run")] = NOT_DETERMINED
+    arae_decay: Annotated[float, Quantity("ARAE (8)", "ARAE of the amplitudes, Eq. 8", "%")] = nan
+    arae_period: Annotated[float, Quantity("ARAE (9)", "ARAE of the periods, Eq. 9", "%")] = nan
+    chi2_per_dof: Annotated[float, Quantity("χ²/dof", "χ² per degree of freedom")] = nan
+    degrees_of_freedom: Annotated[int, Quantity("dof", "degrees of freedom")] = 0
+    bias: Annotated[Mapping[str, float] | None, PLAIN] = None
     ground: Ground | None = None
     whiteness: Whiteness | None = None
     outliers: tuple[int, ...] = ()
@@ -65,10 +73,6 @@ class FitResult(FitQuality):
     values, covariance
         In the order of `names`, in SI units. The covariance is multiplied by max(1, chi2/dof): it is enlarged
         if the residuals exceed the uncertainties, but not reduced if they are smaller.
-    chi2, dof
-        Chi-square of the unscaled residuals of amplitudes and times, and degrees of freedom. For
-        ground at rest the residuals are distances from the free decay; for a driven pendulum, from the
-        predictions of a Kalman filter, and their uncertainties contain the drive.
     reference_rad
         Amplitude used as the unit in the fit. b reference^(p-1) and gamma reference^n are nearly normally
         distributed even if b and gamma are not.
@@ -95,8 +99,6 @@ class FitResult(FitQuality):
     names: tuple[str, ...]
     values: NDArray[np.float64]
     covariance: NDArray[np.float64]
-    chi2: float
-    dof: int
     reference_rad: float
     by_log_rho: NDArray[np.float64]
     loss: Loss
@@ -108,8 +110,8 @@ class FitResult(FitQuality):
     place_covariance: NDArray[np.float64] | None = None
 
     @property
-    def chi2_per_dof(self) -> float:
-        return self.chi2 / self.dof
+    def dof(self) -> int:
+        return self.degrees_of_freedom
 
     @property
     def standard_uncertainty(self) -> NDArray[np.float64]:

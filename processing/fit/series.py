@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from math import nan, sqrt
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,7 @@ from processing.errors import DataError
 from processing.estimate import Estimate
 from processing.fit.reported import FittedContact, fitted_contact
 from processing.fit.result import FitResult
+from processing.quantity import PART
 from processing.swing import TurningPoints
 
 AGREE = 0.05
@@ -40,14 +42,14 @@ class Combined:
         Probability of a scatter at least as large if only the runs' own uncertainties contribute.
     """
 
-    value: float
-    standard_uncertainty: float
-    expanded_uncertainty_95: float = nan
+    value: Annotated[float, PART]
+    standard_uncertainty: Annotated[float, PART]
+    expanded_uncertainty_95: Annotated[float, PART] = nan
     degrees_of_freedom: int = 0
-    within_runs: float = nan
-    between_runs: float = nan
+    within_runs: Annotated[float, PART] = nan
+    between_runs: Annotated[float, PART] = nan
     p_homogeneous: float = nan
-    runs: tuple[Estimate, ...] = ()
+    runs: Annotated[tuple[Estimate, ...], PART] = ()
 
     @property
     def estimate(self) -> Estimate:

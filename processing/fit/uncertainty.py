@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import floor, inf, isfinite, log10, nan, sqrt
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,7 @@ from scipy.special import stdtrit
 from processing.contact.laws import DRAG
 from processing.fit.apparatus import RigQuantities
 from processing.fit.reported import OUTPUTS, FittedContact, draw_fitted, reported_quantities
+from processing.quantity import OF, OWN, PART, PER, Quantity
 
 FIT = "swings"
 """Name of a type A source: the fit's covariance, or that of a series of runs."""
@@ -32,9 +33,9 @@ class BudgetSource:
 
     source: str
     type: Literal["A", "B"]
-    u_source: float
-    sensitivity: float
-    contribution: float
+    u_source: Annotated[float, Quantity("", "of the source", unit=OF + "source")]
+    sensitivity: Annotated[float, Quantity("", "derivative by the source", unit=OWN + PER + OF + "source")]
+    contribution: Annotated[float, PART]
     share: float
 
 
@@ -48,12 +49,12 @@ class Budget:
     """
 
     unit: str = ""
-    value: float
-    standard_uncertainty: float
+    value: Annotated[float, PART]
+    standard_uncertainty: Annotated[float, PART]
     degrees_of_freedom: float = nan
     coverage_factor_95: float
-    expanded_uncertainty_95: float
-    sources: tuple[BudgetSource, ...] = ()
+    expanded_uncertainty_95: Annotated[float, PART]
+    sources: Annotated[tuple[BudgetSource, ...], PART] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,10 +66,10 @@ class Propagated:
     interval within half a unit of the first significant digit of the standard uncertainty.
     """
 
-    mean: float
-    standard_uncertainty: float
-    lower_95: float
-    upper_95: float
+    mean: Annotated[float, PART]
+    standard_uncertainty: Annotated[float, PART]
+    lower_95: Annotated[float, PART]
+    upper_95: Annotated[float, PART]
     gum_holds: bool
 
 

@@ -3,9 +3,11 @@
 import math
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Annotated
 
 from processing.estimate import Estimate
 from processing.instruments.descriptions import Limits
+from processing.quantity import IN_UNIT
 
 
 class Compliance(StrEnum):
@@ -21,10 +23,10 @@ class Check:
     """A value compared with its limits."""
 
     name: str
-    value: float
-    standard_uncertainty: float
-    lowest: float
-    highest: float
+    value: Annotated[float, IN_UNIT]
+    standard_uncertainty: Annotated[float, IN_UNIT]
+    lowest: Annotated[float, IN_UNIT]
+    highest: Annotated[float, IN_UNIT]
     unit: str
     verdict: Compliance
     text: str

@@ -8,7 +8,7 @@ from rig.analysis.contact_series import combined_series
 from rig.analysis.contact_verdicts import evaluate, fit_results
 from rig.analysis.curves import Curves, curves_of
 from rig.analysis.determined import bound_text, determined_text, series_verdicts
-from rig.analysis.encoding import JsonObject
+from rig.analysis.encoding import JsonObject, units_of
 from rig.analysis.fit_remarks import drive_text, remarks
 from rig.analysis.fit_tables import parameter_table, quality_table
 from rig.analysis.headline import budget_of, dominant_text
@@ -46,7 +46,7 @@ from rig.analysis.screen import print_results
 from rig.analysis.settled import loss_of, points_in_true_time, settled_swings
 from rig.analysis.stored_position_errors import PositionErrors
 from rig.analysis.stored_turning_points import StoredTurningPoints
-from rig.analysis.surroundings import Surroundings, recorded_surroundings
+from rig.analysis.surroundings import recorded_surroundings
 from rig.analysis.table_fit import TableColumns, analyse_table
 from rig.analysis.table_screen import fit_envelope_table, fit_trajectory
 from rig.analysis.waveform_results import waveform_table
@@ -73,7 +73,6 @@ __all__ = [
     "SessionResults",
     "StoredTurningPoints",
     "SurfaceEnergies",
-    "Surroundings",
     "SwingPlane",
     "TableColumns",
     "TableResults",
@@ -116,6 +115,7 @@ __all__ = [
     "session_results",
     "settled_swings",
     "surface_energies",
+    "units_of",
     "waveform_table",
     "with_dropped_frames",
     "write_results",

@@ -12,6 +12,7 @@ from processing.contact import DRAG, ContactParameters, SurfaceEnergy
 from processing.contact.laws import PAPER
 from processing.estimate import NOT_DETERMINED, Estimate
 from processing.fit import FitMethod, FitQuality, Propagated
+from processing.quantity import PART
 from rig.analysis.encoding import Entries
 
 
@@ -33,8 +34,6 @@ class Fit(FitQuality):
 
     law: str = ""
     parameters: Annotated[Mapping[str, Estimate], Entries] = field(default_factory=dict)
-    chi2_per_dof: float = nan
-    degrees_of_freedom: int = 0
     correlation: Correlation = field(default_factory=Correlation)
 
     def estimate(self, name: str) -> Estimate:
@@ -52,7 +51,7 @@ class Fit(FitQuality):
 class SurfaceEnergies(SurfaceEnergy):
     """Surface energy after the default fit; those after the other fits by the fit's name."""
 
-    others: Annotated[Mapping[str, SurfaceEnergy], Entries] = field(default_factory=dict)
+    others: Annotated[Mapping[str, SurfaceEnergy], Entries, PART] = field(default_factory=dict)
 
     def of(self, method: str) -> SurfaceEnergy | None:
         """The surface energy after one fit."""
@@ -90,13 +89,3 @@ class MonteCarlo:
     draws: int = 0
     seed: int = 0
     quantities: Mapping[str, Propagated] = field(default_factory=dict)
-
-
-@dataclass(frozen=True, slots=True)
-class Work:
-    """Work of one cycle: all of it (4A), the part of adhesion (4A_t), that of a linear drag."""
-
-    amplitude_arcsec: float
-    dissipated_4a_j: Estimate
-    adhesive_4at_j: Estimate
-    drag_j: float = 0.0

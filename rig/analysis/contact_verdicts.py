@@ -25,9 +25,10 @@ from processing.fit import (
     Drag,
     FitQuality,
     FitResult,
+    InputQuantity,
     Propagated,
-    Quantity,
     RigQuantities,
+    Work,
     budgets,
     by_row_time,
     drag_verdict,
@@ -41,7 +42,7 @@ from processing.fit import (
 )
 from processing.swing import TurningPoints
 from rig.analysis.base_acceleration import base_motion
-from rig.analysis.contact_results import Adhesion, AdhesiveSpot, Correlation, Fit, MonteCarlo, Work
+from rig.analysis.contact_results import Adhesion, AdhesiveSpot, Correlation, Fit, MonteCarlo
 from rig.analysis.results import RunResults
 from rig.instrument import balls, material, shutter_of
 from rig.settings import Configuration, PendulumSettings, TimebaseSettings
@@ -77,24 +78,26 @@ def rig_quantities(
     timebase = config.timebase or TimebaseSettings()
     axes, shutter = config.axes or Axes(), shutter_of(config)
     return RigQuantities(
-        mass_kg=Quantity(pendulum.mass_kg, pendulum.u_mass_kg),
-        ball_radius_m=Quantity(pendulum.ball_radius_m, pendulum.u_ball_radius_m),
+        mass_kg=InputQuantity(pendulum.mass_kg, pendulum.u_mass_kg),
+        ball_radius_m=InputQuantity(pendulum.ball_radius_m, pendulum.u_ball_radius_m),
         ball=bodies[0],
         flat=bodies[1],
         contact_radius_m=None
         if pendulum.contact_radius_m is None
-        else Quantity(pendulum.contact_radius_m, pendulum.u_contact_radius_m),
-        arm_m=Quantity(lever.arm_m, lever.u_arm_m, dof=lever.arm_dof or math.inf),
-        pitch_m=Quantity(lever.pixel_pitch_m, lever.u_pixel_pitch_m, dof=lever.pixel_pitch_dof or math.inf),
-        gravity_m_per_s2=Quantity(pendulum.gravity_m_per_s2, pendulum.u_gravity_m_per_s2),
-        clock=Quantity(timebase.camera_rate, timebase.u_camera_rate),
-        slow_angle_rad=Quantity(axes.slow_angle_rad, axes.u_slow_angle_rad),
-        non_orthogonality_rad=Quantity(axes.non_orthogonality_rad, axes.u_non_orthogonality_rad),
+        else InputQuantity(pendulum.contact_radius_m, pendulum.u_contact_radius_m),
+        arm_m=InputQuantity(lever.arm_m, lever.u_arm_m, dof=lever.arm_dof or math.inf),
+        pitch_m=InputQuantity(
+            lever.pixel_pitch_m, lever.u_pixel_pitch_m, dof=lever.pixel_pitch_dof or math.inf
+        ),
+        gravity_m_per_s2=InputQuantity(pendulum.gravity_m_per_s2, pendulum.u_gravity_m_per_s2),
+        clock=InputQuantity(timebase.camera_rate, timebase.u_camera_rate),
+        slow_angle_rad=InputQuantity(axes.slow_angle_rad, axes.u_slow_angle_rad),
+        non_orthogonality_rad=InputQuantity(axes.non_orthogonality_rad, axes.u_non_orthogonality_rad),
         fast_ratio=fast_ratio,
-        skew=Quantity(lever.skew, lever.u_skew),
+        skew=InputQuantity(lever.skew, lever.u_skew),
         rest_rad=rest_rad,
         balls=balls(config),
-        row_time_s=Quantity(shutter.row_time_s, shutter.u_row_time_s),
+        row_time_s=InputQuantity(shutter.row_time_s, shutter.u_row_time_s),
     )
 
 
@@ -206,8 +209,6 @@ def fit_results(fit: FitResult, pendulum: PendulumSettings | None = None) -> Fit
     return Fit(
         law=fit.law.name,
         parameters=fit.estimates(),
-        chi2_per_dof=fit.chi2_per_dof,
-        degrees_of_freedom=fit.dof,
         correlation=Correlation(tuple(fit.names), tuple(map(tuple, fit.correlation.tolist()))),
         **shared,
     )

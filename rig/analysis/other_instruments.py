@@ -22,13 +22,13 @@ from processing.instruments import (
     swing_plane,
 )
 from processing.periods import mean_period
+from processing.surroundings import Surroundings
 from processing.swing import Swing, SwingDetector, SwingFlag, TurningPoints, turning_points
 from rig.analysis.instrument_results import (
     InstrumentResults,
     SwingPlane,
 )
 from rig.analysis.reports_by_kind import range_and_period, report_of_kind
-from rig.analysis.surroundings import Surroundings
 from rig.presentation import with_uncertainty
 from rig.settings import InstrumentSettings
 

@@ -15,6 +15,7 @@ from acquisition.record.topics import DEFLECTION_FIELDS
 from processing.deflections import Deflections, DeflectionUnit, joined
 from processing.fit import FitMethod, FitResult, RigQuantities
 from processing.spot import BeamUse
+from processing.surroundings import Surroundings
 from processing.swing import Swing, TurningPoints
 from rig.analysis.beam import Beam
 from rig.analysis.contact_laws import DecayFits, fit_decay
@@ -29,7 +30,7 @@ from rig.analysis.run_conditions import run_conditions
 from rig.analysis.settled import points_in_true_time, settled_swings
 from rig.analysis.stored_position_errors import PositionErrors
 from rig.analysis.stored_turning_points import StoredTurningPoints
-from rig.analysis.surroundings import Surroundings, doubts_of, expected_drag, recorded_surroundings
+from rig.analysis.surroundings import doubts_of, expected_drag, recorded_surroundings
 from rig.instrument import (
     earlier_schema,
     inputs_sha256,

@@ -12,21 +12,23 @@ from typing import Annotated
 from acquisition.frame_losses import FrameLosses
 from processing.contact import HertzContact, SurfaceEnergy
 from processing.estimate import NOT_DETERMINED, Estimate
-from processing.fit import Budget, Combined, Determination, Disagreement, Drag
+from processing.fit import Budget, Combined, Determination, Disagreement, Drag, Work
+from processing.quantity import STATED, Quantity
+from processing.surroundings import Surroundings
 from processing.swing import KnownMotion
 from rig.analysis.beam import Beam
-from rig.analysis.contact_results import Adhesion, Fit, MonteCarlo, SurfaceEnergies, Work
+from rig.analysis.contact_results import Adhesion, Fit, MonteCarlo, SurfaceEnergies
 from rig.analysis.encoding import Beside, Entries, JsonObject, Kept, Pendulum, Section
 from rig.analysis.instrument_results import InstrumentResults, InstrumentSeries
 from rig.analysis.law_results import ComparedLaws
 from rig.analysis.stored_position_errors import PositionErrors
 from rig.analysis.stored_turning_points import StoredTurningPoints
-from rig.analysis.surroundings import Surroundings
 from rig.presentation import Verdict
 
 SCHEMA = 2
 """Version of the file. 1, the first, has no `amplitude_unit`, `record_bytes` and `turning_points`, and px
 under the names in arcsec of a record without a lever."""
+_IN_AMPLITUDE_UNIT = Quantity("", "in `amplitude_unit`", unit=STATED + "amplitude_unit")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,8 +63,8 @@ class RunResults:
     half_cycles: int = 0
     measured_again_on: Annotated[KnownMotion | None, Kept] = None
     amplitude_unit: Annotated[str | None, Kept] = None
-    initial_amplitude: float = nan
-    final_amplitude: float = nan
+    initial_amplitude: Annotated[float, _IN_AMPLITUDE_UNIT] = nan
+    final_amplitude: Annotated[float, _IN_AMPLITUDE_UNIT] = nan
     initial_amplitude_arcsec: float = nan
     final_amplitude_arcsec: float = nan
     fits: Mapping[str, Annotated[Fit, Beside("parameters")]] = field(default_factory=dict)

@@ -1,11 +1,13 @@
 """The map of errors of position as it stands in results.json."""
 
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
 
 from processing.deflections import DeflectionUnit
 from processing.position_map import PositionMap
+from processing.quantity import IN_UNIT
 from rig.analysis.encoding import Floats
 
 
@@ -21,10 +23,10 @@ class PositionErrors:
     """
 
     unit: DeflectionUnit = DeflectionUnit.RAD
-    place: Floats = field(default_factory=lambda: np.empty(0))
-    error: Floats = field(default_factory=lambda: np.empty(0))
-    u_error: Floats = field(default_factory=lambda: np.empty(0))
-    correlation_length: float = float("nan")
+    place: Annotated[Floats, IN_UNIT] = field(default_factory=lambda: np.empty(0))
+    error: Annotated[Floats, IN_UNIT] = field(default_factory=lambda: np.empty(0))
+    u_error: Annotated[Floats, IN_UNIT] = field(default_factory=lambda: np.empty(0))
+    correlation_length: Annotated[float, IN_UNIT] = float("nan")
     significance: float = float("nan")
     cycles: int = 0
     noise_scale: float = float("nan")

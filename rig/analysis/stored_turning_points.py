@@ -2,10 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
 
 from processing.deflections import DeflectionUnit
+from processing.quantity import IN_UNIT
 from processing.swing import Swing, TurningPoints
 from processing.ticks import seconds
 from rig.analysis.encoding import Floats, Integers
@@ -24,10 +26,10 @@ class StoredTurningPoints:
     index: Integers = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     time_s: Floats = field(default_factory=lambda: np.empty(0))
     u_time_s: Floats = field(default_factory=lambda: np.empty(0))
-    amplitude: Floats = field(default_factory=lambda: np.empty(0))
-    u_amplitude: Floats = field(default_factory=lambda: np.empty(0))
+    amplitude: Annotated[Floats, IN_UNIT] = field(default_factory=lambda: np.empty(0))
+    u_amplitude: Annotated[Floats, IN_UNIT] = field(default_factory=lambda: np.empty(0))
     left_out_time_s: Floats = field(default_factory=lambda: np.empty(0))
-    left_out_amplitude: Floats = field(default_factory=lambda: np.empty(0))
+    left_out_amplitude: Annotated[Floats, IN_UNIT] = field(default_factory=lambda: np.empty(0))
     left_out_flags: Integers = field(default_factory=lambda: np.empty(0, dtype=np.int64))
 
     def __post_init__(self) -> None:

@@ -1,9 +1,9 @@
 """What surrounded a run: the air, and how long the contact and its surfaces had been as they were."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from datetime import datetime
-from math import isfinite, nan
+from math import nan
 
 import numpy as np
 
@@ -12,30 +12,12 @@ from acquisition.record.topics import ENVIRONMENT, SPOT
 from acquisition.record.utc import utc
 from processing.air import humid_air
 from processing.contact import ExpectedDrag, PendulumOnBall, bar_of, expected_drag_s
+from processing.surroundings import Surroundings
 from rig.settings import Configuration
 
 _AIR = ("temperature_c", "humidity_percent", "pressure_pa")
 _USUAL = {"temperature_c": 20.0, "humidity_percent": 50.0, "pressure_pa": 101325.0}
 _SINCE = {"dwell_s": "contact_made", "age_s": "surfaces_cleaned"}
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Surroundings:
-    """Air and history of a run's contact; NaN for what is neither read nor stated.
-
-    Air: means of what the sensor read during the run, else as stated. Until the run's first frame it is
-    `dwell_s` from when the ball was set on its place, `age_s` from the last cleaning of the surfaces.
-    """
-
-    temperature_c: float = nan
-    humidity_percent: float = nan
-    pressure_pa: float = nan
-    dwell_s: float = nan
-    age_s: float = nan
-
-    def known(self) -> dict[str, float]:
-        """What is known, by name."""
-        return {name: value for name, value in asdict(self).items() if isfinite(value)}
 
 
 def stated_surroundings(config: Configuration) -> Surroundings:

@@ -9,9 +9,10 @@ from typing import Any
 from numpy.typing import NDArray
 
 from processing.errors import MissingPackage
-from rig.export.run import ExportedRun, columns_of, unit_of
+from processing.units import in_ascii, unit_of_name
+from rig.export.run import ExportedRun, columns_of
 
-_NEXUS_UNITS = {"px": "pixel"}
+_NEXUS_UNITS = {"px": "pixel", "DN": "count", "1": "", "°C": "degC", "%": "percent"}
 
 
 def write_nexus(path: Path, runs: Sequence[ExportedRun]) -> None:
@@ -63,7 +64,7 @@ def _entry(file: Any, run: ExportedRun) -> None:
     if run.results:
         results = _group(entry, "results", "NXcollection")
         results["json"] = json.dumps(run.results)
-        _tree(_group(results, "values", "NXcollection"), run.results)
+        _tree(_group(results, "values", "NXcollection"), run.results, run.units)
 
 
 def _about_the_rig(entry: Any, about: Mapping[str, str]) -> None:
@@ -98,28 +99,28 @@ def _data(entry: Any, name: str, columns: Mapping[str, NDArray[Any]], signal: st
         group.attrs["axes"] = [axis]
         group.attrs[f"{axis}_indices"] = [0]
     for key, values in columns.items():
-        _with_unit(group.create_dataset(key, data=values, compression="gzip", shuffle=True), key)
+        _with_unit(
+            group.create_dataset(key, data=values, compression="gzip", shuffle=True), unit_of_name(key)
+        )
     for key in columns:
         if key.startswith("u_") and key[2:] in columns:
             group[f"{key[2:]}_errors"] = group[key]
 
 
-def _tree(group: Any, values: Any, unit_name: str = "") -> None:
+def _tree(group: Any, values: Any, units: Mapping[str, str], above: str = "") -> None:
     """Nested results as groups and fields; null, not determined, is NaN, and items of a list are numbered."""
     items = values.items() if isinstance(values, Mapping) else enumerate(values)
     for key, value in items:
-        name = item_name(str(key))
-        named = unit_name if name in ("value", "standard_uncertainty") else name
+        name, path = item_name(str(key)), f"{above}{key}"
         if isinstance(value, Mapping | list | tuple):
-            _tree(_group(group, name, "NXcollection"), value, named)
+            _tree(_group(group, name, "NXcollection"), value, units, f"{path}.")
         elif isinstance(value, str):
             group[name] = value
         else:
             group[name] = float("nan") if value is None else float(value)
-            _with_unit(group[name], named)
+            _with_unit(group[name], units.get(path) or units.get(above.removesuffix("."), ""))
 
 
-def _with_unit(field: Any, name: str) -> None:
-    unit = unit_of(name)
+def _with_unit(field: Any, unit: str) -> None:
     if unit:
-        field.attrs["units"] = _NEXUS_UNITS.get(unit, unit)
+        field.attrs["units"] = _NEXUS_UNITS.get(unit, in_ascii(unit))

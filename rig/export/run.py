@@ -15,37 +15,25 @@ from acquisition.record.reader import RecordReader
 from acquisition.record.topics import SPOT, SWING
 from acquisition.record.utc import utc
 from processing.errors import RecordError
-from rig.analysis import RESULTS_NAME, JsonObject, RunResults, encoded, read_results
+from rig.analysis import RESULTS_NAME, JsonObject, RunResults, encoded, read_results, units_of
 from rig.instrument import CONFIGURATION_NAME
-
-_UNITS = {
-    "px": "px",
-    "rad": "rad",
-    "arcsec": "arcsec",
-    "s": "s",
-    "ns": "ns",
-    "dn": "count",
-    "pa": "Pa",
-    "kg": "kg",
-    "m": "m",
-    "j": "J",
-    "m2": "J/m^2",
-}
 
 
 @dataclass(frozen=True)
 class ExportedRun:
     """One run: structured arrays by the record's own field names, results as (name, value) rows.
 
-    `results` is empty if the run was not fitted. `provenance` maps names to texts, including the
-    record's hash and its complete configuration. `notes` say what the record lacks: that it was cut short,
-    what is damaged. `began` and `ended` are the UTC of its first and its last message, as ISO 8601.
+    `results` is empty if the run was not fitted; `units` are those of its numbers by dotted name.
+    `provenance` maps names to texts, including the record's hash and its complete configuration. `notes` say
+    what the record lacks: that it was cut short, what is damaged. `began` and `ended` are the UTC of its
+    first and its last message, as ISO 8601.
     """
 
     name: str
     spots: NDArray[Any]
     swings: NDArray[Any]
     results: JsonObject
+    units: Mapping[str, str]
     provenance: Mapping[str, str]
     notes: tuple[str, ...] = ()
     began: str = ""
@@ -84,7 +72,8 @@ def read_run(path: Path, results: RunResults | None) -> ExportedRun:
             "run rig fit again"
         )
     found = {} if results is None else encoded(results)
-    return ExportedRun(path.stem, spots, swings, found, provenance, notes, began, ended)
+    units = {} if results is None else units_of(results, found)
+    return ExportedRun(path.stem, spots, swings, found, units, provenance, notes, began, ended)
 
 
 def _span_ns(reader: RecordReader, spots: NDArray[Any]) -> tuple[int, int]:
@@ -93,14 +82,6 @@ def _span_ns(reader: RecordReader, spots: NDArray[Any]) -> tuple[int, int]:
         return reader.contents.start_ns, reader.contents.end_ns
     first_ns, last_ns = int(spots["time_ns"][0]), int(spots["time_ns"][-1])
     return first_ns + reader.epoch_offset_ns, last_ns + reader.epoch_offset_ns
-
-
-def unit_of(name: str) -> str:
-    """Unit from the suffix of a name; empty if there is none."""
-    word = name.rsplit("_", 1)[-1]
-    if "_" not in name or (word == "m2" and "_per_" not in name):
-        return ""
-    return _UNITS.get(word, "")
 
 
 def flat_results(tree: JsonObject, above: str = "") -> list[tuple[str, float | str]]:

@@ -1,13 +1,14 @@
 """Writes CSV and Parquet files: spots, swings and results of each run."""
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 import pyarrow as pa
 from pyarrow import csv, parquet
 
-from rig.export.run import ExportedRun, columns_of, flat_results, unit_of
+from processing.units import unit_of_name
+from rig.export.run import ExportedRun, columns_of, flat_results
 from rig.presentation import harmless_text
 
 TABLES = ("spots", "swings", "results")
@@ -53,7 +54,7 @@ def _tables(
     tables = {"spots": columns_of(run.spots), "swings": columns_of(run.swings)}
     for name, columns in tables.items():
         fields = [
-            pa.field(key, pa.from_numpy_dtype(values.dtype), metadata={"unit": unit_of(key)})
+            pa.field(key, pa.from_numpy_dtype(values.dtype), metadata={"unit": unit_of_name(key)})
             for key, values in columns.items()
         ]
         yield (
@@ -69,6 +70,7 @@ def _tables(
                     "name": [text_of(name) for name, _ in rows],
                     "value": pa.array([v if isinstance(v, float) else None for _, v in rows], pa.float64()),
                     "text": [text_of(v) if isinstance(v, str) else "" for _, v in rows],
+                    "unit": [_unit(name, run.units) for name, _ in rows],
                 }
             ),
         )
@@ -77,3 +79,8 @@ def _tables(
 def table_path(folder: Path, run: str, what: str, suffix: str) -> Path:
     """The file of one of `TABLES` of a run."""
     return folder / f"{run}-{what}.{suffix}"
+
+
+def _unit(name: str, units: Mapping[str, str]) -> str:
+    """Of a number, or of the list in which it stands."""
+    return units.get(name) or units.get(name.rpartition(".")[0], "")

@@ -15,7 +15,7 @@ from acquisition.simulation.true_path import noisy, true_path, true_turning_poin
 from processing.angle import ARCSEC_RAD
 from processing.contact import MATERIALS, ContactParameters, PendulumOnBall, pendulum_on_ball
 from processing.deflections import slow_deflections
-from processing.fit import FitMethod, FitResult, Quantity, RigQuantities, fit_asymptotic, fit_exact
+from processing.fit import FitMethod, FitResult, InputQuantity, RigQuantities, fit_asymptotic, fit_exact
 from processing.swing import SwingDetector, TurningPoints, turning_points
 from processing.ticks import seconds
 from rig.analysis import (
@@ -103,8 +103,8 @@ def simulate_pair(pair: PrintedPair, b_exponent: int, seed: int) -> PairSeries:
         FitMethod.EXACT: exact,
     }
     rig = RigQuantities(
-        Quantity(MASS_KG), Quantity(BALL_RADIUS_M), MATERIALS[BALL], MATERIALS[pair.flat],
-        Quantity(1.0), Quantity(1.0),
+        InputQuantity(MASS_KG), InputQuantity(BALL_RADIUS_M), MATERIALS[BALL], MATERIALS[pair.flat],
+        InputQuantity(1.0), InputQuantity(1.0),
     )  # fmt: skip
     first = {name: found[0] for name, found in fits.items()}
     run = RunResults(

@@ -5,7 +5,7 @@ from rig.presentation.balance import balance_drawn, balance_numbers, balance_pan
 from rig.presentation.keys import Keys
 from rig.presentation.numbers import NOT_KNOWN, plain, power, with_uncertainty
 from rig.presentation.printing import plain_values, print_json_line, say
-from rig.presentation.quantities import SOURCES, Quantity, law_parameters, quantity
+from rig.presentation.quantities import SOURCES, Shown, law_parameters, quantity, unit_of
 from rig.presentation.table import Cell, Table, harmless_text
 from rig.presentation.terminal import print_tables
 from rig.presentation.verdict import Verdict, failures, table_tree
@@ -16,7 +16,7 @@ __all__ = [
     "SOURCES",
     "Cell",
     "Keys",
-    "Quantity",
+    "Shown",
     "Table",
     "Verdict",
     "balance_drawn",
@@ -36,5 +36,6 @@ __all__ = [
     "quantity",
     "say",
     "table_tree",
+    "unit_of",
     "with_uncertainty",
 ]

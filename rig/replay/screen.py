@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from rig.instrument import Phase, Snapshot
-from rig.presentation import Quantity, quantity, say
+from rig.presentation import Shown, quantity, say
 from rig.replay.comparison import Change, ReplayDifferences
 
 _PLAIN_INTERVAL_S = 5.0
@@ -155,7 +155,7 @@ def print_changes(changes: Sequence[Change], source: str) -> None:
             continue
         other = by_name.get(name.replace(_EXACT, _ASYMPTOTIC))
         parameter = name.removeprefix(_EXACT)
-        shown = quantity(parameter) if parameter != name else Quantity(name, "", name)
+        shown = quantity(parameter) if parameter != name else Shown(name, "", name)
         table.add_row(
             shown.label,
             shown.text(*change.recorded),

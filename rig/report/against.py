@@ -12,7 +12,8 @@ from processing.contact.laws import PAPER
 from processing.errors import ConfigurationError, RecordError
 from processing.estimate import Estimate
 from processing.fit import FitMethod
-from rig.analysis import SessionResults, Surroundings
+from processing.surroundings import Surroundings
+from rig.analysis import SessionResults
 from rig.presentation import Cell, Table, palette, plain, quantity
 from rig.report.drawing import ASYMPTOTIC, DATA, EXACT, ReportFigure, canvas
 

@@ -15,7 +15,7 @@ _SHORT_LIST = 12
 _MOST_FIRST = 4
 
 
-class Quantity(NamedTuple):
+class Reported(NamedTuple):
     """A number as a person reads it; the uncertainty of a count is NaN."""
 
     name: str
@@ -66,67 +66,67 @@ def instrument_table(results: RunResults) -> Table:
     )  # fmt: skip
 
 
-def _results(values: InstrumentResults) -> Iterator[Quantity]:
+def _results(values: InstrumentResults) -> Iterator[Reported]:
     """What the kind is made to measure, first things first."""
     if values.time_hardness_s is not None:
-        yield Quantity("time hardness, ten single swings", values.time_hardness_s, "s")
+        yield Reported("time hardness, ten single swings", values.time_hardness_s, "s")
     if values.scale_hardness is not None:
-        yield Quantity("scale hardness, first swing", values.scale_hardness, "divisions")
+        yield Reported("scale hardness, first swing", values.scale_hardness, "divisions")
     if values.time_hardness_first_swing_s is not None:
-        yield Quantity("time hardness, first swing × 10", values.time_hardness_first_swing_s, "s")
+        yield Reported("time hardness, first swing × 10", values.time_hardness_first_swing_s, "s")
     if (damping := values.damping) is not None:
         span = f"{damping.start_amplitude_deg:g}° to {damping.end_amplitude_deg:g}°"
-        yield Quantity(f"damping time, {span}", damping.time_s, "s")
-        yield Quantity(f"swings, {span}", damping.swings)
+        yield Reported(f"damping time, {span}", damping.time_s, "s")
+        yield Reported(f"swings, {span}", damping.swings)
     law = values.friction_law
     at = f" at {law.reference_amplitude_deg:.3g}°" if law is not None else ""
     if values.rolling_friction_coefficient is not None:
-        yield Quantity(f"coefficient of rolling friction{at}", values.rolling_friction_coefficient)
+        yield Reported(f"coefficient of rolling friction{at}", values.rolling_friction_coefficient)
     if values.log_decrement is not None:
-        yield Quantity(f"log decrement of a whole swing{at}", values.log_decrement)
+        yield Reported(f"log decrement of a whole swing{at}", values.log_decrement)
     if values.period0_s is not None:
-        yield Quantity("period at vanishing amplitude", values.period0_s, "s")
+        yield Reported("period at vanishing amplitude", values.period0_s, "s")
     if values.circular_factor is not None:
-        yield Quantity("circular error over the ideal pendulum's", values.circular_factor)
+        yield Reported("circular error over the ideal pendulum's", values.circular_factor)
     if (plane := values.swing_plane) is not None:
-        yield Quantity("turning of the swing plane", plane.rate_deg_per_min, "deg/min")
+        yield Reported("turning of the swing plane", plane.rate_deg_per_min, "deg/min")
 
 
-def _more(values: InstrumentResults) -> Iterator[Quantity]:
+def _more(values: InstrumentResults) -> Iterator[Reported]:
     """What belongs to the result."""
     if values.first_amplitude_deg is not None:
-        yield Quantity("first amplitude", Estimate(values.first_amplitude_deg, nan), "deg")
+        yield Reported("first amplitude", Estimate(values.first_amplitude_deg, nan), "deg")
     if values.damping is not None:
-        yield Quantity("half-cycles missing in it", Estimate(values.damping.missing_half_cycles, nan))
+        yield Reported("half-cycles missing in it", Estimate(values.damping.missing_half_cycles, nan))
     if (law := values.friction_law) is not None:
-        yield Quantity("power of the amplitude of the friction", law.exponent)
-        yield Quantity("frictional moment over m g d", law.moment)
-        yield Quantity("χ² per degree of freedom of that power", Estimate(law.chi2_per_dof, nan))
+        yield Reported("power of the amplitude of the friction", law.exponent)
+        yield Reported("frictional moment over m g d", law.moment)
+        yield Reported("χ² per degree of freedom of that power", Estimate(law.chi2_per_dof, nan))
     if values.chi2_per_dof is not None:
-        yield Quantity("χ² per degree of freedom", Estimate(values.chi2_per_dof, nan))
+        yield Reported("χ² per degree of freedom", Estimate(values.chi2_per_dof, nan))
     if (plane := values.swing_plane) is not None:
-        yield Quantity("turned in all", plane.turned_deg, "deg")
-        yield Quantity("width of the swing over its length", Estimate(plane.width_ratio, nan))
+        yield Reported("turned in all", plane.turned_deg, "deg")
+        yield Reported("width of the swing over its length", Estimate(plane.width_ratio, nan))
     if values.inferred_half_cycles is not None:
-        yield Quantity("turning points off the sensor", Estimate(values.inferred_half_cycles, nan))
+        yield Reported("turning points off the sensor", Estimate(values.inferred_half_cycles, nan))
     if values.amplitude_deg is not None:
         for which, value in zip(("first", "last"), values.amplitude_deg, strict=True):
-            yield Quantity(f"{which} amplitude", Estimate(value, nan), "deg")
+            yield Reported(f"{which} amplitude", Estimate(value, nan), "deg")
     if values.mean_period_s is not None:
-        yield Quantity("mean period", Estimate(values.mean_period_s, nan), "s")
+        yield Reported("mean period", Estimate(values.mean_period_s, nan), "s")
 
 
-def _of_places(series: InstrumentSeries) -> Iterator[Quantity]:
+def _of_places(series: InstrumentSeries) -> Iterator[Reported]:
     for name, unit, found in (("damping time", "s", series.time_s), ("swings", "", series.swings)):
         if found is not None:
             mean = Estimate(found.value, found.standard_uncertainty)
-            yield Quantity(f"{name}, mean of {found.places} places", mean, unit)
+            yield Reported(f"{name}, mean of {found.places} places", mean, unit)
 
 
-def _ratios(series: InstrumentSeries) -> Iterator[Quantity]:
+def _ratios(series: InstrumentSeries) -> Iterator[Reported]:
     for name, found in (("damping times", series.ratio), ("swings", series.ratio_of_swings)):
         if found is not None:
-            yield Quantity(f"ratio of {name}, sample to reference", found)
+            yield Reported(f"ratio of {name}, sample to reference", found)
 
 
 def _numbers(tree: Mapping[str, JsonValue], above: str = "") -> Iterator[tuple[str, float | str, float]]:

@@ -33,7 +33,7 @@ from processing.spot import Spot, SpotFlag
 from processing.swing import Swing
 from processing.ticks import seconds
 from rig.instrument import Block, Phase, Snapshot
-from rig.presentation import Quantity, balance_numbers, quantity
+from rig.presentation import Shown, balance_numbers, quantity
 from rig.rerun import (
     BalanceNumbers,
     Curve,
@@ -65,7 +65,7 @@ _FULL_BYTES = 1 << 20
 """With less than this a disk is called full."""
 
 
-def _in_panel(key: str) -> Quantity:
+def _in_panel(key: str) -> Shown:
     """A parameter as its panel shows it: the viewer's axes have no powers of ten, and c is some 10⁻⁸."""
     shown = quantity(key)
     return replace(shown, symbol="10⁹ c", factor=1e9 * shown.factor) if key == "c" else shown

@@ -17,7 +17,7 @@ from processing.contact.hertz import MATERIALS
 from processing.contact.laws import DRAG, PAPER
 from processing.contact.parameters import ContactParameters
 from processing.errors import RigError
-from processing.fit.apparatus import Quantity, RigQuantities
+from processing.fit.apparatus import InputQuantity, RigQuantities
 from processing.fit.asymptotic import fit_asymptotic
 from processing.fit.determination import identifiability
 from processing.fit.drag import drag_verdict
@@ -129,12 +129,12 @@ def speed(quick: bool) -> dict[str, float]:
     parameters, pendulum = paper_pair("silicon", 1e-4)
     dragged = decay(parameters, pendulum, noise_arcsec=0.005, seed=1)
     rig = RigQuantities(
-        Quantity(0.406, 1e-4),
-        Quantity(6.05e-3, 2e-6),
+        InputQuantity(0.406, 1e-4),
+        InputQuantity(6.05e-3, 2e-6),
         MATERIALS["steel"],
         MATERIALS["silicon"],
-        Quantity(1.0, 1e-3),
-        Quantity(3.45e-6, 1e-9),
+        InputQuantity(1.0, 1e-3),
+        InputQuantity(3.45e-6, 1e-9),
     )
 
     def whole_analysis() -> None:

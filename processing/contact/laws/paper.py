@@ -50,7 +50,14 @@ PAPER = Law(
         ),
         Parameter("period0_s", "T₀", "s", "period at vanishing amplitude", "Eq. 6", lower=0.0),
         Parameter(
-            "gamma_pa", "γ", "Pa", "stiffness of the elastic adhesion", "Eq. 3", lower=0.0, logarithmic=True
+            "gamma_pa",
+            "γ",
+            "Pa",
+            "stiffness of the elastic adhesion",
+            "Eq. 3",
+            lower=0.0,
+            logarithmic=True,
+            shown="MPa",
         ),
     ),
     branch_moments=_branch_moments,

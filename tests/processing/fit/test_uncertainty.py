@@ -9,7 +9,7 @@ from calibration.light_lever import Lever
 from processing.contact.hertz import MATERIALS
 from processing.contact.moments import cycle_work, surface_energy
 from processing.errors import ConfigurationError, DataError
-from processing.fit.apparatus import Quantity, RigQuantities
+from processing.fit.apparatus import InputQuantity, RigQuantities
 from processing.fit.exact import fit_exact
 from processing.fit.reported import (
     FittedContact,
@@ -28,16 +28,16 @@ STEEL = replace(MATERIALS["steel"], u_youngs_modulus_pa=3e9, u_poisson_ratio=0.0
 GLASS = replace(MATERIALS["glass_k8"], u_youngs_modulus_pa=2e9, u_poisson_ratio=0.005)
 
 
-def rig(**changes: Quantity) -> RigQuantities:
+def rig(**changes: InputQuantity) -> RigQuantities:
     quantities = RigQuantities(
-        mass_kg=Quantity(0.406, 1e-4),
-        ball_radius_m=Quantity(6.05e-3, 2e-6),
+        mass_kg=InputQuantity(0.406, 1e-4),
+        ball_radius_m=InputQuantity(6.05e-3, 2e-6),
         ball=STEEL,
         flat=GLASS,
-        arm_m=Quantity(1.0, 1e-3),
-        pitch_m=Quantity(3.45e-6, 1e-9, "rectangular"),
-        gravity_m_per_s2=Quantity(9.80665, 1e-4),
-        clock=Quantity(1.0, 1e-5),
+        arm_m=InputQuantity(1.0, 1e-3),
+        pitch_m=InputQuantity(3.45e-6, 1e-9, "rectangular"),
+        gravity_m_per_s2=InputQuantity(9.80665, 1e-4),
+        clock=InputQuantity(1.0, 1e-5),
     )
     return replace(quantities, **changes)
 
@@ -77,7 +77,7 @@ def test_another_input_gives_what_fitting_again_gives(
         points.amplitude * scale,
         points.u_amplitude * scale,
     )
-    changed = rig(mass_kg=Quantity(0.406 * factor)) if source == "mass_kg" else rig()
+    changed = rig(mass_kg=InputQuantity(0.406 * factor)) if source == "mass_kg" else rig()
     fit = fit_exact(again, changed.pendulum())
     u = np.sqrt(np.diag(found.covariance))
     for k, name in enumerate(found.names):
@@ -93,11 +93,11 @@ def test_another_input_gives_what_fitting_again_gives(
 
 
 def test_an_uncertainty_from_a_few_readings_has_their_degrees_of_freedom(found: FittedContact) -> None:
-    few = budgets(found, rig(arm_m=Quantity(1.0, 0.05, dof=6.0)))["c"]
+    few = budgets(found, rig(arm_m=InputQuantity(1.0, 0.05, dof=6.0)))["c"]
     assert few.sources[0].source == "arm_m"
     assert few.degrees_of_freedom == pytest.approx(6.0, rel=0.1)
     assert few.coverage_factor_95 == pytest.approx(2.4, rel=0.02)
-    assert np.std(Quantity(1.0, 0.05, dof=6.0).draw(np.random.default_rng(1), 20_000)) == pytest.approx(
+    assert np.std(InputQuantity(1.0, 0.05, dof=6.0).draw(np.random.default_rng(1), 20_000)) == pytest.approx(
         0.05 * np.sqrt(6 / 4), rel=0.05
     )
 
@@ -105,7 +105,7 @@ def test_an_uncertainty_from_a_few_readings_has_their_degrees_of_freedom(found: 
 def test_a_stated_contact_radius_has_its_budget(found: FittedContact) -> None:
     """The energy goes as m g c R/(2 a^2): twice the radius's uncertainty, and a little through R/a."""
     radius = rig().pendulum().contact_radius_m
-    table = budgets(found, replace(rig(), contact_radius_m=Quantity(radius, 0.03 * radius)))
+    table = budgets(found, replace(rig(), contact_radius_m=InputQuantity(radius, 0.03 * radius)))
     energy = table["surface_energy_table2_j_per_m2"]
     assert energy.value == pytest.approx(budgets(found, rig())["surface_energy_table2_j_per_m2"].value)
     assert energy.sources[0].source == "contact_radius_m"
@@ -120,7 +120,7 @@ def test_a_skew_matters_where_the_pendulum_rests_beside_the_reference(found: Fit
     true = Lever(arm_m=1.0, pixel_pitch_m=3.45e-6, skew=skew)
     plain = true.square()
     ends = plain.tilt_rad(true.displacement_px([rest + swing, rest - swing]))
-    quantities = replace(rig(skew=Quantity(0.0, skew)), rest_rad=rest)
+    quantities = replace(rig(skew=InputQuantity(0.0, skew)), rest_rad=rest)
     assert float(quantities.skewed_scale(np.array([skew]))[0]) == pytest.approx(
         2 * swing / float(ends[0] - ends[1]), rel=1e-5
     )
@@ -128,7 +128,7 @@ def test_a_skew_matters_where_the_pendulum_rests_beside_the_reference(found: Fit
     assert parts["skew"] == pytest.approx(found.values[2] * 2 * skew * np.tan(2 * rest), rel=0.15), (
         "and a little through R/a"
     )
-    centred = budgets(found, rig(skew=Quantity(0.0, skew)))["c"]
+    centred = budgets(found, rig(skew=InputQuantity(0.0, skew)))["c"]
     assert "skew" not in {line.source for line in centred.sources}
 
 
@@ -168,7 +168,7 @@ def test_the_ground_has_a_line_of_its_own_beside_the_reading() -> None:
 
 
 def test_few_runs_widen_the_coverage_factor(found: FittedContact) -> None:
-    quiet = rig(arm_m=Quantity(1.0), clock=Quantity(1.0))
+    quiet = rig(arm_m=InputQuantity(1.0), clock=InputQuantity(1.0))
     c = budgets(replace(found, dof=2.0), quiet)["c"]
     assert c.degrees_of_freedom < 5
     assert c.coverage_factor_95 > 2.5
@@ -251,18 +251,18 @@ def test_two_balls_share_the_weight() -> None:
         replace(rig(), balls=3)
 
 
-@pytest.mark.parametrize("change", [{"arm_m": Quantity(0.0)}, {"mass_kg": Quantity(-1.0)}])
-def test_impossible_quantities_are_refused(change: dict[str, Quantity]) -> None:
+@pytest.mark.parametrize("change", [{"arm_m": InputQuantity(0.0)}, {"mass_kg": InputQuantity(-1.0)}])
+def test_impossible_quantities_are_refused(change: dict[str, InputQuantity]) -> None:
     with pytest.raises(ConfigurationError, match="must be positive"):
         rig(**change)
     with pytest.raises(ConfigurationError, match="must not be negative"):
-        Quantity(1.0, -0.1)
+        InputQuantity(1.0, -0.1)
 
 
 def test_a_wrong_row_time_moves_the_parameters_by_what_the_budget_says(points: TurningPoints) -> None:
     """The row time is wrong by three times its uncertainty: the whole analysis again."""
     u_s = 0.5e-6
-    rolling = rig(row_time_s=Quantity(15e-6, u_s))
+    rolling = rig(row_time_s=InputQuantity(15e-6, u_s))
     exact = fit_exact(points, rolling.pendulum())
     slopes = by_row_time(points, rolling.pendulum(), exact, rolling)
     assert slopes is not None
@@ -281,13 +281,13 @@ def test_a_wrong_row_time_moves_the_parameters_by_what_the_budget_says(points: T
 @pytest.mark.parametrize(
     ("quantity", "kurtosis", "furthest"),
     [
-        (Quantity(3.0, 0.2, "rectangular"), 1.8, 3**0.5),
-        (Quantity(3.0, 0.2), 3.0, np.inf),
-        (Quantity(3.0, 0.2, dof=20.0), 3.0 + 6 / 16, np.inf),
+        (InputQuantity(3.0, 0.2, "rectangular"), 1.8, 3**0.5),
+        (InputQuantity(3.0, 0.2), 3.0, np.inf),
+        (InputQuantity(3.0, 0.2, dof=20.0), 3.0 + 6 / 16, np.inf),
     ],
 )
 def test_inputs_are_drawn_from_their_distribution(
-    quantity: Quantity, kurtosis: float, furthest: float
+    quantity: InputQuantity, kurtosis: float, furthest: float
 ) -> None:
     """A scale's last place is never off by more than half of it, a mean of few readings may be."""
     deviation = (quantity.draw(np.random.default_rng(1), 100_000) - 3.0) / 0.2

@@ -8,7 +8,7 @@ import pytest
 from calibration.axes import Axes
 from calibration.shutter import Shutter
 from processing.deflections import Deflections, DeflectionUnit, Floats
-from processing.fit.apparatus import Quantity
+from processing.fit.apparatus import InputQuantity
 from processing.fit.reported import FittedContact
 from processing.fit.uncertainty import budgets
 from rig.analysis.contact_verdicts import rig_quantities
@@ -36,7 +36,7 @@ def test_the_slow_tilt_that_wrong_axes_show(
     seen = np.linalg.inv(assumed.directions()) @ true.directions() @ np.array([ratio, 1.0])
     # seen mirrored, the same fast deflection has the other sign on the sensor
     quantities = replace(
-        rig(slow_angle_rad=Quantity(angle), non_orthogonality_rad=Quantity(apart)),
+        rig(slow_angle_rad=InputQuantity(angle), non_orthogonality_rad=InputQuantity(apart)),
         fast_ratio=-ratio if mirrored else ratio,
     )
     shown = quantities.seen_slow_tilt(np.array([angle + off]), np.array([apart + opened]))
@@ -51,7 +51,7 @@ def test_known_axes_change_no_number(found: FittedContact) -> None:
 def test_uncertain_axes_stand_in_the_budget(found: FittedContact) -> None:
     u_rad, ratio, apart = 2e-3, 0.05, 0.01
     uncertain = replace(
-        rig(slow_angle_rad=Quantity(0.2, u_rad), non_orthogonality_rad=Quantity(apart, u_rad)),
+        rig(slow_angle_rad=InputQuantity(0.2, u_rad), non_orthogonality_rad=InputQuantity(apart, u_rad)),
         fast_ratio=ratio,
     )
     budget = budgets(found, uncertain)["c"]
@@ -69,13 +69,13 @@ def test_the_configuration_states_them() -> None:
     )
     quantities = rig_quantities(config.model_copy(update={"axes": axes}), 0.01)
     assert quantities is not None
-    assert quantities.slow_angle_rad == Quantity(0.1, 1e-3)
-    assert quantities.non_orthogonality_rad == Quantity(0.02, 3e-3)
+    assert quantities.slow_angle_rad == InputQuantity(0.1, 1e-3)
+    assert quantities.non_orthogonality_rad == InputQuantity(0.02, 3e-3)
     assert quantities.fast_ratio == 0.01
-    assert quantities.row_time_s == Quantity(0.0)
+    assert quantities.row_time_s == InputQuantity(0.0)
     rolling = rig_quantities(config.model_copy(update={"shutter": Shutter(15e-6, 2e-7)}))
     assert rolling is not None
-    assert rolling.row_time_s == Quantity(15e-6, 2e-7)
+    assert rolling.row_time_s == InputQuantity(15e-6, 2e-7)
 
 
 def test_the_fast_mode_is_compared_with_the_slow_one() -> None:

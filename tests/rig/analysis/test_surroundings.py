@@ -9,7 +9,7 @@ import pytest
 
 from acquisition.record.reader import RecordReader
 from processing.errors import ConfigurationError
-from rig.analysis import Surroundings
+from processing.surroundings import Surroundings
 from rig.analysis.surroundings import doubts_of, recorded_surroundings
 from rig.instrument import recorded_configuration
 from rig.settings import load_configuration

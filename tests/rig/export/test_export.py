@@ -14,7 +14,7 @@ from pyarrow import csv, parquet
 
 from acquisition.record.reader import RecordReader
 from processing.errors import ConfigurationError, RecordError
-from rig.export.run import flat_results, unit_of
+from rig.export.run import flat_results
 from rig.export.session_export import export_session
 
 h5py = pytest.importorskip("h5py")
@@ -161,19 +161,51 @@ def test_a_missing_library_is_one_line(
         export_session(measured_series, "hdf5", tmp_path / "a.h5")
 
 
-@pytest.mark.parametrize(
-    ("name", "unit"),
-    [
-        ("x_px", "px"),
-        ("u_turn_time_s", "s"),
-        ("table2_j_per_m2", "J/m^2"),
-        ("flags", ""),
-        ("p", ""),
-        ("s", ""),
-    ],
-)
-def test_units_by_the_end_of_a_name(name: str, unit: str) -> None:
-    assert unit_of(name) == unit
+UNITS = {
+    "pendulum/gravity_m_per_s2": "m/s^2",
+    "measured_again_on/rate_rad_per_s": "rad/s",
+    "drag/of_air/air_viscosity_pa_s": "Pa s",
+    "drag/of_air/air_density_kg_per_m3": "kg/m^3",
+    "drag/drag_s/value": "s",
+    "fits/exact/b/value": "rad^-p",
+    "fits/exact/gamma_pa/standard_uncertainty": "Pa",
+    "fits/exact/initial_amplitude_rad/value": "rad",
+    "fits/exact/ground/density_rad_per_s2_rthz/value": "rad/s^2/sqrt(Hz)",
+    "fits/exact/ground/upper_95": "rad/s^2/sqrt(Hz)",
+    "fits/asymptotic/mean_period_s/value": "s",
+    "surface_energy_j_per_m2/table2/value": "J/m^2",
+    "surface_energy_j_per_m2/asymptotic/eq2/standard_uncertainty": "J/m^2",
+    "hertz/angle_rad/value": "rad",
+    "budget/gamma_pa/value": "Pa",
+    "budget/surface_energy_table2_j_per_m2/sources/0/contribution": "J/m^2",
+    "monte_carlo/quantities/contact_radius_m/upper_95": "m",
+    "work_per_cycle/0/dissipated_4a_j/value": "J",
+    "turning_points/amplitude/0": "rad",
+    "turning_points/u_time_s/0": "s",
+    "initial_amplitude": "arcsec",
+}
+
+
+def test_every_unit_in_nexus_is_one_and_that_of_its_number(measured_series: Path, tmp_path: Path) -> None:
+    """Names alone would say s for a viscosity in Pa s."""
+    path = tmp_path / "runs.h5"
+    export_session(measured_series, "hdf5", path)
+    found: dict[str, str] = {}
+    with h5py.File(path) as file:
+        values = file["run_1/results/values"]
+        values.visititems(lambda name, item: found.update({name: item.attrs.get("units", "")}))
+        numbers = {name for name in found if isinstance(values[name], h5py.Dataset)}
+    assert {name: found[name] for name in UNITS} == UNITS
+    pint = pytest.importorskip("pint", reason="pint is not installed")
+    theirs = pint.UnitRegistry()
+    for name in sorted(numbers):
+        unit = found[name].replace("sqrt(Hz)", "Hz^0.5").replace("^-p", "^-0.9").replace("degC", "kelvin")
+        quantity = theirs.Quantity(1.0, unit)
+        suffix = re.search(r"_(kg|m|s|ns|rad|pa|j|px)(/(value|standard_uncertainty))?$", name)
+        if suffix is not None and "_per_" not in name and "pa_s" not in name and "budget/" not in name:
+            assert quantity.check(
+                theirs.Quantity(1.0, {"pa": "Pa", "j": "J"}.get(suffix[1], suffix[1])).units
+            ), name
 
 
 def test_what_is_not_determined_is_nan() -> None:

@@ -12,8 +12,8 @@ from processing.deflections import DeflectionUnit
 from processing.estimate import Estimate
 from processing.instruments import DEGREE_RAD
 from processing.spot import Spot
+from processing.surroundings import Surroundings
 from processing.swing import Swing
-from rig.analysis import Surroundings
 from rig.analysis.base_acceleration import base_motion
 from rig.analysis.contact_verdicts import rig_quantities
 from rig.analysis.other_instruments import reduce_run

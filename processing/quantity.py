@@ -1,0 +1,120 @@
+"""What a number is, declared once: on the field of the dataclass that holds it.
+
+``drag_s: Annotated[float, Quantity("drag", "linear drag")]`` gives symbol and meaning; the SI unit stands in
+the name. Terminal, report, files for other programs, archive and JSON schema take theirs from here.
+"""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, fields, is_dataclass, replace
+from functools import cache
+from typing import Annotated, Any, Final, get_args, get_origin, get_type_hints
+
+from processing.estimate import Estimate
+from processing.units import conversion, unit_of_name
+
+OWN: Final = "own"
+"""Unit of a number that belongs to a quantity and is in its unit: its value, a part of its uncertainty."""
+STATED: Final = "stated in "
+"""``STATED + "unit"``: the unit that stands in the field `unit` beside the number."""
+OF: Final = "unit of "
+"""``OF + "source"``: the unit of the quantity that is named in the field `source` beside the number."""
+PER: Final = " per "
+"""Between two of these."""
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """Declaration of a number, or of a value with its uncertainty, or of an array of them.
+
+    Attributes
+    ----------
+    symbol, meaning
+        As printed in tables and figures; what it is, in words.
+    shown
+        Unit in which a person reads it; empty: the SI unit, and none for a plain number.
+    unit
+        SI unit, "1" for a plain number; empty: the one in which the field's name ends.
+    """
+
+    symbol: str
+    meaning: str
+    shown: str = ""
+    unit: str = ""
+
+    @property
+    def factor(self) -> float:
+        """The number shown is this times the stored one."""
+        return conversion(self.unit, self.shown) if self.shown else 1.0
+
+    def of_field(self, name: str) -> "Quantity":
+        """With the unit that the name of its field ends in."""
+        return self if self.unit else replace(self, unit=unit_of_name(name) or "1")
+
+
+PLAIN: Final = Quantity("", "", unit="1")
+"""Of numbers without a unit in a mapping whose keys have one."""
+IN_UNIT: Final = Quantity("", "in `unit`", unit=STATED + "unit")
+"""Of a number whose unit stands in the field `unit` beside it."""
+PART: Final = Quantity("", "", unit=OWN)
+"""Of what belongs to a quantity and is in its unit: a value, a bound, a contribution."""
+
+
+@cache
+def quantities_of(kind: type) -> Mapping[str, Quantity]:
+    """The declared fields of a dataclass by name, each with its unit."""
+    return {
+        name: declared.of_field(name)
+        for name, hint in get_type_hints(kind, include_extras=True).items()
+        if (declared := _declared(hint)) is not None
+    }
+
+
+def _declared(hint: Any) -> Quantity | None:
+    if get_origin(hint) is Annotated:
+        return next((note for note in get_args(hint)[1:] if isinstance(note, Quantity)), None)
+    return None
+
+
+def with_units(
+    value: Any, unit_of: Callable[[str], str], path: tuple[str | int, ...] = (), own: str = ""
+) -> Iterator[tuple[tuple[str | int, ...], Any, str]]:
+    """Every plain value below `value`, with its path and its unit; arrays are one value.
+
+    Parameters
+    ----------
+    value
+        A dataclass, a mapping or a sequence, nested.
+    unit_of
+        Unit of a quantity by its key, for the entries of mappings and what is named beside a number.
+    own
+        Unit of the quantity to which the value belongs.
+    """
+    if isinstance(value, Mapping):
+        for key, item in value.items():
+            yield from with_units(item, unit_of, (*path, key), own or unit_of(str(key)))
+    elif isinstance(value, list | tuple):
+        for place, item in enumerate(value):
+            yield from with_units(item, unit_of, (*path, place), own)
+    elif isinstance(value, Estimate) or not is_dataclass(value):
+        if isinstance(value, Estimate):
+            yield (*path, "value"), value.value, own
+            yield (*path, "standard_uncertainty"), value.standard_uncertainty, own
+        else:
+            yield path, value, "" if isinstance(value, str | bool | None) else own
+    else:
+        kind: Any = type(value)
+        declared = quantities_of(kind)
+        for name in (item.name for item in fields(value)):
+            unit = declared[name].unit if name in declared else unit_of_name(name)
+            above, per, below = (_resolved(part, value, unit_of, own) for part in unit.partition(PER))
+            unit = f"{above}/({below})" if per and above and below else above
+            yield from with_units(getattr(value, name), unit_of, (*path, name), unit)
+
+
+def _resolved(unit: str, value: Any, unit_of: Callable[[str], str], own: str) -> str:
+    """A unit that may be that of something beside the number or above it."""
+    if unit == OWN:
+        return own
+    if unit.startswith(STATED):
+        return str(getattr(value, unit.removeprefix(STATED)) or "")
+    return unit_of(getattr(value, unit.removeprefix(OF))) if unit.startswith(OF) else unit

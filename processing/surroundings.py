@@ -1,0 +1,26 @@
+"""What surrounded a run: the air, and how long the contact and its surfaces had been as they were."""
+
+from dataclasses import asdict, dataclass
+from math import isfinite, nan
+from typing import Annotated
+
+from processing.quantity import Quantity
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Surroundings:
+    """Air and history of a run's contact; NaN for what is neither read nor stated.
+
+    Air: means of what the sensor read during the run, else as stated. Until the run's first frame it is
+    `dwell_s` from when the ball was set on its place, `age_s` from the last cleaning of the surfaces.
+    """
+
+    temperature_c: Annotated[float, Quantity("temperature", "temperature")] = nan
+    humidity_percent: Annotated[float, Quantity("humidity", "relative humidity")] = nan
+    pressure_pa: Annotated[float, Quantity("pressure", "pressure of the air", "hPa")] = nan
+    dwell_s: Annotated[float, Quantity("dwell", "dwell of the ball on its place", "h")] = nan
+    age_s: Annotated[float, Quantity("age", "age of the surfaces since cleaning", "h")] = nan
+
+    def known(self) -> dict[str, float]:
+        """What is known, by name."""
+        return {name: value for name, value in asdict(self).items() if isfinite(value)}
