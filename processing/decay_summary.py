@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from processing.errors import DataError
+from processing.estimate import Estimate
 from processing.swing import TurningPoints
 
 _FEWEST = 4  # a straight line, and two degrees of freedom for its scatter
@@ -52,6 +53,14 @@ class DecaySummary:
     final_amplitude: float
     period_s: DecayMean
     decrement: DecayMean
+
+    @property
+    def quality_factor(self) -> Estimate | None:
+        """pi over the decrement; None where that changes, and of a decay that is faster than a swing."""
+        found = self.decrement
+        if found.changes or found.value > np.pi:
+            return None
+        return Estimate(np.pi / found.value, np.pi / found.value * found.u / found.value)
 
 
 def summarise_decay(points: TurningPoints) -> DecaySummary:

@@ -82,10 +82,10 @@ _TOKEN: Final = re.compile(
 )
 
 _IN_NAMES: Final[Mapping[str, str]] = {
-    "m": "m", "m2": "m^2", "kg": "kg", "s": "s", "s2": "s^2", "ms": "ms", "us": "us", "ns": "ns", "a": "A",
-    "hz": "Hz", "rthz": "sqrt(Hz)", "n": "N", "pa": "Pa", "j": "J", "w": "W", "rad": "rad", "deg": "deg",
-    "arcsec": "arcsec", "min": "min", "percent": "%", "c": "°C", "px": "px", "dn": "DN", "e": "e", "db": "dB",
-    "ppm": "ppm",
+    "m": "m", "m2": "m^2", "m3": "m^3", "kg": "kg", "s": "s", "s2": "s^2", "ms": "ms", "us": "us",
+    "ns": "ns", "a": "A", "hz": "Hz", "rthz": "sqrt(Hz)", "n": "N", "pa": "Pa", "j": "J", "w": "W",
+    "rad": "rad", "deg": "deg", "arcsec": "arcsec", "min": "min", "percent": "%", "c": "°C", "px": "px",
+    "dn": "DN", "e": "e", "db": "dB", "ppm": "ppm",
 }  # fmt: skip
 _PRODUCTS_IN_NAMES: Final = (["n", "m"], ["pa", "s"])
 

@@ -17,7 +17,7 @@ from processing.fit.ground import Ground, GroundFit
 from processing.fit.whiteness import Whiteness
 from processing.fit_method import FitMethod
 from processing.least_squares import Loss
-from processing.quantity import PLAIN, Quantity
+from processing.quantity import Quantity
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,7 +54,7 @@ class FitQuality:
     arae_period: Annotated[float, Quantity("ARAE (9)", "ARAE of the periods, Eq. 9", "%")] = nan
     chi2_per_dof: Annotated[float, Quantity("χ²/dof", "χ² per degree of freedom")] = nan
     degrees_of_freedom: Annotated[int, Quantity("dof", "degrees of freedom")] = 0
-    bias: Annotated[Mapping[str, float] | None, PLAIN] = None
+    bias: Mapping[str, float] | None = None
     ground: Ground | None = None
     whiteness: Whiteness | None = None
     outliers: tuple[int, ...] = ()

@@ -4,7 +4,8 @@ from collections.abc import Mapping, Sequence
 
 from processing.contact.laws import PAPER
 from processing.estimate import NOT_DETERMINED, Estimate
-from processing.fit import Determination, FitMethod
+from processing.fit import Determination, FitMethod, FitQuality
+from processing.quantity import quantities_of
 from rig.analysis.contact_results import Fit, SurfaceEnergies
 from rig.analysis.determined import determined_text, series_verdicts
 from rig.analysis.results import SessionResults
@@ -113,15 +114,24 @@ def _of_bias(fits: Mapping[str, Fit]) -> str:
 
 
 def quality_table(fits: Mapping[str, Fit]) -> Table:
-    """chi2/dof, degrees of freedom, ARAE of Eqs. 8 and 9 and the outliers, a column for each fit."""
+    """What is declared of a fit's quality, and the outliers, a column for each fit."""
     methods = _in_order(fits)
     rows: list[list[Cell]] = []
     shown = []
-    for key in ("chi2_per_dof", "degrees_of_freedom", "arae_decay", "arae_period"):
-        values = [getattr(fits[method], key) for method in methods]
+    for key in quantities_of(FitQuality):
         form = quantity(key)
-        texts = [str(v) if isinstance(v, int) else plain(v * form.factor, 3) for v in values]
-        rows.append([key, *values])
+        if not form.symbol:
+            continue
+        values = [getattr(fits[method], key) for method in methods]
+        if isinstance(values[0], Estimate):
+            rows += [
+                [key, *(one.value for one in values)],
+                [f"u_{key}", *(one.standard_uncertainty for one in values)],
+            ]
+            texts = [form.text(*one) for one in values]
+        else:
+            rows.append([key, *values])
+            texts = [str(v) if isinstance(v, int) else plain(v * form.factor, 3) for v in values]
         shown.append([form.name, *texts, form.unit])
     outliers = [fits[method].outliers for method in methods]
     rows.append(["outlying_half_cycles", *(" ".join(map(str, found)) for found in outliers)])

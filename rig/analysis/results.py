@@ -147,13 +147,15 @@ class TableDecay(RunResults):
     """One decay of a table: what a run of the rig reports, and mean period and logarithmic decrement.
 
     `initial_amplitude` and `final_amplitude` are in the table's own unit, `amplitude_unit`; `began_s` and
-    `ended_s` are the first and the last turning point since the table's first row.
+    `ended_s` are the first and the last turning point since the table's first row. A decrement that
+    changes, and a decay faster than a swing, have no `quality_factor`.
     """
 
     began_s: float = nan
     ended_s: float = nan
     period_s: Estimate = NOT_DETERMINED
     log_decrement: Estimate = NOT_DETERMINED
+    quality_factor: Estimate | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -189,6 +189,7 @@ def _analyse(
         ended_s=seconds(unflagged[-1]),
         period_s=Estimate(summary.period_s.value, summary.period_s.u),
         log_decrement=Estimate(summary.decrement.value, summary.decrement.u),
+        quality_factor=summary.quality_factor,
     )
     return FoundDecay(swings, summary, results)
 

@@ -111,10 +111,8 @@ def _print_decay(number: int, decay: FoundDecay) -> None:
     ]
     if summary.decrement.value > math.pi:
         lines.append("the decay is faster than a swing: no quality factor")
-    elif not summary.decrement.changes:
-        q = math.pi / summary.decrement.value
-        u_q = q * summary.decrement.u / summary.decrement.value
-        lines.append(f"quality factor {with_uncertainty(q, u_q)}")
+    elif results.quality_factor is not None:
+        lines.append(f"quality factor {with_uncertainty(*results.quality_factor)}")
     if summary.period_s.chi2_per_dof < _TOO_QUIET and summary.decrement.chi2_per_dof < _TOO_QUIET:
         lines.append(
             "the half-cycles scatter far less than the noise of a sample says, which few samples a swing "
