@@ -1,6 +1,7 @@
-"""Results made anew of records in an archive: a file for each, every version kept."""
+"""Results made again of records in an archive: a file for each, with the code that made it; all are kept."""
 
 import datetime
+import functools
 import hashlib
 import json
 from dataclasses import dataclass, replace
@@ -22,12 +23,32 @@ from rig.analysis import (
     laws_of,
     session_results,
 )
-from rig.archive.code_identity import code_identity
 from rig.archive.remote import is_remote, write_new
 from rig.archive.session_rows import now_utc, row_of_results
 from rig.archive.shelf import unreadable
 from rig.archive.store import REFIT_SUFFIX, refit_shelf
+from rig.instrument import versions
 from rig.replay import analyse_replayed
+
+_ROOT = Path(__file__).resolve().parents[2]
+_PACKAGES = ("rig", "acquisition", "calibration", "processing")
+_LIBRARIES = ("numpy", "scipy", "numba", "opencv-python-headless")
+
+
+@functools.cache
+def code_identity() -> str:
+    """For example `0.1.0 (394556fc) 5f1c0e9d0a7b3c24`; equal where the same sources would run.
+
+    The commit alone does not say it: a checkout may be changed, an installation has none.
+    """
+    digest = hashlib.sha256()
+    for package in _PACKAGES:
+        for path in sorted((_ROOT / package).rglob("*.py")):
+            digest.update(f"{path.relative_to(_ROOT).as_posix()}\0".encode() + path.read_bytes())
+    known = versions()
+    digest.update("".join(f"{name} {known[name]}\n" for name in _LIBRARIES).encode())
+    return f"{known['optical-pendulum-rig']} ({known['commit'][:8]}) {digest.hexdigest()[:16]}"
+
 
 Level = Literal["swings", "spots", "pixels"]
 

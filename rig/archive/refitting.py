@@ -10,8 +10,7 @@ from acquisition.record.reader import RecordReader
 from processing.errors import ConfigurationError, RecordError
 from rig.analysis import chosen_laws
 from rig.archive.chosen import chosen_runs
-from rig.archive.code_identity import code_identity
-from rig.archive.refits import Level, Recipe, Task, refit
+from rig.archive.refits import Level, Recipe, Task, code_identity, refit
 from rig.archive.session_rows import now_utc
 from rig.archive.shelf import MANY
 from rig.archive.store import Archive, reads_archive

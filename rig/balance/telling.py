@@ -5,11 +5,46 @@ import sys
 from collections.abc import Sequence
 from typing import Any, Protocol
 
+from rich.console import Console
+from rich.table import Table
+
 from processing.balance import Fault, Turn, Unreachable
 from processing.deflections import Deflections
-from rig.balance.screen import print_advice, print_faults
 from rig.instrument import turn_text
-from rig.presentation import print_json_line, say
+from rig.presentation import NOT_KNOWN, print_json_line, say, with_uncertainty
+
+
+def print_faults(faults: Sequence[Fault], before: Sequence[Fault], *, live: bool = False) -> None:
+    """Print a table of the balance; with `live` one line on stderr."""
+    if live:
+        parts = [f"{f.name} {f.value:+.3g} {f.unit}".rstrip() for f in faults[:2] if math.isfinite(f.value)]
+        say("  ".join(parts))
+        return
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for name in ("", "number", "now"):
+        table.add_column(name)
+    if before:
+        table.add_column("before")
+    for name in ("limit", "what it means"):
+        table.add_column(name)
+    for k, fault in enumerate(faults):
+        row = ["go" if fault.ok else "NO", fault.name, _number(fault)]
+        if before:
+            row.append(_number(before[k]))
+        table.add_row(*row, f"{fault.limit:g} {fault.unit}".rstrip(), "" if fault.ok else fault.meaning)
+    Console().print(table, highlight=False)
+
+
+def _number(fault: Fault) -> str:
+    if math.isnan(fault.value):
+        return NOT_KNOWN
+    return f"{with_uncertainty(fault.value, fault.u_value, signed=True)} {fault.unit}".rstrip()
+
+
+def print_advice(turn: Turn | Unreachable | None, faults: Sequence[Fault]) -> None:
+    """Print which weight to turn, by how much and in which direction."""
+    Console().print(turn_text(turn, faults), highlight=False, markup=False, soft_wrap=True)
+
 
 QUESTION = (
     "turned (weight turns, e.g. x 1.5, or x 1.5 -0.75 in sequence; Enter: measure again;"

@@ -12,7 +12,6 @@ from rig.instrument.balance import (
 )
 from rig.instrument.beam_verdict import beam_quality
 from rig.instrument.calibration import fill_from_files, judge_calibration
-from rig.instrument.complete_configuration import complete
 from rig.instrument.configured_camera import (
     camera_settings,
     check_full_scale,
@@ -35,6 +34,7 @@ from rig.instrument.provenance import (
     session_metadata,
     versions,
 )
+from rig.instrument.simulated_rig import complete
 from rig.instrument.snapshot import Phase, Snapshot
 
 __all__ = [

@@ -1,4 +1,4 @@
-"""Fills missing sections of the configuration from the true values of the simulated rig."""
+"""Fills missing sections of a configuration from calibration files or from the simulated rig."""
 
 import math
 from dataclasses import replace
@@ -7,6 +7,7 @@ from acquisition.simulation.settings import SimulationSettings
 from calibration import Axes, Lever, Shutter
 from processing.contact import Material
 from processing.spot import SensorModel
+from rig.instrument.calibration import fill_from_files
 from rig.settings import BalanceSettings, Configuration, PendulumSettings
 
 SIMULATED_BALL = "simulated_ball"
@@ -119,3 +120,18 @@ def _materials(truth: SimulationSettings) -> dict[str, Material]:
             stated.u_poisson_ratio,
         ),
     }
+
+
+def complete(config: Configuration) -> Configuration:
+    """Fill missing sections from calibration files and from the true values of a simulated rig.
+
+    The lever becomes that of the camera's binning and colour plane.
+    """
+    config = fill_from_files(_binned(config))
+    return _binned(fill_from_truth(config)) if config.simulated else config
+
+
+def _binned(config: Configuration) -> Configuration:
+    if config.lever is None:
+        return config
+    return config.model_copy(update={"lever": config.lever.at_binning(config.camera.pitch_factor)})

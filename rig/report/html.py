@@ -4,7 +4,11 @@ import base64
 import html
 import re
 from collections.abc import Sequence
+from pathlib import Path
 
+from acquisition.record.check import Finding
+from acquisition.record.digest import sha256_of
+from processing.errors import RecordError
 from rig.presentation import Table
 from rig.report.drawing import ReportFigure
 
@@ -157,3 +161,21 @@ def stated_results_sha256(text: str) -> str:
     """SHA-256 of the results that a page says it was made from; empty if it says none."""
     found = re.search(f'<meta name="{RESULTS_SHA256}" content="([0-9a-f]{{64}})">', text)
     return found[1] if found else ""
+
+
+def check_report(results: Path) -> list[Finding]:
+    """Compare the SHA-256 in the report of a results file with the file; nothing without a report."""
+    report = results.with_name(results.stem.replace("results", "report", 1) + ".html")
+    if not report.is_file():
+        return []
+    try:
+        stated = stated_results_sha256(report.read_text(encoding="utf-8", errors="replace"))
+    except OSError as error:
+        raise RecordError(f"{report}: cannot be read: {error.strerror or error}") from None
+    if not stated:
+        return [Finding("note", f"{report.name} does not say which results it was made from")]
+    if stated != sha256_of(results):
+        return [
+            Finding("error", f"{report.name} was made from other results than {results.name}; run rig report")
+        ]
+    return [Finding("note", f"{report.name} was made from {results.name}")]

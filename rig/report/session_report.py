@@ -28,7 +28,7 @@ from rig.presentation import Table, plain, quantity
 from rig.report import figures_contact, figures_ground, figures_laws, figures_motion, html
 from rig.report.drawing import ReportFigure, png, styled, svg
 from rig.report.figures_instruments import instrument_figures
-from rig.report.figures_place import place_figure
+from rig.report.figures_motion import place_figure
 from rig.report.run_data import ReportSource, RunData, read_source
 from rig.report.tables import run_tables
 from rig.report.tables_instruments import headline

@@ -9,9 +9,7 @@ import rerun as rr
 from rig.presentation import balance_drawn, balance_table, palette, quantity
 from rig.rerun import layout
 from rig.rerun.analysis_panels import draw_fits
-from rig.rerun.breaks import Breaks
-from rig.rerun.decimation import Decimator
-from rig.rerun.gathering import Gathering
+from rig.rerun.gathering import Breaks, Decimator, Gathering
 from rig.rerun.lanes import Lanes
 from rig.rerun.lissajous import Lissajous
 from rig.rerun.marks import spot_cross

@@ -1,4 +1,4 @@
-"""Gathers values into blocks before they are sent to Rerun.
+"""Thins values, breaks their curves in gaps and gathers them into blocks before they are sent to Rerun.
 
 Rerun stores each call as a chunk of at least one or two kilobytes: one call per frame would make the file of
 a run hundreds of megabytes large.
@@ -8,9 +8,48 @@ import time
 
 import numpy as np
 import rerun as rr
+from numpy.typing import NDArray
 
 from rig.rerun.layout import TIMELINE
 from rig.rerun.messages import Floats
+
+
+class Decimator:
+    """Chooses the samples to be drawn: the first of each interval ``1 / rate_hz``, and all with a flag.
+
+    This concerns the display only: the record contains every sample.
+    """
+
+    def __init__(self, rate_hz: float) -> None:
+        self._rate_hz = rate_hz
+        self._last_interval = -(2**62)
+
+    def choose(self, time_s: Floats, flags: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Which of the samples (n,), in order of time, are drawn; intervals continue from call to call."""
+        # Rounding must not move a sample at the beginning of an interval into the one before.
+        interval = np.floor(time_s * self._rate_hz + 1e-3).astype(np.int64)
+        before = np.concatenate(([self._last_interval], interval[:-1]))
+        if len(interval):
+            self._last_interval = int(interval[-1])
+        chosen: NDArray[np.bool_] = (interval != before) | (flags != 0)
+        return chosen
+
+
+class Breaks:
+    """Puts NaN into the gaps of curves, also between one block of values and the next."""
+
+    def __init__(self) -> None:
+        self._last_s: dict[str, float] = {}
+
+    def in_gaps(self, path: str, most_s: float, time_s: Floats, *columns: Floats) -> tuple[Floats, ...]:
+        """Times (n,) and columns (n,) of the curve at the entity `path`, NaN amid gaps above `most_s`."""
+        steps_s = np.diff(time_s, prepend=self._last_s.get(path, np.nan))
+        self._last_s[path] = float(time_s[-1])
+        gaps = np.flatnonzero(steps_s > most_s)
+        if not len(gaps):
+            return time_s, *columns
+        middles_s = time_s[gaps] - 0.5 * steps_s[gaps]
+        return np.insert(time_s, gaps, middles_s), *(np.insert(values, gaps, np.nan) for values in columns)
 
 
 class Gathering:

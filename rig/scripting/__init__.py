@@ -2,7 +2,6 @@
 
 from rig.scripting.fits import fit, fit_table
 from rig.scripting.record import Record, open_record
-from rig.scripting.report_figures import figures
-from rig.scripting.session import Session, open_session
+from rig.scripting.session import Session, figures, open_session
 
 __all__ = ["Record", "Session", "figures", "fit", "fit_table", "open_record", "open_session"]

@@ -1,4 +1,4 @@
-"""The folder of a session."""
+"""The folder of a session, and the figures of its report."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -7,10 +7,39 @@ from typing import TYPE_CHECKING
 
 from rig.analysis import SessionResults, read_results
 from rig.scripting.record import Record, open_record
-from rig.scripting.report_figures import figures
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+from typing import TYPE_CHECKING
+
+from rig.report import draw_run, styled
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def figures(source: str | Path, run: int = 1) -> "Mapping[str, Figure]":
+    """Figures of one run of a session, by the names that their files have in a report.
+
+    Parameters
+    ----------
+    source
+        Folder of a session, or a results file.
+    run
+        Number of the run, counted from 1.
+
+    Returns
+    -------
+    Mapping of str to matplotlib.figure.Figure
+        A notebook displays the figures; `savefig` writes them.
+
+    Raises
+    ------
+    RigError
+        There are no results or no such run, or a record is missing.
+    """
+    with styled():
+        return {drawing.name: drawing.figure for drawing in draw_run(Path(source), run)}
 
 
 @dataclass(frozen=True)

@@ -3,8 +3,7 @@
 from processing.errors import ConfigurationError
 from rig.settings import Configuration
 from rig.wizards.calibration import CalibrationWizard
-from rig.wizards.check import CheckWizard
-from rig.wizards.lever import LeverWizard
+from rig.wizards.lever import CheckWizard, LeverWizard
 from rig.wizards.of_records import AxesWizard, ClockWizard, PointingWizard, ShutterWizard
 from rig.wizards.sensor import SensorWizard
 

@@ -1,12 +1,13 @@
-"""The wizard of the lever: lengths, or a ladder of known tilts or shifts, step by step."""
+"""Wizards of the lever: lengths, or a ladder of known tilts or shifts; and its check against known tilts."""
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from calibration import read_calibration
 from processing.errors import ConfigurationError
-from rig.calibrate import LADDER_UNITS, Filing, LadderFile, calibrate_lever
+from rig.calibrate import LADDER_UNITS, Filing, LadderFile, calibrate_lever, check_known_angle
 from rig.settings import keys_with_faults, number, optional, quantity
 from rig.wizards.calibration import a_record, write_table, yes_or_no
 from rig.wizards.question import Choice, Question, RecordedAnswer
@@ -213,3 +214,33 @@ def _checked(keys: dict[str, Any]) -> dict[str, Any]:
     if lines := keys_with_faults(keys, root=LadderFile):
         raise ConfigurationError("; ".join(lines))
     return keys
+
+
+@dataclass(frozen=True)
+class CheckWizard:
+    """`rig calibrate check`, asked; `lever` is suggested, the one in use where a configuration is at hand."""
+
+    lever: Path | None = None
+    kind: str = "check"
+    title: str = "Check of the lever against known tilts"
+
+    def questions(self, values: Mapping[str, Any]) -> Iterator[Question]:
+        """See `Wizard`."""
+        yield Question(
+            "lever",
+            "Calibration file of the lever to be checked:",
+            _lever_file,
+            suggested=None if self.lever is None else str(self.lever),
+        )
+        yield from ladder_questions(values, "tilt")
+
+    def file(self, values: Mapping[str, Any], filing: Filing) -> Path:
+        """See `CalibrationWizard`."""
+        ladder = write_table(filing.folder, "check-ladder", ladder_table(values, "tilt"))
+        return check_known_angle(ladder, values["lever"], filing)
+
+
+def _lever_file(text: str) -> Path:
+    path = Path(text).expanduser()
+    read_calibration(path, "lever")
+    return path

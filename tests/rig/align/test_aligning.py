@@ -12,7 +12,7 @@ from rich.console import Console
 from acquisition.camera import CameraSettings
 from processing.spot import SensorModel, SpotTracker
 from rig.align import align_camera
-from rig.align.aligning_screen import half_blocks, histogram_line
+from rig.align.aligning import half_blocks, histogram_line
 from rig.align.annotated_picture import annotated_picture
 from rig.align.look import AlignmentFrame
 from rig.devices.picture import figures

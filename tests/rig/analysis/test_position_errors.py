@@ -12,7 +12,7 @@ from rig.analysis import PositionErrors, RunResults, SessionResults, settled_swi
 from rig.analysis.passing_deflections import PassingDeflections
 from rig.analysis.results_file import read_results, write_results
 from rig.report.drawing import svg
-from rig.report.figures_place import place_figure
+from rig.report.figures_motion import place_figure
 from rig.settings import FitSettings
 from tests.processing.position_map.runs import Run, fringes, nothing, run
 

@@ -23,10 +23,10 @@ from rig.presentation.balance import (
     balance_table,
 )
 from rig.presentation.quantities import QUANTITIES, law_parameters, quantity
-from rig.rerun.decimation import Decimator
+from rig.rerun.gathering import Decimator
 from rig.rerun.graticule import Graticule, reach_beyond, tick_label, ticks, trajectory_graticule
+from rig.rerun.lissajous import Trail
 from rig.rerun.messages import Picture, Samples, State
-from rig.rerun.trail import Trail
 from rig.view.dropping_queue import DroppingQueue
 
 
