@@ -11,7 +11,7 @@ from typing import Literal, cast
 from rich.console import Console
 
 from acquisition.camera import CameraStatus, FrameTimeout
-from acquisition.cameras.usb3vision.discovery import FoundCamera, find_cameras, udev_rule
+from acquisition.cameras.usb3vision.discovery import FoundCamera, UsbSpeed, find_cameras, udev_rule
 from acquisition.cameras.usb3vision.settings import Usb3VisionSettings
 from acquisition.frame_losses import FrameLosses
 from processing.errors import DeviceError, RigError
@@ -206,7 +206,7 @@ def _read(path: Path) -> str:
 
 
 _USBFS_MEMORY = Path("/sys/module/usbcore/parameters/usbfs_memory_mb")
-_SLOW = ("low", "full", "high")
+_SLOW = (UsbSpeed.LOW, UsbSpeed.FULL, UsbSpeed.HIGH)
 _BUFFERED_FRAMES = 8
 
 
@@ -222,11 +222,11 @@ def check_usb_camera(camera: FoundCamera) -> tuple[Verdict, ...]:
         else f"only root may open USB devices unless a udev rule allows it: sudo cp {rule} "
         "/etc/udev/rules.d, sudo udevadm control --reload, then plug the camera in again",
     )
-    slow = camera.usb_speed.split()[0].lower() in _SLOW if camera.usb_speed else False
+    slow = camera.usb_speed in _SLOW
     speed = Verdict(
         "camera USB speed",
         not slow,
-        camera.usb_speed or "unknown",
+        camera.usb_speed.text,
         "use a USB 3 port (blue, or marked SS) and a USB 3 cable, without a hub" if slow else "",
     )
     return allowed, speed

@@ -42,8 +42,7 @@ def headline(values: InstrumentResults, series: InstrumentSeries | None) -> list
     found = list(_results(values))
     if series is not None:
         many = series.time_s is not None and series.time_s.places > 1
-        found = [*(_of_places(series) if many else found), *_ratios(series)]
-    found.sort(key=lambda item: not item.name.startswith("ratio"))
+        found = [*_ratios(series), *(_of_places(series) if many else found)]
     return [(item.label, item.text) for item in found[:_MOST_FIRST]]
 
 

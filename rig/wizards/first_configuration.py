@@ -60,6 +60,7 @@ class FirstConfiguration:
             "Period of the slow swing, in s (Enter: not known):",
             _period,
             suggested="",
+            says_enter=True,
         )
         if not simulated:
             yield Question(
@@ -69,6 +70,7 @@ class FirstConfiguration:
                 do="The light lever. Without it deflections and amplitudes are in px, and nothing can be "
                 "fitted. `rig calibrate lever` measures it.",
                 suggested="",
+                says_enter=True,
             )
             if values["arm"]:
                 yield Question(

@@ -164,6 +164,7 @@ def ladder_questions(values: Mapping[str, Any], way: str) -> Iterator[Question]:
             optional(number(unit)) if done else number(unit),
             do=do if count == 1 else "",
             suggested="" if done else None,
+            says_enter=done,
         )
         if values[f"reading {count}"] is None:
             break

@@ -63,6 +63,7 @@ class ClockWizard:
             "Width in bits of the camera's nanosecond counter, if it rolls over (Enter: it does not):",
             _bits,
             suggested="",
+            says_enter=True,
         )
 
     def file(self, values: Mapping[str, Any], filing: Filing) -> Path:

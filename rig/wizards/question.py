@@ -44,6 +44,8 @@ class Question:
         What is to be done before it can be answered.
     suggested
         The answer that Enter gives; None: one must be stated.
+    says_enter
+        The text itself says what Enter does.
     choices
         If there are any, what can be answered; `open_choice` takes other answers, too.
     recording
@@ -55,6 +57,7 @@ class Question:
     read: Callable[[str], Any]
     do: str = ""
     suggested: str | None = None
+    says_enter: bool = False
     choices: tuple[Choice, ...] = ()
     open_choice: bool = False
     recording: RecordedAnswer | None = None

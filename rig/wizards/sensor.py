@@ -37,6 +37,7 @@ class SensorWizard:
             "Largest value of a pixel, in DN (Enter: as the files say):",
             _full_scale,
             suggested="" if self.full_scale_dn is None else str(self.full_scale_dn),
+            says_enter=True,
         )
         count = 0
         while True:
@@ -51,6 +52,7 @@ class SensorWizard:
                 if count == 1
                 else "",
                 suggested="" if done else None,
+                says_enter=done,
             )
             if values[f"exposure {count}"] is None:
                 return

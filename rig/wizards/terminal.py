@@ -70,6 +70,6 @@ def _in_brackets(question: Question, recorded: bool) -> str:
     if recorded and wanted is not None:
         what = f"{wanted.frames} frames" if wanted.kind == "frames" else f"{wanted.seconds:g} s"
         return f" [record {what} now]"
-    if question.suggested is None or (not question.suggested and "Enter:" in question.text):
+    if question.suggested is None or (not question.suggested and question.says_enter):
         return ""
     return f" [{question.suggested or 'none'}]"

@@ -3,6 +3,7 @@
 import errno
 import sys
 from dataclasses import dataclass
+from enum import IntEnum
 from pathlib import Path
 from typing import Any, Final
 
@@ -27,7 +28,27 @@ _DEVICE_INFO_LENGTH: Final = 20
 _VENDOR_INDEX: Final = 12
 _MODEL_INDEX: Final = 13
 _SERIAL_INDEX: Final = 17
-_USB_SPEEDS: Final = {1: "low speed", 2: "full speed", 3: "high speed", 4: "SuperSpeed", 5: "SuperSpeed+"}
+
+
+class UsbSpeed(IntEnum):
+    """The speed of a connection, as libusb numbers it."""
+
+    UNKNOWN = 0
+    LOW = 1
+    FULL = 2
+    HIGH = 3
+    SUPER = 4
+    SUPER_PLUS = 5
+
+    @classmethod
+    def _missing_(cls, value: object) -> "UsbSpeed":
+        return cls.UNKNOWN
+
+    @property
+    def text(self) -> str:
+        """As data sheets call it."""
+        names = {UsbSpeed.SUPER: "SuperSpeed", UsbSpeed.SUPER_PLUS: "SuperSpeed+"}
+        return names.get(self, f"{self.name.lower()} speed")
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +61,7 @@ class FoundCamera:
     vendor: str
     model: str
     serial: str
-    usb_speed: str
+    usb_speed: UsbSpeed
     accessible: bool
     device: Any
 
@@ -78,7 +99,7 @@ def list_cameras() -> list[PluggedCamera]:
             driver="usb3vision",
             name=f"{found.vendor} {found.model}".strip(),
             serial=found.serial,
-            place=found.usb_speed,
+            place=found.usb_speed.text,
             problem="" if found.accessible else remedy,
         )
         for found in find_cameras()
@@ -151,7 +172,7 @@ def _is_vision(device: Any) -> bool:
 
 def _describe(device: Any) -> FoundCamera:
     indices = _string_indices(device)
-    speed = _USB_SPEEDS.get(device.speed, "unknown speed")
+    speed = UsbSpeed(device.speed)
     try:
         vendor, model, serial = (_text(device, index) for index in indices)
         accessible = True

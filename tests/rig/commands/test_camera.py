@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 from acquisition.camera import CameraSettings
 from acquisition.cameras.simulated import SimulatedCamera
 from acquisition.cameras.usb3vision import discovery
-from acquisition.cameras.usb3vision.discovery import FoundCamera
+from acquisition.cameras.usb3vision.discovery import FoundCamera, UsbSpeed
 from acquisition.cameras.usb3vision.feature_readings import FeatureReading
 from acquisition.frame import Frame
 from acquisition.simulation.settings import SimulationSettings
@@ -136,7 +136,7 @@ def test_the_noise_that_judges_a_picture_is_that_of_the_sensor(command: str, tmp
 
 
 def test_checks_name_the_rule_and_the_port() -> None:
-    found = FoundCamera("Testwerk", "T1", "7", "high speed", False, None)
+    found = FoundCamera("Testwerk", "T1", "7", UsbSpeed.HIGH, False, None)
     allowed, speed = check_usb_camera(found)
     assert not allowed.ok
     assert ".rules" in allowed.remedy
