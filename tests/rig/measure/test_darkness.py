@@ -106,7 +106,7 @@ def test_a_run_may_wait_for_its_light(
         return apparatus.recording.is_set() and not apparatus.dark.is_set()
 
     monkeypatch.setattr(SimulatedBoard, "unplugged", unplugged)
-    waiting = {**LIVE, "laser.when_dark": '"wait"', "session.max_duration_s": "20"}
+    waiting = {**LIVE, "laser.when_dark": '"wait"', "session.max_duration_s": "12"}
     done = rig("run", CONFIGS / "live.toml", "-o", tmp_path / "out", *set_words(waiting))
     assert "laser off, confirmed by the controller\n" in done.stderr
     kinds = [kind for kind, _ in events_of(tmp_path / "out")]
