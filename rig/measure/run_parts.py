@@ -110,6 +110,6 @@ class RunOutcome:
     snapshot: Snapshot
     swings: int
     failure: Exception | None
-    interrupt: KeyboardInterrupt | None = None
-    stopped: bool = False
-    hangs: str = ""
+    interrupt: KeyboardInterrupt | None
+    stopped: bool
+    hangs: str

@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from processing.spot import Spot, SpotFlag, SpotTracker
+from processing.spot import SensorModel, Spot, SpotFlag, SpotTracker
+from processing.spot.fit_values import AMPLITUDE, BACKGROUND, PARAMETERS, SIGMA_X, SIGMA_Y, Fitted
+from processing.spot.outcome import significant
 from tests.processing.spot.frames import EIGHT_BIT, errors_px, exposed, light, rms_tolerance, tilted_light
 
 Image = NDArray[np.uint8] | NDArray[np.uint16]
@@ -221,3 +223,32 @@ def test_knocked_to_the_edge_it_is_said_to_be_there(place: tuple[float, float]) 
     spot = at(x, y)
     assert math.hypot(spot.x_px - x, spot.y_px - y) < 6 * math.hypot(spot.u_x_px, spot.u_y_px)
     assert bool(spot.flags & SpotFlag.EDGE) == (not (18 < x < 1261 and 18 < y < 1005))
+
+
+@pytest.mark.parametrize("read_noise_e", [2.0, 40.0])
+def test_noise_alone_is_no_spot_and_a_faint_spot_is_one(read_noise_e: float) -> None:
+    """Whatever the sensor's noise: what counts is the light in units of it."""
+    rng = np.random.default_rng(6)
+    sensor = SensorModel(1.0, read_noise_e, 4095, pedestal_dn=400.0)
+    sigma_dn = math.sqrt(sensor.dark_variance_dn2)
+    found = []
+    for _ in range(40):
+        dark = 400 + sigma_dn * rng.standard_normal((60, 80))
+        assert SpotTracker(sensor).track(np.rint(dark).astype(np.uint16)).flags & SpotFlag.LOST
+        lit = dark + light((60, 80), 40.3, 30.6, 4.0, 5 * sigma_dn)
+        spot = SpotTracker(sensor).track(np.rint(lit).astype(np.uint16))
+        found.append(not spot.flags & SpotFlag.LOST and abs(spot.x_px - 40.3) < 6 * spot.u_x_px)
+    assert np.mean(found) > 0.9
+
+
+@pytest.mark.parametrize("read_noise_e", [2.0, 40.0])
+def test_a_matched_filter_of_four_standard_deviations_decides(read_noise_e: float) -> None:
+    """Signal to noise of a Gaussian spot: A sqrt(pi sigma_x sigma_y) over the noise of a pixel."""
+    sensor = SensorModel(1.0, read_noise_e, 4095, pedestal_dn=400.0)
+    p = np.zeros(PARAMETERS)
+    p[[SIGMA_X, SIGMA_Y, BACKGROUND]] = 4.0, 3.0, 400.0
+    fitted = Fitted(True, 100.0, 100, 0, 29, 6, False, False)
+    for ratio, seen in ((3.9, False), (4.1, True)):
+        p[AMPLITUDE] = ratio * math.sqrt(sensor.dark_variance_dn2 / (math.pi * 12))
+        assert significant(p, sensor.pixel_noise, fitted) is seen
+    assert not significant(p, sensor.pixel_noise, fitted._replace(outliers=31))

@@ -1,5 +1,6 @@
 """All laws of the registry are consistent; a law is added by one file and one line."""
 
+from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
@@ -106,3 +107,19 @@ def test_a_law_that_does_not_describe_the_data_shows_in_its_residuals() -> None:
     assert wrong.whiteness.p_amplitude < 1e-100
     assert wrong.whiteness.widened > 2
     assert any("the model does not describe all of the motion" in warning for warning in wrong.warnings)
+
+
+@pytest.mark.parametrize("p", [0.4, 1.3])
+@pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
+def test_fits_start_within_the_range_of_their_law(law: Law, p: float) -> None:
+    """Also where friction falls faster with the amplitude than any law of memory allows."""
+    parameters, pendulum = paper_pair("steel")
+    strong = replace(parameters, p=p, b=parameters.b * (124 * ARCSEC) ** (parameters.p - p))
+    points = decay(strong, pendulum, noise_arcsec=0.005, seed=1)
+    columns = law.columns(points, pendulum, law.fit_names())
+    starts = [attempts[0] for attempts in columns.starts(points)]
+    assert starts
+    for start in starts:
+        values = dict(zip(law.fit_names(), columns.physical(start)[0].tolist(), strict=True))
+        for name, value in values.items():
+            assert law.parameter(name).lower <= value <= law.parameter(name).upper, name
