@@ -101,6 +101,14 @@ def test_a_laser_passes_the_tests_of_lasers(tree: Path) -> None:
     run(tree, "rig camera show laser.toml")
 
 
+def test_a_quantity_of_the_results_stands_in_every_file(tree: Path) -> None:
+    said = run_all(tree, "Adding a quantity of the results")
+    assert "1 passed" in said["pytest tests/processing/fit/test_mean_pressure.py"]
+    rows = (tree / "runs/pressure-csv/run-1-results.csv").read_text(encoding="utf-8").splitlines()
+    (line,) = [row for row in rows if row.startswith('"budget.mean_pressure_pa.value"')]
+    assert line.endswith('"Pa"')
+
+
 def test_a_quantity_of_the_balance_is_recorded_and_drawn(tree: Path) -> None:
     run_all(tree, "Adding a quantity of the balance")
     with RecordReader(tree / "balance.mcap") as record:

@@ -3,10 +3,16 @@
 from collections.abc import Mapping
 from typing import Final, Literal, NamedTuple
 
+from processing.fit import Derived
+from processing.quantity import quantities_of
+
 Kind = Literal["text", "number", "count", "yes or no", "time"]
 
 PARAMETERS: Final = ("b", "p", "c", "n", "period0_s", "gamma_pa", "drag_s")
 """Of the contact's laws, as far as results hold them."""
+
+DERIVED: Final = quantities_of(Derived)
+"""What follows from them."""
 
 OF_INSTRUMENTS: Final = (
     "scale_hardness",
@@ -81,9 +87,7 @@ COLUMNS: Final[Mapping[str, Column]] = {
     "chi2_per_dof": Column("number", "of the exact fit"),
     "degrees_of_freedom": Column("count", "of the exact fit"),
     **_estimated("mean_period_s", "over the fitted half-cycles"),
-    **_estimated("surface_energy_table2_j_per_m2", "as in the paper's Table 2"),
-    **_estimated("surface_energy_eq2_j_per_m2", "by its Eq. 2"),
-    **_estimated("contact_radius_m", "after Hertz"),
+    **{key: item for name, one in DERIVED.items() for key, item in _estimated(name, one.meaning).items()},
     "mass_kg": Column("number", "of the pendulum"),
     "ball_radius_m": Column("number", "of the ball"),
     "instrument": Column("text", "kind of pendulum, where it is none of the contact's laws"),

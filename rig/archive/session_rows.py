@@ -17,7 +17,7 @@ from processing.estimate import Estimate
 from processing.fit import FitMethod
 from processing.ticks import seconds
 from rig.analysis import RunResults, read_results, recorded_surroundings, results_path
-from rig.archive.columns import OF_INSTRUMENTS, PARAMETERS
+from rig.archive.columns import DERIVED, OF_INSTRUMENTS, PARAMETERS
 
 Row = dict[str, Any]
 
@@ -146,6 +146,8 @@ def _of_results(run: RunResults) -> Iterator[tuple[str, Any]]:
         yield f"verdict_{name}", item.verdict.value
     for name, budget in run.budget.items():
         yield f"u_total_{name}", _number(budget.standard_uncertainty)
+        if name in DERIVED:
+            yield from _estimate(name, Estimate(budget.value, budget.standard_uncertainty))
     if run.surface_energy_j_per_m2 is not None:
         yield from _estimate("surface_energy_table2_j_per_m2", run.surface_energy_j_per_m2.table2)
         yield from _estimate("surface_energy_eq2_j_per_m2", run.surface_energy_j_per_m2.eq2)
