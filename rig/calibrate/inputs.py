@@ -147,6 +147,6 @@ def _read(path: Path, model: type[_Model]) -> _Model:
         )
     found, told = validated(model, tree)
     if found is None:
-        said = "; ".join(line for _, line in told)
+        said = "; ".join(fault.line for fault in told)
         raise ConfigurationError(f"{path}: {said}; docs/calibration.md shows such a file")
     return found

@@ -15,7 +15,7 @@ from rig.desk.following import Following
 from rig.desk.jobs import MESSAGES_NAME, Job, start_session
 from rig.desk.sessions import LookingAgain
 from rig.measure import session_folder
-from rig.settings import Configuration, load_configuration
+from rig.settings import Configuration, FaultyConfiguration, load_configuration
 
 _ENDS_WITHIN_S = 5.0
 
@@ -83,10 +83,12 @@ class Desk:
         """What is wrong with one value, in the models' words; empty if nothing is."""
         try:
             self.checked({key: value})
+        except FaultyConfiguration as error:
+            own = [line for place, line in error.of_overrides if place.startswith(key)]
+            others = [line for _, line in error.of_overrides] or str(error).splitlines()
+            return (own or others)[0]
         except ConfigurationError as error:
-            lines = str(error).splitlines()
-            own = [line for line in lines if line.startswith(f"--set {key}")]
-            return (own or lines)[0].removeprefix("--set ")
+            return str(error).splitlines()[0]
         return ""
 
     # -- what is started --------------------------------------------------------

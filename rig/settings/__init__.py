@@ -5,6 +5,7 @@ from rig.settings.calibration import TimebaseSettings
 from rig.settings.commented_keys import commented_file, toml_value
 from rig.settings.configuration import (
     Configuration,
+    FaultyConfiguration,
     FitSettings,
     PendulumSettings,
     SessionSettings,
@@ -29,6 +30,7 @@ __all__ = [
     "SCHEMA_KEY",
     "BalanceSettings",
     "Configuration",
+    "FaultyConfiguration",
     "FitSettings",
     "InstrumentSettings",
     "PendulumSettings",

@@ -6,7 +6,7 @@ differs. On the command line ``--set a.b.c=value`` replaces any key by its dotte
 
 import logging
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, Self
 
@@ -31,7 +31,7 @@ from rig.settings.phases import PhaseSettings, PreflightSettings, StartSettings
 from rig.settings.stop_conditions import StopCondition, stop_conditions
 from rig.settings.toml_file import read_toml
 from rig.settings.typed import quantity, states_unit
-from rig.settings.wording import dotted, validated
+from rig.settings.wording import KeyFault, dotted, validated
 
 logger = logging.getLogger(__name__)
 
@@ -248,6 +248,14 @@ def stored_configuration(config: Configuration) -> dict[str, Any]:
     return {SCHEMA_KEY: SCHEMA, **config.model_dump(mode="json")}
 
 
+class FaultyConfiguration(ConfigurationError):
+    """A line for each fault of a configuration; `of_overrides` are those of --set, by their keys."""
+
+    def __init__(self, lines: Sequence[str], of_overrides: Sequence[tuple[str, str]]) -> None:
+        super().__init__("\n".join(lines))
+        self.of_overrides = tuple(of_overrides)
+
+
 def validate_configuration(
     tree: Mapping[str, Any], source: str, overrides: Iterable[str] = ()
 ) -> Configuration:
@@ -262,13 +270,14 @@ def validate_configuration(
         return config
     stated = {f"{override.partition('=')[0].strip()}." for override in overrides}
     with_u = stated | {".u_".join(key.rsplit(".", 2)[:2]) + "." for key in stated if key.count(".") > 1}
-    lines = []
-    for place, line in told:
-        at_fault = "--set " if _is_of(dotted(place) or line, with_u) else f"{source}: "
+    lines, of_overrides = [], []
+    for fault in told:
+        is_stated, place = _is_of(fault, with_u), fault.place
         beside = [key.rstrip(".") for key in sorted(stated) if place and key.startswith(f"{place[0]}.")]
-        why = f" (--set {beside[0]} states this section)" if ": is missing" in line and beside else ""
-        lines.append(f"{at_fault}{line}{why}")
-    raise ConfigurationError("\n".join(lines))
+        why = f" (--set {beside[0]} states this section)" if fault.is_missing and beside else ""
+        lines.append(f"{'--set ' if is_stated else f'{source}: '}{fault.line}{why}")
+        of_overrides += [(dotted(place), f"{fault.line}{why}")] if is_stated else []
+    raise FaultyConfiguration(lines, of_overrides)
 
 
 def keys_with_faults(
@@ -288,16 +297,17 @@ def keys_with_faults(
         place[name] = value
     _, told = validated(root or Configuration, tree)
     asked = {*keys, whole} - {""}
-    return [line for place, line in told if dotted(place) in asked]
+    return [fault.line for fault in told if dotted(fault.place) in asked]
 
 
-def _is_of(place: str, stated: set[str]) -> bool:
+def _is_of(fault: KeyFault, stated: set[str]) -> bool:
     """Whether a fault is that of a key that --set states, or inside or around it.
 
-    The place of a fault between several keys is its line, in which they stand.
+    A fault between several keys has no place; they stand in its line.
     """
-    if " " in place:
-        return any(key.rstrip(".") in place for key in stated)
+    if not fault.place:
+        return any(key.rstrip(".") in fault.line for key in stated)
+    place = dotted(fault.place)
     return any(key.startswith(f"{place}.") or f"{place}.".startswith(key) for key in stated)
 
 

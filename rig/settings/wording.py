@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import is_dataclass
-from typing import Any, TypeVar, cast, get_args, get_origin
+from typing import Any, NamedTuple, TypeVar, cast, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 from pydantic.dataclasses import dataclass, is_pydantic_dataclass
@@ -105,10 +105,18 @@ _WANTED = {
 }
 
 
-def validated(root: type[_Model], tree: Mapping[str, Any]) -> tuple[_Model | None, list[tuple[_Place, str]]]:
-    """The model of nested tables; or None, and a line for each fault with its place, unknown keys first."""
+class KeyFault(NamedTuple):
+    """What is wrong with the key at a place, or, where that is empty, between several keys."""
+
+    place: _Place
+    line: str
+    is_missing: bool = False
+
+
+def validated(root: type[_Model], tree: Mapping[str, Any]) -> tuple[_Model | None, list[KeyFault]]:
+    """The model of nested tables; or None and its faults, unknown keys first."""
     told = list(not_numbers(root, tree))
-    places = {place for place, _ in told}
+    places = {fault.place for fault in told}
     try:
         found = root.model_validate(tree)
     except ValidationError as error:
@@ -116,7 +124,11 @@ def validated(root: type[_Model], tree: Mapping[str, Any]) -> tuple[_Model | Non
         # a list is not too short because one of its entries has a fault
         around = {fault["loc"][:depth] for fault in faults for depth in range(len(fault["loc"]))} - {()}
         passed = places | around
-        others = [(fault["loc"], in_words(root, fault)) for fault in faults if fault["loc"] not in passed]
+        others = [
+            KeyFault(fault["loc"], in_words(root, fault), fault["type"] == "missing")
+            for fault in faults
+            if fault["loc"] not in passed
+        ]
         return None, others + told
     return (None, told) if told else (found, [])
 
@@ -131,7 +143,7 @@ def dotted(place: _Place) -> str:
     return ".".join(part if isinstance(part, str) and part.isprintable() else repr(part) for part in place)
 
 
-def not_numbers(root: type, tree: Mapping[str, Any], place: _Place = ()) -> Iterator[tuple[_Place, str]]:
+def not_numbers(root: type, tree: Mapping[str, Any], place: _Place = ()) -> Iterator[KeyFault]:
     """Places, with a line for each, where a number is wanted and `true`, `"3"`, `inf` or `nan` is stated.
 
     Pydantic would take 1.0 for `true`, and the number in the quotes.
@@ -149,9 +161,9 @@ def not_numbers(root: type, tree: Mapping[str, Any], place: _Place = ()) -> Iter
         elif isinstance(value, bool | str) and _is_number(field, value):
             shown = str(value).lower() if isinstance(value, bool) else f'"{value}"'
             quoted = "" if isinstance(value, bool) else ", without quotes"
-            yield here, f"{dotted(here)} = {shown}: should be a number{quoted}"
+            yield KeyFault(here, f"{dotted(here)} = {shown}: should be a number{quoted}")
         elif isinstance(value, float) and not math.isfinite(value) and not key.endswith("_dof"):
-            yield here, f"{dotted(here)} = {value}: should be a finite number"
+            yield KeyFault(here, f"{dotted(here)} = {value}: should be a finite number")
 
 
 def _is_number(field: FieldInfo, stated: bool | str) -> bool:

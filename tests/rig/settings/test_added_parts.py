@@ -46,7 +46,8 @@ LASER_ENTRY = '\n    "torch": "rig.control.lasers.torch:Torch",'
 INSTRUMENT = """
     Description(
         kind="plumb_line",
-        sentence="A weight on a thread.",
+        title="A weight on a thread",
+        tells="period.",
         support="a thread",
         supports=1,
         report="decay",
