@@ -127,6 +127,6 @@ def test_what_is_added_to_a_registry_is_configured_made_and_found(copy: Path) ->
     assert "still" in lines[3]
     assert "camera  still  Still life  serial A1  on the table" in lines
     assert "Torch decay" in lines
-    assert any("plumb_line" in line and "A weight on a thread." in line for line in lines)
+    assert any("plumb_line" in line and "A weight on a thread: period." in line for line in lines)
     assert "laser.kind = 'torhc': unknown laser; choose one of none, controller, torch, " in lines[-2]
     assert "instrument.kind = 'plum_line': unknown instrument; choose one of plumb_line, " in lines[-1]
