@@ -12,7 +12,7 @@ from typing import Annotated, Any, Final, get_args, get_origin, get_type_hints
 from processing.estimate import Estimate
 from processing.units import conversion, unit_of_name
 
-OWN: Final = "own"
+OWN: Final = "that of the quantity"
 """Unit of a number that belongs to a quantity and is in its unit: its value, a part of its uncertainty."""
 STATED: Final = "stated in "
 """``STATED + "unit"``: the unit that stands in the field `unit` beside the number."""

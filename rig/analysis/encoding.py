@@ -5,8 +5,8 @@ null says "not determined": it is read as NaN, and NaN and infinity are written 
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
-from typing import Annotated, Any, TypeAlias
+from dataclasses import dataclass, fields, is_dataclass
+from typing import Annotated, Any, TypeAlias, get_args, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from pydantic import AfterValidator, Field, GetCoreSchemaHandler, JsonValue, Typ
 from pydantic_core import CoreSchema, PydanticCustomError, SchemaSerializer, SchemaValidator, core_schema
 
 from processing.contact import PendulumOnBall
-from processing.quantity import with_units
+from processing.quantity import quantities_of, with_units
 from rig.presentation import unit_of
 
 JsonObject: TypeAlias = Mapping[str, JsonValue]
@@ -157,18 +157,34 @@ class Beside:
         )
 
 
-def as_in_the_file(schema: dict[str, Any]) -> dict[str, Any]:
-    """A JSON schema of the values as that of their file: a number may be null.
+def file_schema(kind: Any) -> dict[str, Any]:
+    """JSON schema of the values of a type in their file: a number may be null, and declared ones have a unit.
 
     Marked mappings have become what else their object may hold; titles that only repeat a key are left out.
     """
+    schema: dict[str, Any] = TypeAdapter[Any](kind).json_schema()
     _allow_null(schema)
-    for shape in schema["$defs"].values():
+    kinds = {found.__name__: found for found in _dataclasses(kind, set())}
+    for title, shape in schema["$defs"].items():
+        declared = quantities_of(kinds[title]) if title in kinds else {}
         for name, item in list(shape.get("properties", {}).items()):
             item.pop("title", None)
+            if name in declared and declared[name].meaning:
+                item |= {"description": declared[name].meaning, "unit": declared[name].unit}
             if item.pop("x-entries", False):
                 shape["additionalProperties"] = shape["properties"].pop(name)["additionalProperties"]
     return schema
+
+
+def _dataclasses(kind: Any, found: set[type]) -> set[type]:
+    """All dataclasses of which a type is made."""
+    if isinstance(kind, type) and is_dataclass(kind) and kind not in found:
+        found.add(kind)
+        for hint in get_type_hints(kind).values():
+            _dataclasses(hint, found)
+    for part in get_args(kind):
+        _dataclasses(part, found)
+    return found
 
 
 def _allow_null(schema: Any) -> None:

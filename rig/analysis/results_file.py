@@ -6,12 +6,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from pydantic import TypeAdapter, ValidationError
+from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
 from acquisition.record import whole_file
 from processing.errors import ConfigurationError, RecordError
-from rig.analysis.encoding import Codec, JsonObject, as_in_the_file
+from rig.analysis.encoding import Codec, JsonObject, file_schema
 from rig.analysis.results import SCHEMA, EnvelopeResults, RunResults, SessionResults, TableResults
 from rig.presentation import plain_values
 from rig.settings import migrated, wanted
@@ -163,6 +163,6 @@ def results_schema() -> str:
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": RESULTS_NAME,
         "description": f"Version {SCHEMA}: of records, or of a table of positions of any instrument.",
-        **as_in_the_file(TypeAdapter[Any](SessionResults | TableResults | EnvelopeResults).json_schema()),
+        **file_schema(SessionResults | TableResults | EnvelopeResults),
     }
     return _text(plain_values(tree)) + "\n"
