@@ -6,7 +6,14 @@ one more. `ask_in_terminal` does that at a keyboard. A `CalibrationWizard` then 
 function of `rig calibrate`, and `filed` says what to show of it.
 """
 
-from rig.wizards.calibration import CalibrationWizard, Filed, filed, next_free
+from rig.wizards.calibration import (
+    CalibrationWizard,
+    Filed,
+    filed,
+    next_free,
+    place_for,
+    recorder_of,
+)
 from rig.wizards.configuration_file import refuse_existing, stated_keys, write_configuration
 from rig.wizards.draft import (
     Draft,
@@ -21,7 +28,6 @@ from rig.wizards.draft import (
 from rig.wizards.first_configuration import FirstConfiguration
 from rig.wizards.kinds import KINDS, calibration_wizard
 from rig.wizards.question import Choice, Question, RecordedAnswer, Wizard
-from rig.wizards.recording import place_for, recorder_of
 from rig.wizards.terminal import ask_in_terminal
 
 __all__ = [

@@ -5,35 +5,30 @@ import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from calibration import CalibrationFile, read_calibration
 from processing.errors import ConfigurationError, RecordError
 from rig.calibrate import Filing, Residuals, calibration_residuals, calibration_tables
+from rig.measure import record_plainly, take_frames
 from rig.presentation import Table
-from rig.settings import toml_value
-from rig.wizards.question import Question
+from rig.settings import Configuration, toml_value
+from rig.wizards.question import Question, RecordedAnswer
 
 
-class CalibrationWizard(Protocol):
-    """A wizard whose answers become a calibration file; `kind` is that of ``rig calibrate KIND``."""
+@dataclass(frozen=True, slots=True)
+class CalibrationWizard:
+    """A `Wizard` whose answers become a calibration file; `kind` is that of ``rig calibrate KIND``.
 
-    @property
-    def kind(self) -> str: ...
+    `file` makes the calibration of the values by the command's own function and returns its file. A file
+    that the command reads is written first, into the same folder. It raises RigError where the measurement
+    does not serve; what was written so far stays.
+    """
 
-    @property
-    def title(self) -> str:
-        """What it is for."""
-
-    def questions(self, values: Mapping[str, Any]) -> Iterator[Question]:
-        """See `Wizard`."""
-
-    def file(self, values: Mapping[str, Any], filing: Filing) -> Path:
-        """Make the calibration by the command's own function; returns its file.
-
-        A file that the command reads is written first, into the same folder. Raises RigError where the
-        measurement does not serve; what was written so far stays.
-        """
+    kind: str
+    title: str
+    questions: Callable[[Mapping[str, Any]], Iterator[Question]]
+    file: Callable[[Mapping[str, Any], Filing], Path]
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,6 +84,30 @@ def next_free(folder: Path, stem: str, suffix: str = "") -> Path:
     while (path := folder / f"{stem}-{number:03d}{suffix}").exists():
         number += 1
     return path
+
+
+def recorder_of(config: Configuration, source: Path, folder: Path) -> Callable[[RecordedAnswer], Path]:
+    """Records into new files and folders of `folder`; the function returns what it has made.
+
+    It raises RigError where that fails.
+    """
+
+    def record(wanted: RecordedAnswer) -> Path:
+        path = place_for(wanted, folder)
+        if wanted.kind == "record":
+            return record_plainly(config, source, path, wanted.seconds)
+        exposed = config
+        if wanted.exposure_us is not None:
+            camera = config.camera.model_copy(update={"exposure_us": wanted.exposure_us})
+            exposed = config.model_copy(update={"camera": camera})
+        return take_frames(exposed, path, wanted.frames)
+
+    return record
+
+
+def place_for(wanted: RecordedAnswer, folder: Path) -> Path:
+    """A new name in `folder` for what is recorded."""
+    return next_free(folder / "records", wanted.name, ".mcap" if wanted.kind == "record" else "")
 
 
 def a_record(text: str) -> Path:

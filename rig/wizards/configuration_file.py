@@ -8,9 +8,7 @@ from typing import Any
 from acquisition.cameras.drivers import DRIVERS
 from processing.errors import ConfigurationError, RecordError
 from rig.settings import SCHEMA, SCHEMA_KEY, Configuration, commented_file, load_configuration
-
-Keys = Mapping[str, Any]
-"""Values by dotted key of the configuration."""
+from rig.wizards.keys import Keys
 
 
 def stated_keys(values: Mapping[str, Keys]) -> dict[str, Any]:

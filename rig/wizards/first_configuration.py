@@ -1,8 +1,7 @@
 """The wizard of `rig init`: finds the devices, asks what must be known, and writes a configuration."""
 
 import getpass
-import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
@@ -12,14 +11,15 @@ from acquisition.cameras.drivers import DRIVERS
 from processing.contact import MATERIALS
 from processing.errors import ConfigurationError
 from rig.control import LASERS, laser_unit
-from rig.settings import keys_with_faults, number, optional, quantity, word
-from rig.wizards.configuration_file import Keys
+from rig.settings import number, optional
+from rig.wizards.keys import Keys, KeysOf
 from rig.wizards.question import Choice, Question
 
 _PERIODS = 3.44
 """Length of a look of `rig balance` in periods, as its default is in those of the paper's pendulum."""
 _FRAMES = {"camera.exposure_us": 100.0, "camera.frame_rate_hz": 100.0, "camera.pixel_format": "mono8"}
 """To begin with; a Video4Linux camera keeps its own, as most know neither such rates nor such exposures."""
+_KEYS = KeysOf()
 _LATER = {
     "usb3vision": "a USB3 Vision camera, plugged in later",
     "pylon": "a Basler camera through the vendor's pypylon, plugged in later",
@@ -41,18 +41,15 @@ class FirstConfiguration:
         """See `Wizard`; the value of each answer is a mapping from keys of the configuration to values."""
         yield self._camera()
         simulated = values["camera"]["camera.driver"] == "simulated"
-        yield Question(
+        yield _KEYS.measured(
             "mass",
-            "Mass of the pendulum with its ball, in kg (0.406 ± 0.0001, 406 g ± 0.1 g):",
-            _measured("pendulum.mass_kg", "kg"),
+            "Mass of the pendulum with its ball",
+            "pendulum.mass_kg",
+            "0.406 ± 0.0001, 406 g ± 0.1 g",
             do="The pendulum. State what was measured with its standard uncertainty behind ±; without one "
             "it is taken as known.",
         )
-        yield Question(
-            "ball radius",
-            "Radius of the ball, in m (6.05 mm ± 1 um):",
-            _measured("pendulum.ball_radius_m", "m"),
-        )
+        yield _KEYS.measured("ball radius", "Radius of the ball", "pendulum.ball_radius_m", "6.05 mm ± 1 um")
         for body in ("ball", "flat"):
             yield from _material(body, values)
         yield Question(
@@ -63,30 +60,31 @@ class FirstConfiguration:
             says_enter=True,
         )
         if not simulated:
-            yield Question(
+            yield _KEYS.measured(
                 "arm",
-                "Distance from mirror to sensor along the beam, in m (1 m ± 1 mm; Enter: not measured yet):",
-                lambda text: _measured("lever.arm_m", "m")(text) if text else {},
+                "Distance from mirror to sensor along the beam",
+                "lever.arm_m",
+                "1 m ± 1 mm; Enter: not measured yet",
                 do="The light lever. Without it deflections and amplitudes are in px, and nothing can be "
                 "fitted. `rig calibrate lever` measures it.",
                 suggested="",
-                says_enter=True,
             )
             if values["arm"]:
-                yield Question(
+                yield _KEYS.measured(
                     "pixel pitch",
-                    "Distance of neighbouring pixels of the sensor, in m (its data sheet says it: 4.8 um):",
-                    _measured("lever.pixel_pitch_m", "m"),
+                    "Distance of neighbouring pixels of the sensor",
+                    "lever.pixel_pitch_m",
+                    "its data sheet says it: 4.8 um",
                 )
         yield Question(
             "sample",
             "What stands on what (steel ball on K8 glass, cleaned with ethanol):",
-            _text("session.sample"),
+            _KEYS.text("session.sample"),
             do="The session. All of it can be changed for one call with --set.",
             suggested="",
         )
-        yield Question("operator", "Who measures:", _text("session.operator"), suggested=_user())
-        yield Question("folder", "Folder for the sessions:", _text("session.output"), suggested="runs")
+        yield Question("operator", "Who measures:", _KEYS.text("session.operator"), suggested=_user())
+        yield Question("folder", "Folder for the sessions:", _KEYS.text("session.output"), suggested="runs")
         if not simulated:
             yield from self._controller_and_laser(values)
 
@@ -111,7 +109,7 @@ class FirstConfiguration:
         return Question(
             "camera",
             "Which camera:",
-            lambda answer: _checked(_known(answer, keys)),
+            lambda answer: _KEYS.checked(_known(answer, keys)),
             do=f"The camera. {len(self.cameras) or 'None'} found.",
             suggested=choices[0].answer if self.cameras else "simulated",
             choices=tuple(choices),
@@ -125,7 +123,7 @@ class FirstConfiguration:
             lambda text: (
                 {}
                 if text == "none"
-                else _checked({"controller.kind": "serial", "controller.port": text}, whole="controller")
+                else _KEYS.checked({"controller.kind": "serial", "controller.port": text}, whole="controller")
             ),
             do="What the program switches. A controller has laser, magnet, starter, brake and interlock.",
             suggested="none",
@@ -140,7 +138,9 @@ class FirstConfiguration:
         yield Question(
             "laser",
             "The laser:",
-            lambda text: {} if text == "none" else _checked({"laser.kind": _known(text, kinds, value=True)}),
+            lambda text: (
+                {} if text == "none" else _KEYS.checked({"laser.kind": _known(text, kinds, value=True)})
+            ),
             suggested="none",
             choices=tuple(Choice(kind, text) for kind, text in kinds.items()),
         )
@@ -151,7 +151,7 @@ class FirstConfiguration:
             yield Question(
                 "laser port",
                 "Its serial port:",
-                _text("laser.port"),
+                _KEYS.text("laser.port"),
                 choices=ports,
                 open_choice=True,
             )
@@ -162,7 +162,7 @@ class FirstConfiguration:
         yield Question(
             "laser limit",
             f"Largest {what} that may ever be set, in {unit} ({example}):",
-            _alone(f"laser.max_{name}", unit),
+            _KEYS.alone(f"laser.max_{name}"),
             do="The limit holds whatever is asked for later; above 1 mW a laser is not of class 2 any more.",
         )
         limit = values["laser limit"]
@@ -171,14 +171,14 @@ class FirstConfiguration:
             f"The {what} to measure with, in {unit}:",
             lambda text: _only(
                 f"laser.{name}",
-                _alone(f"laser.{name}", unit, {"laser.kind": "controller", **limit}, whole="laser")(text),
+                _KEYS.alone(f"laser.{name}", {"laser.kind": "controller", **limit}, whole="laser")(text),
             ),
         )
         if kind in LASERS and controlled:
             yield Question(
                 "interlock",
                 "Who opens the laser's interlock:",
-                lambda text: _checked({"laser.interlock": text}),
+                lambda text: _KEYS.checked({"laser.interlock": text}),
                 suggested="controller",
                 choices=(
                     Choice("controller", "it is wired through the controller's enable relay"),
@@ -202,7 +202,7 @@ def _material(body: str, values: Mapping[str, Any]) -> Iterator[Question]:
     yield Question(
         f"{body} material",
         f"Material of the {body} (another name: its elastic constants are asked):",
-        lambda text: _checked({key: _bare(text)}),
+        lambda text: _KEYS.checked({key: _bare(text)}),
         suggested="steel" if body == "ball" else "glass_k8",
         choices=tuple(
             Choice(name, f"E = {known.youngs_modulus_pa / 1e9:g} GPa, ν = {known.poisson_ratio:g}")
@@ -213,47 +213,22 @@ def _material(body: str, values: Mapping[str, Any]) -> Iterator[Question]:
     name = values[f"{body} material"][key]
     if name in MATERIALS or f"modulus of {name}" in values:
         return
-    yield Question(
-        f"modulus of {name}",
-        f"Young's modulus of {name}, in Pa (211 GPa ± 3 GPa):",
-        _measured(f"materials.{name}.youngs_modulus_pa", "Pa"),
-    )
-    yield Question(
-        f"ratio of {name}",
-        f"Poisson's ratio of {name} (0.28 ± 0.01):",
-        _measured(f"materials.{name}.poisson_ratio", ""),
-    )
-
-
-def _measured(key: str, unit: str) -> Callable[[str], Keys]:
-    """Reads a number with its standard uncertainty, which has a key of its own."""
-
-    def read(text: str) -> Keys:
-        value, u = quantity(text, unit)
-        section, _, name = key.rpartition(".")
-        return _checked({key: value} | ({} if u is None else {f"{section}.u_{name}": u}))
-
-    return read
-
-
-def _alone(
-    key: str, unit: str, beside: Keys | None = None, whole: str = ""
-) -> Callable[[str], dict[str, Any]]:
-    """Reads a number without uncertainty."""
-    return lambda text: _checked({**(beside or {}), key: number(unit)(text)}, whole=whole)
+    for asked, what, constant, example in (
+        ("modulus", "Young's modulus", "youngs_modulus_pa", "211 GPa ± 3 GPa"),
+        ("ratio", "Poisson's ratio", "poisson_ratio", "0.28 ± 0.01"),
+    ):
+        yield _KEYS.measured(
+            f"{asked} of {name}", f"{what} of {name}", f"materials.{name}.{constant}", example
+        )
 
 
 def _only(key: str, keys: Keys) -> Keys:
     return {key: keys[key]}
 
 
-def _text(key: str) -> Callable[[str], Keys]:
-    return lambda text: _checked({key: word(text)}) if text else {}
-
-
 def _period(text: str) -> Keys:
     period_s = optional(number("s", least=0.1))(text)
-    return {} if period_s is None else _checked({"balance.seconds": round(_PERIODS * period_s, 1)})
+    return {} if period_s is None else _KEYS.checked({"balance.seconds": round(_PERIODS * period_s, 1)})
 
 
 def _bare(name: str) -> str:
@@ -266,20 +241,6 @@ def _known(answer: str, known: Mapping[str, Any], *, value: bool = False) -> Any
     if answer not in known:
         raise ConfigurationError(f"{answer!r}: is not there; there are {', '.join(known)}")
     return answer if value else known[answer]
-
-
-def _checked(keys: Mapping[str, Any], *, whole: str = "") -> dict[str, Any]:
-    """The keys, if the configuration takes them; raises ConfigurationError with its own line if not.
-
-    `whole` names a section of which all is stated, so that what holds between its keys is checked, too.
-    """
-    for value in keys.values():
-        if isinstance(value, float) and not math.isfinite(value):
-            raise ConfigurationError(f"{value}: should be a finite number")
-    lines = keys_with_faults(keys, whole)
-    if lines:
-        raise ConfigurationError("; ".join(lines))
-    return dict(keys)
 
 
 def _user() -> str:

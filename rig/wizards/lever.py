@@ -1,19 +1,19 @@
-"""Wizards of the lever: lengths, or a ladder of known tilts or shifts; and its check against known tilts."""
+"""The wizard of the lever: lengths, or a ladder of known tilts or shifts, step by step."""
 
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from calibration import read_calibration
 from processing.errors import ConfigurationError
-from rig.calibrate import LADDER_UNITS, Filing, LadderFile, calibrate_lever, check_known_angle
-from rig.settings import keys_with_faults, number, optional, quantity
+from rig.calibrate import LADDER_UNITS, Filing, LadderFile, calibrate_lever
+from rig.settings import number, optional
 from rig.wizards.calibration import a_record, write_table, yes_or_no
+from rig.wizards.keys import KeysOf
 from rig.wizards.question import Choice, Question, RecordedAnswer
 
 _FEWEST_STEPS = 5
 _SECONDS = 20.0
+_KEYS = KeysOf(LadderFile)
 _OTHERS = {
     "incidence_along_rad": "Angle of incidence on the mirror, from its normal, in the plane of the swing",
     "incidence_across_rad": "Angle of incidence across that plane",
@@ -25,34 +25,25 @@ _OTHERS = {
 }
 
 
-@dataclass(frozen=True)
-class LeverWizard:
-    """`rig calibrate lever`, asked."""
+def lever_questions(values: Mapping[str, Any]) -> Iterator[Question]:
+    """How it was measured, and then lengths or a ladder."""
+    yield Question(
+        "way",
+        "How was it measured:",
+        str,
+        choices=(
+            Choice("geometry", "from lengths, mirror to sensor and pixel pitch"),
+            Choice("tilt", "known tilts of the clamped pendulum, by autocollimator, sine bar or level"),
+            Choice("shift", "the sensor is moved by known lengths on a stage"),
+        ),
+    )
+    yield from _geometry(values) if values["way"] == "geometry" else ladder_questions(values, values["way"])
 
-    kind: str = "lever"
-    title: str = "Calibration of the lever, from px to radians"
 
-    def questions(self, values: Mapping[str, Any]) -> Iterator[Question]:
-        """See `Wizard`."""
-        yield Question(
-            "way",
-            "How was it measured:",
-            str,
-            choices=(
-                Choice("geometry", "from lengths, mirror to sensor and pixel pitch"),
-                Choice("tilt", "known tilts of the clamped pendulum, by autocollimator, sine bar or level"),
-                Choice("shift", "the sensor is moved by known lengths on a stage"),
-            ),
-        )
-        if values["way"] == "geometry":
-            yield from _geometry(values)
-        else:
-            yield from ladder_questions(values, values["way"])
-
-    def file(self, values: Mapping[str, Any], filing: Filing) -> Path:
-        """See `CalibrationWizard`."""
-        stem = "lever-geometry" if values["way"] == "geometry" else "lever-ladder"
-        return calibrate_lever(write_table(filing.folder, stem, lever_table(values)), filing)
+def file_lever(values: Mapping[str, Any], filing: Filing) -> Path:
+    """See `CalibrationWizard`."""
+    stem = "lever-geometry" if values["way"] == "geometry" else "lever-ladder"
+    return calibrate_lever(write_table(filing.folder, stem, lever_table(values)), filing)
 
 
 def lever_table(values: Mapping[str, Any]) -> dict[str, Any]:
@@ -84,17 +75,16 @@ def ladder_table(values: Mapping[str, Any], way: str) -> dict[str, Any]:
 
 
 def _geometry(values: Mapping[str, Any]) -> Iterator[Question]:
-    yield Question(
+    yield _KEYS.measured(
         "arm",
-        "Mirror to sensor, along the beam at rest, in m (1 m ± 1 mm):",
-        _measured("geometry.arm_m", "m"),
+        "Mirror to sensor, along the beam at rest",
+        "geometry.arm_m",
+        "1 m ± 1 mm",
         do="Measure with a tape or a rod, and state the standard uncertainty behind ±: 1 mm in 1 m is 0.1 % "
         "of every angle of every run.",
     )
-    yield Question(
-        "pitch",
-        "Distance of neighbouring pixels of the sensor, in m (4.8 um ± 1 nm):",
-        _measured("geometry.pixel_pitch_m", "m"),
+    yield _KEYS.measured(
+        "pitch", "Distance of neighbouring pixels of the sensor", "geometry.pixel_pitch_m", "4.8 um ± 1 nm"
     )
     yield Question(
         "square",
@@ -106,13 +96,8 @@ def _geometry(values: Mapping[str, Any]) -> Iterator[Question]:
     if values["square"]:
         return
     for name, text in _OTHERS.items():
-        unit = name.rpartition("_")[2]
-        yield Question(
-            name,
-            f"{text}, in {unit} ({'1 deg ± 0.2 deg' if unit == 'rad' else '6.05 mm ± 1 mm'}):",
-            _measured(f"geometry.{name}", unit),
-            suggested="0",
-        )
+        example = "1 deg ± 0.2 deg" if name.endswith("_rad") else "6.05 mm ± 1 mm"
+        yield _KEYS.measured(name, text, f"geometry.{name}", example, suggested="0")
 
 
 def ladder_questions(values: Mapping[str, Any], way: str) -> Iterator[Question]:
@@ -129,22 +114,20 @@ def ladder_questions(values: Mapping[str, Any], way: str) -> Iterator[Question]:
         yield Question(
             "scale",
             "Distance of neighbouring pixels of the sensor, in m (4.8 um):",
-            lambda text: {"pixel_pitch_m": _alone("pixel_pitch_m", text)},
+            _KEYS.alone("pixel_pitch_m"),
         )
     else:
-        yield Question(
-            "scale", "Mirror to sensor, along the beam at rest, in m (1 m ± 1 mm):", _measured("arm_m", "m")
-        )
+        yield _KEYS.measured("scale", "Mirror to sensor, along the beam at rest", "arm_m", "1 m ± 1 mm")
     unit = values["unit"]
     yield Question(
         "setting",
         f"Standard uncertainty of one setting, in {unit}:",
-        lambda text: _plain("u_reference", number(unit, least=0.0)(text)),
+        lambda text: _KEYS.checked({"u_reference": number(unit, least=0.0)(text)}),
     )
     yield Question(
         "factor",
         "Relative standard uncertainty of the scale of the reference (1e-3; from its certificate):",
-        lambda text: _plain("u_reference_relative", number(least=0.0)(text)),
+        lambda text: _KEYS.checked({"u_reference_relative": number(least=0.0)(text)}),
         suggested="0",
     )
     do = (
@@ -179,7 +162,7 @@ def ladder_questions(values: Mapping[str, Any], way: str) -> Iterator[Question]:
         yield Question(
             "binning",
             "Pixels of the sensor, in each direction, in one of the picture in which the spots were typed:",
-            lambda text: int(_plain("binning", int(number()(text)))["binning"]),
+            lambda text: int(_KEYS.checked({"binning": int(number()(text))})["binning"]),
             suggested="1",
         )
 
@@ -192,56 +175,3 @@ def _spot(text: str) -> dict[str, Any]:
     if u_px <= 0:
         raise ConfigurationError(f"{text!r}: the uncertainty, the last number, should be greater than 0 px")
     return {"x_px": x_px, "y_px": y_px, "u_px": u_px}
-
-
-def _measured(key: str, unit: str) -> Callable[[str], dict[str, Any]]:
-    def read(text: str) -> dict[str, Any]:
-        value, u = quantity(text, unit)
-        section, dot, name = key.rpartition(".")
-        return _checked({key: value} | ({} if u is None else {f"{section}{dot}u_{name}": u}))
-
-    return read
-
-
-def _alone(key: str, text: str) -> Any:
-    return _plain(key, number("m")(text))[key]
-
-
-def _plain(key: str, value: Any) -> dict[str, Any]:
-    return _checked({key: value})
-
-
-def _checked(keys: dict[str, Any]) -> dict[str, Any]:
-    if lines := keys_with_faults(keys, root=LadderFile):
-        raise ConfigurationError("; ".join(lines))
-    return keys
-
-
-@dataclass(frozen=True)
-class CheckWizard:
-    """`rig calibrate check`, asked; `lever` is suggested, the one in use where a configuration is at hand."""
-
-    lever: Path | None = None
-    kind: str = "check"
-    title: str = "Check of the lever against known tilts"
-
-    def questions(self, values: Mapping[str, Any]) -> Iterator[Question]:
-        """See `Wizard`."""
-        yield Question(
-            "lever",
-            "Calibration file of the lever to be checked:",
-            _lever_file,
-            suggested=None if self.lever is None else str(self.lever),
-        )
-        yield from ladder_questions(values, "tilt")
-
-    def file(self, values: Mapping[str, Any], filing: Filing) -> Path:
-        """See `CalibrationWizard`."""
-        ladder = write_table(filing.folder, "check-ladder", ladder_table(values, "tilt"))
-        return check_known_angle(ladder, values["lever"], filing)
-
-
-def _lever_file(text: str) -> Path:
-    path = Path(text).expanduser()
-    read_calibration(path, "lever")
-    return path

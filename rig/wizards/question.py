@@ -70,5 +70,6 @@ class Wizard(Protocol):
     def title(self) -> str:
         """What it is for."""
 
-    def questions(self, values: Mapping[str, Any]) -> Iterator[Question]:
+    @property
+    def questions(self) -> Callable[[Mapping[str, Any]], Iterator[Question]]:
         """The questions in their order; `values` holds those of all earlier ones, by name."""
