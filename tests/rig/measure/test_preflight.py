@@ -48,6 +48,13 @@ def assert_no(verdict: Verdict) -> None:
     assert verdict.remedy
 
 
+def assert_go(verdict: Verdict) -> None:
+    """Nothing is to be done, and nothing is said against it."""
+    assert verdict.ok
+    assert not verdict.reason
+    assert not verdict.remedy
+
+
 def look(x: float, y: float, unit: DeflectionUnit) -> TrialFrames:
     """A hundred frames in which the spot stands still."""
     ones = np.ones(100)
@@ -56,7 +63,7 @@ def look(x: float, y: float, unit: DeflectionUnit) -> TrialFrames:
 
 
 def test_spot_that_is_mostly_there() -> None:
-    assert frame_checks.spot_found(spots(1000), LIMITS).ok
+    assert_go(frame_checks.spot_found(spots(1000), LIMITS))
     assert_no(frame_checks.spot_found(spots(98) + spots(2, flags=SpotFlag.LOST), LIMITS))
     assert_no(frame_checks.spot_found([], LIMITS))
 
@@ -70,7 +77,7 @@ def test_exposure_has_a_lower_and_an_upper_limit(amplitude_dn: float, ok: bool) 
 
 
 def test_saturation() -> None:
-    assert frame_checks.saturation(spots(100), LIMITS).ok
+    assert_go(frame_checks.saturation(spots(100), LIMITS))
     assert_no(frame_checks.saturation(spots(50, flags=SpotFlag.SATURATED) + spots(50), LIMITS))
 
 
@@ -152,7 +159,7 @@ def test_the_ground_is_said_once_the_look_is_long_enough() -> None:
 
 
 def test_rest_position_far_from_the_reference() -> None:
-    assert frame_checks.rest_position(look(3e-8, 0.0, DeflectionUnit.RAD), LIMITS).ok
+    assert_go(frame_checks.rest_position(look(3e-8, 0.0, DeflectionUnit.RAD), LIMITS))
     assert_no(frame_checks.rest_position(look(3e-8, 70 * ARCSEC_RAD, DeflectionUnit.RAD), LIMITS))
 
 
@@ -181,11 +188,11 @@ def test_px_are_called_px_and_not_held_against_limits_in_arcsec() -> None:
 
 
 def test_clock_that_jitters() -> None:
-    assert frame_checks.clock(frames(200), LIMITS).ok
+    assert_go(frame_checks.clock(frames(200), LIMITS))
     assert_no(frame_checks.clock(frames(200, jitter_s=5e-4), LIMITS))
     assert_no(frame_checks.clock(frames(10), LIMITS))
     without = [frame._replace(device_time_ns=-1) for frame in frames(200)]
-    assert frame_checks.clock(without, LIMITS).ok
+    assert_go(frame_checks.clock(without, LIMITS))
 
 
 @pytest.mark.parametrize("faster", [8.0, 125.0, 1.002, 0.5])
@@ -201,7 +208,7 @@ def test_a_clock_that_counts_in_another_unit_is_no_go(faster: float) -> None:
 
 
 def test_frame_rate_and_losses() -> None:
-    assert frame_checks.frame_rate(frames(500), 100.0, LIMITS).ok
+    assert_go(frame_checks.frame_rate(frames(500), 100.0, LIMITS))
     slow = frame_checks.frame_rate(frames(500, 80.0), 100.0, LIMITS)
     assert_no(slow)
     assert "80.00 Hz" in slow.measured
@@ -209,7 +216,7 @@ def test_frame_rate_and_losses() -> None:
 
 
 def test_disk_holds_the_longest_run_or_not() -> None:
-    assert frame_checks.disk(10**10, 5000.0, 500.0, 3600.0).ok
+    assert_go(frame_checks.disk(10**10, 5000.0, 500.0, 3600.0))
     assert_no(frame_checks.disk(10**9, 5000.0, 500.0, 3600.0))
 
 
@@ -230,12 +237,12 @@ def test_a_rolling_shutter_is_advised_where_it_matters() -> None:
 
 def test_air_and_controller() -> None:
     nothing = (math.nan, math.nan, math.nan)
-    assert device_checks.air(nothing, False, LIMITS).ok
+    assert_go(device_checks.air(nothing, False, LIMITS))
     assert_no(device_checks.air(nothing, True, LIMITS))
     assert_no(device_checks.air((60.0, 40.0, 1e5), True, LIMITS))
-    assert device_checks.controller(opened(), True).ok
+    assert_go(device_checks.controller(opened(), True))
     assert_no(device_checks.controller(DevicesNow(controller=ControlState.LOST), True))
-    assert device_checks.controller(DevicesNow(), False).ok
+    assert_go(device_checks.controller(DevicesNow(), False))
 
 
 def test_what_stands_against_a_run_is_one_line() -> None:
