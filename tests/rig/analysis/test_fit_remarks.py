@@ -5,9 +5,9 @@ from dataclasses import replace
 import pytest
 
 from processing.estimate import Determinacy, Estimate
-from processing.fit import DragFinding
-from rig.analysis import Drag, RunResults
-from rig.analysis.contact_results import BaseMotion, Determination, Fit, Ground
+from processing.fit import BaseMotion, Determination, Drag, DragFinding, Ground
+from rig.analysis import RunResults
+from rig.analysis.contact_results import Fit
 from rig.analysis.fit_remarks import ground_sentence, remarks
 from rig.report.tables import drag_table
 
