@@ -11,19 +11,3 @@ from processing.balance.faults import (
     mass_centre_height_m,
 )
 from processing.balance.room import Room
-
-__all__ = [
-    "Balance",
-    "BalanceEstimator",
-    "BalanceLimits",
-    "Fault",
-    "InUnit",
-    "Room",
-    "Turn",
-    "Unreachable",
-    "WeightResponses",
-    "find_faults",
-    "implausible",
-    "mass_centre_height_m",
-    "names_with_units",
-]

@@ -16,29 +16,3 @@ from processing.instruments.plane import along_plane, swing_plane
 from processing.instruments.rolling import rolling_friction
 from processing.instruments.scale import with_scale
 from processing.instruments.turning import refined
-
-__all__ = [
-    "DEGREE_RAD",
-    "INSTRUMENTS",
-    "Check",
-    "Compliance",
-    "Damping",
-    "Description",
-    "FrictionLaw",
-    "Limits",
-    "along_plane",
-    "check",
-    "circular_error",
-    "damping",
-    "fit_friction_law",
-    "herbert_hardness",
-    "inferred_swings",
-    "joined_swings",
-    "over_places",
-    "ratio",
-    "refined",
-    "rolling_friction",
-    "swing_plane",
-    "with_drive",
-    "with_scale",
-]

@@ -2,5 +2,3 @@
 
 from processing.position_map.position_map import PositionMap
 from processing.position_map.search import PositionMapSearch
-
-__all__ = ["PositionMap", "PositionMapSearch"]

@@ -7,17 +7,3 @@ from processing.spot.sensor_model import SensorModel
 from processing.spot.shape import BeamShape, beam_shape
 from processing.spot.spot import SPOT_DTYPE, Spot, SpotFlag
 from processing.spot.tracker import SpotTracker
-
-__all__ = [
-    "LONGEST_CHOICE_FRAMES",
-    "SPOT_DTYPE",
-    "BeamShape",
-    "BeamUse",
-    "SensorModel",
-    "Spot",
-    "SpotFlag",
-    "SpotModel",
-    "SpotTracker",
-    "beam_shape",
-    "compile_kernels",
-]

@@ -9,25 +9,3 @@ from processing.swing.noise import estimate_noise
 from processing.swing.spectrum import ResidualSpectrum, residual_spectrum
 from processing.swing.stacked_swing import ORDERS, HarmonicClass, cycle_harmonics, harmonic_classes
 from processing.swing.swing import Swing, SwingFlag, TurningPoints, turning_points
-
-__all__ = [
-    "ORDERS",
-    "SHARED",
-    "CycleResiduals",
-    "CycleWatch",
-    "HarmonicClass",
-    "KnownMotion",
-    "ResidualSpectrum",
-    "Swing",
-    "SwingDetector",
-    "SwingFlag",
-    "TurningPoints",
-    "TwoModes",
-    "compile_kernels",
-    "cycle_harmonics",
-    "estimate_noise",
-    "harmonic_classes",
-    "residual_spectrum",
-    "separate_modes",
-    "turning_points",
-]

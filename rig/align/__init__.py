@@ -3,5 +3,3 @@
 from rig.align.aligning import align_camera
 from rig.align.annotated_picture import annotated_picture
 from rig.align.look import AlignmentFrame, middle_of, take_look
-
-__all__ = ["AlignmentFrame", "align_camera", "annotated_picture", "middle_of", "take_look"]

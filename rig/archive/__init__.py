@@ -18,26 +18,6 @@ if TYPE_CHECKING:
     from rig.archive.thinning import thin_runs
     from rig.archive.viewing import view_runs
 
-__all__ = [
-    "Format",
-    "Statement",
-    "add_sessions",
-    "blind_runs",
-    "compare_groups",
-    "is_remote",
-    "list_runs",
-    "opened",
-    "plot_runs",
-    "print_differences",
-    "publish_runs",
-    "refit_runs",
-    "remark",
-    "show_runs",
-    "thin_runs",
-    "unseal",
-    "view_runs",
-]
-
 _LATER = {
     "Statement": "publishing",
     "compare_groups": "laboratories",

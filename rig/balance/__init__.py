@@ -3,5 +3,3 @@
 from rig.balance.balancing import balance_rig, history_path, show_history
 from rig.balance.history import HEAD, Learned, learned
 from rig.balance.telling import InJsonLines
-
-__all__ = ["HEAD", "InJsonLines", "Learned", "balance_rig", "history_path", "learned", "show_history"]

@@ -9,20 +9,3 @@ from rig.calibrate.pointing import calibrate_pointing
 from rig.calibrate.sensor import calibrate_sensor
 from rig.calibrate.shown import Residuals, calibration_residuals, calibration_tables
 from rig.calibrate.shutter import calibrate_shutter
-
-__all__ = [
-    "LADDER_UNITS",
-    "Filing",
-    "LadderFile",
-    "Residuals",
-    "TransferFile",
-    "calibrate_axes",
-    "calibrate_clock",
-    "calibrate_lever",
-    "calibrate_pointing",
-    "calibrate_sensor",
-    "calibrate_shutter",
-    "calibration_residuals",
-    "calibration_tables",
-    "check_known_angle",
-]

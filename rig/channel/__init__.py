@@ -14,14 +14,3 @@ from rig.channel.loopback import (
     running_sessions,
 )
 from rig.channel.telling import SessionTelling
-
-__all__ = [
-    "Channel",
-    "Line",
-    "NoSession",
-    "Orders",
-    "SessionBusy",
-    "SessionPicture",
-    "SessionTelling",
-    "running_sessions",
-]

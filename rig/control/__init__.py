@@ -10,32 +10,3 @@ from rig.control.service import ControlService, ControlState
 from rig.control.settings import ControllerSettings, EnvironmentSettings
 from rig.control.simulated import SimulatedOutputs, simulated_controller
 from rig.control.states import DevicesNow, LaserNow, Light
-
-__all__ = [
-    "LASERS",
-    "LONGEST_JOB_S",
-    "ControlService",
-    "ControlState",
-    "Controller",
-    "ControllerSettings",
-    "DevicesNow",
-    "EnvironmentService",
-    "EnvironmentSettings",
-    "Interlock",
-    "LaserNow",
-    "LaserService",
-    "LaserSettings",
-    "LaserState",
-    "Light",
-    "LightPermit",
-    "SimulatedOutputs",
-    "Stage",
-    "Trip",
-    "check_controller",
-    "check_environment",
-    "check_laser",
-    "laser_unit",
-    "list_serial_ports",
-    "make_laser",
-    "simulated_controller",
-]

@@ -14,5 +14,3 @@ command in a process (`Desk.start`). `panels/fields.py` has fields that the sett
 """
 
 from rig.desk.server import open_desk
-
-__all__ = ["open_desk"]

@@ -11,24 +11,3 @@ from rig.devices.latest_frames import watch_latest
 from rig.devices.light_watch import LightWatch
 from rig.devices.picture import PictureFigures
 from rig.devices.session_devices import Devices, OpenCamera
-
-__all__ = [
-    "MOST_PPM",
-    "STAYS_LIT",
-    "WIRE_IT",
-    "Devices",
-    "FrameStream",
-    "LightWatch",
-    "OpenCamera",
-    "PictureFigures",
-    "examine",
-    "feature_lines",
-    "find_exposure",
-    "goes_dark_by_itself",
-    "kernel_clock",
-    "ntp_state",
-    "picture",
-    "wait_for_command",
-    "watch_latest",
-    "wrong_rate",
-]

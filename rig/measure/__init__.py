@@ -6,18 +6,3 @@ from rig.measure.preflight_alone import preflight_rig
 from rig.measure.run_panel import estimate_texts
 from rig.measure.session import measure_session, session_folder, simulate_record
 from rig.measure.session_file import RunState, SessionState, read_session
-
-__all__ = [
-    "RunState",
-    "SessionState",
-    "estimate_texts",
-    "measure_plan",
-    "measure_session",
-    "preflight_rig",
-    "read_session",
-    "record_plainly",
-    "resume_session",
-    "session_folder",
-    "simulate_record",
-    "take_frames",
-]

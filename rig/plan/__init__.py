@@ -2,15 +2,3 @@
 
 from rig.plan.expected import Expected, expected_of, planned_expectation
 from rig.plan.plan import Plan, plan_expected, plan_runs, plan_table, print_plan, save_plan
-
-__all__ = [
-    "Expected",
-    "Plan",
-    "expected_of",
-    "plan_expected",
-    "plan_runs",
-    "plan_table",
-    "planned_expectation",
-    "print_plan",
-    "save_plan",
-]

@@ -2,5 +2,3 @@
 
 from rig.posterior.messages import FittedModel
 from rig.posterior.posterior import FIRST_HALF_CYCLES, LivePosterior, Posterior, following
-
-__all__ = ["FIRST_HALF_CYCLES", "FittedModel", "LivePosterior", "Posterior", "following"]

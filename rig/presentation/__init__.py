@@ -10,32 +10,3 @@ from rig.presentation.table import Cell, Table, harmless_text
 from rig.presentation.terminal import print_tables
 from rig.presentation.verdict import Verdict, failures, table_tree
 from rig.presentation.verdict_table import print_verdicts
-
-__all__ = [
-    "NOT_KNOWN",
-    "SOURCES",
-    "Cell",
-    "Keys",
-    "Shown",
-    "Table",
-    "Verdict",
-    "balance_drawn",
-    "balance_numbers",
-    "balance_panels",
-    "balance_table",
-    "failures",
-    "harmless_text",
-    "law_parameters",
-    "palette",
-    "plain",
-    "plain_values",
-    "power",
-    "print_json_line",
-    "print_tables",
-    "print_verdicts",
-    "quantity",
-    "say",
-    "table_tree",
-    "unit_of",
-    "with_uncertainty",
-]

@@ -2,5 +2,3 @@
 
 from rig.replay.comparison import Change, parameter_changes
 from rig.replay.record_replay import analyse_replayed, replay_record
-
-__all__ = ["Change", "analyse_replayed", "parameter_changes", "replay_record"]

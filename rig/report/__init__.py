@@ -8,28 +8,3 @@ from rig.report.run_data import RunData, ShownTrajectory, ShownUnit, turning_poi
 from rig.report.session_report import draw_run, make_report, save_figures, save_tables
 from rig.report.tables_instruments import instrument_table
 from rig.report.tables_uncertainty import series_table
-
-__all__ = [
-    "INK",
-    "ReportFigure",
-    "RunData",
-    "ShownTrajectory",
-    "ShownUnit",
-    "canvas",
-    "check_report",
-    "compare",
-    "draw_run",
-    "figures_contact",
-    "figures_laws",
-    "figures_motion",
-    "html",
-    "instrument_table",
-    "make_report",
-    "png",
-    "save_figures",
-    "save_tables",
-    "series_table",
-    "styled",
-    "svg",
-    "turning_points_again",
-]

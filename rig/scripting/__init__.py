@@ -3,5 +3,3 @@
 from rig.scripting.fits import fit, fit_table
 from rig.scripting.record import Record, open_record
 from rig.scripting.session import Session, figures, open_session
-
-__all__ = ["Record", "Session", "figures", "fit", "fit_table", "open_record", "open_session"]

@@ -24,38 +24,3 @@ from rig.settings.stop_conditions import StopCondition
 from rig.settings.toml_file import read_toml
 from rig.settings.typed import number, optional, quantity, word
 from rig.settings.wording import in_words, validated, wanted
-
-__all__ = [
-    "SCHEMA",
-    "SCHEMA_KEY",
-    "BalanceSettings",
-    "Configuration",
-    "FaultyConfiguration",
-    "FitSettings",
-    "InstrumentSettings",
-    "PendulumSettings",
-    "PlannedSeries",
-    "PreflightSettings",
-    "SessionSettings",
-    "Step",
-    "StopCondition",
-    "TimebaseSettings",
-    "Watched",
-    "apply_overrides",
-    "commented_file",
-    "in_words",
-    "keys_with_faults",
-    "load_configuration",
-    "load_plan",
-    "migrated",
-    "number",
-    "optional",
-    "quantity",
-    "read_toml",
-    "stored_configuration",
-    "toml_value",
-    "validate_configuration",
-    "validated",
-    "wanted",
-    "word",
-]

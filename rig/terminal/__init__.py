@@ -2,12 +2,3 @@
 
 from rig.terminal.encoding import spell_out_what_is_missing, spelled
 from rig.terminal.interruption import BY_USER, Terminated, reason_of, terminated_by_signals
-
-__all__ = [
-    "BY_USER",
-    "Terminated",
-    "reason_of",
-    "spell_out_what_is_missing",
-    "spelled",
-    "terminated_by_signals",
-]

@@ -29,31 +29,3 @@ from rig.wizards.first_configuration import FirstConfiguration
 from rig.wizards.kinds import KINDS, calibration_wizard
 from rig.wizards.question import Choice, Question, RecordedAnswer, Wizard
 from rig.wizards.terminal import ask_in_terminal
-
-__all__ = [
-    "KINDS",
-    "CalibrationWizard",
-    "Choice",
-    "Draft",
-    "Filed",
-    "FirstConfiguration",
-    "Progress",
-    "Question",
-    "RecordedAnswer",
-    "Wizard",
-    "answered",
-    "as_far_as_it_holds",
-    "ask_in_terminal",
-    "calibration_wizard",
-    "drop_draft",
-    "filed",
-    "keep_draft",
-    "kept_draft",
-    "next_free",
-    "place_for",
-    "progress",
-    "recorder_of",
-    "refuse_existing",
-    "stated_keys",
-    "write_configuration",
-]

@@ -3,5 +3,3 @@
 from processing.contact.law import AMPLITUDE, DRAG, TIME, Law, Parameter
 from processing.contact.laws.paper import PAPER
 from processing.contact.laws.registry import LAWS
-
-__all__ = ["AMPLITUDE", "DRAG", "LAWS", "PAPER", "TIME", "Law", "Parameter"]

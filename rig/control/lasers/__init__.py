@@ -24,15 +24,3 @@ def laser_unit(kind: str) -> Literal["w", "a"]:
 def _driver(kind: str) -> Callable[[LaserSettings], Laser]:
     module, _, name = LASERS[kind].partition(":")
     return cast(Callable[[LaserSettings], Laser], getattr(importlib.import_module(module), name))
-
-
-__all__ = [
-    "LASERS",
-    "Laser",
-    "LaserIdentity",
-    "LaserRefused",
-    "LaserSettings",
-    "LaserState",
-    "laser_unit",
-    "make_laser",
-]

@@ -2,5 +2,3 @@
 
 from rig.measure.preflight import device_checks, frame_checks
 from rig.measure.preflight.frame_checks import TrialFrames
-
-__all__ = ["TrialFrames", "device_checks", "frame_checks"]
