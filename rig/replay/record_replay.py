@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal
 
 from acquisition.record.reader import RecordReader
 from processing.errors import ConfigurationError
@@ -26,11 +25,9 @@ from rig.replay.comparison import parameter_changes
 from rig.replay.player import HELP, MOST_FRAMES, Player
 from rig.replay.replay import Replay, Replayed
 from rig.replay.screen import ReplayLine, print_changes, print_comparison
-from rig.rerun import Trouble
+from rig.rerun import Mode, Trouble
 from rig.settings import Configuration, Watched
 from rig.view import Viewer, start_view
-
-ViewMode = Literal["none", "spawn", "web"]
 
 
 def speed_of(text: str) -> float:
@@ -53,7 +50,7 @@ def replay_record(
     speed: str = "max",
     from_s: float = 0.0,
     to_s: float = math.inf,
-    mode: ViewMode = "none",
+    mode: Mode = "none",
     rrd: Path | None = None,
 ) -> int:
     """Replay, compare and fit; writes results.json into `output` if given. Returns the exit status.
@@ -136,7 +133,7 @@ def _view(
     config: Configuration,
     record: Path,
     rrd: Path | None,
-    mode: ViewMode,
+    mode: Mode,
 ) -> Viewer:
     view = start_view(config, rrd, mode, "measuring", f"replay of {record.stem}", reader.full_scale_dn)
 
