@@ -358,3 +358,15 @@ def test_a_cut_file_is_listed_without_unpacking_its_chunks(
     path.write_bytes(changed)
     with path.open("rb") as file, pytest.raises(AssertionError, match="unpacked"):
         read_contents(file)
+
+
+def test_a_file_without_a_checksum_of_its_data_is_not_called_damaged_for_that(
+    tmp_path: Path, whole: bytes
+) -> None:
+    """MCAP: a data section's CRC of 0 means that there is none, as other writers have it."""
+    path = tmp_path / "run.mcap"
+    at = whole.rindex(b"\x0f" + (4).to_bytes(8, "little")) + 9
+    path.write_bytes(whole[:at] + bytes(4) + whole[at + 4 :])
+    assert errors(check_record(path)) == []
+    path.write_bytes(flipped(whole, at))
+    assert len(errors(check_record(path))) == 1
