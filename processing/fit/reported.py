@@ -153,7 +153,7 @@ def reported_quantities(
         "n": n,
         "period0_s": period0 * second,
         "gamma_pa": gamma * (nominal.contact_radius_m / a) ** 2 * (force / nominal_force) * scale**-n,
-        **derived_quantities(c * scale, force, radius, a),
+        **derived_quantities(c, scale, force, radius, a),
     }
     if DRAG.key in found.names:
         out[DRAG.key] = moved[found.names.index(DRAG.key)] * second
@@ -161,13 +161,13 @@ def reported_quantities(
 
 
 def derived_quantities(
-    c: Array, force_n: Array, ball_radius_m: Array, contact_radius_m: Array
+    c: Array, scale: Array, force_n: Array, ball_radius_m: Array, contact_radius_m: Array
 ) -> dict[str, Array]:
-    """The fields of `Derived` by name, for arrays of equal shape."""
+    """The fields of `Derived` by name, for arrays of equal shape; true angles are `scale` times the assumed."""
     a = contact_radius_m
     return {
-        "surface_energy_table2_j_per_m2": force_n * ball_radius_m * c / (2 * a**2),
-        "surface_energy_eq2_j_per_m2": force_n * c / (2 * a),
+        "surface_energy_table2_j_per_m2": force_n * ball_radius_m * c * scale / (2 * a**2),
+        "surface_energy_eq2_j_per_m2": force_n * c * scale / (2 * a),
         "contact_radius_m": a,
         "contact_depth_m": a**2 / ball_radius_m,
         "contact_angle_rad": a / ball_radius_m,

@@ -200,8 +200,8 @@ def test_the_factor_of_the_circular_error_scatters_as_it_claims() -> None:
         points = TurningPoints(np.arange(16), noisy, u, amplitude, np.full(16, 1e-3))
         found.append(circular_error(points))
     for values, truth in (
-        (np.array([each.factor for each in found]), 1.0),
-        (np.array([each.period0_s for each in found]), 2.0),
+        (np.array([tuple(each.factor) for each in found]), 1.0),
+        (np.array([tuple(each.period0_s) for each in found]), 2.0),
     ):
         claimed = np.sqrt(np.mean(values[:, 1] ** 2))
         # where chi-square falls short of its degrees of freedom the uncertainty is not made smaller
