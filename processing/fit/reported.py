@@ -163,7 +163,7 @@ def reported_quantities(
 def derived_quantities(
     c: Array, scale: Array, force_n: Array, ball_radius_m: Array, contact_radius_m: Array
 ) -> dict[str, Array]:
-    """The fields of `Derived` by name, for arrays of equal shape; true angles are `scale` times the assumed."""
+    """The fields of `Derived` by name, for arrays of equal shape; `scale` is true over assumed angle."""
     a = contact_radius_m
     return {
         "surface_energy_table2_j_per_m2": force_n * ball_radius_m * c * scale / (2 * a**2),
