@@ -21,6 +21,7 @@ from calibration.store import (
     Source,
     parse_calibration,
     read_calibration,
+    toml_value,
     write_calibration,
 )
 from calibration.timebase import FRAME_JITTER_LIMIT_S, ClockRelation, relate_clocks, unwrap_counter

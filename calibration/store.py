@@ -138,16 +138,19 @@ def toml_text(calibration: CalibrationFile) -> str:
     lines = ["# Made by rig calibrate; [values] fill the configuration. Do not edit: make a new calibration."]
     tables = {key: plain.pop(key) for key in ("values", "details")}
     sources = plain.pop("sources")
-    lines += [f"{key} = {_toml(value)}" for key, value in plain.items()]
+    lines += [f"{key} = {toml_value(value)}" for key, value in plain.items()]
     for source in sources:
-        lines += ["", "[[sources]]", *(f"{key} = {_toml(value)}" for key, value in source.items())]
+        lines += ["", "[[sources]]", *(f"{key} = {toml_value(value)}" for key, value in source.items())]
     for name, table in tables.items():
         lines += ["", f"[{name}]"]
-        lines += [f"{key} = {_toml(value)}" for key, value in table.items() if value is not None]
+        lines += [f"{key} = {toml_value(value)}" for key, value in table.items() if value is not None]
     return "\n".join(lines) + "\n"
 
 
-def _toml(value: Any) -> str:
+def toml_value(value: Any) -> str:
+    """A plain value as TOML writes it; a mapping becomes an inline table without what is None."""
+    if isinstance(value, Path):
+        value = value.as_posix()
     if isinstance(value, datetime.datetime):
         return value.isoformat(timespec="seconds")
     if isinstance(value, bool):
@@ -160,8 +163,9 @@ def _toml(value: Any) -> str:
     if isinstance(value, float):
         return repr(value) if math.isfinite(value) else "nan" if math.isnan(value) else f"{value:+}"
     if isinstance(value, Mapping):
-        inner = ", ".join(f"{json.dumps(str(k))} = {_toml(v)}" for k, v in value.items() if v is not None)
+        stated = {str(key): each for key, each in value.items() if each is not None}
+        inner = ", ".join(f"{json.dumps(key)} = {toml_value(each)}" for key, each in stated.items())
         return "{" + inner + "}"
     if isinstance(value, list | tuple):
-        return "[" + ", ".join(_toml(item) for item in value) + "]"
-    raise TypeError(f"{type(value).__name__} cannot be stored in a calibration file")
+        return "[" + ", ".join(toml_value(item) for item in value) + "]"
+    raise TypeError(f"{type(value).__name__} is no value that TOML has")

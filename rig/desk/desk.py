@@ -1,12 +1,12 @@
 """What all tabs of the desk share: configuration, the running session, commands that were started."""
 
-import json
 import subprocess
 import threading
 from collections.abc import Mapping
 from enum import StrEnum
 from pathlib import Path
 
+from calibration import toml_value
 from processing.errors import ConfigurationError, RigError
 from rig.control import Interlock
 from rig.desk.aligner import Aligner
@@ -73,7 +73,7 @@ class Desk:
         """KEY=VALUE of everything that differs from the file, `values` last."""
         own = {**self.kept, **(values or {})}
         stated = [one for one in self._overrides if one.partition("=")[0].strip() not in own]
-        return [*stated, *(f"{key}={toml_value(value)}" for key, value in own.items())]
+        return [*stated, *(_as_set(key, value) for key, value in own.items())]
 
     def checked(self, values: Mapping[str, object] | None = None) -> Configuration:
         """The configuration with `values` changed; raises ConfigurationError with the models' own words."""
@@ -190,14 +190,8 @@ class Desk:
         self.looking_again.close()
 
 
-def toml_value(value: object) -> str:
-    """A value as --set takes it."""
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, int | float):
-        return repr(value)
-    if isinstance(value, str):
-        if any(0xD800 <= ord(one) <= 0xDFFF for one in value):
-            raise RigError(f"{value!r}: holds characters that are no text")
-        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
-    return json.dumps(value)
+def _as_set(key: str, value: object) -> str:
+    """A changed key as --set takes it."""
+    if isinstance(value, str) and any(0xD800 <= ord(one) <= 0xDFFF for one in value):
+        raise RigError(f"{value!r}: holds characters that are no text")
+    return f"{key}={toml_value(value)}"

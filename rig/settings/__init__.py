@@ -2,7 +2,7 @@
 
 from rig.settings.balance import BalanceSettings
 from rig.settings.calibration import TimebaseSettings
-from rig.settings.commented_keys import commented_file, toml_value
+from rig.settings.commented_keys import commented_file
 from rig.settings.configuration import (
     Configuration,
     FaultyConfiguration,

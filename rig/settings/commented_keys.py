@@ -1,13 +1,12 @@
 """The configuration as a file that shows every key: what is stated as it is, the others commented out."""
 
-import json
 import textwrap
 from collections.abc import Collection, Iterator, Mapping
-from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
 
 from pydantic.fields import FieldInfo
 
+from calibration import toml_value
 from rig.settings.configuration import Configuration
 from rig.settings.wording import section_fields, section_of
 
@@ -30,18 +29,6 @@ def commented_file(
         Comments by dotted key, in place of the key's description.
     """
     return "\n".join(_section("", Configuration, stated, without, remarks or {})) + "\n"
-
-
-def toml_value(value: Any) -> str:
-    """A plain value as TOML writes it."""
-    if isinstance(value, Path):
-        value = value.as_posix()
-    if isinstance(value, bool | str):
-        # JSON leaves the delete character as it is, which TOML forbids
-        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
-    if isinstance(value, tuple | list):
-        return "[" + ", ".join(toml_value(item) for item in value) + "]"
-    return repr(value)
 
 
 def _section(

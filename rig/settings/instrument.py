@@ -2,11 +2,13 @@
 
 import math
 from dataclasses import replace
-from typing import Self
+from typing import Self, TypeVar
 
 from pydantic import BaseModel, Field, field_validator, model_validator
 
 from processing.instruments import DEGREE_RAD, INSTRUMENTS, Description, Limits
+
+_Value = TypeVar("_Value", float, float | None)
 
 
 class InstrumentSettings(BaseModel, frozen=True, extra="forbid"):
@@ -70,16 +72,10 @@ class InstrumentSettings(BaseModel, frozen=True, extra="forbid"):
         tolerance = math.inf if self.glass_time_at_least else self.glass_tolerance_s
         return replace(
             table,
-            support_radius_m=table.support_radius_m
-            if self.support_radius_m is None
-            else self.support_radius_m,
-            lever_m=table.lever_m if self.lever_m is None else self.lever_m,
-            start_amplitude_rad=table.start_amplitude_rad
-            if self.start_amplitude_deg is None
-            else self.start_amplitude_deg * DEGREE_RAD,
-            end_amplitude_rad=table.end_amplitude_rad
-            if self.end_amplitude_deg is None
-            else self.end_amplitude_deg * DEGREE_RAD,
+            support_radius_m=_stated(self.support_radius_m, table.support_radius_m),
+            lever_m=_stated(self.lever_m, table.lever_m),
+            start_amplitude_rad=_stated(self.start_amplitude_deg, table.start_amplitude_rad, DEGREE_RAD),
+            end_amplitude_rad=_stated(self.end_amplitude_deg, table.end_amplitude_rad, DEGREE_RAD),
             period_s=_limits(table.period_s, self.period_s, self.period_tolerance_s),
             glass_time_s=_limits(table.glass_time_s, self.glass_time_s, tolerance),
             temperature_c=_limits(table.temperature_c, self.temperature_c, self.temperature_tolerance_c),
@@ -89,10 +85,12 @@ class InstrumentSettings(BaseModel, frozen=True, extra="forbid"):
         )
 
 
+def _stated(value: float | None, otherwise: _Value, unit: float = 1.0) -> float | _Value:
+    return otherwise if value is None else value * unit
+
+
 def _limits(table: Limits | None, value: float | None, tolerance: float | None) -> Limits | None:
     """The built-in limits with the given values; if there are none, a value needs a tolerance as well."""
     if table is None:
         return None if value is None or tolerance is None else Limits(value, tolerance)
-    return Limits(
-        table.value if value is None else value, table.tolerance if tolerance is None else tolerance
-    )
+    return Limits(_stated(value, table.value), _stated(tolerance, table.tolerance))

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from calibration import CalibrationFile, read_calibration
+from calibration import CalibrationFile, read_calibration, toml_value
 from processing.errors import ConfigurationError, RecordError
 from rig.calibrate import Filing, Residuals, calibration_residuals, calibration_tables
 from rig.measure import record_plainly, take_frames
 from rig.presentation import Table
-from rig.settings import Configuration, toml_value
+from rig.settings import Configuration
 from rig.wizards.question import Question, RecordedAnswer
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from acquisition.record import whole_file
 from processing.errors import ConfigurationError, RecordError, RigError
 from rig.wizards.question import Question, Wizard
 
@@ -84,11 +85,9 @@ def as_far_as_it_holds(wizard: Wizard, draft: Draft) -> Draft:
 
 def keep_draft(path: Path, draft: Draft) -> None:
     """Write the draft; raises RecordError if that is not possible."""
-    new = path.with_name(f"{path.name}.new")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        new.write_text(json.dumps(draft.answers, ensure_ascii=False, indent=1), encoding="utf-8")
-        new.replace(path)
+        whole_file.replace(path, json.dumps(draft.answers, ensure_ascii=False, indent=1).encode())
     except OSError as error:
         raise RecordError(f"{path}: the answers cannot be kept: {error.strerror or error}") from None
 
