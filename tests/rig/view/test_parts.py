@@ -15,6 +15,9 @@ from processing.angle import ARCSEC_RAD
 from processing.balance import Balance
 from processing.contact import LAWS
 from processing.deflections import DeflectionUnit
+from processing.fit import Derived, FitQuality, Work
+from processing.quantity import quantities_of
+from processing.surroundings import Surroundings
 from rig.presentation import palette
 from rig.presentation.balance import (
     BALANCE,
@@ -22,7 +25,7 @@ from rig.presentation.balance import (
     balance_numbers,
     balance_table,
 )
-from rig.presentation.quantities import QUANTITIES, law_parameters, quantity
+from rig.presentation.quantities import declaration, law_parameters, quantity
 from rig.rerun.gathering import Decimator
 from rig.rerun.graticule import Graticule, reach_beyond, tick_label, ticks, trajectory_graticule
 from rig.rerun.lissajous import Trail
@@ -194,7 +197,7 @@ def test_every_number_of_a_balance_has_a_unit_and_a_place_and_an_unknown_one_a_n
     fields = [field.name for field in dataclasses.fields(Balance)]
     numbers = {name for name in fields if f"u_{name}" in fields}
     assert numbers == set(BALANCE)
-    assert numbers <= set(QUANTITIES)
+    assert all(declaration(name) for name in numbers)
     for panel in {drawn.panel for drawn in BALANCE.values()} - {""}:
         assert len({quantity(key).unit for key, drawn in BALANCE.items() if drawn.panel == panel}) == 1
     assert quantity("a_new_number").label == "a new number"
@@ -205,7 +208,9 @@ def test_the_parameters_of_every_law_are_shown_as_the_law_says() -> None:
     for law in LAWS.values():
         for parameter in (*law.parameters, *law.uncalibrated.values()):
             assert quantity(parameter.key).symbol == parameter.symbol
-    assert not set(QUANTITIES) & set(law_parameters())
+    declared = [quantities_of(kind) for kind in (Balance, Surroundings, FitQuality, Derived, Work)]
+    names = [*law_parameters(), *(name for one in declared for name in one)]
+    assert len(set(names)) == len(names), "a key stands for one quantity"
     assert quantity("gamma_pa").text(28.7e6, 0.52e6) == "28.70 ± 0.52"
     assert quantity("initial_amplitude_rad", "px").unit == "px"
 
