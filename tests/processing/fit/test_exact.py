@@ -38,7 +38,7 @@ def test_exact_fit_returns_the_truth_without_noise(flat: str, drag_s: float) -> 
     found = result.values[: len(expected)]
     # what is left is where the search stopped: a small part of the uncertainty
     assert np.all(np.abs(found - expected) < 0.02 * result.standard_uncertainty[: len(expected)])
-    assert result.chi2 < 1e-3
+    assert result.chi2_per_dof * result.dof < 1e-3
     assert result.estimate("initial_amplitude_rad").value == pytest.approx(124 * ARCSEC, rel=1e-7)
 
 
