@@ -3,8 +3,8 @@
 numba compiles a kernel anew for each constant that another kernel hands to it, its cache does not notice a
 change in a kernel that is called from another file, and it refuses to compile where no cache can be written.
 Here a kernel is compiled for types only; a cache entry belongs to the code of the kernel and of all that it
-calls; and without a cache a kernel is compiled in every process. A kernel within another one becomes machine
-code only as a part of that one, where numba would optimize and assemble it by itself as well.
+calls; and without a cache a kernel is compiled in every process. A kernel within another one is kept only as
+a part of that one. Decision 24 has what this pays.
 """
 
 import hashlib
@@ -19,7 +19,6 @@ from typing import Any, TypeVar, overload
 import numpy as np
 from numba.core import config, event
 from numba.core.caching import FunctionCache, IndexDataCacheFile, NullCache
-from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.registry import CPUDispatcher
 from numba.types import unliteral
@@ -84,59 +83,22 @@ class Kernel(CPUDispatcher):  # type: ignore[misc]
     def compile(self, sig: Any) -> Any:
         """Called for a call from Python: loads the machine code from the cache, or compiles and keeps it."""
         with global_compiler_lock:
-            if self._within_another:
-                return super().compile(sig)
-            if not self._cache_is_open:
+            if not self._within_another and not self._cache_is_open:
                 self._cache, self._cache_is_open = cache_of(self.py_func, self.targetoptions), True
-            # one that is compiled as a part of another kernel cannot be called from Python; any other comes
-            # from a thread that had the lock before
-            known = self.overloads.get(sig)
-            if known is not None and isinstance(known.library, _PartLibrary):
-                del self.overloads[sig]
             return super().compile(sig)
 
     def get_call_template(self, args: Any, kws: Any) -> Any:
         """Called for a call within another kernel: compiles for types, not for the values of constants.
 
-        It is neither made machine code nor kept by itself, since it becomes a part of the caller's.
+        It is not kept by itself, since it becomes a part of the caller's.
         """
         types = tuple(unliteral(kind) for kind in args)
         named = {name: unliteral(kind) for name, kind in kws.items()}
-        generator = self.targetctx.codegen()
         cache, self._cache, self._within_another = self._cache, NullCache(), True
-        library, generator._library_class = generator._library_class, _PartLibrary
-        self.targetoptions["no_cpython_wrapper"] = True  # Python does not call it
         try:
             return super().get_call_template(types, named)
         finally:
-            del self.targetoptions["no_cpython_wrapper"]
-            generator._library_class = library
             self._cache, self._within_another = cache, False
-
-    def add_overload(self, cres: Any) -> None:
-        """Offer compiled code to Python, unless it is compiled for another kernel only."""
-        if self._within_another:
-            self.overloads[cres.signature.args] = cres
-        else:
-            super().add_overload(cres)
-
-
-class _PartLibrary(JITCodeLibrary):  # type: ignore[misc]
-    """Code that is linked into that of other kernels, which optimize it together with their own."""
-
-    @property
-    def codegen(self) -> Any:
-        return self
-
-    def set_env(self, name: str, environment: object) -> None:
-        """Code that is not loaded has none."""
-
-    def _optimize_final_module(self) -> None:
-        pass
-
-    def _finalize_final_module(self) -> None:
-        self._finalize_dynamic_globals()
-        self._finalized = True
 
 
 class _CacheFile(IndexDataCacheFile):  # type: ignore[misc]
