@@ -6,7 +6,7 @@ BIN    := $(VENV)/bin
 PIP    := $(BIN)/python -m pip --disable-pip-version-check
 INSTALL = $(PIP) install --quiet
 
-# Where the environment forbids bytecode, every process of the tests would compile all modules anew.
+# Where the environment forbids bytecode, every process of the tests would compile all modules again.
 export PYTHONDONTWRITEBYTECODE =
 
 .DELETE_ON_ERROR:
@@ -84,7 +84,7 @@ $(VENV)/.installed-test: $(VENV)/.installed constraints-test.txt
 	$(INSTALL) --requirement constraints-test.txt
 	@touch $@
 
-# Pins are made anew by hand, with pip-tools in the environment, when a range in pyproject.toml changes.
+# Pins are renewed by hand, with pip-tools in the environment, when a range in pyproject.toml changes.
 COMPILE = $(BIN)/pip-compile --quiet --generate-hashes --allow-unsafe --strip-extras --no-header --no-emit-index-url \
   --no-emit-find-links --no-emit-trusted-host --no-emit-options --annotation-style=line
 

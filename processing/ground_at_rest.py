@@ -38,7 +38,7 @@ class GroundAtRest(NamedTuple):
 def ground_at_rest(time_s: Array, deflection: Array) -> GroundAtRest:
     """The drive from the deflections of a free pendulum at rest along its slow mode.
 
-    The oscillation that the ground keeps up wanders in both quadratures. It is fitted anew in every period;
+    The oscillation that the ground keeps up wanders in both quadratures. It is fitted again in every period;
     the steps from period to period have the variance of the drive and that of the reading, which neighbouring
     steps share with opposite signs: their likelihood tells the two apart.
 

@@ -1,6 +1,6 @@
 """Compilation of the numerical kernels, with a cache that knows all sources and may be missing.
 
-numba compiles a kernel anew for each constant that another kernel hands to it, its cache does not notice a
+numba compiles a kernel again for each constant that another kernel hands to it, its cache does not notice a
 change in a kernel that is called from another file, and it refuses to compile where no cache can be written.
 Here a kernel is compiled for types only; a cache entry belongs to the code of the kernel and of all that it
 calls; and without a cache a kernel is compiled in every process. A kernel within another one is kept only as

@@ -46,7 +46,7 @@ class EventKind(StrEnum):
     LASER_LIT = "laser lit"
     """It is lit again after `LASER_DARK`."""
     BEAM = "beam"
-    """The model of the beam was chosen, or is chosen anew."""
+    """The model of the beam was chosen, or is chosen again."""
     REST_STEP = "rest step"
     """The rest position has moved at once, and stays where it is."""
     LIGHT_STEP = "light step"

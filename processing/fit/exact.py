@@ -132,7 +132,7 @@ def fit_exact(
         The turning points were measured on the samples of their half-cycles, as the swing detector
         does. False: amplitude and time are those of the instant at which the pendulum turns.
     near
-        An exact fit of nearly the same points, from which the search starts before it starts anew.
+        An exact fit of nearly the same points, from which the search starts before it starts again.
 
     Raises
     ------

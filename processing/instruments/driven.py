@@ -87,7 +87,7 @@ def _excess(points: TurningPoints, run: NDArray[np.int64]) -> NDArray[np.float64
 
 
 def _drawn(points: TurningPoints, step: float, rng: np.random.Generator) -> TurningPoints:
-    """The same decay, driven and read anew.
+    """The same decay, driven and read again.
 
     A kick keeps its share of the amplitude, which is exact for linear damping, and shifts all later times.
     """

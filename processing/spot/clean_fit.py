@@ -74,7 +74,7 @@ def moved(image: Image, p: Floats, noise: PixelNoise) -> bool:
     """Whether the light at the expected centre has fallen so far that the spot must be elsewhere.
 
     It is below three quarters at a distance of 0.8 standard deviations. The general fit from there would take
-    many passes, each of them as long as finding the spot anew.
+    many passes, each of them as long as finding the spot again.
     """
     ny, nx = image.shape
     x, y = round(p[X]), round(p[Y])

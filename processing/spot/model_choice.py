@@ -52,7 +52,7 @@ class ModelChoice:
         self.begin()
 
     def begin(self) -> None:
-        """Choose anew."""
+        """Choose again."""
         self.model: SpotModel | None = None
         self.profile: BeamProfile | None = None
         self._frames = 0

@@ -223,7 +223,7 @@ class SpotTracker:
         return found
 
     def _judge(self, spot: Spot, image: Image, place: Place) -> None:
-        """Choose the model from the first spots; choose anew if the beam has changed."""
+        """Choose the model from the first spots; choose again if the beam has changed."""
         choice, memory = self._choice, self._memory
         if self._settled:
             if choice.changed(spot.chi2_per_dof, memory[POOR_FRAMES]):

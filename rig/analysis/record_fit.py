@@ -79,7 +79,7 @@ def analyse_record(path: Path, overrides: Sequence[str] = ()) -> AnalysedRun:
 
 
 class _RecordedDeflections:
-    """The deflections of a record, read anew each time.
+    """The deflections of a record, read again each time.
 
     `following` is the number after the last frame's, `beam` what the spots say, each taken once.
     """

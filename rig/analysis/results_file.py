@@ -17,7 +17,7 @@ from rig.presentation import plain_values
 from rig.settings import migrated, wanted
 
 RESULTS_NAME = "results.json"
-_REMEDY = "rig fit makes it anew from the record"
+_REMEDY = "rig fit makes it again from the record"
 
 
 @functools.cache

@@ -101,14 +101,14 @@ SAID_OF_RUNS: Final[Mapping[str, str]] = {
 """Columns that are in no file of a session."""
 
 OF_REFITS: Final[Mapping[str, Column]] = {
-    "level": Column("text", "swings, spots or pixels: from what the results were made anew"),
+    "level": Column("text", "swings, spots or pixels: from what the results were made again"),
     "laws": Column("text", "that were compared"),
     "settings": Column("text", "changes of the configuration, as --set took them"),
     "code": Column("text", "version, commit and hash of the program that made them"),
     "made_utc": Column("time", "when they were made"),
     "newest": Column("yes or no", "whether no later ones of the run exist"),
 }
-"""Columns beside those of a run in the table of results that were made anew."""
+"""Columns beside those of a run in the table of results that were made again."""
 
 SHORT_NAMES: Final[Mapping[str, str]] = {"temperature": "temperature_c", "humidity": "humidity_percent"}
 """Further names in conditions."""

@@ -1,4 +1,4 @@
-"""`rig archive refit`: results made anew of many records, by all processors here or by a cluster."""
+"""`rig archive refit`: many records fitted again, by all processors here or by a cluster."""
 
 import json
 import os
@@ -36,7 +36,7 @@ def refit_runs(
     processes: int | None = None,
     work: Callable[[Task], str] = refit,
 ) -> int:
-    """Make results anew of runs that are named or meet a condition (neither: of all that can be read).
+    """Fit runs again that are named or meet a condition (neither: all that can be read).
 
     What was made by the same code from the same record with the same settings is left as it is, so that an
     interrupted command is simply started again. Each worker sends its results to `sent_to`, the URL of a
@@ -76,7 +76,8 @@ def refit_runs(
     store.refits.merge()
     known = len(tasks) - len(pending) - len(skipped)
     print(
-        f"{made} runs made anew, {known} known already, {left} left out, {dead + len(skipped)} in quarantine"
+        f"{made} runs fitted again, {known} known already, {left} left out, "
+        f"{dead + len(skipped)} in quarantine"
     )
     return 1 if left or dead or skipped else 0
 

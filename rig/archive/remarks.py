@@ -1,4 +1,4 @@
-"""`rig archive tag` and `note`: what people say of runs. It follows from no record and is never made anew."""
+"""`rig archive tag` and `note`: what people say of runs. It follows from no record."""
 
 import contextlib
 import datetime

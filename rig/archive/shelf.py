@@ -1,7 +1,7 @@
 """A folder of small files, each written once, whole or not at all, and one file that holds the rows of all.
 
 Nobody waits for a lock: two processes that write at once write different files, or the same one. The merged
-file holds the same rows again, for speed: deleted, it is made anew. Its name says of which files it is.
+file holds the same rows again, for speed: deleted, it is made again. Its name says of which files it is.
 """
 
 import contextlib
@@ -75,7 +75,7 @@ class Shelf:
             raise RecordError(f"{self.folder}: cannot be read: {error.strerror or error}") from None
 
     def merge(self, *, at_once: int = _FEW) -> None:
-        """Write the merged file anew where at least so many files are not in it."""
+        """Rewrite the merged file where at least so many files are not in it."""
         import pyarrow as pa
         from pyarrow import parquet
 
@@ -120,11 +120,11 @@ def digest_of(names: Iterable[str]) -> str:
 
 
 def unreadable(path: Path, error: object, command: str = "add") -> RecordError:
-    """That a derived file is damaged, and what makes it anew."""
+    """That a derived file is damaged, and what makes it again."""
     text = (str(error).splitlines() or [type(error).__name__])[0]
     # of the archive itself nobody shall be told to delete it: tags and notes follow from nothing else
     derived = re.findall(r"[\w.-]+\.(?:parquet|json\.zst)", f"{path.name} {text}")
-    remedy = f"delete {derived[-1]}, rig archive {command} makes it anew" if derived else "see --debug"
+    remedy = f"delete {derived[-1]}, rig archive {command} makes it again" if derived else "see --debug"
     return RecordError(f"{path}: cannot be read: {text}; {remedy}")
 
 

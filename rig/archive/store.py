@@ -1,6 +1,6 @@
 """The catalogue of an archive: rows of sessions in Parquet files, and a DuckDB connection that reads them.
 
-`sessions/` holds a file for each version of a session, `refits/` one for each result that was made anew,
+`sessions/` holds a file for each version of a session, `refits/` one for each result that was made again,
 `merged/` the same rows again (see `Shelf`).
 """
 
@@ -50,7 +50,7 @@ class Archive:
         return set(self.connection().execute(query, [computer]).fetchall())
 
     def merge(self, **how: int) -> None:
-        """Write the merged file anew where many sessions are not in it (see `Shelf.merge`)."""
+        """Rewrite the merged file where many sessions are not in it (see `Shelf.merge`)."""
         self._sessions.merge(**how)
 
     def merge_many(self) -> None:
@@ -60,7 +60,7 @@ class Archive:
     def connection(self, *, refits: bool = False) -> Any:
         """A DuckDB connection in which `runs` has the newest row of every run; it can read nothing else.
 
-        With `refits` the table of that name has a row for each result that was made anew.
+        With `refits` the table of that name has a row for each result that was made again.
 
         Raises ConfigurationError where nothing was added yet, RecordError where a file is damaged.
         """
@@ -236,7 +236,7 @@ def reads_archive(function: Callable[Concatenate[Path, _P], _R]) -> Callable[Con
 
 
 def refit_shelf(archive: Path) -> Shelf:
-    """Where results that were made anew lie."""
+    """Where results that were made again lie."""
     return Shelf(archive / "refits", archive / "merged", "refits", REFIT_SUFFIX, _read_refit_row)
 
 

@@ -172,7 +172,7 @@ def refit(
     ] = None,
     archive: Archive = _PLACE,
 ) -> None:
-    """Make results anew of many records; what was made already is left as it is."""
+    """Fit many records again; what was fitted already is left as it is."""
     from rig.archive import is_remote, opened, refit_runs
 
     with opened(archive) as folder:

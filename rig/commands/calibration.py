@@ -287,7 +287,7 @@ def _asked(kind: str, config: Path | None, filing: "Filing") -> Path:
     kept = filing.folder / f"{kind}-answers.json"
     draft = as_far_as_it_holds(wizard, kept_draft(kept))
     if draft.answers:
-        say(f"goes on after the {len(draft.answers)} answers in {kept}; remove that file to begin anew")
+        say(f"goes on after the {len(draft.answers)} answers in {kept}; remove that file to begin again")
     while True:
         draft = ask_in_terminal(wizard, draft, lambda answers: keep_draft(kept, answers), recorder)
         try:

@@ -30,7 +30,7 @@ def report(
         typer.Option(
             "-o",
             "--output",
-            help="HTML file to write; default: report.html in the folder, made anew.",
+            help="HTML file to write; default: report.html in the folder, overwritten.",
             callback=new_page,
         ),
     ] = None,

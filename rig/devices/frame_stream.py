@@ -223,8 +223,8 @@ class FrameStream:
                 except CameraLost as lost:
                     self._events.append((EventKind.CAMERA_LOST, str(lost)))
                     self._reconnect(lost)
-                    line.begin_anew()
-                    self._clock.begin_anew()
+                    line.begin_again()
+                    self._clock.begin_again()
                     silent_s = 0.0
                     continue
                 if frame is None:

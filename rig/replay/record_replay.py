@@ -110,7 +110,7 @@ def replay_record(
 
 
 def analyse_replayed(record: Path, *, retrack: bool, overrides: Sequence[str] = ()) -> AnalysedRun:
-    """Fit the half-cycles found anew in the recorded spots, or with `retrack` in the recorded pixels.
+    """Fit the half-cycles found again in the recorded spots, or with `retrack` in the recorded pixels.
 
     Nothing is shown or written. Raises RecordError for a record that cannot be replayed.
     """

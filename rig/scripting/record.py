@@ -57,7 +57,7 @@ class Record:
 
         The names of the fields end in the unit: `amplitude_rad`, or `amplitude_px` without a lever. `flags`
         is 0 for half-cycles that are fitted (see `processing.swing.SwingFlag`). Fits determine the turning
-        points anew.
+        points again.
         """
         with RecordReader(self.path) as reader:
             return reader.table(SWING.topic)

@@ -2,7 +2,7 @@
 
 Run as ``python -m tests.benchmarks archive [--quick]``; `RIG_BENCH_SESSIONS` names another number of sessions
 than 10,000 (which take 4 GB and more than an hour), `RIG_BENCH_REFITS` that of the sessions, of three runs
-each, that are fitted anew. The archive on S3 needs moto's server and s3fs, the cluster Dask.
+each, that are fitted again. The archive on S3 needs moto's server and s3fs, the cluster Dask.
 """
 
 import contextlib
@@ -160,7 +160,7 @@ def _two_at_once(runs: Path, archive: Path, sessions: int) -> dict[str, Any]:
 
 
 def _refits(folder: Path, sessions: int) -> dict[str, Any]:
-    """Results made anew: by one and two processes beside the bare fits, and by processes that are killed."""
+    """Results made again: by one and two processes beside the bare fits, and by processes that are killed."""
     archive, runs = folder / "archive", sessions * RUNS
     for _ in make_sessions(folder / "runs", sessions, templates=6, seed=2):
         pass
@@ -274,7 +274,7 @@ def _since(began_s: float) -> float:
 
 @dataclass(frozen=True)
 class Killed:
-    """Makes results anew, but ends its process with some records always and with some the first time."""
+    """Makes results again, but ends its process with some records always and with some the first time."""
 
     marks: Path
     always: frozenset[str]

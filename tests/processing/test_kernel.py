@@ -60,7 +60,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
         sys.modules.pop(name, None)
 
 
-def imported_anew() -> ModuleType:
+def imported_again() -> ModuleType:
     for name in ("outer_kernel", "inner_kernel"):
         sys.modules.pop(name, None)
     importlib.invalidate_caches()
@@ -75,8 +75,8 @@ def compilations(module: ModuleType, ways: int = 1) -> tuple[float, list[bool]]:
 
 
 def test_compiled_once_and_then_loaded(folder: Path) -> None:
-    assert compilations(imported_anew()) == (21.0, [True])
-    assert compilations(imported_anew()) == (21.0, [])
+    assert compilations(imported_again()) == (21.0, [True])
+    assert compilations(imported_again()) == (21.0, [])
 
 
 def test_a_kernel_called_by_another_and_by_python_is_loaded_for_both(folder: Path) -> None:
@@ -97,10 +97,10 @@ def test_a_kernel_called_by_another_and_by_python_is_loaded_for_both(folder: Pat
     ],
 )
 def test_compiled_again_after_a_change(folder: Path, name: str, old: str, new: str, result: float) -> None:
-    assert compilations(imported_anew()) == (21.0, [True])
+    assert compilations(imported_again()) == (21.0, [True])
     source = folder / f"{name}.py"
     source.write_text(source.read_text().replace(old, new))
-    assert compilations(imported_anew()) == (result, [True])
+    assert compilations(imported_again()) == (result, [True])
 
 
 def test_compiled_again_when_a_module_of_what_it_calls_is_gone(folder: Path) -> None:
@@ -124,26 +124,26 @@ def test_compiled_again_when_a_module_of_what_it_calls_is_gone(folder: Path) -> 
 
 
 def test_not_compiled_again_for_words(folder: Path) -> None:
-    assert compilations(imported_anew()) == (21.0, [True])
+    assert compilations(imported_again()) == (21.0, [True])
     for name, old, new in (("outer", "Text.", "Other text."), ("inner", "FACTOR =", "# why\nFACTOR =")):
         source = folder / f"{name}_kernel.py"
         source.write_text(source.read_text().replace(old, new))
-    assert compilations(imported_anew()) == (21.0, [])
+    assert compilations(imported_again()) == (21.0, [])
 
 
 def test_an_inner_kernel_is_compiled_for_types_and_not_for_values(folder: Path) -> None:
-    module = imported_anew()
+    module = imported_again()
     assert compilations(module, ways=2)[0] == 22.0
     assert len(module.inner_kernel.scaled.signatures) == 1
 
 
-def test_a_spoilt_cache_is_made_anew(folder: Path) -> None:
-    module = imported_anew()
+def test_a_spoilt_cache_is_made_again(folder: Path) -> None:
+    module = imported_again()
     assert compilations(module) == (21.0, [True])
     for path in Path(module.outer.stats.cache_path).glob("outer_kernel*.nb?"):
         path.write_bytes(b"")
-    assert compilations(imported_anew()) == (21.0, [True])
-    assert compilations(imported_anew()) == (21.0, [])
+    assert compilations(imported_again()) == (21.0, [True])
+    assert compilations(imported_again()) == (21.0, [])
 
 
 LITTLE_SPACE = """
@@ -155,22 +155,22 @@ print(outer_kernel.outer(1.0, 1))
 
 def test_code_that_was_not_kept_is_not_taken_for_what_was_kept_before(folder: Path) -> None:
     """A disk may have room for the cache's index and not for the machine code."""
-    assert compilations(imported_anew()) == (21.0, [True])
+    assert compilations(imported_again()) == (21.0, [True])
     source = folder / "outer_kernel.py"
     source.write_text(source.read_text().replace("FACTOR * inner", "FACTOR + inner"))
     done = subprocess.run(
         [sys.executable, "-B", "-c", LITTLE_SPACE], cwd=folder, capture_output=True, text=True, check=True
     )
     assert done.stdout == "13.0\n"
-    assert compilations(imported_anew()) == (13.0, [True])
-    assert compilations(imported_anew()) == (13.0, [])
+    assert compilations(imported_again()) == (13.0, [True])
+    assert compilations(imported_again()) == (13.0, [])
     # what can no longer be loaded is deleted
     assert len(list(folder.rglob("outer_kernel.outer*.nbc"))) == 1
 
 
 def test_two_processes_that_keep_code_at_once_keep_it_apart(folder: Path) -> None:
     """Both have found the cache empty before one of them has kept code for other types than the other."""
-    one, other, reader = (cache_of(imported_anew().outer.py_func, {})._cache_file for _ in range(3))
+    one, other, reader = (cache_of(imported_again().outer.py_func, {})._cache_file for _ in range(3))
     found = other._load_index()
     one.save("types", "code")
     other._load_index = lambda: found

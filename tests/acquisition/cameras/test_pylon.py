@@ -145,7 +145,7 @@ def test_losses_are_seen_in_the_numbers_of_blocks() -> None:
     assert missing_blocks(5, 9) == 3
     assert missing_blocks(65535, 1) == 0, "GigE counts from 65535 to 1"
     assert missing_blocks(65534, 2) == 2
-    assert missing_blocks(500, 0) == 0, "a counter that began anew"
+    assert missing_blocks(500, 0) == 0, "a counter that began again"
 
 
 def test_features_and_settings_are_those_of_the_camera() -> None:

@@ -1,4 +1,4 @@
-"""Real beams, moved by known fractions of a pixel and exposed anew."""
+"""Real beams, moved by known fractions of a pixel and exposed again."""
 
 import math
 from pathlib import Path

@@ -53,10 +53,10 @@ def test_a_map_takes_the_bias_away(sigma_px: float) -> None:
             spots.append(tracker.track(image))
         # the pixels that a record keeps give the same spots, nearly so after a jump
         x0, y0, x1, y1 = mapped.record_window(seen[mapped][-1], SHAPE)
-        anew = again.track(image[y0:y1, x0:x1].copy(), (x0, y0), SHAPE)
+        second = again.track(image[y0:y1, x0:x1].copy(), (x0, y0), SHAPE)
         most_u = 0.05 if len(seen[mapped]) % 50 in (1, 2) else 1e-3
-        assert abs(anew.x_px - seen[mapped][-1].x_px) < most_u * anew.u_x_px
-        assert anew.flags == seen[mapped][-1].flags
+        assert abs(second.x_px - seen[mapped][-1].x_px) < most_u * second.u_x_px
+        assert second.flags == seen[mapped][-1].flags
     assert bias_u(seen[without], truth) > 1.0
     assert bias_u(seen[mapped], truth) < 0.5  # three and a half standard deviations of a mean of 50 frames
 

@@ -126,7 +126,7 @@ def test_nothing_is_written_over(tmp_path: Path) -> None:
 
 
 def test_the_published_schema_is_current() -> None:
-    """`make schema` writes it anew."""
+    """`make schema` writes it again."""
     assert SCHEMA_FILE.read_text(encoding="utf-8") == results_schema()
 
 

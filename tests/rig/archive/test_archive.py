@@ -144,7 +144,7 @@ def test_damaged_missing_and_unreadable_records_are_listed_as_such(sessions: Pat
 def test_results_of_a_record_that_was_replaced_hide_nothing_of_the_new_one(
     sessions: Path, tmp_path: Path
 ) -> None:
-    """A folder of results, made by rig fit -o, whose record was removed and measured anew elsewhere."""
+    """A folder of results, made by rig fit -o, whose record was removed and measured again elsewhere."""
     series = sessions / "series"
     tree = json.loads((series / "results.json").read_text())
     tree["runs"] = [tree["runs"][0] | {"record": str(series / "run-1.mcap"), "sha256": "0" * 64}]
@@ -157,7 +157,7 @@ def test_results_of_a_record_that_was_replaced_hide_nothing_of_the_new_one(
     assert not [row for row in rows(tmp_path / "archive") if "fit" in Path(row["folder"]).name]
 
 
-def test_a_merged_catalogue_says_the_same_and_is_made_anew(sessions: Path, tmp_path: Path) -> None:
+def test_a_merged_catalogue_says_the_same_and_is_made_again(sessions: Path, tmp_path: Path) -> None:
     archive = tmp_path / "archive"
     add_sessions(archive, [sessions])
     before = rows(archive, "order by sha256")
@@ -230,7 +230,7 @@ def test_tags_and_notes_belong_to_the_record(sessions: Path, tmp_path: Path) -> 
     shown = rig("archive", "show", sha256[:8], "--archive", archive).stdout
     assert "humid" in shown
     assert "u_b" not in shown
-    # the catalogue made anew, with a session that has grown: what was said is still said of the record
+    # the catalogue made again, with a session that has grown: what was said is still said of the record
     shutil.rmtree(archive / "sessions")
     shutil.copy(sessions / "deeper" / "uncalibrated" / "run-1.mcap", sessions / "series" / "run-3.mcap")
     add_sessions(archive, [sessions / "series"])

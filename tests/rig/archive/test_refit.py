@@ -1,4 +1,4 @@
-"""`rig archive refit`: results made anew, each once, whatever a record does to the process that reads it."""
+"""`rig archive refit`: records fitted again, once each, whatever a record does to its reader."""
 
 import json
 import os
@@ -42,14 +42,14 @@ def done(archive: Path, *words: str | Path) -> str:
     return found.stdout
 
 
-def test_results_made_anew_are_kept_in_versions_and_listed(
+def test_results_made_again_are_kept_in_versions_and_listed(
     archive: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("rig.archive.refitting.in_processes", in_this_process)
     whole = ("--where", "state = 'whole'")
-    assert done(archive, *whole) == "1 runs made anew, 0 known already, 0 left out, 0 in quarantine\n"
-    assert done(archive, *whole) == "0 runs made anew, 1 known already, 0 left out, 0 in quarantine\n"
-    assert "1 runs made anew" in done(archive, *whole, "--set", "fit.robust=true", "--law", "viscous")
+    assert done(archive, *whole) == "1 runs fitted again, 0 known already, 0 left out, 0 in quarantine\n"
+    assert done(archive, *whole) == "0 runs fitted again, 1 known already, 0 left out, 0 in quarantine\n"
+    assert "1 runs fitted again" in done(archive, *whole, "--set", "fit.robust=true", "--law", "viscous")
     listed = rig("archive", "list", "order by made_utc", "--refits", "--format", "json", "--archive", archive)
     rows = json.loads(listed.stdout)
     assert [row["newest"] for row in rows] == [False, True]
@@ -112,9 +112,9 @@ def test_what_ends_its_process_twice_is_in_quarantine(archive: Path, monkeypatch
     monkeypatch.setattr("rig.archive.refitting.in_processes", in_this_process)
     second = rig("archive", "refit", "--where", "state = 'whole'", "--archive", archive)
     assert "run-1.mcap: left out: in quarantine" in second.stderr
-    assert second.stdout == "0 runs made anew, 0 known already, 0 left out, 1 in quarantine\n"
+    assert second.stdout == "0 runs fitted again, 0 known already, 0 left out, 1 in quarantine\n"
     (archive / "quarantine").joinpath(*os.listdir(archive / "quarantine")).unlink()
-    assert "1 runs made anew" in done(archive, "--where", "state = 'whole'")
+    assert "1 runs fitted again" in done(archive, "--where", "state = 'whole'")
 
 
 def test_a_task_that_ends_its_process_costs_no_other(tmp_path: Path) -> None:

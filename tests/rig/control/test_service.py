@@ -42,7 +42,7 @@ def test_snapshot_follows_the_board(board: FirmwareBoard) -> None:
         service.laser_on().result(1.0)
 
 
-def test_reset_board_is_opened_anew_and_stays_dark(board: FirmwareBoard) -> None:
+def test_reset_board_is_opened_again_and_stays_dark(board: FirmwareBoard) -> None:
     control = settings_for(board.port, heartbeat_s=0.05)
     with ControlService(Controller(control, 0.001), control) as service:
         service.wait_open(10.0)

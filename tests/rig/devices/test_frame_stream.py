@@ -156,17 +156,17 @@ def test_unplugging_leaves_a_gap_of_the_right_length(real_time: bool) -> None:
     assert stream.losses == FrameLosses(while_unplugged=longest - 1)
 
 
-def test_a_clock_that_began_anew_is_shifted_and_said_so() -> None:
+def test_a_clock_that_began_again_is_shifted_and_said_so() -> None:
     line = FrameLine()
     image = np.zeros((2, 2), np.uint8)
     for number in range(10):
         line.join(Frame(image, number, 10**12 + number * 10**7, 5 * 10**9 + number * 10**7))
-    line.begin_anew()
+    line.begin_again()
     host_ns = 5 * 10**9 + 9 * 10**7 + 2 * 10**9
     frame, note = line.join(Frame(image, 0, 12345, host_ns))
     assert frame.device_time_ns == 10**12 + 9 * 10**7 + 2 * 10**9
     assert frame.sequence == 9 + 200
-    assert "began anew" in note
+    assert "began again" in note
     later, note = line.join(Frame(image, 1, 12345 + 10**7, host_ns + 10**7))
     assert (later.sequence, later.device_time_ns - frame.device_time_ns, note) == (210, 10**7, "")
 

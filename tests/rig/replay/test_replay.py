@@ -185,7 +185,7 @@ def test_forwards_nothing_is_left_out(record: Path) -> None:
     assert result.comparison.identical
 
 
-def test_backwards_the_pipeline_begins_anew(record: Path) -> None:
+def test_backwards_the_pipeline_begins_again(record: Path) -> None:
     with replay_of(record) as replay:
         _, script = played(replay, 10.0, {3.0: "space", 3.5: "-", 4.5: "g 5 enter", 5.5: "space"})
         result = replay.finish()

@@ -13,7 +13,7 @@ PERIOD_S = 4.0
 
 
 def reaches(rrd: Path) -> tuple[np.ndarray, np.ndarray]:
-    """When the axes were drawn anew, and how far they reached from then on."""
+    """When the axes were drawn again, and how far they reached from then on."""
     times_s, scales = column(rrd, "/lissajous/equal/trajectory", "Transform3D:scale")
     return times_s, np.array([PLANE_REACH / scale[0][0] for scale in scales])
 

@@ -1,7 +1,7 @@
 """Appearance of the three layouts, drawn by the headless viewer from a fixed scene.
 
 Reference pictures lie in tests/rig/data, a fifth of the window's size: they hold what is where and in
-which colour, not how a version of Mesa smooths a line. RIG_UPDATE_PICTURES=1 writes them anew; look
+which colour, not how a version of Mesa smooths a line. RIG_UPDATE_PICTURES=1 writes them again; look
 at them before they are committed.
 """
 

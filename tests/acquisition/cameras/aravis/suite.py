@@ -103,7 +103,7 @@ def test_frames_come_whole_while_their_ids_roll_over(
     fake: FakeCamera, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     fake.pull_out()
-    fake.plug_in()  # its ids begin anew, some hundred frames before they roll over
+    fake.plug_in()  # its ids begin again, some hundred frames before they roll over
     wait_for_camera()
     ids: list[int] = []
     number = FrameNumbering.number

@@ -35,7 +35,7 @@ def test_a_frame_that_comes_twice_is_given_once() -> None:
 
 
 @pytest.mark.parametrize("short_ids", [True, False])
-def test_a_camera_that_counts_anew_loses_nothing(short_ids: bool) -> None:
+def test_a_camera_that_counts_again_loses_nothing(short_ids: bool) -> None:
     numbering = FrameNumbering(short_ids)
     assert at_once(numbering, 500, 501, 1, 2) == [0, 1, 2, 3]
     assert numbering.status.dropped == 0

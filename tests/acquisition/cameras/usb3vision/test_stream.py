@@ -260,7 +260,7 @@ def test_unplugged_at_any_byte_of_a_frame(after_bytes: int) -> None:
         assert time.monotonic() - begin_s < 2 / 1000 + 0.5
 
 
-def test_a_counter_that_begins_anew_is_no_loss_of_thousands() -> None:
+def test_a_counter_that_begins_again_is_no_loss_of_thousands() -> None:
     device = patient(first_block=1000)
     shift = {"by": 0}
 
