@@ -38,7 +38,7 @@ class FrameLine:
         self._offset = 0
         self._to_middle_ns = time_shift_ns
         self._continued_ns = 0
-        self._anew = False
+        self._reopened = False
         self.missing = 0
 
     def patience_s(self, without_s: float) -> float:
@@ -48,9 +48,9 @@ class FrameLine:
         """
         return 2 * S_PER_NS * self._interval_ns + _NAMED_AFTER_S if self._interval_ns else without_s
 
-    def begin_anew(self) -> None:
+    def begin_again(self) -> None:
         """The camera was opened again: the next frame is its first."""
-        self._anew = self._last is not None
+        self._reopened = self._last is not None
 
     def join(self, frame: Frame) -> tuple[Frame, str]:
         """The frame with its number and time in this line; a note with the first after a gap."""
@@ -58,9 +58,9 @@ class FrameLine:
         middle_ns = frame.device_time_ns
         if middle_ns >= 0:
             middle_ns = max(middle_ns + self._to_middle_ns, 0)
-        if self._anew and last is not None:
+        if self._reopened and last is not None:
             note = self._find_offsets(frame.sequence, middle_ns, frame.host_time_ns, last)
-            self._anew = False
+            self._reopened = False
         if middle_ns >= 0:
             middle_ns += self._continued_ns
         if self._offset or middle_ns != frame.device_time_ns:
@@ -82,10 +82,10 @@ class FrameLine:
         shifted = ""
         if middle_ns >= 0:
             passed_ns = middle_ns - last.device_time_ns
-            # simulated time may pass more quickly than the host's, a clock that began anew is behind it
+            # simulated time may pass more quickly than the host's, a clock that began again is behind it
             if passed_ns < by_host_ns - _CLOCK_STEP_NS or passed_ns <= 0:
                 self._continued_ns, passed_ns = by_host_ns - passed_ns, by_host_ns
-                shifted = f"; its clock began anew, {self._continued_ns} ns are added to its times"
+                shifted = f"; its clock began again, {self._continued_ns} ns are added to its times"
         missing = max(round(passed_ns / (self._interval_ns or passed_ns)) - 1, 0)
         self._offset = last.sequence + 1 + missing - number
         self.missing += missing

@@ -150,7 +150,7 @@ class ClockWatch:
         self._found: list[float] = []
         self._done = False
 
-    def begin_anew(self) -> None:
+    def begin_again(self) -> None:
         """The camera was opened again: the stretch begins again."""
         self._frames.clear()
 

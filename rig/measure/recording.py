@@ -113,12 +113,12 @@ class FrameCounts:
         )
 
     def _beam_events(self, frames: Sequence[Frame], block: Block, pipeline: Pipeline) -> list[Event]:
-        """An event when the tracker has chosen its model of the beam, or has begun to choose anew."""
+        """An event when the tracker has chosen its model of the beam, or has begun to choose again."""
         self.beam.take([frame.sequence for frame in frames], [spot.flags for spot in block.spots])
         before, self._model = self._model, pipeline.tracker.model
         if self._model is before:
             return []
-        text = self.beam.text if self._model is not None else "it has changed; its model is chosen anew"
+        text = self.beam.text if self._model is not None else "it has changed; its model is chosen again"
         return [Event(frames[-1].time_ns, EventKind.BEAM, text)]
 
 

@@ -73,7 +73,7 @@ class Rates:
         self._points: deque[tuple[float, int, int]] = deque(maxlen=50)
 
     def take(self, snapshot: Snapshot) -> None:
-        """Note the counts; fewer frames than before are those of another phase, which starts anew."""
+        """Note the counts; fewer frames than before are those of another phase, which starts again."""
         if self._points and snapshot.frames < self._points[-1][1]:
             self._points.clear()
         self._points.append((time.monotonic(), snapshot.frames, snapshot.record_bytes))

@@ -110,7 +110,7 @@ def test_compiled_again_when_a_module_of_what_it_calls_is_gone(folder: Path) -> 
         "from processing.kernel import kernel\nfrom inner_kernel import filled\n\n"
         "@kernel\ndef outer(x, ways):\n    return 2.1 * filled(1)[0]\n"
     )
-    assert compilations(imported_anew()) == (21.0, [True])
+    assert compilations(imported_again()) == (21.0, [True])
     (folder / "inner_kernel.py").rename(folder / "moved_kernel.py")
     source.write_text(source.read_text().replace("inner_kernel", "moved_kernel"))
     done = subprocess.run(

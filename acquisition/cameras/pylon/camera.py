@@ -262,7 +262,7 @@ _MOST_MISSING: Final = 1000
 def missing_blocks(last: int, block: int) -> int:
     """Number of blocks between two numbers; GigE cameras count from 65535 to 1, USB cameras on.
 
-    0 for numbers that pylon does not know, and after a counter that began anew.
+    0 for numbers that pylon does not know, and after a counter that began again.
     """
     if NO_BLOCK in (last, block):
         return 0

@@ -175,19 +175,19 @@ def test_a_camera_that_is_lost_after_its_first_frame_continues_its_numbers() -> 
     line = FrameLine()
     image = np.zeros((2, 2), np.uint8)
     first, _ = line.join(Frame(image, 0, 10**12, 5 * 10**9))
-    line.begin_anew()
+    line.begin_again()
     again, note = line.join(Frame(image, 0, 7, 8 * 10**9))
     assert (first.sequence, again.sequence) == (0, 1)
     assert again.device_time_ns == first.device_time_ns + 3 * 10**9
     assert "opened again after 3.000 s" in note
 
 
-def test_the_middle_of_the_exposure_continues_over_a_clock_that_began_anew() -> None:
+def test_the_middle_of_the_exposure_continues_over_a_clock_that_began_again() -> None:
     line = FrameLine(time_shift_ns=-(10**6))
     image = np.zeros((2, 2), np.uint8)
     joined = [line.join(Frame(image, n, 10**12 + n * 10**7, 5 * 10**9 + n * 10**7))[0] for n in range(10)]
     assert [frame.device_time_ns for frame in joined] == [10**12 - 10**6 + n * 10**7 for n in range(10)]
-    line.begin_anew()
+    line.begin_again()
     again, _ = line.join(Frame(image, 0, 500, 5 * 10**9 + 9 * 10**7 + 10**9))
     assert (again.device_time_ns - joined[-1].device_time_ns, again.sequence) == (10**9, 9 + 100)
     assert line.join(Frame(image, 1, -1, 6 * 10**9))[0].device_time_ns == -1
