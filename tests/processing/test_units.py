@@ -2,6 +2,7 @@
 
 import math
 
+import pint
 import pytest
 
 from processing.errors import ConfigurationError
@@ -46,7 +47,6 @@ IN_PINT = {"px": "pixel", "DN": "count", "°C": "delta_degC", "%": "percent", "e
     ],
 )
 def test_a_factor_is_that_of_pint(unit: str, into: str) -> None:
-    pint = pytest.importorskip("pint", reason="pint is not installed")
     registry = pint.UnitRegistry()
 
     def theirs(text: str) -> str:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pint
 import pytest
 from pyarrow import csv, parquet
 
@@ -196,7 +197,6 @@ def test_every_unit_in_nexus_is_one_and_that_of_its_number(measured_series: Path
         values.visititems(lambda name, item: found.update({name: item.attrs.get("units", "")}))
         numbers = {name for name in found if isinstance(values[name], h5py.Dataset)}
     assert {name: found[name] for name in UNITS} == UNITS
-    pint = pytest.importorskip("pint", reason="pint is not installed")
     theirs = pint.UnitRegistry()
     for name in sorted(numbers):
         unit = found[name].replace("sqrt(Hz)", "Hz^0.5").replace("^-p", "^-0.9").replace("degC", "kelvin")
