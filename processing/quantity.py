@@ -7,7 +7,7 @@ the name. Terminal, report, files for other programs, archive and JSON schema ta
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import cache
-from typing import Annotated, Any, Final, get_args, get_origin, get_type_hints
+from typing import Any, Final, get_type_hints
 
 from processing.estimate import Estimate
 from processing.units import conversion, unit_of_name
@@ -46,10 +46,6 @@ class Quantity:
         """The number shown is this times the stored one."""
         return conversion(self.unit, self.shown) if self.shown else 1.0
 
-    def of_field(self, name: str) -> "Quantity":
-        """With the unit that the name of its field ends in."""
-        return self if self.unit else replace(self, unit=unit_of_name(name) or "1")
-
 
 PLAIN: Final = Quantity("", "", unit="1")
 """Of numbers without a unit in a mapping whose keys have one."""
@@ -63,16 +59,11 @@ PART: Final = Quantity("", "", unit=OWN)
 def quantities_of(kind: type) -> Mapping[str, Quantity]:
     """The declared fields of a dataclass by name, each with its unit."""
     return {
-        name: declared.of_field(name)
+        name: declared if declared.unit else replace(declared, unit=unit_of_name(name) or "1")
         for name, hint in get_type_hints(kind, include_extras=True).items()
-        if (declared := _declared(hint)) is not None
+        for declared in getattr(hint, "__metadata__", ())
+        if isinstance(declared, Quantity)
     }
-
-
-def _declared(hint: Any) -> Quantity | None:
-    if get_origin(hint) is Annotated:
-        return next((note for note in get_args(hint)[1:] if isinstance(note, Quantity)), None)
-    return None
 
 
 def with_units(

@@ -76,7 +76,7 @@ _PREFIXES: Final[Mapping[str, float]] = {
 _SUPERSCRIPTS: Final = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹ᵖ", "-0123456789p")
 _TOKEN: Final = re.compile(
     r"\s*(?:(sqrt\(|√\(|\(|\))"  # bracket
-    r"|()(?:\^|\*\*)(-?[\d.]+)"  # power
+    r"|(?:\^|\*\*)(-?[\d.]+)"  # power
     r"|([/*·])"  # operator
     r"|([^\s/*·^()√⁻⁰¹²³⁴-⁹]+)([⁻⁰¹²³⁴-⁹]*))"  # symbol, its power
 )
@@ -94,20 +94,11 @@ _PRODUCTS_IN_NAMES: Final = (["n", "m"], ["pa", "s"])
 def size(unit: str) -> Size:
     """The unit in SI units. Raises ConfigurationError for a text that is none."""
     tokens = [match for match in _TOKEN.finditer(unit.strip()) if match[0].strip()]
-    if not any(match[5] for match in tokens) or "".join(match[0] for match in tokens).split() != unit.split():
+    if not any(match[4] for match in tokens) or "".join(match[0] for match in tokens).split() != unit.split():
         raise ConfigurationError(f"{unit!r} is no unit that is known here")
     if unit.count("(") != unit.count(")"):
         raise ConfigurationError(f"{unit!r} is no unit: a bracket is missing")
     return _product(unit, [match.groups("") for match in tokens])[0]
-
-
-def is_unit(text: str) -> bool:
-    """Whether `size` knows it."""
-    try:
-        size(text)
-    except ConfigurationError:
-        return False
-    return True
 
 
 def conversion(unit: str, into: str) -> float:
@@ -153,7 +144,7 @@ def _product(unit: str, tokens: list[tuple[str, ...]]) -> tuple[Size, list[tuple
     """The product that the tokens begin with, up to a closing bracket, and what follows it."""
     factor, powers, sign = 1.0, dict[str, Fraction](), 1
     while tokens:
-        (bracket, _, _, operator, symbol, raised), *tokens = tokens
+        (bracket, _, operator, symbol, raised), *tokens = tokens
         if bracket == ")":
             break
         if operator:
@@ -167,8 +158,8 @@ def _product(unit: str, tokens: list[tuple[str, ...]]) -> tuple[Size, list[tuple
             one = _symbol(symbol, unit)
         else:
             raise ConfigurationError(f"{unit!r} is no unit: its power stands alone")
-        if tokens and tokens[0][2]:
-            raised, tokens = tokens[0][2], tokens[1:]
+        if tokens and tokens[0][1]:
+            raised, tokens = tokens[0][1], tokens[1:]
         if raised:
             power *= Fraction(raised.translate(_SUPERSCRIPTS))
         factor *= one.factor ** float(power)

@@ -11,7 +11,7 @@ from rig.balance.look import LooksView, look
 from rig.balance.simulated_operator import SimulatedOperator
 from rig.balance.telling import OnTerminal, Teller
 from rig.devices import Devices
-from rig.instrument import WEIGHTS, advice_text, complete, height_of
+from rig.instrument import WEIGHTS, advice_for, complete, height_of
 from rig.presentation import say
 from rig.settings import Configuration
 
@@ -63,7 +63,7 @@ def balance_rig(
     stated = config
 
     def advise(balance: Balance) -> str:
-        return advice_text(stated, balance, session.responses, session.room)
+        return advice_for(stated, balance, session.responses, session.room).markdown
 
     moves = looks = 0
     with (

@@ -17,7 +17,7 @@ from processing.balance import Balance
 from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import Spot
 from processing.ticks import NS_PER_S, seconds
-from rig.instrument import Block, Snapshot, advise
+from rig.instrument import Block, Snapshot, advice_for
 from rig.presentation import Verdict, balance_numbers, table_tree
 from rig.settings import Configuration
 
@@ -64,7 +64,6 @@ class SessionTelling:
         self._path: deque[Deflections] = deque()
         self._swings: deque[tuple[float, float]] = deque(maxlen=_SWINGS)
         self._balance: Balance | None = None
-        self._advice = ""
         self._state: Mapping[str, Any] = {}
         self._rows: Sequence[tuple[str, str]] = ()
         self._preflight: Sequence[Mapping[str, Any]] = ()
@@ -179,10 +178,9 @@ class SessionTelling:
         }
 
     def _told(self, balance: Balance) -> dict[str, Any]:
-        advice = advise(self._config, balance)
         return {
             "numbers": balance_numbers(balance),
-            "next_step": None if advice is None else advice.next_step,
+            "next_step": advice_for(self._config, balance).next_step or None,
         }
 
     @property

@@ -12,19 +12,9 @@ class Light(StrEnum):
 
     ON = "on"
     OFF = "off"
-    INTERLOCK_OPEN = "interlock open"
-    SILENT = "silent"
-    """It does not answer."""
-    CONTROLLER_SILENT = "controller silent"
-    """The controller that lights it does not answer."""
-
-
-_DARK = {
-    Light.OFF: "off",
-    Light.INTERLOCK_OPEN: "off, its interlock is open",
-    Light.SILENT: "does not answer",
-    Light.CONTROLLER_SILENT: "the controller does not answer",
-}
+    INTERLOCK_OPEN = "off, its interlock is open"
+    SILENT = "does not answer"
+    CONTROLLER_SILENT = "the controller does not answer"
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +35,7 @@ class LaserNow:
     def text(self) -> str:
         """`on, 0.5 mW`."""
         if not self.on:
-            return _DARK[self.light]
+            return self.light
         shown = "on" if self.set_w is None else f"on, {self.set_w * 1e3:g} mW"
         shown += f", {self.power_w * 1e3:.3g} mW" if self.power_w else ""
         return shown + (f", {self.current_a * 1e3:.4g} mA" if self.current_a else "")

@@ -3,8 +3,7 @@
 from rig.instrument.balance import (
     DIRECTIONS,
     WEIGHTS,
-    advice_text,
-    advise,
+    advice_for,
     height_of,
     nominal_effects,
     sensor_room,

@@ -130,29 +130,31 @@ def _verdict(faults: Sequence[Fault]) -> str:
 
 
 class Advice(NamedTuple):
-    """What is to be done next, and what is wrong, a line for each fault."""
+    """What is to be done next, and what is wrong, a line for each fault; empty where nothing can be said."""
 
-    next_step: str
-    faults: tuple[str, ...]
+    next_step: str = ""
+    faults: tuple[str, ...] = ()
 
     @property
     def markdown(self) -> str:
+        if not self.next_step:
+            return ""
         return "\n".join([f"**{self.next_step}**", "", *(f"- {fault}" for fault in self.faults)])
 
 
-def advise(
+def advice_for(
     config: Configuration,
     balance: Balance,
     learned: WeightResponses | None = None,
     room: Room | None = None,
-) -> Advice | None:
+) -> Advice:
     """Faults of a balance and the weight to turn.
 
-    Uses the effects `learned` by `rig balance` if given, else the expected ones. None for a balance in px,
+    Uses the effects `learned` by `rig balance` if given, else the expected ones. Empty for a balance in px,
     because the limits are in arcsec, and for a recorded one without the rest position.
     """
     if balance.unit is not DeflectionUnit.RAD or math.isnan(balance.rest_x):
-        return None
+        return Advice()
     height_m = height_of(config, balance)
     faults = find_faults(balance, height_m, config.balance)
     state = np.array([faults[0].value, faults[1].value, height_m[0]])
@@ -166,14 +168,3 @@ def advise(
         if not fault.ok
     ]
     return Advice(head, tuple(lines))
-
-
-def advice_text(
-    config: Configuration,
-    balance: Balance,
-    learned: WeightResponses | None = None,
-    room: Room | None = None,
-) -> str:
-    """The advice in Markdown; empty where there is none."""
-    found = advise(config, balance, learned, room)
-    return "" if found is None else found.markdown

@@ -17,7 +17,6 @@ BLUE: Final = "#0072B2"
 VERMILLION: Final = "#D55E00"
 REDDISH_PURPLE: Final = "#CC79A7"
 GREY: Final = "#8A8F98"
-LIGHT_GREY: Final = "#C9CDD3"
 
 X_COLOUR: Final = ORANGE
 """X(t), the fast mode."""

@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from processing.balance import Balance
-from rig.instrument import advice_text
+from rig.instrument import advice_for
 from rig.rerun import LayoutName, Mode
 from rig.settings import Configuration
 from rig.view.viewer import Viewer
@@ -50,7 +50,7 @@ def start_view(
         image_interval_s=config.view.image_interval_s,
         full_scale_dn=full_scale_dn,
         parameters=parameters,
-        advise=advise or (lambda balance: advice_text(config, balance)),
+        advise=advise or (lambda balance: advice_for(config, balance).markdown),
     )
     viewer.start()
     return viewer

@@ -18,7 +18,7 @@ from processing.deflections import DeflectionUnit
 from processing.errors import RecordError
 from processing.spot import SpotFlag
 from processing.ticks import nanoseconds, seconds
-from rig.instrument import advice_text, recorded_configuration
+from rig.instrument import advice_for, recorded_configuration
 from rig.presentation import balance_numbers, say
 from rig.rerun import Curve, LayoutName
 from rig.view.analysis_curves import RunAnalysis, analysis_curves, overlaid_curves, report_text, run_analysis
@@ -196,7 +196,7 @@ def _adviser(reader: RecordReader) -> Callable[[Balance], str]:
         config = recorded_configuration(reader)
     except RecordError:
         return lambda _: ""
-    return lambda balance: advice_text(config, balance)
+    return lambda balance: advice_for(config, balance).markdown
 
 
 def _draw_spots(

@@ -13,8 +13,7 @@ from processing.balance import Balance
 from processing.deflections import DeflectionUnit
 from rig.analysis import ComparedLaws, MomentsWithoutLaw, read_results
 from rig.analysis.law_results import LawFit, LawMoments
-from rig.instrument import complete
-from rig.instrument.balance import advice_text
+from rig.instrument import advice_for, complete
 from rig.instrument.provenance import recorded_configuration
 from rig.replay.replay import Replay
 from rig.settings.configuration import load_configuration
@@ -137,14 +136,14 @@ def test_runs_laid_over_each_other_share_their_axes(measured_series: Path, tmp_p
 def test_advice_names_what_is_out_of_limits(balance: Balance) -> None:
     config = complete(load_configuration(CONFIG))
     tilted = replace(balance, rest_x=40 * ARCSEC_RAD, line_angle_rad=math.radians(2.0))
-    text = advice_text(config, tilted)
+    text = advice_for(config, tilted).markdown
     assert text.startswith("**")
     assert "- rest position X +40" in text
     assert "mass centre too far towards +X" in text
     assert "- angle of the line +2" in text
     assert "rest position Y" not in text.split("\n", 1)[1]
-    assert advice_text(config, replace(tilted, unit=DeflectionUnit.PX)) == ""
-    assert advice_text(config, replace(tilted, rest_x=math.nan)) == ""
+    assert advice_for(config, replace(tilted, unit=DeflectionUnit.PX)).markdown == ""
+    assert advice_for(config, replace(tilted, rest_x=math.nan)).markdown == ""
 
 
 def test_advice_reaches_the_view_of_a_run_and_of_its_record(tmp_path: Path, balance: Balance) -> None:
