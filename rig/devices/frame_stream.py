@@ -12,8 +12,7 @@ from acquisition.record.events import EventKind
 from processing.errors import DeviceError, RigError
 from processing.ticks import S_PER_NS, seconds
 from rig.control import LightPermit, Stage
-from rig.devices.host_clock import ClockWatch
-from rig.devices.network_clock import wait_for_network_clock
+from rig.devices.host_clock import ClockWatch, wait_for_network_clock
 
 _log = logging.getLogger(__name__)
 _QUEUE_BYTES = 256 * 1024 * 1024

@@ -1,16 +1,19 @@
-"""This host's clock: how closely it follows UTC (chrony, systemd), and how fast the camera's runs."""
+"""Clocks: how closely the host's follows UTC, how fast the camera's runs, and its wait for the network's."""
 
 import ctypes
 import math
 import shutil
 import subprocess
 import sys
+import threading
+import time
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from acquisition.camera import CLOCK_STATES, Camera, HasFeatures
 from acquisition.frame import Frame
 from calibration import ClockRelation
 from processing.errors import DeviceError
@@ -179,3 +182,35 @@ class ClockWatch:
                 f"{_as_fast(mean)}, at most {MOST_PPM:g} ppm are possible: its times cannot be used; "
                 "the driver misreads its unit, or the computer's clock was set: see rig doctor"
             )
+
+
+_FOLLOWS: Final = "Slave"
+_POLL_S: Final = 0.5
+
+
+def wait_for_network_clock(
+    camera: Camera, timeout_s: float = 60.0, ended: threading.Event | None = None
+) -> None:
+    """Return when the camera says that it follows, or when `ended` is set.
+
+    Raises DeviceError, with the camera's state, after `timeout_s`.
+    """
+    ended = ended or threading.Event()
+    deadline_s = time.monotonic() + timeout_s
+    while (state := _state(camera)) != _FOLLOWS:
+        if time.monotonic() > deadline_s:
+            raise DeviceError(
+                f"camera.ptp = true: after {timeout_s:g} s its clock is not the network's, its state is "
+                f"{state or 'not known'}; is a clock running there (ptp4l), and does the switch pass it on?"
+            )
+        if ended.wait(min(_POLL_S, timeout_s)):
+            return
+
+
+def _state(camera: Camera) -> str:
+    if isinstance(camera, HasFeatures):
+        for name in CLOCK_STATES:
+            value = camera.feature_value(name)
+            if value is not None:
+                return str(value)
+    return ""

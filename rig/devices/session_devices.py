@@ -30,8 +30,8 @@ from rig.control import (
     simulated_controller,
 )
 from rig.devices import audit
+from rig.devices.host_clock import wait_for_network_clock
 from rig.devices.laser import laser_now, light, wait_for_command
-from rig.devices.network_clock import wait_for_network_clock
 from rig.devices.simulated_interlock import SimulatedInterlock
 from rig.instrument import (
     camera_settings,

@@ -16,13 +16,14 @@ from rig.instrument.configured_camera import (
     check_full_scale,
     frame_policy,
     make_camera,
+    pulse_faults,
     setting_differences,
+    shift_to_light_ns,
+    shutter_of,
 )
 from rig.instrument.kernels import prepare_kernels
-from rig.instrument.light_times import pulse_faults, shift_to_light_ns, shutter_of
-from rig.instrument.optics import Optics, optics_of, sensor_model
 from rig.instrument.pendulum import balls, check_materials, material, pendulum_on_ball
-from rig.instrument.pipeline import Block, Deflector, Pipeline
+from rig.instrument.pipeline import Block, Deflector, Optics, Pipeline, optics_of, sensor_model
 from rig.instrument.provenance import (
     CONFIGURATION_NAME,
     configuration_attachments,

@@ -1,7 +1,10 @@
-"""The pipeline from frames to spots, deflections and swings, used live, in replay and in tests."""
+"""The optics, and the pipeline from frames to spots, deflections and swings, live and in replay."""
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections import deque
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Generic, NamedTuple, ParamSpec, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,10 +12,44 @@ from numpy.typing import NDArray
 from acquisition.frame import Frame
 from calibration import GLOBAL, Axes, Lever, Shutter, deflection_unit, deflections
 from processing.balance import Balance, BalanceEstimator
-from processing.deflections import Deflections
-from processing.spot import Spot, SpotTracker
+from processing.deflections import Deflections, DeflectionUnit
+from processing.spot import SensorModel, Spot, SpotTracker
 from processing.swing import Swing, SwingDetector
-from rig.instrument.beside_thread import BesideThread
+from rig.instrument.configured_camera import shutter_of
+from rig.settings import Configuration
+
+Samples = ParamSpec("Samples")
+Found = TypeVar("Found")
+
+_MOST_WAITING = 4096
+
+
+class BesideThread(Generic[Samples, Found]):
+    """Calls `estimate` in a thread of its own, in order, and gives out its estimates when they are ready.
+
+    Beside the frames, because one estimate takes as long as many of them. They are the same estimates as
+    without the thread. `estimate` is the `update` of a detector or estimator; an error in it is raised by a
+    later call. Only when thousands of blocks wait does `update` wait too.
+    """
+
+    def __init__(self, estimate: Callable[Samples, list[Found]], name: str) -> None:
+        self._estimate = estimate
+        self._executor = ThreadPoolExecutor(1, thread_name_prefix=name)
+        self._asked: deque[Future[list[Found]]] = deque()
+
+    def update(self, *samples: Samples.args, **named: Samples.kwargs) -> list[Found]:
+        """Add samples; returns the estimates that have become ready since the last call."""
+        self._asked.append(self._executor.submit(self._estimate, *samples, **named))
+        found: list[Found] = []
+        while self._asked and (self._asked[0].done() or len(self._asked) > _MOST_WAITING):
+            found += self._asked.popleft().result()
+        return found
+
+    def finish(self) -> list[Found]:
+        """Wait for the estimates that are still being made, and return them."""
+        found = [one for asked in self._asked for one in asked.result()]
+        self._asked.clear()
+        return found
 
 
 class Block(NamedTuple):
@@ -135,3 +172,55 @@ class Deflector:
             return Deflections(times_ns, x, y, u_x_px.copy(), u_y_px.copy(), self.unit)
         tilts = deflections(self._lever, self._axes, x_px, y_px, u_x_px, u_y_px, self.reference_px)
         return Deflections(times_ns, *tilts, self.unit)
+
+
+@dataclass(frozen=True, slots=True)
+class Optics:
+    """Calibrated values of the optical path; without a `lever` deflections are in px."""
+
+    sensor: SensorModel
+    lever: Lever | None
+    axes: Axes
+    shutter: Shutter = GLOBAL
+
+    def tracker(self) -> SpotTracker:
+        """A new tracker."""
+        return SpotTracker(self.sensor)
+
+    def deflector(self, sensor_shape: tuple[int, int]) -> Deflector:
+        """Converts spots to deflections, on a sensor of (ny, nx) pixels."""
+        return Deflector(self.lever, self.axes, sensor_shape, self.shutter)
+
+    def pipeline(self, sensor_shape: tuple[int, int], *, beside: bool = False) -> Pipeline:
+        """A new pipeline from frames to deflections and half-cycles."""
+        return Pipeline(
+            self.tracker(),
+            self.lever,
+            self.axes,
+            sensor_shape,
+            shutter=self.shutter,
+            beside=beside,
+        )
+
+    @property
+    def unit(self) -> DeflectionUnit:
+        """Unit of the deflections."""
+        return deflection_unit(self.lever)
+
+
+def optics_of(config: Configuration, full_scale_dn: float) -> Optics:
+    """The optics as configured, for a camera whose pixels saturate at `full_scale_dn`."""
+    return Optics(
+        sensor_model(config, full_scale_dn), config.lever, config.axes or Axes(), shutter_of(config)
+    )
+
+
+def sensor_model(config: Configuration, full_scale_dn: float) -> SensorModel:
+    """Noise model of the sensor for the tracker.
+
+    Without [sensor] a full well of 10 000 electrons is assumed, typical of small CMOS sensors; the
+    tracker increases its uncertainties if the chi2 of its fit shows that they are too small.
+    """
+    if config.sensor is not None:
+        return config.sensor
+    return SensorModel(gain_e_per_dn=10_000.0 / full_scale_dn, read_noise_e=7.0, full_scale_dn=full_scale_dn)

@@ -22,9 +22,9 @@ from rig.instrument import advice_for, recorded_configuration
 from rig.presentation import balance_numbers, say
 from rig.rerun import Curve, LayoutName
 from rig.view.analysis_curves import RunAnalysis, analysis_curves, overlaid_curves, report_text, run_analysis
-from rig.view.rrd_display import show_rrd
 from rig.view.run_properties import run_properties
 from rig.view.viewer import Viewer
+from rig.view.viewer_program import show_rrd
 
 logger = logging.getLogger(__name__)
 

@@ -24,7 +24,7 @@ from rig.control.settings import ControllerSettings, SerialFaults
 from rig.control.simulated import simulated_controller
 from rig.devices.frame_stream import FrameStream
 from rig.devices.session_devices import Devices, OpenCamera
-from rig.instrument.optics import Optics
+from rig.instrument.pipeline import Optics
 from rig.measure.end_of_run import EndLimits
 from rig.measure.record_file import RecordFile
 from rig.measure.run import Run

@@ -25,7 +25,7 @@ from processing.spot import SensorModel
 from rig.devices.frame_stream import FrameStream
 from rig.devices.session_devices import OpenCamera
 from rig.instrument.kernels import prepare_kernels
-from rig.instrument.optics import Optics
+from rig.instrument.pipeline import Optics
 from rig.instrument.snapshot import Snapshot
 from rig.measure.end_of_run import EndLimits
 from rig.measure.record_file import RecordFile

@@ -9,9 +9,8 @@ from processing.errors import ConfigurationError
 from rig.desk import drawings
 from rig.desk.aligner import EXPOSE, Aligner, Wish
 from rig.desk.desk import Desk
-from rig.desk.look_now import look_now
 from rig.desk.panels.fields import as_typed, number_field
-from rig.desk.panels.live_picture import LivePicture, no_frame_yet
+from rig.desk.panels.live_picture import LivePicture, look_now, no_frame_yet
 from rig.desk.tab import Tab
 
 KEYS = (

@@ -11,8 +11,8 @@ import pytest
 from processing.errors import ConfigurationError
 from rig.archive import add_sessions
 from rig.archive.refits import Recipe, Task, read_refit, refit
+from rig.archive.refitting import in_processes, on_cluster
 from rig.archive.store import Archive
-from rig.archive.workers import in_processes, on_cluster
 from rig.replay import analyse_replayed
 from tests.rig.archive.deadly_work import deadly
 from tests.rig.command_line import rig

@@ -22,9 +22,9 @@ from processing.errors import DeviceError
 from rig.cli import app
 from rig.devices import doctor as camera_checks
 from rig.devices import picture as camera_picture
-from rig.devices.auto_exposure import find_exposure
 from rig.devices.camera_features import feature_lines
 from rig.devices.doctor import check_usb_camera, check_usb_memory
+from rig.devices.picture import find_exposure
 from tests.acquisition.cameras.usb3vision.backend import InProcessBackend
 from tests.acquisition.cameras.usb3vision.device import VisionDevice
 

@@ -12,7 +12,7 @@ from processing.errors import DataError
 from processing.spot import SensorModel, SpotTracker
 from processing.swing import SwingDetector
 from rig.instrument import Pipeline
-from rig.instrument.beside_thread import BesideThread
+from rig.instrument.pipeline import BesideThread
 
 ARCSEC_RAD = np.pi / 180 / 3600
 

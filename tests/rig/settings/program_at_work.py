@@ -29,7 +29,7 @@ from rig.control import (
 from rig.control.settings import SerialFaults
 from rig.devices import Devices, FrameStream, OpenCamera
 from rig.instrument import camera_settings, complete, make_camera, optics_of
-from rig.instrument.light_times import shift_to_light_ns
+from rig.instrument.configured_camera import shift_to_light_ns
 from rig.measure.end_of_run import EndLimits
 from rig.measure.phases import PhasesBeforeRecord
 from rig.measure.record_file import RecordFile

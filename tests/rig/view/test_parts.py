@@ -30,7 +30,7 @@ from rig.rerun.gathering import Decimator
 from rig.rerun.graticule import Graticule, reach_beyond, tick_label, ticks, trajectory_graticule
 from rig.rerun.lissajous import Trail
 from rig.rerun.messages import Picture, Samples, State
-from rig.view.dropping_queue import DroppingQueue
+from rig.view.feed import DroppingQueue
 
 
 def samples(first: int, rows: int) -> Samples:

@@ -193,7 +193,7 @@ def test_a_rerun_file_that_is_gone_at_the_end_is_an_error(
 
 
 def test_without_a_screen_nothing_opens(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("rig.view.rrd_display.display_missing", lambda: "there is no screen here")
+    monkeypatch.setattr("rig.view.viewer_program.display_missing", lambda: "there is no screen here")
     with pytest.raises(ConfigurationError, match="no screen"):
         show_records([make_record(tmp_path / "run.mcap")])
 

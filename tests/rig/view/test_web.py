@@ -48,7 +48,7 @@ def test_a_rerun_file_is_shown_as_a_page(tmp_path: Path) -> None:
     rrd = tmp_path / "scene.rrd"
     with Viewer(rrd) as viewer:
         view_scene.play(viewer)
-    command = "import sys; from pathlib import Path; from rig.view.rrd_display import show_rrd; "
+    command = "import sys; from pathlib import Path; from rig.view.viewer_program import show_rrd; "
     command += "show_rrd([Path(sys.argv[1])], 'web')"
     with (
         headless_browser() as browser,

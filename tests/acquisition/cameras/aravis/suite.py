@@ -19,7 +19,7 @@ from acquisition.cameras.aravis.settings import AravisSettings
 from acquisition.frame import Frame
 from processing.errors import DeviceError
 from rig.devices.frame_stream import FrameStream
-from rig.devices.network_clock import wait_for_network_clock
+from rig.devices.host_clock import wait_for_network_clock
 from tests.acquisition.cameras.aravis.fake_camera import SERIAL, FakeCamera
 from tests.acquisition.cameras.conformance import CameraConformance, Unplug
 
