@@ -113,7 +113,7 @@ class UnpackLimit:
         return self._left >= 0
 
 
-def open_chunk(file: IO[bytes], place: ChunkPlace, *, validate_crc: bool = True) -> OpenedChunk:
+def open_chunk(file: IO[bytes], place: ChunkPlace) -> OpenedChunk:
     """Read and decompress a chunk. Raises ChunkDamage."""
     file.seek(place.offset)
     record = file.read(place.length)
@@ -133,7 +133,7 @@ def open_chunk(file: IO[bytes], place: ChunkPlace, *, validate_crc: bool = True)
     data = _decompressed(compression, record[data_at:], size)
     if len(data) != size:
         raise ChunkDamage(f"has {len(data)} bytes, but its header states {size}")
-    if validate_crc and crc not in (0, zlib.crc32(data)):
+    if crc not in (0, zlib.crc32(data)):
         raise ChunkDamage("its checksum does not match: bytes have changed")
     return OpenedChunk(data, start_ns, end_ns, _FEW_MESSAGES + data_length)
 
@@ -147,7 +147,7 @@ def messages_in(chunk: OpenedChunk, channels: frozenset[int] | None = None) -> I
         yield RawMessage(channel, sequence, log_time_ns, content, place)
 
 
-def packed_messages(chunk: OpenedChunk, channels: frozenset[int] | None = None) -> PackedMessages:
+def packed_messages(chunk: OpenedChunk, channels: frozenset[int] | None) -> PackedMessages:
     """Contents of the messages that `messages_in` returns."""
     data = chunk.data
     places, sizes = _places(chunk, channels)

@@ -2,7 +2,6 @@
 
 import functools
 import hashlib
-from collections.abc import Callable
 from pathlib import Path
 
 from acquisition.record.disk_faults import FaultTolerantFile
@@ -25,19 +24,13 @@ def known_sha256_of(path: Path) -> str:
     return _known(path.resolve(), (found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns))
 
 
-def sha256_of(path: Path, progress: Callable[[int, int], None] | None = None) -> str:
-    """Hexadecimal SHA-256 of a file, read in pieces, with zeros where the disk
-    cannot give them; `progress` gets bytes done and bytes in all."""
+def sha256_of(path: Path) -> str:
+    """Hexadecimal SHA-256 of a file, read in pieces, with zeros where the disk cannot give them."""
     digest = hashlib.sha256()
     try:
         with FaultTolerantFile(path) as file:
-            total = path.stat().st_size
-            done = 0
             while block := file.read(_BLOCK_BYTES):
                 digest.update(block)
-                done += len(block)
-                if progress is not None:
-                    progress(done, total)
     except OSError as error:
         raise RecordError(f"{path}: cannot be read: {error.strerror or error}") from None
     except ValueError as error:

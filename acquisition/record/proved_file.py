@@ -38,23 +38,15 @@ class ProvedFile:
     A chunk whose checksum is wrong is left out, listed in `damages` and logged; everything else is read. A
     file without an ending, as after a crash or a power failure, is `truncated`; its complete chunks are read.
 
-    Parameters
-    ----------
-    path
-        The record.
-    validate_crcs
-        Whether the checksums of chunks are verified.
-
     Raises
     ------
     RecordError
         No such file, not an MCAP file, not a record of this program, or a record of a newer version.
     """
 
-    def __init__(self, path: Path, *, validate_crcs: bool = True) -> None:
+    def __init__(self, path: Path) -> None:
         self.path = path
         self.damages: list[Damage] = []
-        self._validate_crcs = validate_crcs
         self._damaged: set[int] = set()
         self.file = open_mcap(path)
         try:
@@ -175,7 +167,7 @@ class ProvedFile:
         limit = UnpackLimit(self.contents.size)
 
         def opened(place: ChunkPlace) -> OpenedChunk:
-            chunk = open_chunk(self.file, place, validate_crc=self._validate_crcs)
+            chunk = open_chunk(self.file, place)
             if not limit.allows(max(len(chunk.data), place.length)):
                 raise RecordError(
                     f"{self.path}: its chunks unpack to more than can have been measured; "

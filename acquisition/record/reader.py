@@ -65,8 +65,8 @@ class Message(NamedTuple):
 class RecordReader(ProvedFile):
     """Reads the messages of one record as values; a context manager (see `ProvedFile`)."""
 
-    def __init__(self, path: Path, *, validate_crcs: bool = True) -> None:
-        super().__init__(path, validate_crcs=validate_crcs)
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
         self._types: dict[str, MessageType] = {}
 
     @property

@@ -23,7 +23,7 @@ from acquisition.cameras.usb3vision.features import Features
 from acquisition.cameras.usb3vision.gencp import GenCpChannel
 from acquisition.cameras.usb3vision.libusb_transfers import LibusbTransfers
 from acquisition.cameras.usb3vision.link import UsbLink
-from acquisition.cameras.usb3vision.open_camera import ClockReading, UsbConnection
+from acquisition.cameras.usb3vision.open_camera import UsbConnection
 from acquisition.cameras.usb3vision.settings import Usb3VisionSettings
 from acquisition.cameras.usb3vision.stream import ExpectedFrames, UsbFrameStream
 from acquisition.cameras.usb3vision.transfers import BlockingTransfers, Transfers
@@ -87,14 +87,9 @@ class Usb3VisionCamera:
             link = UsbLink(found.device, found.name)
             link.claim()
             try:
-                channel = GenCpChannel(
-                    link.send,
-                    link.receive,
-                    link.name,
-                    timeout_s=self._settings.control_timeout_s,
-                )
-                self._channel = channel
-                self._session = UsbConnection.learn(link, channel)
+                timeout_s = self._settings.control_timeout_s
+                self._channel = GenCpChannel(link.send, link.receive, link.name, timeout_s=timeout_s)
+                self._session = UsbConnection.learn(link, self._channel)
                 self._session.halt_leftovers()
                 return self._session.info()
             except BaseException:
@@ -267,12 +262,6 @@ class Usb3VisionCamera:
             if self._running():
                 raise DeviceError(f"{self._name}: is running; stop it before its dump")
             return dump(self._opened(), values)
-
-    def read_clocks(self, attempts: int = 5) -> ClockReading:
-        """Simultaneous reading of the camera's and the host's clock: the fastest of a few attempts."""
-        session = self._opened()
-        with self._noticing_loss():
-            return session.read_clocks(attempts)
 
     # ---- inside
 

@@ -23,17 +23,8 @@ logger = logging.getLogger(__name__)
 
 _BULK: Final = 2
 _COMPLETED: Final = 0
-_TIMED_OUT: Final = 2
-_STALL: Final = 4
 _NO_DEVICE: Final = 5
-_STATUS_NAMES: Final = {
-    1: "error",
-    2: "timed out",
-    3: "cancelled",
-    4: "stalled",
-    5: "no device",
-    6: "overflow",
-}
+_STATUS_NAMES: Final = {1: "error", 2: "timed out", 3: "cancelled", 4: "stalled", 6: "overflow"}
 _ERROR_NO_DEVICE: Final = -4
 _ERROR_NO_MEMORY: Final = -11
 

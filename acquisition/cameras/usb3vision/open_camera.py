@@ -1,7 +1,6 @@
 """A camera whose interfaces are claimed and whose features have been read."""
 
 import logging
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, Self
@@ -17,7 +16,6 @@ from acquisition.cameras.usb3vision.region import sensor_size
 from acquisition.cameras.usb3vision.registers import (
     Identity,
     StreamRegisters,
-    latch_timestamp,
     read_identity,
     silence_events,
 )
@@ -27,18 +25,6 @@ logger = logging.getLogger(__name__)
 
 _COARSE_NS: Final = 15_000
 """Jitter of the frame times above which the times of turning points suffer."""
-
-
-@dataclass(frozen=True, slots=True)
-class ClockReading:
-    """Readings of the camera's and the host's clock at the same time.
-
-    The host's time is uncertain by at most +- `u_host_time_ns`.
-    """
-
-    device_time_ns: int
-    host_time_ns: int
-    u_host_time_ns: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,19 +94,3 @@ class UsbConnection:
         nodes = self.features.nodes
         if "TLParamsLocked" in nodes and nodes.node("TLParamsLocked").access().writable:
             nodes.set("TLParamsLocked", int(locked))
-
-    def read_clocks(self, attempts: int) -> ClockReading:
-        """Read the camera's and the host's clock at the same time; the fastest of some attempts is returned.
-
-        The camera stores its clock while it executes a command. The host's time is the middle of the command,
-        uncertain by half its duration. Raises DeviceError if the camera has no clock.
-        """
-        if not self.identity.timestamp_increment_ns:
-            raise DeviceError(f"{self.link.name}: has no clock of its own")
-        readings = []
-        for _ in range(max(attempts, 1)):
-            before_ns = time.monotonic_ns()
-            device_ns, after_ns = latch_timestamp(self.channel)
-            half_ns = (after_ns - before_ns + 1) // 2
-            readings.append(ClockReading(device_ns, before_ns + half_ns, half_ns))
-        return min(readings, key=lambda reading: reading.u_host_time_ns)

@@ -6,11 +6,10 @@ from typing import Final
 
 LEADER_MAGIC: Final = 0x4C563355  # "U3VL"
 TRAILER_MAGIC: Final = 0x54563355  # "U3VT"
-_MAGIC: Final = struct.Struct("<I")
+TRAILER_START: Final = TRAILER_MAGIC.to_bytes(4, "little")
 _LEADER: Final = struct.Struct("<IHHQHHQIIIIIHH")
 _MAGIC_TO_TYPE: Final = struct.Struct("<IHHQHH")
-_TRAILER: Final = struct.Struct("<IHHQHHQI")
-_TRAILER_MIN: Final = struct.Struct("<IHHQHHQ")
+_TRAILER: Final = struct.Struct("<IHHQHHQ")
 # payload types that begin with a plain image; in the second, chunk data follow it
 _IMAGE_TYPES: Final = {0x0001, 0x4001}
 
@@ -58,14 +57,9 @@ def announced_type(raw: bytes) -> int | None:
 
 def parse_trailer(raw: bytes) -> Trailer | None:
     """The trailer in these bytes; None if they are not a trailer."""
-    if len(raw) < _TRAILER_MIN.size:
+    if len(raw) < _TRAILER.size:
         return None
-    magic, _, size, block, status, _, valid = _TRAILER_MIN.unpack_from(raw)
-    if magic != TRAILER_MAGIC or size < _TRAILER_MIN.size or size > len(raw):
+    magic, _, size, block, status, _, valid = _TRAILER.unpack_from(raw)
+    if magic != TRAILER_MAGIC or size < _TRAILER.size or size > len(raw):
         return None
     return Trailer(block, status, valid)
-
-
-def begins_like(raw: bytes, magic: int) -> bool:
-    """Whether these bytes begin with `magic`, the first word of a leader or a trailer."""
-    return len(raw) >= 4 and _MAGIC.unpack_from(raw)[0] == magic

@@ -1,7 +1,6 @@
 """The bootstrap registers: identity of the camera, and set-up of its stream."""
 
 import struct
-import time
 from dataclasses import dataclass
 from typing import Final
 
@@ -16,8 +15,6 @@ _TEXT_LENGTH: Final = 64
 _MAX_RESPONSE_TIME_MS: Final = 0x01CC
 _MANIFEST_ADDRESS: Final = 0x01D0
 _SBRM_ADDRESS: Final = 0x01D8
-_TIMESTAMP: Final = 0x01F0
-_TIMESTAMP_LATCH: Final = 0x01F8
 _TIMESTAMP_INCREMENT: Final = 0x01FC
 
 # USB3 Vision bootstrap registers (SBRM), relative to their base
@@ -25,7 +22,6 @@ _MAX_COMMAND: Final = 0x14
 _MAX_REPLY: Final = 0x18
 _SIRM_ADDRESS: Final = 0x20
 _EIRM_ADDRESS: Final = 0x2C
-_CURRENT_SPEED: Final = 0x40
 
 # Stream interface registers (SIRM), relative to their base
 _STREAM_INFO: Final = 0x00
@@ -36,8 +32,6 @@ _STREAM_REQUIRED_TRAILER: Final = 0x14
 _STREAM_HOST_SIZES: Final = 0x18
 
 _USUAL_PACKET: Final = 1024
-
-_SPEEDS: Final = {1: "low speed", 2: "full speed", 4: "high speed", 8: "SuperSpeed", 16: "SuperSpeed+"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +45,6 @@ class Identity:
     vendor: str
     model: str
     serial: str
-    usb_speed: str
     manifest_address: int
     stream_address: int
     event_address: int
@@ -116,12 +109,10 @@ def read_identity(channel: GenCpChannel) -> Identity:
     sbrm = _u64(channel, _SBRM_ADDRESS)
     response_time_s = _u32(channel, _MAX_RESPONSE_TIME_MS) / 1000.0
     channel.set_limits(_u32(channel, sbrm + _MAX_COMMAND), _u32(channel, sbrm + _MAX_REPLY), response_time_s)
-    speed = _u32(channel, sbrm + _CURRENT_SPEED)
     return Identity(
         vendor=_text(channel, _MANUFACTURER),
         model=_text(channel, _MODEL),
         serial=_text(channel, _SERIAL),
-        usb_speed=_SPEEDS.get(speed, f"unknown speed {speed}"),
         manifest_address=_u64(channel, _MANIFEST_ADDRESS),
         stream_address=_u64(channel, sbrm + _SIRM_ADDRESS),
         event_address=_u64(channel, sbrm + _EIRM_ADDRESS),
@@ -136,13 +127,6 @@ def _timestamp_increment(channel: GenCpChannel) -> int:
         return 0  # a camera without a clock need not have the register
     # a resolution of 1 s or more is not a usable clock: the register does not contain what it should
     return increment if increment < 1_000_000_000 else 0
-
-
-def latch_timestamp(channel: GenCpChannel) -> tuple[int, int]:
-    """The camera's clock and the host's monotonic clock immediately after it was stored, both in ns."""
-    channel.write(_TIMESTAMP_LATCH, struct.pack("<I", 1))
-    after_ns = time.monotonic_ns()
-    return _u64(channel, _TIMESTAMP), after_ns
 
 
 def silence_events(channel: GenCpChannel, event_address: int) -> None:

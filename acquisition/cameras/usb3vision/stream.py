@@ -24,10 +24,9 @@ from acquisition.cameras.pixel_formats import Format
 from acquisition.cameras.reading import Reading
 from acquisition.cameras.usb3vision.link import StreamHalted, UsbLink
 from acquisition.cameras.usb3vision.packets import (
-    TRAILER_MAGIC,
+    TRAILER_START,
     Leader,
     announced_type,
-    begins_like,
     parse_leader,
     parse_trailer,
 )
@@ -246,7 +245,7 @@ class UsbFrameStream:
             if in_rhythm:
                 self._lost_parts += 1
             # A trailer is followed by a leader; after any other data the next part is unknown.
-            self._resume_at(0 if begins_like(data.tobytes()[:4], TRAILER_MAGIC) else -1)
+            self._resume_at(0 if data[:4].tobytes() == TRAILER_START else -1)
             return
         self._leader = leader
         self._deviated = False
@@ -362,9 +361,9 @@ class UsbFrameStream:
         incomplete = min(self._lost_parts, missing)
         self._incomplete += incomplete
         if self._disturbed:
-            self._by_bus += max(missing - incomplete, 0)
+            self._by_bus += missing - incomplete
         else:
-            self._by_camera += max(missing - incomplete, 0)
+            self._by_camera += missing - incomplete
         self._lost_parts, self._disturbed, self._trouble_since_s = 0, False, None
         self._deviations, self._deviated = self._deviations * self._deviated, False
         self._last_block, self._last_timestamp = leader.block, leader.timestamp

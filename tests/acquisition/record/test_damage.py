@@ -312,14 +312,6 @@ def test_the_hash_is_compared_with_the_results(tmp_path: Path, whole: bytes) -> 
     assert "does not contain run-1.mcap" in check_record(path, results)[0].text
 
 
-def test_the_digest_tells_how_far_it_is(tmp_path: Path, whole: bytes) -> None:
-    path = tmp_path / "run.mcap"
-    path.write_bytes(whole)
-    seen: list[tuple[int, int]] = []
-    sha256_of(path, lambda done, total: seen.append((done, total)))
-    assert seen == [(len(whole), len(whole))]
-
-
 def test_a_length_that_claims_the_world_takes_no_memory(tmp_path: Path, whole: bytes) -> None:
     path = tmp_path / "run.mcap"
     path.write_bytes(whole)

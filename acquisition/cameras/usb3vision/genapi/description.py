@@ -20,10 +20,6 @@ class Property:
     attributes: dict[str, str]
     children: tuple["Property", ...] = ()
 
-    def texts(self, tag: str) -> tuple[str, ...]:
-        """Texts of all children with this tag."""
-        return tuple(child.text for child in self.children if child.tag == tag)
-
 
 @dataclass(frozen=True, slots=True)
 class NodeDescription:

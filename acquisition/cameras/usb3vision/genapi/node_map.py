@@ -1,7 +1,7 @@
 """All features of one camera, with a cache of their registers that is invalidated by writes."""
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any, Final, Protocol
 
 from acquisition.cameras.usb3vision.genapi.choice_nodes import Boolean, Command, EnumEntry, Enumeration
@@ -91,9 +91,6 @@ class NodeMap:
     def __contains__(self, name: str) -> bool:
         return name in self._descriptions
 
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._descriptions)
-
     def node(self, name: str) -> Node:
         """The node with this name; DeviceError if the camera has none."""
         if name not in self._nodes:
@@ -128,12 +125,9 @@ class NodeMap:
 
     def features(self) -> tuple[str, ...]:
         """Names of all features in a category, which are those meant for users."""
-        found: dict[str, None] = {}
-        for name, description in self._descriptions.items():
-            if description.kind == "Category":
-                found.update(dict.fromkeys(i.text for i in description.all("pFeature") if i.text in self))
-                del name
-        return tuple(name for name in found if self._descriptions[name].kind != "Category")
+        categories = (node for node in self._descriptions.values() if node.kind == "Category")
+        found = dict.fromkeys(item.text for node in categories for item in node.all("pFeature"))
+        return tuple(name for name in found if name in self and self._descriptions[name].kind != "Category")
 
     # ---- registers
 

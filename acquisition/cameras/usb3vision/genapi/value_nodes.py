@@ -202,10 +202,6 @@ class Category(Node):
     def own_access(self) -> Access:
         return Access.READ_ONLY
 
-    def features(self) -> tuple[str, ...]:
-        """Names of the features in the category."""
-        return tuple(item.text for item in self.description.all("pFeature"))
-
 
 class Port(Node):
     """The place of registers: the camera itself, or data that are sent with frames (chunks) and events."""

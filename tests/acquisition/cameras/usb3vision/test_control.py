@@ -40,7 +40,6 @@ def test_identity_is_read_and_long_reads_are_cut_to_the_cameras_packets() -> Non
     channel = channel_to(device)
     identity = read_identity(channel)
     assert (identity.vendor, identity.model, identity.serial) == ("Testwerk", "Pendulum Eye", "SN-7")
-    assert identity.usb_speed == "SuperSpeed"
     assert identity.timestamp_increment_ns == 8
     before = device.commands
     assert channel.read(XML, 1000) == device.peek(XML, 1000)
