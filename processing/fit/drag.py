@@ -4,7 +4,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from math import nan
-from typing import Self
 
 from scipy.special import fdtrc
 
@@ -26,26 +25,10 @@ SIGNIFICANT = 0.003
 class DragFinding(StrEnum):
     """What the comparison of the fits says of a linear drag."""
 
-    SEEN = "seen"
-    NEGATIVE = "negative"
-    """The data ask for one that would drive the pendulum: the model lacks something else."""
-    UNSEEN = "unseen"
-
-    @classmethod
-    def of(cls, drag_s: Estimate, p_value: float, *, significant: bool) -> Self:
-        """From the numbers, which results of every version hold."""
-        if significant:
-            return cls("seen")
-        return cls("negative" if drag_s.value < 0 and p_value < SIGNIFICANT else "unseen")
-
-    @property
-    def text(self) -> str:
-        """The finding in words."""
-        return {
-            DragFinding.SEEN: "a linear drag is in the data",
-            DragFinding.NEGATIVE: "the data ask for a negative drag",
-            DragFinding.UNSEEN: "no linear drag is seen",
-        }[self]
+    SEEN = "a linear drag is in the data"
+    NEGATIVE = "the data ask for a negative drag"
+    """It would drive the pendulum: the model lacks something else."""
+    UNSEEN = "no linear drag is seen"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -82,8 +65,11 @@ class Drag:
 
     @property
     def finding(self) -> DragFinding:
-        """What the numbers say of it."""
-        return DragFinding.of(self.drag_s, self.p_value, significant=self.significant)
+        """What the numbers say of it, which results of every version hold."""
+        if self.significant:
+            return DragFinding.SEEN
+        is_negative = self.drag_s.value < 0 and self.p_value < SIGNIFICANT
+        return DragFinding.NEGATIVE if is_negative else DragFinding.UNSEEN
 
 
 def drag_verdict(
@@ -133,7 +119,7 @@ def _text(found: Drag) -> str:
             numbers += f"; with it {moved}"
         case DragFinding.NEGATIVE:
             numbers = f"the model lacks something else: {numbers}"
-    return f"{found.finding.text}: {numbers}"
+    return f"{found.finding}: {numbers}"
 
 
 def _noise(fit: FitResult) -> Noise | None:

@@ -70,7 +70,7 @@ def _cost(ground: Ground) -> str:
 
 def _drag_sentence(drag: Drag) -> str:
     numbers = (
-        f"{drag.finding.text.capitalize()}: {quantity('drag_s').text(*drag.drag_s)} s, "
+        f"{drag.finding.capitalize()}: {quantity('drag_s').text(*drag.drag_s)} s, "
         f"F = {plain(drag.f_statistic, 3)} (chance {plain(drag.p_value, 2)}), AIC {drag.aic_difference:+.1f}"
     )
     if drag.significant:

@@ -3,7 +3,6 @@
 import datetime
 import hashlib
 from collections.abc import Mapping
-from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
@@ -66,16 +65,6 @@ def calibration_attachments(config: Configuration) -> dict[str, bytes]:
     return found
 
 
-class Validity(StrEnum):
-    """How a run's calibration of one kind stands."""
-
-    VALID = "valid"
-    EXPIRED = "expired"
-    STATED = "stated"
-    SIMULATED = "simulated"
-    MISSING = "missing"
-
-
 def judge_calibration(
     config: Configuration,
     attachments: Mapping[str, bytes],
@@ -100,22 +89,22 @@ def judge_calibration(
         if data is not None:
             found = parse_calibration(data, f"{PREFIX}{kind}.toml", kind)
             tree[kind] = _entry(found, data, began)
-            if tree[kind]["validity"] is not Validity.VALID:
+            if found.expired(began):
                 warnings.append(f"the calibration of the {kind} had expired on {found.valid_until:%Y-%m-%d}")
         elif kind == "shutter" and config.shutter is None:
             continue  # a global shutter needs no calibration
         elif config.simulated:
             tree[kind] = {
-                "validity": Validity.SIMULATED,
+                "validity": "simulated",
                 "text": "true values of the simulated rig, or stated in the configuration",
             }
         elif getattr(config, section) is not None:
             tree[kind] = {
-                "validity": Validity.STATED,
+                "validity": "stated",
                 "text": "stated in the configuration, without a calibration file",
             }
         else:
-            tree[kind] = {"validity": Validity.MISSING, "text": "no calibration"}
+            tree[kind] = {"validity": "missing", "text": "no calibration"}
             missing.append(kind)
     if missing:
         warnings.append(f"not calibrated: {', '.join(missing)} (rig calibrate)")
@@ -130,7 +119,7 @@ def judge_calibration(
 
 def _entry(found: CalibrationFile, data: bytes, at: datetime.datetime) -> dict[str, Any]:
     return {
-        "validity": Validity.EXPIRED if found.expired(at) else Validity.VALID,
+        "validity": "expired" if found.expired(at) else "valid",
         "text": f"{found.method}; by {found.made_by or '?'}, valid until {found.valid_until:%Y-%m-%d}",
         "sha256": hashlib.sha256(data).hexdigest(),
         **found.model_dump(mode="json", exclude={"details", "schema_version"}),

@@ -2,7 +2,7 @@
 
 import time
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 from rich.console import ConsoleDimensions, Group, RenderableType
 from rich.panel import Panel
@@ -110,14 +110,6 @@ def estimate_rows(snapshot: Snapshot, stop_when: Sequence[StopCondition]) -> lis
     if stop_when:
         rows.append(("ends when", ", ".join(condition.text(found) for condition in stop_when)))
     return rows
-
-
-def estimates_tree(estimates: Mapping[str, Estimate]) -> dict[str, dict[str, float]]:
-    """As results.json has parameters."""
-    return {
-        key: {"value": one.value, "standard_uncertainty": one.standard_uncertainty}
-        for key, one in estimates.items()
-    }
 
 
 def _pairs(keys: list[str]) -> list[list[str]]:

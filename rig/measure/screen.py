@@ -22,7 +22,7 @@ from processing.deflections import DeflectionUnit
 from processing.ticks import seconds
 from rig.instrument import Block, Phase, Snapshot
 from rig.measure.end_of_run import BELOW_IN_A_ROW
-from rig.measure.run_panel import Rates, estimate_rows, estimates_tree, run_panel
+from rig.measure.run_panel import Rates, estimate_rows, run_panel
 from rig.presentation import Verdict, print_json_line, print_verdicts, say, table_tree
 from rig.settings import StopCondition
 
@@ -162,7 +162,6 @@ class RunDisplay:
 
     def values(self, snapshot: Snapshot) -> dict[str, Any]:
         """The state of the run for programs; the amplitude is in `amplitude_unit`."""
-        estimates = estimates_tree(snapshot.estimates)
         left_s, u_s = self._left(snapshot)
         own = {
             "controller": _devices(snapshot),
@@ -172,7 +171,7 @@ class RunDisplay:
             "at_most_s": self._at_most_s(snapshot),
             **self._numbers(),
         }
-        return {**asdict(snapshot), "estimates": estimates, **own}
+        return {**asdict(snapshot), **own}
 
     def rows(self, snapshot: Snapshot) -> list[tuple[str, str]]:
         """Names and texts of the state, for people."""

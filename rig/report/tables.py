@@ -129,7 +129,7 @@ def drag_table(results: RunResults) -> Table:
             ["b moves by", f"{100 * drag.relative_shift_b:+.2f} %".replace("-", "−")],
             ["c moves by", f"{100 * drag.relative_shift_c:+.2f} %".replace("-", "−")],
         ]
-    shown.append(["verdict", drag.finding.text])
+    shown.append(["verdict", drag.finding])
     note = ""
     if drag.of_air is not None:
         numbers = {name: value for name, value in encoded(drag.of_air).items() if name != "assumed"}

@@ -75,7 +75,7 @@ def test_no_text_for_people_is_read_back(package: str) -> None:
         ("told = snapshot.reason == 'stopped by the user'", True),
         ("known = 'no such row' in str(error)", True),
         ("ok = now.interlock_closed", False),
-        ("shown = f'{drag.finding.text}: {drag.p_value}'", False),
+        ("shown = f'{verdict.text}: {drag.p_value}'", False),
         ("quiet = snapshot.alarm == ''", False),
         ("fields = line.split(',')", False),
     ],

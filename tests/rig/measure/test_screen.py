@@ -26,6 +26,7 @@ SEEN = Snapshot(
     dropped_frames=4,
     frame_age_s=0.0123,
     losses=FrameLosses(by_bus=3, by_host=1),
+    estimates={"c": Estimate(1e-8, math.inf)},
 )
 
 
@@ -148,6 +149,7 @@ def test_json_lines_name_each_loss(capsys: pytest.CaptureFixture[str]) -> None:
         "incomplete": 0,
         "while_unplugged": 0,
     }
+    assert state["estimates"] == {"c": {"value": 1e-8, "standard_uncertainty": None}}
 
 
 def test_the_view_says_how_old_frames_are() -> None:
