@@ -54,7 +54,7 @@ def kernel_of(function: Function, *, fastmath: bool) -> Any:
 def at_compilation(call: Callable[[bool], None]) -> Iterator[None]:
     """Call once, within the context, when a kernel is compiled and not merely loaded from its cache.
 
-    `call` is told whether the machine code will be kept for the next process.
+    `call` is given whether the machine code will be kept for the next process.
     """
     listener = _FirstCompilation(call)
     with event.install_listener("numba:compile", listener):

@@ -56,14 +56,14 @@ class Beam:
         """`Beam: learned profile since frame 147; POOR_FIT 147 (before it was learned).`"""
         if not self.model:
             return "Beam: no spot was found."
-        told = [
+        flagged = [
             f"{name} {count}"
             + (" (while it was learned)" if name == "POOR_FIT" and self._only_at_first else "")
             for name, count in self.flags.items()
             if not SpotFlag[name] & _EASED
         ]
         changed = f", after {self.changes} changes" if self.changes else ""
-        flags = f"spots with {', '.join(told)}" if told else "no spot has a flag of a fault"
+        flags = f"spots with {', '.join(flagged)}" if flagged else "no spot has a flag of a fault"
         return f"Beam: {self.model} since frame {self.since_frame}{changed}; {flags}."
 
     @property

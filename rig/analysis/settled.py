@@ -157,8 +157,8 @@ def _without_position_errors(
     try:
         for step in range(3):
             if step == 2:
-                told = _told(found, again, exact, fit)
-                final = found.adjusted(told.values, told.covariance)
+                errors = _place_errors(found, again, exact, fit)
+                final = found.adjusted(errors.values, errors.covariance)
             again = measured_again(swings, map(final.corrected, blocks), motion)
             if not shift_of(swings, again).complete:
                 return None
@@ -167,13 +167,13 @@ def _without_position_errors(
                 motion = known_motion(exact.parameters, fit.pendulum, motion.reference, fit.clock_rate)
         if not describes_as_well(exact, before):
             return None
-        left = _told(found, again, exact, fit).of_parameters
+        left = _place_errors(found, again, exact, fit).of_parameters
     except DataError:
         return None
     return Settled(again, motion, with_place_errors(exact, left, exact.names), "", final)
 
 
-def _told(found: PositionMap, swings: Sequence[Swing], exact: FitResult, fit: _Fit) -> PlaceErrors:
+def _place_errors(found: PositionMap, swings: Sequence[Swing], exact: FitResult, fit: _Fit) -> PlaceErrors:
     """What the fit says of errors of place that the residuals leave open."""
     good = [swing for swing in swings if not swing.flags]
     amplitude, centre, side = np.array([(one.amplitude, one.centre, one.side) for one in good]).T

@@ -34,8 +34,8 @@ def recorded_surroundings(reader: RecordReader, config: Configuration | None = N
         times = {name: session.get(key, "") for name, key in _SINCE.items()}
     else:
         air = asdict(stated_surroundings(config))
-        told = {name: getattr(config.session, key) for name, key in _SINCE.items()}
-        times = {name: at.isoformat() if at is not None else "" for name, at in told.items()}
+        stated = {name: getattr(config.session, key) for name, key in _SINCE.items()}
+        times = {name: at.isoformat() if at is not None else "" for name, at in stated.items()}
     return Surroundings(**_read(reader, air), **_since(reader, times))
 
 

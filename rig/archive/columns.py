@@ -125,6 +125,6 @@ SHOWN: Final = (
     "n",
     "state",
 )
-"""What `list` shows unless told."""
+"""What `list` shows by default."""
 IS_SIMULATED: Final = "coalesce(camera = 'simulated rig', false)"
 """Whether the numbers of a run were invented, in SQL."""

@@ -106,12 +106,12 @@ def _table(names: Sequence[str], rows: Sequence[Sequence[Any]]) -> Table:
     shown = [[_shown(names[place], row, at) for place in shown_places] for row in rows]
     head = [names[place] for place in shown_places]
     cells = [[_cell(value) for value in row] for row in rows]
-    told = f"{len(rows)} run{'s' if len(rows) != 1 else ''}"
+    summary = f"{len(rows)} run{'s' if len(rows) != 1 else ''}"
     if any(_is_doubtful(names[place], row, at) for place in shown_places for row in rows):
-        told += (
+        summary += (
             f"; {_DOUBT.strip()}: the run's data do not determine it, its report says between which bounds"
         )
-    return Table("runs", "", names, cells, head, shown, told)
+    return Table("runs", "", names, cells, head, shown, summary)
 
 
 def _is_doubtful(name: str, row: Sequence[Any], at: Mapping[str, int]) -> bool:

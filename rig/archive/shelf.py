@@ -122,7 +122,7 @@ def digest_of(names: Iterable[str]) -> str:
 def unreadable(path: Path, error: object, command: str = "add") -> RecordError:
     """That a derived file is damaged, and what makes it again."""
     text = (str(error).splitlines() or [type(error).__name__])[0]
-    # of the archive itself nobody shall be told to delete it: tags and notes follow from nothing else
+    # of the archive itself nobody shall be advised to delete it: tags and notes follow from nothing else
     derived = re.findall(r"[\w.-]+\.(?:parquet|json\.zst)", f"{path.name} {text}")
     remedy = f"delete {derived[-1]}, rig archive {command} makes it again" if derived else "see --debug"
     return RecordError(f"{path}: cannot be read: {text}; {remedy}")
@@ -136,6 +136,6 @@ def as_parquet(table: Any, *, few_rows: bool = False) -> bytes:
     from pyarrow import parquet
 
     data = io.BytesIO()
-    told = {"use_dictionary": False, "write_statistics": False, "store_schema": False} if few_rows else {}
-    parquet.write_table(table, data, compression="zstd", **told)
+    options = {"use_dictionary": False, "write_statistics": False, "store_schema": False} if few_rows else {}
+    parquet.write_table(table, data, compression="zstd", **options)
     return data.getvalue()

@@ -2,4 +2,4 @@
 
 from rig.balance.balancing import balance_rig, history_path, show_history
 from rig.balance.history import HEAD, Learned, learned
-from rig.balance.telling import InJsonLines
+from rig.balance.reporter import InJsonLines

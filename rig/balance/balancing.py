@@ -8,8 +8,8 @@ from processing.errors import ConfigurationError, DataError
 from rig.balance import history
 from rig.balance.learned_turns import LearnedTurns
 from rig.balance.look import LooksView, look
+from rig.balance.reporter import OnTerminal, Reporter
 from rig.balance.simulated_operator import SimulatedOperator
-from rig.balance.telling import OnTerminal, Teller
 from rig.devices import Devices
 from rig.instrument import WEIGHTS, advice_for, complete, height_of
 from rig.presentation import say
@@ -42,14 +42,14 @@ def balance_rig(
     seed: int | None,
     rrd: Path | None = None,
     operator: SimulatedOperator | None = None,
-    teller: Teller | None = None,
+    reporter: Reporter | None = None,
 ) -> int:
     """Measure, advise and ask which weight was turned, until the operator ends it.
 
     What is stated as turned is turned at the simulated rig, by `operator` if given, else by one whose weights
     are drawn with `seed`; with `follow` the advice is applied there, for at most so many turns. All
-    measurements are drawn into the configured live view and into `rrd`, and told by `teller`, on the terminal
-    by default.
+    measurements are drawn into the configured live view and into `rrd`, and reported by `reporter`, on
+    the terminal by default.
     """
     config = complete(config)
     if follow and not config.simulated:
@@ -58,7 +58,7 @@ def balance_rig(
         raise ConfigurationError(f"--seed {seed} works with the simulated rig only: leave it out")
     if operator is None and config.simulated:
         operator = SimulatedOperator(config, 1 if seed is None else seed)
-    teller = OnTerminal() if teller is None else teller
+    reporter = OnTerminal() if reporter is None else reporter
     session = LearnedTurns(config, history_path(config, path))
     stated = config
 
@@ -68,25 +68,25 @@ def balance_rig(
     moves = looks = 0
     with (
         Devices(config, history_path(config, path).parent) as devices,
-        LooksView(config, rrd, advise, teller.way) as view,
+        LooksView(config, rrd, advise, reporter.way) as view,
     ):
         while True:
             if operator is not None:
                 config = config.model_copy(update={"simulation": operator.simulation})
             looks += 1
             try:
-                why = session.take(look(config, devices, _shower(config, teller), view))
+                why = session.take(look(config, devices, _shower(config, reporter), view))
             except DataError as error:
                 why = str(error)
             if why:
-                turn = _after_rejection(session, why, teller)
+                turn = _after_rejection(session, why, reporter)
                 ended = False
             else:
                 advice = session.advice()
-                teller.found(session.faults, session.before, advice)
+                reporter.found(session.faults, session.before, advice)
                 ended, turn = advice is None, advice if isinstance(advice, Turn) else None
             if operator is None or not follow:
-                stated_turn = _ask(session, devices, teller)
+                stated_turn = _ask(session, devices, reporter)
                 if stated_turn is None:
                     return 0 if ended else 1
                 if operator is not None and stated_turn.weight:
@@ -102,30 +102,30 @@ def balance_rig(
                 moves += 1
 
 
-def _after_rejection(session: LearnedTurns, why: str, teller: Teller) -> Turn | None:
+def _after_rejection(session: LearnedTurns, why: str, reporter: Reporter) -> Turn | None:
     """Say why a measurement was rejected and what helps; returns the turn back that may."""
     turn = session.way_back()
     hint = ""
     if not session.spot_is_gone:
         hint = "let it swing by half as much, and measure again"
         hint += "; if that does not help:" if turn else ""
-    teller.rejected(why, hint, turn)
+    reporter.rejected(why, hint, turn)
     return turn
 
 
-def _shower(config: Configuration, teller: Teller) -> Callable[[Balance], None]:
-    return lambda balance: teller.live(find_faults(balance, height_of(config, balance), config.balance))
+def _shower(config: Configuration, reporter: Reporter) -> Callable[[Balance], None]:
+    return lambda balance: reporter.live(find_faults(balance, height_of(config, balance), config.balance))
 
 
 _MOST_TURNS = 1000.0
 _NOTHING = Turn("", 0.0, "")
 
 
-def _ask(session: LearnedTurns, devices: Devices, teller: Teller) -> Turn | None:
+def _ask(session: LearnedTurns, devices: Devices, reporter: Reporter) -> Turn | None:
     """Ask the operator what was turned: a turn, one without a weight for none; None to end."""
     while True:
         try:
-            answer = teller.ask().split()
+            answer = reporter.ask().split()
         except (EOFError, KeyboardInterrupt):
             return None
         if not answer:
@@ -140,7 +140,7 @@ def _ask(session: LearnedTurns, devices: Devices, teller: Teller) -> Turn | None
             if weight not in WEIGHTS or not parts or not all(abs(part) <= _MOST_TURNS for part in parts):
                 raise ValueError
         except ValueError:
-            teller.wrong(
+            reporter.wrong(
                 f"{' '.join(answer)!r}: should be a weight ({', '.join(WEIGHTS)}) and its turns, up to "
                 f"{_MOST_TURNS:g}, with a point, positive clockwise: {WEIGHTS[0]} -0.5"
             )

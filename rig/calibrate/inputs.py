@@ -145,8 +145,8 @@ def _read(path: Path, model: type[_Model]) -> _Model:
             f"{path}: is a configuration of the rig, which stands after --config; here a list of what was "
             "measured is wanted, docs/calibration.md shows one"
         )
-    found, told = validated(model, tree)
+    found, faults = validated(model, tree)
     if found is None:
-        said = "; ".join(fault.line for fault in told)
+        said = "; ".join(fault.line for fault in faults)
         raise ConfigurationError(f"{path}: {said}; docs/calibration.md shows such a file")
     return found

@@ -13,4 +13,4 @@ from rig.channel.loopback import (
     SessionPicture,
     running_sessions,
 )
-from rig.channel.telling import SessionTelling
+from rig.channel.session_news import SessionNews

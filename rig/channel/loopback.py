@@ -19,7 +19,7 @@ import numpy as np
 from acquisition.frame import Image
 from processing.errors import RigError
 from processing.spot import Spot
-from rig.channel.telling import SessionTelling
+from rig.channel.session_news import SessionNews
 from rig.presentation import plain_values
 
 CHANNEL_NAME = ".channel.json"
@@ -39,12 +39,12 @@ class Channel:
     def __init__(
         self,
         folder: Path,
-        telling: SessionTelling,
+        session_news: SessionNews,
         orders: Orders,
         extra: Callable[[], Mapping[str, Any]] = dict,
     ) -> None:
         self._path = folder / CHANNEL_NAME
-        self.telling, self.orders, self.extra = telling, orders, extra
+        self.session_news, self.orders, self.extra = session_news, orders, extra
         self.key = secrets.token_urlsafe(24)
         self.over = threading.Event()
         self._server: _Server | None = None
@@ -102,10 +102,10 @@ class _Handler(http.server.BaseHTTPRequestHandler):
         number = urllib.parse.parse_qs(address.query).get("after", ["0"])[0]
         after = int(number) if number.isdecimal() else 0
         if address.path == "/news":
-            news = {**channel.telling.news(after), **channel.extra()}
+            news = {**channel.session_news.news(after), **channel.extra()}
             self._answer(json.dumps(plain_values(news)).encode(), "application/json")
         elif address.path == "/picture":
-            frame = channel.telling.picture(after)
+            frame = channel.session_news.picture(after)
             if frame is None:
                 self._answer(b"", "text/plain", http.HTTPStatus.NO_CONTENT)
                 return
@@ -131,7 +131,7 @@ class _Handler(http.server.BaseHTTPRequestHandler):
             done = f"{name!r}: this session knows no such order" if order is None else order()
             answer = {"ok": order is not None, "text": done}
         except Exception as error:
-            # whatever it is, it is told to who ordered, and ends no session
+            # whatever it is, it is reported to who ordered, and ends no session
             answer = {"ok": False, "text": str(error) or type(error).__name__}
         self._answer(json.dumps(answer).encode(), "application/json")
 
@@ -213,7 +213,7 @@ class Line:
         self._connection.close()
 
     def news(self, after: int = 0) -> dict[str, Any]:
-        """What `SessionTelling.news` says."""
+        """What `SessionNews.news` says."""
         _, _, data = self._ask("GET", f"/news?after={after}")
         found: dict[str, Any] = json.loads(data)
         return found
@@ -223,10 +223,10 @@ class Line:
         status, about, data = self._ask("GET", f"/picture?after={after}")
         if status == http.HTTPStatus.NO_CONTENT:
             return None
-        told = json.loads(about)
-        image = np.frombuffer(data, _KINDS[told["dtype"]]).reshape(told["shape"])
-        spot = Spot._make(np.nan if one is None else one for one in told["spot"])
-        return SessionPicture(image, spot, int(told["number"]))
+        stated = json.loads(about)
+        image = np.frombuffer(data, _KINDS[stated["dtype"]]).reshape(stated["shape"])
+        spot = Spot._make(np.nan if one is None else one for one in stated["spot"])
+        return SessionPicture(image, spot, int(stated["number"]))
 
     def order(self, name: str) -> str:
         """Carry out an order; returns what was done. Raises RigError with the reason if it was not."""

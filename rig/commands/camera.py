@@ -72,7 +72,7 @@ def show(config: Config, set_: Set = None) -> None:
         typer.echo(f"sensor {info.width_px} x {info.height_px} px, full scale {info.full_scale_dn} DN")
         for name, value in applied.model_dump(exclude={"features"}).items():
             typer.echo(
-                f"camera.{name}: not told by this camera" if value is None else f"camera.{name} = {value}"
+                f"camera.{name}: not reported by this camera" if value is None else f"camera.{name} = {value}"
             )
         features = getattr(camera, "features", None)
         for line in feature_lines(features.readings()) if features is not None else ():

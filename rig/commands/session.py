@@ -67,7 +67,7 @@ def balance(
     if history or forget_last:
         raise typer.Exit(show_history(loaded, history_file, forget=forget_last))
     raise typer.Exit(
-        balance_rig(loaded, history_file, follow, seed, rrd, teller=InJsonLines() if json_lines else None)
+        balance_rig(loaded, history_file, follow, seed, rrd, reporter=InJsonLines() if json_lines else None)
     )
 
 

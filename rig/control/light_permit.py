@@ -26,7 +26,7 @@ class Interlock(StrEnum):
 
     @property
     def opened_text(self) -> str:
-        """That it opened, as people are told."""
+        """That it opened, in words."""
         return f"the interlock of the {self.value} opened"
 
 

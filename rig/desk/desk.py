@@ -131,7 +131,7 @@ class Desk:
         if self.following.running or self.session_state is Started.RUNNING:
             raise ConfigurationError(f"rig {who} needs the camera, which a session has; wait, or stop it")
         for name, job in self.jobs.items():
-            # what has told its result, or was asked to end, is about to end
+            # what has reported its result, or was asked to end, is about to end
             about_to = job.ending or "preflight" in job.newest
             if job.running and not (about_to and job.wait(_ENDS_WITHIN_S)):
                 raise ConfigurationError(f"rig {who} needs the camera, which rig {name} has; end that first")
@@ -152,8 +152,8 @@ class Desk:
     @property
     def unacknowledged(self) -> Interlock | None:
         """The interlock that has opened, in a session or under the live picture."""
-        told = self.following.unacknowledged
-        return told or (None if self.aligner is None else self.aligner.unacknowledged)
+        of_session = self.following.unacknowledged
+        return of_session or (None if self.aligner is None else self.aligner.unacknowledged)
 
     def acknowledge(self) -> str:
         """Somebody has looked that nobody is in the beam's way; raises RigError if that cannot be."""

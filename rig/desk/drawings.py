@@ -84,7 +84,7 @@ def trajectory(
     size: tuple[int, int],
     stretch: float = 1.0,
 ) -> str:
-    """The way of the spot; `stretch` makes X so much larger than Y. Gaps are left open."""
+    """The trajectory of the spot; `stretch` makes X so much larger than Y. Gaps are left open."""
     width, height = size
     known = [(a, b) for a, b in zip(x, y, strict=True) if a is not None and b is not None]
     label = f"trajectory of the last seconds in {unit}, X times {stretch:g}"

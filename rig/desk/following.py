@@ -60,8 +60,8 @@ class Following:
     @property
     def unacknowledged(self) -> Interlock | None:
         """The interlock that has opened in the running session, and that nobody has acknowledged."""
-        told = self.news.get("unacknowledged")
-        return None if told is None else Interlock(told)
+        name = self.news.get("unacknowledged")
+        return None if name is None else Interlock(name)
 
     @property
     def has_picture(self) -> bool:
@@ -133,9 +133,9 @@ class Following:
 
 
 def doing(state: Mapping[str, Any] | None) -> str:
-    """The phase of a run and its progress in words; empty before it has told any."""
-    told = state or {}
-    return ": ".join(filter(None, (told.get("phase"), told.get("progress"))))
+    """The phase of a run and its progress in words; empty before it has stated any."""
+    stated = state or {}
+    return ": ".join(filter(None, (stated.get("phase"), stated.get("progress"))))
 
 
 def _is_there(line: Line) -> bool:

@@ -81,14 +81,14 @@ def build_page(desk: Desk) -> None:
         acting.set_text("" if tab.acts else "this tab watches")
         take.set_visibility(not tab.acts)
         news = desk.following.news
-        told = news.get("state") or {}
+        run_state = news.get("state") or {}
         state.set_text(_state(desk))
-        cry, waits = str(told.get("alarm") or ""), desk.unacknowledged
+        cry, waits = str(run_state.get("alarm") or ""), desk.unacknowledged
         cry = cry or ("" if waits is None else waits.opened_text)
         alarm.set_text(cry.upper())
         alarm.set_visibility(bool(cry))
         acknowledge.set_visibility(bool(waits))
-        asked = str(told.get("instruction") or "")
+        asked = str(run_state.get("instruction") or "")
         instruction.set_text(asked.upper())
         instruction.set_visibility(bool(asked))
         if bool(cry) != sounding:

@@ -1,4 +1,4 @@
-"""One tab of the browser: what it may do, which panel it shows, how it is told."""
+"""One tab of the browser: what it may do, which panel it shows, how it is notified."""
 
 import asyncio
 import inspect

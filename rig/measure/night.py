@@ -55,10 +55,10 @@ def measure_plan(
         place = folder / series.name
         waiting = _Waiting(series, now_s, sleep)
         say(f"series {series.name}")
-        with announced(config.session, place) as told:
-            measured = _Series(series, config, place, told.notices, waiting, force, json_lines)
-            told.status = measured.made_and_repeated()
-        worst = max(worst, told.status)
+        with announced(config.session, place) as outcome:
+            measured = _Series(series, config, place, outcome.notices, waiting, force, json_lines)
+            outcome.status = measured.made_and_repeated()
+        worst = max(worst, outcome.status)
         with closing(SessionFile.opened(place)) as file:
             last = file.state.entries[-1]
         if last.state in {RunState.FAILED, RunState.STOPPED} and not waiting.over:
@@ -186,9 +186,9 @@ def resume_session(folder: Path, *, force: bool = False, json_lines: bool = Fals
         if note:
             say(note)
         config = validate_configuration(tree, str(folder / STATE_NAME))
-        with announced(config.session, folder) as told:
-            told.status = go_on(file, config, told.notices, force=force, json_lines=json_lines)
-    return told.status
+        with announced(config.session, folder) as outcome:
+            outcome.status = go_on(file, config, outcome.notices, force=force, json_lines=json_lines)
+    return outcome.status
 
 
 def go_on(

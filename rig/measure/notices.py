@@ -52,13 +52,13 @@ class Notices:
                 self.calls.append(thread)
 
     def wait(self) -> None:
-        """Until all is told, or for some seconds: the program is about to end."""
+        """Until all is sent, or for some seconds: the program is about to end."""
         end_s = time.monotonic() + _LAST_WAIT_S
         for thread in self.calls:
             thread.join(max(0.0, end_s - time.monotonic()))
 
     def block(self, start_ns: int, frames: Sequence[Frame], block: Block) -> None:
-        """Nothing is told of frames."""
+        """Frames are not reported."""
 
     def event(self, start_ns: int, event: Event) -> None:
         """An error during a run is an alarm."""
@@ -67,7 +67,7 @@ class Notices:
             self.tell("alarm", f"{event.kind}: {event.text}")
 
     def snapshot(self, snapshot: Snapshot) -> None:
-        """Nothing is told of the state."""
+        """The state is not reported."""
 
     def _run(self, words: dict[str, str]) -> None:
         try:
@@ -101,7 +101,9 @@ class Notices:
         except Exception as error:
             status = getattr(error, "code", "")
             host = urllib.parse.urlsplit(self._address).hostname
-            say(f"the webhook at {host} was not told: {type(error).__name__} {status}".rstrip(), error=True)
+            say(
+                f"the webhook at {host} was not reached: {type(error).__name__} {status}".rstrip(), error=True
+            )
 
 
 def _address(file: Path | None) -> str:
@@ -124,27 +126,27 @@ def _address(file: Path | None) -> str:
 
 
 @dataclass
-class Told:
-    """How a session ended, set in the block of `announced`, and what tells of it."""
+class Outcome:
+    """How a session ended, set in the block of `announced`, and what reports it."""
 
     notices: Notices
     status: int = 1
 
 
 @contextmanager
-def announced(settings: SessionSettings, folder: Path) -> Iterator[Told]:
-    """Tell the end or the failure of what is done in the block, as its exit status or its error says."""
-    told = Told(Notices(settings, folder))
+def announced(settings: SessionSettings, folder: Path) -> Iterator[Outcome]:
+    """Report the end or the failure of what is done in the block, as its exit status or its error says."""
+    outcome = Outcome(Notices(settings, folder))
     try:
-        yield told
+        yield outcome
     except BaseException as error:
         why = reason_of(error) if isinstance(error, KeyboardInterrupt) else str(error)
-        told.notices.tell("failure", why or type(error).__name__)
+        outcome.notices.tell("failure", why or type(error).__name__)
         raise
     else:
-        if told.status:
-            told.notices.tell("failure", "not every run was measured and fitted under its conditions")
+        if outcome.status:
+            outcome.notices.tell("failure", "not every run was measured and fitted under its conditions")
         else:
-            told.notices.tell("end", "every run was measured and fitted")
+            outcome.notices.tell("end", "every run was measured and fitted")
     finally:
-        told.notices.wait()
+        outcome.notices.wait()

@@ -53,8 +53,8 @@ def preflight_rig(config: Configuration, *, json_lines: bool = False) -> int:
             if light.alarm:
                 raise DeviceError(light.alarm)
             if json_lines and snapshot.doing != before:
-                told = {"phase": snapshot.phase, "progress": snapshot.progress}
-                print_json_line("state", {**told, "elapsed_s": snapshot.elapsed_s})
+                where = {"phase": snapshot.phase, "progress": snapshot.progress}
+                print_json_line("state", {**where, "elapsed_s": snapshot.elapsed_s})
             before = snapshot.doing
 
         try:

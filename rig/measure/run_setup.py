@@ -9,7 +9,7 @@ from pathlib import Path
 from processing.angle import ARCSEC_RAD
 from processing.deflections import DeflectionUnit
 from processing.errors import ConfigurationError, RecordError
-from rig.channel import SessionTelling
+from rig.channel import SessionNews
 from rig.devices import Devices, FrameStream, OpenCamera
 from rig.instrument import Snapshot, camera_settings, frame_policy, optics_of, prepare_kernels
 from rig.measure.end_of_run import EndLimits
@@ -33,7 +33,7 @@ class RunPlan:
     """A run to be made.
 
     `start_rejected` is called with the new path of the record of each rejected start, and the reason;
-    `watchers` see the run beside its display and view, `telling` tells those
+    `watchers` see the run beside its display and view, `session_news` tells those
     who watch from outside. `fitted`: parameters are fitted while it is measured.
     """
 
@@ -46,7 +46,7 @@ class RunPlan:
     fitted: bool = True
     start_rejected: Callable[[Path, str], None] = lambda _path, _reason: None
     watchers: Sequence[Watcher] = ()
-    telling: SessionTelling | None = None
+    session_news: SessionNews | None = None
 
 
 def measure_run(plan: RunPlan, devices: Devices) -> RunOutcome:
@@ -96,23 +96,23 @@ def _execute(
         json_lines=plan.json_lines,
         simulated=config.simulated,
     )
-    telling = plan.telling
-    if telling is not None:
-        telling.begin_run(plan.title, camera.info.full_scale_dn, camera.applied)
-        watchers = [*watchers, telling]
+    session_news = plan.session_news
+    if session_news is not None:
+        session_news.begin_run(plan.title, camera.info.full_scale_dn, camera.applied)
+        watchers = [*watchers, session_news]
 
     def show_table(verdicts: Sequence[Verdict]) -> None:
         display.show_preflight(verdicts)
-        if telling is not None:
-            telling.preflight(verdicts)
+        if session_news is not None:
+            session_news.preflight(verdicts)
 
     def show(snapshot: Snapshot) -> None:
         try:
             display.show(snapshot)
         finally:
             # also without a terminal
-            if telling is not None:
-                telling.state(display.values(snapshot), display.rows(snapshot))
+            if session_news is not None:
+                session_news.state(display.values(snapshot), display.rows(snapshot))
 
     with_start = config.start.way != "at once"
     phases: PhasesBeforeRecord | None = None
@@ -125,7 +125,7 @@ def _execute(
             record.parent,
             force=plan.force,
             show_table=show_table,
-            watch=None if telling is None else telling.before_record,
+            watch=None if session_news is None else session_news.before_record,
         )
     parts = RunParts(
         stream=FrameStream(
@@ -155,7 +155,7 @@ def _execute(
         full_frame_interval_s=config.record.full_frame_interval_s,
         keep_windows=config.record.windows,
         waits_in_darkness=config.laser.when_dark == "wait",
-        somebody_watches=lambda: telling is not None and telling.watched,
+        somebody_watches=lambda: session_news is not None and session_news.watched,
     )
     prepare_kernels(optics.sensor, say)
     # only now: compiling takes time, and a laser may be lit only while frames are processed

@@ -16,7 +16,7 @@ from rig.analysis import (
     session_results,
     write_results,
 )
-from rig.channel import Channel, SessionTelling
+from rig.channel import Channel, SessionNews
 from rig.devices import Devices
 from rig.instrument import check_materials, complete
 from rig.measure.live_fit import check_stop_when
@@ -55,9 +55,11 @@ def measure_session(
     check_materials(config)
     check_stop_when(config)
     folder = session_folder(config, source, output)
-    with announced(config.session, folder) as told:
-        told.status = make_session(config, source, folder, told.notices, force=force, json_lines=json_lines)
-    return told.status
+    with announced(config.session, folder) as outcome:
+        outcome.status = make_session(
+            config, source, folder, outcome.notices, force=force, json_lines=json_lines
+        )
+    return outcome.status
 
 
 def make_session(
@@ -108,12 +110,12 @@ def make_runs(
 
     Meanwhile the session can be watched, and takes orders, through its channel.
     """
-    telling = SessionTelling(config)
-    with Channel(file.folder, telling, orders(devices), lambda: devices_now(devices)) as channel:
+    session_news = SessionNews(config)
+    with Channel(file.folder, session_news, orders(devices), lambda: devices_now(devices)) as channel:
         if channel.problem:
             say(channel.problem)
         return _make_runs(
-            config, source, file, devices, notices, patience, telling, force=force, json_lines=json_lines
+            config, source, file, devices, notices, patience, session_news, force=force, json_lines=json_lines
         )
 
 
@@ -124,7 +126,7 @@ def _make_runs(
     devices: Devices,
     notices: Notices,
     patience: Patience,
-    telling: SessionTelling,
+    session_news: SessionNews,
     *,
     force: bool,
     json_lines: bool,
@@ -150,10 +152,10 @@ def _make_runs(
             json_lines,
             start_rejected=start_rejected,
             watchers=[notices],
-            telling=telling,
+            session_news=session_news,
         )
         try:
-            acknowledge_interlock(devices, telling)
+            acknowledge_interlock(devices, session_news)
             outcome = measure_run(plan, devices)
         except (RigError, OSError) as error:
             file.note(number, record.name, RunState.FAILED, str(error))

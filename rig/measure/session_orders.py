@@ -7,7 +7,7 @@ from dataclasses import asdict
 from typing import Any
 
 from processing.errors import DeviceError
-from rig.channel import Orders, SessionTelling
+from rig.channel import Orders, SessionNews
 from rig.devices import Devices, wait_for_command
 
 _LOOK_S = 0.1
@@ -42,7 +42,7 @@ def devices_now(devices: Devices) -> dict[str, Any]:
     }
 
 
-def acknowledge_interlock(devices: Devices, telling: SessionTelling) -> None:
+def acknowledge_interlock(devices: Devices, session_news: SessionNews) -> None:
     """After an interlock has opened, ask whether light is allowed again: at the terminal, else who watches.
 
     Raises DeviceError without a yes.
@@ -55,9 +55,9 @@ def acknowledge_interlock(devices: Devices, telling: SessionTelling) -> None:
         answer = input(f"{opened}. Look that nobody is in the beam's way. Light the laser again? [y/N] ")
         if answer.strip().lower() in {"y", "yes"}:
             devices.acknowledge()
-    elif telling.watched:
-        telling.note("interlock", f"{opened}: the next run waits for an acknowledgement", "error")
-        while telling.watched and devices.permit.unacknowledged:
+    elif session_news.watched:
+        session_news.note("interlock", f"{opened}: the next run waits for an acknowledgement", "error")
+        while session_news.watched and devices.permit.unacknowledged:
             time.sleep(_LOOK_S)
     if devices.permit.unacknowledged:
         raise DeviceError(

@@ -134,21 +134,21 @@ def _summary(source: ReportSource) -> list[str]:
 def _circumstances(source: ReportSource) -> list[tuple[str, str]]:
     """Who measured, when each run began and how long it lasted, what surrounded it, and with what."""
     first = source.runs[0]
-    told = []
+    rows = []
     if first.results.instrument is not None:
         kind = INSTRUMENTS[first.results.instrument.kind]
-        told.append(("instrument", f"{kind.sentence.rstrip('.')} ({kind.kind})"))
-    told.append(("operator", first.provenance.get("session", {}).get("operator", "") or _NOT_STATED))
+        rows.append(("instrument", f"{kind.sentence.rstrip('.')} ({kind.kind})"))
+    rows.append(("operator", first.provenance.get("session", {}).get("operator", "") or _NOT_STATED))
     around = [_surroundings(run) for run in source.runs]
     alike = len(set(around)) == 1
     for run, surroundings in zip(source.runs, around, strict=True):
         began = run.provenance["file"].get("began", "")
         text = f"{began and f'began {began}, '}lasted {_lasted(run)}"
-        told.append((run.title, text if alike else f"{text}; {surroundings or f'air {_NOT_STATED}'}"))
+        rows.append((run.title, text if alike else f"{text}; {surroundings or f'air {_NOT_STATED}'}"))
     if alike:
-        told.append(("surroundings", around[0] or _NOT_STATED))
-    told.append(("frames from", "the simulated rig" if first.simulated else "a camera"))
-    return [(name, text) for name, text in told if text]
+        rows.append(("surroundings", around[0] or _NOT_STATED))
+    rows.append(("frames from", "the simulated rig" if first.simulated else "a camera"))
+    return [(name, text) for name, text in rows if text]
 
 
 def _lasted(run: RunData) -> str:

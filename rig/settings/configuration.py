@@ -261,17 +261,17 @@ def validate_configuration(
 ) -> Configuration:
     """Validate nested dictionaries; a ConfigurationError has a line for each fault, unknown keys first.
 
-    A fault of a key that one of `overrides` states is told of --set, any other of `source`.
+    A fault of a key that one of `overrides` states is reported as one of --set, any other as one of `source`.
     """
     # so that a missing section is reported as the key that it lacks
     tree = {"camera": {}, **tree}
-    config, told = validated(Configuration, tree)
+    config, found_faults = validated(Configuration, tree)
     if config is not None:
         return config
     stated = {f"{override.partition('=')[0].strip()}." for override in overrides}
     with_u = stated | {".u_".join(key.rsplit(".", 2)[:2]) + "." for key in stated if key.count(".") > 1}
     lines, of_overrides = [], []
-    for fault in told:
+    for fault in found_faults:
         is_stated, place = _is_of(fault, with_u), fault.place
         beside = [key.rstrip(".") for key in sorted(stated) if place and key.startswith(f"{place[0]}.")]
         why = f" (--set {beside[0]} states this section)" if fault.is_missing and beside else ""
@@ -295,9 +295,9 @@ def keys_with_faults(
         for section in sections:
             place = place.setdefault(section, {})
         place[name] = value
-    _, told = validated(root or Configuration, tree)
+    _, found_faults = validated(root or Configuration, tree)
     asked = {*keys, whole} - {""}
-    return [fault.line for fault in told if dotted(fault.place) in asked]
+    return [fault.line for fault in found_faults if dotted(fault.place) in asked]
 
 
 def _is_of(fault: KeyFault, stated: set[str]) -> bool:

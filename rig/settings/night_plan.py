@@ -58,9 +58,9 @@ class NightPlan(BaseModel, frozen=True, extra="forbid"):
 
 def load_plan(path: Path) -> NightPlan:
     """Read a plan; configurations are relative to its folder. One line of error names every fault."""
-    plan, told = validated(NightPlan, read_toml(path, "plan"))
+    plan, faults = validated(NightPlan, read_toml(path, "plan"))
     if plan is None:
-        raise ConfigurationError(f"{path}: {'; '.join(fault.line for fault in told)}")
+        raise ConfigurationError(f"{path}: {'; '.join(fault.line for fault in faults)}")
     return NightPlan(
         series=tuple(
             series.model_copy(update={"config": path.parent / series.config}) for series in plan.series

@@ -115,8 +115,8 @@ class KeyFault(NamedTuple):
 
 def validated(root: type[_Model], tree: Mapping[str, Any]) -> tuple[_Model | None, list[KeyFault]]:
     """The model of nested tables; or None and its faults, unknown keys first."""
-    told = list(not_numbers(root, tree))
-    places = {fault.place for fault in told}
+    wrong_kinds = list(not_numbers(root, tree))
+    places = {fault.place for fault in wrong_kinds}
     try:
         found = root.model_validate(tree)
     except ValidationError as error:
@@ -129,8 +129,8 @@ def validated(root: type[_Model], tree: Mapping[str, Any]) -> tuple[_Model | Non
             for fault in faults
             if fault["loc"] not in passed
         ]
-        return None, others + told
-    return (None, told) if told else (found, [])
+        return None, others + wrong_kinds
+    return (None, wrong_kinds) if wrong_kinds else (found, [])
 
 
 def is_unknown_key(fault: ErrorDetails) -> bool:

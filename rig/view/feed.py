@@ -234,7 +234,7 @@ class Feed:
     def _next_setup(self) -> Setup:
         """Setup of the next worker, with a new file name, because no file is ever overwritten.
 
-        A live stream moves to another port if the viewer can be told so, because a viewer ignores a
+        A live stream moves to another port if the viewer can be given it, because a viewer ignores a
         new stream at an address that it knows. A web page keeps the port, so that reloading it works.
         """
         setup = self._setup

@@ -217,8 +217,8 @@ def _draw_spots(
         missing += int(np.maximum(np.diff(sequence, prepend=before) - 1, 0).sum())
         lost += int(np.count_nonzero(table["flags"] & SpotFlag.LOST))
         last = int(sequence[-1])
-        told = {"missing_frames": missing, "lost_spots": lost}
-        viewer.losses(float(time_s[-1]), told, own=False, run=run)
+        counts = {"missing_frames": missing, "lost_spots": lost}
+        viewer.losses(float(time_s[-1]), counts, own=False, run=run)
         sequences.append(sequence.copy())
         places.append(np.column_stack((table["x_px"], table["y_px"])).astype(np.float32))
         viewer.wait_room()

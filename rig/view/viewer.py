@@ -413,10 +413,10 @@ class Viewer:
             why = f"{dropped} values are not in it{', the disk is full' if full else ''}"
         else:
             lacking = (Trouble.FILE_ENDED, Trouble.NOT_DRAWN)
-            told = [note for note, trouble in self._notes.items() if trouble in lacking]
-            if not told:
+            notes = [note for note, trouble in self._notes.items() if trouble in lacking]
+            if not notes:
                 return
-            why = told[0]
+            why = notes[0]
         raise RecordError(f"the Rerun file {self._rrd_path} is not whole: {why}; make it again elsewhere")
 
     def _put(self, message: Message) -> None:

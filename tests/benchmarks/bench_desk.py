@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from rig.channel import Channel, SessionTelling
+from rig.channel import Channel, SessionNews
 from rig.channel.loopback import _Handler
 from rig.instrument.snapshot import Snapshot
 from rig.measure.screen import RunDisplay
@@ -65,22 +65,22 @@ def measured(seconds: float, *, desk: bool) -> dict[str, Any]:
             f'[session]\noutput = "{place}"\n[camera]\ndriver = "simulated"\n', encoding="utf-8"
         )
         config = load_configuration(source)
-        telling = SessionTelling(config)
-        telling.begin_run("benchmark", 255, None)
+        session_news = SessionNews(config)
+        session_news.begin_run("benchmark", 255, None)
         display = RunDisplay("benchmark", 2.0, config.deflection_unit)
 
         def show(snapshot: Snapshot) -> None:
-            telling.state(display.values(snapshot), display.rows(snapshot))
+            session_news.state(display.values(snapshot), display.rows(snapshot))
 
-        stack.enter_context(Channel(folder, telling, {}))
+        stack.enter_context(Channel(folder, session_news, {}))
         answering = stack.enter_context(own_time(_Handler, "do_GET"))
-        keeping = stack.enter_context(own_time(SessionTelling, "block"))
+        keeping = stack.enter_context(own_time(SessionNews, "block"))
         looking = stack.enter_context(Desk(source)) if desk else None
-        found = real_time(WIDTH, HEIGHT, 8, RATE_HZ, seconds, watchers=[display, telling], show=show)
+        found = real_time(WIDTH, HEIGHT, 8, RATE_HZ, seconds, watchers=[display, session_news], show=show)
         if looking is not None:
             found |= {
                 "own_cores": (answering[0] + keeping[0]) / seconds,
-                "pictures_hz": telling.pictures / seconds,
+                "pictures_hz": session_news.pictures / seconds,
                 "picture_ms": float(np.median(looking.took_ms)),
                 "desk_cores": looking.cores,
             }

@@ -173,7 +173,7 @@ class Firmware:
             self._trip("WATCHDOG", 101)
         if self.laser and not board.interlock_closed():
             self._trip("INTERLOCK", 102)
-        # a pin that does not do what it was told: wired wrongly, or broken
+        # a pin that does not do what it was set to: wired wrongly, or broken
         disagrees = board.laser_enabled() != self.laser
         if disagrees and not self._disagrees:
             self._trip("OUTPUT", 103)

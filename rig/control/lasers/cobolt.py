@@ -42,16 +42,16 @@ class Cobolt(SerialLaser):
                 f"{self.name}: autostart is on, in which the laser lights by its key and rejects commands; "
                 "switch it off (@cobas 0, or in Cobolt Monitor) and turn the key off and on"
             )
-        self._told("cp")
+        self._command("cp")
 
     def _switch(self, on: bool) -> None:
-        self._told("l1" if on else "l0")
+        self._command("l1" if on else "l0")
 
     def _set(self, value: float) -> float:
-        self._told(f"p {rounded_down(value, 5)}")
+        self._command(f"p {rounded_down(value, 5)}")
         return self.ask_float("p?")
 
-    def _told(self, command: str) -> None:
+    def _command(self, command: str) -> None:
         answer = self.ask(command)
         if answer != "OK":
             raise LaserRefused(f"{self.name}: answered {answer!r} to {command}")

@@ -40,10 +40,10 @@ class Ldc500(SerialLaser):
         )
 
     def _prepare(self) -> None:
-        self._told("SMOD CC")
-        self._told("MODU OFF")
+        self._command("SMOD CC")
+        self._command("MODU OFF")
         limit_a = self._settings.max_current_a
-        self._told(f"SILM {rounded_down(limit_a * 1000.0, 3)}")
+        self._command(f"SILM {rounded_down(limit_a * 1000.0, 3)}")
         applied_a = self.ask_float("SILM?") / 1000.0
         if applied_a > limit_a + 1e-6:
             raise LaserRefused(
@@ -52,13 +52,13 @@ class Ldc500(SerialLaser):
             )
 
     def _switch(self, on: bool) -> None:
-        self._told(f"LDON {'ON' if on else 'OFF'}")
+        self._command(f"LDON {'ON' if on else 'OFF'}")
 
     def _set(self, value: float) -> float:
-        self._told(f"SILD {rounded_down(value * 1000.0, 3)}")
+        self._command(f"SILD {rounded_down(value * 1000.0, 3)}")
         return self.ask_float("SILD?") / 1000.0
 
-    def _told(self, command: str) -> None:
+    def _command(self, command: str) -> None:
         self.tell(command)
         # an error is entered only after the command was carried out, and a query does not wait for that
         time.sleep(_CARRIED_OUT_S)

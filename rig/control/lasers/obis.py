@@ -49,16 +49,16 @@ class Obis(SerialLaser):
         return answer
 
     def _prepare(self) -> None:
-        self._told("SOURce:AM:INTernal CWP")
+        self._command("SOURce:AM:INTernal CWP")
 
     def _switch(self, on: bool) -> None:
-        self._told(f"SOURce:AM:STATe {'ON' if on else 'OFF'}")
+        self._command(f"SOURce:AM:STATe {'ON' if on else 'OFF'}")
 
     def _set(self, value: float) -> float:
-        self._told(f"SOURce:POWer:LEVel:IMMediate:AMPLitude {rounded_down(value, 6)}")
+        self._command(f"SOURce:POWer:LEVel:IMMediate:AMPLitude {rounded_down(value, 6)}")
         return self.ask_float("SOURce:POWer:LEVel:IMMediate:AMPLitude?")
 
-    def _told(self, command: str) -> None:
+    def _command(self, command: str) -> None:
         _, reader = self._claimed()
         reader.clear()
         self.tell(command)

@@ -63,9 +63,9 @@ class Thorlabs4000(SerialLaser):
 
     def _prepare(self) -> None:
         self.tell("*CLS")
-        self._told("SOURce:FUNCtion:MODE CURRent")
+        self._command("SOURce:FUNCtion:MODE CURRent")
         limit_a = self._settings.max_current_a
-        self._told(f"SOURce:CURRent:LIMit:AMPLitude {rounded_down(limit_a, 6)}")
+        self._command(f"SOURce:CURRent:LIMit:AMPLitude {rounded_down(limit_a, 6)}")
         applied_a = self.ask_float("SOURce:CURRent:LIMit:AMPLitude?")
         if applied_a > limit_a + 1e-6:
             raise LaserRefused(
@@ -74,13 +74,13 @@ class Thorlabs4000(SerialLaser):
             )
 
     def _switch(self, on: bool) -> None:
-        self._told(f"OUTPut:STATe {'ON' if on else 'OFF'}")
+        self._command(f"OUTPut:STATe {'ON' if on else 'OFF'}")
 
     def _set(self, value: float) -> float:
-        self._told(f"SOURce:CURRent:LEVel:AMPLitude {rounded_down(value, 6)}")
+        self._command(f"SOURce:CURRent:LEVel:AMPLitude {rounded_down(value, 6)}")
         return self.ask_float("SOURce:CURRent:LEVel:AMPLitude?")
 
-    def _told(self, command: str) -> None:
+    def _command(self, command: str) -> None:
         self.tell(command)
         code, _, text = self.ask("SYSTem:ERRor?").partition(",")
         if code.strip().lstrip("+") != "0":

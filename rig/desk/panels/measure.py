@@ -138,18 +138,18 @@ def build(desk: Desk, tab: Tab) -> None:
             lines = "<br>".join(map(html.escape, desk.last_words()))
             words.set_content(lines)
             return
-        told = news.get("state") or {}
+        run_state = news.get("state") or {}
         unit = str(news.get("unit") or "")
-        measuring = told.get("phase") == Phase.MEASURING
-        before_it.set_text("" if measuring else f"nothing is recorded yet: {doing(told) or 'preparing'}")
-        amplitude.set_text(_number(told.get("amplitude"), ".2f", unit))
-        left.set_text(_left(told))
+        measuring = run_state.get("phase") == Phase.MEASURING
+        before_it.set_text("" if measuring else f"nothing is recorded yet: {doing(run_state) or 'preparing'}")
+        amplitude.set_text(_number(run_state.get("amplitude"), ".2f", unit))
+        left.set_text(_left(run_state))
         progress.set_value(_done(news))
         devices = desk.following.devices
         laser.set_text(str(news.get("darkness") or "") or _light(devices))
         laser.classes(remove="go no", add="no" if news.get("darkness") else "go")
         brakes.set_visibility(devices.controller is not None)
-        learned.set_content(drawings.table(_estimates(told), "parameters so far"))
+        learned.set_content(drawings.table(_estimates(run_state), "parameters so far"))
         swings = [(float(t), float(a)) for t, a in news.get("swings") or []]
         decay.set_content(drawings.curve(swings, (420, 130), "amplitude over time", "s", unit))
         path = news.get("path") or {"x": [], "y": []}
@@ -165,8 +165,8 @@ def _number(value: Any, shape: str, unit: str) -> str:
     return f"– {unit}" if value is None else f"{float(value):{shape}} {unit}"
 
 
-def _left(told: Mapping[str, Any]) -> str:
-    seconds, u, at_most = (told.get(key) for key in ("remaining_s", "u_remaining_s", "at_most_s"))
+def _left(run_state: Mapping[str, Any]) -> str:
+    seconds, u, at_most = (run_state.get(key) for key in ("remaining_s", "u_remaining_s", "at_most_s"))
     if seconds is None:
         return "too early to say" + ("" if at_most is None else f", at most {_minutes(at_most)}")
     return _minutes(seconds) + (f" ± {float(u):.0f} s" if u else "")
@@ -189,9 +189,9 @@ def _light(devices: DevicesNow) -> str:
     return "no laser is controlled" if devices.laser is None else f"laser {devices.laser.text}"
 
 
-def _estimates(told: Mapping[str, Any]) -> list[list[str]]:
+def _estimates(run_state: Mapping[str, Any]) -> list[list[str]]:
     rows = []
-    for key, one in (told.get("estimates") or {}).items():
+    for key, one in (run_state.get("estimates") or {}).items():
         value, u = one["value"], one["standard_uncertainty"]
         if value is not None and u is not None:
             rows.append([quantity(key).label, *estimate_texts(key, Estimate(value, u))])

@@ -14,7 +14,7 @@ from acquisition.record.events import Event, EventKind
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import DeviceError, RigError
 from processing.spot import Spot
-from rig.channel import Channel, Line, NoSession, SessionTelling, running_sessions
+from rig.channel import Channel, Line, NoSession, SessionNews, running_sessions
 from rig.control import Interlock
 from rig.instrument import Block
 from rig.settings import Configuration
@@ -27,14 +27,14 @@ def refuse() -> str:
 
 
 @pytest.fixture
-def told() -> SessionTelling:
-    telling = SessionTelling(Configuration(camera={"driver": "simulated"}))  # type: ignore[arg-type]
-    telling.begin_run("run 1", 255, None)
-    return telling
+def told() -> SessionNews:
+    session_news = SessionNews(Configuration(camera={"driver": "simulated"}))  # type: ignore[arg-type]
+    session_news.begin_run("run 1", 255, None)
+    return session_news
 
 
 @pytest.fixture
-def line(told: SessionTelling, tmp_path: Path) -> Iterator[Line]:
+def line(told: SessionNews, tmp_path: Path) -> Iterator[Line]:
     folder = tmp_path / "session"
     folder.mkdir()
     orders = {"stop": lambda: "stopping", "brake on": refuse}
@@ -54,7 +54,7 @@ def block(number: int, count: int = 16) -> tuple[list[Frame], Block]:
     return frames, Block([SPOT] * count, at, [], [])
 
 
-def test_news_are_plain_values_and_events_come_once(told: SessionTelling, line: Line) -> None:
+def test_news_are_plain_values_and_events_come_once(told: SessionNews, line: Line) -> None:
     told.block(0, *block(1))
     told.event(0, Event(2_000_000_000, EventKind.START, "first frame"))
     told.state({"amplitude": float("nan"), "phase": "measuring"}, [("elapsed", "0:02")])
@@ -68,7 +68,7 @@ def test_news_are_plain_values_and_events_come_once(told: SessionTelling, line: 
     assert line.news(event["number"])["events"] == []
 
 
-def test_a_frame_is_kept_only_when_somebody_has_asked(told: SessionTelling, line: Line) -> None:
+def test_a_frame_is_kept_only_when_somebody_has_asked(told: SessionNews, line: Line) -> None:
     told.block(0, *block(1))
     assert told.pictures == 0
     assert line.picture() is None
@@ -82,7 +82,7 @@ def test_a_frame_is_kept_only_when_somebody_has_asked(told: SessionTelling, line
     assert line.picture(picture.number) is None
 
 
-def test_what_is_seen_before_the_record_is_told_and_not_drawn_twice(told: SessionTelling, line: Line) -> None:
+def test_what_is_seen_before_the_record_is_told_and_not_drawn_twice(told: SessionNews, line: Line) -> None:
     frames, found = block(1)
     line.picture()
     told.before_record(frames, found.spots, found.deflections)
@@ -93,7 +93,7 @@ def test_what_is_seen_before_the_record_is_told_and_not_drawn_twice(told: Sessio
     assert line.news()["path"]["y"] == [1.0] * 16
 
 
-def test_a_frame_that_can_be_written_to_is_copied(told: SessionTelling, line: Line) -> None:
+def test_a_frame_that_can_be_written_to_is_copied(told: SessionNews, line: Line) -> None:
     line.picture()
     frames, found = block(2)
     told.block(0, frames, found)
@@ -103,7 +103,7 @@ def test_a_frame_that_can_be_written_to_is_copied(told: SessionTelling, line: Li
     assert picture.image.max() == 2
 
 
-def test_who_is_connected_is_not_answered_after_its_end(told: SessionTelling, tmp_path: Path) -> None:
+def test_who_is_connected_is_not_answered_after_its_end(told: SessionNews, tmp_path: Path) -> None:
     taken: list[str] = []
     with Channel(tmp_path, told, {"stop": lambda: str(taken.append("stop"))}):
         line = Line(tmp_path)
@@ -136,7 +136,7 @@ def test_without_the_key_nothing_is_told_and_nothing_done(
     connection.close()
 
 
-def test_the_key_is_this_users_own_and_goes_with_the_session(told: SessionTelling, tmp_path: Path) -> None:
+def test_the_key_is_this_users_own_and_goes_with_the_session(told: SessionNews, tmp_path: Path) -> None:
     path = tmp_path / ".channel.json"
     with Channel(tmp_path, told, {}):
         assert stat.S_IMODE(path.stat().st_mode) == 0o600
@@ -145,7 +145,7 @@ def test_the_key_is_this_users_own_and_goes_with_the_session(told: SessionTellin
         Line(tmp_path)
 
 
-def test_of_a_killed_session_only_the_file_is_left(told: SessionTelling, tmp_path: Path) -> None:
+def test_of_a_killed_session_only_the_file_is_left(told: SessionNews, tmp_path: Path) -> None:
     for name in ("killed", "runs"):
         (tmp_path / name).mkdir()
     (tmp_path / "killed" / ".channel.json").write_text('{"port": 1, "key": "k", "pid": 1}')
@@ -154,8 +154,6 @@ def test_of_a_killed_session_only_the_file_is_left(told: SessionTelling, tmp_pat
     assert running_sessions(tmp_path) == []
 
 
-def test_a_session_that_nobody_can_watch_is_measured_all_the_same(
-    told: SessionTelling, tmp_path: Path
-) -> None:
+def test_a_session_that_nobody_can_watch_is_measured_all_the_same(told: SessionNews, tmp_path: Path) -> None:
     with Channel(tmp_path / "missing", told, {}) as channel:
         assert "nobody can watch" in channel.problem

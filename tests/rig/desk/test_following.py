@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from processing.errors import RigError
-from rig.channel import Channel, SessionTelling
+from rig.channel import Channel, SessionNews
 from rig.channel import loopback as line
 from rig.channel.loopback import CHANNEL_NAME
 from rig.desk.following import Following
@@ -25,7 +25,7 @@ def following(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Follo
     monkeypatch.setattr(line, "_ANSWER_S", 0.2)
     folder = tmp_path / "session"
     folder.mkdir()
-    told = SessionTelling(Configuration(camera={"driver": "simulated"}))  # type: ignore[arg-type]
+    told = SessionNews(Configuration(camera={"driver": "simulated"}))  # type: ignore[arg-type]
     follower = Following(tmp_path)
     with Channel(folder, told, {}):
         follower.start()
@@ -44,7 +44,7 @@ def until(state: Callable[[], bool]) -> None:
 
 def test_a_session_that_does_not_answer_is_not_given_up(following: Following, tmp_path: Path) -> None:
     folder = tmp_path / "session"
-    told = SessionTelling(Configuration(camera={"driver": "simulated"}))  # type: ignore[arg-type]
+    told = SessionNews(Configuration(camera={"driver": "simulated"}))  # type: ignore[arg-type]
     busy, asked = threading.Event(), 0
 
     def extra() -> dict[str, object]:
@@ -74,7 +74,7 @@ def test_a_session_that_was_killed_is_given_up_although_its_file_is_there(
     following: Following, tmp_path: Path
 ) -> None:
     folder = tmp_path / "session"
-    told = SessionTelling(Configuration(camera={"driver": "simulated"}))  # type: ignore[arg-type]
+    told = SessionNews(Configuration(camera={"driver": "simulated"}))  # type: ignore[arg-type]
     with socket.create_server(("127.0.0.1", 0)) as gone:
         port = gone.getsockname()[1]
     with Channel(folder, told, {}):

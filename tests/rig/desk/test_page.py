@@ -13,7 +13,7 @@ from acquisition.frame import Frame
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import DeviceError
 from processing.spot import Spot
-from rig.channel import Channel, SessionTelling
+from rig.channel import Channel, SessionNews
 from rig.control import ControlState, DevicesNow, LaserNow, Light
 from rig.settings import Configuration
 from tests.rig.control.test_states import status
@@ -151,8 +151,8 @@ def test_a_session_is_shown_before_its_record_begins_and_cries_are_seen_and_hear
     taken = []
     lit = DevicesNow(LaserNow(Light.ON), ControlState.OPEN, status())
     now = {"devices": asdict(lit)}
-    telling = SessionTelling(Configuration(camera={"driver": "simulated"}))  # type: ignore[arg-type]
-    telling.begin_run("run 1", 255, None)
+    session_news = SessionNews(Configuration(camera={"driver": "simulated"}))  # type: ignore[arg-type]
+    session_news.begin_run("run 1", 255, None)
     frame = Frame(np.full((64, 32), 40, np.uint8), 1, 1, 1)
     spot = Spot(16.0, 32.0, 0.01, 0.01, 2.0, 2.0, 0.0, 100.0, 4.0, 1.0, 0)
     empty = np.zeros(0)
@@ -169,15 +169,15 @@ def test_a_session_is_shown_before_its_record_begins_and_cries_are_seen_and_hear
     folder = desk_output / "of-another"
     folder.mkdir(parents=True)
     page.key("4")
-    with Channel(folder, telling, {"brake on": brake_on, "brake off": brake_off}, lambda: now):
-        telling.state({"phase": "rest", "progress": "spread 3 px"}, [])
+    with Channel(folder, session_news, {"brake on": brake_on, "brake off": brake_off}, lambda: now):
+        session_news.state({"phase": "rest", "progress": "spread 3 px"}, [])
         page.wait_text("nothing is recorded yet: rest: spread 3 px")
         page.wait_text("no frame yet: rest: spread 3 px")
         page.wait_while(
             "!document.body.innerText.includes('no frame yet')",
-            lambda: telling.before_record([frame], [spot], none),
+            lambda: session_news.before_record([frame], [spot], none),
         )
-        telling.state({"phase": "release", "instruction": "release by hand now"}, [])
+        session_news.state({"phase": "release", "instruction": "release by hand now"}, [])
         page.wait_text("RELEASE BY HAND NOW")
         page.key("b")
         page.wait_text("the brake is on")
@@ -186,12 +186,12 @@ def test_a_session_is_shown_before_its_record_begins_and_cries_are_seen_and_hear
         page.wait_text("the brake: does not answer; see its cable")
         page.click("close")
         assert taken == ["on"]
-        telling.state({"phase": "measuring", "alarm": "the laser is dark"}, [])
+        session_news.state({"phase": "measuring", "alarm": "the laser is dark"}, [])
         page.wait_text("THE LASER IS DARK")
         colour = "getComputedStyle(document.querySelector('.alarm')).backgroundColor"
         assert page.ask(colour) == "rgb(213, 94, 0)"
         page.wait("window.rigBeep && window.rigAudio.state === 'running'")
-        telling.state({"phase": "measuring", "alarm": ""}, [])
+        session_news.state({"phase": "measuring", "alarm": ""}, [])
         page.wait("document.querySelector('.alarm').offsetParent === null && !window.rigBeep")
         assert "nothing is recorded yet" not in page.text()
     page.wait("document.getElementById('amplitude').offsetParent === null")

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from processing.errors import DeviceError
-from rig.channel import SessionTelling
+from rig.channel import SessionNews
 from rig.control import Interlock
 from rig.control.simulated import SimulatedBoard
 from rig.devices import Devices
@@ -29,15 +29,15 @@ def test_an_interlock_is_acknowledged_by_a_person_and_that_is_kept(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     config = Configuration(camera={"driver": "simulated"}, session={"operator": "Ada"})
-    devices, telling = Devices(config, tmp_path), SessionTelling(config)
+    devices, session_news = Devices(config, tmp_path), SessionNews(config)
     devices.permit.begin()
     devices.permit.interlock_opened(Interlock.CONTROLLER)
     monkeypatch.setattr(sys, "stderr", Terminal())
     monkeypatch.setattr(sys, "stdin", Terminal("no\nyes\n"))
     with pytest.raises(DeviceError, match="nobody has allowed light again"):
-        acknowledge_interlock(devices, telling)
+        acknowledge_interlock(devices, session_news)
     assert not (tmp_path / "audit.jsonl").exists()
-    acknowledge_interlock(devices, telling)
+    acknowledge_interlock(devices, session_news)
     assert not devices.permit.unacknowledged
     line = json.loads((tmp_path / "audit.jsonl").read_text())
     assert (line["what"], line["operator"]) == ("interlock acknowledged", "Ada")

@@ -97,18 +97,18 @@ def test_a_webhook_and_a_command_that_hang_delay_nothing(
     webhook.may_answer.clear()
     hanging = (sys.executable, program(tmp_path, "'begun'); time.sleep(600"))
     settings = SessionSettings(notify_command=hanging, notify_webhook_file=webhook.file)
-    telling = Notices(settings, tmp_path)
-    telling.tell("alarm", "the laser is dark")
+    session_news = Notices(settings, tmp_path)
+    session_news.tell("alarm", "the laser is dark")
     _, posted = webhook.posted.get(timeout=WAIT_S)
-    telling.wait()
+    session_news.wait()
     assert posted["text"] == "the laser is dark"
     # neither has answered, and this thread has come as far as here
-    assert [thread.is_alive() for thread in telling.calls] == [True, True]
-    for thread in telling.calls:
+    assert [thread.is_alive() for thread in session_news.calls] == [True, True]
+    for thread in session_news.calls:
         thread.join(WAIT_S)
     said = capsys.readouterr().err
     assert "was ended after 2 s" in said
-    assert "the webhook at 127.0.0.1 was not told: TimeoutError" in said
+    assert "the webhook at 127.0.0.1 was not reached: TimeoutError" in said
 
 
 def test_a_webhook_that_refuses_and_a_command_that_fails_are_said_without_the_address(
@@ -118,11 +118,11 @@ def test_a_webhook_that_refuses_and_a_command_that_fails_are_said_without_the_ad
     settings = SessionSettings(
         notify_command=(str(tmp_path / "no-such-program"),), notify_webhook_file=webhook.file
     )
-    telling = Notices(settings, tmp_path)
-    telling.tell("end", "every run was measured")
-    telling.wait()
+    session_news = Notices(settings, tmp_path)
+    session_news.tell("end", "every run was measured")
+    session_news.wait()
     said = capsys.readouterr().err
-    assert "the webhook at 127.0.0.1 was not told: HTTPError 403" in said
+    assert "the webhook at 127.0.0.1 was not reached: HTTPError 403" in said
     assert "session.notify_command" in said
     assert "no-such-program" in said
     assert SECRET not in said

@@ -39,7 +39,7 @@ class LastFrame(NamedTuple):
     number: int
 
 
-class SessionTelling:
+class SessionNews:
     """The state of a session; written by its threads, read by those that answer.
 
     As a watcher of a run it only keeps references, in the processing thread. A frame is kept when somebody
@@ -174,10 +174,10 @@ class SessionTelling:
             "events": events,
             "path": _thinned_path(path),
             "swings": swings[:: max(1, math.ceil(len(swings) / _SWING_POINTS))],
-            "balance": None if balance is None else self._told(balance),
+            "balance": None if balance is None else self._of_balance(balance),
         }
 
-    def _told(self, balance: Balance) -> dict[str, Any]:
+    def _of_balance(self, balance: Balance) -> dict[str, Any]:
         return {
             "numbers": balance_numbers(balance),
             "next_step": advice_for(self._config, balance).next_step or None,

@@ -53,8 +53,8 @@ QUESTION = (
 _POINTS = 12
 
 
-class Teller(Protocol):
-    """What is told of a look: its way, its balances, faults with advice or why it is not used; a question."""
+class Reporter(Protocol):
+    """What is said of a look: trajectory, balances, faults with advice or why it is unused; a question."""
 
     def way(self, at: Deflections) -> None:
         """Where the spot was in some frames."""
@@ -126,8 +126,8 @@ class InJsonLines:
         self, faults: Sequence[Fault], before: Sequence[Fault], advice: Turn | Unreachable | None
     ) -> None:
         turn = advice if isinstance(advice, Turn) else None
-        told = {"faults": [_fault(one) for one in faults], "before": [_fault(one) for one in before]}
-        print_json_line("found", {**told, "text": turn_text(advice, faults), "turn": _turn(turn)})
+        stated = {"faults": [_fault(one) for one in faults], "before": [_fault(one) for one in before]}
+        print_json_line("found", {**stated, "text": turn_text(advice, faults), "turn": _turn(turn)})
 
     def rejected(self, why: str, hint: str, back: Turn | None) -> None:
         text = turn_text(back, []) if back is not None else ""
