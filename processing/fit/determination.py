@@ -250,34 +250,21 @@ def _determination(
     points: TurningPoints, pendulum: PendulumOnBall | None, result: FitResult, name: str
 ) -> Determination:
     value, u = result.estimate(name)
+    verdict = Determinacy.INTERVAL
     if u <= WELL_DETERMINED * abs(value):
+        verdict = Determinacy.DETERMINED
         lower, upper = result.interval(name)
-        return _determined(name, Determinacy.DETERMINED, value, u, lower, upper, profiled=False)
-    found = profile_likelihood(points, pendulum, result, name)
-    lower, upper = found.lower, found.upper
-    not_negative = result.law.parameter(name).lower == 0
-    if np.isnan(lower) and np.isnan(upper):
-        verdict = Determinacy.UNDETERMINED
-    elif np.isnan(upper):
-        verdict = Determinacy.LOWER_BOUND
-    elif np.isnan(lower) or (lower <= 0 and not_negative):
-        verdict = Determinacy.UPPER_BOUND
-        lower = 0.0 if not_negative else lower
     else:
-        verdict = Determinacy.INTERVAL
-    return _determined(name, verdict, value, u, lower, upper, profiled=True)
-
-
-def _determined(
-    name: str,
-    verdict: Determinacy,
-    value: float,
-    u: float,
-    lower: float,
-    upper: float,
-    *,
-    profiled: bool,
-) -> Determination:
+        found = profile_likelihood(points, pendulum, result, name)
+        lower, upper = found.lower, found.upper
+        not_negative = result.law.parameter(name).lower == 0
+        if np.isnan(lower) and np.isnan(upper):
+            verdict = Determinacy.UNDETERMINED
+        elif np.isnan(upper):
+            verdict = Determinacy.LOWER_BOUND
+        elif np.isnan(lower) or (lower <= 0 and not_negative):
+            verdict = Determinacy.UPPER_BOUND
+            lower = 0.0 if not_negative else lower
     texts = {
         Determinacy.DETERMINED: f"{name} = {value:.5g} +- {u:.2g}",
         Determinacy.INTERVAL: f"{name} between {lower:.2g} and {upper:.2g} (95 %)",
@@ -292,7 +279,7 @@ def _determined(
         standard_uncertainty=u,
         lower_95=lower,
         upper_95=upper,
-        profile_likelihood=profiled,
+        profile_likelihood=verdict is not Determinacy.DETERMINED,
         text=texts[verdict],
     )
 

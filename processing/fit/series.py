@@ -279,10 +279,7 @@ def compare_series(series: Mapping[str, SeriesResult]) -> tuple[Comparison, ...]
             difference = a.value - b.value
             u_a, u_b = a.standard_uncertainty, b.standard_uncertainty
             u = sqrt(u_a**2 + u_b**2)
-            dof = u**4 / (
-                a.standard_uncertainty**4 / a.degrees_of_freedom
-                + b.standard_uncertainty**4 / b.degrees_of_freedom
-            )
+            dof = u**4 / (u_a**4 / a.degrees_of_freedom + u_b**4 / b.degrees_of_freedom)
             p_value = 2 * float(stdtr(dof, -abs(difference) / u))
             rows.append(Comparison(name, first, second, difference, u, p_value))
     return tuple(rows)

@@ -2,19 +2,17 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
 
 from processing.errors import ConfigurationError
 from rig.archive.chosen import chosen_runs
+from rig.rerun import ShowMode
 from rig.view import show_records
 
 _MOST = 24
 """More colours cannot be told apart, and each record is read whole."""
 
 
-def view_runs(
-    archive: Path, names: Sequence[str], where: str, mode: Literal["spawn", "web"], rrd: Path | None
-) -> None:
+def view_runs(archive: Path, names: Sequence[str], where: str, mode: ShowMode, rrd: Path | None) -> None:
     """Show runs that are named or meet a condition in one viewer, or write its file.
 
     Raises ConfigurationError for none or too many, RecordError for a record that is not here.

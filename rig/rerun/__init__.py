@@ -19,6 +19,7 @@ from rig.rerun.messages import (
     Properties,
     Samples,
     Setup,
+    ShowMode,
     State,
     Swings,
     Trouble,

@@ -12,8 +12,10 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-Mode = Literal["none", "spawn", "web"]
-"""How the live stream is shown: not at all, in a window, in a browser."""
+ShowMode = Literal["spawn", "web"]
+"""In a window, in a browser."""
+Mode = Literal["none", ShowMode]
+"""How the live stream is shown; none: not at all."""
 LayoutName = Literal["balancing", "measuring", "analysing"]
 LogLevel = Literal["debug", "info", "warning", "error"]
 Panel = Literal["decay", "residuals", "period", "period_residuals", "loops", "friction", "elastic"]

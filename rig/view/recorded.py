@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from itertools import islice
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,7 @@ from processing.spot import SpotFlag
 from processing.ticks import nanoseconds, seconds
 from rig.instrument import advice_for, recorded_configuration
 from rig.presentation import balance_numbers, say
-from rig.rerun import Curve, LayoutName
+from rig.rerun import Curve, LayoutName, ShowMode
 from rig.view.analysis_curves import RunAnalysis, analysis_curves, overlaid_curves, report_text, run_analysis
 from rig.view.run_properties import run_properties
 from rig.view.viewer import Viewer
@@ -35,7 +35,7 @@ PICTURE_INTERVAL_S = 10.0
 def show_records(
     paths: Sequence[Path],
     *,
-    mode: Literal["spawn", "web"] = "spawn",
+    mode: ShowMode = "spawn",
     rrd: Path | None = None,
     align_start: bool = True,
     layout: LayoutName = "measuring",

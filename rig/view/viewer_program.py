@@ -4,12 +4,12 @@ import secrets
 import subprocess
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Literal
 
 from processing.errors import ConfigurationError
 from rig.rerun import (
     LOOPBACK,
     Mode,
+    ShowMode,
     display_missing,
     free_port,
     hidden_loopback,
@@ -68,7 +68,7 @@ class ViewerProgram:
             self._process.communicate()
 
 
-def show_rrd(paths: Sequence[Path], mode: Literal["spawn", "web"]) -> None:
+def show_rrd(paths: Sequence[Path], mode: ShowMode) -> None:
     """Show the files until the window is closed or Ctrl-C is pressed.
 
     Raises

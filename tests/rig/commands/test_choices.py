@@ -1,0 +1,39 @@
+"""Choices of commands and keys, which are written where help must come at once, are those of the rooms."""
+
+from typing import Any, get_args
+
+import pytest
+import typer
+
+from acquisition.record.proof import Thinning
+from rig.archive.listing import Format as ListFormat
+from rig.archive.refits import Level
+from rig.cli import app
+from rig.export.session_export import Format as ExportFormat
+from rig.rerun.messages import LayoutName, Mode, ShowMode
+from rig.settings.configuration import ViewSettings
+from tests.rig.commands.wrong_inputs import commands
+
+
+@pytest.mark.parametrize(
+    ("command", "option", "choices"),
+    [
+        (("export",), "--format", get_args(ExportFormat)),
+        (("archive", "list"), "--format", get_args(ListFormat)),
+        (("archive", "refit"), "--level", get_args(Level)),
+        (("archive", "view"), "--mode", get_args(ShowMode)),
+        (("archive", "publish"), "--pixels", ("kept", *Thinning)),
+        (("view",), "--layout", get_args(LayoutName)),
+    ],
+)
+def test_a_command_offers_what_its_room_takes(
+    command: tuple[str, ...], option: str, choices: tuple[Any, ...]
+) -> None:
+    found = dict(commands(typer.main.get_command(app)))[command]
+    (shown,) = [item for item in found.params if option in item.opts]
+    assert {*get_args(shown.type_descriptor.annotation)} == {*choices}
+
+
+@pytest.mark.parametrize(("key", "choices"), [("mode", get_args(Mode)), ("layout", get_args(LayoutName))])
+def test_a_key_of_the_view_takes_what_the_view_knows(key: str, choices: tuple[str, ...]) -> None:
+    assert get_args(ViewSettings.model_fields[key].annotation) == choices
