@@ -13,7 +13,7 @@ from processing.ticks import seconds
 _FEWEST = 3  # a line for the rotation, and one degree of freedom for its scatter
 
 
-class SwingPlane(NamedTuple):
+class PlaneRotation(NamedTuple):
     """Angle of the plane from the slow axis Y towards X, period by period.
 
     `rate_rad_per_s` is the slope of a straight line, with the uncertainty from the scatter about it.
@@ -30,7 +30,7 @@ class SwingPlane(NamedTuple):
 
 def swing_plane(
     times_ns: NDArray[np.int64], x_rad: NDArray[np.float64], y_rad: NDArray[np.float64], period_s: float
-) -> SwingPlane:
+) -> PlaneRotation:
     """Principal direction of (X, Y), period by period.
 
     Parameters
@@ -77,7 +77,7 @@ def swing_plane(
     residual = direction - direction.mean() - rate * centred
     u_rate = math.sqrt(float(residual @ residual) / (len(at) - 2) / spread)
     length_s = float(at[-1] - at[0])
-    return SwingPlane(
+    return PlaneRotation(
         at,
         direction,
         Estimate(rate, u_rate),
@@ -87,7 +87,7 @@ def swing_plane(
 
 
 def along_plane(
-    plane: SwingPlane,
+    plane: PlaneRotation,
     times_ns: NDArray[np.int64],
     x_rad: NDArray[np.float64],
     y_rad: NDArray[np.float64],

@@ -77,7 +77,7 @@ class BeamProfile:
     misfit: float
 
 
-class Fit(NamedTuple):
+class ProfileFit(NamedTuple):
     """A profile's fit to one frame: `p` as in `profile_fit`, but the centre on the sensor."""
 
     p: Floats
@@ -96,7 +96,7 @@ def fit_at(
     start: Floats,
     noise_values: Floats,
     hot: HotPixels | None = None,
-) -> Fit | None:
+) -> ProfileFit | None:
     """Fit of a profile near the place in `start` (parameters, centre on the sensor); None if there is none.
 
     `origin_px` are the sensor coordinates of the first pixel, `hot` the pixels to be left out. The window
@@ -127,7 +127,7 @@ def fit_at(
         away = max(abs(p[CENTRE_X] - column - origin_px[0]), abs(p[CENTRE_Y] - row - origin_px[1]))
         if done and away <= 1.0:
             outliers = max(outliers - (0 if left_out is None else len(left_out[0])), 0.0)
-            return Fit(p, chi2 / max(kept - FITTED, 1.0), kept, saturated, outliers, u_x, u_y)
+            return ProfileFit(p, chi2 / max(kept - FITTED, 1.0), kept, saturated, outliers, u_x, u_y)
         if not away > 1.0:
             return None
     return None
@@ -204,7 +204,7 @@ class _MeanResidual:
         self._total = np.zeros(profile.spline.shape)
         self._count = np.zeros(profile.spline.shape)
 
-    def add(self, sample: Sample, fit: Fit) -> None:
+    def add(self, sample: Sample, fit: ProfileFit) -> None:
         """One sample, interpolated to the grid points between its pixels."""
         start_x = self._profile.centre[0] - (fit.p[CENTRE_X] - sample.origin_px[0])
         start_y = self._profile.centre[1] - (fit.p[CENTRE_Y] - sample.origin_px[1])
@@ -229,7 +229,7 @@ class _MeanResidual:
 
 
 def _residual(
-    profile: BeamProfile, sample: Sample, fit: Fit, noise: PixelNoise, start_x: float, start_y: float
+    profile: BeamProfile, sample: Sample, fit: ProfileFit, noise: PixelNoise, start_x: float, start_y: float
 ) -> NDArray[np.float64]:
     """A sample minus the fit, over the amplitude; NaN for pixels that the fit leaves out, and outside."""
     ny, nx = sample.pixels.shape
@@ -252,7 +252,7 @@ def _residual(
     return np.asarray(residual / fit.p[LIGHT])
 
 
-def _window_middle(profile: BeamProfile, sample: Sample, fit: Fit) -> tuple[float, float]:
+def _window_middle(profile: BeamProfile, sample: Sample, fit: ProfileFit) -> tuple[float, float]:
     """Middle of the window that was fitted, on the sensor."""
     middles = []
     for axis, index in enumerate((CENTRE_X, CENTRE_Y)):

@@ -19,7 +19,7 @@ from processing.spot.fit_values import (
 from processing.spot.hot_pixels import HotPixels
 from processing.spot.memory import FOLLOWS, LAST, POOR_FRAMES, STEP_X, STEP_Y, TILTED, TWO
 from processing.spot.outcome import principal_axes
-from processing.spot.profile import BeamProfile, Fit, dark_variance, fit_at
+from processing.spot.profile import BeamProfile, ProfileFit, dark_variance, fit_at
 from processing.spot.profile_fit import CENTRE_X, CENTRE_Y, FITTED, LEVEL, LIGHT, SLOPE_X, SLOPE_Y
 from processing.spot.sensor_model import PixelNoise
 from processing.spot.spot import Image, Spot, SpotFlag
@@ -71,7 +71,7 @@ class ProfileFollower:
         memory[POOR_FRAMES] = memory[POOR_FRAMES] + 1.0 if spot.flags & SpotFlag.POOR_FIT else 0.0
         return spot
 
-    def _report(self, fit: Fit, place: Place) -> Spot:
+    def _report(self, fit: ProfileFit, place: Place) -> Spot:
         """Fields of the spot; uncertainties and flags by the same rules as those of a Gaussian."""
         x, y = float(fit.p[CENTRE_X]), float(fit.p[CENTRE_Y])
         flags = SpotFlag.LEARNED.value

@@ -70,7 +70,7 @@ class ModeSamples(NamedTuple):
         return self._replace(weights_x=self.weights_x / x_factor, weights_y=self.weights_y / y_factor)
 
 
-class Fit(NamedTuple):
+class ModeFit(NamedTuple):
     """Terms with their covariance, chi-square and residuals."""
 
     p: Floats
@@ -91,7 +91,7 @@ class Fit(NamedTuple):
         return part < 0.5 and (noise_like or part < 0.05)
 
 
-def slow_fit(samples: ModeSamples, slow_period_s: float, alike: bool) -> Fit | None:
+def slow_fit(samples: ModeSamples, slow_period_s: float, alike: bool) -> ModeFit | None:
     """Fit of the slow mode alone; None if it does not explain the samples.
 
     If `slow_period_s` is NaN, the fit starts from the strongest spectral line.
@@ -112,7 +112,7 @@ def slow_fit(samples: ModeSamples, slow_period_s: float, alike: bool) -> Fit | N
     return fit if fit.explains(samples, alike) else None
 
 
-def with_fast_mode(slow: Fit, samples: ModeSamples, alike: bool) -> tuple[Fit, float]:
+def with_fast_mode(slow: ModeFit, samples: ModeSamples, alike: bool) -> tuple[ModeFit, float]:
     """Fit with a fast mode and 0.0 if one is significant; otherwise the slow fit and a limit.
 
     The limit is the amplitude in x of the strongest spectral line in the residuals; NaN if the samples
@@ -133,7 +133,7 @@ def with_fast_mode(slow: Fit, samples: ModeSamples, alike: bool) -> tuple[Fit, f
     return slow, limit
 
 
-def fast_mode_seen(fit: Fit, alike: bool, frequencies: int = 1) -> bool:
+def fast_mode_seen(fit: ModeFit, alike: bool, frequencies: int = 1) -> bool:
     """Whether the fast mode's four amplitudes together differ significantly from zero (Wald test).
 
     `frequencies` is how many were looked at to find it: the strongest of many is strong by chance.
@@ -152,7 +152,7 @@ def fast_mode_seen(fit: Fit, alike: bool, frequencies: int = 1) -> bool:
         return False
 
 
-def fit_terms(p: Floats, active: list[int], samples: ModeSamples, slow_rate: float) -> Fit:
+def fit_terms(p: Floats, active: list[int], samples: ModeSamples, slow_rate: float) -> ModeFit:
     """Gauss-Newton from `p` in the `active` terms."""
     places = np.array(active)
     p = p.copy()
@@ -185,7 +185,7 @@ def fit_terms(p: Floats, active: list[int], samples: ModeSamples, slow_rate: flo
         if step > 1 and abs(change[SLOW_RATE]) <= 0.01 * u_slow and abs(change[FAST_RATE]) <= 0.01 * u_fast:
             break
     _, _, chi2, left_x, left_y = _equations(p, *samples)
-    return Fit(p, covariance, active, chi2, left_x, left_y)
+    return ModeFit(p, covariance, active, chi2, left_x, left_y)
 
 
 @kernel

@@ -26,7 +26,7 @@ from processing.swing.mode_fit import (
     SLOW_RATE,
     TERMS,
     TURNING,
-    Fit,
+    ModeFit,
     ModeSamples,
     X,
     Y,
@@ -234,7 +234,7 @@ def _mode(p: Floats, covariance: Floats, rate_place: int, offset: int) -> Mode:
     )
 
 
-def _result(time_ns: int, fit: Fit, limit: float) -> TwoModes:
+def _result(time_ns: int, fit: ModeFit, limit: float) -> TwoModes:
     p, covariance = fit.p, fit.covariance
     u = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     return TwoModes(

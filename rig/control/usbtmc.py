@@ -58,7 +58,7 @@ def find_usbtmc(port: str, vendor: int, devices: Path = _DEVICES) -> str:
 
 
 class UsbTmcLine:
-    """A `Line` over /dev/usbtmc*: one message out, one message in.
+    """A `SerialLine` over /dev/usbtmc*: one message out, one message in.
 
     The kernel asks the instrument for an answer at each `read`; one is therefore made only after a query.
     """

@@ -21,11 +21,6 @@ def table(rows: Sequence[Sequence[str]], label: str) -> str:
     return f"<table class='rows' aria-label='{html.escape(label)}'>{''.join(lines)}</table>"
 
 
-def escaped(text: str) -> str:
-    """Text for HTML."""
-    return html.escape(text)
-
-
 def curve(points: Points, size: tuple[int, int], label: str, x_name: str, y_name: str) -> str:
     """A curve through points, with the ends of its axes as text; y from 0 on if nothing is negative."""
     width, height = size

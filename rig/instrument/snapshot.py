@@ -56,7 +56,7 @@ class Snapshot:
     temperature_c: float = math.nan
     humidity_percent: float = math.nan
     pressure_pa: float = math.nan
-    devices: DevicesNow | None = None
+    devices: DevicesNow = field(default_factory=DevicesNow)
     instruction: str = ""
     alarm: str = ""
     beam: str = ""

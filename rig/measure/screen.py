@@ -164,7 +164,7 @@ class RunDisplay:
         """The state of the run for programs; the amplitude is in `amplitude_unit`."""
         left_s, u_s = self._left(snapshot)
         own = {
-            "controller": _devices(snapshot),
+            "controller": snapshot.devices.text,
             "done": self._fraction(snapshot),
             "remaining_s": left_s,
             "u_remaining_s": u_s,
@@ -193,7 +193,7 @@ class RunDisplay:
             ("disk", _number(snapshot.disk_free_bytes / 1e9, ".1f", "GB free")),
             ("environment", _air(snapshot)),
         ]
-        if devices := _devices(snapshot):
+        if devices := snapshot.devices.text:
             rows.append(("controller", devices))
         return rows
 
@@ -293,10 +293,6 @@ def _number(value: float, shape: str, unit: str) -> str:
 
 def _age(snapshot: Snapshot) -> str:
     return "age -" if math.isnan(snapshot.frame_age_s) else f"age {snapshot.frame_age_s * 1e3:.0f} ms"
-
-
-def _devices(snapshot: Snapshot) -> str:
-    return "" if snapshot.devices is None else snapshot.devices.text
 
 
 def _air(snapshot: Snapshot) -> str:

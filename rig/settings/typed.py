@@ -3,7 +3,6 @@
 import re
 from collections.abc import Callable
 from decimal import Decimal
-from typing import NamedTuple
 
 from processing.errors import ConfigurationError
 from processing.units import conversion, units_like
@@ -15,17 +14,10 @@ _USUAL = ("g", "mg", "mm", "um", "nm", "GPa", "MPa", "mW", "uW", "mA", "mrad", "
 """What a person types, for hints."""
 
 
-class Quantity(NamedTuple):
-    """A number and its standard uncertainty; `u` is None if none was stated."""
+def quantity(text: str, unit: str = "") -> tuple[float, float | None]:
+    """The number in `text`, and its standard uncertainty if it states one: ``6.05 mm ± 1 um``.
 
-    value: float
-    u: float | None
-
-
-def quantity(text: str, unit: str = "") -> Quantity:
-    """The number in `text`, which may state a unit and an uncertainty: ``6.05 mm ± 1 um``.
-
-    Without a unit it is in `unit`. Raises ConfigurationError for anything else.
+    Without a unit they are in `unit`. Raises ConfigurationError for anything else.
     """
     plain = _plain(text)
     found = _QUANTITY.fullmatch(plain)
@@ -38,10 +30,8 @@ def quantity(text: str, unit: str = "") -> Quantity:
         )
     value, of_value, u, of_u = found.groups()
     size = _size(of_value or of_u, unit, text)
-    return Quantity(
-        float(Decimal(value) * size),
-        None if u is None else float(Decimal(u) * _size(of_u or of_value, unit, text)),
-    )
+    u_size = None if u is None else _size(of_u or of_value, unit, text)
+    return float(Decimal(value) * size), None if u_size is None else float(Decimal(u) * u_size)
 
 
 def _plain(text: str) -> str:

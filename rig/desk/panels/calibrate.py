@@ -1,5 +1,6 @@
 """Calibrate: what to do, one question after the other; what is recorded, what came out, where it is filed."""
 
+import html
 from functools import partial
 
 from nicegui import run, ui
@@ -167,9 +168,9 @@ def _result(calibrating: Calibrating, kind: str) -> str:
         )
     ]
     for left in made.residuals:
-        parts.append(f"<div class='title'>{drawings.escaped(left.title)}</div>")
+        parts.append(f"<div class='title'>{html.escape(left.title)}</div>")
         parts.append(drawings.residuals(left, (480, 150)))
     for table in made.tables:
-        parts.append(f"<div class='title'>{drawings.escaped(table.title)}</div>")
+        parts.append(f"<div class='title'>{html.escape(table.title)}</div>")
         parts.append(drawings.table([list(table.head), *(list(row) for row in table.shown)], table.title))
     return "".join(parts)
