@@ -10,6 +10,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from acquisition.record.events import EventKind
 from processing.angle import ARCSEC_RAD
 from processing.swing import Swing
 from rig.rerun.messages import Curve
@@ -24,8 +25,9 @@ def play(viewer: Viewer, *, run: str = "", seed: int = 1, seconds: float = SECON
     """Hand a whole scene to a viewer; how many samples it has."""
     random = np.random.default_rng(seed)
     count = 0
-    for at_s, event in ((0.0, "start: first frame"), (20.0, "spot lost: dark"), (24.0, "spot found: lit")):
-        viewer.log(at_s, "info", event, run=run)
+    events = ((0.0, EventKind.START), (20.0, EventKind.SPOT_LOST), (24.0, EventKind.SPOT_FOUND))
+    for at_s, kind in events:
+        viewer.log(at_s, "info", f"{kind}: of the scene", kind=kind, run=run)
     for time_s in blocks(seconds):
         x, y = trajectory(time_s, random)
         viewer.samples(time_s, x, y, np.zeros(len(time_s), dtype=np.int64), run=run)
