@@ -1,39 +1,36 @@
 """A GenICam camera's features by name, whichever library reads them."""
 
-from typing import Protocol
+from abc import ABC, abstractmethod
 
 from acquisition.camera import FeatureValue
 from processing.errors import DeviceError
 
 
-class NamedFeatures(Protocol):
-    """What code that serves several drivers needs of a camera's features.
+class NamedFeatures(ABC):
+    """What code that serves several drivers needs of a camera's features; `name` is the camera's in messages.
 
     Methods raise DeviceError or the error of the driver's library.
     """
 
-    @property
-    def name(self) -> str:
-        """Name of the camera in messages."""
-        ...
+    name: str
 
+    @abstractmethod
     def writable(self, feature: str) -> bool:
         """Whether the camera has the feature and it can be set now."""
-        ...
 
+    @abstractmethod
     def choices(self, feature: str) -> tuple[str, ...]:
         """Values that an enumeration takes now; none for other features."""
-        ...
 
+    @abstractmethod
     def read(self, feature: str) -> FeatureValue | None:
         """Value of a feature, possibly as text; None if the camera has none of this name or it is not
         readable now.
         """
-        ...
 
+    @abstractmethod
     def write(self, feature: str, value: FeatureValue) -> None:
         """Set a feature; of a command, any value runs it."""
-        ...
 
 
 def is_on(value: FeatureValue | None) -> bool:

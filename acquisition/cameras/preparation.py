@@ -1,42 +1,214 @@
-"""What the drivers of GenICam cameras do alike before their settings are applied and after they were read."""
+"""What the drivers of GenICam cameras do alike, whichever library reads their features."""
 
-from typing import Final
+from abc import abstractmethod
+from collections.abc import Iterable
+from typing import Final, Literal
 
-from acquisition.camera import CameraSettings
+from acquisition.camera import CameraSettings, ColourPlane, FeatureValue, PixelFormat
 from acquisition.cameras import wiring
-from acquisition.cameras.colour_plane import in_plane_px
+from acquisition.cameras.colour_plane import (
+    format_of,
+    in_plane_px,
+    in_sensor_px,
+    names_by_depth,
+    preferred_names,
+)
 from acquisition.cameras.named_features import NamedFeatures, is_on
+from acquisition.cameras.pixel_formats import Format
 from processing.errors import DeviceError
 
+Quantity = Literal["exposure_us", "gain_db", "frame_rate_hz"]
 
-def prepare(features: NamedFeatures, settings: CameraSettings, before: CameraSettings) -> CameraSettings:
-    """Leave images alone, bin and wire the camera, which everything else depends on.
 
-    Returns the settings with what stays of those `before` where they leave it out.
+class GenicamFeatures(NamedFeatures):
+    """Features of an open camera that the rig uses; each driver says how its library reads and sets them.
+
+    Methods raise DeviceError for values that the camera does not support; errors of the driver's library are
+    passed on.
     """
-    leave_images_alone(features)
-    settings = wiring.with_kept(settings, before)
-    set_binning(features, settings.binning or 1)
-    wiring.wire(features, settings)
-    return settings
 
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self._asked = CameraSettings()
 
-def waits(settings: CameraSettings) -> bool:
-    """Whether the camera shall wait for a trigger, by the rig's setting of it or by its own features."""
-    return settings.trigger is not None or any("Trigger" in name for name in settings.features)
+    @property
+    def plane(self) -> ColourPlane | None:
+        """The colour that is read, of a sensor with a Bayer mosaic."""
+        return self._asked.colour_plane
 
+    @property
+    def rate_switch(self) -> str:
+        """Switch without which a frame rate has no effect."""
+        return "AcquisitionFrameRateEnable"
 
-def as_prepared(
-    features: NamedFeatures, applied: CameraSettings, settings: CameraSettings, possible_hz: float | None
-) -> CameraSettings:
-    """Settings as read back, with what the camera says of its wiring, in pixels of the colour plane.
+    @property
+    def waits(self) -> bool:
+        """Whether the camera shall wait for a trigger, by the rig's setting of it or by its own features."""
+        return self._asked.trigger is not None or any("Trigger" in name for name in self._asked.features)
 
-    `settings` are those that `prepare` returned, `possible_hz` the rate that exposure and bus leave.
-    """
-    update: dict[str, object] = dict(wiring.wired(features, settings))
-    if settings.trigger is not None:
-        update["frame_rate_hz"] = wiring.triggered_rate(settings, possible_hz)
-    return in_plane_px(applied.model_copy(update=update), settings.colour_plane)
+    def apply(self, settings: CameraSettings) -> CameraSettings:
+        """Apply the settings that are not None, in the order that cameras require; return all as read back.
+
+        Wiring, binning and colour that they leave out stay as they were asked for before.
+        """
+        leave_images_alone(self)
+        asked = wiring.with_kept(settings, self._asked)
+        set_binning(self, asked.binning or 1)
+        wiring.wire(self, asked)
+        self._asked, settings = asked, in_sensor_px(asked)
+        self.set_format(settings.pixel_format)
+        self.set_region(settings)
+        self._set_times(settings)
+        if settings.gain_db is not None:
+            self.set_number("gain_db", settings.gain_db)
+        for name, value in settings.features.items():
+            self.set_feature(name, value)
+        return self._read_back(settings)
+
+    # ---- what a driver says
+
+    @abstractmethod
+    def number(self, key: Quantity) -> float | None:
+        """A quantity's present value; None where the camera has none, or none in use."""
+
+    @abstractmethod
+    def set_number(self, key: Quantity, wanted: float) -> None:
+        """Set a quantity; DeviceError if the camera has none, or not this value."""
+
+    @abstractmethod
+    def region(self) -> tuple[int | None, int | None, int, int]:
+        """(x, y, width, height) of the frames, in pixels of the sensor."""
+
+    @abstractmethod
+    def set_region(self, asked: CameraSettings) -> None:
+        """Set what is asked of the region, and leave the rest of it."""
+
+    @abstractmethod
+    def format_name(self) -> str:
+        """The camera's name of its present pixel format."""
+
+    @abstractmethod
+    def offered_formats(self) -> Iterable[str]:
+        """The names of the pixel formats that it offers now, and that the driver can read."""
+
+    @abstractmethod
+    def set_format_name(self, name: str) -> None:
+        """Set one of them."""
+
+    def set_feature(self, name: str, value: FeatureValue) -> None:
+        """Set a feature that the user names."""
+        self.write(name, value)
+
+    def shown(self, name: str) -> FeatureValue:
+        """What a feature that the user names is now; empty if it cannot be read."""
+        value = self.read(name)
+        return "" if value is None else value
+
+    def possible_rate(self) -> float | None:
+        """Frames per second that exposure, size and bus leave, if the camera says it."""
+        rates_hz = (float(self.read(name) or 0) for name in RESULTING_RATES)
+        return next(filter(None, rates_hz), None)
+
+    def free_rate(self, possible_hz: float | None) -> float | None:
+        """Frames per second without a trigger."""
+        return min(filter(None, (self.number("frame_rate_hz"), possible_hz)), default=None)
+
+    # ---- pixel formats
+
+    def present_format(self) -> Format | None:
+        """The present pixel format; None if the rig does not support it."""
+        return format_of(self.format_name(), self.plane)
+
+    def pixel_format(self) -> Format:
+        """The present pixel format; DeviceError if the rig does not support it."""
+        found = self.present_format()
+        if found is not None:
+            return found
+        mosaic = not self.plane and format_of(self.format_name(), "red") is not None
+        raise DeviceError(
+            f"{self.name}: pixel format {self.format_name()} is not supported; "
+            f"set one of: {self.usable_depths()}"
+            + (", or camera.colour_plane to the laser's colour" if mosaic else "")
+        )
+
+    def usable_depths(self) -> str:
+        """The depths that the camera offers, for a message."""
+        there = names_by_depth(set(self.offered_formats()), self.plane)
+        return ", ".join(there) or "none that this camera has"
+
+    def choose_usable_format(self) -> Format:
+        """Keep the present pixel format if the rig supports it, of a mosaic, too; otherwise set the first
+        supported one.
+        """
+        mosaic = format_of(self.format_name(), "red")
+        if mosaic is None:
+            self.set_format(None)
+        return mosaic or self.pixel_format()
+
+    def set_format(self, wanted: PixelFormat | None) -> None:
+        """Set a format of this depth; without one the first that is supported, unless the present one is."""
+        if wanted is None and self.present_format() is not None:
+            return
+        there = preferred_names(self.name, self.offered_formats(), self.plane)
+        wanted = wanted or next(iter(there))
+        if wanted not in there:
+            raise DeviceError(
+                f"{self.name}: pixel format {wanted} is not supported; there are {', '.join(there)}"
+            )
+        self.set_format_name(there[wanted])
+
+    # ---- inside
+
+    def _set_times(self, settings: CameraSettings) -> None:
+        """Set exposure and frame rate in the order in which they fit: each limits the other.
+
+        A trigger alone decides when frames are taken.
+        """
+        exposure_us, rate_hz = settings.exposure_us, settings.frame_rate_hz
+        if settings.trigger is not None:
+            rate_hz = None
+            if self.writable(self.rate_switch):
+                self.write(self.rate_switch, False)
+        now_us = None if exposure_us is None else self.number("exposure_us")
+        wanted: list[tuple[Quantity, float | None]] = [
+            ("exposure_us", exposure_us),
+            ("frame_rate_hz", rate_hz),
+        ]
+        if exposure_us is not None and now_us is not None and exposure_us > now_us:
+            wanted.reverse()
+        for key, value in wanted:
+            if value is not None:
+                self.set_number(key, value)
+
+    def _read_back(self, settings: CameraSettings) -> CameraSettings:
+        """The camera's present settings, in pixels of the colour plane; None for what it does not have."""
+        possible_hz = self.possible_rate()
+        # a triggered camera is expected to be triggered at the rate that was asked for
+        triggered_hz = min(filter(None, (settings.frame_rate_hz, possible_hz)), default=None)
+        x, y, width_px, height_px = self.region()
+        applied = CameraSettings(
+            exposure_us=self.number("exposure_us") or None,
+            gain_db=self.number("gain_db"),
+            frame_rate_hz=self.free_rate(possible_hz) if settings.trigger is None else triggered_hz,
+            pixel_format=self.pixel_format().pixel_format,
+            binning=binning_of(self),
+            width_px=width_px,
+            height_px=height_px,
+            offset_x_px=x,
+            offset_y_px=y,
+            features={name: self.shown(name) for name in settings.features},
+        )
+        return in_plane_px(applied.model_copy(update=wiring.wired(self, settings)), settings.colour_plane)
+
+    def _check(self, key: str, wanted: float, low: float, high: float) -> None:
+        if not low <= wanted <= high:
+            raise DeviceError(
+                f"{self.name}: {key} = {wanted:g} is out of range; {low:g} to {high:g} are possible"
+            )
+
+    def _check_end(self, key: str, end: int, size: int) -> None:
+        if end > size:
+            raise DeviceError(f"{self.name}: {key} with its offset reaches {end}; the sensor has {size}")
 
 
 # What a camera does by itself to its images, which another program may have left on.

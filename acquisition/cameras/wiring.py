@@ -54,11 +54,6 @@ def wired(features: NamedFeatures, settings: CameraSettings) -> dict[str, str | 
     return found
 
 
-def triggered_rate(settings: CameraSettings, possible_hz: float | None) -> float | None:
-    """The rate at which a triggered camera is expected to be triggered, or which is possible if lower."""
-    return min(filter(None, (settings.frame_rate_hz, possible_hz)), default=None)
-
-
 def run_freely(features: NamedFeatures) -> None:
     """Switch all triggers off."""
     selectors = features.choices("TriggerSelector") if features.writable("TriggerSelector") else ()

@@ -125,7 +125,7 @@ class PylonCamera:
             self._last_block = NO_BLOCK
             self._halted.clear()
             self._started = True
-            self._seen = (self._opened_features().pixel_format(), self._opened_features().plane)
+            self._seen = (self._opened_features().present_format(), self._opened_features().plane)
             self._tick_ns = 0.0 if self._emulated else self._opened_features().tick_ns()
             camera.StartGrabbing(self._pylon.GrabStrategy_OneByOne)
 

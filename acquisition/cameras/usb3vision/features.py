@@ -4,15 +4,13 @@ import logging
 from collections.abc import Iterator
 from typing import Any, Final
 
-from acquisition.camera import CameraSettings, ColourPlane, FeatureValue, PixelFormat
-from acquisition.cameras import preparation, wiring
-from acquisition.cameras.colour_plane import format_of, in_sensor_px, names_by_depth
-from acquisition.cameras.pixel_formats import Format
-from acquisition.cameras.preparation import RESULTING_RATES, binning_of
+from acquisition.camera import CameraSettings, FeatureValue, PixelFormat
+from acquisition.cameras import wiring
+from acquisition.cameras.colour_plane import names_by_depth
+from acquisition.cameras.preparation import GenicamFeatures, Quantity
 from acquisition.cameras.usb3vision.feature_readings import FeatureReading, read_all
 from acquisition.cameras.usb3vision.genapi.choice_nodes import Enumeration
 from acquisition.cameras.usb3vision.genapi.node_map import NodeMap
-from acquisition.cameras.usb3vision.region import set_region
 from processing.errors import DeviceError
 
 logger = logging.getLogger(__name__)
@@ -29,19 +27,19 @@ ALIASES: Final[dict[str, tuple[str, ...]]] = {
     ),
     "DeviceClockFrequency": ("DeviceClockFrequency", "GevTimestampTickFrequency"),
 }
+_NAMES: Final[dict[Quantity, str]] = {
+    "exposure_us": "ExposureTime",
+    "gain_db": "Gain",
+    "frame_rate_hz": "AcquisitionFrameRate",
+}
 
 
-class Features:
+class Features(GenicamFeatures):
     """The features of one camera. Names are those of the SFNC; older names are tried as well."""
 
     def __init__(self, nodes: NodeMap) -> None:
+        super().__init__(nodes.name)
         self.nodes = nodes
-        self._asked = CameraSettings()
-
-    @property
-    def plane(self) -> ColourPlane | None:
-        """The colour that is read, of a sensor with a Bayer mosaic."""
-        return self._asked.colour_plane
 
     def find(self, name: str) -> str | None:
         """The name of the feature in this camera, also if it is not accessible now; None if it has none."""
@@ -55,7 +53,7 @@ class Features:
         """Value of a feature; DeviceError if the camera has no such feature or it cannot be read."""
         found = self.find(name)
         if found is None:
-            raise DeviceError(f"{self.nodes.name}: has no feature {name}")
+            raise DeviceError(f"{self.name}: has no feature {name}")
         return self.nodes.get(found)
 
     def get_if_readable(self, name: str) -> Any | None:
@@ -76,7 +74,7 @@ class Features:
         """
         found = self.find(name)
         if found is None:
-            raise DeviceError(f"{self.nodes.name}: has no feature {name}; leave that setting out")
+            raise DeviceError(f"{self.name}: has no feature {name}; leave that setting out")
         self.nodes.set(found, value)
         self.nodes.forget()  # the camera may have changed the value that was written
         return self.nodes.get(found) if self.nodes.node(found).access().readable else value
@@ -89,183 +87,133 @@ class Features:
         """Run a command."""
         self.nodes.set(name, True)
 
-    # ---- as named_features.NamedFeatures
-
-    @property
-    def name(self) -> str:
-        """Name of the camera in messages."""
-        return self.nodes.name
+    # ---- as GenicamFeatures
 
     def writable(self, feature: str) -> bool:
-        """Whether the camera has the feature and it can be set now."""
         return feature in self.nodes and self.nodes.node(feature).access().writable
 
     def choices(self, feature: str) -> tuple[str, ...]:
-        """Values that an enumeration takes now; none for other features."""
         node = self.nodes.node(feature) if feature in self.nodes else None
         return node.choices() if isinstance(node, Enumeration) else ()
 
     def read(self, feature: str) -> FeatureValue | None:
-        """Value of a feature; None if it cannot be read now."""
         value = self.get_if_readable(feature)
-        return None if value is None else _plain(value)
+        return value if value is None or isinstance(value, bool | int | float | str) else str(value)
 
     def write(self, feature: str, value: FeatureValue) -> None:
-        """Set a feature, or run a command."""
         self.nodes.set(feature, value)
 
-    # ---- for the rig
+    def set_feature(self, name: str, value: FeatureValue) -> None:
+        self.set(name, value)
 
     def apply(self, settings: CameraSettings) -> CameraSettings:
-        """Apply the settings that are not None, in the order that cameras require; return all as read
-        back.
-        """
         self.nodes.forget()
-        self._asked = preparation.prepare(self, settings, self._asked)
-        settings = in_sensor_px(self._asked)
-        if settings.pixel_format is not None or (self.plane and self._format() is None):
-            self._set_pixel_format(settings.pixel_format)
-        set_region(self, settings)
-        if settings.trigger is None:
-            self._set_times(settings.exposure_us, settings.frame_rate_hz)
-        else:
-            self._set_exposure(settings.exposure_us)
-            self._limit_no_rate()
-        if settings.gain_db is not None:
-            self._set_number("Gain", settings.gain_db)
-        for name, value in settings.features.items():
-            self.set(name, value)
-        applied = self.read_back(tuple(settings.features))
-        return preparation.as_prepared(self, applied, settings, self._possible_rate())
+        return super().apply(settings)
 
-    def _set_times(self, exposure_us: float | None, frame_rate_hz: float | None) -> None:
-        """Set exposure and frame rate in the order in which they fit: each limits the other."""
-        if exposure_us is None or frame_rate_hz is None:
-            self._set_exposure(exposure_us)
-            self._set_rate(frame_rate_hz)
-            return
-        now_us = self.get_if_readable("ExposureTime")
-        if now_us is None or exposure_us <= now_us:
-            self._set_exposure(exposure_us)
-            self._set_rate(frame_rate_hz)
-        else:
-            self._set_rate(frame_rate_hz)
-            self._set_exposure(exposure_us)
-
-    def _set_exposure(self, exposure_us: float | None) -> None:
-        if exposure_us is not None:
-            self._set_number("ExposureTime", exposure_us)
-
-    def _set_rate(self, frame_rate_hz: float | None) -> None:
-        if frame_rate_hz is None:
-            return
-        if "Off" in self.choices("AcquisitionFrameRateAuto") and self.writable("AcquisitionFrameRateAuto"):
-            self.write("AcquisitionFrameRateAuto", "Off")
-        enable = self.find("AcquisitionFrameRateEnable")
-        if enable is not None and self.nodes.node(enable).access().writable:
-            self.nodes.set(enable, True)
-        self._set_number("AcquisitionFrameRate", frame_rate_hz)
-
-    def _limit_no_rate(self) -> None:
-        """Let a trigger alone decide when frames are taken."""
-        enable = self.find("AcquisitionFrameRateEnable")
-        if enable is not None and self.writable(enable):
-            self.write(enable, False)
-
-    def read_back(self, features: tuple[str, ...] = ()) -> CameraSettings:
-        """The camera's present settings; None for a feature that it does not have or that is not in use.
-
-        The frame rate is the one that results, where exposure or bus do not allow the one that is set.
-        `features` are read too.
-        """
-        self.nodes.forget()
-        pixel_format = self.pixel_format().pixel_format
-        return CameraSettings(
-            exposure_us=self._positive("ExposureTime"),
-            gain_db=self._gain(),
-            frame_rate_hz=self._frame_rate(),
-            pixel_format=pixel_format,
-            binning=binning_of(self),
-            width_px=self.get("Width"),
-            height_px=self.get("Height"),
-            offset_x_px=self.get_if_readable("OffsetX"),
-            offset_y_px=self.get_if_readable("OffsetY"),
-            features={name: _plain(self.get_if_readable(name)) for name in features},
-        )
-
-    def _frame_rate(self) -> float | None:
-        enabled = self.get_if_readable("AcquisitionFrameRateEnable")
-        rate_hz = None if enabled is False else self.get_if_readable("AcquisitionFrameRate")
-        if not rate_hz:
+    def number(self, key: Quantity) -> float | None:
+        if key == "frame_rate_hz" and self.get_if_readable(self.rate_switch) is False:
             return None
-        possible_hz = self._possible_rate()
-        return float(rate_hz if possible_hz is None else min(rate_hz, possible_hz))
-
-    def _possible_rate(self) -> float | None:
-        """Frames per second that exposure, size and bus leave, if the camera says it."""
-        for name in RESULTING_RATES:
-            possible_hz = self.get_if_readable(name)
-            if possible_hz:
-                return float(possible_hz)
-        found = self.find("AcquisitionFrameRate")
-        most_hz = None if found is None else self.nodes.node(found).maximum()
-        return float(most_hz) if most_hz else None
-
-    def _positive(self, name: str) -> float | None:
-        value = self.get_if_readable(name)
-        return float(value) if value is not None and value > 0 else None
-
-    def _gain(self) -> float | None:
-        value = self.get_if_readable("Gain")
+        value = self.get_if_readable(_NAMES[key])
         return None if value is None else float(value)
 
-    def _set_number(self, name: str, wanted: float) -> None:
-        found = self.find(name)
+    def set_number(self, key: Quantity, wanted: float) -> None:
+        if key == "frame_rate_hz":
+            if "Off" in self.choices("AcquisitionFrameRateAuto") and self.writable(
+                "AcquisitionFrameRateAuto"
+            ):
+                self.write("AcquisitionFrameRateAuto", "Off")
+            if self.writable(self.rate_switch):
+                self.write(self.rate_switch, True)
+        found = self.find(_NAMES[key])
         is_whole = found is not None and self.nodes.node(found).description.kind == "Integer"
-        got = self.set(name, round(wanted) if is_whole else wanted)
+        got = self.set(_NAMES[key], round(wanted) if is_whole else wanted)
         if abs(got - wanted) > 1e-6 * abs(wanted):
-            logger.info("%s: %s was set to %g, the camera reports %g", self.nodes.name, found, wanted, got)
+            logger.info("%s: %s was set to %g, the camera reports %g", self.name, found, wanted, got)
+
+    @property
+    def rate_switch(self) -> str:
+        return self.find(super().rate_switch) or super().rate_switch
+
+    def _read_back(self, settings: CameraSettings) -> CameraSettings:
+        self.nodes.forget()
+        return super()._read_back(settings)
+
+    def free_rate(self, possible_hz: float | None) -> float | None:
+        return super().free_rate(possible_hz) if self.number("frame_rate_hz") else None
+
+    def possible_rate(self) -> float | None:
+        found = self.find("AcquisitionFrameRate")
+        most_hz = None if found is None else self.nodes.node(found).maximum()
+        return super().possible_rate() or (float(most_hz) if most_hz else None)
+
+    def region(self) -> tuple[int | None, int | None, int, int]:
+        x, y = self.get_if_readable("OffsetX"), self.get_if_readable("OffsetY")
+        return x, y, self.get("Width"), self.get("Height")
+
+    def sensor_size(self, size: str) -> int:
+        """Number of columns (`size` "Width") or rows ("Height") of the sensor that can be read out."""
+        for name in (f"{size}Max", f"Sensor{size}"):
+            value = self.get_if_readable(name)
+            if value:
+                offset = self.get_if_readable("OffsetX" if size == "Width" else "OffsetY") or 0
+                return max(int(value), int(self.get(size)) + int(offset))
+        largest = self.nodes.node(size).maximum()
+        return int(largest if largest is not None else self.get(size))
+
+    def set_region(self, asked: CameraSettings) -> None:
+        """Set size and offset, in the order in which the limits allow it: they limit each other."""
+        for size, offset, wanted_size, wanted_offset in (
+            ("Width", "OffsetX", asked.width_px, asked.offset_x_px),
+            ("Height", "OffsetY", asked.height_px, asked.offset_y_px),
+        ):
+            length, sensor = wanted_size or self.get(size), self.sensor_size(size)
+            if wanted_offset and length + wanted_offset > sensor:
+                raise DeviceError(
+                    f"{self.name}: {size} {length} at {offset} {wanted_offset} reaches "
+                    f"{length + wanted_offset}; the sensor has {sensor}. Ask for less"
+                )
+            has_offset = self.writable(offset)
+            before = self.get(offset) if has_offset else 0
+            if wanted_size is not None and self.get(size) != wanted_size:
+                if before:
+                    self.set(offset, 0)  # the old offset may not allow a size that fits at the new one
+                try:
+                    self.set(size, wanted_size)
+                except DeviceError:
+                    if before:
+                        self.set(offset, before)
+                    raise
+                if wanted_offset is None and before:
+                    self.set(offset, min(before, int(self.nodes.node(offset).maximum() or 0)))
+            if wanted_offset is not None and (has_offset or wanted_offset):
+                self.set(offset, wanted_offset)
+
+    def format_name(self) -> str:
+        return str(self.get("PixelFormat"))
+
+    def offered_formats(self) -> tuple[str, ...]:
+        return self.choices("PixelFormat")
+
+    def set_format_name(self, name: str) -> None:
+        self.set("PixelFormat", name)
+
+    def set_format(self, wanted: PixelFormat | None) -> None:
+        """Set a format of this depth, or any of a mosaic; one that is set already (packed, say) stays."""
+        if wanted is None and (not self.plane or self.present_format() is not None):
+            return
+        names = names_by_depth(set(self.offered_formats()), self.plane)
+        fitting = names.get(wanted, []) if wanted else [name for each in names.values() for name in each]
+        if not fitting:
+            what = f"pixel format {wanted or 'of a Bayer mosaic'}"
+            raise DeviceError(f"{self.name}: does not offer {what}; it offers: {self.usable_depths()}")
+        if self.format_name() not in fitting:
+            self.set_format_name(fitting[0])
+
+    # ---- for the driver
 
     def run_on(self) -> None:
         """Select continuous acquisition, without a trigger unless one was asked for."""
         if "Continuous" in self.choices("AcquisitionMode") and self.writable("AcquisitionMode"):
             self.write("AcquisitionMode", "Continuous")
-        if not preparation.waits(self._asked):
+        if not self.waits:
             wiring.run_freely(self)
-
-    def pixel_format(self) -> Format:
-        """The present pixel format; DeviceError if the rig does not support it."""
-        found = self._format()
-        if found is not None:
-            return found
-        name = str(self.get("PixelFormat"))
-        mosaic = format_of(name, "red") is not None
-        raise DeviceError(
-            f"{self.nodes.name}: pixel format {name} is not supported; set one of: {self._usable_depths()}"
-            + (", or camera.colour_plane to the laser's colour" if mosaic and not self.plane else "")
-        )
-
-    def _format(self) -> Format | None:
-        return format_of(str(self.get("PixelFormat")), self.plane)
-
-    def _names(self) -> dict[PixelFormat, list[str]]:
-        return names_by_depth(set(self.choices("PixelFormat")), self.plane)
-
-    def _usable_depths(self) -> str:
-        return ", ".join(self._names()) or "none that this camera has"
-
-    def _set_pixel_format(self, wanted: PixelFormat | None) -> None:
-        """Set a format of this depth, or any."""
-        names = self._names()
-        fitting = names.get(wanted, []) if wanted else [name for each in names.values() for name in each]
-        if not fitting:
-            what = f"pixel format {wanted or 'of a Bayer mosaic'}"
-            raise DeviceError(f"{self.nodes.name}: does not offer {what}; it offers: {self._usable_depths()}")
-        # a format of the same depth that is already set (packed, for example) is kept
-        if self.get("PixelFormat") not in fitting:
-            self.set("PixelFormat", fitting[0])
-
-
-def _plain(value: Any) -> FeatureValue:
-    """A feature's value as a configuration states it; empty if it cannot be read."""
-    return value if isinstance(value, bool | int | float | str) else "" if value is None else str(value)

@@ -12,7 +12,6 @@ from acquisition.cameras.usb3vision.genapi.node_map import NodeMap
 from acquisition.cameras.usb3vision.gencp import GenCpChannel
 from acquisition.cameras.usb3vision.link import UsbLink
 from acquisition.cameras.usb3vision.manifest import read_description
-from acquisition.cameras.usb3vision.region import sensor_size
 from acquisition.cameras.usb3vision.registers import (
     Identity,
     StreamRegisters,
@@ -82,8 +81,8 @@ class UsbConnection:
             vendor=identity.vendor,
             model=identity.model,
             serial=identity.serial,
-            width_px=sensor_size(features, "Width"),
-            height_px=sensor_size(features, "Height"),
+            width_px=features.sensor_size("Width"),
+            height_px=features.sensor_size("Height"),
             full_scale_dn=255 if pixel_format is None else pixel_format.full_scale_dn,
             has_clock=identity.timestamp_increment_ns > 0,
             shutter=str(features.get_if_readable("SensorShutterMode") or ""),
