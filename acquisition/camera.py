@@ -10,6 +10,10 @@ from acquisition.frame import Frame
 from processing.errors import DeviceError
 
 PixelFormat = Literal["mono8", "mono10", "mono12", "mono14", "mono16"]
+FORMAT_OF_BITS: Final[dict[int, PixelFormat]] = {
+    8: "mono8", 10: "mono10", 12: "mono12", 14: "mono14", 16: "mono16",
+}  # fmt: skip
+BITS_OF_FORMAT: Final = {name: bits for bits, name in FORMAT_OF_BITS.items()}
 FeatureValue = bool | int | float | str
 """Value of one of the camera's own features."""
 Stamped = Literal["start", "middle", "end"]

@@ -3,7 +3,14 @@
 import time
 from collections.abc import Callable
 
-from acquisition.camera import CameraInfo, CameraSettings, CameraStatus, PixelFormat, without_features
+from acquisition.camera import (
+    BITS_OF_FORMAT,
+    FORMAT_OF_BITS,
+    CameraInfo,
+    CameraSettings,
+    CameraStatus,
+    without_features,
+)
 from acquisition.frame import Frame
 from acquisition.simulation.faults import FaultSettings
 from acquisition.simulation.inputs import RigInputs
@@ -11,15 +18,6 @@ from acquisition.simulation.run_reader import CAMERA_NAME, RunReader
 from acquisition.simulation.scene import Readings, Scene, block_frames
 from acquisition.simulation.settings import SimulationSettings
 from processing.errors import DeviceError
-
-_BITS: dict[PixelFormat, int] = {
-    "mono8": 8,
-    "mono10": 10,
-    "mono12": 12,
-    "mono14": 14,
-    "mono16": 16,
-}
-_FORMATS: dict[int, PixelFormat] = {bits: name for name, bits in _BITS.items()}
 
 
 class SimulatedCamera:
@@ -82,7 +80,8 @@ class SimulatedCamera:
         without_features(settings.model_copy(update={"binning": None}), CAMERA_NAME)
         asked = settings.model_dump(exclude_none=True)
         binning = settings.binning or self._applied.binning or 1
-        width_px, height_px = (size // binning for size in self._sensor_px)
+        sensor = self._settings.sensor
+        width_px, height_px = sensor.width_px // binning, sensor.height_px // binning
         if binning != self._applied.binning:
             whole = {"width_px": width_px, "height_px": height_px, "offset_x_px": 0, "offset_y_px": 0}
             self._applied = self._applied.model_copy(update={"binning": binning, **whole})
@@ -158,16 +157,12 @@ class SimulatedCamera:
             y0_px=new.offset_y_px or 0,
             width_px=new.width_px or sensor.width_px,
             height_px=new.height_px or sensor.height_px,
-            bit_depth=_BITS[new.pixel_format or _FORMATS[sensor.bit_depth]],
+            bit_depth=BITS_OF_FORMAT[new.pixel_format] if new.pixel_format else sensor.bit_depth,
             exposure_us=new.exposure_us or sensor.exposure_us,
             gain_db=new.gain_db or 0.0,
             frame_rate_hz=new.frame_rate_hz or self._settings.clock.frame_rate_hz,
             binning=new.binning or 1,
         )
-
-    @property
-    def _sensor_px(self) -> tuple[int, int]:
-        return self._settings.sensor.width_px, self._settings.sensor.height_px
 
     def _defaults(self) -> CameraSettings:
         sensor = self._settings.sensor
@@ -175,7 +170,7 @@ class SimulatedCamera:
             exposure_us=sensor.exposure_us,
             gain_db=0.0,
             frame_rate_hz=self._settings.clock.frame_rate_hz,
-            pixel_format=_FORMATS[sensor.bit_depth],
+            pixel_format=FORMAT_OF_BITS[sensor.bit_depth],
             binning=1,
             width_px=sensor.width_px,
             height_px=sensor.height_px,

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.camera import (
+    FORMAT_OF_BITS,
     CameraInfo,
     CameraLost,
     CameraSettings,
     CameraStatus,
-    PixelFormat,
     without_features,
 )
 from acquisition.cameras.files.settings import FilesSettings
@@ -23,13 +23,6 @@ from acquisition.frame import Frame, Image
 from processing.errors import DeviceError
 
 _log = logging.getLogger(__name__)
-_FORMATS: dict[int, PixelFormat] = {
-    8: "mono8",
-    10: "mono10",
-    12: "mono12",
-    14: "mono14",
-    16: "mono16",
-}
 
 
 class FilesCamera:
@@ -103,7 +96,7 @@ class FilesCamera:
         return region.model_copy(
             update={
                 "frame_rate_hz": self._settings.frame_rate_hz,
-                "pixel_format": _FORMATS.get(info.full_scale_dn.bit_length()),
+                "pixel_format": FORMAT_OF_BITS.get(info.full_scale_dn.bit_length()),
             }
         )
 
@@ -234,12 +227,8 @@ class FilesCamera:
                 total = blue.astype(np.uint32) + green + red
                 mean: NDArray[Any] = ((total + 1) // 3).astype(pixels.dtype)
                 return mean
-            case "red":
-                return red
-            case "green":
-                return green
-            case "blue":
-                return blue
+            case "red" | "green" | "blue" as colour:
+                return {"red": red, "green": green, "blue": blue}[colour]
         raise DeviceError(
             f"{label}: is a colour image; to use it, state camera.files.colour = "
             "'mean', 'red', 'green' or 'blue'"

@@ -97,23 +97,22 @@ def _following(file: BinaryIO, offset: int, size: int, order: _Order, big: bool)
 # checksums, with a status byte and a CRC-32 that makes the remainder over the whole slice zero.
 
 _SIZE: Final = 3
-_WITH_CHECKSUM: Final = 8
+_FOOTER: Final = 8
+_ONES: Final = 0xFFFFFFFF
 _LOOKED_AT: Final = 5
 # the CRC of RFC 9043 takes the most significant bit first, zlib's the least
 _REVERSED: Final = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))
 
 
-def slices_of(packet: bytes, footer: int) -> list[bytes] | None:
-    """The slices of a frame whose slices end with `footer` bytes; None if the sizes do not add up."""
+def slices_of(packet: bytes) -> list[bytes]:
+    """The slices of a frame with checksums; none if their sizes do not add up."""
     found = []
     end = len(packet)
     while end > 0:
-        if end < footer:
-            return None
-        at = end - footer
+        at = end - _FOOTER
         begin = at - int.from_bytes(packet[at : at + _SIZE], "big")
-        if begin < 0:
-            return None
+        if at < 0 or begin < 0:
+            return []
         found.append(packet[begin:end])
         end = begin
     return found
@@ -121,12 +120,8 @@ def slices_of(packet: bytes, footer: int) -> list[bytes] | None:
 
 def is_whole(packet: bytes) -> bool:
     """Whether a frame with checksums is undamaged."""
-    slices = slices_of(packet, _WITH_CHECKSUM)
-    return bool(slices) and all(_remainder(part) == 0 for part in slices or ())
-
-
-def _remainder(data: bytes) -> int:
-    return zlib.crc32(data.translate(_REVERSED), 0xFFFFFFFF) ^ 0xFFFFFFFF
+    slices = slices_of(packet)
+    return bool(slices) and all(zlib.crc32(part.translate(_REVERSED), _ONES) == _ONES for part in slices)
 
 
 class Ffv1Checksums:
@@ -140,7 +135,7 @@ class Ffv1Checksums:
         self._capture = self._opened()
         first = [packet for packet in (self._next() for _ in range(_LOOKED_AT)) if packet]
         # one of the first frames may itself be damaged
-        self.present = any(slices_of(packet, _WITH_CHECKSUM) for packet in first)
+        self.present = any(map(slices_of, first))
         self.rewind()
 
     def rewind(self) -> None:

@@ -4,9 +4,10 @@ import contextlib
 import logging
 import math
 import re
-from collections.abc import Iterator
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -32,29 +33,31 @@ class Stored(NamedTuple):
     full_scale: int
 
 
-class FrameSource(Protocol):
-    """Interface of a source of frames."""
+class FrameSource(ABC):
+    """A source of frames."""
 
     count: int
     """Number of frames."""
-    names: list[str]
+    names: Sequence[str] = ()
     """Name of each frame's file; empty if the frames have no files of their own."""
-    hint: str
+    hint: str = ""
     """Frame rate stated by the container, for a message; may be empty."""
-    lossy: str
+    lossy: str = ""
     """Name of the codec if it is lossy, otherwise empty."""
 
+    def __init__(self, path: Path) -> None:
+        self._path = path
+
+    @abstractmethod
     def read(self, index: int) -> Stored:
         """Frame `index`. Raises Unreadable for a damaged frame, OSError if the source is not accessible."""
-        ...
 
     def label(self, index: int) -> str:
         """Name of the frame in messages."""
-        ...
+        return f"{self._path}, frame {index}"
 
-    def close(self) -> None:
+    def close(self) -> None:  # noqa: B027 most hold nothing
         """Close the files; a later `read` opens them again."""
-        ...
 
 
 def open_source(path: Path) -> FrameSource:
@@ -78,11 +81,11 @@ def natural_key(name: str) -> list[tuple[int, int, str]]:
     return [(0, int(part), part) if part.isdigit() else (1, 0, part.lower()) for part in parts if part]
 
 
-class FolderSource:
+class FolderSource(FrameSource):
     """A folder of images, in natural order of their names."""
 
     def __init__(self, path: Path) -> None:
-        self._path = path
+        super().__init__(path)
         try:
             inside = [entry.name for entry in path.iterdir()]
         except OSError as error:
@@ -90,8 +93,6 @@ class FolderSource:
         images = (name for name in inside if Path(name).suffix.lower() in IMAGES and not name.startswith("."))
         self.names = sorted(images, key=natural_key)
         self.count = len(self.names)
-        self.hint = ""
-        self.lossy = ""
         if not self.names:
             raise DeviceError(
                 f"{path}: holds no image ({', '.join(IMAGES)}) among its {len(inside)} files; name another"
@@ -121,19 +122,13 @@ class FolderSource:
     def label(self, index: int) -> str:
         return str(self._path / self.names[index])
 
-    def close(self) -> None:
-        """Nothing is held."""
 
-
-class TiffSource:
+class TiffSource(FrameSource):
     """A multi-page TIFF file; one that is cut off counts one page more, which cannot be read."""
 
     def __init__(self, path: Path) -> None:
-        self._path = path
-        self.names: list[str] = []
+        super().__init__(path)
         self._pages = self.count = _pages(path)
-        self.hint = ""
-        self.lossy = ""
         if self.count == 0:
             raise DeviceError(f"{path}: is no TIFF stack that can be read")
         if is_cut_off(path):
@@ -156,18 +151,12 @@ class TiffSource:
     def label(self, index: int) -> str:
         return f"{self._path}, page {index + 1}"
 
-    def close(self) -> None:
-        """Nothing is held."""
 
-
-class StackSource:
+class StackSource(FrameSource):
     """A .npy array (n, ny, nx), memory-mapped, so that it may be larger than memory."""
 
     def __init__(self, path: Path) -> None:
-        self._path = path
-        self.names: list[str] = []
-        self.hint = ""
-        self.lossy = ""
+        super().__init__(path)
         try:
             stack = np.load(path, mmap_mode="r", allow_pickle=False)
         # whatever Python's own parser raises at a changed header
@@ -184,21 +173,14 @@ class StackSource:
     def read(self, index: int) -> Stored:
         return _stored(np.array(self._stack[index]))
 
-    def label(self, index: int) -> str:
-        return f"{self._path}, frame {index}"
 
-    def close(self) -> None:
-        """Nothing to do: the mapping ends with the object."""
-
-
-class VideoSource:
+class VideoSource(FrameSource):
     """A lossless video, read through OpenCV without conversion."""
 
     def __init__(self, path: Path) -> None:
-        self._path = path
+        super().__init__(path)
         self._capture: cv2.VideoCapture | None = None
         self._position = 0
-        self.names: list[str] = []
         capture = self._opened()
         self.count = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
         rate_hz = capture.get(cv2.CAP_PROP_FPS)
@@ -210,7 +192,6 @@ class VideoSource:
                 self._checksums = Ffv1Checksums(path)
             if not self._checksums.present:
                 _log.warning("%s: was written without checksums; damaged frames cannot be told", path)
-        self.hint = ""
         if math.isfinite(rate_hz) and rate_hz > 0:
             self.hint = f" (the file itself says {rate_hz:g} frames/s)"
         if self.count <= 0:
@@ -236,9 +217,6 @@ class VideoSource:
                 if not whole:
                     raise Unreadable("its checksum, or that of a frame it builds on, does not match")
                 return _stored(pixels)
-
-    def label(self, index: int) -> str:
-        return f"{self._path}, frame {index}"
 
     def close(self) -> None:
         if self._capture is not None:

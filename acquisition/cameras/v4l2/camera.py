@@ -173,39 +173,25 @@ def _make_source(settings: V4l2Settings) -> FrameDevice:
         from acquisition.cameras.v4l2.linux import LinuxSource
 
         return LinuxSource(settings)
-    from acquisition.cameras.v4l2.camera import ReadAhead
-    from acquisition.cameras.v4l2.opencv import OpenCvSource
-
-    return ReadAhead(OpenCvSource(settings), _QUEUED_FRAMES)
-
-
-_JOIN_S = 0.4
+    return ReadAhead(OpenCvSource(settings))
 
 
 class ReadAhead:
-    """See `source.Source`. The only driver with a thread of its own.
+    """See `source.FrameDevice`. The only driver with a thread of its own.
 
     A read through OpenCV waits as long as it likes for a silent camera, and the device must not be closed
     under it: `next` could then keep no timeout. Frames are numbered in order of arrival.
     """
 
-    def __init__(self, source: OpenCvSource, frames: int) -> None:
+    def __init__(self, source: OpenCvSource) -> None:
         self._source = source
-        self._frames = frames
+        self.open, self.configure = source.open, source.configure
         self._halt = threading.Event()
-        self._queue = FrameQueue(frames, "every")
+        self._queue = FrameQueue(_QUEUED_FRAMES, "every")
         self._thread: threading.Thread | None = None
         self._error: DeviceError | None = None
         self._handover = threading.Lock()
         self._in_use = self._close = False
-
-    def open(self) -> CameraInfo:
-        """Claim the device."""
-        return self._source.open()
-
-    def configure(self, settings: CameraSettings) -> CameraSettings:
-        """Apply, read back."""
-        return self._source.configure(settings)
 
     def start(self) -> None:
         """Begin to read."""
@@ -213,7 +199,7 @@ class ReadAhead:
             raise DeviceError("video camera: still waits for a frame of the last run; close and open it")
         self._source.start()
         self._halt.clear()
-        self._queue, self._error = FrameQueue(self._frames, "every"), None
+        self._queue, self._error = FrameQueue(_QUEUED_FRAMES, "every"), None
         self._in_use = True
         self._thread = threading.Thread(target=self._run, name="OpenCV", daemon=True)
         self._thread.start()
@@ -233,7 +219,7 @@ class ReadAhead:
         self._halt.set()
         self._queue.close()
         if self._thread is not None:
-            self._thread.join(_JOIN_S)
+            self._thread.join(_STOP_S)
 
     def close(self) -> None:
         """Close the device, or have the thread do so after the read that it waits in."""

@@ -1,9 +1,12 @@
 """The kernel's Video4Linux calls needed for a grey camera (linux/videodev2.h, 64 bit). All raise OSError."""
 
+import contextlib
 import errno
 import fcntl
+import math
 import os
 import struct
+from collections.abc import Callable, Iterator
 from typing import Final, NamedTuple
 
 CAPTURE: Final = 1
@@ -96,31 +99,21 @@ def capabilities(device: int) -> Capabilities:
     data = _call(device, _QUERY_CAPABILITIES, bytes(104))
     driver, card, bus, _, everything, here = struct.unpack_from("<16s32s32s3I", data)
     flags = here if everything & 0x8000_0000 else everything
-    return Capabilities(
-        _text(driver), _text(card), _text(bus), flags & STREAMING_CAPTURE == STREAMING_CAPTURE
-    )
+    captures = flags & STREAMING_CAPTURE == STREAMING_CAPTURE
+    return Capabilities(_text(driver), _text(card), _text(bus), captures)
 
 
 def formats(device: int) -> list[str]:
     """Four-character codes of the formats that are offered."""
-    found = []
-    for index in range(256):
-        try:
-            data = _call(device, _ENUM_FORMAT, struct.pack("<II56x", index, CAPTURE))
-        except OSError:
-            break
-        found.append(data[44:48].decode("latin-1"))
-    return found
+    found = _enumerated(device, _ENUM_FORMAT, lambda index: struct.pack("<II56x", index, CAPTURE))
+    return [data[44:48].decode("latin-1") for data in found]
 
 
 def sizes(device: int, fourcc: str) -> list[tuple[int, int]]:
     """Sizes (width, height) of a format in px; only the largest if there is a continuous range."""
     found = []
-    for index in range(256):
-        try:
-            data = _call(device, _ENUM_SIZES, struct.pack("<I4s36x", index, fourcc.encode("latin-1")))
-        except OSError:
-            break
+    code = fourcc.encode("latin-1")
+    for data in _enumerated(device, _ENUM_SIZES, lambda index: struct.pack("<I4s36x", index, code)):
         kind, *values = struct.unpack_from("<7I", data, 8)
         found.append((values[0], values[1]) if kind == 1 else (values[1], values[4]))
         if kind != 1:
@@ -131,19 +124,12 @@ def sizes(device: int, fourcc: str) -> list[tuple[int, int]]:
 def highest_rate_hz(device: int, fourcc: str, width_px: int, height_px: int) -> float:
     """The highest frame rate for a size; NaN if the driver does not report it."""
     best = float("nan")
-    for index in range(256):
-        try:
-            data = _call(
-                device,
-                _ENUM_INTERVALS,
-                struct.pack("<I4sII36x", index, fourcc.encode("latin-1"), width_px, height_px),
-            )
-        except OSError:
-            break
+    size = (fourcc.encode("latin-1"), width_px, height_px)
+    for data in _enumerated(device, _ENUM_INTERVALS, lambda index: struct.pack("<I4sII36x", index, *size)):
         kind, above, below = struct.unpack_from("<III", data, 16)
         if above:
             rate = below / above
-            best = rate if best != best else max(best, rate)
+            best = rate if math.isnan(best) else max(best, rate)
         if kind != 1:
             break
     return best
@@ -156,9 +142,9 @@ def get_layout(device: int) -> PixelLayout:
 
 def set_layout(device: int, width_px: int, height_px: int, fourcc: str) -> PixelLayout:
     """Set the format; returns the format that the driver has set, which may differ."""
-    request = struct.pack(
-        "<I4xII4sI", CAPTURE, width_px, height_px, fourcc.encode("latin-1"), 1
-    )  # 1: progressive
+    progressive = 1
+    code = fourcc.encode("latin-1")
+    request = struct.pack("<I4xII4sI", CAPTURE, width_px, height_px, code, progressive)
     return _layout(_call(device, _SET_FORMAT, request.ljust(208, b"\0")))
 
 
@@ -266,6 +252,13 @@ def _buffer(index: int) -> bytes:
 def _layout(data: bytes) -> PixelLayout:
     width_px, height_px, fourcc, _, row_bytes, image_bytes = struct.unpack_from("<II4s3I", data, 8)
     return PixelLayout(width_px, height_px, fourcc.decode("latin-1"), row_bytes, image_bytes)
+
+
+def _enumerated(device: int, code: int, request: Callable[[int], bytes]) -> Iterator[bytes]:
+    """Answers to the requests for number 0, 1, ... until the driver has no more."""
+    with contextlib.suppress(OSError):
+        for index in range(256):
+            yield _call(device, code, request(index))
 
 
 def _call(device: int, code: int, request: bytes) -> bytes:

@@ -60,10 +60,8 @@ def choose(offered: list[str], wanted: PixelFormat | None, *, mosaic: bool = Fal
     """Code of the preferred layout among the offered ones, grey or with a Bayer mosaic, with the wanted pixel
     format; None if there is none.
     """
-    for fourcc in _usable(offered, mosaic):
-        if wanted in (None, LAYOUTS[fourcc].pixel_format):
-            return fourcc
-    return None
+    fitting = (code for code in _usable(offered, mosaic) if wanted in (None, LAYOUTS[code].pixel_format))
+    return next(fitting, None)
 
 
 def possible(offered: list[str], *, mosaic: bool = False) -> list[PixelFormat]:

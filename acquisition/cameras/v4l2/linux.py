@@ -10,6 +10,7 @@ import select
 import time
 
 from acquisition.camera import (
+    BITS_OF_FORMAT,
     CameraInfo,
     CameraLost,
     CameraSettings,
@@ -69,7 +70,6 @@ class LinuxSource:
         self._layout = now
         region = kernel.get_selection(self._device, kernel.CROP)
         self._bounds = None if region is None else kernel.get_selection(self._device, kernel.CROP_BOUNDS)
-        bits = int(LAYOUTS[now.fourcc].pixel_format.removeprefix("mono"))
         return CameraInfo(
             driver="v4l2",
             vendor=found.bus,
@@ -77,7 +77,7 @@ class LinuxSource:
             serial=found.serial,
             width_px=self._bounds.width if self._bounds else now.width_px,
             height_px=self._bounds.height if self._bounds else now.height_px,
-            full_scale_dn=2**bits - 1,
+            full_scale_dn=2 ** BITS_OF_FORMAT[LAYOUTS[now.fourcc].pixel_format] - 1,
             has_clock=True,
             # UVC cameras state when an exposure began, all others when its last pixel has arrived
             stamped="start" if kernel.capabilities(self._device).driver == "uvcvideo" else "end",

@@ -8,7 +8,14 @@ from typing import Any
 import cv2
 import numpy as np
 
-from acquisition.camera import CameraInfo, CameraLost, CameraSettings, PixelFormat, without_features
+from acquisition.camera import (
+    BITS_OF_FORMAT,
+    CameraInfo,
+    CameraLost,
+    CameraSettings,
+    PixelFormat,
+    without_features,
+)
 from acquisition.cameras.v4l2.settings import V4l2Settings
 from acquisition.cameras.v4l2.source import RawFrame
 from acquisition.frame import Image
@@ -23,7 +30,7 @@ _MOST_STALE_FRAMES = 32
 
 
 class OpenCvSource:
-    """See `source.Source`; `next` is called by `read_ahead.ReadAhead`, as it cannot be limited in time.
+    """See `source.FrameDevice`; its `next` is called by `camera.ReadAhead`, as it cannot be limited in time.
 
     OpenCV has no sequence numbers. Its timestamp is the driver's with Video4Linux; elsewhere it is not used.
     The reason of a failed read is not known: three successive reads that fail quickly are taken for a lost
@@ -56,11 +63,7 @@ class OpenCvSource:
             )
         self._capture = capture
         capture.set(cv2.CAP_PROP_CONVERT_RGB, 0)
-        self._pixel_format = "mono8"
-        for pixel_format, fourcc in _FOURCC.items():
-            if self._set_fourcc(fourcc):
-                self._pixel_format = pixel_format
-                break
+        self._pixel_format = next((name for name, code in _FOURCC.items() if self._set_fourcc(code)), "mono8")
         return CameraInfo(
             driver="v4l2",
             vendor="",
@@ -68,7 +71,7 @@ class OpenCvSource:
             serial="",
             width_px=int(capture.get(cv2.CAP_PROP_FRAME_WIDTH)),
             height_px=int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT)),
-            full_scale_dn=2 ** int(self._pixel_format.removeprefix("mono")) - 1,
+            full_scale_dn=2 ** BITS_OF_FORMAT[self._pixel_format] - 1,
             has_clock=_ON_LINUX,
         )
 
@@ -100,8 +103,8 @@ class OpenCvSource:
         wanted = self._settings.gain
         if wanted is not None:
             capture.set(cv2.CAP_PROP_GAIN, wanted)
-            if capture.get(cv2.CAP_PROP_GAIN) != wanted:
-                taken = capture.get(cv2.CAP_PROP_GAIN)
+            taken = capture.get(cv2.CAP_PROP_GAIN)
+            if taken != wanted:
                 raise DeviceError(
                     f"{self._name}: gain = {wanted} was requested, the camera set {taken:g}; "
                     "is its automatic gain on?"
