@@ -122,20 +122,15 @@ def fit_axes(
         raise DataError(f"axes: {periods:.1f} slow periods; at least {_FEWEST_PERIODS:g} are needed")
     count = max(1, round(periods / _WINDOW_PERIODS))
     edges = np.linspace(t[0], t[-1] + 1e-9, count + 1)
-    windows = []
-    for first, last in pairwise(edges):
-        part = (t >= first) & (t < last)
-        if part.sum() > 60:
-            windows.append(
-                window_directions(
-                    t[part], np.column_stack([x[part], y[part]]), slow_omega, fast_omega, float(t[0])
-                )
-            )
+    spots, begin_s = np.column_stack([x, y]), float(t[0])
+    windows = [
+        window_directions(t[part], spots[part], slow_omega, fast_omega, begin_s)
+        for first, last in pairwise(edges)
+        if (part := (t >= first) & (t < last)).sum() > 60
+    ]
     first_window = windows[0]
     slow = _with_side(first_window.slow, slow_began) if slow_began else _upward(first_window.slow)
-    slow_angle, u_slow, rotation, u_rotation, slow_chi2, slow_parts = _combined(
-        windows, slow, [w.slow for w in windows], [w.u_slow_rad for w in windows]
-    )
+    along = _combined(windows, slow, [w.slow for w in windows], [w.u_slow_rad for w in windows])
     usable = [w for w in windows if w.u_fast_rad < 0.2]
     if not usable:
         raise DataError(
@@ -150,10 +145,9 @@ def fit_axes(
         mirrored = bool(cross < 0)
     else:
         fast = _to_the_right(usable[0].fast, slow, mirrored)
-    fast_angle, u_fast, fast_rotation, u_fast_rotation, fast_chi2, fast_parts = _combined(
-        usable, fast, [w.fast for w in usable], [w.u_fast_rad for w in usable]
-    )
-    non_orthogonality = _wrapped(fast_angle + (math.pi if mirrored else 0.0) - slow_angle - 0.5 * math.pi)
+    across = _combined(usable, fast, [w.fast for w in usable], [w.u_fast_rad for w in usable])
+    handed_rad = across.angle_rad + (math.pi if mirrored else 0.0)
+    non_orthogonality = _wrapped(handed_rad - along.angle_rad - 0.5 * math.pi)
     notes = []
     if slow_began is None:
         notes.append(
@@ -162,6 +156,7 @@ def fit_axes(
         )
     if fast_began is None:
         notes.append("the handedness is assumed; push the pendulum to a known side and state it (fast_began)")
+    rotation, u_rotation = along.rotation_rad_per_s, along.u_rotation_rad_per_s
     if abs(rotation) > 3.0 * u_rotation:
         notes.append(f"the slow direction rotates by {rotation:.3g} +- {u_rotation:.2g} rad/s")
     if abs(non_orthogonality) >= 0.5:
@@ -169,17 +164,14 @@ def fit_axes(
             f"axes: the angle between the modes is {math.degrees(0.5 * math.pi + non_orthogonality):.0f} "
             "degrees; these are not the two modes of a pendulum"
         )
-    for mode, chi2, angles, rate, u_rate in (
-        ("slow", slow_chi2, [w.slow for w in windows], rotation, u_rotation),
-        ("fast", fast_chi2, [w.fast for w in usable], fast_rotation, u_fast_rotation),
-    ):
-        _refuse_what_does_not_stay(mode, chi2, angles, rate, u_rate)
+    _refuse_what_does_not_stay("slow", along)
+    _refuse_what_does_not_stay("fast", across)
     return AxesFit(
         axes=Axes(
-            slow_angle_rad=slow_angle,
-            u_slow_angle_rad=u_slow,
+            slow_angle_rad=along.angle_rad,
+            u_slow_angle_rad=along.u_angle_rad,
             non_orthogonality_rad=non_orthogonality,
-            u_non_orthogonality_rad=math.hypot(u_fast, u_slow),
+            u_non_orthogonality_rad=math.hypot(across.u_angle_rad, along.u_angle_rad),
             mirrored=mirrored,
         ),
         slow_period_s=slow_period_s,
@@ -189,12 +181,12 @@ def fit_axes(
         rotation_rad_per_s=rotation,
         u_rotation_rad_per_s=u_rotation,
         windows=len(windows),
-        chi2_per_dof=(slow_chi2 + fast_chi2) / max(len(windows) + len(usable) - 2, 1),
+        chi2_per_dof=(along.chi2 + across.chi2) / max(len(windows) + len(usable) - 2, 1),
         signs_known=slow_began is not None,
         handedness_known=fast_began is not None,
         notes=tuple(notes),
-        slow_parts=slow_parts,
-        fast_parts=fast_parts,
+        slow_parts=along.parts,
+        fast_parts=across.parts,
     )
 
 
@@ -242,17 +234,16 @@ def _combined(
     return _Combined(_wrapped(base + mean), u_mean, rate, u_rate, total, parts)
 
 
-def _refuse_what_does_not_stay(
-    mode: str, chi2: float, vectors: list[Floats], rate: float, u_rate: float
-) -> None:
+def _refuse_what_does_not_stay(mode: str, found: _Combined) -> None:
     """Raise DataError if a mode's directions in the windows differ much more than the spots' noise says."""
-    dof = len(vectors) - 1
+    off_rad, chi2 = found.parts.off_rad, found.chi2
+    rate, u_rate = found.rotation_rad_per_s, found.u_rotation_rad_per_s
+    dof = len(off_rad) - 1
     if dof == 0 or chi2 / dof < _LARGEST_CHI2_PER_DOF:
         return
-    first = math.atan2(vectors[0][0], -vectors[0][1])
-    turned = [_modulo_pi(math.atan2(v[0], -v[1]) - first) for v in vectors]
+    turned = [_modulo_pi(off - off_rad[0]) for off in off_rad]
     head = (
-        f"axes: the {mode} direction is not the same in the {len(vectors)} parts of the record: it differs "
+        f"axes: the {mode} direction is not the same in the {len(off_rad)} parts of the record: it differs "
         f"by {1e3 * float(np.ptp(turned)):.3g} mrad, {math.sqrt(chi2 / dof):.3g} times what the noise leaves"
     )
     if (rate / u_rate) ** 2 > 0.9 * chi2:

@@ -113,17 +113,15 @@ def fit_ladder(
     from scipy.special import chdtrc, fdtrc
 
     _check(steps, kind)
-    way = _ways(steps.reference)
-    both_ways = bool(np.any(way > 0) and np.any(way < 0))
-    straight = _solve(steps, kind, way if both_ways else None, bent=False)
-    bent = _solve(steps, kind, way if both_ways else None, bent=True)
+    way = _both(_ways(steps.reference))
+    straight = _solve(steps, kind, way, bent=False)
+    bent = _solve(steps, kind, way, bent=True)
     gain = max(straight.chi2 - bent.chi2, 0.0)
     # residuals that scatter more than stated even with the skew are noise: the test allows for them
     gain /= bent.birge**2
     # Student's t for a scatter that was estimated from these steps
-    probability = (
-        float(chdtrc(1, gain)) if math.isinf(bent.along_dof) else float(fdtrc(1, bent.along_dof, gain))
-    )
+    known = math.isinf(bent.along_dof)
+    probability = float(chdtrc(1, gain) if known else fdtrc(1, bent.along_dof, gain))
     nonlinear = probability < _IMPROBABLE
     used = bent if nonlinear else straight
     scale, u_scale = used.scale()
@@ -137,7 +135,7 @@ def fit_ladder(
             f"lever: the spot does not follow the {kind}s (scale {scale:.4g} +- {u_scale:.2g} px per unit); "
             "check the order of the steps"
         )
-    loo = _leave_one_out(steps, kind, way if both_ways else None, nonlinear, scale, u_scale)
+    loo = _leave_one_out(steps, kind, way, nonlinear, scale, u_scale)
     notes = []
     for side, birge in (("along", used.birge), ("across", used.birge_across)):
         if birge > 1.0:
@@ -160,7 +158,7 @@ def fit_ladder(
             f"changes by {abs(loo[worst]):.1f} standard uncertainties"
         )
     hysteresis, u_hysteresis = math.nan, math.nan
-    if both_ways:
+    if way is not None:
         hysteresis, u_hysteresis = float(used.values[used.fixed - 1]), used.u(used.fixed - 1)
         if abs(hysteresis) > 3.0 * u_hysteresis:
             notes.append(
@@ -290,6 +288,11 @@ def _ways(reference: Floats) -> Floats:
     return np.concatenate([[first], way])
 
 
+def _both(way: Floats) -> Floats | None:
+    """The ways, if there are both, so that a hysteresis can be told."""
+    return way if np.any(way > 0) and np.any(way < 0) else None
+
+
 def _solve(steps: LadderSteps, kind: str, way: Floats | None, *, bent: bool) -> _Solution:
     """Least squares, with the skew as a parameter if `bent` and the hysteresis if `way` is given."""
     from scipy.optimize import least_squares
@@ -393,9 +396,7 @@ def _leave_one_out(
     change = np.full(len(steps.reference), np.nan)
     for i in range(len(change)):
         rest = LadderSteps(*(np.delete(getattr(steps, name), i) for name in LadderSteps.__slots__))
-        left_way = None if way is None else np.delete(way, i)
-        if left_way is not None and not (np.any(left_way > 0) and np.any(left_way < 0)):
-            left_way = None
+        left_way = None if way is None else _both(np.delete(way, i))
         if len(np.unique(rest.reference)) < 3:
             continue
         without, u_without = _solve(rest, kind, left_way, bent=bent).scale()

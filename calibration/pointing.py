@@ -163,10 +163,8 @@ def _lines(frequency: NDArray[np.float64], density: NDArray[np.float64]) -> tupl
     step_hz = float(frequency[1] - frequency[0]) if len(frequency) > 1 else 1.0
     lines = []
     for i in peaks:
-        power = float(np.sum(density[max(0, i - 1) : i + 2])) * step_hz
-        lines.append(
-            SpectralLine(float(frequency[i]), float(np.sqrt(2.0 * power)), _name(float(frequency[i])))
-        )
+        power, frequency_hz = float(np.sum(density[i - 1 : i + 2])) * step_hz, float(frequency[i])
+        lines.append(SpectralLine(frequency_hz, float(np.sqrt(2.0 * power)), _name(frequency_hz)))
     return tuple(sorted(lines, key=lambda line: -line.amplitude)[:10])
 
 

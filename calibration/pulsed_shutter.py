@@ -7,13 +7,10 @@ long as the exposure each row loses what passes before it opens: the spot grows 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calibration.shutter import Floats, path_across_rows_px
 from processing.errors import DataError
 
-Floats = NDArray[np.float64]
-
-_LEAST_PATH_PX = 20.0
 _U_RESPONSE = 0.01
 """How much the sensor's response and the light may differ from one end of the spot's path to the other."""
 _STEPS = 24
@@ -74,12 +71,7 @@ def fit_row_time_of_pulses(
 
     good = np.isfinite(y_px) & np.isfinite(light)
     times_s, y_px, light = times_s[good], y_px[good], light[good]
-    path_px = float(np.ptp(y_px)) if len(y_px) else 0.0
-    if path_px < _LEAST_PATH_PX:
-        raise DataError(
-            f"row time: the spot moves over {path_px:.3g} rows, at least {_LEAST_PATH_PX:g} are needed: "
-            "let it swing further, with the slow axis along the columns"
-        )
+    path_px = path_across_rows_px(y_px)
     since = (times_s - times_s.mean()) / max(float(np.ptp(times_s)), 1e-9)
     drift = np.column_stack([np.ones_like(since), since, since**2])
 
@@ -137,12 +129,10 @@ def _along_path(
     edges = np.linspace(y_px.min(), y_px.max(), _PARTS + 1)
     part = np.clip(np.searchsorted(edges, y_px, side="right") - 1, 0, _PARTS - 1)
     rows = []
-    for number in range(_PARTS):
+    for number, middle_px in enumerate(0.5 * (edges[:-1] + edges[1:])):
         inside = off[part == number] / whole
         if len(inside) > 1:
-            middle_px = 0.5 * (edges[number] + edges[number + 1])
-            rows.append(
-                (float(middle_px), float(inside.mean()), float(inside.std(ddof=1) / len(inside) ** 0.5))
-            )
+            u_mean = inside.std(ddof=1) / len(inside) ** 0.5
+            rows.append((float(middle_px), float(inside.mean()), float(u_mean)))
     middles_px, means, u_means = zip(*rows, strict=True)
     return middles_px, means, u_means

@@ -130,10 +130,7 @@ def photon_transfer(
         difference = a - b
         shift = float(difference.mean())
         noise = float(difference.std())
-        if (
-            abs(shift) > max(0.01 * signal, 5.0 * noise / np.sqrt(len(a)))
-            and abs(shift) > 0.002 * signal + 0.02
-        ):
+        if abs(shift) > max(0.01 * signal, 5.0 * noise / np.sqrt(len(a)), 0.002 * signal + 0.02):
             rejected.append(
                 f"{name}: the means of the two frames differ by {100 * abs(shift) / max(signal, 1e-9):.2g} % "
                 "(unstable lamp)"
@@ -173,6 +170,7 @@ def photon_transfer(
         [flats[number] for number in usable], points, dark_map, cold, dark_variance / len(darks)
     )
     top = max(point.signal_dn for point in points)
+    u_mean = np.sqrt(dark_variance / (len(darks) * cold.sum()))
     return SensorCalibration(
         gain_e_per_dn=gain,
         u_gain_e_per_dn=gain * u_slope / slope,
@@ -180,11 +178,7 @@ def photon_transfer(
         u_read_noise_e=float(np.hypot(u_read_dn * gain, read_noise_dn * gain * u_slope / slope)),
         read_noise_resolved=bool(resolved),
         dark_level_dn=dark_level,
-        u_dark_level_dn=float(
-            np.hypot(
-                np.sqrt(dark_variance / (len(darks) * cold.sum())), 0.0 if resolved else 0.5 / np.sqrt(3.0)
-            )
-        ),
+        u_dark_level_dn=float(np.hypot(u_mean, 0.0 if resolved else 0.5 / np.sqrt(3.0))),
         full_well_e=max(top, saturated_level) * gain,
         saturates=saturated_level > 0,
         linearity_error=_linearity(points, [exposures_us[n] for n in usable] if exposures_us else []),
@@ -277,16 +271,14 @@ def _line(
     u = np.maximum(u, 1e-12)
     # uncertainties taken from the measured variances would give more weight to those that are low by chance
     common = np.median(u[: len(points)] / y[: len(points)])
-    for _ in range(3):
+    for last in (False, False, False, True):
         design = np.column_stack([np.ones_like(x), x]) / u[:, None]
         values, *_ = np.linalg.lstsq(design, y / u, rcond=None)
         model = values[0] + values[1] * x
-        if np.all(model > 0):
+        if not last and np.all(model > 0):
             u[: len(points)] = common * model[: len(points)]
-    design = np.column_stack([np.ones_like(x), x]) / u[:, None]
-    values, *_ = np.linalg.lstsq(design, y / u, rcond=None)
-    chi2_per_dof = float(np.sum((design @ values - y / u) ** 2)) / (len(x) - 2)
     dof = len(x) - 2
+    chi2_per_dof = float(np.sum((design @ values - y / u) ** 2)) / dof
     covariance = np.linalg.inv(design.T @ design) * birge_ratio(chi2_per_dof * dof, dof) ** 2
     if values[1] <= 0:
         raise DataError(
@@ -326,9 +318,8 @@ def _prnu(
     u_spatial = float(np.hypot(values.var() * np.sqrt(2.0 / len(values)), 0.5 * point.u_variance_dn2))
     if spatial <= 0:
         return 0.0, float(np.sqrt(u_spatial) / point.signal_dn)
-    return float(np.sqrt(spatial) / point.signal_dn), float(
-        u_spatial / (2 * np.sqrt(spatial)) / point.signal_dn
-    )
+    spread = np.sqrt(spatial)
+    return float(spread / point.signal_dn), float(u_spatial / (2 * spread) / point.signal_dn)
 
 
 def _linearity(points: Sequence[TransferPoint], exposures_us: Sequence[float]) -> float:

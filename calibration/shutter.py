@@ -79,6 +79,17 @@ class ShutterFit:
     u_of_stretches_s: tuple[float, ...]
 
 
+def path_across_rows_px(y_px: Floats) -> float:
+    """How many rows the spot crosses; DataError where they are too few for a row time."""
+    path_px = float(np.ptp(y_px)) if len(y_px) else 0.0
+    if path_px < _LEAST_PATH_PX:
+        raise DataError(
+            f"row time: the spot moves over {path_px:.3g} rows, at least {_LEAST_PATH_PX:g} are needed: "
+            "let it swing further, with the slow axis along the columns"
+        )
+    return path_px
+
+
 def fit_row_time(times_s: Floats, y_px: Floats) -> ShutterFit:
     """Row time from the swing of a spot across the rows.
 
@@ -100,12 +111,7 @@ def fit_row_time(times_s: Floats, y_px: Floats) -> ShutterFit:
     """
     good = np.isfinite(y_px)
     times_s, y_px = times_s[good] - times_s[good][:1].sum(), y_px[good]
-    path_px = float(np.ptp(y_px)) if len(y_px) else 0.0
-    if path_px < _LEAST_PATH_PX:
-        raise DataError(
-            f"row time: the spot moves over {path_px:.3g} rows, at least {_LEAST_PATH_PX:g} are needed: "
-            "let it swing further, with the slow axis along the columns"
-        )
+    path_across_rows_px(y_px)
     period_s = _period(times_s, y_px)
     length_s = _PERIODS * period_s
     stretches = int((times_s[-1] - times_s[0]) / length_s)

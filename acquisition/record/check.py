@@ -83,27 +83,22 @@ def check_record(path: Path, results: Path | None = None) -> list[Finding]:
     """
     with RecordReader(path) as reader:
         contents = reader.contents
-        findings = [Finding("error", f"index: {text}") for text in contents.damage]
+        findings = _errors(*(f"index: {text}" for text in contents.damage))
         if reader.truncated:
             lost = contents.size - contents.readable_bytes
-            findings.append(
-                Finding(
-                    "error",
-                    f"the file was cut short: {lost} bytes after the last complete record at "
-                    f"{utc_text(contents.end_ns)}; rig recover makes a complete file of it",
-                )
+            findings += _errors(
+                f"the file was cut short: {lost} bytes after the last complete record at "
+                f"{utc_text(contents.end_ns)}; rig recover makes a complete file of it"
             )
         tally = _Tally(_followed(contents))
         findings += _check_chunks(reader, tally)
         findings += _check_attachments(reader)
         findings += _check_index(reader.file, contents)
         if reader.disk_notice:
-            findings.append(Finding("error", reader.disk_notice))
+            findings += _errors(reader.disk_notice)
         bytes_changed = not data_crc_matches(reader.file, contents)
         if bytes_changed and not any(finding.severity == "error" for finding in findings):
-            findings.append(
-                Finding("error", "bytes have changed outside chunks: in metadata or a description")
-            )
+            findings += _errors("bytes have changed outside chunks: in metadata or a description")
         if reader.truncated or bytes_changed:
             findings += [
                 Finding("warning", f"{part}: nothing in the file proves it")
@@ -130,20 +125,25 @@ def check_record(path: Path, results: Path | None = None) -> list[Finding]:
     return findings
 
 
+def _errors(*texts: str) -> list[Finding]:
+    return [Finding("error", text) for text in texts]
+
+
 def _followed(contents: Contents) -> frozenset[int]:
     return frozenset(n for n, c in contents.channels.items() if c.topic in (SPOT.topic, WINDOW.topic))
 
 
 def _check_chunks(reader: RecordReader, tally: _Tally) -> list[Finding]:
     contents = reader.contents
-    findings = []
+    findings: list[Finding] = []
     opened = reader.chunk_opener()
     for place in contents.chunks:
 
         def found(what: str, place: ChunkPlace = place) -> None:
             span = f"{utc_text(place.start_ns)} to {utc_text(place.end_ns)}"
-            where = f"chunk at byte {place.offset} ({_topics(contents, place)}, {span})"
-            findings.append(Finding("error", f"{where}: {what}"))
+            topics = sorted(contents.channels[n].topic for n in place.channels if n in contents.channels)
+            where = f"chunk at byte {place.offset} ({' '.join(topics) or 'topics unknown'}, {span})"
+            findings.extend(_errors(f"{where}: {what}"))
 
         try:
             chunk = opened(place)
@@ -199,13 +199,13 @@ def _check_recovery(recovery: Mapping[str, str]) -> Finding:
 
 
 def _check_attachments(reader: RecordReader) -> list[Finding]:
-    findings = []
+    findings: list[Finding] = []
     for name, places in reader.contents.attachment_places.items():
         for place in places:
             try:
                 intact_attachment(read_record(reader.file, place)[1])
             except ValueError as error:
-                findings.append(Finding("error", f"attachment {name}: {error}"))
+                findings += _errors(f"attachment {name}: {error}")
     return findings
 
 
@@ -219,45 +219,43 @@ def _check_index(file: IO[bytes], contents: Contents) -> list[Finding]:
     if walked.data_end == contents.data_end and np.array_equal(listed, found) and not walked.damage:
         return []
     what = "; ".join(walked.damage) or "a length or kind has changed"
-    return [Finding("error", f"the records of the data section cannot be followed: {what}")]
+    return _errors(f"the records of the data section cannot be followed: {what}")
 
 
 def _check_types(contents: Contents) -> list[Finding]:
-    findings = []
+    findings: list[Finding] = []
     for channel in contents.channels.values():
         schema = contents.schemas.get(channel.schema_id)
         if schema is None:
-            findings.append(Finding("error", f"{channel.topic}: its description is missing"))
+            findings += _errors(f"{channel.topic}: its description is missing")
         elif schema.name.startswith(f"{PACKAGE}."):
             try:
                 parse_message_type(schema.name, channel.topic, schema.data)
             except ValueError as error:
-                findings.append(Finding("error", f"{channel.topic}: {error}"))
+                findings += _errors(f"{channel.topic}: {error}")
     return findings
 
 
 def _check_counts(contents: Contents, tally: _Tally) -> list[Finding]:
-    return [
-        Finding(
-            "error",
+    return _errors(
+        *(
             f"{channel.topic}: {tally.counts[number]} messages can be read, "
-            f"the index states {contents.counts[number]}",
+            f"the index states {contents.counts[number]}"
+            for number, channel in contents.channels.items()
+            if contents.whole and tally.counts[number] != contents.counts[number]
         )
-        for number, channel in contents.channels.items()
-        if contents.whole and tally.counts[number] != contents.counts[number]
-    ]
+    )
 
 
 def _check_order(contents: Contents, tally: _Tally) -> list[Finding]:
-    return [
-        Finding(
-            "error",
+    return _errors(
+        *(
             f"{contents.channels[number].topic}: the time decreases {count} times, first at "
-            f"{utc_text(tally.first_backwards_ns[number])}",
+            f"{utc_text(tally.first_backwards_ns[number])}"
+            for number, count in sorted(tally.backwards.items())
+            if number in tally.followed
         )
-        for number, count in sorted(tally.backwards.items())
-        if number in contents.channels and contents.channels[number].topic in (SPOT.topic, WINDOW.topic)
-    ]
+    )
 
 
 def _check_sequences(contents: Contents, tally: _Tally) -> list[Finding]:
@@ -265,29 +263,21 @@ def _check_sequences(contents: Contents, tally: _Tally) -> list[Finding]:
     spots, windows = (
         tally.frames.get(numbers.get(topic, -1), FrameNumbers()) for topic in (SPOT.topic, WINDOW.topic)
     )
-    findings = []
+    findings: list[Finding] = []
     if spots.not_rising:
-        findings.append(
-            Finding("error", f"{SPOT.topic}: frame numbers do not rise in {spots.not_rising} places")
-        )
+        findings += _errors(f"{SPOT.topic}: frame numbers do not rise in {spots.not_rising} places")
     if spots.gaps:
         shown = ", ".join(f"{first}-{last}" for first, last in spots.first_gaps)
         more = f" and {spots.gaps - len(spots.first_gaps)} more gaps" if spots.gaps > MOST_SHOWN else ""
-        findings.append(
-            Finding("warning", f"{SPOT.topic}: {spots.missing} frames are missing: {shown}{more}")
-        )
+        text = f"{SPOT.topic}: {spots.missing} frames are missing: {shown}{more}"
+        findings.append(Finding("warning", text))
     strange, first = windows.not_in(spots)
     if strange:
-        findings.append(
-            Finding("warning", f"{WINDOW.topic}: {strange} windows have no spot, first frame {first}")
-        )
+        text = f"{WINDOW.topic}: {strange} windows have no spot, first frame {first}"
+        findings.append(Finding("warning", text))
     if 0 < windows.count < spots.count:
-        findings.append(
-            Finding(
-                "note",
-                f"{WINDOW.topic}: {spots.count - windows.count} frames have a spot message and no window",
-            )
-        )
+        text = f"{WINDOW.topic}: {spots.count - windows.count} frames have a spot message and no window"
+        findings.append(Finding("note", text))
     return findings
 
 
@@ -305,23 +295,12 @@ def _check_hashes(reader: RecordReader, results: Path) -> list[Finding]:
     if run is None:
         return [Finding("warning", f"{results.name} does not contain {reader.path.name}")]
     if sha256 != measured_sha256_of(reader.path):
-        return [
-            Finding(
-                "error",
-                f"SHA-256 is not the one in {results.name}: the record is not the one that was fitted",
-            )
-        ]
+        return _errors(f"SHA-256 is not the one in {results.name}: the record is not the one that was fitted")
     held = {name: hashlib.sha256(data).hexdigest() for name, data in reader.attachments.items()}
     others = sorted(name for name, value in inputs.items() if held.get(name) != value)
     if others:
-        return [
-            Finding("error", f"{results.name} states another SHA-256 of {name} than the record's")
-            for name in others
-        ]
+        return _errors(
+            *(f"{results.name} states another SHA-256 of {name} than the record's" for name in others)
+        )
     more = f", also of {', '.join(sorted(inputs))}" if inputs else ""
     return [Finding("note", f"SHA-256 is the one in {results.name}{more}")]
-
-
-def _topics(contents: Contents, place: ChunkPlace) -> str:
-    names = sorted(contents.channels[n].topic for n in place.channels if n in contents.channels)
-    return " ".join(names) or "topics unknown"

@@ -34,8 +34,8 @@ from acquisition.simulation.smooth_series import (
 )
 from processing.errors import ConfigurationError
 from processing.noise_models import density_of_db, nhnm_db, nlnm_db
+from processing.units import conversion
 
-_UNITS_M_PER_S2 = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "nm": 1e-9}
 _FEWEST = 64
 _LARGEST_M_PER_S2 = 10.0
 _SMALLEST_M_PER_S2 = 1e-11
@@ -99,10 +99,13 @@ def _scales(path: Path, header: str) -> NDArray[np.float64]:
         raise _fault(path, f"its first line is {header[:60]!r}; {wanted}acceleration if there is one")
     scales = []
     for name in names[1:]:
-        unit = name.removesuffix("_per_s2").rpartition("_")[2] if name.endswith("_per_s2") else ""
-        if unit not in _UNITS_M_PER_S2:
-            raise _fault(path, f"column {name} has no unit of acceleration; {wanted}acceleration if any")
-        scales.append(_UNITS_M_PER_S2[unit])
+        # a name ends in its unit: acceleration_um_per_s2
+        above, _, below = name.rpartition("_per_")
+        try:
+            scales.append(conversion(f"{above.rpartition('_')[2]}/{below.replace('s2', 's^2')}", "m/s^2"))
+        except ConfigurationError:
+            fault = f"column {name} has no unit of acceleration; {wanted}acceleration if any"
+            raise _fault(path, fault) from None
     return np.array(scales)
 
 

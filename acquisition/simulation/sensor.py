@@ -161,54 +161,12 @@ def pixels(truth: SensorTruth, seed: int, x0: int, y0: int, nx: int, ny: int, bi
 
 
 @kernel
-def expose(
-    image: NDArray[np.uint8],
-    light_e: NDArray[np.float64],
-    main: GaussianBeam,
-    ghost: GaussianBeam,
-    readout: Readout,
-    dark: DarkTable,
-    pixel: Pixels,
-    edges: NDArray[np.float64],
-    seed: int,
-    run: int,
-    frame: int,
-) -> None:
-    """Draw one frame into `image` (ny, nx). `light_e` (ny, nx) is working memory, zero before and after."""
-    ny, nx = image.shape
-    state = stream_key(seed, run, frame, FRAME)
-    ay0, ay1, ax0, ax1 = beam_box(main, ny, nx)
-    by0, by1, bx0, bx1 = beam_box(ghost, ny, nx)
-    if readout.ambient_e > 0.0:
-        y0, y1, x0, x1 = 0, ny, 0, nx
-        light_e[:, :] = readout.ambient_e
-    elif by0 == by1:
-        y0, y1, x0, x1 = ay0, ay1, ax0, ax1
-    elif ay0 == ay1:
-        y0, y1, x0, x1 = by0, by1, bx0, bx1
-    else:
-        y0, y1, x0, x1 = min(ay0, by0), max(ay1, by1), min(ax0, bx0), max(ax1, bx1)
-    add_beam(light_e, main, ay0, ay1, ax0, ax1)
-    add_beam(light_e, ghost, by0, by1, bx0, bx1)
-    state = _draw_dark(image, dark, state)
-    state = _draw_lit(image, light_e, y0, y1, x0, x1, readout, pixel.response, edges, state)
-    number = np.empty(1)
-    for i in range(pixel.hot_e.shape[0]):
-        y = pixel.hot_row[i]
-        x = pixel.hot_column[i]
-        e = light_e[y, x] * (pixel.response[y, x] if pixel.response.shape[0] > 0 else 1.0) + pixel.hot_e[i]
-        state, value = _read_exactly(e, readout, edges, number, state)
-        image[y, x] = value
-    light_e[y0:y1, x0:x1] = 0.0
-
-
-@kernel
 def expose_frames(
     images: NDArray[np.uint8],
     light_e: NDArray[np.float64],
     shapes: NDArray[np.float64],
-    main: NDArray[np.float64],
-    ghost: NDArray[np.float64],
+    mains: NDArray[np.float64],
+    ghosts: NDArray[np.float64],
     readout: Readout,
     dark: DarkTable,
     pixel: Pixels,
@@ -217,26 +175,45 @@ def expose_frames(
     run: int,
     first: int,
 ) -> None:
-    """Draw consecutive frames (n, ny, nx), see `expose`.
+    """Draw consecutive frames into `images` (n, ny, nx).
 
-    `main` and `ghost` (n, 3) are the centres (x, y) in px and the peaks in e- of the beams, `shapes` (n, 3)
-    the standard deviations in px and the rotation in rad of both.
+    `mains` and `ghosts` (n, 3) are the centres (x, y) in px and the peaks in e- of the beams, `shapes` (n, 3)
+    the standard deviations in px and the rotation in rad of both. `light_e` (ny, nx) is working memory, zero
+    before and after.
     """
-    for i in range(images.shape[0]):
-        sigma_x_px, sigma_y_px, rotation_rad = shapes[i, 0], shapes[i, 1], shapes[i, 2]
-        expose(
-            images[i],
-            light_e,
-            GaussianBeam(main[i, 0], main[i, 1], sigma_x_px, sigma_y_px, rotation_rad, main[i, 2]),
-            GaussianBeam(ghost[i, 0], ghost[i, 1], sigma_x_px, sigma_y_px, rotation_rad, ghost[i, 2]),
-            readout,
-            dark,
-            pixel,
-            edges,
-            seed,
-            run,
-            first + i,
-        )
+    ny, nx = light_e.shape
+    number = np.empty(1)
+    for n in range(images.shape[0]):
+        image = images[n]
+        sigma_x_px, sigma_y_px, rotation_rad = shapes[n, 0], shapes[n, 1], shapes[n, 2]
+        main = GaussianBeam(mains[n, 0], mains[n, 1], sigma_x_px, sigma_y_px, rotation_rad, mains[n, 2])
+        ghost = GaussianBeam(ghosts[n, 0], ghosts[n, 1], sigma_x_px, sigma_y_px, rotation_rad, ghosts[n, 2])
+        state = stream_key(seed, run, first + n, FRAME)
+        ay0, ay1, ax0, ax1 = beam_box(main, ny, nx)
+        by0, by1, bx0, bx1 = beam_box(ghost, ny, nx)
+        if readout.ambient_e > 0.0:
+            y0, y1, x0, x1 = 0, ny, 0, nx
+            light_e[:, :] = readout.ambient_e
+        elif by0 == by1:
+            y0, y1, x0, x1 = ay0, ay1, ax0, ax1
+        elif ay0 == ay1:
+            y0, y1, x0, x1 = by0, by1, bx0, bx1
+        else:
+            y0, y1, x0, x1 = min(ay0, by0), max(ay1, by1), min(ax0, bx0), max(ax1, bx1)
+        add_beam(light_e, main, ay0, ay1, ax0, ax1)
+        add_beam(light_e, ghost, by0, by1, bx0, bx1)
+        state = _draw_dark(image, dark, state)
+        state = _draw_lit(image, light_e, y0, y1, x0, x1, readout, pixel.response, edges, state)
+        for i in range(pixel.hot_e.shape[0]):
+            y = pixel.hot_row[i]
+            x = pixel.hot_column[i]
+            e = (
+                light_e[y, x] * (pixel.response[y, x] if pixel.response.shape[0] > 0 else 1.0)
+                + pixel.hot_e[i]
+            )
+            state, value = _read_exactly(e, readout, edges, number, state)
+            image[y, x] = value
+        light_e[y0:y1, x0:x1] = 0.0
 
 
 @kernel

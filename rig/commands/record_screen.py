@@ -3,39 +3,42 @@
 from pathlib import Path
 
 from acquisition.record.check import check_record
-from acquisition.record.info import record_info
 from acquisition.record.proof import is_sound
 from acquisition.record.reader import RecordReader
 from acquisition.record.recorded_camera import RecordedCamera
 from acquisition.record.recover import recover
 from acquisition.record.utc import utc_text
+from processing.ticks import seconds
 
 _HIDDEN = {"record"}
 
 
 def print_info(path: Path) -> None:
     """Print the contents of a record, read from its index alone."""
-    info = record_info(path)
-    state = "whole" if info.whole else f"cut short after {_size(info.readable_bytes)} (see rig recover)"
-    print(f"{path}: {_size(info.size_bytes)}, {state}")
-    print(f"schema {info.schema_version}, written by {info.library}")
-    if info.start_ns:
-        simulated = RecordedCamera.of(info.metadata).simulated
-        when = " of simulated time" if simulated else ""
-        print(f"{utc_text(info.start_ns)} to {utc_text(info.end_ns)}, {info.duration_s:.1f} s{when}")
-    for topic, count in info.messages.items():
+    with RecordReader(path) as reader:
+        contents, losses, counts = reader.contents, reader.losses(), reader.counts
+    state = (
+        "whole" if contents.whole else f"cut short after {_size(contents.readable_bytes)} (see rig recover)"
+    )
+    print(f"{path}: {_size(contents.size)}, {state}")
+    print(f"schema {int(contents.metadata['record']['schema_version'])}, written by {contents.library}")
+    if contents.start_ns:
+        when = " of simulated time" if RecordedCamera.of(contents.metadata).simulated else ""
+        lasted_s = seconds(contents.end_ns - contents.start_ns)
+        print(f"{utc_text(contents.start_ns)} to {utc_text(contents.end_ns)}, {lasted_s:.1f} s{when}")
+    for topic, count in counts.items():
         print(f"  {topic:<20} {count}")
-    if info.losses is not None:
-        print(f"frames lost: {info.losses}")
-    for section, texts in info.metadata.items():
+    if losses is not None:
+        print(f"frames lost: {losses}")
+    for section, texts in contents.metadata.items():
         filled = {key: text for key, text in texts.items() if text}
         if section not in _HIDDEN and filled:
             print(f"{section}")
             for key, text in filled.items():
                 print(f"  {key:<20} {text}")
-    for name, size in info.attachments.items():
+    for name, size in contents.attachments.items():
         print(f"attachment {name} ({_size(size)})")
-    for problem in info.problems:
+    for problem in contents.damage:
         print(f"problem: {problem}")
 
 

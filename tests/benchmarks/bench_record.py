@@ -22,7 +22,6 @@ from acquisition.frame import Frame, Image
 from acquisition.record.check import check_record
 from acquisition.record.chunk_builder import ChunkBuilder
 from acquisition.record.container import McapFile
-from acquisition.record.info import record_info
 from acquisition.record.pixels import encode_window
 from acquisition.record.reader import RecordReader
 from acquisition.record.recover import recover
@@ -31,6 +30,7 @@ from acquisition.record.topics import SPOT, SWING, WINDOW
 from acquisition.record.writer import RecordWriter
 from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import Spot
+from rig.commands.record_screen import print_info
 from rig.measure.recorder import Entry, Recorder
 
 BLOCK = 64
@@ -273,13 +273,13 @@ def _a_day(folder: Path, chunks: int) -> dict[str, Any]:
         builder.add(channels[1], place, place, swing)
         file.add_chunk(builder)
     file.finish()
-    whole_s = _wall_s(lambda: record_info(path))
+    whole_s = _wall_s(lambda: print_info(path))
     cut = folder / "cut.mcap"
     cut.write_bytes(path.read_bytes()[:-100])
     return {
         "info, chunks": chunks,
         "info, s": whole_s,
-        "info of the same file cut short, s": _wall_s(lambda: record_info(cut)),
+        "info of the same file cut short, s": _wall_s(lambda: print_info(cut)),
     }
 
 

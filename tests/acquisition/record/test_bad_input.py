@@ -7,7 +7,6 @@ import pytest
 from mcap.writer import Writer
 
 from acquisition.record.check import check_record
-from acquisition.record.info import record_info
 from acquisition.record.reader import RecordReader
 from acquisition.record.recover import recover
 from acquisition.record.topics import SCHEMA_VERSION
@@ -81,7 +80,7 @@ def test_one_clear_line(tmp_path: Path, case: str) -> None:
     make(path)
     before = sorted(tmp_path.iterdir())
     copy = tmp_path / "whole.mcap"
-    for use in (RecordReader, record_info, check_record, lambda path: recover(path, copy)):
+    for use in (RecordReader, check_record, lambda path: recover(path, copy)):
         with pytest.raises(RecordError, match=expected) as caught:
             use(path)
         assert "\n" not in str(caught.value)

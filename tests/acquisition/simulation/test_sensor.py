@@ -70,8 +70,12 @@ def frames(
     pixels = sensor.pixels(truth, 1, 0, 0, truth.width_px, truth.height_px)
     images = np.empty((count, *shape), dtype=np.uint8 if state.full_scale_dn == 255 else np.uint16)
     light_e = np.zeros(shape)
-    for frame in range(count):
-        sensor.expose(images[frame], light_e, beam, DARK, readout, dark, pixels, ziggurat().x, 1, 0, frame)
+    shapes, mains = (
+        np.tile(np.array(row, dtype=float), (count, 1))
+        for row in (beam[2:5], (beam.x_px, beam.y_px, beam.peak_e))
+    )
+    edges, ghosts = ziggurat().x, np.zeros((count, 3))
+    sensor.expose_frames(images, light_e, shapes, mains, ghosts, readout, dark, pixels, edges, 1, 0, 0)
     assert not light_e.any()
     return images
 

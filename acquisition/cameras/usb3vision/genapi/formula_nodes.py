@@ -1,5 +1,7 @@
 """Nodes whose value is calculated by a formula: SwissKnife (read only) and Converter (read and write)."""
 
+from abc import abstractmethod
+
 from acquisition.cameras.usb3vision.genapi.description import NodeDescription
 from acquisition.cameras.usb3vision.genapi.formula import Formula
 from acquisition.cameras.usb3vision.genapi.node import Access, Node, Nodes, parse_number
@@ -21,12 +23,21 @@ class _Calculated(Node):
         """Present values of all variables and constants; all are read, also if the formula does not need
         them.
         """
-        values: dict[str, Number] = {}
-        for name, target in self._variables.items():
-            values[name] = self._variable(name, self.nodes.node(target))
+        values = {
+            name: self._variable(name, self.nodes.node(target)) for name, target in self._variables.items()
+        }
         for item in self.description.all("Constant"):
             values[item.attributes.get("Name", "")] = self._constant(item.text)
         return values
+
+    def number(self) -> Number:
+        return self.nodes.look.number(self.name, self._number)
+
+    get = number
+
+    @abstractmethod
+    def _number(self) -> Number:
+        """Calculate the value."""
 
     def _with_variables(self, mode: Access) -> Access:
         for target in self._variables.values():
@@ -42,19 +53,10 @@ class _Calculated(Node):
     def _variable(self, name: str, node: Node) -> Number:
         """Value of a variable. The suffix of its name selects the node's value, limits, step, or a choice."""
         stem, _, suffix = name.partition(".")
-        value: Number | None
-        if not stem or suffix in ("", "Value"):
-            value = node.number()
-        elif suffix == "Min":
-            value = node.minimum()
-        elif suffix == "Max":
-            value = node.maximum()
-        elif suffix == "Inc":
-            value = node.increment()
-        elif suffix.startswith(("Entry.", "Enum.")):
-            value = node.entry_number(suffix.partition(".")[2])
-        else:
-            value = node.number()
+        if stem and suffix.startswith(("Entry.", "Enum.")):
+            return node.entry_number(suffix.partition(".")[2])
+        limits = {"Min": node.minimum, "Max": node.maximum, "Inc": node.increment} if stem else {}
+        value = limits.get(suffix, node.number)()
         if value is None:
             raise self.broken(f"{node.name} has no {suffix}")
         return value
@@ -83,14 +85,9 @@ class SwissKnife(_Calculated):
     def own_access(self) -> Access:
         return self._with_variables(Access.READ_ONLY)
 
-    def number(self) -> Number:
-        return self.nodes.look.number(self.name, self._number)
-
     def _number(self) -> Number:
         self.must_be_readable()
         return self.evaluate("Formula", self.variable_values())
-
-    get = number
 
 
 class Converter(_Calculated):
@@ -107,14 +104,9 @@ class Converter(_Calculated):
     def own_access(self) -> Access:
         return self._with_variables(self._target().access())
 
-    def number(self) -> Number:
-        return self.nodes.look.number(self.name, self._number)
-
     def _number(self) -> Number:
         self.must_be_readable()
         return self._from(self._target().number(), self.variable_values())
-
-    get = number
 
     def _from(self, value: Number, variables: dict[str, Number]) -> Number:
         return self.evaluate("FormulaFrom", variables | {"TO": value})
@@ -123,9 +115,8 @@ class Converter(_Calculated):
         self.must_be_writable()
         self._target().set_number(self.evaluate("FormulaTo", self.variable_values() | {"FROM": value}))
 
-    def set(self, value: Number) -> None:
-        """Set the value; the limits are those of the other node."""
-        self.set_number(value)
+    set = set_number
+    """Set the value; the limits are those of the other node."""
 
     def _limits(self) -> tuple[Number, Number] | None:
         low, high = self._target().minimum(), self._target().maximum()

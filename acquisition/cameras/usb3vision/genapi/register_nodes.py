@@ -141,8 +141,7 @@ class IntReg(Register):
             kept = int.from_bytes(self.read_bytes(), self._byte_order()) & ~mask
         self.write_bytes((kept | (whole << lowest & mask)).to_bytes(length, self._byte_order()))
 
-    def set(self, value: Number) -> None:  # type: ignore[override]
-        self.set_number(value)
+    set = set_number  # type: ignore[assignment]
 
 
 class MaskedIntReg(IntReg):
@@ -190,8 +189,7 @@ class FloatReg(Register):
             )
         self.write_bytes(struct.pack(self._format(), float(value)))
 
-    def set(self, value: Number) -> None:  # type: ignore[override]
-        self.set_number(value)
+    set = set_number  # type: ignore[assignment]
 
 
 class StringReg(Register):
