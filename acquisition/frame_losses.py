@@ -43,7 +43,6 @@ class FrameLosses:
 
     @property
     def total(self) -> int:
-        """Total number of lost frames."""
         return sum(astuple(self))
 
     def since(self, before: "FrameLosses") -> "FrameLosses":

@@ -126,7 +126,6 @@ class SimulatedCamera:
         )
 
     def read(self, timeout_s: float) -> Frame | None:
-        """Next frame; None at the end of the run or after `stop`."""
         reader = self._reader
         if reader is None:
             self._must_be_open()
@@ -134,12 +133,10 @@ class SimulatedCamera:
         return reader.read(timeout_s)
 
     def stop(self) -> None:
-        """Stop delivering."""
         if self._reader is not None:
             self._reader.stop()
 
     def close(self) -> None:
-        """Stop and release the camera."""
         self.stop()
         self._opened = False
 

@@ -76,7 +76,6 @@ class RunReader:
 
     @property
     def status(self) -> CameraStatus:
-        """Counts of delivered and lost frames."""
         return CameraStatus(
             delivered=self._delivered,
             dropped_by_camera=self._dropped_by_camera,
@@ -85,11 +84,9 @@ class RunReader:
         )
 
     def stop(self) -> None:
-        """Stop; a blocked `read` returns None."""
         self._stopped.set()
 
     def read(self, timeout_s: float) -> Frame | None:
-        """Next frame; see `acquisition.camera.Camera.read`."""
         deadline_ns = self._clock_ns() + nanoseconds(timeout_s)
         stepped_s = 0.0
         while not self._stopped.is_set():

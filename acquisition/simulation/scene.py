@@ -177,7 +177,6 @@ class Scene:
 
     @property
     def image_bytes(self) -> int:
-        """Size of one image."""
         return self._light_e.size * np.dtype(self._dtype).itemsize
 
     def draw(

@@ -38,7 +38,6 @@ class FrameNumbering:
         self._delivered = self._by_bus = self._by_host = self._incomplete = 0
 
     def damaged(self) -> None:
-        """Count a damaged frame."""
         self._damaged += 1
 
     def number(self, frame_id: int, arrived_ns: int, fetched_ns: int, underruns: int) -> int | None:
@@ -87,7 +86,6 @@ class FrameNumbering:
 
     @property
     def status(self) -> CameraStatus:
-        """Counts so far."""
         return CameraStatus(
             delivered=self._delivered,
             dropped_by_bus=self._by_bus,

@@ -141,7 +141,6 @@ class AravisCamera:
             logger.info("%s: its packets stay as they are: %s", self._name, refused)
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
-        """Apply settings; the values returned are read back from the camera."""
         with self._lock, self._translated():
             features = self._opened()
             if self._stream is not None:
@@ -191,7 +190,6 @@ class AravisCamera:
         self._was_lost = False
 
     def read(self, timeout_s: float) -> Frame | None:
-        """Next frame; see `acquisition.camera.Camera.read`."""
         if not self._started:
             raise DeviceError(f"{self._name}: is not started; call start before read")
         deadline_s = time.monotonic() + timeout_s
@@ -240,7 +238,6 @@ class AravisCamera:
         self._asking.start()
 
     def stop(self) -> None:
-        """Stop delivering; returns within a second whatever the camera does."""
         self._halted.set()
         features, gone = self._features, self._gone
         held, self._stream = [self._stream], None
@@ -252,7 +249,6 @@ class AravisCamera:
         self._parting.leave(action, held, self._library.error)
 
     def close(self) -> None:
-        """Stop and release the camera."""
         self._closings += 1
         self.stop()
         features, self._features = self._features, None
@@ -268,7 +264,6 @@ class AravisCamera:
         return self._before if buffers is None else self._before + buffers.numbering.status
 
     def feature_values(self) -> dict[str, FeatureValue]:
-        """All features that can be read now, by name."""
         with self._lock, self._translated():
             library = self._library
             return {} if library is None else self._opened().values(library.error)

@@ -101,7 +101,6 @@ class FilesCamera:
         )
 
     def start(self) -> None:
-        """Play from the first frame."""
         info = self._must_be_open()
         if self._stopped is not None and not self._stopped.is_set():
             raise DeviceError(f"{info.serial}: is running already; stop it first")
@@ -146,12 +145,10 @@ class FilesCamera:
         return None
 
     def stop(self) -> None:
-        """Stop delivering."""
         if self._stopped is not None:
             self._stopped.set()
 
     def close(self) -> None:
-        """Close the files."""
         self.stop()
         with self._lock:
             if self._source is not None:

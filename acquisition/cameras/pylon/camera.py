@@ -54,7 +54,6 @@ class PylonCamera:
         self._next = self._delivered = self._skipped = self._incomplete = self._reconnects = 0
 
     def open(self) -> CameraInfo:
-        """Find the camera and open it."""
         self.close()
         pylon = self._pylon = load_pylon()
         factory = pylon.TlFactory.GetInstance()
@@ -91,7 +90,6 @@ class PylonCamera:
             )
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
-        """Apply settings; the values returned are read back from the camera."""
         with self._lock, self._translated():
             camera = self._opened()
             if camera.IsGrabbing():
@@ -99,7 +97,6 @@ class PylonCamera:
             return self._opened_features().apply(settings)
 
     def feature_value(self, name: str) -> FeatureValue | None:
-        """Value of one feature; None if it cannot be read now."""
         with self._lock, self._translated():
             features = self._opened_features()
             if name in CLOCK_STATES:
@@ -107,7 +104,6 @@ class PylonCamera:
             return features.read(name)
 
     def feature_values(self) -> dict[str, FeatureValue]:
-        """All features that can be read now, by name."""
         with self._lock, self._translated():
             return self._opened_features().values(self._pylon.GenericException)
 
@@ -130,7 +126,6 @@ class PylonCamera:
             camera.StartGrabbing(self._pylon.GrabStrategy_OneByOne)
 
     def read(self, timeout_s: float) -> Frame | None:
-        """Next frame; see `acquisition.camera.Camera.read`."""
         if not self._started:
             raise DeviceError(f"{self._name}: is not started; call start before read")
         deadline_s = time.monotonic() + timeout_s
@@ -182,14 +177,12 @@ class PylonCamera:
             return Frame(image, number, device_time_ns, host_time_ns)
 
     def stop(self) -> None:
-        """Stop delivering."""
         self._halted.set()
         camera = self._camera
         if camera is not None and camera.IsGrabbing():
             camera.StopGrabbing()
 
     def close(self) -> None:
-        """Stop and release the camera."""
         self.stop()
         with self._lock:
             camera, self._camera, self._features = self._camera, None, None

@@ -100,7 +100,6 @@ class Usb3VisionCamera:
                 self._channel = None if self._session is None else self._session.channel
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
-        """Apply settings; the values returned are read back from the camera."""
         with self._lock:
             session = self._opened()
             if self._running():
@@ -157,7 +156,6 @@ class Usb3VisionCamera:
         self._was_lost = False
 
     def read(self, timeout_s: float) -> Frame | None:
-        """Next frame; see `acquisition.camera.Camera.read`."""
         stream = self._stream
         if stream is None:
             raise DeviceError(f"{self._name}: is not started; call start before read")
@@ -170,7 +168,6 @@ class Usb3VisionCamera:
             ) from None
 
     def stop(self) -> None:
-        """Stop delivering; returns within a second whatever the camera does."""
         stream = self._stream
         if stream is not None:
             stream.reading.request_stop()
@@ -208,7 +205,6 @@ class Usb3VisionCamera:
             logger.debug("%s", refused)
 
     def close(self) -> None:
-        """Stop and release the camera."""
         stream = self._stream
         if stream is not None:
             stream.reading.request_stop()
@@ -238,7 +234,6 @@ class Usb3VisionCamera:
         return self._opened().features
 
     def feature_values(self) -> dict[str, FeatureValue]:
-        """All features that can be read now, by name."""
         with self._lock, self._noticing_loss():
             readings = self._opened().features.readings()
             return {
@@ -248,7 +243,6 @@ class Usb3VisionCamera:
             }
 
     def feature_value(self, name: str) -> FeatureValue | None:
-        """Value of one feature; None if it cannot be read now."""
         with self._lock, self._noticing_loss():
             features = self._opened().features
             features.nodes.forget()

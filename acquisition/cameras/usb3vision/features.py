@@ -84,7 +84,6 @@ class Features(GenicamFeatures):
         return read_all(self.nodes)
 
     def execute(self, name: str) -> None:
-        """Run a command."""
         self.nodes.set(name, True)
 
     # ---- as GenicamFeatures

@@ -121,7 +121,6 @@ class UsbFrameStream:
 
     @property
     def status(self) -> CameraStatus:
-        """Counts so far."""
         return CameraStatus(
             delivered=self.reading.delivered,
             dropped_by_camera=self._by_camera,

@@ -79,7 +79,6 @@ class BlockingTransfers:
         self._queued.append(buffer.view(TransferBuffer))
 
     def wait(self, timeout_s: float) -> Arrived:
-        """Read into the oldest buffer."""
         link = self._link
         buffer = self._queued[0]
         timeout_ms = max(1, round(timeout_s * 1000))

@@ -44,7 +44,6 @@ class V4l2Camera:
         self._was_lost = False
 
     def open(self) -> CameraInfo:
-        """Find and claim the device."""
         self.close()
         with self._lock:
             source = _make_source(self._settings)
@@ -53,7 +52,6 @@ class V4l2Camera:
             return info
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
-        """Apply settings; what is returned was read from the camera afterwards."""
         with self._lock:
             source = self._opened()
             self._must_not_run("stop it before settings are changed")
@@ -73,7 +71,6 @@ class V4l2Camera:
             self._run = _Run(source)
 
     def read(self, timeout_s: float) -> Frame | None:
-        """Next frame; see `acquisition.camera.Camera.read`."""
         run = self._run
         if run is None:
             raise DeviceError("video camera: is not started; call start before read")
@@ -88,7 +85,6 @@ class V4l2Camera:
             raise
 
     def stop(self) -> None:
-        """No more frames."""
         run = self._run
         if run is not None:
             run.reading.stop(_STOP_S)
@@ -142,7 +138,6 @@ class _Run:
 
     @property
     def status(self) -> CameraStatus:
-        """Counts so far."""
         return replace(self._lost, delivered=self.reading.delivered)
 
     def _step(self, timeout_s: float) -> Frame | None:
@@ -194,7 +189,6 @@ class ReadAhead:
         self._in_use = self._close = False
 
     def start(self) -> None:
-        """Begin to read."""
         if self._in_use:
             raise DeviceError("video camera: still waits for a frame of the last run; close and open it")
         self._source.start()

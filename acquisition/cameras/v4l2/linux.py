@@ -157,7 +157,6 @@ class LinuxSource:
             self._unmap()
 
     def close(self) -> None:
-        """Close the device."""
         if self._device >= 0:
             self.stop()
             os.close(self._device)

@@ -144,7 +144,6 @@ class OpenCvSource:
         """Does nothing: OpenCV streams until it is closed, and `start` discards old frames."""
 
     def close(self) -> None:
-        """Release the device."""
         if self._capture is not None:
             self._capture.release()
             self._capture = None

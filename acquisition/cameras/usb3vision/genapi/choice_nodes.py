@@ -128,7 +128,6 @@ class Command(Valued):
     """A command to the camera, executed by writing a value."""
 
     def execute(self) -> None:
-        """Execute the command."""
         self.must_be_writable()
         value = self.value_of("CommandValue")
         self.set_number(1 if value is None else value)

@@ -20,12 +20,10 @@ class Access(Enum):
 
     @property
     def readable(self) -> bool:
-        """Whether it can be read."""
         return self in (Access.READ_ONLY, Access.READ_WRITE)
 
     @property
     def writable(self) -> bool:
-        """Whether it can be set."""
         return self in (Access.WRITE_ONLY, Access.READ_WRITE)
 
     def and_also(self, other: "Access") -> "Access":

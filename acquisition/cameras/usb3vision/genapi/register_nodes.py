@@ -38,7 +38,6 @@ class Register(Node):
         return SwissKnife(description, self.nodes)
 
     def address(self) -> int:
-        """Present address."""
         address = 0
         for item in self.description.properties:
             if item.tag == "Address":
@@ -83,12 +82,10 @@ class Register(Node):
         return "big" if self.description.text("Endianess") == "BigEndian" else "little"
 
     def get(self) -> bytes:
-        """The bytes."""
         self.must_be_readable()
         return self.read_bytes()
 
     def set(self, value: bytes) -> None:
-        """Write all bytes."""
         self.must_be_writable()
         if len(value) != self.length():
             raise DeviceError(f"{self.nodes.name}: {self.name} has {self.length()} bytes, got {len(value)}")
@@ -196,7 +193,6 @@ class StringReg(Register):
     """A text, which ends with a zero byte or with the register."""
 
     def text(self) -> str:
-        """The text."""
         self.must_be_readable()
         return self.read_bytes().split(b"\0", 1)[0].decode("utf-8", "replace")
 

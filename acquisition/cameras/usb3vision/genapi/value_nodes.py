@@ -177,7 +177,6 @@ class String(Node):
         return Access.READ_WRITE if source is None else source.access()
 
     def get(self) -> str:
-        """The text."""
         self.must_be_readable()
         source = self.referred("pValue")
         if source is None:
@@ -185,7 +184,6 @@ class String(Node):
         return str(getattr(source, "get", source.number)())
 
     def set(self, value: str) -> None:
-        """Set the text."""
         self.must_be_writable()
         source = self.referred("pValue")
         if source is None:
