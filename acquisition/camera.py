@@ -1,6 +1,6 @@
 """Interface of every camera driver."""
 
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, replace
 from enum import StrEnum
 from typing import Final, Literal, NamedTuple, Protocol, Self, runtime_checkable
 
@@ -184,6 +184,10 @@ class CameraStatus:
     def __add__(self, other: "CameraStatus") -> "CameraStatus":
         """Sum of the counts of two parts of a run, before and after a reconnection."""
         return CameraStatus(*(a + b for a, b in zip(astuple(self), astuple(other), strict=True)))
+
+    def to_begin_with(self, *, lost: bool) -> "CameraStatus":
+        """Counts at the next `start`: these and one reconnection after a loss of the camera, else none."""
+        return replace(self, reconnects=self.reconnects + 1) if lost else CameraStatus()
 
 
 CLOCK_STATES: Final = ("PtpStatus", "GevIEEE1588Status")

@@ -1,6 +1,7 @@
 """Builds one chunk: its messages as bytes, and the index with their positions."""
 
 import struct
+from collections import defaultdict
 from collections.abc import Sequence
 from typing import Any
 
@@ -37,7 +38,7 @@ class ChunkBuilder:
     def clear(self) -> None:
         """Begin a new chunk."""
         self.data = bytearray()
-        self.index: dict[int, bytearray] = {}
+        self.index: defaultdict[int, bytearray] = defaultdict(bytearray)
         self.start_ns = 0
         self.end_ns = 0
 
@@ -49,7 +50,7 @@ class ChunkBuilder:
     def add(self, channel: int, sequence: int, log_time_ns: int, *parts: bytes | memoryview) -> None:
         """Add one encoded message, given in consecutive parts."""
         self._extend_times(log_time_ns, log_time_ns)
-        self._entries(channel).extend(_INDEX_ENTRY.pack(log_time_ns, len(self.data)))
+        self.index[channel].extend(_INDEX_ENTRY.pack(log_time_ns, len(self.data)))
         self.data += MESSAGE_HEAD.pack(
             Opcode.MESSAGE,
             _LENGTH_BEFORE_DATA + sum(map(len, parts)),
@@ -84,14 +85,8 @@ class ChunkBuilder:
         entries[:, 0] = log_times_ns
         entries[:, 1] = len(self.data) + np.arange(count) * block.itemsize
         self._extend_times(int(log_times_ns.min()), int(log_times_ns.max()))
-        self._entries(channel).extend(entries.tobytes())
+        self.index[channel].extend(entries.tobytes())
         self.data += block.tobytes()
-
-    def _entries(self, channel: int) -> bytearray:
-        entries = self.index.get(channel)
-        if entries is None:
-            entries = self.index[channel] = bytearray()
-        return entries
 
     def _extend_times(self, first_ns: int, last_ns: int) -> None:
         self.start_ns = min(self.start_ns, first_ns) if self.data else first_ns

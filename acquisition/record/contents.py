@@ -10,7 +10,7 @@ import struct
 import zlib
 from collections import Counter
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cache, cached_property
 from typing import IO
 
 from mcap.opcode import Opcode
@@ -105,18 +105,14 @@ def read_contents(file: IO[bytes]) -> Contents:
     if footer is None or not footer.summary_start or not _read_summary(file, contents, footer):
         contents = Contents(size, whole=contents.whole, damage=contents.damage)
         walk(file, contents)
-    _settle_descriptions(contents)
-    file.seek(0)
-    if file.read(len(MAGIC)) != MAGIC:
-        contents.damage.append("the magic at its beginning has changed")
-    return contents
-
-
-def _settle_descriptions(contents: Contents) -> None:
     contents.schemas, contents.channels, changed, unproved = contents.descriptions.settled()
     contents.damage += [f"a copy of the description of {topic} has changed" for topic in changed]
     if not contents.indexed:
         contents.unproved += [f"description of {topic}" for topic in unproved]
+    file.seek(0)
+    if file.read(len(MAGIC)) != MAGIC:
+        contents.damage.append("the magic at its beginning has changed")
+    return contents
 
 
 def walk(file: IO[bytes], contents: Contents) -> None:
@@ -128,7 +124,7 @@ def walk(file: IO[bytes], contents: Contents) -> None:
     chunk: tuple[int, int, int, int] | None = None
     index_end = 0
     channels: tuple[int, ...] = ()
-    known: dict[tuple[int, ...], frozenset[int]] = {}
+    of_chunk = cache(frozenset[int])  # one set for all chunks that hold the same channels
     search, times = RecordSearch(file), ChunkTimes(file)
     place, before, size, counts = len(MAGIC), 0, contents.size, contents.counts
     head, head_size = HEAD.unpack_from, HEAD.size
@@ -156,7 +152,7 @@ def walk(file: IO[bytes], contents: Contents) -> None:
                 elif opcode == _CHUNK_OPCODE:
                     start_ns, end_ns, *_ = CHUNK.unpack_from(data, at + head_size)
                     if chunk is not None:
-                        _list_chunk(contents, times, ChunkPlace(*chunk, _set_of(channels, known)), index_end)
+                        _list_chunk(contents, times, ChunkPlace(*chunk, of_chunk(channels)), index_end)
                     channels, index_end = (), end
                     chunk = (place, head_size + length, start_ns, end_ns)
                 else:
@@ -176,7 +172,7 @@ def walk(file: IO[bytes], contents: Contents) -> None:
         if opcode in (Opcode.DATA_END, Opcode.FOOTER):
             break
     if chunk is not None:
-        _list_chunk(contents, times, ChunkPlace(*chunk, _set_of(channels, known)), index_end)
+        _list_chunk(contents, times, ChunkPlace(*chunk, of_chunk(channels)), index_end)
     contents.readable_bytes = place
     contents.data_end = contents.data_end or place
 
@@ -186,14 +182,6 @@ def _list_chunk(contents: Contents, times: ChunkTimes, place: ChunkPlace, index_
     if proved != place:
         contents.damage.append(f"the times in the head of the chunk at byte {place.offset} have changed")
     contents.walked_chunks.append(proved)
-
-
-def _set_of(channels: tuple[int, ...], known: dict[tuple[int, ...], frozenset[int]]) -> frozenset[int]:
-    """One set for all chunks that hold the same channels."""
-    found = known.get(channels)
-    if found is None:
-        found = known[channels] = frozenset(channels)
-    return found
 
 
 def _list_record(file: IO[bytes], contents: Contents, opcode: int, place: int) -> None:

@@ -13,12 +13,10 @@ OWN_SHA256 = "sha256"
 
 def sha256_of_description(channel: Channel, schema: Schema) -> str:
     """Hexadecimal SHA-256 over everything that says how a topic's messages are read."""
-    texts = {key: text for key, text in channel.metadata.items() if key != OWN_SHA256}
-    parts: list[object] = [channel.id, channel.topic, channel.message_encoding, *sorted(texts.items())]
+    texts = sorted(own_texts(channel).items())
+    parts = [channel.id, channel.topic, channel.message_encoding, *texts]
     parts += [schema.id, schema.name, schema.encoding]
-    digest = hashlib.sha256(repr(parts).encode())
-    digest.update(schema.data)
-    return digest.hexdigest()
+    return hashlib.sha256(repr(parts).encode() + schema.data).hexdigest()
 
 
 def own_texts(channel: Channel) -> dict[str, str]:

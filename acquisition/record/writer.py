@@ -216,8 +216,7 @@ class RecordWriter:
     def attach(self, name: str, data: bytes) -> None:
         """Add a file to the record, beside those that it began with."""
         self._ready()
-        media_type = _MEDIA_TYPES.get(Path(name).suffix, "application/octet-stream")
-        self._guarded(lambda: self._file.add_attachment(name, media_type, data, time.time_ns()))
+        self._guarded(lambda: self._attach(name, data, time.time_ns()))
 
     def flush(self) -> None:
         """End the open chunks, force everything to the disk, and wait until that is done."""
@@ -246,14 +245,17 @@ class RecordWriter:
         opened_ns = time.time_ns()
         self._file.add_metadata({"record": metadata["record"], **metadata}, opened_ns)
         for name, data in attachments.items():
-            media_type = _MEDIA_TYPES.get(Path(name).suffix, "application/octet-stream")
-            self._file.add_attachment(name, media_type, data, opened_ns)
+            self._attach(name, data, opened_ns)
         for kind in (self._spot, self._swing, EVENT, WINDOW):
             about = metadata["record"] if kind is self._spot else None
             self._channel(kind.topic, kind.full_name, kind.descriptor, about)
         for topic, schema, descriptor in foxglove_topics():
             self._channel(topic, schema, descriptor)
         self._flush()
+
+    def _attach(self, name: str, data: bytes, time_ns: int) -> None:
+        media_type = _MEDIA_TYPES.get(Path(name).suffix, "application/octet-stream")
+        self._file.add_attachment(name, media_type, data, time_ns)
 
     def _channel(
         self, topic: str, schema: str, descriptor: bytes, about: Mapping[str, str] | None = None

@@ -4,6 +4,7 @@ All of them depend only on the seed, the run and the number of the frame, not on
 """
 
 import math
+from statistics import NormalDist
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +25,7 @@ class FrameNoise:
     def __init__(self, seed: int, run: int) -> None:
         self._seed = seed
         self._run = run
-        self._edges = randomness.ziggurat().x
+        self._edges = randomness.ziggurat()
 
     def jitter(self, first: int, count: int) -> NDArray[np.float64]:
         """White noise of the pointing, (count, 2), standard normal."""
@@ -47,8 +48,7 @@ class FrameNoise:
         if fraction == 0.0:
             return np.zeros(count, dtype=np.bool_)
         # normal numbers below the quantile of `fraction`, so that one generator suffices for all purposes
-        quantile = _normal_quantile(fraction)
-        return self._normals(_DROP, first, count, 1)[:, 0] < quantile
+        return self._normals(_DROP, first, count, 1)[:, 0] < NormalDist().inv_cdf(fraction)
 
     def _normals(self, purpose: int, first: int, count: int, columns: int) -> NDArray[np.float64]:
         out = np.empty((count, columns))
@@ -148,15 +148,3 @@ def add_draught(faults: FaultSettings, fast: Motion, slow: Motion) -> None:
     if faults.draught_at_s is not None:
         for motion in (fast, slow):
             motion.kick(faults.draught_at_s, faults.draught_arcsec * ARCSEC_RAD * motion.w0_rad_per_s)
-
-
-def _normal_quantile(probability: float) -> float:
-    """Quantile of the standard normal distribution, by bisection."""
-    low, high = -40.0, 40.0
-    for _ in range(100):
-        middle = 0.5 * (low + high)
-        if 0.5 * math.erfc(-middle / math.sqrt(2)) < probability:
-            low = middle
-        else:
-            high = middle
-    return 0.5 * (low + high)

@@ -109,7 +109,6 @@ class Motion:
         self._n_rows = 0
         self._kicks: list[tuple[float, float]] = []
         self._held = False
-        self._state[:] = 0.0, held_rad, 0.0, 0.0
         if start_s > 0:
             self._rows[0, : POLYNOMIAL + 1] = 0.0, start_s, held_rad
             self._n_rows = 1

@@ -9,7 +9,6 @@ means above 10 and by multiplication below.
 
 import functools
 import math
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,15 +29,9 @@ _LAYER_EDGE = 3.6541528853610088
 """Beginning of the tail of the ziggurat with 256 layers of equal area."""
 
 
-class Ziggurat(NamedTuple):
-    """Edges of the layers: `x` (257,), decreasing from the width of the lowest layer to 0."""
-
-    x: NDArray[np.float64]
-
-
 @functools.cache
-def ziggurat() -> Ziggurat:
-    """Layers of equal area under exp(-x^2/2)."""
+def ziggurat() -> NDArray[np.float64]:
+    """Edges (257,) of layers of equal area under exp(-x^2/2), from the width of the lowest layer to 0."""
     x = np.zeros(_LAYERS + 1)
     density = math.exp(-0.5 * _LAYER_EDGE**2)
     area = _LAYER_EDGE * density + math.sqrt(0.5 * math.pi) * math.erfc(_LAYER_EDGE / math.sqrt(2))
@@ -47,7 +40,7 @@ def ziggurat() -> Ziggurat:
     for layer in range(2, _LAYERS):
         density += area / x[layer - 1]
         x[layer] = math.sqrt(-2.0 * math.log(density))
-    return Ziggurat(x)
+    return x
 
 
 @kernel

@@ -102,7 +102,7 @@ class Scene:
         self._dark = sensor.dark_table(state)
         region_px = (readings.x0_px, readings.y0_px, readings.width_px, readings.height_px)
         self._pixels = sensor.pixels(truth, settings.seed, *region_px, readings.binning)
-        self._edges = randomness.ziggurat().x
+        self._edges = randomness.ziggurat()
         self._light_e = np.zeros((readings.height_px, readings.width_px))
         self._dtype = np.uint8 if readings.bit_depth == 8 else np.uint16
         self._rolling: RollingReadout | None = None

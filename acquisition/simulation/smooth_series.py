@@ -190,7 +190,7 @@ class BandNoise:
         white = np.empty((_FFT // _COLUMNS, _COLUMNS))
         seed, run, purpose = self._key
         first = block * (BLOCK_KNOTS // _COLUMNS)
-        randomness.frame_normals(seed, run, purpose, first, randomness.ziggurat().x, white)
+        randomness.frame_normals(seed, run, purpose, first, randomness.ziggurat(), white)
         filtered = np.fft.irfft(np.fft.rfft(white.reshape(-1)) * self._response)
         return filtered[: BLOCK_KNOTS + DEGREE]
 

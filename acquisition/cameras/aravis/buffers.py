@@ -35,7 +35,7 @@ class FrameNumbering:
         self._last_arrived_ns = -1
         # (time of fetching a frame, libaravis's count of buffer underruns at that time)
         self._underruns = deque([(-1, 0)])
-        self._delivered = self._by_bus = self._by_host = self._incomplete = 0
+        self._counts = CameraStatus()
 
     def damaged(self) -> None:
         self._damaged += 1
@@ -62,15 +62,15 @@ class FrameNumbering:
             return None
         missing = step - 1
         incomplete = min(self._damaged, missing)
-        self._incomplete += incomplete
         unseen = missing - incomplete
-        if was_full:
-            self._by_host += unseen
-        else:
-            self._by_bus += unseen
+        self._counts += CameraStatus(
+            delivered=1,
+            dropped_by_bus=0 if was_full else unseen,
+            dropped_by_host=unseen if was_full else 0,
+            incomplete=incomplete,
+        )
         self._damaged, self._last_id, self._last_arrived_ns = 0, frame_id, arrived_ns
         self._last_number += step
-        self._delivered += 1
         return self._last_number
 
     def _step(self, frame_id: int) -> int | None:
@@ -86,12 +86,7 @@ class FrameNumbering:
 
     @property
     def status(self) -> CameraStatus:
-        return CameraStatus(
-            delivered=self._delivered,
-            dropped_by_bus=self._by_bus,
-            dropped_by_host=self._by_host,
-            incomplete=self._incomplete + self._damaged,
-        )
+        return self._counts + CameraStatus(incomplete=self._damaged)
 
 
 @dataclass(slots=True)

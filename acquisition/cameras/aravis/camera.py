@@ -5,7 +5,6 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from typing import Any, Final
 
 from acquisition.camera import (
@@ -163,7 +162,7 @@ class AravisCamera:
             payload = camera.get_payload()
             for _ in range(min(self._settings.buffers, max(_MOST_BYTES // payload, 2))):
                 stream.push_buffer(library.aravis.Buffer.new_allocate(payload))
-            self._begin_counting()
+            self._before, self._was_lost = self.status.to_begin_with(lost=self._was_lost), False
             self._buffers = BufferReader(
                 library.aravis,
                 self._name,
@@ -183,11 +182,6 @@ class AravisCamera:
             except BaseException:
                 self.stop()
                 raise
-
-    def _begin_counting(self) -> None:
-        before = self.status
-        self._before = replace(before, reconnects=before.reconnects + 1) if self._was_lost else CameraStatus()
-        self._was_lost = False
 
     def read(self, timeout_s: float) -> Frame | None:
         if not self._started:

@@ -51,7 +51,8 @@ class PylonCamera:
         self._halted = threading.Event()
         self._started = self._was_lost = False
         self._last_block = NO_BLOCK
-        self._next = self._delivered = self._skipped = self._incomplete = self._reconnects = 0
+        self._next = 0
+        self._counts = CameraStatus()
 
     def open(self) -> CameraInfo:
         self.close()
@@ -91,38 +92,35 @@ class PylonCamera:
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
         with self._lock, self._translated():
-            camera = self._opened()
-            if camera.IsGrabbing():
+            features = self._opened()
+            if self._camera.IsGrabbing():
                 raise DeviceError(f"{self._name}: is running; stop it before settings are changed")
-            return self._opened_features().apply(settings)
+            return features.apply(settings)
 
     def feature_value(self, name: str) -> FeatureValue | None:
         with self._lock, self._translated():
-            features = self._opened_features()
+            features = self._opened()
             if name in CLOCK_STATES:
                 wiring.latch_clock_state(features)
             return features.read(name)
 
     def feature_values(self) -> dict[str, FeatureValue]:
         with self._lock, self._translated():
-            return self._opened_features().values(self._pylon.GenericException)
+            return self._opened().values(self._pylon.GenericException)
 
     def start(self) -> None:
         """Start the acquisition of every frame, in order, into new buffers."""
         with self._lock, self._translated():
-            camera = self._opened()
+            features, camera = self._opened(), self._camera
             if camera.IsGrabbing():
                 raise DeviceError(f"{self._name}: is running already; stop it first")
-            self._reconnects = self._reconnects + 1 if self._was_lost else 0
-            if not self._was_lost:
-                self._delivered = self._skipped = self._incomplete = 0
-            self._was_lost = False
+            self._counts, self._was_lost = self._counts.to_begin_with(lost=self._was_lost), False
             self._next = 0
             self._last_block = NO_BLOCK
             self._halted.clear()
             self._started = True
-            self._seen = (self._opened_features().present_format(), self._opened_features().plane)
-            self._tick_ns = 0.0 if self._emulated else self._opened_features().tick_ns()
+            self._seen = (features.present_format(), features.plane)
+            self._tick_ns = 0.0 if self._emulated else features.tick_ns()
             camera.StartGrabbing(self._pylon.GrabStrategy_OneByOne)
 
     def read(self, timeout_s: float) -> Frame | None:
@@ -159,11 +157,13 @@ class PylonCamera:
                 # pylon counts skipped images only where it skips; the numbers of blocks show every loss
                 skipped = missing_blocks(self._last_block, int(result.GetBlockID()))
                 self._last_block = int(result.GetBlockID())
-                self._skipped += skipped
                 number = self._next + skipped
                 self._next = number + 1
-                if not result.GrabSucceeded():
-                    self._incomplete += 1
+                good = result.GrabSucceeded()
+                self._counts += CameraStatus(
+                    delivered=int(good), dropped_by_bus=skipped, incomplete=int(not good)
+                )
+                if not good:
                     return None
                 image = np.array(result.GetArray(), copy=True)
                 pixel_format, plane = self._seen
@@ -173,7 +173,6 @@ class PylonCamera:
                 device_time_ns = round(result.GetTimeStamp() * self._tick_ns) if self._tick_ns else -1
             finally:
                 result.Release()
-            self._delivered += 1
             return Frame(image, number, device_time_ns, host_time_ns)
 
     def stop(self) -> None:
@@ -192,19 +191,9 @@ class PylonCamera:
     @property
     def status(self) -> CameraStatus:
         """Counts since `start`, continued after a reconnection."""
-        return CameraStatus(
-            delivered=self._delivered,
-            dropped_by_bus=self._skipped,
-            incomplete=self._incomplete,
-            reconnects=self._reconnects,
-        )
+        return self._counts
 
-    def _opened(self) -> Any:
-        if self._camera is None:
-            raise DeviceError(f"{self._name}: is not open; call open first")
-        return self._camera
-
-    def _opened_features(self) -> PylonFeatures:
+    def _opened(self) -> PylonFeatures:
         if self._features is None:
             raise DeviceError(f"{self._name}: is not open; call open first")
         return self._features

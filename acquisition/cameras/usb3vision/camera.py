@@ -4,7 +4,6 @@ import logging
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from typing import Final
 
 import usb.backend
@@ -136,7 +135,8 @@ class Usb3VisionCamera:
                 )
             session.set_locked(True)
             session.registers.enable(True)
-            self._begin_counting()
+            self._before, self._was_lost = self.status.to_begin_with(lost=self._was_lost), False
+            self._stream = None
             self._stream = UsbFrameStream(self._transfers(session.link), plan, expected, session.link)
             self._camera_runs = True
             try:
@@ -149,11 +149,6 @@ class Usb3VisionCamera:
         if self._settings.reading == "auto" and LibusbTransfers.suits(link):
             return LibusbTransfers(link, self._settings.transfers)
         return BlockingTransfers(link)
-
-    def _begin_counting(self) -> None:
-        before, self._stream = self.status, None
-        self._before = replace(before, reconnects=before.reconnects + 1) if self._was_lost else CameraStatus()
-        self._was_lost = False
 
     def read(self, timeout_s: float) -> Frame | None:
         stream = self._stream

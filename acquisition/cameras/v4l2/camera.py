@@ -64,9 +64,8 @@ class V4l2Camera:
             self._must_not_run("stop it first")
             if self._run is not None and not self._run.reading.stop(1.0):
                 raise DeviceError("video camera: still waits for a frame of the last run; close and open it")
-            before, self._run = self.status, None
-            lost, self._was_lost = self._was_lost, False
-            self._before = replace(before, reconnects=before.reconnects + 1) if lost else CameraStatus()
+            self._before, self._was_lost = self.status.to_begin_with(lost=self._was_lost), False
+            self._run = None
             source.start()
             self._run = _Run(source)
 

@@ -74,7 +74,7 @@ def frames(
         np.tile(np.array(row, dtype=float), (count, 1))
         for row in (beam[2:5], (beam.x_px, beam.y_px, beam.peak_e))
     )
-    edges, ghosts = ziggurat().x, np.zeros((count, 3))
+    edges, ghosts = ziggurat(), np.zeros((count, 3))
     sensor.expose_frames(images, light_e, shapes, mains, ghosts, readout, dark, pixels, edges, 1, 0, 0)
     assert not light_e.any()
     return images
@@ -257,7 +257,7 @@ def test_poisson_numbers(mean: float) -> None:
 
 def test_normal_numbers() -> None:
     values = np.empty((500_000, 2))
-    frame_normals(9, 0, 1, 0, ziggurat().x, values)
+    frame_normals(9, 0, 1, 0, ziggurat(), values)
     flat = values.ravel()
     assert stats.kstest(flat, "norm").pvalue > 1e-3
     # the tail beyond the ziggurat's last layer, 3.654: 258 of a million
