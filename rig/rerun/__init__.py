@@ -14,7 +14,6 @@ from rig.rerun.messages import (
     Losses,
     Message,
     Mode,
-    Panel,
     Picture,
     Properties,
     Samples,

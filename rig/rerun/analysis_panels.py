@@ -16,15 +16,12 @@ TITLES: Final[dict[Panel, tuple[str, str]]] = {
     "residuals": ("time / s", "residual / {unit}"),
     "period": ("amplitude / {unit}", "period / s"),
     "period_residuals": ("amplitude / {unit}", "residual / ms"),
-    "loops": ("angle / {unit}", "moment / µN m"),
-    "friction": ("angle / {unit}", "friction over angle / (nN m/{unit})"),
-    "elastic": ("angle / {unit}", "elastic moment / nN m"),
 }
 TRIMMED: Final = frozenset({"period", "period_residuals"})
 """Panels whose values become very uncertain at small amplitudes: these few points do not set the axes."""
-RISING: Final = frozenset({"period", "loops"})
-"""Panels whose curves rise to the right: their legend is in the lower right corner, not the upper."""
-COINCIDING: Final = frozenset({"decay", "period", "friction", "elastic"})
+RISING: Final = "period"
+"""The panel whose curves rise to the right: its legend is in the lower right corner, not the upper."""
+COINCIDING: Final = frozenset({"decay", "period"})
 """Panels in which a good fit covers its data: curves drawn first are wider, so that they remain visible."""
 BARS_AT_MOST: Final = 400
 """Largest number of error bars of one curve."""
@@ -55,7 +52,7 @@ def draw_fits(stream: rr.RecordingStream, fits: Fits, unit: str) -> None:
             following = sum(other.style == "line" for other in later)
             outside = _draw_curve(stream, root, curve, graticule, colour, following)
             entries.append((f"{curve.name} ({outside} outside)" if outside else curve.name, colour))
-        legend = _legend(entries, graticule, below=panel in RISING)
+        legend = _legend(entries, graticule, below=panel == RISING)
         stream.log(f"{root}/legend", legend, static=True)
     if fits.text:
         document = rr.TextDocument(fits.text, media_type=rr.MediaType.MARKDOWN)

@@ -107,7 +107,6 @@ class _Views:
         self._unit = setup.unit
         self._period_s = setup.period_s
         self._parameters = setup.parameters
-        self._moments = setup.moments
 
     def measuring(self) -> rrb.Container:
         return rrb.Horizontal(
@@ -159,18 +158,10 @@ class _Views:
                 self.plane("period_residuals", "Residuals of the period / ms"),
             ),
             rrb.Vertical(
-                self.plane("loops", f"Loops: moment / µN m against angle / {unit}"),
-                *self.moments(),
+                self.trajectory(),
                 self.text(REPORT, "Report"),
             ),
         )
-
-    def moments(self) -> list[rrb.Container]:
-        """What the contact's moments are without a law, if that was asked for."""
-        if not self._moments:
-            return []
-        titles = {"friction": "No law: friction over angle", "elastic": "Elastic moment"}
-        return [rrb.Tabs(*(self.plane(panel, title) for panel, title in titles.items()))]
 
     def trajectory(self) -> rrb.View:
         return self._lissajous(EQUAL, f"Trajectory / {self._unit}, equal scales")

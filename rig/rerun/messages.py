@@ -18,7 +18,7 @@ Mode = Literal["none", ShowMode]
 """How the live stream is shown; none: not at all."""
 LayoutName = Literal["balancing", "measuring", "analysing"]
 LogLevel = Literal["debug", "info", "warning", "error"]
-Panel = Literal["decay", "residuals", "period", "period_residuals", "loops", "friction", "elastic"]
+Panel = Literal["decay", "residuals", "period", "period_residuals"]
 
 Floats = NDArray[np.float64]
 
@@ -31,7 +31,6 @@ class Setup(NamedTuple):
     expected values, `unit` is that of all deflections. If the worker replaces another one, `viewer_url` is
     the address of the viewer, which must connect to the new stream; otherwise it is empty. `parameters`, with
     their labels, are estimated while the run is measured, and each has a panel of the measuring layout.
-    `moments`: the analysing layout has panels of the contact's moments without a law.
     """
 
     title: str
@@ -46,7 +45,6 @@ class Setup(NamedTuple):
     memory_limit: str
     viewer_url: str
     parameters: Mapping[str, str] = {}
-    moments: bool = False
 
 
 class Samples(NamedTuple):
@@ -131,10 +129,8 @@ class Curve(NamedTuple):
     """One curve of the analysing layout, drawn as points (data) or as a line (fit); arrays (n,).
 
     Axes of the panels: ``decay`` time in s, amplitude; ``residuals`` time in s, residual of the amplitude;
-    ``period`` amplitude, period in s; ``period_residuals`` amplitude, residual in ms; ``loops`` angle, moment
-    in µN m; without a law, ``friction`` angle, friction over angle in nN m per unit, ``elastic`` angle,
-    elastic moment in nN m. Amplitudes and angles are in the unit of the setup. NaN interrupts a line.
-    `u_y` is drawn as error bars of one standard uncertainty.
+    ``period`` amplitude, period in s; ``period_residuals`` amplitude, residual in ms. Amplitudes are in
+    the unit of the setup. NaN interrupts a line. `u_y` is drawn as error bars of one standard uncertainty.
     """
 
     panel: Panel

@@ -1,21 +1,15 @@
 """Content of the analysing layout for a record: its fits as curves, and the report's numbers as text."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
-
 from acquisition.record.proof import measured_sha256_of
 from acquisition.record.reader import RecordReader
-from processing.contact import moment_loop
 from processing.deflections import DeflectionUnit
-from processing.errors import RecordError
 from processing.fit import FitMethod
 from processing.swing import TurningPoints
 from rig.analysis import (
-    Curves,
     RunResults,
     analyse_record,
     curves_of,
@@ -25,7 +19,7 @@ from rig.analysis import (
     remarks,
 )
 from rig.presentation import Table
-from rig.rerun import Curve, Floats, Panel
+from rig.rerun import Curve
 
 
 class RunAnalysis(NamedTuple):
@@ -49,53 +43,40 @@ def run_analysis(record: Path) -> RunAnalysis:
     return RunAnalysis(record, results, stored.points(), stored.unit)
 
 
-def analysis_curves(run: RunAnalysis) -> list[Curve]:
-    """Data with both fits, residuals, T(alpha) and moment loops; only the data for a run without fits."""
-    points, size = run.points, run.unit.shown_size
-    amplitude = points.amplitude / size
-    u = points.u_amplitude / size
-    drawn = [Curve("decay", "measured", points.time_s, amplitude, u, "points")]
-    curves = curves_of(points, run.results)
-    if curves is None:
-        return drawn
-    decay = {FitMethod.ASYMPTOTIC: curves.asymptotic_rad, FitMethod.EXACT: curves.exact_rad}
-    period = {
-        FitMethod.ASYMPTOTIC: curves.asymptotic_period_s,
-        FitMethod.EXACT: curves.exact_period_s,
-    }
-    at = curves.period_rad / size
-    for method, model_rad in decay.items():
-        name = f"{method} fit"
-        drawn.append(Curve("decay", name, points.time_s, model_rad / size))
-        u_bars = u if method is FitMethod.EXACT else None
-        drawn.append(Curve("residuals", name, points.time_s, amplitude - model_rad / size, u_bars, "points"))
-    drawn.append(Curve("period", "measured", at, curves.period_s, curves.u_period_s, "points"))
-    for method, model_s in period.items():
-        name = f"{method} fit"
-        drawn.append(Curve("period", name, at, model_s))
-        u_bars = 1e3 * curves.u_period_s if method is FitMethod.EXACT else None
-        residual_ms = 1e3 * (curves.period_s - model_s)
-        drawn.append(Curve("period_residuals", name, at, residual_ms, u_bars, "points"))
-    return [*drawn, *_loops(run, float(amplitude[0])), *_moments(run)]
+def analysis_curves(runs: Mapping[str, RunAnalysis]) -> list[Curve]:
+    """Decay and T(alpha) with both fits and their residuals; only the data of a run without fits.
 
-
-def overlaid_curves(runs: Mapping[str, RunAnalysis]) -> list[Curve]:
-    """Several runs in common axes: the data, the exact fit's residuals and the largest loop of each."""
+    Of several runs, in common axes, the data and the exact fit's residuals, named by the run.
+    """
     drawn: list[Curve] = []
+    alone = len(runs) == 1
     for name, run in runs.items():
         points, size = run.points, run.unit.shown_size
-        drawn.append(Curve("decay", name, points.time_s, points.amplitude / size, None, "points"))
+        amplitude, u = points.amplitude / size, points.u_amplitude / size
+        data = "measured" if alone else name
+        drawn.append(Curve("decay", data, points.time_s, amplitude, u if alone else None, "points"))
         curves = curves_of(points, run.results)
         if curves is None:
             continue
-        residual = (points.amplitude - curves.exact_rad) / size
-        at = curves.period_rad / size
-        drawn += [
-            Curve("residuals", name, points.time_s, residual, None, "points"),
-            Curve("period", name, at, curves.period_s, None, "points"),
-            Curve("period_residuals", name, at, _residual_ms(curves), None, "points"),
-            _loops(run, float(points.amplitude[0]) / size)[-1]._replace(name=name),
-        ]
+        at, u_period_s = curves.period_rad / size, curves.u_period_s
+        drawn.append(Curve("period", data, at, curves.period_s, u_period_s if alone else None, "points"))
+        models = {
+            FitMethod.ASYMPTOTIC: (curves.asymptotic_rad / size, curves.asymptotic_period_s),
+            FitMethod.EXACT: (curves.exact_rad / size, curves.exact_period_s),
+        }
+        for method, (decay, period_s) in models.items():
+            exact = method is FitMethod.EXACT
+            if not (alone or exact):
+                continue
+            fit = f"{method} fit" if alone else name
+            if alone:
+                drawn += [Curve("decay", fit, points.time_s, decay), Curve("period", fit, at, period_s)]
+            u_bars, u_bars_ms = (u, 1e3 * u_period_s) if alone and exact else (None, None)
+            off_ms = 1e3 * (curves.period_s - period_s)
+            drawn += [
+                Curve("residuals", fit, points.time_s, amplitude - decay, u_bars, "points"),
+                Curve("period_residuals", fit, at, off_ms, u_bars_ms, "points"),
+            ]
     return drawn
 
 
@@ -120,46 +101,6 @@ def report_text(runs: Mapping[str, RunAnalysis]) -> str:
             parts.append(_markdown(instrument))
         parts += [f"- {line}" for line in (*remarks(results), *results.warnings)]
     return "\n\n".join(parts)
-
-
-def _loops(run: RunAnalysis, amplitude: float) -> list[Curve]:
-    """Moments during one swing: dissipative (Eq. 1), elastic (Eq. 3) and their sum."""
-    pendulum, fit = run.results.pendulum, run.results.fits[FitMethod.EXACT]
-    if pendulum is None:
-        raise RecordError(f"{run.record}: its results contain no pendulum; run rig fit again")
-    loop = moment_loop(amplitude * run.unit.shown_size, asdict(fit.contact()), pendulum)
-    closed = np.append(np.arange(len(loop.phi_rad)), 0)
-    angle = loop.phi_rad[closed] / run.unit.shown_size
-    moments = {"dissipative": loop.friction_n_m, "elastic": loop.elastic_n_m, "total": loop.total_n_m}
-    return [Curve("loops", name, angle, 1e6 * moment[closed]) for name, moment in moments.items()]
-
-
-def _moments(run: RunAnalysis) -> list[Curve]:
-    """Where laws were compared: moments without a law, and those of the laws that remain."""
-    laws = run.results.laws
-    if laws is None or laws.without_law is None:
-        return []
-    free, size = laws.without_law, run.unit.shown_size
-    drawn: list[Curve] = []
-    at = free.phi_rad / size
-    # friction over the angle changes little, so that bands and laws can be seen
-    panels: dict[Panel, tuple[str, Floats]] = {
-        "friction": ("friction_n_m", 1e9 / at),
-        "elastic": ("elastic_n_m", np.full_like(at, 1e9)),
-    }
-    for panel, (name, scale) in panels.items():
-        u = scale * getattr(free, f"u_{name}")
-        drawn.append(Curve(panel, "no law", at, scale * getattr(free, name), u, "points"))
-        drawn += [
-            Curve(panel, law, at, scale * getattr(moments, name))
-            for law, moments in free.laws.items()
-            if not laws.laws[law].excluded
-        ]
-    return drawn
-
-
-def _residual_ms(curves: Curves) -> Floats:
-    return 1e3 * (curves.period_s - curves.exact_period_s)
 
 
 def _markdown(table: Table, column: int | None = None) -> str:

@@ -2,7 +2,7 @@
 
 import logging
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from datetime import UTC, datetime
 from itertools import islice
 from pathlib import Path
@@ -20,8 +20,8 @@ from processing.spot import SpotFlag
 from processing.ticks import nanoseconds, seconds
 from rig.instrument import advice_for, recorded_configuration
 from rig.presentation import balance_numbers, say
-from rig.rerun import Curve, LayoutName, ShowMode
-from rig.view.analysis_curves import RunAnalysis, analysis_curves, overlaid_curves, report_text, run_analysis
+from rig.rerun import LayoutName, ShowMode
+from rig.view.analysis_curves import analysis_curves, report_text, run_analysis
 from rig.view.run_properties import run_properties
 from rig.view.viewer import Viewer
 from rig.view.viewer_program import show_rrd
@@ -94,7 +94,6 @@ def write_rrd(
         if layout == "analysing"
         else {}
     )
-    curves = _analysis_of(runs)
     first_utc_ns = min(each.start_utc_ns for each in overviews)
     viewer = Viewer(
         rrd,
@@ -104,7 +103,6 @@ def write_rrd(
         runs=names,
         amplitude=max(each.amplitude for each in overviews),
         unit=units.pop(),
-        moments=any(curve.panel == "friction" for curve in curves),
     )
     lines = []
     with viewer:
@@ -122,13 +120,8 @@ def write_rrd(
             lines.append(f"- start {start:%Y-%m-%d %H:%M:%S} UTC\n- {spots} spots\n- {swings} half-cycles\n")
         viewer.state("\n".join(lines), time_s=0.0, run=names[0])
         if runs:
-            viewer.fits(curves, report_text(runs), run=names[0])
+            viewer.fits(analysis_curves(runs), report_text(runs), run=names[0])
     viewer.check_file()
-
-
-def _analysis_of(runs: Mapping[str, RunAnalysis]) -> list[Curve]:
-    """The fits of one record, or of several in common axes."""
-    return overlaid_curves(runs) if len(runs) != 1 else analysis_curves(*runs.values())
 
 
 def run_names(paths: Sequence[Path]) -> list[str]:

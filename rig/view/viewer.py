@@ -125,8 +125,6 @@ class Viewer:
         Pixel value shown white; default: the largest value of the image's type.
     parameters
         Keys of those that are estimated while the run is measured.
-    moments
-        The analysing layout has panels of the contact's moments without a law.
     advise
         Returns advice for a balance, in Markdown.
     memory_limit
@@ -158,7 +156,6 @@ class Viewer:
         image_interval_s: float = 0.0,
         full_scale_dn: int | None = None,
         parameters: Sequence[str] = (),
-        moments: bool = False,
         advise: Callable[[Balance], str] = lambda _: "",
         memory_limit: str = "200MiB",
         port: int = 9876,
@@ -200,7 +197,6 @@ class Viewer:
             memory_limit=memory_limit,
             viewer_url="",
             parameters={key: shown.label for key, shown in self._parameters.items()},
-            moments=moments,
         )
 
         def feed(setup: Setup) -> Feed:

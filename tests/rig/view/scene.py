@@ -82,12 +82,7 @@ def curves() -> list[Curve]:
     u = np.full(len(time_s), 0.005)
     u_period = 0.05 / amplitude
     period = PERIOD_S * (1 + 3e-5 * amplitude**0.7)
-    phase = np.linspace(0, 2 * np.pi, 400)
     noise = random.normal(size=(3, len(time_s)))
-    loops = [
-        Curve("loops", f"{a} arcsec", a * np.cos(phase), 4e-3 * a * np.cos(phase) - 0.1 * np.sin(phase))
-        for a in (124, 50)
-    ]
     return [
         Curve("decay", "measured", time_s, amplitude + u * noise[0], u, "points"),
         Curve("decay", "exact fit", time_s, amplitude),
@@ -96,7 +91,6 @@ def curves() -> list[Curve]:
         Curve("period", "measured", amplitude, period + u_period * noise[2], u_period, "points"),
         Curve("period", "exact fit", amplitude, period),
         Curve("period_residuals", "exact", amplitude, 1e3 * u_period * noise[2], 1e3 * u_period, "points"),
-        *loops,
     ]
 
 

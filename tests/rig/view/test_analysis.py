@@ -11,19 +11,18 @@ from acquisition.record.reader import RecordReader
 from processing.angle import ARCSEC_RAD
 from processing.balance import Balance
 from processing.deflections import DeflectionUnit
-from rig.analysis import ComparedLaws, MomentsWithoutLaw, read_results
-from rig.analysis.law_results import LawFit, LawMoments
+from rig.analysis import read_results
 from rig.instrument import advice_for, complete
 from rig.instrument.provenance import recorded_configuration
 from rig.replay.replay import Replay
 from rig.settings.configuration import load_configuration
-from rig.view.analysis_curves import analysis_curves, overlaid_curves, report_text, run_analysis
+from rig.view.analysis_curves import analysis_curves, report_text, run_analysis
 from rig.view.configured import start_view
 from rig.view.recorded import write_rrd
 from tests.rig.replay.replay_record import CONFIG, make_record
 from tests.rig.view.rrd_contents import column, entities, measured, properties, scalars, static_values
 
-PANELS = {"decay", "residuals", "period", "period_residuals", "loops"}
+PANELS = {"decay", "residuals", "period", "period_residuals"}
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +34,7 @@ def balance(tmp_path_factory: pytest.TempPathFactory) -> Balance:
 
 def test_every_panel_has_its_curves_from_the_results_beside_the_record(measured_series: Path) -> None:
     run = run_analysis(measured_series / "run-1.mcap")
-    curves = analysis_curves(run)
+    curves = analysis_curves({"": run})
     assert {curve.panel for curve in curves} == PANELS
     by_name = {(curve.panel, curve.name): curve for curve in curves}
     measured, exact = by_name["decay", "measured"], by_name["decay", "exact fit"]
@@ -44,39 +43,6 @@ def test_every_panel_has_its_curves_from_the_results_beside_the_record(measured_
     assert measured.u_y is not None
     # a good fit: nearly all residuals within four of their uncertainties
     assert np.mean(np.abs(residual.y) < 4 * measured.u_y) > 0.95
-    loop = by_name["loops", "total"]
-    assert (loop.x[0], loop.y[0]) == (loop.x[-1], loop.y[-1])
-    assert np.max(loop.x) == pytest.approx(measured.y[0])
-
-
-def test_moments_without_a_law_have_panels_where_laws_were_compared(
-    measured_series: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    phi = np.geomspace(1e-5, 5e-4, 20)
-    found = [LawMoments(phi * size, phi * size / 3) for size in (1e-3, 2e-3)]
-    free = MomentsWithoutLaw(
-        phi_rad=phi,
-        friction_n_m=phi * 1.1e-3,
-        u_friction_n_m=phi * 1e-4,
-        elastic_n_m=phi * 4e-4,
-        u_elastic_n_m=phi * 1e-4,
-        laws=dict(zip(("paper", "dahl"), found, strict=True)),
-    )
-    laws = {name: LawFit(title=name, source="", excluded=name == "dahl") for name in free.laws}
-    run = run_analysis(measured_series / "run-1.mcap")
-    run = run._replace(results=replace(run.results, laws=ComparedLaws(laws, "", free)))
-    curves = [curve for curve in analysis_curves(run) if curve.panel not in PANELS]
-    assert [(curve.panel, curve.name) for curve in curves] == [
-        ("friction", "no law"), ("friction", "paper"), ("elastic", "no law"), ("elastic", "paper")
-    ]  # fmt: skip
-    np.testing.assert_allclose(curves[0].y, 1.1e6 * ARCSEC_RAD)
-    np.testing.assert_allclose(curves[2].u_y, 1e5 * phi)
-    monkeypatch.setattr("rig.view.recorded.run_analysis", lambda _: run)
-    write_rrd([measured_series / "run-1.mcap"], tmp_path / "moments.rrd", layout="analysing")
-    drawn = entities(tmp_path / "moments.rrd")
-    assert {"/analysis/friction/axes/grid", "/analysis/elastic/no_law", "/analysis/elastic/paper"} <= {
-        name.replace("\\ ", "_") for name in drawn
-    }
 
 
 def test_the_report_says_what_results_json_says(measured_series: Path) -> None:
@@ -117,14 +83,14 @@ def test_a_record_without_results_is_fitted(tmp_path: Path) -> None:
 
 def test_a_run_too_short_for_a_fit_shows_its_data_and_says_why(tmp_path: Path) -> None:
     run = run_analysis(make_record(tmp_path / "short.mcap", 15.0))
-    assert [(curve.panel, curve.name) for curve in analysis_curves(run)] == [("decay", "measured")]
+    assert [(curve.panel, curve.name) for curve in analysis_curves({"": run})] == [("decay", "measured")]
     assert "no fit: " in report_text({"": run})
 
 
 def test_runs_laid_over_each_other_share_their_axes(measured_series: Path, tmp_path: Path) -> None:
     paths = [measured_series / f"run-{number}.mcap" for number in (1, 2)]
     runs = {path.stem: run_analysis(path) for path in paths}
-    curves = overlaid_curves(runs)
+    curves = analysis_curves(runs)
     for panel in PANELS:
         assert [curve.name for curve in curves if curve.panel == panel] == ["run-1", "run-2"]
     rrd = tmp_path / "both.rrd"

@@ -64,7 +64,7 @@ COLOURS: dict[str, dict[str, tuple[str, ...]]] = {
         "Residuals of the amplitude / arcsec": (palette.EXACT_FIT_COLOUR, palette.ASYMPTOTIC_FIT_COLOUR),
         "T(α): period / s against amplitude / arcsec": (palette.DATA_COLOUR, palette.EXACT_FIT_COLOUR),
         "Residuals of the period / ms": (palette.EXACT_FIT_COLOUR,),
-        "Loops: moment / µN m against angle / arcsec": (palette.SKY_BLUE, palette.ORANGE),
+        EQUAL: (palette.TRAJECTORY_COLOUR,),
         "Report": (),
     },
 }
@@ -85,7 +85,7 @@ ENTITIES = {
     "/camera/spot",
     "/state",
     "/events",
-    "/analysis/loops/axes/grid",
+    "/analysis/decay/axes/grid",
     "/analysis/report",
 }
 
