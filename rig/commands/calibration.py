@@ -1,8 +1,10 @@
 """`rig calibrate`."""
 
+import inspect
+from collections.abc import Callable
 from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -13,7 +15,7 @@ if TYPE_CHECKING:
     from rig.calibrate import Filing
 
 AskedLadder = Annotated[
-    Path | None,
+    Path,
     typer.Argument(
         help="Steps or geometry of the lever (TOML file); without it, asked.",
         show_default=False,
@@ -21,7 +23,7 @@ AskedLadder = Annotated[
     ),
 ]
 AskedRecord = Annotated[
-    Path | None,
+    Path,
     typer.Argument(
         help="Record (MCAP file), or a folder with one; without it, asked.",
         show_default=False,
@@ -49,30 +51,21 @@ Side = Annotated[
     Literal["+", "-"] | None,
     typer.Option(help="Sign of this mode's deflection in the first frame of the record."),
 ]
-_FOLDER = Path("calibrations")
-_DAYS = 90.0
+Made = Callable[..., Path]
+"""What makes a calibration of a file or record, of a `Filing` and of options of its own, in the order of the
+command's help; its docstring is that help.
+"""
 
 
 def register(app: typer.Typer) -> None:
     """Add `rig calibrate`."""
     group = typer.Typer(help="Make a calibration file.", no_args_is_help=True)
-    group.command("lever")(lever)
-    group.command("axes")(axes)
-    group.command("sensor")(sensor)
-    group.command("clock")(clock)
-    group.command("shutter")(shutter)
-    group.command("pointing")(pointing)
-    group.command("check")(check)
+    for made in (lever, axes, sensor, clock, shutter, pointing, check):
+        group.command()(_command(made))
     app.add_typer(group, name="calibrate")
 
 
-def lever(
-    ladder: AskedLadder = None,
-    output: Folder = _FOLDER,
-    valid_days: Days = _DAYS,
-    by: By = "",
-    config: Rig = None,
-) -> None:
+def lever(ladder: AskedLadder, filing: "Filing") -> Path:
     """Calibrate pixels to radians.
 
     From geometry, known tilts or known shifts of the sensor. Without a file it asks step by step, and goes
@@ -85,19 +78,10 @@ def lever(
     """
     from rig.calibrate import calibrate_lever
 
-    filing = _filing(output, valid_days, by)
-    _say(_asked("lever", config, filing) if ladder is None else calibrate_lever(ladder, filing))
+    return calibrate_lever(ladder, filing)
 
 
-def axes(
-    record: AskedRecord = None,
-    output: Folder = _FOLDER,
-    valid_days: Days = _DAYS,
-    by: By = "",
-    slow_began: Side = None,
-    fast_began: Side = None,
-    config: Rig = None,
-) -> None:
+def axes(record: AskedRecord, filing: "Filing", slow_began: Side = None, fast_began: Side = None) -> Path:
     """Find the directions of both modes on the sensor.
 
     From a record in which both swing; without one it asks step by step.
@@ -108,27 +92,20 @@ def axes(
     """
     from rig.calibrate import calibrate_axes
 
-    filing = _filing(output, valid_days, by)
-    if record is None:
-        _say(_asked("axes", config, filing))
-    else:
-        _say(calibrate_axes(one_record(record), filing, slow_began, fast_began))
+    return calibrate_axes(one_record(record), filing, slow_began, fast_began)
 
 
 def sensor(
     frames: Annotated[
-        Path | None,
+        Path,
         typer.Argument(
             help="List of dark and evenly lit frames (TOML file); without it, asked.",
             show_default=False,
             callback=there,
         ),
-    ] = None,
-    output: Folder = _FOLDER,
-    valid_days: Days = _DAYS,
-    by: By = "",
-    config: Rig = None,
-) -> None:
+    ],
+    filing: "Filing",
+) -> Path:
     """Measure the sensor: gain, read noise, dark level.
 
     By photon transfer. Without a file it asks step by step, and takes the frames if --config is stated.
@@ -139,23 +116,19 @@ def sensor(
     """
     from rig.calibrate import calibrate_sensor
 
-    filing = _filing(output, valid_days, by)
-    _say(_asked("sensor", config, filing) if frames is None else calibrate_sensor(frames, filing))
+    return calibrate_sensor(frames, filing)
 
 
 def clock(
-    record: AskedRecord = None,
-    output: Folder = _FOLDER,
-    valid_days: Days = _DAYS,
-    by: By = "",
+    record: AskedRecord,
+    filing: "Filing",
     counter_bits: Annotated[
         int | None,
         typer.Option(
             help="Width in bits of the camera's nanosecond counter, where it rolls over.", min=16, max=62
         ),
     ] = None,
-    config: Rig = None,
-) -> None:
+) -> Path:
     """Compare the camera's clock with the host's.
 
     Without a record it asks step by step.
@@ -166,39 +139,20 @@ def clock(
     """
     from rig.calibrate import calibrate_clock
 
-    filing = _filing(output, valid_days, by)
-    if record is None:
-        _say(_asked("clock", config, filing))
-    else:
-        _say(calibrate_clock(one_record(record), filing, counter_bits))
+    return calibrate_clock(one_record(record), filing, counter_bits)
 
 
-def shutter(
-    record: AskedRecord = None,
-    output: Folder = _FOLDER,
-    valid_days: Days = _DAYS,
-    by: By = "",
-    config: Rig = None,
-) -> None:
+def shutter(record: AskedRecord, filing: "Filing") -> Path:
     """Measure the row time of a rolling shutter.
 
     From a run in which the spot swings across the rows; without one it asks step by step.
     """
     from rig.calibrate import calibrate_shutter
 
-    filing = _filing(output, valid_days, by)
-    _say(
-        _asked("shutter", config, filing) if record is None else calibrate_shutter(one_record(record), filing)
-    )
+    return calibrate_shutter(one_record(record), filing)
 
 
-def pointing(
-    record: AskedRecord = None,
-    output: Folder = _FOLDER,
-    valid_days: Days = _DAYS,
-    by: By = "",
-    config: Rig = None,
-) -> None:
+def pointing(record: AskedRecord, filing: "Filing") -> Path:
     """Measure noise and drift of the spot, the pendulum clamped.
 
     Without a record it asks step by step.
@@ -209,30 +163,23 @@ def pointing(
     """
     from rig.calibrate import calibrate_pointing
 
-    filing = _filing(output, valid_days, by)
-    _say(
-        _asked("pointing", config, filing)
-        if record is None
-        else calibrate_pointing(one_record(record), filing)
-    )
+    return calibrate_pointing(one_record(record), filing)
 
 
 def check(
     ladder: Annotated[
-        Path | None,
+        Path,
         typer.Argument(
             help="Known tilts (TOML file); without it, asked.", show_default=False, callback=there
         ),
-    ] = None,
+    ],
+    *,
     lever: Annotated[
         Path | None,
         typer.Option(help="Calibration file of the lever to be checked.", show_default=False, callback=there),
     ] = None,
-    output: Folder = _FOLDER,
-    valid_days: Days = _DAYS,
-    by: By = "",
-    config: Rig = None,
-) -> None:
+    filing: "Filing",
+) -> Path:
     """Check the lever against known tilts.
 
     Before and after a series. Without a file it asks step by step.
@@ -243,21 +190,41 @@ def check(
     """
     from rig.calibrate import check_known_angle
 
-    filing = _filing(output, valid_days, by)
-    if ladder is None:
-        if lever is not None:
-            raise typer.BadParameter(f"{lever}: without a file of tilts it is asked; leave the option out")
-        _say(_asked("check", config, filing))
-        return
     if lever is None:
         raise typer.BadParameter(f"is missing: which lever shall {ladder} check?", param_hint="--lever")
-    _say(check_known_angle(ladder, lever, filing))
+    return check_known_angle(ladder, lever, filing)
 
 
-def _filing(folder: Path, valid_days: float, by: str) -> "Filing":
+def _filing(output: Folder = Path("calibrations"), valid_days: Days = 90.0, by: By = "") -> "Filing":
     from rig.calibrate import Filing
 
-    return Filing(folder, valid_days, by)
+    return Filing(output, valid_days, by)
+
+
+def _command(made: Made) -> Callable[..., None]:
+    """The command of a calibration: it has the options of `_filing`, and asks where no file is named."""
+    named, *others = inspect.signature(made).parameters.values()
+    of_filing = inspect.signature(_filing).parameters
+
+    def command(config: Rig = None, **stated: Any) -> None:
+        filing = _filing(**{name: stated.pop(name) for name in of_filing})
+        given: Path | None = stated.pop(named.name)
+        if given is not None:
+            _say(made(given, filing=filing, **stated))
+            return
+        if lever := stated.get("lever"):
+            raise typer.BadParameter(f"{lever}: without a file of tilts it is asked; leave the option out")
+        _say(_asked(made.__name__, config, filing))
+
+    parameters = [named.replace(default=None)]
+    for other in others:
+        parameters += of_filing.values() if other.name == "filing" else [other]
+    parameters.append(inspect.signature(command).parameters["config"])
+    kind = inspect.Parameter.KEYWORD_ONLY
+    signature = inspect.Signature([parameter.replace(kind=kind) for parameter in parameters])
+    command.__name__, command.__doc__ = made.__name__, made.__doc__
+    vars(command)["__signature__"] = signature
+    return command
 
 
 def _asked(kind: str, config: Path | None, filing: "Filing") -> Path:
