@@ -15,7 +15,7 @@ from typing import Annotated
 import typer
 
 from processing.errors import ConfigurationError, RigError
-from rig.commands import archive, calibration, camera, init, instruments, measure, physics, records, reporting
+from rig.commands import archive, calibration, camera, init, measure, physics, records, reporting
 from rig.commands import session as session_commands
 from rig.terminal import reason_of, spell_out_what_is_missing, terminated_by_signals
 
@@ -33,7 +33,6 @@ measure.register(app)
 session_commands.register(app)
 records.register(app)
 physics.register(app)
-instruments.register(app)
 calibration.register(app)
 reporting.register(app)
 camera.register(app)

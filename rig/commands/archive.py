@@ -35,18 +35,8 @@ def register(app: typer.Typer) -> None:
     archive = typer.Typer(help="A catalogue of the runs of many sessions.", no_args_is_help=True)
     archive.command("add")(add)
     archive.command("list")(list_)
-    archive.command("plot")(plot)
-    archive.command("show")(show)
-    archive.command("tag")(tag)
-    archive.command("note")(note)
-    archive.command("refit")(refit)
-    archive.command("diff")(diff)
-    archive.command("compare")(compare)
-    archive.command("blind")(blind)
-    archive.command("unblind")(unblind)
-    archive.command("view")(view)
-    archive.command("publish")(publish)
-    archive.command("thin")(thin)
+    for command in (plot, show, tag, note, refit, diff, compare, blind, unblind, view, publish, thin):
+        archive.command()(command)
     app.add_typer(archive, name="archive")
 
 

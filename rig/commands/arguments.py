@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 import typer
 
 from rig.commands.inputs import recorded, there
+from rig.commands.outputs import folder_without, new_file
 
 Config = Annotated[
     Path, typer.Argument(help="Configuration (TOML file).", show_default=False, callback=there)
@@ -32,4 +33,23 @@ View = Annotated[
 ]
 MODES: dict[str | None, Literal["none", "spawn", "web"]] = {None: "none", "window": "spawn", "web": "web"}
 """Values of view.mode."""
+ResultsFolder = Annotated[
+    Path | None,
+    typer.Option(
+        "-o",
+        "--output",
+        help="Folder for results.json; must not hold one yet.",
+        callback=folder_without("results.json"),
+    ),
+]
+NewRecord = Annotated[
+    Path,
+    typer.Option(
+        "-o",
+        "--output",
+        help="Record to write (MCAP file).",
+        show_default=False,
+        callback=new_file(".mcap", makes_folders=True),
+    ),
+]
 JsonLines = Annotated[bool, typer.Option("--json", help="Write one JSON object per line to stdout.")]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from rig.commands.arguments import MODES, Config, Set, View
+from rig.commands.arguments import MODES, Config, NewRecord, Set, View
 from rig.commands.outputs import new_file, new_folder, old_folder
 
 if TYPE_CHECKING:
@@ -25,13 +25,8 @@ def register(app: typer.Typer) -> None:
     camera = typer.Typer(help="Show, set and test the camera.", no_args_is_help=True)
     camera.command("show")(show)
     camera.command("set")(set_features)
-    camera.command("snap")(snap)
-    camera.command("record")(record)
-    camera.command("frames")(frames)
-    camera.command("focus")(focus)
-    camera.command("align")(align)
-    camera.command("expose")(expose)
-    camera.command("dump")(dump)
+    for command in (snap, record, frames, focus, align, expose, dump):
+        camera.command()(command)
     app.add_typer(camera, name="camera")
 
 
@@ -165,15 +160,7 @@ def snap(
 
 def record(
     config: Config,
-    output: Annotated[
-        Path,
-        typer.Option(
-            "-o",
-            "--output",
-            help="Record to write (MCAP file).",
-            callback=new_file(".mcap", makes_folders=True),
-        ),
-    ],
+    output: NewRecord,
     seconds: Annotated[float, typer.Option(help="Length of the record.", min=1)] = 20.0,
     set_: Set = None,
 ) -> None:

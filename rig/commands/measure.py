@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 import typer
 
 from processing.errors import ConfigurationError
-from rig.commands.arguments import MODES, Config, JsonLines, Record, Set, View
+from rig.commands.arguments import MODES, Config, JsonLines, NewRecord, Record, ResultsFolder, Set, View
 from rig.commands.inputs import one_record, recorded, records_in, there
 from rig.commands.outputs import folder_without, new_file
 
@@ -19,10 +19,8 @@ Rrd = Annotated[
 
 def register(app: typer.Typer) -> None:
     """Add the commands of this module."""
-    app.command("run")(run)
-    app.command("replay")(replay)
-    app.command("view")(view)
-    app.command("simulate")(simulate)
+    for command in (run, replay, view, simulate):
+        app.command()(command)
 
 
 def run(
@@ -100,15 +98,7 @@ def run(
 
 def replay(
     record: Record,
-    output: Annotated[
-        Path | None,
-        typer.Option(
-            "-o",
-            "--output",
-            help="Folder for results.json; must not hold one yet.",
-            callback=folder_without("results.json"),
-        ),
-    ] = None,
+    output: ResultsFolder = None,
     speed: Annotated[str, typer.Option(metavar="1|10|max", help="Speed relative to real time.")] = "max",
     from_s: Annotated[float, typer.Option("--from", help="Begin this many seconds after the start.")] = 0.0,
     to_s: Annotated[
@@ -184,16 +174,7 @@ def view(
 
 def simulate(
     config: Config,
-    output: Annotated[
-        Path,
-        typer.Option(
-            "-o",
-            "--output",
-            help="Record to write (MCAP file).",
-            show_default=False,
-            callback=new_file(".mcap", makes_folders=True),
-        ),
-    ],
+    output: NewRecord,
     set_: Set = None,
 ) -> None:
     """Record one run of the simulated rig, without fitting it.

@@ -1,4 +1,4 @@
-"""`rig fit`, `rig plan`."""
+"""`rig fit`, `rig plan`, `rig instruments`."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -8,15 +8,15 @@ from typing import Annotated
 import typer
 
 from processing.errors import ConfigurationError
-from rig.commands.arguments import Set
+from rig.commands.arguments import ResultsFolder, Set
 from rig.commands.inputs import one_record, recorded, records_in, there
 from rig.commands.outputs import folder_without
 
 
 def register(app: typer.Typer) -> None:
     """Add the commands of this module."""
-    app.command("fit")(fit)
-    app.command("plan")(plan)
+    for command in (fit, plan, instruments):
+        app.command()(command)
 
 
 def fit(
@@ -28,15 +28,7 @@ def fit(
             callback=recorded,
         ),
     ],
-    output: Annotated[
-        Path | None,
-        typer.Option(
-            "-o",
-            "--output",
-            help="Folder for results.json; must not hold one yet.",
-            callback=folder_without("results.json"),
-        ),
-    ] = None,
+    output: ResultsFolder = None,
     config: Annotated[
         Path | None, typer.Option(help="CSV: configuration with [pendulum] and [fit].", callback=there)
     ] = None,
@@ -112,7 +104,7 @@ def fit_records(
 ) -> int:
     """Fit records; results.json in `output` or beside the first record. Returns the exit status.
 
-    `laws` are names of the registry, to be compared with the paper's.
+    `laws` are names of the registry, to be compared with the default one.
     """
     from rig.analysis import (
         RESULTS_NAME,
@@ -126,7 +118,7 @@ def fit_records(
     )
     from rig.presentation import say
 
-    compared = chosen_laws(["paper", *laws]) if laws else ()
+    compared = chosen_laws(laws) if laws else ()
     refuse_copies(paths)
     runs = [analyse_record(path, overrides) for path in paths]
     for run in runs:
@@ -228,3 +220,11 @@ def plan(
     print_plan(planned)
     if output is not None:
         save_plan(planned, output)
+
+
+def instruments() -> None:
+    """List the kinds of pendulum, for instrument.kind."""
+    from processing.instruments import INSTRUMENTS
+
+    for description in INSTRUMENTS.values():
+        typer.echo(f"{description.kind:<15} {description.sentence}")

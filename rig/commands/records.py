@@ -12,9 +12,8 @@ from rig.commands.outputs import new_file
 
 def register(app: typer.Typer) -> None:
     """Add the commands of this module."""
-    app.command("info")(info)
-    app.command("check")(check)
-    app.command("recover")(recover)
+    for command in (info, check, recover):
+        app.command()(command)
 
 
 def info(record: Record) -> None:

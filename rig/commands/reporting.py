@@ -12,10 +12,8 @@ from rig.commands.outputs import folder_without, new_file, new_page
 
 def register(app: typer.Typer) -> None:
     """Add the commands of this module."""
-    app.command("report")(report)
-    app.command("paper")(paper)
-    app.command("export")(export)
-    app.command("compare")(compare)
+    for command in (report, paper, export, compare):
+        app.command()(command)
 
 
 def report(

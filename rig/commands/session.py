@@ -12,10 +12,8 @@ from rig.commands.outputs import appended_file, new_file
 
 def register(app: typer.Typer) -> None:
     """Add the commands of this module."""
-    app.command("desk")(desk)
-    app.command("balance")(balance)
-    app.command("preflight")(preflight)
-    app.command("doctor")(doctor)
+    for command in (desk, balance, preflight, doctor):
+        app.command()(command)
 
 
 def balance(
