@@ -31,7 +31,7 @@ from processing.contact.law import (
     Parameter,
 )
 from processing.contact.law_of_splines import MomentSplines, spline_law
-from processing.contact.laws import LAWS, PAPER
+from processing.contact.laws import DEFAULT_LAW, LAWS, PAPER
 from processing.contact.moments import SurfaceEnergy, cycle_work, surface_energy, weight_moment
 from processing.contact.one_half_swing import OneHalfSwing, tabulated_half_swing
 from processing.contact.parameters import STANDARD_GRAVITY_M_PER_S2, ContactParameters, PendulumOnBall

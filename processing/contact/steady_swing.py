@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from processing.contact.law import Law
-from processing.contact.laws import PAPER
+from processing.contact.laws import DEFAULT_LAW
 from processing.contact.moments import weight_moment
 from processing.contact.parameters import PendulumOnBall
 from processing.errors import DataError
@@ -32,7 +32,7 @@ def moment_loop(
     values: Mapping[str, float],
     pendulum: PendulumOnBall,
     *,
-    law: Law = PAPER,
+    law: Law = DEFAULT_LAW,
     points: int = 201,
 ) -> MomentLoop:
     """The three loops of Table 4 at a given amplitude, neglecting its change within the cycle.

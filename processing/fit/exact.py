@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from processing.contact import PendulumOnBall
-from processing.contact.laws import PAPER, Law
+from processing.contact.laws import DEFAULT_LAW, Law
 from processing.errors import DataError
 from processing.estimate import Estimate
 from processing.fit.checks import FEWEST_HALF_CYCLES, OUTLIER, check_turning_points, data_warnings
@@ -106,7 +106,7 @@ def fit_exact(
     points: TurningPoints,
     pendulum: PendulumOnBall | None,
     *,
-    law: Law = PAPER,
+    law: Law = DEFAULT_LAW,
     drag: bool = False,
     loss: Loss = "linear",
     averaged: bool = True,

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from processing.contact import HalfSwings, OneHalfSwing, PendulumOnBall, tabulated_half_swing
-from processing.contact.laws import DRAG, PAPER, Law
+from processing.contact.laws import DEFAULT_LAW, DRAG, Law
 from processing.fit.ground import AT_REST, Noise
 from processing.fit.ground_filter import GAINS, drive_filter
 from processing.fit.result import FitResult
@@ -45,7 +45,12 @@ class ExactModel:
     """
 
     def __init__(
-        self, points: TurningPoints, pendulum: PendulumOnBall | None, *, law: Law = PAPER, drag: bool = False
+        self,
+        points: TurningPoints,
+        pendulum: PendulumOnBall | None,
+        *,
+        law: Law = DEFAULT_LAW,
+        drag: bool = False,
     ) -> None:
         self.points = points
         self.pendulum = pendulum

@@ -11,7 +11,7 @@ from math import inf
 
 import numpy as np
 
-from processing.contact import AMPLITUDE, DRAG, PAPER, TIME, Law, PendulumOnBall
+from processing.contact import AMPLITUDE, DEFAULT_LAW, DRAG, TIME, Law, PendulumOnBall
 from processing.errors import DataError
 from processing.fit.checks import FEWEST_HALF_CYCLES
 from processing.fit.exact_model import ExactModel
@@ -74,7 +74,7 @@ def planned_run(
     first_rad: float,
     last_rad: float,
     *,
-    law: Law = PAPER,
+    law: Law = DEFAULT_LAW,
 ) -> PlannedRun:
     """What a run from one amplitude to another will tell of a law with these values.
 

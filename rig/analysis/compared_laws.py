@@ -8,7 +8,7 @@ import numpy as np
 
 from processing.angle import ARCSEC_RAD
 from processing.contact import PendulumOnBall
-from processing.contact.laws import LAWS, Law
+from processing.contact.laws import DEFAULT_LAW, LAWS, Law
 from processing.errors import ConfigurationError, DataError
 from processing.fit import FitMethod, LawComparison, compare_laws, fit_without_law
 from processing.swing import TurningPoints
@@ -23,7 +23,7 @@ _TELLING, _MOST_RUNS = 3.0, 100
 
 
 def chosen_laws(names: Sequence[str]) -> tuple[Law, ...]:
-    """Laws of the registry by name; "all" means all of them, "none" none but those named beside it.
+    """The default law and others of the registry by name; "all" means all, "none" none but those beside it.
 
     Raises
     ------
@@ -35,7 +35,7 @@ def chosen_laws(names: Sequence[str]) -> tuple[Law, ...]:
             raise ConfigurationError(
                 f"--law {name}: no such law; there are {', '.join(LAWS)}, {NO_LAW} and all"
             )
-    return tuple(law for law in LAWS.values() if law.name in names or "all" in names)
+    return tuple(law for law in LAWS.values() if law is DEFAULT_LAW or {law.name, "all"} & set(names))
 
 
 def laws_of(run: AnalysedRun, laws: Iterable[Law]) -> ComparedLaws | None:

@@ -9,7 +9,7 @@ from math import nan
 from typing import Annotated
 
 from processing.contact import DRAG, ContactParameters, SurfaceEnergy
-from processing.contact.laws import PAPER
+from processing.contact.laws import DEFAULT_LAW
 from processing.estimate import NOT_DETERMINED, Estimate
 from processing.fit import FitMethod, FitQuality, Propagated
 from processing.quantity import PART
@@ -42,7 +42,7 @@ class Fit(FitQuality):
 
     def contact(self) -> ContactParameters:
         """The contact parameters as the laws take them."""
-        values = {name: self.estimate(name).value for name in PAPER.names()}
+        values = {name: self.estimate(name).value for name in DEFAULT_LAW.names()}
         drag = self.parameters.get(DRAG.key)
         return ContactParameters(**values, drag_s=0.0 if drag is None else drag.value)
 

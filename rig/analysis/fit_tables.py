@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 
-from processing.contact.laws import PAPER
+from processing.contact.laws import DEFAULT_LAW
 from processing.estimate import NOT_DETERMINED, Estimate
 from processing.fit import Determination, FitMethod, FitQuality
 from processing.quantity import quantities_of
@@ -25,7 +25,8 @@ def parameter_table(
     """
     methods = _in_order(fits)
     entries: list[tuple[str, list[Estimate | None]]] = [
-        (name, [fits[method].parameters.get(name) for method in methods]) for name in PAPER.names(drag=True)
+        (name, [fits[method].parameters.get(name) for method in methods])
+        for name in DEFAULT_LAW.names(drag=True)
     ]
     if energy is not None:
         of_fits = [energy.of(method) for method in methods]
@@ -70,7 +71,7 @@ def combined_table(results: SessionResults) -> Table | None:
     together = results.series.surface_energy_j_per_m2 if results.series is not None else None
     rows: list[list[Cell]] = []
     shown = []
-    for name in PAPER.names():
+    for name in DEFAULT_LAW.names():
         estimates = [run.fits[FitMethod.EXACT].parameters.get(name) for _, run in fits]
         item = series.get(name)
         if item is None or not any(estimates):

@@ -151,7 +151,7 @@ def _analysed(task: Task) -> AnalysedRun:
     else:
         run = analyse_replayed(task.record, retrack=recipe.level == "pixels", overrides=recipe.settings)
     if recipe.laws:
-        compared = laws_of(run, chosen_laws(["paper", *recipe.laws]))
+        compared = laws_of(run, chosen_laws(recipe.laws))
         run = replace(run, results=replace(run.results, laws=compared))
     return run
 

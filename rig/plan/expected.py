@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from processing.angle import ARCSEC_RAD
-from processing.contact import PAPER, PendulumOnBall
+from processing.contact import DEFAULT_LAW, PendulumOnBall
 from processing.errors import ConfigurationError, DataError
 from processing.fit import Conditions, FitMethod
 from processing.noise_models import density_of_db, nhnm_db, nlnm_db
@@ -51,7 +51,7 @@ def expected_of(config: Configuration, frame_noise_rad: float | None = None) -> 
     if pendulum is None:
         raise ConfigurationError("rig plan needs [pendulum]: state mass_kg and ball_radius_m")
     contact = config.simulation.contact
-    values = {name: float(getattr(contact, name)) for name in PAPER.names()}
+    values = {name: float(getattr(contact, name)) for name in DEFAULT_LAW.names()}
     noise_rad = _frame_noise_rad(config) if frame_noise_rad is None else frame_noise_rad
     u_rad, u_time_s = _of_turning_points(config, noise_rad)
     conditions = Conditions(u_rad, u_time_s * _AMPLITUDE_RAD, _drive(config, pendulum))
@@ -78,7 +78,7 @@ def _contact_of(results: Path) -> dict[str, float]:
     for run in found.runs if isinstance(found, SessionResults) else ():
         if FitMethod.EXACT in run.fits:
             parameters = run.fits[FitMethod.EXACT].parameters
-            return {name: parameters[name].value for name in PAPER.names()}
+            return {name: parameters[name].value for name in DEFAULT_LAW.names()}
     raise DataError(f"{results}: no run in it has a fit of the contact; name another, or leave --contact out")
 
 

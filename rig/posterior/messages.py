@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from processing.contact import PAPER, PendulumOnBall
+from processing.contact import DEFAULT_LAW, PendulumOnBall
 from processing.estimate import Estimate
 from processing.least_squares import Loss
 
@@ -18,7 +18,7 @@ class FittedModel(NamedTuple):
     @property
     def parameters(self) -> tuple[str, ...]:
         """Keys of what is estimated, without the run's first amplitude and time."""
-        return PAPER.fit_names(calibrated=True, drag=self.drag)[:-2]
+        return DEFAULT_LAW.fit_names(calibrated=True, drag=self.drag)[:-2]
 
 
 class FittedParameters(NamedTuple):

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from processing.contact.laws import PAPER
+from processing.contact.laws import DEFAULT_LAW
 from processing.estimate import Estimate
 from processing.fit import FitMethod
 from processing.spot import Spot
@@ -146,7 +146,7 @@ def _contact(run: RunResults) -> dict[str, Estimate]:
         f"fits.{method}.{name}": fit.parameters[name]
         for method in (FitMethod.EXACT, FitMethod.ASYMPTOTIC)
         if (fit := run.fits.get(method)) is not None
-        for name in PAPER.names(drag=True)
+        for name in DEFAULT_LAW.names(drag=True)
         if name in fit.parameters and all(map(math.isfinite, fit.parameters[name]))
     }
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import stdtr
 
-from processing.contact.laws import PAPER
+from processing.contact.laws import DEFAULT_LAW
 from processing.errors import ConfigurationError, RecordError
 from processing.estimate import Estimate
 from processing.fit import FitMethod
@@ -60,7 +60,7 @@ def seen_runs(sessions: Mapping[str, SessionResults], name: str) -> list[Seen]:
         at = nan if run.surroundings is None else getattr(run.surroundings, name)
         if isfinite(at):
             exact = run.fits[FitMethod.EXACT]
-            values = {key: exact.estimate(key) for key in PAPER.names()}
+            values = {key: exact.estimate(key) for key in DEFAULT_LAW.names()}
             found.append(Seen(label, run.record, at, values))
     if len(found) < 2:
         raise RecordError(
@@ -73,17 +73,17 @@ def seen_runs(sessions: Mapping[str, SessionResults], name: str) -> list[Seen]:
 def against_table(runs: Sequence[Seen], name: str) -> Table:
     """Every run for the file; for the eye the straight line through all runs of each parameter."""
     columns: list[str] = ["series", "run", name]
-    for key in PAPER.names():
+    for key in DEFAULT_LAW.names():
         columns += [key, f"u_{key}"]
     rows: list[list[Cell]] = []
     for run in runs:
         cells: list[Cell] = [run.series, run.run, run.at]
-        for key in PAPER.names():
+        for key in DEFAULT_LAW.names():
             cells += run.parameters.get(key, (nan, nan))
         rows.append(cells)
     over = quantity(name)
     shown = []
-    for key in PAPER.names():
+    for key in DEFAULT_LAW.names():
         slope, u, chance = _line(runs, key)
         if isfinite(u):
             of = quantity(key)
@@ -119,7 +119,7 @@ def _line(runs: Sequence[Seen], key: str) -> tuple[float, float, float]:
 
 def against_figure(runs: Sequence[Seen], name: str) -> ReportFigure:
     """One panel a parameter, one point a run with its standard uncertainty, one colour a series."""
-    names = [key for key in PAPER.names() if any(key in run.parameters for run in runs)]
+    names = [key for key in DEFAULT_LAW.names() if any(key in run.parameters for run in runs)]
     rows = (len(names) + 2) // 3
     figure = canvas(0.5 + 1.9 * rows)
     panels = figure.subplots(rows, 3, squeeze=False, sharex=True)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from scipy.special import stdtrit
 
-from processing.contact.laws import PAPER
+from processing.contact.laws import DEFAULT_LAW
 from processing.errors import ConfigurationError, RecordError
 from processing.estimate import Estimate
 from processing.fit import (
@@ -64,7 +64,7 @@ def compare(folders: Sequence[Path], output: Path | None, against: str = "") -> 
     tables += [against_table(seen, over)] if over else []
     if output is not None:
         files = output.parent / output.stem
-        names = [name for name in PAPER.names() if all(name in s.parameters for s in series.values())]
+        names = [name for name in DEFAULT_LAW.names() if all(name in s.parameters for s in series.values())]
         bars = {
             label: {
                 name: (item.value, item.expanded_uncertainty_95) for name, item in found.parameters.items()
@@ -142,7 +142,7 @@ def _single(fit: Fit) -> dict[str, Combined]:
     """One run as a series of its own: what scatters between runs is not known of it."""
     dof = fit.degrees_of_freedom
     found = {}
-    for name in PAPER.names():
+    for name in DEFAULT_LAW.names():
         value, u = fit.estimate(name)
         if isfinite(value) and isfinite(u):
             half = float(stdtrit(dof, 0.975)) * u
@@ -164,7 +164,9 @@ def values_table(
     energies: Sequence[Estimate | None],
 ) -> Table:
     """One row a parameter, one column a series; what is not determined as interval or bound."""
-    names = [name for name in PAPER.names() if any(name in found.parameters for found in series.values())]
+    names = [
+        name for name in DEFAULT_LAW.names() if any(name in found.parameters for found in series.values())
+    ]
     rows: list[list[Cell]] = []
     shown = []
     for name in names:

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import isfinite
 
-from processing.contact import DRAG, PAPER
+from processing.contact import DEFAULT_LAW, DRAG
 from processing.estimate import Estimate
 
 _FORM = re.compile(r"\s*u\(\s*([^()\s]+)\s*\)\s*/\s*([^()\s<]+)\s*<\s*([0-9][0-9.eE+-]*)\s*")
@@ -71,10 +71,10 @@ def _written(key: str) -> str:
 def _key(name: str) -> str:
     known = {
         spelling: parameter.key
-        for parameter in (*PAPER.parameters, DRAG)
+        for parameter in (*DEFAULT_LAW.parameters, DRAG)
         for spelling in (parameter.key, parameter.symbol, _written(parameter.key))
     }
     if name not in known:
-        names = ", ".join(_written(parameter.key) for parameter in (*PAPER.parameters, DRAG))
+        names = ", ".join(_written(parameter.key) for parameter in (*DEFAULT_LAW.parameters, DRAG))
         raise ValueError(f"no parameter {name}; known are {names}")
     return known[name]

@@ -2,4 +2,4 @@
 
 from processing.contact.law import AMPLITUDE, DRAG, TIME, Law, Parameter
 from processing.contact.laws.paper import PAPER
-from processing.contact.laws.registry import LAWS
+from processing.contact.laws.registry import DEFAULT_LAW, LAWS

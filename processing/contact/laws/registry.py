@@ -25,3 +25,6 @@ LAWS: Mapping[str, Law] = MappingProxyType(
     }
 )  # fmt: skip
 """Laws by name, in the order of display."""
+
+DEFAULT_LAW = PAPER
+"""The law that is fitted where no other is named, and whose parameters results report."""
