@@ -15,8 +15,7 @@ from typing import Annotated
 import typer
 
 from processing.errors import ConfigurationError, RigError
-from rig.commands import archive, calibration, camera, init, measure, physics, records, reporting
-from rig.commands import session as session_commands
+from rig.commands import archive, calibration, camera, init, measure, physics, records, reporting, session
 from rig.terminal import reason_of, spell_out_what_is_missing, terminated_by_signals
 
 _MADE_BETWEEN_COLLECTIONS = 10_000
@@ -28,15 +27,8 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-init.register(app)
-measure.register(app)
-session_commands.register(app)
-records.register(app)
-physics.register(app)
-calibration.register(app)
-reporting.register(app)
-camera.register(app)
-archive.register(app)
+for module in (init, measure, session, records, physics, calibration, reporting, camera, archive):
+    module.register(app)
 
 
 def _version(asked: bool) -> None:

@@ -26,13 +26,9 @@ def calibrate_lever(ladder: Path, filing: Filing) -> Path:
     table = read_ladder(ladder)
     if table.geometry is not None:
         found = lever_from_geometry(table.geometry)
-        details = {
-            "u_scale_relative": found.lever.u_scale_relative,
-            **details_of(found, "lever"),
-        }
-        return file_calibration(
-            "lever", filing, "geometry, traced", _plain_lever(found.lever), details, [ladder]
-        )
+        details = {"u_scale_relative": found.lever.u_scale_relative, **details_of(found, "lever")}
+        values = found.lever.model_dump(exclude_none=True)
+        return file_calibration("lever", filing, "geometry, traced", values, details, [ladder])
     fit, sources, began = _climb(ladder, table)
     binning = _binning(ladder, table)
     if table.kind == "tilt":
@@ -42,7 +38,8 @@ def calibrate_lever(ladder: Path, filing: Filing) -> Path:
     lever = lever.model_copy(update={"binning": binning})
     details = {**_ladder_details(fit, table), "u_scale_relative": lever.u_scale_relative}
     method = f"ladder of {len(table.step)} {table.kind}s"
-    return file_calibration("lever", filing, method, _plain_lever(lever), details, sources, fit.notes, began)
+    values = lever.model_dump(exclude_none=True)
+    return file_calibration("lever", filing, method, values, details, sources, fit.notes, began)
 
 
 def check_known_angle(ladder: Path, lever: Path, filing: Filing) -> Path:
@@ -98,7 +95,3 @@ def _ladder_details(fit: LadderFit, table: LadderFile) -> dict[str, Any]:
         "u_reference_relative": table.u_reference_relative,
         **details_of(fit, "notes"),
     }
-
-
-def _plain_lever(lever: Lever) -> dict[str, Any]:
-    return lever.model_dump(exclude_none=True)

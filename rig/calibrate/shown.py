@@ -89,14 +89,9 @@ def _left_over(found: CalibrationFile) -> Iterator[Residuals]:
         for place, axis in enumerate("xy"):
             off_px = [row[place] for row in details["residual_px"]]
             reference = [value / size for value in details["reference"]]
-            yield Residuals(
-                f"residuals of the steps, {axis}",
-                f"reference, {unit}",
-                "px",
-                reference,
-                off_px,
-                _unknown(off_px),
-            )
+            unknown = [0.0] * len(off_px)
+            title = f"residuals of the steps, {axis}"
+            yield Residuals(title, f"reference, {unit}", "px", reference, off_px, unknown)
     if "signal_dn" in details:
         off_dn2 = [off for *_, off, _ in _off_transfer(found.values, details)]
         yield Residuals(
@@ -158,10 +153,6 @@ def _residual_table(found: Residuals) -> Table:
 
 def _times(factor: float, values: Sequence[float]) -> list[float]:
     return [factor * value for value in values]
-
-
-def _unknown(values: Sequence[float]) -> list[float]:
-    return [0.0] * len(values)
 
 
 def _unit_of_steps(details: Mapping[str, Any]) -> tuple[str, float]:
