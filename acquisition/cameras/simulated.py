@@ -19,6 +19,9 @@ from acquisition.simulation.scene import Readings, Scene, block_frames
 from acquisition.simulation.settings import SimulationSettings
 from processing.errors import DeviceError
 
+_NAMES = {"x0_px": "offset_x_px", "y0_px": "offset_y_px"}
+"""Names in the settings of what is called otherwise in the readings."""
+
 
 class SimulatedCamera:
     """A `Camera` that observes the simulated pendulum.
@@ -51,7 +54,17 @@ class SimulatedCamera:
         self._opened = False
         self._reader: RunReader | None = None
         self._runs = settings.first_run
-        self._applied = self._defaults()
+        sensor = settings.sensor
+        self._readings = Readings(
+            x0_px=0,
+            y0_px=0,
+            width_px=sensor.width_px,
+            height_px=sensor.height_px,
+            bit_depth=sensor.bit_depth,
+            exposure_us=sensor.exposure_us,
+            gain_db=0.0,
+            frame_rate_hz=settings.clock.frame_rate_hz,
+        )
 
     def open(self) -> CameraInfo:
         """Ready immediately. Raises DeviceError while the simulated camera is unplugged."""
@@ -78,36 +91,46 @@ class SimulatedCamera:
         if self._reader is not None and self._reader.running:
             raise DeviceError(f"{CAMERA_NAME}: cannot be configured while frames are running; stop it first")
         without_features(settings.model_copy(update={"binning": None}), CAMERA_NAME)
-        asked = settings.model_dump(exclude_none=True)
-        binning = settings.binning or self._applied.binning or 1
+        binning = settings.binning or self._readings.binning
         sensor = self._settings.sensor
         width_px, height_px = sensor.width_px // binning, sensor.height_px // binning
-        if binning != self._applied.binning:
-            whole = {"width_px": width_px, "height_px": height_px, "offset_x_px": 0, "offset_y_px": 0}
-            self._applied = self._applied.model_copy(update={"binning": binning, **whole})
-        if "width_px" in asked and "offset_x_px" not in asked:
-            asked["offset_x_px"] = min(self._applied.offset_x_px or 0, max(width_px - asked["width_px"], 0))
-        if "height_px" in asked and "offset_y_px" not in asked:
-            asked["offset_y_px"] = min(self._applied.offset_y_px or 0, max(height_px - asked["height_px"], 0))
-        new = CameraSettings(**{**self._applied.model_dump(), **asked})
-        _check_range("width_px", (new.offset_x_px or 0) + (new.width_px or 0), width_px)
-        _check_range("height_px", (new.offset_y_px or 0) + (new.height_px or 0), height_px)
-        if not 0 <= (new.gain_db or 0.0) <= 48:
+        if binning != self._readings.binning:
+            self._readings = self._readings._replace(
+                binning=binning, x0_px=0, y0_px=0, width_px=width_px, height_px=height_px
+            )
+        asked = {
+            name: value
+            for name in Readings._fields
+            if (value := getattr(settings, _NAMES.get(name, name), None)) is not None
+        }
+        if settings.pixel_format is not None:
+            asked["bit_depth"] = BITS_OF_FORMAT[settings.pixel_format]
+        new = self._readings._replace(**asked)
+        if settings.width_px is not None and settings.offset_x_px is None:
+            new = new._replace(x0_px=min(new.x0_px, max(width_px - new.width_px, 0)))
+        if settings.height_px is not None and settings.offset_y_px is None:
+            new = new._replace(y0_px=min(new.y0_px, max(height_px - new.height_px, 0)))
+        _check_range("width_px", new.x0_px + new.width_px, width_px)
+        _check_range("height_px", new.y0_px + new.height_px, height_px)
+        if not 0 <= new.gain_db <= 48:
             raise DeviceError(
                 f"{CAMERA_NAME}: gain_db = {new.gain_db:g} is out of range; 0 to 48 dB are possible"
             )
-        if (new.frame_rate_hz or 0.0) > 100_000:
+        if new.frame_rate_hz > 100_000:
             raise DeviceError(
                 f"{CAMERA_NAME}: frame_rate_hz = {new.frame_rate_hz:g} is out of range; "
                 "at most 100000 are possible"
             )
-        if (new.exposure_us or 0.0) * (new.frame_rate_hz or 0.0) > 1e6:
+        if new.exposure_us * new.frame_rate_hz > 1e6:
             raise DeviceError(
                 f"{CAMERA_NAME}: exposure_us = {new.exposure_us:g} is longer than a frame at "
-                f"frame_rate_hz = {new.frame_rate_hz:g}; at most {1e6 / (new.frame_rate_hz or 1.0):.6g} fit"
+                f"frame_rate_hz = {new.frame_rate_hz:g}; at most {1e6 / new.frame_rate_hz:.6g} fit"
             )
-        self._applied = new
-        return new
+        self._readings = new
+        return CameraSettings(
+            pixel_format=FORMAT_OF_BITS[new.bit_depth],
+            **{_NAMES.get(name, name): value for name, value in new._asdict().items() if name != "bit_depth"},
+        )
 
     def start(self) -> None:
         """Begin a run, or continue the run in which the camera was lost."""
@@ -144,36 +167,6 @@ class SimulatedCamera:
     def status(self) -> CameraStatus:
         """Counts since `start`, continued after a reconnection."""
         return CameraStatus() if self._reader is None else self._reader.status
-
-    @property
-    def _readings(self) -> Readings:
-        new = self._applied
-        sensor = self._settings.sensor
-        return Readings(
-            x0_px=new.offset_x_px or 0,
-            y0_px=new.offset_y_px or 0,
-            width_px=new.width_px or sensor.width_px,
-            height_px=new.height_px or sensor.height_px,
-            bit_depth=BITS_OF_FORMAT[new.pixel_format] if new.pixel_format else sensor.bit_depth,
-            exposure_us=new.exposure_us or sensor.exposure_us,
-            gain_db=new.gain_db or 0.0,
-            frame_rate_hz=new.frame_rate_hz or self._settings.clock.frame_rate_hz,
-            binning=new.binning or 1,
-        )
-
-    def _defaults(self) -> CameraSettings:
-        sensor = self._settings.sensor
-        return CameraSettings(
-            exposure_us=sensor.exposure_us,
-            gain_db=0.0,
-            frame_rate_hz=self._settings.clock.frame_rate_hz,
-            pixel_format=FORMAT_OF_BITS[sensor.bit_depth],
-            binning=1,
-            width_px=sensor.width_px,
-            height_px=sensor.height_px,
-            offset_x_px=0,
-            offset_y_px=0,
-        )
 
     def _must_be_open(self) -> None:
         if not self._opened:
