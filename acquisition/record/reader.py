@@ -34,7 +34,7 @@ from acquisition.record.topics import (
     EVENT,
     IMAGE_TOPIC,
     LOG_TOPIC,
-    LOSSES_TOPIC,
+    LOSSES,
     SPOT,
     SWING,
     WINDOW,
@@ -190,7 +190,7 @@ class RecordReader(ProvedFile):
 
     def losses(self) -> FrameLosses | None:
         """Numbers of lost frames by cause; None if an older record does not contain them."""
-        found = self.values(LOSSES_TOPIC, RecordedLosses)
+        found = self.values(LOSSES.topic, RecordedLosses)
         return FrameLosses(*found[-1][1:]) if found else None
 
     def windows(self, start_ns: int | None = None) -> Iterator[RecordedWindow]:

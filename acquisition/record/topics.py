@@ -21,8 +21,6 @@ LIBRARY = "optical-pendulum-rig"
 IMAGE_TOPIC = "/image"
 LOG_TOPIC = "/log"
 CAMERA_TOPIC = "/camera_calibration"
-LOSSES_TOPIC = "/losses"
-CLOCK_TOPIC = "/clock"
 METADATA_COPY = "metadata.json"
 """Attachment that holds all metadata once more, since MCAP gives them no checksum."""
 SENSOR_FRAME = "sensor"
@@ -53,6 +51,13 @@ class ClockAnchor(NamedTuple):
     utc_ns: int
     u_utc_s: float
     synchronised: bool
+
+
+class CameraTemperature(NamedTuple):
+    """Temperature inside the camera, at the time of a frame."""
+
+    time_ns: int
+    temperature_c: float
 
 
 class RecordedLosses(NamedTuple):
@@ -195,3 +200,6 @@ If `model_inverse_x` is not 0, `pixels` are the bit planes of the pixels minus a
 """
 EVENT = _message("Event", "/event", *_ints("time_ns"), tail=(("kind", "text"), ("text", "text")))
 ENVIRONMENT = message_type_of(Environment, f"{PACKAGE}.Environment", "/environment")
+LOSSES = message_type_of(RecordedLosses, f"{PACKAGE}.RecordedLosses", "/losses")
+CLOCK = message_type_of(ClockAnchor, f"{PACKAGE}.ClockAnchor", "/clock")
+CAMERA_TEMPERATURE = message_type_of(CameraTemperature, f"{PACKAGE}.CameraTemperature", "/camera_temperature")

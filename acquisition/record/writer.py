@@ -13,7 +13,7 @@ from acquisition.record.container import create_record
 from acquisition.record.events import Event, EventKind
 from acquisition.record.foxglove import encode_camera_calibration, encode_log, foxglove_topics
 from acquisition.record.pixels import encode_image, encode_window
-from acquisition.record.schemas import MessageType, message_type_of
+from acquisition.record.schemas import MessageType
 from acquisition.record.spots_and_swings import encode_swing, spot_rows
 from acquisition.record.topics import (
     BALANCE,
@@ -22,7 +22,6 @@ from acquisition.record.topics import (
     EVENT,
     IMAGE_TOPIC,
     LOG_TOPIC,
-    PACKAGE,
     SCHEMA_VERSION,
     SPOT,
     SPOT_UNCALIBRATED,
@@ -202,16 +201,12 @@ class RecordWriter:
         data = encode_camera_calibration(self._offset_ns + time_ns, sensor_shape, distance_px, reference_px)
         self._add(self._numbers, CAMERA_TOPIC, time_ns, data)
 
-    def write(self, topic: str, value: Any, time_ns: int) -> None:
-        """Write a flat dataclass or NamedTuple of int, float, bool and str; each topic has one type."""
+    def write(self, kind: MessageType, value: Any, time_ns: int) -> None:
+        """Write a value with the fields of its kind; each topic has one kind."""
         self._ready()
-        kind = self._types.get(topic)
-        if kind is None:
-            value_class = type(value)
-            kind = message_type_of(value_class, f"{PACKAGE}.{value_class.__name__}", topic)
-            self._declare(kind)
+        self._declare(kind)
         data = kind.encode(*[getattr(value, name) for name in kind.names])
-        self._add(self._numbers, topic, time_ns, data)
+        self._add(self._numbers, kind.topic, time_ns, data)
 
     def attach(self, name: str, data: bytes) -> None:
         """Add a file to the record, beside those that it began with."""

@@ -13,6 +13,7 @@ from processing.errors import ConfigurationError, RecordError
 from processing.estimate import Determinacy
 from rig.archive.blind import sealed
 from rig.archive.columns import IS_SIMULATED, SHOWN
+from rig.archive.shelf import as_parquet
 from rig.archive.store import Archive, duckdb_module, reads_archive
 from rig.presentation import NOT_KNOWN, Cell, Table, plain, plain_values, print_tables, say, with_uncertainty
 
@@ -59,7 +60,7 @@ def list_runs(
     names = list(found.columns)
     if kind == "parquet":
         assert output is not None
-        write_output(output, _parquet(found))
+        write_output(output, as_parquet(found.to_arrow_table()))
         return
     rows = found.fetchall()
     if kind == "json":
@@ -146,16 +147,6 @@ def _json_value(value: Any) -> Any:
     if isinstance(value, datetime.datetime | datetime.date):
         return value.isoformat()
     return value
-
-
-def _parquet(found: Any) -> bytes:
-    import io
-
-    from pyarrow import parquet
-
-    data = io.BytesIO()
-    parquet.write_table(found.to_arrow_table(), data, compression="zstd")
-    return data.getvalue()
 
 
 def write_output(path: Path, data: bytes) -> None:

@@ -1,25 +1,17 @@
 """The commands that the desk starts: processes that speak JSON lines, or go on without it."""
 
 import json
-import os
 import subprocess
-import sys
 import threading
 from collections import deque
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from rig.rerun import own_group
+from rig.rerun import start_python
 
 _LAST_LINES = 200
 MESSAGES_NAME = "messages.txt"
-
-
-def _command(words: list[str]) -> tuple[list[str], dict[str, str]]:
-    project = str(Path(__file__).resolve().parents[2])
-    path = os.pathsep.join(part for part in (project, os.environ.get("PYTHONPATH")) if part)
-    return [sys.executable, "-P", "-m", "rig", *words], {**os.environ, "PYTHONPATH": path}
 
 
 def start_session(words: list[str], folder: Path) -> "subprocess.Popen[bytes]":
@@ -27,16 +19,8 @@ def start_session(words: list[str], folder: Path) -> "subprocess.Popen[bytes]":
 
     The file is added to, never written over.
     """
-    command, environment = _command(words)
     with (folder / MESSAGES_NAME).open("ab") as messages:
-        return subprocess.Popen(
-            command,
-            stdin=subprocess.DEVNULL,
-            stdout=messages,
-            stderr=messages,
-            env=environment,
-            **own_group(),
-        )
+        return start_python("-m", "rig", *words, stdin=subprocess.DEVNULL, stdout=messages, stderr=messages)
 
 
 class Job:
@@ -47,16 +31,9 @@ class Job:
     """
 
     def __init__(self, words: list[str]) -> None:
-        command, environment = _command(words)
-        self._process = subprocess.Popen(
-            command,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            encoding="utf-8",
-            env=environment,
-            **own_group(),
+        pipe = subprocess.PIPE
+        self._process = start_python(
+            "-m", "rig", *words, stdin=pipe, stdout=pipe, stderr=pipe, text=True, encoding="utf-8"
         )
         self.name = words[0]
         self.ending = False

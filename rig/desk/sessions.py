@@ -98,11 +98,6 @@ class LookingAgain:
                 raise ConfigurationError(f"rig {other} still runs; wait, or end it")
         self.jobs[name] = Job([name, *words])
 
-    def end(self, name: str) -> None:
-        """End a command, as Ctrl-C does."""
-        if name in self.jobs:
-            self.jobs[name].end()
-
     def close(self) -> None:
         """End all."""
         for job in self.jobs.values():

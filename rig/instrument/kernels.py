@@ -44,8 +44,17 @@ def prepare_kernels(sensor: SensorModel, say: Callable[[str], None]) -> None:
 
 
 def compile_tracker(sensor: SensorModel) -> None:
-    """Compile, or load from the cache, what follows a spot on this sensor and records it."""
-    _track(sensor)
+    """Compile, or load from the cache, what follows a spot on this sensor and records it.
+
+    Two frames of the camera's pixel type are tracked, the first searched, the second followed; one encoded.
+    """
+    y, x = np.mgrid[0:_SIDE_PX, 0:_SIDE_PX] - 0.5 * (_SIDE_PX - 1)
+    spot = 0.5 * sensor.full_scale_dn * np.exp(-0.5 * (x**2 + y**2) / _SIGMA_PX**2)
+    image = spot.astype(np.uint8 if sensor.full_scale_dn <= np.iinfo(np.uint8).max else np.uint16)
+    tracker = SpotTracker(sensor)
+    for _ in range(2):
+        spot = tracker.track(image)
+    compile_window(image, spot)
     spots.compile_kernels(sensor.pixel_noise)
 
 
@@ -79,14 +88,3 @@ def _going_on(say: Callable[[str], None]) -> Iterator[None]:
     finally:
         ended.set()
         thread.join()
-
-
-def _track(sensor: SensorModel) -> None:
-    """Track two frames of the camera's pixel type, the first searched, the second followed; encode one."""
-    y, x = np.mgrid[0:_SIDE_PX, 0:_SIDE_PX] - 0.5 * (_SIDE_PX - 1)
-    spot = 0.5 * sensor.full_scale_dn * np.exp(-0.5 * (x**2 + y**2) / _SIGMA_PX**2)
-    image = spot.astype(np.uint8 if sensor.full_scale_dn <= np.iinfo(np.uint8).max else np.uint16)
-    tracker = SpotTracker(sensor)
-    for _ in range(2):
-        spot = tracker.track(image)
-    compile_window(image, spot)

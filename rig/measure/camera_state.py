@@ -3,22 +3,15 @@
 import json
 import logging
 import threading
-from typing import Final, NamedTuple
+from typing import Final
 
 from acquisition.camera import Camera, HasFeatures
+from acquisition.record.topics import CameraTemperature
 from processing.errors import DeviceError
 
 _log = logging.getLogger(__name__)
 _TEMPERATURES: Final = ("DeviceTemperature", "TemperatureAbs")
 """Features with the temperature inside the camera in degrees Celsius, by what different makers call it."""
-TEMPERATURE_TOPIC: Final = "/camera_temperature"
-
-
-class CameraTemperature(NamedTuple):
-    """Temperature inside the camera, at the time of a frame."""
-
-    time_ns: int
-    temperature_c: float
 
 
 def features_json(camera: Camera) -> bytes:

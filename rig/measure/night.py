@@ -14,8 +14,8 @@ from rig.analysis import read_results, results_path
 from rig.devices import Devices
 from rig.instrument import check_materials, complete
 from rig.measure.live_fit import check_stop_when
-from rig.measure.notices import Notices, announced
-from rig.measure.session import Patience, make_runs, make_session, no_patience, report, session_folder
+from rig.measure.notices import announced
+from rig.measure.session import Manner, make_runs, make_session, report, session_folder
 from rig.measure.session_file import STATE_NAME, RunEntry, RunState, SessionFile
 from rig.presentation import failures, say
 from rig.settings import (
@@ -56,8 +56,8 @@ def measure_plan(
         waiting = _Waiting(series, now_s, sleep)
         say(f"series {series.name}")
         with announced(config.session, place) as outcome:
-            measured = _Series(series, config, place, outcome.notices, waiting, force, json_lines)
-            outcome.status = measured.made_and_repeated()
+            manner = Manner(outcome.notices, force, json_lines, waiting)
+            outcome.status = _Series(series, config, place, manner).made_and_repeated()
         worst = max(worst, outcome.status)
         with closing(SessionFile.opened(place)) as file:
             last = file.state.entries[-1]
@@ -117,10 +117,7 @@ class _Series(NamedTuple):
     planned: PlannedSeries
     config: Configuration
     folder: Path
-    notices: Notices
-    waiting: _Waiting
-    force: bool
-    json_lines: bool
+    manner: Manner
 
     def made_and_repeated(self) -> int:
         """Measure it and repeat its bad runs; returns its exit status."""
@@ -135,26 +132,11 @@ class _Series(NamedTuple):
     def _made(self) -> int:
         source = self.planned.config
         folder = session_folder(self.config, source, self.folder)
-        return make_session(
-            self.config,
-            source,
-            folder,
-            self.notices,
-            force=self.force,
-            json_lines=self.json_lines,
-            patience=self.waiting,
-        )
+        return make_session(self.config, source, folder, self.manner)
 
     def _gone_on(self) -> int:
         with closing(SessionFile.opened(self.folder)) as file:
-            return go_on(
-                file,
-                self.config,
-                self.notices,
-                force=self.force,
-                json_lines=self.json_lines,
-                patience=self.waiting,
-            )
+            return _go_on(file, self.config, self.manner)
 
 
 def _set_bad_aside(folder: Path, most: int) -> int:
@@ -187,20 +169,12 @@ def resume_session(folder: Path, *, force: bool = False, json_lines: bool = Fals
             say(note)
         config = validate_configuration(tree, str(folder / STATE_NAME))
         with announced(config.session, folder) as outcome:
-            outcome.status = go_on(file, config, outcome.notices, force=force, json_lines=json_lines)
+            outcome.status = _go_on(file, config, Manner(outcome.notices, force, json_lines))
     return outcome.status
 
 
-def go_on(
-    file: SessionFile,
-    config: Configuration,
-    notices: Notices,
-    *,
-    force: bool,
-    json_lines: bool,
-    patience: Patience = no_patience,
-) -> int:
-    """Make what is missing of a session, as `resume_session` says; `patience` as in `make_session`."""
+def _go_on(file: SessionFile, config: Configuration, manner: Manner) -> int:
+    """Make what is missing of a session, as `resume_session` says."""
     folder = file.folder
     for entry in file.state.entries:
         if entry.state is RunState.RECORDING:
@@ -213,10 +187,9 @@ def go_on(
     if missing <= 0 and _has_results(folder):
         say("no run is missing")
         return 0
-    source = Path(file.state.source)
     with Devices(config, folder) as devices:
-        made = make_runs(config, source, file, devices, notices, patience, force=force, json_lines=json_lines)
-    return report(config, folder, made, json_lines=json_lines)
+        made = make_runs(config, Path(file.state.source), file, devices, manner)
+    return report(config, folder, made, json_lines=manner.json_lines)
 
 
 def _has_results(folder: Path) -> bool:

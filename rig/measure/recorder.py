@@ -14,9 +14,11 @@ from typing import NamedTuple
 from acquisition.frame import Frame, Image
 from acquisition.record.events import Event
 from acquisition.record.topics import (
-    CLOCK_TOPIC,
+    CAMERA_TEMPERATURE,
+    CLOCK,
     ENVIRONMENT,
-    LOSSES_TOPIC,
+    LOSSES,
+    CameraTemperature,
     ClockAnchor,
     Environment,
     RecordedLosses,
@@ -25,7 +27,6 @@ from acquisition.record.writer import RecordWriter
 from processing.spot import Spot
 from rig.control import LightPermit, Stage
 from rig.instrument import Block
-from rig.measure.camera_state import TEMPERATURE_TOPIC, CameraTemperature
 
 _log = logging.getLogger(__name__)
 _IDLE_S = 0.2
@@ -226,14 +227,14 @@ class Recorder:
                 writer.write_balance(balance)
         for frame in entry.images:
             writer.write_image(frame)
-        if entry.environment is not None:
-            writer.write(ENVIRONMENT.topic, entry.environment, entry.environment.time_ns)
-        if entry.losses is not None:
-            writer.write(LOSSES_TOPIC, entry.losses, entry.losses.time_ns)
-        if entry.clock is not None:
-            writer.write(CLOCK_TOPIC, entry.clock, entry.clock.time_ns)
-        if entry.temperature is not None:
-            writer.write(TEMPERATURE_TOPIC, entry.temperature, entry.temperature.time_ns)
+        for kind, value in (
+            (ENVIRONMENT, entry.environment),
+            (LOSSES, entry.losses),
+            (CLOCK, entry.clock),
+            (CAMERA_TEMPERATURE, entry.temperature),
+        ):
+            if value is not None:
+                writer.write(kind, value, value.time_ns)
         for name, data in entry.attachments.items():
             writer.attach(name, data)
         for event in entry.events:

@@ -99,21 +99,17 @@ _SHOWN_FROM = 1.0
 
 def estimate_rows(snapshot: Snapshot, stop_when: Sequence[StopCondition]) -> list[tuple[str, str]]:
     """Two parameters a row, and what the end of the run waits for; no row before the first fit."""
-    found = snapshot.estimates
+    found, keys = snapshot.estimates, list(snapshot.estimates)
     rows = [
         (
             ", ".join(quantity(key).symbol for key in pair),
             ",  ".join(_text(key, found[key]) for key in pair),
         )
-        for pair in _pairs(list(found))
+        for pair in (keys[first : first + 2] for first in range(0, len(keys), 2))
     ]
     if stop_when:
         rows.append(("ends when", ", ".join(condition.text(found) for condition in stop_when)))
     return rows
-
-
-def _pairs(keys: list[str]) -> list[list[str]]:
-    return [keys[first : first + 2] for first in range(0, len(keys), 2)]
 
 
 def estimate_texts(key: str, one: Estimate) -> tuple[str, str]:

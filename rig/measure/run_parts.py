@@ -36,15 +36,6 @@ class Watcher(Protocol):
         ...
 
 
-def _not_noted(_record: Path, _reason: str) -> None:
-    """Default of `RunParts.start_rejected`: does nothing."""
-
-
-def _nobody() -> bool:
-    """Default of `RunParts.somebody_watches`."""
-    return False
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunParts:
     """The parts of a run.
@@ -86,7 +77,7 @@ class RunParts:
     end: EndLimits
     phases: PhasesBeforeRecord | None = None
     start: StartLimits | None = None
-    start_rejected: Callable[[Path, str], None] = _not_noted
+    start_rejected: Callable[[Path, str], None] = lambda _record, _reason: None
     watchers: Sequence[Watcher] = ()
     devices: Devices | None = None
     camera: Camera | None = None
@@ -95,7 +86,7 @@ class RunParts:
     full_frame_interval_s: float = 10.0
     keep_windows: bool = True
     waits_in_darkness: bool = False
-    somebody_watches: Callable[[], bool] = _nobody
+    somebody_watches: Callable[[], bool] = lambda: False
 
 
 @dataclass(frozen=True, slots=True)

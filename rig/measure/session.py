@@ -29,13 +29,6 @@ from rig.presentation import failures, print_json_line, say
 from rig.settings import Configuration, stored_configuration
 from rig.terminal import Terminated
 
-Patience = Callable[[str], bool]
-
-
-def no_patience(_why: str) -> bool:
-    """Try nothing again."""
-    return False
-
 
 def measure_session(
     config: Configuration,
@@ -56,35 +49,31 @@ def measure_session(
     check_stop_when(config)
     folder = session_folder(config, source, output)
     with announced(config.session, folder) as outcome:
-        outcome.status = make_session(
-            config, source, folder, outcome.notices, force=force, json_lines=json_lines
-        )
+        outcome.status = make_session(config, source, folder, Manner(outcome.notices, force, json_lines))
     return outcome.status
 
 
-def make_session(
-    config: Configuration,
-    source: Path,
-    folder: Path,
-    notices: Notices,
-    *,
-    force: bool,
-    json_lines: bool,
-    patience: Patience = no_patience,
-) -> int:
-    """As `measure_session`, with a complete configuration and in a folder that was made for it.
+class Manner(NamedTuple):
+    """How runs are made: who gets notices, whether a failed preflight is passed over, what stdout gets.
 
     `patience` is asked, with the reason, after a preflight that said no-go: if it returns True the run is
     tried again. The laser is dark meanwhile.
     """
+
+    notices: Notices
+    force: bool
+    json_lines: bool
+    patience: Callable[[str], bool] = lambda _why: False
+
+
+def make_session(config: Configuration, source: Path, folder: Path, manner: Manner) -> int:
+    """As `measure_session`, with a complete configuration and in a folder that was made for it."""
     with ExitStack() as closing:
         with Devices(config, folder) as devices:
             file = SessionFile.made(folder, source, config.session.runs, stored_configuration(config))
             closing.callback(file.close)
-            made = make_runs(
-                config, source, file, devices, notices, patience, force=force, json_lines=json_lines
-            )
-        return report(config, folder, made, json_lines=json_lines)
+            made = make_runs(config, source, file, devices, manner)
+        return report(config, folder, made, json_lines=manner.json_lines)
 
 
 class Made(NamedTuple):
@@ -96,15 +85,7 @@ class Made(NamedTuple):
 
 
 def make_runs(
-    config: Configuration,
-    source: Path,
-    file: SessionFile,
-    devices: Devices,
-    notices: Notices,
-    patience: Patience = no_patience,
-    *,
-    force: bool,
-    json_lines: bool,
+    config: Configuration, source: Path, file: SessionFile, devices: Devices, manner: Manner
 ) -> Made:
     """Make the missing runs. Raises `Terminated` after everything is closed and session.json is written.
 
@@ -114,9 +95,7 @@ def make_runs(
     with Channel(file.folder, session_news, orders(devices), lambda: devices_now(devices)) as channel:
         if channel.problem:
             say(channel.problem)
-        return _make_runs(
-            config, source, file, devices, notices, patience, session_news, force=force, json_lines=json_lines
-        )
+        return _make_runs(config, source, file, devices, manner, session_news)
 
 
 def _make_runs(
@@ -124,12 +103,8 @@ def _make_runs(
     source: Path,
     file: SessionFile,
     devices: Devices,
-    notices: Notices,
-    patience: Patience,
+    manner: Manner,
     session_news: SessionNews,
-    *,
-    force: bool,
-    json_lines: bool,
 ) -> Made:
     folder = file.folder
     records = [folder / entry.record for entry in file.state.complete]
@@ -148,10 +123,10 @@ def _make_runs(
             source,
             record,
             f"run {number}",
-            force,
-            json_lines,
+            manner.force,
+            manner.json_lines,
             start_rejected=start_rejected,
-            watchers=[notices],
+            watchers=[manner.notices],
             session_news=session_news,
         )
         try:
@@ -173,7 +148,7 @@ def _make_runs(
         if isinstance(outcome.failure, NoGo) and outcome.interrupt is None:
             devices.darken()
             file.forget(record.name)
-            if patience(str(outcome.failure)):
+            if manner.patience(str(outcome.failure)):
                 continue
         reason = outcome.snapshot.reason
         interrupt = outcome.interrupt

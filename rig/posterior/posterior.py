@@ -1,20 +1,17 @@
 """Parameters and uncertainties while a run is measured, from its half-cycles, in a process of its own."""
 
-import os
 import pickle
 import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from pathlib import Path
 
 from processing.estimate import Estimate
 from processing.swing import Swing, TurningPoints
 from rig.posterior.messages import FittedModel, FittedParameters
-from rig.rerun import own_group
+from rig.rerun import start_python
 
 
 class FittingProcess:
@@ -24,17 +21,11 @@ class FittingProcess:
     """
 
     def __init__(self, model: FittedModel) -> None:
-        project = str(Path(__file__).resolve().parents[2])
-        path = os.pathsep.join(part for part in (project, os.environ.get("PYTHONPATH")) if part)
         # one thread: those of linear algebra would wait for one another, busily, on few columns
         one = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
-        self._process = subprocess.Popen(
-            [sys.executable, "-P", "-c", "from rig.posterior.worker import main; main()"],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            env={**os.environ, **one, "PYTHONPATH": path},
-            **own_group(),
+        program, pipe = "from rig.posterior.worker import main; main()", subprocess.PIPE
+        self._process = start_python(
+            "-c", program, stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL, env=one
         )
         self._send(model)
 

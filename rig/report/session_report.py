@@ -294,7 +294,8 @@ def _drawings(run: RunData, curves: Curves | None) -> list[ReportFigure]:
     if run.results.instrument is not None:
         # figures of the paper have its numbers, which mean nothing here
         drawings = [
-            replace(each, title=re.sub(r"^Fig\. \d+: (.)", _capital, each.title)) for each in drawings
+            replace(each, title=re.sub(r"^Fig\. \d+: (.)", lambda found: found[1].upper(), each.title))
+            for each in drawings
         ]
         drawings += instrument_figures(run.results.instrument, points)
     if run.results.laws is not None and run.results.laws.without_law is not None:
@@ -316,10 +317,6 @@ def _drawings(run: RunData, curves: Curves | None) -> list[ReportFigure]:
                 figures_ground.spectrum_figure(run.spectrum, unit.shown, unit.shown_size, fit.ground)
             )
     return drawings
-
-
-def _capital(found: re.Match[str]) -> str:
-    return found[1].upper()
 
 
 def _period(run: RunData) -> float:

@@ -27,5 +27,5 @@ from rig.rerun.messages import (
 )
 from rig.rerun.page_server import name_stream, page_address, start_page_server
 from rig.rerun.ports import LOOPBACK, free_port, hidden_loopback
-from rig.rerun.process_group import own_group
+from rig.rerun.process_group import start_python
 from rig.rerun.rerun_program import display_missing, open_window, start_program

@@ -36,7 +36,7 @@ class Output:
         self._failed = False
         self._flushed_at = time.monotonic()
         self._stream = rr.RecordingStream(layout.APPLICATION_ID, recording_id=setup.recording_id)
-        sink = self._file_sink(Path(setup.rrd_path)) if setup.rrd_path else self._live_sink()
+        sink = rr.FileSink(Path(setup.rrd_path)) if setup.rrd_path else self._live_sink()
         blueprint = layout.blueprint(setup)
         live = setup.rrd_path is None
         try:
@@ -82,9 +82,6 @@ class Output:
             self._flush()
         if not self._failed:
             self._stream.disconnect()
-
-    def _file_sink(self, path: Path) -> rr.FileSink:
-        return rr.FileSink(path)
 
     def _live_sink(self) -> rr.GrpcServerSink:
         setup = self._setup

@@ -21,11 +21,10 @@ import threading
 import time
 import urllib.parse
 from http.cookies import CookieError, SimpleCookie
-from pathlib import Path
 from typing import Any
 
 from rig.rerun.ports import LOOPBACK, free_port
-from rig.rerun.process_group import own_group
+from rig.rerun.process_group import start_python
 from rig.rerun.rerun_program import start_program
 
 FILES = {
@@ -57,17 +56,9 @@ def start_page_server(port: int, key: str) -> subprocess.Popen[bytes]:
     Each line that is written there is the address of the stream from then on; see `name_stream`. `key` opens
     the page. It is handed over in the environment, which other users cannot read.
     """
-    path = os.pathsep.join(
-        part for part in (str(Path(__file__).resolve().parents[2]), os.environ.get("PYTHONPATH")) if part
-    )
-    return subprocess.Popen(
-        [sys.executable, "-P", "-c", "from rig.rerun.page_server import main; main()", str(port)],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        env={**os.environ, "PYTHONPATH": path, _KEY_VARIABLE: key},
-        **own_group(),
-    )
+    program, nowhere = "from rig.rerun.page_server import main; main()", subprocess.DEVNULL
+    streams = {"stdin": subprocess.PIPE, "stdout": nowhere, "stderr": nowhere}
+    return start_python("-c", program, str(port), **streams, env={_KEY_VARIABLE: key})
 
 
 def name_stream(server: subprocess.Popen[bytes], stream_url: str) -> None:

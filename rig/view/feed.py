@@ -4,7 +4,7 @@ import itertools
 import logging
 import threading
 import time
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -26,7 +26,7 @@ class DroppingQueue:
         self._messages: deque[tuple[Message, int]] = deque()
         self._pictures: deque[Picture] = deque()
         self._bytes = 0
-        self._dropped: Counter[str] = Counter()
+        self._dropped = 0
         self._changed = threading.Condition()
         self._closed = False
 
@@ -99,13 +99,12 @@ class DroppingQueue:
             return max(self._bytes / self._limit_bytes, len(self._pictures) / self._picture_places)
 
     @property
-    def dropped(self) -> dict[str, int]:
-        """Number dropped so far by kind of message; samples and swings are counted individually."""
-        with self._changed:
-            return dict(self._dropped)
+    def dropped(self) -> int:
+        """Number dropped so far; samples and swings are counted individually."""
+        return self._dropped
 
     def _count(self, message: Message) -> None:
-        self._dropped[type(message).__name__.lower()] += rows(message)
+        self._dropped += rows(message)
 
 
 logger = logging.getLogger(__name__)

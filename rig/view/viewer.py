@@ -13,7 +13,6 @@ import os
 import shutil
 import time
 import uuid
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -75,15 +74,14 @@ def _in_panel(key: str) -> Shown:
 class ViewCounts:
     """Counts of the data passed to the view; samples and swings are counted individually.
 
-    `sent` were drawn by the worker, `dropped` were lost (by kind in `dropped_by_kind`). `restarts` is
-    the number of replaced workers. `alive`: a worker is running and answering. `url`: address for a
-    viewer, empty without a live stream. `notes`: messages to the user (a port in use, a missing
+    `sent` were drawn by the worker, `dropped` were lost. `restarts` is the number of replaced
+    workers. `alive`: a worker is running and answering. `url`: address for a viewer, empty without a live
+    stream. `notes`: messages to the user (a port in use, a missing
     display, a full disk), `troubles` what they are about.
     """
 
     sent: int
     dropped: int
-    dropped_by_kind: Mapping[str, int]
     restarts: int
     alive: bool
     url: str
@@ -357,13 +355,9 @@ class Viewer:
     @property
     def counts(self) -> ViewCounts:
         """Counts so far, of file and live stream together."""
-        dropped: Counter[str] = Counter()
-        for feed in self._feeds:
-            dropped.update(feed.queue.dropped)
         return ViewCounts(
             sent=sum(feed.sent for feed in self._feeds),
-            dropped=dropped.total(),
-            dropped_by_kind=dict(dropped),
+            dropped=sum(feed.queue.dropped for feed in self._feeds),
             restarts=sum(feed.restarts for feed in self._feeds),
             alive=bool(self._feeds) and all(feed.alive for feed in self._feeds),
             url=self._live.url if self._live is not None else "",
@@ -401,7 +395,7 @@ class Viewer:
         """After `close`: raises RecordError where the Rerun file is gone or lacks anything."""
         if self._file is None or self._rrd_path is None:
             return
-        dropped = sum(self._file.queue.dropped.values())
+        dropped = self._file.queue.dropped
         if not self._rrd_path.exists():
             why = "it was removed while it was written"
         elif dropped:

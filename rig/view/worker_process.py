@@ -8,17 +8,14 @@ hangs never blocks the caller for longer than the given limit.
 import contextlib
 import json
 import logging
-import os
 import pickle
 import queue
 import subprocess
-import sys
 import threading
 from collections.abc import Callable
-from pathlib import Path
 from typing import IO, Any
 
-from rig.rerun import LENGTH, Message, Setup, own_group
+from rig.rerun import LENGTH, Message, Setup, start_python
 
 logger = logging.getLogger(__name__)
 
@@ -27,18 +24,10 @@ class WorkerProcess:
     """One worker process. `on_report` is called with each of its reports, in another thread."""
 
     def __init__(self, setup: Setup, on_report: Callable[[dict[str, Any]], None]) -> None:
-        project = str(Path(__file__).resolve().parents[2])
-        path = os.pathsep.join(part for part in (project, os.environ.get("PYTHONPATH")) if part)
         # Ctrl-C in the terminal must not reach the worker, which still has to complete the .rrd file.
         # It ends by itself when its standard input does.
-        self._process = subprocess.Popen(
-            [sys.executable, "-P", "-c", "from rig.rerun.worker import main; main()"],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            env={**os.environ, "PYTHONPATH": path},
-            **own_group(),
-        )
+        program, pipe = "from rig.rerun.worker import main; main()", subprocess.PIPE
+        self._process = start_python("-c", program, stdin=pipe, stdout=pipe, stderr=pipe)
         self._on_report = on_report
         self._reports: queue.SimpleQueue[dict[str, Any] | None] = queue.SimpleQueue()
         self._outgoing: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()

@@ -1,6 +1,5 @@
 """Sessions: list, report, Rerun, replay, compare, fit again, resume what was interrupted."""
 
-from functools import partial
 from pathlib import Path
 from urllib.parse import quote
 
@@ -67,9 +66,9 @@ def build(desk: Desk, tab: Tab) -> None:
         ui.notify(f"{folder} goes on; see Measure")
 
     def end() -> None:
-        for name, job in again.jobs.items():
+        for job in again.jobs.values():
             if job.running:
-                again.end(name)
+                job.end()
 
     with ui.row().classes("items-center"):
         for name, do, words in (
@@ -139,5 +138,5 @@ def build(desk: Desk, tab: Tab) -> None:
     def _served(page: Path) -> str:
         return f"{SERVED}/{quote(page.relative_to(output).as_posix())}"
 
-    tab.every(1.0, partial(refresh))
+    tab.every(1.0, refresh)
     refresh()

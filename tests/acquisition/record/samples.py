@@ -7,7 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from acquisition.frame import Frame
-from acquisition.record.topics import Environment
+from acquisition.record.schemas import message_type_of
+from acquisition.record.topics import ENVIRONMENT, Environment
 from acquisition.record.writer import RecordWriter
 from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import Spot, SpotFlag
@@ -27,6 +28,9 @@ class SampleBalance:
     settled: bool
     advice: str
     turns: int
+
+
+SAMPLE_BALANCE = message_type_of(SampleBalance, "optical_pendulum.SampleBalance", "/balance")
 
 
 class Expected(NamedTuple):
@@ -89,12 +93,12 @@ def write_sample(
             writer.write_swing(swing)
             balance = SampleBalance(time_ns, float(rng.normal()), bool(first % 3), f"turn {first}", first)
             done.balances.append(balance)
-            writer.write("/balance", balance, time_ns)
+            writer.write(SAMPLE_BALANCE, balance, time_ns)
             if first % (4 * BLOCK) == 0:
                 frame = Frame(rng.poisson(9, (48, 64)).astype(dtype), first, first * FRAME_NS, 0)
                 done.images.append(frame)
                 writer.write_image(frame)
-                writer.write("/environment", Environment(time_ns, 21.5, np.nan, 101325.0), time_ns)
+                writer.write(ENVIRONMENT, Environment(time_ns, 21.5, np.nan, 101325.0), time_ns)
             writer.write_log(time_ns, 2, "session", f"block {first}")
             writer.flush()
         writer.write_event(frames * FRAME_NS, "stop", "amplitude below 2 arcsec")

@@ -6,8 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from acquisition.record.foxglove import foxglove_topics
-from acquisition.record.schemas import message_type_of
-from acquisition.record.topics import ENVIRONMENT, LOSSES_TOPIC, SPOT, SWING, RecordedLosses
+from acquisition.record.topics import ENVIRONMENT, LOSSES, SPOT, SWING
 
 LAYOUT = Path(__file__).resolve().parents[3] / "docs" / "foxglove-layout.json"
 
@@ -23,8 +22,8 @@ def panels(place: Any) -> Iterator[str]:
 def test_everything_it_names_exists() -> None:
     layout = json.loads(LAYOUT.read_text(encoding="utf-8"))
     known = {f"{kind.topic}.{name}" for kind in (SPOT, SWING, ENVIRONMENT) for name in kind.names}
-    topics = {LOSSES_TOPIC, *(topic for topic, _, _ in foxglove_topics())}
-    assert message_type_of(RecordedLosses, "x.RecordedLosses", LOSSES_TOPIC).topic in topics
+    topics = {LOSSES.topic, *(topic for topic, _, _ in foxglove_topics())}
+    assert LOSSES.topic in topics
     shown = layout["configById"]
     assert set(panels(layout["layout"])) == set(shown)
     for panel in shown.values():

@@ -227,7 +227,11 @@ class EarlierBalance:
 
 def test_px_that_an_earlier_record_calls_rad_are_read_as_px(tmp_path: Path) -> None:
     with RecordWriter(tmp_path / "run.mcap", 0, deflection_unit=DeflectionUnit.PX) as writer:
-        writer.write("/balance", EarlierBalance(7, 4.07, 12.0, 0.5, 0.25), 7)
+        writer.write(
+            message_type_of(EarlierBalance, "optical_pendulum.EarlierBalance", "/balance"),
+            EarlierBalance(7, 4.07, 12.0, 0.5, 0.25),
+            7,
+        )
     with RecordReader(tmp_path / "run.mcap") as reader:
         (read,) = reader.balances()
     assert (read.time_ns, read.unit, read.period_s) == (7, DeflectionUnit.PX, 4.07)
@@ -289,7 +293,7 @@ class Newer:
 def test_a_value_that_has_grown_since_is_read(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     with RecordWriter(path, 0) as writer:
-        writer.write("/balance", Older(5, 0.25), 5)
+        writer.write(message_type_of(Older, "optical_pendulum.Older", "/balance"), Older(5, 0.25), 5)
     with RecordReader(path) as reader:
         (value,) = reader.values("/balance", Newer)
     assert (value.time_ns, value.ratio, value.turns, value.advice) == (5, 0.25, 0, "")
@@ -315,7 +319,7 @@ def test_nothing_is_written_after_the_end(tmp_path: Path) -> None:
     for write in (
         lambda: writer.write_event(0, "late", ""),
         lambda: writer.write_swing(swing),
-        lambda: writer.write("/balance", Older(5, 0.25), 5),
+        lambda: writer.write(message_type_of(Older, "optical_pendulum.Older", "/balance"), Older(5, 0.25), 5),
     ):
         with pytest.raises(RecordError, match="closed"):
             write()

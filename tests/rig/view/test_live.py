@@ -82,7 +82,7 @@ def test_a_stopped_window_and_a_killed_worker_cost_neither_time_nor_file(
     longest = max(longest, run(viewer, 20.0, 8.0))
     wait_until(lambda: shown_s(client) > 27.0)
     restarts = viewer.counts.restarts
-    counts = viewer.close()
+    viewer.close()
 
     assert longest < CALL_LIMIT_S
     assert restarts >= 1
@@ -91,7 +91,6 @@ def test_a_stopped_window_and_a_killed_worker_cost_neither_time_nor_file(
     times_s, _ = scalars(rrd, "/deflection/x")
     np.testing.assert_allclose(times_s, np.arange(2800) / 100, atol=1e-3)
     assert not list(tmp_path.glob("*part*"))
-    assert counts.dropped_by_kind.keys() <= {"samples", "picture"}
 
 
 def test_several_windows_of_time_fit_into_the_servers_memory(windows: Windows) -> None:

@@ -9,6 +9,7 @@ import pytest
 
 from acquisition.frame import Frame
 from acquisition.record.events import ERROR_KINDS, WARNING_KINDS
+from acquisition.record.schemas import message_type_of
 from acquisition.record.writer import RecordWriter
 from processing.angle import ARCSEC_RAD
 from processing.deflections import Deflections, DeflectionUnit
@@ -62,7 +63,9 @@ def make_record(path: Path, *, start_s: float = 7.0, rows: int = 1000, unit: str
             )
             writer.write_swing(swing)
             line = LineBalance(time_ns, 0.02, 0.0005, math.radians(1.5), math.radians(0.01))
-            writer.write("/balance", line, time_ns)
+            writer.write(
+                message_type_of(LineBalance, "optical_pendulum.LineBalance", "/balance"), line, time_ns
+            )
         writer.write_event(int(times_ns[200]), "gap", "1 frame is missing")
         image = view_scene.spot_image((420.0, 160.0), np.random.default_rng(0))
         writer.write_image(Frame(image, int(sequence[100]), int(times_ns[100]), int(times_ns[100])))
