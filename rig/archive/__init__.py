@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 from rig.archive.adding import add_sessions
 from rig.archive.blind import unseal
 from rig.archive.blinding import blind_runs
-from rig.archive.chosen import remark, show_runs
+from rig.archive.chosen import remark, show_runs, view_runs
 from rig.archive.listing import Format, list_runs
 from rig.archive.plot import plot_runs
 from rig.archive.remote import is_remote, opened
@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from rig.archive.publishing import Statement, publish_runs
     from rig.archive.refitting import refit_runs
     from rig.archive.thinning import thin_runs
-    from rig.archive.viewing import view_runs
 
 _LATER = {
     "Statement": "publishing",
@@ -25,7 +24,6 @@ _LATER = {
     "publish_runs": "publishing",
     "refit_runs": "refitting",
     "thin_runs": "thinning",
-    "view_runs": "viewing",
 }
 """What takes seconds to import, for which `list` must not wait, by module."""
 

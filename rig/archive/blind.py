@@ -4,9 +4,7 @@ What is sealed and when it was opened are files of `blind/`, each written once. 
 it keeps an honest eye from a value, nothing from somebody who wants to know it.
 """
 
-import contextlib
 import datetime
-import getpass
 import hashlib
 import hmac
 import json
@@ -17,6 +15,7 @@ from typing import Any, NamedTuple
 
 from acquisition.record import whole_file
 from processing.errors import ConfigurationError, RecordError
+from rig.archive.remarks import user_name
 
 _FOLDER = "blind"
 _REACH = 3.0
@@ -91,11 +90,8 @@ def _opened(path: Path) -> Path:
 
 
 def _said(**what: Any) -> bytes:
-    user = ""
-    with contextlib.suppress(OSError, KeyError, ImportError):
-        user = getpass.getuser()
     now = datetime.datetime.now(datetime.UTC).isoformat()
-    return json.dumps({"utc": now, "user": user, **what}, indent=1).encode()
+    return json.dumps({"utc": now, "user": user_name(), **what}, indent=1).encode()
 
 
 def _write(path: Path, data: bytes) -> None:

@@ -3,7 +3,7 @@
 import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from processing.errors import ConfigurationError
 from rig.archive.columns import IS_SIMULATED
@@ -13,6 +13,8 @@ from rig.archive.store import Archive, reads_archive
 from rig.presentation import NOT_KNOWN, Table, plain, print_tables, with_uncertainty
 
 _SHORTEST = 4
+_MOST_VIEWED = 24
+"""More colours cannot be told apart, and each record is read whole."""
 
 
 @reads_archive
@@ -120,3 +122,23 @@ def _text(value: Any, u: float | None) -> str:
     if isinstance(value, list):
         return "; ".join(value)
     return str(value) or NOT_KNOWN
+
+
+def view_runs(
+    archive: Path, names: Sequence[str], where: str, mode: Literal["spawn", "web"], rrd: Path | None
+) -> None:
+    """Show runs that are named or meet a condition in one viewer, or write its file.
+
+    Raises ConfigurationError for none or too many, RecordError for a record that is not here.
+    """
+    # starts a viewer, which `list` must not wait for
+    from rig.view import show_records
+
+    records = list(chosen_runs(archive, names, where).values())
+    if not 0 < len(records) <= _MOST_VIEWED:
+        raise ConfigurationError(
+            f"{len(records)} runs are meant; 1 to {_MOST_VIEWED} can be seen over each other"
+        )
+    show_records(records, mode=mode, rrd=rrd)
+    if rrd is not None:
+        print(f"Rerun file   {rrd}")

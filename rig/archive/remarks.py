@@ -8,15 +8,26 @@ import platform
 import secrets
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
+
+from pydantic import AwareDatetime, BaseModel, ValidationError
 
 from acquisition.record import whole_file
 from processing.errors import ConfigurationError, RecordError
 
-if TYPE_CHECKING:
-    from rig.archive.remark_file import Remark
-
 _FOLDER = "remarks"
+
+
+class _Remark(BaseModel, frozen=True):
+    """One command: tags added to and removed from runs (by the SHA-256 of their records), or a note."""
+
+    utc: AwareDatetime
+    user: str = ""
+    computer: str = ""
+    runs: tuple[str, ...]
+    add: tuple[str, ...] = ()
+    remove: tuple[str, ...] = ()
+    note: str = ""
 
 
 class RunRemarks(NamedTuple):
@@ -34,21 +45,15 @@ def write_remark(
 
     Raises ConfigurationError if it says nothing, or no run is named.
     """
-    # takes as long to import as `list` needs for its work
-    from rig.archive.remark_file import Remark
-
     add, remove, note = add.strip(), remove.strip(), note.strip()
     if not (add or remove or note):
         raise ConfigurationError("an empty text says nothing of a run; name a tag or write a note")
     if not runs:
         raise ConfigurationError("no run is meant: name one, or state a condition that one meets")
-    user = ""
-    with contextlib.suppress(OSError, KeyError, ImportError):
-        user = getpass.getuser()
     now = datetime.datetime.now(datetime.UTC)
-    remark = Remark(
+    remark = _Remark(
         utc=now,
-        user=user,
+        user=user_name(),
         computer=platform.node(),
         runs=tuple(runs),
         add=(add,) if add else (),
@@ -77,7 +82,15 @@ def read_remarks(archive: Path) -> RunRemarks:
     return RunRemarks(list(tags), [sorted(found) for found in tags.values()], [notes[run] for run in tags])
 
 
-def _read(path: Path) -> "Remark":
-    from rig.archive.remark_file import read_remark
+def _read(path: Path) -> _Remark:
+    try:
+        return _Remark.model_validate_json(path.read_bytes())
+    except (OSError, ValidationError) as error:
+        raise RecordError(f"{path}: cannot be read: {str(error).splitlines()[0]}") from None
 
-    return read_remark(path)
+
+def user_name() -> str:
+    """Who runs the program; empty where the system does not say."""
+    with contextlib.suppress(OSError, KeyError, ImportError):
+        return getpass.getuser()
+    return ""

@@ -128,14 +128,10 @@ def unreadable(path: Path, error: object, command: str = "add") -> RecordError:
     return RecordError(f"{path}: cannot be read: {text}; {remedy}")
 
 
-def as_parquet(table: Any, *, few_rows: bool = False) -> bytes:
-    """An Arrow table as the bytes of a Parquet file.
-
-    With `few_rows` without all that speeds up searches: most of a small file consists of it.
-    """
+def as_parquet(table: Any) -> bytes:
+    """An Arrow table as the bytes of a Parquet file."""
     from pyarrow import parquet
 
     data = io.BytesIO()
-    options = {"use_dictionary": False, "write_statistics": False, "store_schema": False} if few_rows else {}
-    parquet.write_table(table, data, compression="zstd", **options)
+    parquet.write_table(table, data, compression="zstd")
     return data.getvalue()

@@ -2,7 +2,6 @@
 
 import contextlib
 import datetime
-import getpass
 import hashlib
 import json
 import os
@@ -22,6 +21,7 @@ from rig.analysis import RunResults, SessionResults, encoded, recorded_results
 from rig.archive.adding import add_sessions
 from rig.archive.chosen import chosen_runs
 from rig.archive.refits import read_refit
+from rig.archive.remarks import user_name
 from rig.archive.store import Archive, reads_archive
 from rig.presentation import say
 
@@ -187,14 +187,11 @@ def _replace(item: _Due) -> Thinned:
     """Put the thinned record in the place of the other one, whose name may be a link to it."""
     path = item.record.resolve()
     beside = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
-    user = ""
-    with contextlib.suppress(OSError, KeyError, ImportError):
-        user = getpass.getuser()
     said = {
         "rule": item.rule,
         "results": item.source,
         "utc": datetime.datetime.now(datetime.UTC).isoformat(),
-        "user": user,
+        "user": user_name(),
         "computer": platform.node(),
     }
     results = json.dumps(encoded(SessionResults(runs=(item.results,)))).encode()

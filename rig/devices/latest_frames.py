@@ -9,6 +9,7 @@ from acquisition.frame import Frame
 from acquisition.frame_queue import FrameQueue
 
 _LOOK_S = 0.2
+_TIMEOUT_S = 5.0
 
 
 def watch_latest(
@@ -16,7 +17,6 @@ def watch_latest(
     queue: FrameQueue,
     at_least: int,
     end_s: float,
-    timeout_s: float = 5.0,
     interval_s: float = _LOOK_S,
 ) -> Generator[list[Frame]]:
     """Yield blocks of `at_least` frames, at most one per `interval_s`; the queue drops older frames.
@@ -29,7 +29,7 @@ def watch_latest(
 
     def acquire() -> None:
         try:
-            while (frame := camera.read(timeout_s)) is not None and queue.put(frame) is not None:
+            while (frame := camera.read(_TIMEOUT_S)) is not None and queue.put(frame) is not None:
                 if ended.is_set():
                     break
         except Exception as error:
@@ -55,4 +55,4 @@ def watch_latest(
         ended.set()
         queue.close()
         camera.stop()
-        thread.join(timeout_s)
+        thread.join(_TIMEOUT_S)

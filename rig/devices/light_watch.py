@@ -2,7 +2,6 @@
 
 import contextlib
 import time
-from collections.abc import Callable
 
 from acquisition.record.events import EventKind
 from processing.errors import RigError
@@ -20,9 +19,8 @@ class LightWatch:
     thread, `relight` by the main thread, which may wait for a device.
     """
 
-    def __init__(self, devices: Devices | None, clock_s: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, devices: Devices | None) -> None:
         self._devices = devices
-        self._clock_s = clock_s
         self._dark_since_s: float | None = None
         self._relit_s = 0.0
         self.alarm = ""
@@ -30,7 +28,7 @@ class LightWatch:
     def look(self) -> list[tuple[EventKind, str]]:
         """Ask for the state of the laser; returns the events that follow from it, as (kind, text)."""
         why = "" if self._devices is None else self._devices.darkness()
-        now_s, since_s = self._clock_s(), self._dark_since_s
+        now_s, since_s = time.monotonic(), self._dark_since_s
         if not why:
             self._dark_since_s = None
             was_alarmed, self.alarm = bool(self.alarm), ""
@@ -46,7 +44,7 @@ class LightWatch:
 
     def relight(self) -> None:
         """Switch the laser on again if what darkened it is gone; an interlock must be acknowledged first."""
-        devices, now_s = self._devices, self._clock_s()
+        devices, now_s = self._devices, time.monotonic()
         if devices is None or not self.alarm or now_s - self._relit_s < _RELIGHT_EVERY_S:
             return
         self._relit_s = now_s

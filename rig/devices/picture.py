@@ -84,6 +84,7 @@ _FRAMES = 9
 """An odd number, whose median a single flash or a late change of the exposure does not move."""
 _STEPS = 16
 """A step is at most eight times longer, or 0.4 times as long: from 10 us to 1 s are 6 of them, back 13."""
+_TIMEOUT_S = 5.0
 _TOLERANCE = 0.03
 """Of the target: far from saturation still, with a target of 0.7 of full scale."""
 
@@ -96,9 +97,7 @@ class Exposure(NamedTuple):
     peak: float
 
 
-def find_exposure(
-    camera: Camera, info: CameraInfo, applied: CameraSettings, target: float = 0.7, timeout_s: float = 5.0
-) -> Exposure:
+def find_exposure(camera: Camera, info: CameraInfo, applied: CameraSettings, target: float = 0.7) -> Exposure:
     """Vary the exposure time until the peak is at `target` of full scale, within 3 % of it.
 
     Parameters
@@ -120,7 +119,7 @@ def find_exposure(
     longest_us = 0.95e6 / applied.frame_rate_hz if applied.frame_rate_hz else 1e6
     seen: PictureFigures | None = None
     for _ in range(_STEPS):
-        seen = _look(camera, info, timeout_s)
+        seen = _look(camera, info)
         if not seen.saturated_px and abs(seen.peak - target) <= _TOLERANCE * target:
             return Exposure(applied, exposure_us, seen.peak)
         light = seen.peak - seen.background
@@ -144,12 +143,12 @@ def find_exposure(
     )
 
 
-def _look(camera: Camera, info: CameraInfo, timeout_s: float) -> PictureFigures:
+def _look(camera: Camera, info: CameraInfo) -> PictureFigures:
     camera.start()
     try:
         seen: list[PictureFigures] = []
         while len(seen) < _FRAMES:
-            frame = camera.read(timeout_s)
+            frame = camera.read(_TIMEOUT_S)
             if frame is None:
                 raise DeviceError(f"{info.model}: no more frames; finding an exposure needs a live camera")
             seen.append(figures(frame.image, info.full_scale_dn))

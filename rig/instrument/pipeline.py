@@ -97,7 +97,6 @@ class Pipeline:
     ) -> None:
         self.tracker = tracker
         self._deflector = Deflector(lever, axes, sensor_shape, shutter)
-        self._sensor_shape = sensor_shape
         self._detector = SwingDetector()
         estimator = BalanceEstimator()
         self._swings = BesideThread(self._detector.update, "swings") if beside else None
@@ -105,19 +104,9 @@ class Pipeline:
         self._detect = (self._swings or self._detector).update
         self._balance = (self._balances or estimator).update
 
-    def process(self, frames: Sequence[Frame], origins_px: Sequence[tuple[int, int]] | None = None) -> Block:
-        """Track the spot in some consecutive frames, and continue with `measure`.
-
-        If the images are windows cut out of whole frames, `origins_px` are the sensor coordinates (x, y)
-        of the first pixel of each; None for whole frames.
-        """
-        if origins_px is None:
-            spots = [self.tracker.track(frame.image) for frame in frames]
-        else:
-            spots = [
-                self.tracker.track(frame.image, origin, self._sensor_shape)
-                for frame, origin in zip(frames, origins_px, strict=True)
-            ]
+    def process(self, frames: Sequence[Frame]) -> Block:
+        """Track the spot in some consecutive frames, and continue with `measure`."""
+        spots = [self.tracker.track(frame.image) for frame in frames]
         return self.measure(np.array([frame.time_ns for frame in frames], dtype=np.int64), spots)
 
     def measure(self, times_ns: NDArray[np.int64], spots: list[Spot]) -> Block:

@@ -1,6 +1,7 @@
 """What users of other pendulums expect: damping, ten swings, decrement and period, the plane that turns."""
 
 import numpy as np
+from matplotlib.axes import Axes
 
 from processing.instruments import DEGREE_RAD
 from processing.swing import TurningPoints
@@ -87,21 +88,10 @@ def _ten_swings(values: InstrumentResults, points: TurningPoints) -> ReportFigur
 
 
 def _decrement(table: DecrementTable) -> ReportFigure:
-    hidden = _hidden(table.log_decrement, table.u_log_decrement)
     figure = canvas(2.8)
     axes = figure.subplots()
     figure.subplots_adjust(left=0.12, right=0.97, bottom=0.17, top=0.95)
-    axes.errorbar(
-        table.amplitude_deg,
-        table.log_decrement,
-        yerr=table.u_log_decrement,
-        fmt=".",
-        ms=3,
-        color=DATA,
-        ecolor=INK,
-        elinewidth=0.8,
-        capsize=0 if hidden else 2.5,
-    )
+    bars = _dots(axes, table.amplitude_deg, table.log_decrement, table.u_log_decrement)
     axes.set_xscale("log")
     axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
     axes.xaxis.set_minor_formatter(lambda value, _: f"{value:.2g}")
@@ -110,30 +100,18 @@ def _decrement(table: DecrementTable) -> ReportFigure:
     return ReportFigure(
         "kind-decrement",
         "Log decrement against amplitude",
-        "Decrement of a whole swing, from turning points some swings apart. " + _bars(hidden),
+        "Decrement of a whole swing, from turning points some swings apart. " + bars,
         figure,
     )
 
 
 def _period(table: PeriodTable) -> ReportFigure:
-    hidden = _hidden(table.period_s, table.u_period_s)
     figure = canvas(3.2)
     axes = figure.subplots()
     figure.subplots_adjust(left=0.12, right=0.97, bottom=0.15, top=0.95)
     amplitude = table.amplitude_deg
     order = np.argsort(amplitude)
-    axes.errorbar(
-        amplitude,
-        table.period_s,
-        table.u_period_s,
-        fmt=".",
-        ms=3,
-        color=DATA,
-        ecolor=INK,
-        elinewidth=0.8,
-        capsize=0 if hidden else 2.5,
-        label="measured",
-    )
+    bars = _dots(axes, amplitude, table.period_s, table.u_period_s, label="measured")
     axes.plot(amplitude[order], table.circular_law_s[order], color=EXACT, label="ideal pendulum")
     axes.plot(
         amplitude[order],
@@ -148,8 +126,7 @@ def _period(table: PeriodTable) -> ReportFigure:
     return ReportFigure(
         "kind-period",
         "Period against amplitude",
-        "Full periods beside the circular-error law with the fitted period at vanishing amplitude. "
-        + _bars(hidden),
+        "Full periods beside the circular-error law with the fitted period at vanishing amplitude. " + bars,
         figure,
     )
 
@@ -169,10 +146,9 @@ def _plane(table: SwingPlane) -> ReportFigure:
     )
 
 
-def _hidden(values: Array, u: Array) -> bool:
-    """Whether bars are shorter than their points are large."""
-    return bool(np.max(u) < _SEEN * np.ptp(values))
-
-
-def _bars(hidden: bool) -> str:
+def _dots(axes: Axes, x: Array, y: Array, u: Array, label: str | None = None) -> str:
+    """Draw points with their standard uncertainties; returns what is said of the bars."""
+    hidden = bool(np.max(u) < _SEEN * np.ptp(y))
+    caps = 0 if hidden else 2.5
+    axes.errorbar(x, y, u, fmt=".", ms=3, color=DATA, ecolor=INK, elinewidth=0.8, capsize=caps, label=label)
     return "Bars: one standard uncertainty" + (", shorter than the points are large." if hidden else ".")

@@ -254,7 +254,6 @@ class Drawing:
         values: Floats,
         label: str,
         colour: str,
-        width: float = 1.5,
         steps: bool = False,
     ) -> None:
         full = layout.entity(run, path)
@@ -263,7 +262,7 @@ class Drawing:
             name = f"{run} {label}".strip()
             colours = [palette.rgba(self._run_colour(run, colour))]
             mode = rr.components.InterpolationMode.StepAfter if steps else None
-            style = rr.SeriesLines(colors=colours, names=name, widths=width, interpolation_mode=mode)
+            style = rr.SeriesLines(colors=colours, names=name, widths=1.5, interpolation_mode=mode)
             self._stream.log(full, style, static=True)
         self._gathered.scalars(full, time_s, values)
         self._latest_s = max(self._latest_s, float(time_s[-1]))

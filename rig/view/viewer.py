@@ -304,7 +304,7 @@ class Viewer:
         plain = {name: (float(value), float(u)) for name, (value, u) in numbers.items()}
         self._put(BalanceNumbers(run, float(time_s), plain, advice))
 
-    def estimates(self, time_s: float, numbers: Mapping[str, Estimate], *, run: str = "") -> None:
+    def estimates(self, time_s: float, numbers: Mapping[str, Estimate]) -> None:
         """The view's parameters at one moment, value and standard uncertainty by key, as stored."""
         shown = {
             key: (one.factor * numbers[key].value, one.factor * numbers[key].standard_uncertainty)
@@ -312,7 +312,7 @@ class Viewer:
             if key in numbers
         }
         if shown:
-            self._put(Estimates(run, float(time_s), shown))
+            self._put(Estimates("", float(time_s), shown))
 
     def image(
         self,
