@@ -29,8 +29,7 @@ def show_history(config: Configuration, stated: Path | None, *, forget: bool) ->
     config = complete(config)
     path = history_path(config, stated)
     if forget:
-        pair = history.forget_last(path)
-        say("nothing was learned yet" if pair is None else f"the turn of weight {pair.weight} is forgotten")
+        say(history.forget_last(path))
     history.show(config, path)
     return 0
 

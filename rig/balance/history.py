@@ -85,13 +85,13 @@ def read(path: Path) -> list[Pair]:
     return pairs
 
 
-def forget_last(path: Path) -> Pair | None:
-    """Take back the last pair, with a line that says so; None if there is none."""
+def forget_last(path: Path) -> str:
+    """Take back the last pair, with a line in the file that says so; returns what was done."""
     pairs = read(path)
     if not pairs:
-        return None
+        return "nothing was learned yet"
     append(path, forgotten=True)
-    return pairs[-1]
+    return f"the turn of weight {pairs[-1].weight} is forgotten"
 
 
 HEAD = ("when", "weight", "turns", "X arcsec", "Y arcsec", "height um", "used")

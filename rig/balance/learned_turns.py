@@ -109,8 +109,7 @@ class LearnedTurns:
 
     def forget(self) -> None:
         """Take the last learned turn out of the history."""
-        pair = history.forget_last(self._path)
-        say("nothing was learned yet" if pair is None else f"the turn of weight {pair.weight} is forgotten")
+        say(history.forget_last(self._path))
         self._relearn()
 
     def _learn(self, balance: Balance, state: Floats, u_state: Floats) -> None:

@@ -14,12 +14,8 @@ from rig.instrument import turn_text
 from rig.presentation import NOT_KNOWN, print_json_line, say, with_uncertainty
 
 
-def print_faults(faults: Sequence[Fault], before: Sequence[Fault], *, live: bool = False) -> None:
-    """Print a table of the balance; with `live` one line on stderr."""
-    if live:
-        parts = [f"{f.name} {f.value:+.3g} {f.unit}".rstrip() for f in faults[:2] if math.isfinite(f.value)]
-        say("  ".join(parts))
-        return
+def print_faults(faults: Sequence[Fault], before: Sequence[Fault]) -> None:
+    """Print a table of the balance."""
     table = Table(box=None, pad_edge=False, header_style="bold")
     for name in ("", "number", "now"):
         table.add_column(name)
@@ -41,11 +37,6 @@ def _number(fault: Fault) -> str:
     return f"{with_uncertainty(fault.value, fault.u_value, signed=True)} {fault.unit}".rstrip()
 
 
-def print_advice(turn: Turn | Unreachable | None, faults: Sequence[Fault]) -> None:
-    """Print which weight to turn, by how much and in which direction."""
-    Console().print(turn_text(turn, faults), highlight=False, markup=False, soft_wrap=True)
-
-
 QUESTION = (
     "turned (weight turns, e.g. x 1.5, or x 1.5 -0.75 in sequence; Enter: measure again;"
     " f: forget the last turn learned; q: end)? "
@@ -58,29 +49,23 @@ class Reporter(Protocol):
 
     def way(self, at: Deflections) -> None:
         """Where the spot was in some frames."""
-        ...
 
     def live(self, faults: Sequence[Fault]) -> None:
         """The balance while it is measured."""
-        ...
 
     def found(
         self, faults: Sequence[Fault], before: Sequence[Fault], advice: Turn | Unreachable | None
     ) -> None:
         """A sound measurement, the one before the last turn (or empty), and what to turn."""
-        ...
 
     def rejected(self, why: str, hint: str, back: Turn | None) -> None:
         """A measurement that is not used; `back` may help."""
-        ...
 
     def ask(self) -> str:
         """What was turned, as the operator states it; raises EOFError at the end."""
-        ...
 
     def wrong(self, problem: str) -> None:
         """An answer that is none."""
-        ...
 
 
 class OnTerminal:
@@ -90,13 +75,14 @@ class OnTerminal:
         """Nothing: the live view shows it."""
 
     def live(self, faults: Sequence[Fault]) -> None:
-        print_faults(faults, [], live=True)
+        parts = [f"{f.name} {f.value:+.3g} {f.unit}".rstrip() for f in faults[:2] if math.isfinite(f.value)]
+        say("  ".join(parts))
 
     def found(
         self, faults: Sequence[Fault], before: Sequence[Fault], advice: Turn | Unreachable | None
     ) -> None:
         print_faults(faults, before)
-        print_advice(advice, faults)
+        Console().print(turn_text(advice, faults), highlight=False, markup=False, soft_wrap=True)
 
     def rejected(self, why: str, hint: str, back: Turn | None) -> None:
         say(f"this measurement is not used: {why}")

@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from concurrent.futures import CancelledError
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from types import TracebackType
 from typing import NamedTuple, Self
 
 from acquisition.camera import Camera, CameraInfo, CameraSettings
@@ -95,9 +94,7 @@ class Devices:
             raise
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_error: object) -> None:
         try:
             if self._was_lit:
                 # a terminal that was closed hears nothing, and holds nothing up

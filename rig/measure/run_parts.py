@@ -25,15 +25,12 @@ class Watcher(Protocol):
 
     def block(self, start_ns: int, frames: Sequence[Frame], block: Block) -> None:
         """Some frames were processed."""
-        ...
 
     def event(self, start_ns: int, event: Event) -> None:
         """Something happened."""
-        ...
 
     def snapshot(self, snapshot: Snapshot) -> None:
         """The state of the run after that."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -28,7 +28,6 @@ class Display(Protocol):
 
     def show(self, snapshot: Snapshot, length_s: float, remaining_s: float, prompt: str | None) -> None:
         """Show state, length of the record, remaining time (NaN: unknown) and the text being typed."""
-        ...
 
 
 class Player:

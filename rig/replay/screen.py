@@ -4,7 +4,6 @@ import math
 import sys
 import time
 from collections.abc import Callable, Sequence
-from types import TracebackType
 from typing import IO, Self
 
 from rich.console import Console
@@ -48,9 +47,7 @@ class ReplayLine:
             self._stream.flush()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_error: object) -> None:
         if self._terminal and self._shown:
             self._stream.write("\n")
             self._stream.flush()
@@ -102,28 +99,14 @@ def print_comparison(comparison: ReplayDifferences, *, partial: bool) -> None:
     for name in ("", "recorded", "replayed", "changed"):
         table.add_column(name, justify="right" if name else "left")
     table.add_column("largest change")
-    table.add_row(
-        "spots",
-        str(comparison.spots_found_recorded),
-        str(comparison.spots_found_replayed),
-        str(comparison.spots_changed),
-        _largest(
-            comparison.largest_spot_change_u,
-            f"frame {comparison.largest_spot_frame}",
-            comparison.spots_changed,
-        ),
-    )
-    table.add_row(
-        "half-cycles",
-        str(comparison.swings_recorded),
-        str(comparison.swings_replayed),
-        str(comparison.swings_changed),
-        _largest(
-            comparison.largest_swing_change_u,
-            f"{comparison.largest_swing_s:.1f} s",
-            comparison.swings_changed,
-        ),
-    )
+    found = comparison
+    spots = (found.spots_found_recorded, found.spots_found_replayed, found.spots_changed)
+    swings = (found.swings_recorded, found.swings_replayed, found.swings_changed)
+    for name, counts, change_u, where in (
+        ("spots", spots, found.largest_spot_change_u, f"frame {found.largest_spot_frame}"),
+        ("half-cycles", swings, found.largest_swing_change_u, f"{found.largest_swing_s:.1f} s"),
+    ):
+        table.add_row(name, *map(str, counts), _largest(change_u, where, counts[-1]))
     console.print(table)
     if partial:
         say(

@@ -37,7 +37,6 @@ def show_records(
     *,
     mode: ShowMode = "spawn",
     rrd: Path | None = None,
-    align_start: bool = True,
     layout: LayoutName = "measuring",
 ) -> None:
     """Show records (.mcap) or Rerun files (.rrd); returns when the viewer is closed.
@@ -45,13 +44,11 @@ def show_records(
     Parameters
     ----------
     paths
-        Several records are overlaid in different colours.
+        Several records are overlaid in different colours, each from time 0 on.
     mode
         A window, or a page for a browser on this machine.
     rrd
         Rerun file to write instead of opening a viewer; must not exist yet.
-    align_start
-        Every record begins at time 0; otherwise times are counted from the start of the first record.
     layout
         The layout to open.
 
@@ -69,17 +66,15 @@ def show_records(
         show_rrd(paths, mode)
         return
     if rrd is not None:
-        write_rrd(paths, rrd, align_start=align_start, layout=layout)
+        write_rrd(paths, rrd, layout=layout)
         return
     with tempfile.TemporaryDirectory(prefix="rig-view-") as folder:
         path = Path(folder) / "records.rrd"
-        write_rrd(paths, path, align_start=align_start, layout=layout)
+        write_rrd(paths, path, layout=layout)
         show_rrd([path], mode)
 
 
-def write_rrd(
-    paths: Sequence[Path], rrd: Path, *, align_start: bool = True, layout: LayoutName = "measuring"
-) -> None:
+def write_rrd(paths: Sequence[Path], rrd: Path, *, layout: LayoutName = "measuring") -> None:
     """Draw records into one Rerun file, with constant memory. See `show_records`."""
     names = run_names(paths)
     overviews = [overview(path) for path in paths]
@@ -94,7 +89,6 @@ def write_rrd(
         if layout == "analysing"
         else {}
     )
-    first_utc_ns = min(each.start_utc_ns for each in overviews)
     viewer = Viewer(
         rrd,
         "none",
@@ -107,13 +101,12 @@ def write_rrd(
     lines = []
     with viewer:
         for path, name, each in zip(paths, names, overviews, strict=True):
-            later_s = 0.0 if align_start else seconds(each.start_utc_ns - first_utc_ns)
             with RecordReader(path) as reader:
                 if reader.truncated:
                     say(reader.cut_notice)
                 if len(paths) == 1:
                     viewer.properties(run_properties(reader))
-                spots, swings = _draw(viewer, reader, name, each.start_ns, later_s)
+                spots, swings = _draw(viewer, reader, name, each.start_ns)
                 start = datetime.fromtimestamp(seconds(each.start_utc_ns), UTC)
                 end = "truncated" if reader.truncated else "damaged" if reader.damages else "complete"
             lines.append(f"**{path.stem}**: {end}\n")
@@ -167,19 +160,19 @@ def spot_tables(reader: RecordReader) -> Iterator[NDArray[Any]]:
         yield kind.decode_table([message.data for message in block])
 
 
-def _draw(viewer: Viewer, reader: RecordReader, run: str, start_ns: int, later_s: float) -> tuple[int, int]:
+def _draw(viewer: Viewer, reader: RecordReader, run: str, start_ns: int) -> tuple[int, int]:
     """Draw one record; returns the numbers of its spots and half-cycles."""
     swings = reader.swings()
     if swings:
-        viewer.swings(swings, start_ns, later_s=later_s, run=run)
+        viewer.swings(swings, start_ns, run=run)
     advise = _adviser(reader)
     for balance in reader.balances():
-        time_s = seconds(balance.time_ns - start_ns) + later_s
+        time_s = seconds(balance.time_ns - start_ns)
         viewer.balance(time_s, balance_numbers(balance), advice=advise(balance), run=run)
     for event in reader.events():
-        viewer.event(start_ns, event, later_s=later_s, run=run)
-    spots = _draw_spots(viewer, reader, run, start_ns, later_s)
-    _draw_images(viewer, reader, run, start_ns, later_s, spots)
+        viewer.event(start_ns, event, run=run)
+    spots = _draw_spots(viewer, reader, run, start_ns)
+    _draw_images(viewer, reader, run, start_ns, spots)
     return len(spots["sequence"]), len(swings)
 
 
@@ -192,18 +185,16 @@ def _adviser(reader: RecordReader) -> Callable[[Balance], str]:
     return lambda balance: advice_for(config, balance).markdown
 
 
-def _draw_spots(
-    viewer: Viewer, reader: RecordReader, run: str, start_ns: int, later_s: float
-) -> dict[str, NDArray[Any]]:
+def _draw_spots(viewer: Viewer, reader: RecordReader, run: str, start_ns: int) -> dict[str, NDArray[Any]]:
     """Draw X, Y and the losses; returns the frames' numbers and spot positions."""
     sequences: list[NDArray[np.int64]] = []
     places: list[NDArray[np.float32]] = []
     lost = missing = 0
     last: int | None = None
-    viewer.losses(later_s, {"missing_frames": 0, "lost_spots": 0}, own=False, run=run)
+    viewer.losses(0.0, {"missing_frames": 0, "lost_spots": 0}, own=False, run=run)
     for table in spot_tables(reader):
         deflections = reader.deflections(table)
-        time_s = seconds(deflections.times_ns - start_ns) + later_s
+        time_s = seconds(deflections.times_ns - start_ns)
         viewer.samples(time_s, deflections.shown_x, deflections.shown_y, table["flags"], run=run)
         sequence = table["sequence"]
         before = sequence[0] - 1 if last is None else last
@@ -219,12 +210,7 @@ def _draw_spots(
 
 
 def _draw_images(
-    viewer: Viewer,
-    reader: RecordReader,
-    run: str,
-    start_ns: int,
-    later_s: float,
-    spots: dict[str, NDArray[Any]],
+    viewer: Viewer, reader: RecordReader, run: str, start_ns: int, spots: dict[str, NDArray[Any]]
 ) -> None:
     """Draw the recorded whole frames, with the spots found in them."""
     next_ns = start_ns
@@ -235,6 +221,6 @@ def _draw_images(
         row = int(np.searchsorted(spots["sequence"], frame.sequence))
         found = row < len(spots["sequence"]) and spots["sequence"][row] == frame.sequence
         x_px, y_px = spots["place"][row] if found else (np.nan, np.nan)
-        time_s = seconds(frame.time_ns - start_ns) + later_s
+        time_s = seconds(frame.time_ns - start_ns)
         viewer.image(time_s, frame.image, (float(x_px), float(y_px)), run=run)
         viewer.wait_room()

@@ -16,7 +16,6 @@ import uuid
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 import numpy as np
@@ -215,9 +214,7 @@ class Viewer:
         self.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_error: object) -> None:
         self.close()
 
     def start(self) -> None:
@@ -254,9 +251,9 @@ class Viewer:
         self.samples(time_s, math.nan, math.nan, 0)
         self.log(time_s, "info", f"restarted at {time_s:.1f} s")
 
-    def event(self, start_ns: int, event: Event, *, later_s: float = 0.0, run: str = "") -> None:
+    def event(self, start_ns: int, event: Event, *, run: str = "") -> None:
         """Write an event to the log."""
-        time_s = seconds(event.time_ns - start_ns) + later_s
+        time_s = seconds(event.time_ns - start_ns)
         self.log(time_s, event.level, event.line, kind=event.kind, run=run)
 
     def snapshot(self, snapshot: Snapshot) -> None:
@@ -283,13 +280,13 @@ class Viewer:
         copied_flags = np.array(flags, dtype=np.int64, ndmin=1) & ~int(SpotFlag.MULTIPLE | SpotFlag.LEARNED)
         self._put(Samples(run, _floats(times_s), _floats(x), _floats(y), copied_flags))
 
-    def swings(self, swings: Sequence[Swing], start_ns: int, *, later_s: float = 0.0, run: str = "") -> None:
+    def swings(self, swings: Sequence[Swing], start_ns: int, *, run: str = "") -> None:
         """Half-cycles of the slow mode at their turning points: amplitude and (whole) period."""
         size = self._unit.shown_size
         self._put(
             Swings(
                 run,
-                seconds(np.array([swing.turn_time_ns for swing in swings]) - start_ns) + later_s,
+                seconds(np.array([swing.turn_time_ns for swing in swings]) - start_ns),
                 _floats([swing.amplitude / size for swing in swings]),
                 _floats([swing.u_amplitude / size for swing in swings]),
                 _floats([2.0 * swing.half_period_s for swing in swings]),
