@@ -97,23 +97,11 @@ def show_runs(archive: Path, names: Sequence[str]) -> None:
         older = connection.execute(
             "select added_utc, results from versions where sha256 = ? order by added_utc", [run]
         ).fetchall()
-        simulated = connection.execute(f"select {IS_SIMULATED} from runs where sha256 = ?", [run]).fetchone()[
-            0
-        ]
+        question = f"select {IS_SIMULATED} from runs where sha256 = ?"
+        (simulated,) = connection.execute(question, [run]).fetchone()
         versions = "; ".join(f"{added:%Y-%m-%d %H:%M} {results or 'not fitted'}" for added, results in older)
-        print_tables(
-            [
-                Table(
-                    run[:8],
-                    f"{'SIMULATED: ' if simulated else ''}{Path(row['folder']) / row['record']}",
-                    (),
-                    (),
-                    ("", ""),
-                    texts,
-                    f"added: {versions}",
-                )
-            ]
-        )
+        title = f"{'SIMULATED: ' if simulated else ''}{Path(row['folder']) / row['record']}"
+        print_tables([Table(run[:8], title, (), (), ("", ""), texts, f"added: {versions}")])
 
 
 def _text(value: Any, u: float | None) -> str:

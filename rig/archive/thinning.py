@@ -108,16 +108,11 @@ def thin_runs(
 
 def _ages_months(archive: Path, today: datetime.date) -> dict[str, int]:
     """Whole months since runs began, by their SHA-256."""
-    found = (
-        Archive(archive)
-        .connection()
-        .execute(
-            "select sha256, date_diff('month', began_utc::date, $1) - (day($1) < day(began_utc))::int "
-            "from runs where began_utc is not null",
-            [today],
-        )
+    question = (
+        "select sha256, date_diff('month', began_utc::date, $1) - (day($1) < day(began_utc))::int "
+        "from runs where began_utc is not null"
     )
-    return dict(found.fetchall())
+    return dict(Archive(archive).connection().execute(question, [today]).fetchall())
 
 
 def _rule(
