@@ -3,7 +3,7 @@
 import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from processing.errors import ConfigurationError
 from rig.archive.columns import IS_SIMULATED
@@ -11,6 +11,9 @@ from rig.archive.listing import selected
 from rig.archive.remarks import write_remark
 from rig.archive.store import Archive, reads_archive
 from rig.presentation import NOT_KNOWN, Table, plain, print_tables, with_uncertainty
+
+if TYPE_CHECKING:
+    from rig.rerun import ShowMode
 
 _SHORTEST = 4
 _MOST_VIEWED = 24
@@ -112,9 +115,7 @@ def _text(value: Any, u: float | None) -> str:
     return str(value) or NOT_KNOWN
 
 
-def view_runs(
-    archive: Path, names: Sequence[str], where: str, mode: Literal["spawn", "web"], rrd: Path | None
-) -> None:
+def view_runs(archive: Path, names: Sequence[str], where: str, mode: "ShowMode", rrd: Path | None) -> None:
     """Show runs that are named or meet a condition in one viewer, or write its file.
 
     Raises ConfigurationError for none or too many, RecordError for a record that is not here.
