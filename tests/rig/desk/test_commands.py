@@ -2,7 +2,7 @@
 
 import io
 import json
-import os
+import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -86,9 +86,12 @@ def test_what_was_asked_to_end_is_waited_for_before_the_camera_is_refused(
     pytest.importorskip("nicegui", reason="rig desk is not installed: pip install '.[desk]'")
     from rig.desk import jobs
     from rig.desk.desk import Desk
+    from rig.rerun import start_python
 
-    sleeping = [sys.executable, "-c", "import time; time.sleep(60)"]
-    monkeypatch.setattr(jobs, "_command", lambda _: (sleeping, dict(os.environ)))
+    def sleeping(*_words: str, **how: Any) -> "subprocess.Popen[Any]":
+        return start_python("-c", "import time; time.sleep(60)", **how)
+
+    monkeypatch.setattr(jobs, "start_python", sleeping)
     desk = Desk(SIMULATED, (f'session.output="{tmp_path.as_posix()}"',))
     desk.jobs["balance"] = jobs.Job(["balance"])
     with pytest.raises(ConfigurationError, match="which rig balance has; end that first"):
